@@ -1,0 +1,29 @@
+"""Exceptions that navbake raises on purpose. This module imports nothing."""
+
+
+class NavbakeError(Exception):
+    """Base of every error that navbake raises on purpose.
+
+    The message is one line: what is wrong, where, what was expected, what was found and
+    what to do about it. The command line prints it and exits with status 1.
+    """
+
+
+class ConfigError(NavbakeError):
+    """A setting is missing, unknown, of the wrong type or out of its range."""
+
+
+class SceneError(NavbakeError):
+    """A scene cannot be read, or holds nothing that can be baked."""
+
+
+class FormatError(NavbakeError):
+    """A file does not follow the format that it claims to be in."""
+
+
+class QueryError(NavbakeError):
+    """A question to a grid that has no answer because the question is wrong."""
+
+
+class MissingDependencyError(NavbakeError):
+    """An optional package is not installed; the message names the command that installs it."""

@@ -1,0 +1,145 @@
+"""The one place where world positions and grid cells meet.
+
+World: right-handed, z up, metres. Files: y up, ``(X, Y, Z) = (x, z, -y)``. Arrays are
+``[row, col]``: col along x, row along file Z, which is against y. Cell id = col + row * width.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+CELL_SLACK = 1e-6  # of a cell: an extent this little over n cells still makes n cells
+
+
+def world_to_yup(xyz: ArrayLike) -> NDArray[np.float64]:
+    """Turn world positions into file coordinates.
+
+    Args:
+        xyz: positions, shape (..., 3), world frame [m].
+
+    Returns:
+        The same positions as (x, z, -y), shape (..., 3), float64.
+    """
+    p = np.asarray(xyz, dtype=np.float64)
+    # 0.0 - y, because -y would turn 0.0 into -0.0, which JSON shows
+    return np.stack([p[..., 0], p[..., 2], 0.0 - p[..., 1]], axis=-1)
+
+
+def yup_to_world(xyz: ArrayLike) -> NDArray[np.float64]:
+    """Turn file coordinates into world positions; the inverse of `world_to_yup`.
+
+    Args:
+        xyz: positions, shape (..., 3), file frame (y up).
+
+    Returns:
+        The same positions as (X, -Z, Y), shape (..., 3), float64.
+    """
+    p = np.asarray(xyz, dtype=np.float64)
+    return np.stack([p[..., 0], 0.0 - p[..., 2], p[..., 1]], axis=-1)
+
+
+def num_cells(extent: float, cell_size: float) -> int:
+    """Count the cells that cover an extent: ``ceil(extent / cell_size)``, at least 1.
+
+    An extent that exceeds a whole number of cells by less than 1e-6 of a cell, as rounding
+    makes it, does not open one more.
+    """
+    return max(1, math.ceil(extent / cell_size - CELL_SLACK))
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """A rectangle of square cells in the world's horizontal plane.
+
+    Attributes:
+        x_min: world x of the outer edge of column 0 [m].
+        y_max: world y of the outer edge of row 0 [m]; rows run towards smaller y.
+        cell_size: edge of a cell [m], > 0.
+        width: number of columns, >= 1.
+        height: number of rows, >= 1.
+    """
+
+    x_min: float
+    y_max: float
+    cell_size: float
+    width: int
+    height: int
+
+    @classmethod
+    def cover(cls, bounds: Sequence[float], cell_size: float, margin: float = 0.0) -> Lattice:
+        """Lay the lattice of a scene: ``ceil(extent / cell_size)`` cells an axis, centred.
+
+        Args:
+            bounds: (x_min, y_min, x_max, y_max), world frame [m].
+            cell_size: edge of a cell [m], > 0.
+            margin: what is added on each side of the bounds first [m], >= 0.
+        """
+        x0, y0, x1, y1 = bounds
+        width = num_cells(x1 - x0 + 2 * margin, cell_size)
+        height = num_cells(y1 - y0 + 2 * margin, cell_size)
+        x_mid, y_mid = (x0 + x1) / 2, (y0 + y1) / 2
+        return cls(
+            x_min=x_mid - width * cell_size / 2,
+            y_max=y_mid + height * cell_size / 2,
+            cell_size=cell_size,
+            width=width,
+            height=height,
+        )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width), the shape of every array on this lattice."""
+        return self.height, self.width
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """(x_min, y_min, x_max, y_max) of the outer edges, world frame [m]."""
+        return (
+            self.x_min,
+            self.y_max - self.height * self.cell_size,
+            self.x_min + self.width * self.cell_size,
+            self.y_max,
+        )
+
+    def center_x(self) -> NDArray[np.float64]:
+        """World x of the centre of each column [m], shape (width,), float64."""
+        return self.x_min + (np.arange(self.width, dtype=np.float64) + 0.5) * self.cell_size
+
+    def center_y(self) -> NDArray[np.float64]:
+        """World y of the centre of each row [m], shape (height,), float64, descending."""
+        return self.y_max - (np.arange(self.height, dtype=np.float64) + 0.5) * self.cell_size
+
+    def rows_cols(self, xy: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Find the cells that hold positions; outside the lattice they run on.
+
+        Args:
+            xy: positions, shape (..., 2) or (..., 3), world frame [m]; finite.
+
+        Returns:
+            Row and column of each, shape (...), int64, not clipped to the lattice.
+        """
+        p = np.asarray(xy, dtype=np.float64)
+        rows = np.floor((self.y_max - p[..., 1]) / self.cell_size).astype(np.int64)
+        cols = np.floor((p[..., 0] - self.x_min) / self.cell_size).astype(np.int64)
+        return rows, cols
+
+    def positions(self, rows: ArrayLike, cols: ArrayLike) -> NDArray[np.float64]:
+        """World x, y of cells' centres [m], shape (..., 2), float64."""
+        x = self.x_min + (np.asarray(cols) + 0.5) * self.cell_size
+        y = self.y_max - (np.asarray(rows) + 0.5) * self.cell_size
+        return np.stack(np.broadcast_arrays(x, y), axis=-1)
+
+    def cut(self, rows: slice, cols: slice) -> Lattice:
+        """The part of this lattice in ``[rows, cols]``, cells in the same places."""
+        return Lattice(
+            x_min=self.x_min + cols.start * self.cell_size,
+            y_max=self.y_max - rows.start * self.cell_size,
+            cell_size=self.cell_size,
+            width=cols.stop - cols.start,
+            height=rows.stop - rows.start,
+        )

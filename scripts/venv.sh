@@ -1,0 +1,24 @@
+# Sourced by the other scripts: a virtual environment in .venv with navbake and one of its extras.
+# Leaves the current folder at the checkout, and the environment's programs first in PATH.
+
+use_venv() { # use_venv EXTRA
+    local extra=$1 python=${PYTHON:-python3} stamp
+    cd "$(dirname "${BASH_SOURCE[0]}")/.."
+    if [ ! -x .venv/bin/python ]; then
+        if ! "$python" -c "import venv, ensurepip" 2>/dev/null; then
+            echo "$0: $python cannot make virtual environments: install python3-venv," \
+                "or set PYTHON to one that can" >&2
+            exit 1
+        fi
+        "$python" -m venv .venv
+    fi
+    PATH=$PWD/.venv/bin:$PATH
+    # installed again only when what is to be installed has changed
+    stamp=$(cat pyproject.toml constraints.txt | cksum)
+    if [ "$(cat ".venv/installed-$extra" 2>/dev/null)" != "$stamp" ]; then
+        echo "$0: installing navbake[$extra] into .venv" >&2
+        python -m pip install --quiet --quiet --disable-pip-version-check \
+            --editable ".[$extra]" --constraint constraints.txt
+        echo "$stamp" >".venv/installed-$extra"
+    fi
+}
