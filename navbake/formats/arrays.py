@@ -1,0 +1,302 @@
+"""Arrays as NavGrid files hold them: JSON lists, raw or run-length encoded, one value a cell.
+
+Run-length encoding is ``[value, count, value, count, …]``. JSON has neither NaN nor Infinity;
+both are ``null`` there. `Place` words the errors of the whole format.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+
+from navbake.errors import FormatError
+from navbake.grid import datatype_name
+
+DATATYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
+SHOWN_LENGTH = 40  # characters of a culprit that an error shows
+
+
+class _Missing:
+    """Stands for a field that is not there."""
+
+
+MISSING = _Missing()
+
+
+def shown(value: object) -> str:
+    """Word a value for an error: on one line, short however long the value is."""
+    if isinstance(value, _Missing):
+        return "nothing"
+    if isinstance(value, list | tuple):
+        return f"a list of {len(value)}"
+    if isinstance(value, dict):
+        return f"an object of {len(value)} fields"
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    if isinstance(value, str):
+        value = value[: SHOWN_LENGTH + 1]
+    elif isinstance(value, int) and abs(value) > 10**SHOWN_LENGTH:
+        return f"{value:.3e}" if abs(value) < 10**300 else "an integer of over 300 digits"
+    text = repr(value)
+    return text if len(text) <= SHOWN_LENGTH else text[:SHOWN_LENGTH] + "…"
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place in a file, which errors name.
+
+    Attributes:
+        file: the file's name.
+        path: the JSON path inside, as in ``grids[1].weights.data[17]``; "" for the top.
+    """
+
+    file: str
+    path: str = ""
+
+    def __getitem__(self, key: str | int) -> Place:
+        if isinstance(key, int):
+            step = f"[{key}]"
+        elif key.isidentifier():
+            step = f".{key}" if self.path else key
+        else:
+            step = f"[{shown(key)}]"
+        return Place(self.file, self.path + step)
+
+    def fail(self, what: str, remedy: str = "") -> NoReturn:
+        """Raise a FormatError that says what is wrong, where, and what helps."""
+        where = f"at `{self.path}` in" if self.path else "in"
+        file = self.file if self.file.isprintable() else repr(self.file)
+        raise FormatError(f"{what} {where} {file}" + (f"; {remedy}" if remedy else ""))
+
+    def refuse(self, expected: str, value: object) -> NoReturn:
+        """Raise a FormatError that says what was expected here and what is there instead."""
+        self.fail(f"expected {expected}, got {shown(value)}")
+
+
+@dataclass
+class Allowance:
+    """What a file may still fill memory with; it shrinks as its arrays are read.
+
+    Attributes:
+        max_cells: the limit that the caller set.
+        cells: cells that further levels may have.
+        values: values that further arrays may have.
+    """
+
+    max_cells: int
+    cells: int
+    values: int
+
+    def take_cells(self, num_cells: int, place: Place) -> None:
+        """Count a level's cells, or refuse them."""
+        if num_cells > self.cells:
+            place.fail(
+                f"too many cells: width × height = {shown(num_cells)}, but max_cells = "
+                f"{self.max_cells} for all levels together",
+                "raise max_cells if that is meant",
+            )
+        self.cells -= num_cells
+
+    def take_values(self, num_values: int, place: Place) -> None:
+        """Count an array's values, or refuse them."""
+        if num_values > self.values:
+            place.fail(
+                f"more arrays of this size than max_cells = {self.max_cells} allows",
+                "raise max_cells if that is meant",
+            )
+        self.values -= num_values
+
+
+def whole_number(value: object, place: Place, minimum: int) -> int:
+    """Read an integer; 59.0 is one, true is none."""
+    integral = type(value) is int or (isinstance(value, float) and value.is_integer())
+    if not integral or int(value) < minimum:  # type: ignore[call-overload]
+        place.refuse(f"a whole number >= {minimum}", value)
+    return int(value)  # type: ignore[call-overload,no-any-return]
+
+
+def decode_array(
+    value: object,
+    place: Place,
+    *,
+    num_cells: int,
+    allowance: Allowance,
+    default: object = None,
+    null: float = np.nan,
+) -> NDArray[Any]:
+    """Read an array: an object with ``data``, or a bare list, which is raw.
+
+    ``null`` becomes `null` in raw data as in runs. (The original client does so in runs only
+    and leaves it as it is in raw data, where arithmetic takes it for 0.)
+
+    Args:
+        value: what the file has: ``{"datatype", "length", "encoding", "data"}``, of which only
+            ``data`` must be there; ``dataType`` is taken for ``datatype``.
+        place: where in the file.
+        num_cells: the length that it must have, >= 1.
+        allowance: what the file may still fill.
+        default: the type that the metadata give for it; float64 if they don't either.
+        null: what ``null`` stands for in floats; integers have none.
+
+    Returns:
+        Shape (num_cells,), in the datatype that the file names.
+
+    Raises:
+        FormatError: it has another length, or a value that its datatype does not have.
+    """
+    if isinstance(value, list):
+        value = {"data": value}
+        data_place = place
+    else:
+        data_place = place["data"]
+    if not isinstance(value, dict):
+        place.refuse("an array", value)
+    if value.get("type") not in (None, "array"):
+        place["type"].refuse("'array'", value["type"])
+    dtype = _read_datatype(value, place, default)
+    _check_length(value, place, num_cells, allowance)
+    data = value.get("data", MISSING)
+    if not isinstance(data, list):
+        data_place.refuse("a list", data)
+    encoding = value.get("encoding")
+    if encoding == "rle":
+        return _decode_runs(data, data_place, num_cells, dtype, null)
+    if encoding not in (None, "raw"):
+        place["encoding"].refuse("'rle' or 'raw'", encoding)
+    if len(data) != num_cells:
+        data_place.fail(f"expected {num_cells} values, one a cell, got {len(data)}")
+    return _cast(data, data_place, 1, dtype, null)
+
+
+def encode_array(array: NDArray[Any], place: Place) -> bytes:
+    """Write an array as the JSON list of its runs.
+
+    NaN and infinities become ``null``, -0.0 becomes 0, whole floats lose their ".0", and a
+    float32 gets its own shortest decimal.
+
+    Args:
+        array: any shape, of one of `DATATYPES`.
+        place: where in the file, for errors.
+
+    Returns:
+        ``[value,count,value,count,…]`` in JSON.
+
+    Raises:
+        FormatError: it has another dtype.
+    """
+    if array.dtype.name not in DATATYPES:
+        place.fail(f"expected a dtype of {', '.join(DATATYPES)}, got {array.dtype}")
+    flat = array.astype(array.dtype.newbyteorder("="), order="C", copy=False).ravel()
+    is_float = flat.dtype.kind == "f"
+    if is_float:
+        flat = np.where(np.isfinite(flat), flat + 0, flat.dtype.type(np.nan))
+    changes = flat[1:] != flat[:-1]
+    if is_float:
+        changes &= ~(np.isnan(flat[1:]) & np.isnan(flat[:-1]))
+    start = np.concatenate([[0], np.flatnonzero(changes) + 1])
+    values = flat[start]
+    counts = np.diff(start, append=flat.size)
+    if not is_float:
+        return _dump(np.stack([values.astype(np.int64), counts], axis=1).ravel())
+    pieces = [b""] * (2 * len(counts))
+    pieces[0::2] = _dump(values)[1:-1].split(b",")
+    pieces[1::2] = _dump(counts)[1:-1].split(b",")
+    return b"[" + b",".join(pieces).replace(b".0,", b",") + b"]"
+
+
+def _dump(array: NDArray[Any]) -> bytes:
+    return orjson.dumps(array, option=orjson.OPT_SERIALIZE_NUMPY)
+
+
+def _read_datatype(value: dict[str, Any], place: Place, default: object) -> np.dtype[Any]:
+    """Find the dtype: what the array states, else the metadata, else float64."""
+    own = [key for key in ("datatype", "dataType") if value.get(key) is not None]
+    stated = value[own[0]] if own else default
+    if stated is None:
+        return np.dtype(np.float64)
+    name = datatype_name(stated) if isinstance(stated, str) else ""
+    if name not in DATATYPES:
+        where = place[own[0]] if own else place
+        where.refuse(f"a datatype of {', '.join(DATATYPES)}", stated)
+    return np.dtype(name)
+
+
+def _check_length(
+    value: dict[str, Any], place: Place, num_cells: int, allowance: Allowance
+) -> None:
+    if value.get("length") is not None:
+        length = whole_number(value["length"], place["length"], 0)
+        if length > allowance.max_cells:
+            place["length"].refuse(f"at most max_cells = {allowance.max_cells}", length)
+        if length != num_cells:
+            place["length"].refuse(f"{num_cells}, which is width × height", length)
+    allowance.take_values(num_cells, place)
+
+
+def _decode_runs(
+    data: list[Any], place: Place, num_cells: int, dtype: np.dtype[Any], null: float
+) -> NDArray[Any]:
+    if len(data) % 2:
+        place.fail(f"expected pairs of value and count, got an odd number ({len(data)}) of entries")
+    counts = _to_float64(data[1::2], place, 2, 1, "a count, a whole number >= 0", (int, float))
+    bad = (counts < 0) | (counts != np.floor(counts))
+    if bad.any():
+        index = 2 * int(np.argmax(bad)) + 1
+        place[index].refuse("a count, a whole number >= 0", data[index])
+    total = counts.cumsum()
+    if total.size == 0 or total[-1] != num_cells:
+        _refuse_cover(data, total, place, num_cells)
+    return np.repeat(_cast(data, place, 2, dtype, null), counts.astype(np.int64))
+
+
+def _refuse_cover(
+    data: list[Any], total: NDArray[np.float64], place: Place, num_cells: int
+) -> NoReturn:
+    """Say where runs end that don't end at the last cell."""
+    over = total > num_cells
+    if not over.any():
+        covered = int(total[-1]) if total.size else 0
+        place.fail(f"expected runs over {num_cells} cells, got runs over {covered}")
+    run = int(np.argmax(over))
+    before = int(total[run - 1]) if run else 0
+    index = 2 * run + 1
+    place[index].refuse(f"a count <= {num_cells - before}, what the array has left", data[index])
+
+
+def _cast(
+    data: list[Any], place: Place, step: int, dtype: np.dtype[Any], null: float
+) -> NDArray[Any]:
+    """Turn every step-th entry into the dtype; where one does not fit, say which."""
+    kinds = (int, float, type(None)) if dtype.kind == "f" else (int, float)
+    values = _to_float64(data[::step], place, step, 0, f"a value of {dtype}", kinds)
+    if dtype.kind == "f":
+        with np.errstate(over="ignore"):
+            bad = np.isinf(values.astype(dtype))
+    else:
+        info = np.iinfo(dtype)
+        bad = (values < info.min) | (values > info.max) | (values != np.floor(values))
+    if bad.any():
+        index = step * int(np.argmax(bad))
+        place[index].refuse(f"a value of {dtype}", data[index])
+    if dtype.kind == "f" and not np.isnan(null):
+        values[np.isnan(values)] = null
+    return values.astype(dtype, copy=False)
+
+
+def _to_float64(
+    entries: list[Any],
+    place: Place,
+    step: int,
+    offset: int,
+    expected: str,
+    kinds: tuple[type, ...],
+) -> NDArray[np.float64]:
+    """Turn a list of numbers and None (NaN) into an array; entry i stands at offset + i * step."""
+    if not set(map(type, entries)) <= set(kinds):  # bool is no int here
+        index = next(i for i, entry in enumerate(entries) if type(entry) not in kinds)
+        place[offset + index * step].refuse(expected, entries[index])
+    return np.array(entries, dtype=np.float64)
