@@ -1,0 +1,147 @@
+"""Reads YAML that people wrote by hand: YAML 1.2's plain scalars, no key twice, no surprises."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Hashable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from navbake.errors import ConfigError
+
+MAX_BYTES = 1_000_000  # of a YAML file: settings take a few thousand
+MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))  # their keys may hold dots
+
+
+class _Loader(yaml.SafeLoader):
+    """SafeLoader, but ``1e-3`` is a number, ``on`` and ``2026-01-01`` are text, ``010`` is 10."""
+
+    # YAML 1.2's core schema, and 1_000_000
+    yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Leave ``<<`` alone: merged keys can grow without bound, and nobody needs them here."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if isinstance(key, Hashable) and key in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"the key {key!r} stands here a second time", key_node.start_mark
+                )
+            if isinstance(key, Hashable):
+                seen.add(key)
+        return super().construct_mapping(node, deep)
+
+    def construct_integer(self, node: yaml.ScalarNode) -> int:
+        return int(str(self.construct_scalar(node)))
+
+
+_TAG = "tag:yaml.org,2002:"
+_Loader.add_constructor(_TAG + "int", _Loader.construct_integer)
+for _name, _pattern, _first in (
+    ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
+    ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+    ("int", r"[-+]?[0-9]+(?:_[0-9]+)*", "-+0123456789"),
+    (
+        "float",
+        r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
+        r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)",
+        "-+.0123456789",
+    ),
+):
+    _Loader.add_implicit_resolver(_TAG + _name, re.compile(rf"^(?:{_pattern})$"), list(_first))
+
+
+def read_yaml(path: Path) -> Any:
+    """Read a YAML file of at most 1 MB.
+
+    Raises:
+        ConfigError: the file is missing, unreadable, too large, or no YAML; a syntax error
+            comes with its line.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        raise ConfigError(f"no such file: {path}") from None
+    except OSError as error:
+        raise ConfigError(f"cannot read {path}: {error.strerror}") from error
+    if len(content) > MAX_BYTES:
+        raise ConfigError(f"{path} is no settings file: it is larger than {MAX_BYTES:,} bytes")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path} is no YAML: byte {error.start} is not UTF-8") from error
+    return parse_yaml(text, str(path))
+
+
+def parse_yaml(text: str, source: str) -> Any:
+    """Parse one YAML document.
+
+    Args:
+        text: the document.
+        source: where it comes from, for messages.
+
+    Raises:
+        ConfigError: it is no YAML, holds a key twice, or is nested too deeply.
+    """
+    try:
+        return yaml.load(text, _Loader)
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        problem = error.problem or error.context
+        hint = "; text that begins with * needs quotes" if "alias" in str(problem) else ""
+        raise ConfigError(f"{problem} in line {line} of {source}{hint}") from error
+    except RecursionError as error:
+        raise ConfigError(f"{source} is nested too deeply") from error
+    except (yaml.YAMLError, ValueError) as error:
+        raise ConfigError(f"{source} is no YAML: {str(error).splitlines()[0]}") from error
+
+
+def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """Lay ``a.b=value`` over nested mappings, which stay as they are.
+
+    Args:
+        data: the settings as read.
+        overrides: dotted key and YAML value each, the later one wins. What follows
+            ``scene.joints.`` or ``scene.meshes.`` is one name, dots and all.
+
+    Raises:
+        ConfigError: no ``=``, no YAML value, or a key below something that has no keys.
+    """
+    result = dict(data)
+    for override in overrides:
+        *sections, last = override_key(override)
+        value = parse_yaml(override.partition("=")[2], f"--set {override}")
+        target = result
+        for depth, section in enumerate(sections):
+            inner = target.get(section)
+            if inner is not None and not isinstance(inner, Mapping):
+                above = ".".join(sections[: depth + 1])
+                raise ConfigError(
+                    f"`{above}` is no mapping, so there is no key for --set {override}"
+                )
+            target[section] = dict(inner or {})
+            target = target[section]
+        target[last] = value
+    return result
+
+
+def override_key(override: str) -> tuple[str, ...]:
+    """Split the key of ``a.b=value`` at its dots.
+
+    Raises:
+        ConfigError: there is no ``=``, or an empty part.
+    """
+    dotted, equals, _ = override.partition("=")
+    parts = tuple(part.strip() for part in dotted.split("."))
+    if not equals or not all(parts):
+        raise ConfigError(f"expected KEY=VALUE with a dotted key, got --set {override}")
+    for names in MAPPINGS_OF_NAMES:
+        if parts[: len(names)] == names and len(parts) > len(names):
+            return *names, ".".join(parts[len(names) :])
+    return parts
