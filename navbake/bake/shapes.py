@@ -1,0 +1,192 @@
+"""The counted geoms' geometry as arrays, in the world frame: what rays and overlaps work on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int32]
+
+FAR = 1e4  # half-size that stands for the infinite side of a plane that has a finite one [m]
+
+# MuJoCo's numbers of the geom types that are solids by themselves (mjtGeom)
+SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX = 2, 3, 4, 5, 6
+
+
+@dataclass(frozen=True)
+class Solids:
+    """Spheres, capsules, ellipsoids, cylinders and boxes.
+
+    Attributes:
+        geom: MuJoCo's geom id, shape (n,), int32.
+        kind: MuJoCo's geom type, shape (n,), int32.
+        pos: centres, shape (n, 3), float64 [m].
+        mat: rotation matrices, row-major, shape (n, 9), float64.
+        size: MuJoCo's sizes (half-lengths, radii), shape (n, 3), float64 [m].
+        bounds: exact boxes round them, shape (n, 6), float64: lower corner, upper corner [m].
+    """
+
+    geom: Int
+    kind: Int
+    pos: Float
+    mat: Float
+    size: Float
+    bounds: Float
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Infinite planes: half-spaces, solid behind their normal (the third column of `mat`).
+
+    Attributes:
+        geom: MuJoCo's geom id, shape (n,), int32.
+        pos: a point on each, shape (n, 3), float64 [m].
+        mat: rotation matrices, row-major, shape (n, 9), float64.
+    """
+
+    geom: Int
+    pos: Float
+    mat: Float
+
+    @property
+    def normal(self) -> Float:
+        """Unit normals, shape (n, 3), float64."""
+        return np.ascontiguousarray(self.mat[:, [2, 5, 8]])
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """Triangles of meshes, hulls, height fields and finite planes.
+
+    Attributes:
+        geom: MuJoCo's geom id of each, shape (m,), int32.
+        corners: shape (m, 3, 3), float64 [m], counter-clockwise from the front.
+    """
+
+    geom: Int
+    corners: Float
+
+    @property
+    def bounds(self) -> Float:
+        """Boxes round them, shape (m, 6), float64: lower corner, upper corner [m]."""
+        return np.concatenate([self.corners.min(axis=1), self.corners.max(axis=1)], axis=1)
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """All counted geometry.
+
+    Attributes:
+        solids: the primitive solids.
+        planes: the infinite planes.
+        triangles: everything that is made of triangles.
+        closed: by geom id, shape (ngeom,), uint8: 2 for solids (primitives, hulls, height
+            fields), 1 for surfaces that enclose a volume, else 0. Inside of both counts as
+            occupied. Infinite planes are not among them.
+    """
+
+    solids: Solids
+    planes: Planes
+    triangles: Triangles
+    closed: NDArray[np.uint8]
+
+    def bounds(self) -> Float | None:
+        """The box round everything finite, shape (2, 3), float64 [m]; None if all is infinite."""
+        boxes = np.concatenate([self.solids.bounds, self.triangles.bounds])
+        boxes = boxes[(boxes[:, 3:] - boxes[:, :3]).max(axis=1, initial=0.0) < FAR]
+        if not len(boxes):
+            return None
+        return np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
+
+
+def solid_bounds(kind: Int, pos: Float, mat: Float, size: Float) -> Float:
+    """The exact axis-aligned boxes of primitive solids.
+
+    Args:
+        kind: MuJoCo's geom types, shape (n,).
+        pos: centres, shape (n, 3) [m].
+        mat: rotation matrices, shape (n, 9).
+        size: MuJoCo's sizes, shape (n, 3) [m].
+
+    Returns:
+        Lower and upper corners, shape (n, 6), float64 [m].
+    """
+    rotation = mat.reshape(-1, 3, 3)
+    axis = np.abs(rotation[:, :, 2])
+    radius = size[:, :1]
+    half = np.zeros_like(pos)
+    by_kind = {
+        SPHERE: radius + np.zeros_like(pos),
+        CAPSULE: radius + axis * size[:, 1:2],
+        ELLIPSOID: np.sqrt(np.square(rotation * size[:, None, :]).sum(axis=2)),
+        CYLINDER: axis * size[:, 1:2]
+        + radius * np.sqrt(np.clip(1.0 - np.square(axis), 0.0, None)),
+        BOX: (np.abs(rotation) * size[:, None, :]).sum(axis=2),
+    }
+    for number, extent in by_kind.items():
+        chosen = kind == number
+        half[chosen] = extent[chosen]
+    return np.concatenate([pos - half, pos + half], axis=1)
+
+
+def height_field_triangles(heights: Float, size: Float) -> Float:
+    """A height field as a closed mesh in its geom's frame: top, four sides and bottom.
+
+    Its cells are split from their lower corner to their upper one, as MuJoCo's rays and
+    collisions split them.
+
+    Args:
+        heights: shape (rows, cols), 0 to 1, row 0 at the smallest y.
+        size: MuJoCo's (x half, y half, top, base) [m].
+
+    Returns:
+        Corners, shape (m, 3, 3), float64, counter-clockwise from outside [m].
+    """
+    rows, cols = heights.shape
+    x, y = np.meshgrid(
+        np.linspace(-size[0], size[0], cols), np.linspace(-size[1], size[1], rows)
+    )
+    top = np.stack([x, y, heights * size[2]], axis=-1)
+    base = np.stack([x, y, np.full_like(x, -size[3])], axis=-1)
+    a, b, c, d = top[:-1, :-1], top[:-1, 1:], top[1:, 1:], top[1:, :-1]
+    parts = [np.stack([a, b, c], axis=-2), np.stack([a, c, d], axis=-2)]
+    corner = base[0, 0], base[0, -1], base[-1, -1], base[-1, 0]
+    border_top = [top[0], top[:, -1], top[-1, ::-1], top[::-1, 0]]
+    border_base = [base[0], base[:, -1], base[-1, ::-1], base[::-1, 0]]
+    for upper, lower in zip(border_top, border_base, strict=True):
+        parts.append(np.stack([lower[:-1], lower[1:], upper[1:]], axis=-2))
+        parts.append(np.stack([lower[:-1], upper[1:], upper[:-1]], axis=-2))
+    # the bottom is fanned over the same border points, so that every edge has its twin
+    ring = np.concatenate([line[:-1] for line in border_base])
+    middle = np.broadcast_to((corner[0] + corner[2]) / 2, ring.shape)
+    parts.append(np.stack([middle, np.roll(ring, -1, axis=0), ring], axis=-2))
+    return np.concatenate([part.reshape(-1, 3, 3) for part in parts])
+
+
+def is_closed_solid(corners: Float) -> bool:
+    """Whether triangles enclose a volume from outside.
+
+    They do when every directed edge is met by as many twins in the other direction, and the
+    volume that they sum up to is positive. A room drawn from inside (its triangles facing in)
+    is none.
+
+    Args:
+        corners: shape (m, 3, 3), float64.
+    """
+    if len(corners) < 4:
+        return False
+    _, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    face = index.reshape(-1, 3).astype(np.int64)
+    start, end = face.ravel(), np.roll(face, -1, axis=1).ravel()
+    distinct = start != end
+    start, end = start[distinct], end[distinct]
+    num = int(index.max()) + 1
+    forward, backward = np.sort(start * num + end), np.sort(end * num + start)
+    if not np.array_equal(forward, backward):
+        return False
+    local = corners - corners[0, 0]
+    volume = np.einsum("ij,ij->i", local[:, 0], np.cross(local[:, 1], local[:, 2])).sum() / 6
+    return bool(volume > 0)
