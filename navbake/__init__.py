@@ -1,0 +1,104 @@
+"""Bakes MuJoCo scenes into navigation grids, and serves those grids to agents.
+
+``navbake.bake(config)`` makes a grid, ``navbake.load(path)`` reads one. Importing navbake loads
+none of its dependencies; each name below loads what it needs when it is first used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from os import PathLike
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import navbake.bake as _bake_package
+from navbake._version import __version__
+from navbake.errors import (
+    ConfigError,
+    FormatError,
+    MissingDependencyError,
+    NavbakeError,
+    QueryError,
+    SceneError,
+)
+
+if TYPE_CHECKING:
+    from navbake.config import BakeConfig
+    from navbake.formats.navgrid import read_navgrid as load
+    from navbake.grid import MultiLevelGrid, SceneGrid2D
+
+    def bake(
+        config: BakeConfig | str | PathLike[str] | Mapping[str, Any],
+        *,
+        threads: int | None = None,
+    ) -> SceneGrid2D | MultiLevelGrid:
+        """See `_CallableBake.__call__`."""
+
+
+__all__ = [
+    "BakeConfig",
+    "ConfigError",
+    "FormatError",
+    "MissingDependencyError",
+    "MultiLevelGrid",
+    "NavbakeError",
+    "QueryError",
+    "SceneError",
+    "SceneGrid2D",
+    "__version__",
+    "bake",
+    "load",
+]
+
+_LAZY = {
+    "BakeConfig": ("navbake.config", "BakeConfig"),
+    "MultiLevelGrid": ("navbake.grid", "MultiLevelGrid"),
+    "SceneGrid2D": ("navbake.grid", "SceneGrid2D"),
+    "load": ("navbake.formats.navgrid", "read_navgrid"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, attribute = _LAZY[name]
+    value = getattr(import_module(module), attribute)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LAZY})
+
+
+class _CallableBake(ModuleType):
+    """`navbake.bake` is the package of the baker and, called, the bake itself."""
+
+    def __call__(
+        self,
+        config: BakeConfig | str | PathLike[str] | Mapping[str, Any],
+        *,
+        threads: int | None = None,
+    ) -> SceneGrid2D | MultiLevelGrid:
+        """Bake a scene.
+
+        Args:
+            config: settings, the path of a YAML or of a scene file, or the YAML as a mapping.
+            threads: number of threads, >= 1; all cores if None. The result doesn't depend on it.
+
+        Returns:
+            The grid, not saved yet.
+
+        Raises:
+            ConfigError: a setting is wrong.
+            SceneError: the scene cannot be read, or holds nothing to bake.
+        """
+        from navbake.bake.pipeline import run_bake
+        from navbake.config import as_config
+
+        return run_bake(as_config(config), threads=threads).grid
+
+
+_bake_package.__class__ = _CallableBake
+del _bake_package

@@ -1,0 +1,5 @@
+"""``python -m navbake`` is the same as ``navbake``."""
+
+from navbake.cli import main
+
+main()

@@ -1,0 +1,306 @@
+"""The command line. The only module that prints, and that ends the process."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from navbake._version import __version__
+from navbake.errors import ConfigError, NavbakeError
+
+if TYPE_CHECKING:
+    from navbake.config import BakeConfig
+
+app = typer.Typer(
+    name="navbake",
+    help="Bake MuJoCo scenes into navigation grids.",
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit: 0 done, 1 a NavbakeError, 2 wrong usage.
+
+    Args:
+        arguments: what follows the command's name; those of the process if None.
+    """
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # names of geoms and files are free
+    try:
+        app(None if arguments is None else list(arguments), prog_name="navbake")
+    except NavbakeError as error:
+        _print_error(str(error))
+        raise SystemExit(1) from None
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        print(f"navbake {__version__}")
+        raise typer.Exit
+
+
+def _check_overrides(overrides: list[str]) -> list[str]:
+    for override in overrides:
+        if "=" not in override:
+            raise typer.BadParameter(f"expected KEY=VALUE, got {override!r}")
+    return overrides
+
+
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        callback=lambda value: _check_overrides(value or []),
+        help="Override a setting, as in grid.cell_size=0.05; may be given several times.",
+    ),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+GridFile = Annotated[Path, typer.Argument(metavar="GRID", help="A NavGrid file.")]
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None: ...
+
+
+@app.command()
+def bake(
+    configs: Annotated[
+        list[Path],
+        typer.Argument(metavar="CONFIG", help="Settings (YAML), or scenes as they are."),
+    ],
+    output: Annotated[
+        str | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="OUT",
+            help="File to write, or a folder (existing, or ending in /).  "
+            "[default: the settings' output, or <id>.grid.json in the current folder]",
+        ),
+    ] = None,
+    overrides: Overrides = None,
+    threads: Annotated[
+        int | None, typer.Option(min=1, help="Number of threads.  [default: all cores]")
+    ] = None,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")
+    ] = False,
+) -> None:
+    """Bake scenes into navigation grids.
+
+    With several CONFIGs, one that fails does not stop the others.
+    """
+    if len(configs) > 1 and output is not None and not _is_folder(output):
+        raise typer.BadParameter(
+            f"with several CONFIGs, expected a folder, got {output} (a new one ends in /)",
+            param_hint="-o",
+        )
+    written: set[Path] = set()
+    num_failed = 0
+    for config in configs:
+        try:
+            path = _bake_one(config, output, overrides or [], threads, quiet, written)
+        except NavbakeError as error:
+            if len(configs) == 1:
+                raise
+            num_failed += 1
+            culprit = "" if str(config) in str(error) else f"{config}: "
+            _print_error(f"{culprit}{error}")
+        else:
+            written.add(path.resolve())
+    if num_failed:
+        _print_error(f"{num_failed} of {len(configs)} failed")
+        raise typer.Exit(1)
+
+
+@app.command()
+def init(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="The scene's file.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="YAML to write.  [default: <id>.yaml in the current folder]",
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+) -> None:
+    """Write commented settings (YAML) for a scene."""
+    from navbake.config_template import write_template
+
+    path = write_template(scene, output, force=force)
+    print(f"{path}: the default settings; `navbake bake {path}` bakes the scene with them")
+
+
+@app.command()
+def geoms(
+    config: Annotated[
+        Path, typer.Argument(metavar="SCENE|CONFIG", help="A scene, or settings (YAML).")
+    ],
+    as_json: AsJson = False,
+    overrides: Overrides = None,
+) -> None:
+    """Tell of each geom whether it counts, as what, and why."""
+    from navbake.bake.scene import load_scene
+    from navbake.cli_tables import geom_table, print_tables
+    from navbake.config import load_config
+
+    scene = load_scene(load_config(config, overrides or []).scene)
+    for warning in scene.warnings:
+        _print_error(f"warning: {warning}")
+    if as_json:
+        keys = ("id", "name", "body", "type", "counted", "shape", "reason")
+        rows = [{key: getattr(geom, key) for key in keys} for geom in scene.geoms]
+        _print_json({"scene_id": scene.id, "geoms": rows, "warnings": list(scene.warnings)})
+        return
+    num_counted = sum(geom.counted for geom in scene.geoms)
+    print_tables(geom_table(scene.geoms))
+    print(f"{num_counted} geoms counted, {len(scene.geoms) - num_counted} left out")
+
+
+@app.command()
+def info(grid: GridFile, as_json: AsJson = False) -> None:
+    """Tell what a grid holds: levels, sizes, areas, versions."""
+    from navbake.formats.navgrid import read_navgrid
+    from navbake.info import describe
+
+    facts = describe(read_navgrid(grid))
+    if as_json:
+        _print_json(facts)
+        return
+    from navbake.cli_tables import fact_table, level_table, print_tables
+
+    print_tables(fact_table(facts), level_table(facts))
+
+
+@app.command()
+def plot(
+    grid: GridFile,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="PNG", help="PNG to write.")],
+    level: Annotated[
+        int | None,
+        typer.Option(min=0, help="Draw only this level, 0 is the lowest.  [default: all]"),
+    ] = None,
+) -> None:
+    """Draw occupancy and floor height of each level."""
+    from navbake.formats.navgrid import read_navgrid
+    from navbake.plot import plot_grid
+
+    if output.suffix.lower() != ".png":
+        raise typer.BadParameter(
+            f"expected a name that ends in .png, got {output}", param_hint="-o"
+        )
+    _check_writable(output)
+    print(plot_grid(read_navgrid(grid), output, level=level))
+
+
+def _bake_one(
+    path: Path,
+    output: str | None,
+    overrides: Sequence[str],
+    threads: int | None,
+    quiet: bool,
+    written: set[Path],
+) -> Path:
+    """Bake one scene; whatever can be checked before is checked before."""
+    from navbake.config import load_config
+
+    config = load_config(path, overrides)
+    target = _choose_output(config, output)
+    is_in_folder = output is not None and _is_folder(output)
+    _check_writable(target, may_make_folder=is_in_folder)
+    if target.resolve() in written:
+        raise ConfigError(f"{target} was written for another scene: give each its own `scene.id`")
+    for source in (path, config.scene.path):
+        if target.resolve() == source.resolve():
+            raise ConfigError(f"expected an output apart from the inputs, got {target}")
+
+    from navbake.bake.pipeline import run_bake
+    from navbake.cli_tables import StageProgress
+
+    with StageProgress(title=config.scene.id, hidden=quiet) as progress:
+        result = run_bake(config, threads=threads, progress=progress)
+    begin = time.perf_counter()
+    if is_in_folder:
+        target.parent.mkdir(parents=True, exist_ok=True)
+    result.grid.save(target)
+    result.timings["write"] = time.perf_counter() - begin
+    if quiet:
+        for warning in result.warnings:
+            _print_error(f"warning: {warning}")
+    else:
+        _print_summary(target, result)
+    return target
+
+
+def _print_summary(path: Path, result: Any) -> None:
+    from navbake.cli_tables import level_table, print_tables
+    from navbake.info import describe
+
+    print(path)
+    print_tables(level_table(describe(result.grid)))
+    for warning in result.warnings:
+        print(f"warning: {warning}")
+    stages = ", ".join(f"{stage} {seconds:.2f}" for stage, seconds in result.timings.items())
+    print(f"{sum(result.timings.values()):.2f} s: {stages}")
+
+
+def _choose_output(config: BakeConfig, output: str | None) -> Path:
+    name = f"{config.scene.id}.grid.json"
+    if output is None:
+        return config.output or Path(name)
+    return Path(output) / name if _is_folder(output) else Path(output)
+
+
+def _is_folder(output: str) -> bool:
+    return output.endswith(("/", os.sep)) or Path(output).is_dir()
+
+
+def _check_writable(path: Path, *, may_make_folder: bool = False) -> None:
+    """Refuse a path that cannot be written, before any work is done for it.
+
+    Args:
+        path: the file to write.
+        may_make_folder: its folder may be missing, as long as it can be made.
+
+    Raises:
+        ConfigError: its folder is missing or takes no files, or it is a folder itself.
+    """
+    from navbake.files import check_writable
+
+    probe = path
+    while may_make_folder and not probe.parent.exists():
+        probe = probe.parent
+    try:
+        check_writable(probe)
+    except OSError as error:
+        raise ConfigError(f"cannot write {path}: {error.strerror}") from error
+
+
+def _print_error(message: str) -> None:
+    print(f"navbake: {message}", file=sys.stderr)
+
+
+def _print_json(value: Any) -> None:
+    print(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False))

@@ -1,0 +1,290 @@
+"""What a bake has to yield, computed from the words of design.md by plain exact geometry."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from oracles.prisms import FREE, OCCUPIED, UNKNOWN, Prisms
+from oracles.scene import HalfSpace, Part, Thing, cross_all, part_meets_prisms, part_of
+from oracles.solids import Float
+
+Bool = NDArray[np.bool_]
+
+ONE = 1e-5  # surfaces this close together are one [m]
+SURE = 1e-7  # less than this is rounding [m]
+UNSURE = 2e-6  # up to this a limit may count as kept or not [m]
+
+
+class UnsureError(Exception):
+    """The scene has a place where rounding decides something that other cells hang on."""
+
+
+@dataclass(frozen=True)
+class Rules:
+    """The settings of a bake that decide what cells hold."""
+
+    cell_size: float
+    bounds: tuple[float, float, float, float]
+    height: float = 1.14
+    radius: float = 0.05
+    step: float = 0.25
+    max_slope: float = 45.0
+    min_area: float = 1.0
+    shrink: float = 0.3
+
+
+@dataclass
+class Truth:
+    """The truth about a scene.
+
+    Attributes:
+        rules: the settings.
+        shape: (rows, cols) of the lattice.
+        x, y: centres of the cells, by cell id [m].
+        top: floor-like surfaces, shape (k, cells), NaN for none [m].
+        standable: which of them one can stand on, whatever the size of their sheet.
+        counted: which of those belong to a sheet that counts.
+    """
+
+    things: list[Thing]
+    rules: Rules
+    shape: tuple[int, int] = (0, 0)
+    x: Float = field(default_factory=lambda: np.zeros(0))
+    y: Float = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        self._lay_cells()
+        self._parts: list[Part] = [part_of(thing) for thing in self.things]
+        min_up = math.cos(math.radians(self.rules.max_slope))
+        self._columns, unsure = cross_all(self._parts, self.x, self.y, min_up)
+        if unsure.any():
+            raise UnsureError("a line runs along a rim")
+        z = np.concatenate([c.z for c in self._columns])
+        up = np.concatenate([c.up for c in self._columns])
+        self._all_z = z
+        with np.errstate(invalid="ignore"):
+            self.top = np.where(up >= min_up - SURE, z, np.nan)
+        self.standable = np.stack([self._is_standable(k) for k in range(len(self.top))])
+        self.counted = self._count_sheets()
+
+    def _lay_cells(self) -> None:
+        x0, y0, x1, y1 = self.rules.bounds
+        cell = self.rules.cell_size
+        cols, rows = (max(1, math.ceil(extent / cell - 1e-6)) for extent in (x1 - x0, y1 - y0))
+        x = (x0 + x1) / 2 + (np.arange(cols) + 0.5 - cols / 2) * cell
+        y = (y0 + y1) / 2 - (np.arange(rows) + 0.5 - rows / 2) * cell
+        self.shape = rows, cols
+        self.x, self.y = np.tile(x, rows), np.repeat(y, cols)
+
+    def _is_standable(self, k: int) -> Bool:
+        """Faces up, lies inside no solid, and has headroom; the first of several at one height."""
+        z = self.top[k]
+        valid = ~np.isnan(z)
+        covered = np.zeros(len(z), dtype=bool)
+        unsure = np.zeros(len(z), dtype=bool)
+        with np.errstate(invalid="ignore"):
+            for column in self._columns:
+                for low, high in zip(column.low, column.high, strict=True):
+                    begins = low - z
+                    if not column.is_solid:
+                        unsure |= (np.abs(begins) < 3 * ONE) & (high > z + SURE)
+                    covered |= (begins <= ONE) & (high > z + ONE)
+            above = np.where(self._all_z > z + ONE, self._all_z, np.inf).min(axis=0, initial=np.inf)
+            gap = above - z
+            low_head = gap < self.rules.height - UNSURE
+            unsure |= (gap < self.rules.height - SURE) & ~low_head
+            for other in range(len(self.top)):
+                apart = np.abs(self.top[other] - z)
+                unsure |= (apart > SURE) & (apart < 2 * ONE)
+                if other < k:
+                    valid &= ~(apart <= SURE)
+        answer = valid & ~covered & ~low_head
+        if (unsure & answer).any():
+            raise UnsureError("surfaces almost touch")
+        return answer
+
+    def _count_sheets(self) -> Bool:
+        """Surfaces of sheets that are large enough, steps taken together."""
+        number = np.full(self.standable.shape, -1)
+        number[self.standable] = np.arange(self.standable.sum())
+        rows, cols = self.shape
+        grid = number.reshape(-1, rows, cols)
+        height = self.top.reshape(-1, rows, cols)
+        pairs = []
+        for a in range(len(grid)):
+            for b in range(len(grid)):
+                for here, there in (
+                    (np.s_[:, :-1], np.s_[:, 1:]),
+                    (np.s_[:-1, :], np.s_[1:, :]),
+                ):
+                    both = (grid[a][here] >= 0) & (grid[b][there] >= 0)
+                    step = np.abs(height[a][here] - height[b][there])
+                    if (both & (step > self.rules.step + SURE) & (step < self.rules.step + UNSURE)).any():
+                        raise UnsureError("a step is just as high as can be taken")
+                    joined = both & (step <= self.rules.step + SURE)
+                    pairs.append(np.stack([grid[a][here][joined], grid[b][there][joined]]))
+        joined = np.concatenate(pairs, axis=1) if pairs else np.zeros((2, 0), dtype=int)
+        num = int(self.standable.sum())
+        graph = coo_array((np.ones(joined.shape[1]), joined), shape=(num, num))
+        _, label = connected_components(graph, directed=False)
+        self.sheet = np.full(self.standable.shape, -1)
+        self.sheet[self.standable] = label
+        counted = np.zeros_like(self.standable)
+        for sheet in range(label.max(initial=-1) + 1):
+            if self._is_large((self.sheet == sheet).any(axis=0)):
+                counted |= self.sheet == sheet
+        return counted
+
+    def _is_large(self, cells: Bool) -> bool:
+        """Whether enough is left of cells after shrinking.
+
+        How far a centre is from the sheet's edge can be told from the squares beyond it, or, a
+        little farther at corners, from their centres less half a cell: unsure where they differ.
+        """
+        cell, limit = self.rules.cell_size, self.rules.min_area
+        reach = math.ceil(self.rules.shrink / cell) + 1
+        mask = np.pad(cells.reshape(self.shape), reach)
+        by_square, by_center = mask.copy(), mask.copy()
+        for row in range(-reach, reach + 1):
+            for col in range(-reach, reach + 1):
+                beyond = ~np.roll(mask, (row, col), axis=(0, 1))
+                away = math.hypot(max(abs(row) - 0.5, 0.0), max(abs(col) - 0.5, 0.0)) * cell
+                by_square &= ~beyond | (away >= self.rules.shrink - SURE)
+                away = (math.hypot(row, col) - 0.5) * cell
+                by_center &= ~beyond | (away >= self.rules.shrink - SURE)
+        least, most = by_square.sum() * cell**2, by_center.sum() * cell**2
+        if (least >= limit) != (most >= limit) or min(abs(least - limit), abs(most - limit)) < 1e-5:
+            raise UnsureError("a sheet is just large enough")
+        return bool(least >= limit)
+
+    def place(self, grounds: list[float]) -> list[Float]:
+        """The counted surfaces on levels with these grounds: floors by cell id, NaN for none [m].
+
+        A surface belongs to the highest ground at or below it; the lowest of a column stays, the
+        others go up to the next level that has none in that column.
+        """
+        levels = [np.full(len(self.x), np.nan) for _ in grounds]
+        for cell in np.flatnonzero(self.counted.any(axis=0)):
+            heights = sorted(self.top[self.counted[:, cell], cell])
+            homes = [
+                max([k for k, ground in enumerate(grounds) if ground <= z + SURE], default=0)
+                for z in heights
+            ]
+            if any(0 < ground - z < UNSURE for z in heights for ground in grounds):
+                raise UnsureError("a surface just below a ground")
+            later = []
+            for z, home in zip(heights, homes, strict=True):
+                if np.isnan(levels[home][cell]):
+                    levels[home][cell] = z
+                else:
+                    later.append((z, home))
+            for z, home in later:
+                empty = [
+                    k for k in range(home + 1, len(grounds)) if np.isnan(levels[k][cell])
+                ]
+                assert empty, f"no level for the surface at {z} m of cell {cell}"
+                levels[empty[0]][cell] = z
+        return levels
+
+    def grow(self, levels: list[Float], number: int) -> Float:
+        """Let a level's floor go on under things, ring by ring.
+
+        It takes no surface that one can stand on, and keeps the agent's height from the levels
+        above and below.
+
+        Args:
+            levels: the counted surfaces of all levels, see `place`.
+            number: which of them.
+        """
+        floor = levels[number].copy()
+        candidate = self.top.copy()
+        counted_z = np.where(self.counted, self.top, np.nan)
+        with np.errstate(invalid="ignore"):
+            for k in range(len(candidate)):
+                candidate[k][(np.abs(counted_z - candidate[k]) <= ONE).any(axis=0)] = np.nan
+            for other, surface in enumerate(levels):
+                gap = (surface - candidate) * np.sign(other - number)
+                if ((gap < self.rules.height - SURE) & (gap > self.rules.height - UNSURE)).any():
+                    raise UnsureError("a floor goes on just low enough under a level")
+                if other != number:
+                    candidate[gap < self.rules.height - SURE] = np.nan
+        while True:
+            ring = self._next_ring(floor, candidate)
+            if not ring:
+                return floor
+            for cell, z in ring.items():
+                floor[cell] = z
+
+    def _next_ring(self, floor: Float, candidate: Float) -> dict[int, float]:
+        rows, cols = self.shape
+        ring = {}
+        for cell in np.flatnonzero(np.isnan(floor) & ~np.isnan(candidate).all(axis=0)):
+            row, col = divmod(int(cell), cols)
+            beside = [
+                floor[r * cols + c]
+                for r, c in ((row - 1, col), (row + 1, col), (row, col - 1), (row, col + 1))
+                if 0 <= r < rows and 0 <= c < cols and not np.isnan(floor[r * cols + c])
+            ]
+            gaps = [
+                (abs(z - other), z)
+                for other in beside
+                for z in candidate[:, cell]
+                if not np.isnan(z)
+            ]
+            if any(SURE < gap - self.rules.step < UNSURE for gap, _ in gaps):
+                raise UnsureError("a floor goes on just within a step")
+            gaps = [(gap, z) for gap, z in gaps if gap <= self.rules.step + SURE]
+            if not gaps:
+                continue
+            least = min(gap for gap, _ in gaps)
+            z = min(z for gap, z in gaps if gap <= least + SURE)
+            if any(gap < least + 4 * ONE and abs(other - z) > SURE for gap, other in gaps) and any(
+                SURE < gap - least < 4 * ONE for gap, other in gaps if abs(other - z) > SURE
+            ):
+                raise UnsureError("two floors almost equally near")
+            ring[int(cell)] = z
+        return ring
+
+    def occupied(self, cells: NDArray[np.intp], floors: Float) -> NDArray[np.int64]:
+        """FREE, OCCUPIED or UNKNOWN for cells and floors."""
+        state = np.full(len(cells), FREE)
+        low, high = floors + self.rules.step, floors + self.rules.height
+        x, y = self.x[cells], self.y[cells]
+        footprints = [Prisms(x, y, low, high, self.rules.cell_size / 2, False)]
+        if self.rules.radius > self.rules.cell_size / 2:
+            footprints.append(Prisms(x, y, low, high, self.rules.radius, True))
+        _, unsure = np.zeros(0), np.zeros(len(cells), dtype=bool)
+        for part, column in zip(self._parts, self._columns, strict=True):
+            here = type(column)(
+                *(a[:, cells] for a in (column.z, column.up, column.low, column.high)),
+                column.is_solid,
+            )
+            for prisms in footprints:
+                near = np.flatnonzero((state != OCCUPIED) & self._is_near(part, prisms))
+                if not len(near):
+                    continue
+                part_here = type(here)(
+                    *(a[:, near] for a in (here.z, here.up, here.low, here.high)), here.is_solid
+                )
+                answer = part_meets_prisms(part, part_here, prisms.only(near))
+                state[near[answer == OCCUPIED]] = OCCUPIED
+                unsure[near[answer == UNKNOWN]] = True
+        state[(state == FREE) & unsure] = UNKNOWN
+        return state
+
+    def _is_near(self, part: Part, prisms: Prisms) -> Bool:
+        """Where the boxes round part and prism meet."""
+        near = np.ones(len(prisms.x), dtype=bool)
+        if isinstance(part, HalfSpace) or not hasattr(part, "support"):
+            return near
+        ways = np.concatenate([np.eye(3), -np.eye(3)])
+        reach = part.support(ways)
+        for way, limit in zip(ways, reach, strict=True):
+            near &= prisms.support(np.tile(-way, (len(near), 1))) + limit > 0
+        return near
