@@ -202,17 +202,85 @@ def plot(
         int | None,
         typer.Option(min=0, help="Draw only this level, 0 is the lowest.  [default: all]"),
     ] = None,
+    layers: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--layer",
+            metavar="LAYER",
+            help="What to draw: occupancy, floor, rooms, clearance, island or weights; may be "
+            "given several times.  [default: occupancy and floor]",
+        ),
+    ] = None,
 ) -> None:
-    """Draw occupancy and floor height of each level."""
+    """Draw layers of each level, side by side."""
     from navbake.formats.navgrid import read_navgrid
-    from navbake.plot import plot_grid
+    from navbake.layers import LAYERS
+    from navbake.plot import DEFAULT_LAYERS, plot_grid
 
+    for layer in layers or ():
+        if layer not in LAYERS:
+            raise typer.BadParameter(
+                f"expected one of {', '.join(LAYERS)}, got {layer}", param_hint="--layer"
+            )
     if output.suffix.lower() != ".png":
         raise typer.BadParameter(
             f"expected a name that ends in .png, got {output}", param_hint="-o"
         )
     _check_writable(output)
-    print(plot_grid(read_navgrid(grid), output, level=level))
+    chosen = tuple(layers or DEFAULT_LAYERS)
+    print(plot_grid(read_navgrid(grid), output, level=level, layers=chosen))
+
+
+@app.command()
+def rooms(grid: GridFile, as_json: AsJson = False) -> None:
+    """List the rooms of a grid, and what each opens to."""
+    from navbake.formats.navgrid import read_navgrid
+    from navbake.info import level_name
+    from navbake.rooms_table import describe_rooms
+
+    content = read_navgrid(grid)
+    described = describe_rooms(content)
+    if as_json:
+        _print_json({"scene_id": content.scene_id, "rooms": described})
+        return
+    from navbake.cli_tables import print_tables, room_table
+
+    names = [level_name(content, number) for number in range(len(content.levels))]
+    print_tables(room_table(described, names))
+    print(f"{len(described)} room{'' if len(described) == 1 else 's'}")
+
+
+@app.command()
+def why(
+    grid: GridFile,
+    at: Annotated[
+        str, typer.Option(metavar="X,Y[,LEVEL]", help="World position [m], and level from 0.")
+    ],
+    as_json: AsJson = False,
+) -> None:
+    """Tell what a grid knows of a place, and what blocks it there."""
+    from navbake.formats.navgrid import read_navgrid
+
+    x, y, level = _parse_place(at)
+    facts = read_navgrid(grid).describe_cell(x, y, level)
+    if as_json:
+        _print_json(facts)
+        return
+    from navbake.cli_tables import print_tables, why_table
+
+    print_tables(why_table(facts))
+
+
+def _parse_place(text: str) -> tuple[float, float, int]:
+    parts = text.split(",")
+    try:
+        if len(parts) not in (2, 3):
+            raise ValueError
+        return float(parts[0]), float(parts[1]), int(parts[2]) if len(parts) == 3 else 0
+    except ValueError:
+        raise typer.BadParameter(
+            f"expected X,Y or X,Y,LEVEL as in 1.5,-2,0, got {text}", param_hint="--at"
+        ) from None
 
 
 def _bake_one(
@@ -274,7 +342,7 @@ def _choose_output(config: BakeConfig, output: str | None) -> Path:
 
 
 def _is_folder(output: str) -> bool:
-    return output.endswith(("/", os.sep)) or Path(output).is_dir()
+    return output.endswith(("/", os.sep)) or os.path.isdir(output)
 
 
 def _check_writable(path: Path, *, may_make_folder: bool = False) -> None:

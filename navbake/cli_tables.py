@@ -115,6 +115,58 @@ def level_table(facts: dict[str, Any]) -> Table:
     return _table(tuple(columns), rows, numbers=set(columns) - {"name"}, gap=1)
 
 
+def room_table(rooms: Iterable[dict[str, Any]], levels: Sequence[str]) -> Table:
+    """One row a room, from `navbake.rooms_table.describe_rooms`.
+
+    Args:
+        rooms: the rooms.
+        levels: the levels' names.
+    """
+    rows = (
+        (
+            room["id"],
+            room["name"] or "",
+            levels[room["level"]],
+            str(room["index"]),
+            f"{room['area']:.2f}",
+            " ".join(f"{value:.2f}" for value in room["centroid"]),
+            room.get("source") or "",
+            ", ".join(_neighbour(neighbour) for neighbour in room["neighbours"]),
+        )
+        for room in rooms
+    )
+    headings = ("id", "name", "level", "index", "m2", "centroid x y z m", "from", "opens to")
+    return _table(headings, rows, numbers={"index", "m2"})
+
+
+def why_table(facts: dict[str, Any]) -> Table:
+    """One row a fact of a place, from `navbake.why.describe_cell`."""
+    room, weight = facts["room"], facts["weight"]
+    verdict = "an agent can stand here"
+    if not facts["free"]:
+        verdict = "blocked" if facts["floor"] is not None else "no floor here"
+    rows = [
+        ("verdict", verdict),
+        ("blocked by", ", ".join(facts["blockers"]) or "-"),
+        ("level", str(facts["level"])),
+        ("cell", f"{facts['cell']} (row {facts['row']}, col {facts['col']})"),
+        ("center [m]", ", ".join(f"{v:.3f}" for v in facts["center"])),
+        ("floor [m]", "none" if facts["floor"] is None else f"{facts['floor']:.3f}"),
+        ("weight", "infinite" if weight is None else f"{weight:g}"),
+        ("room", "none" if room is None else str(room["id"] if isinstance(room, dict) else room)),
+        ("island", "none" if facts["island"] is None else str(facts["island"])),
+        *((key, ", ".join(facts[key]) or "-") for key in ("doors", "objects", "walls")),
+    ]
+    table = _table(("", ""), rows)
+    table.show_header = False
+    return table
+
+
+def _neighbour(neighbour: dict[str, Any]) -> str:
+    how = neighbour.get("door") or {"link": "steps"}.get(neighbour.get("kind", ""), "")
+    return f"{neighbour['room']} ({how})" if how else str(neighbour["room"])
+
+
 def _height_range(level: dict[str, Any]) -> str:
     if level["floor_min"] is None:
         return "none"

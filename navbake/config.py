@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,53 +13,37 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     BeforeValidator,
-    ConfigDict,
     Discriminator,
     Field,
     Tag,
     ValidationError,
     ValidationInfo,
-    WrapValidator,
     field_validator,
     model_validator,
 )
 from pydantic_core import PydanticCustomError
 
 from navbake.config_errors import describe_errors
+from navbake.config_fields import (
+    FilePath,
+    Flag,
+    Name,
+    NotNegative,
+    Number,
+    Positive,
+    Section,
+    Settings,
+    check_distinct,
+    expects,
+    resolve,
+    setting,
+    to_path,
+)
+from navbake.config_rooms import RoomPolygon, RoomSettings, expand_rooms
 from navbake.config_yaml import apply_overrides, read_yaml
 from navbake.errors import ConfigError
 
 YAML_SUFFIXES = (".yaml", ".yml")
-
-
-def _expects(text: str) -> WrapValidator:
-    """Say one thing for all that can be wrong with a value: ``expected <text>, got …``."""
-
-    def check(value: Any, validate: Callable[[Any], Any]) -> Any:
-        try:
-            return validate(value)
-        except (ValidationError, ValueError):
-            raise PydanticCustomError("expected", "expected {text}", {"text": text}) from None
-
-    return WrapValidator(check)
-
-
-def _setting(default: Any, text: str, default_text: str | None = None) -> Any:
-    """A field whose description is `text` (meaning, [unit], range) and its default."""
-    if default_text is None:
-        default_text = default if isinstance(default, str) else json.dumps(default)
-    return Field(default=default, description=f"{text}; default {default_text}")
-
-
-def _to_path(value: Any) -> Any:
-    if isinstance(value, str | PathLike) and str(value) and "\0" not in str(value):
-        return Path(value)
-    raise ValueError("no path")
-
-
-def _resolve(path: Path, info: ValidationInfo) -> Path:
-    """Make a path relative to the file that names it, where the context tells its folder."""
-    return Path((info.context or {}).get("folder", "")) / path
 
 
 def _check_id(value: str) -> str:
@@ -75,88 +59,66 @@ def _check_bounds(value: list[float]) -> list[float]:
     return value
 
 
-def _check_distinct(value: list[str]) -> list[str]:
-    if len(set(value)) < len(value):
-        raise ValueError("twice")
-    return value
-
-
 MeshMode = Literal["auto", "hull", "surface"]
 
-Number = Annotated[float, _expects("a number")]
-Positive = Annotated[float, Field(gt=0), _expects("a number > 0")]
-NotNegative = Annotated[float, Field(ge=0), _expects("a number >= 0")]
-Flag = Annotated[bool, _expects("true or false")]
-Name = Annotated[str, Field(min_length=1), _expects("text that is not empty")]
-FilePath = Annotated[Path, BeforeValidator(_to_path), _expects("a path")]
 ScenePath = Annotated[
     Path,
-    BeforeValidator(_to_path),
-    _expects("the path of a scene file"),
-    AfterValidator(_resolve),
+    BeforeValidator(to_path),
+    expects("the path of a scene file"),
+    AfterValidator(resolve),
 ]
 SceneId = Annotated[
     str,
     Field(min_length=1),
     AfterValidator(_check_id),
-    _expects("text without / and \\ (a number needs quotes)"),
+    expects("text without / and \\ (a number needs quotes)"),
 ]
-# an omitted section may stand there with nothing under it
-_Section = BeforeValidator(lambda value: {} if value is None else value)
 
 
-class _Settings(BaseModel):
-    """Strict: text is no number, a number no flag, nan and inf nothing, unknown keys refused."""
-
-    model_config = ConfigDict(
-        strict=True, extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True
-    )
-
-
-class ExcludeSettings(_Settings):
+class ExcludeSettings(Settings):
     """What is left out of the scene, by patterns as the shell has them (``*``, ``?``, ``[…]``)."""
 
-    bodies: list[Name] = _setting(
+    bodies: list[Name] = setting(
         [], "body name patterns (*, ?, [...]); what hangs on a body goes too"
     )
-    geoms: list[Name] = _setting([], "geom name patterns")
-    movable: Flag = _setting(False, "true: leave out bodies with a free joint; or false")
+    geoms: list[Name] = setting([], "geom name patterns")
+    movable: Flag = setting(False, "true: leave out bodies with a free joint; or false")
 
 
-class SceneSettings(_Settings):
+class SceneSettings(Settings):
     """The scene, what of it counts, and its pose."""
 
-    id: SceneId = _setting("", "the scene's id, without / and \\", "the scene file's stem")
+    id: SceneId = setting("", "the scene's id, without / and \\", "the scene file's stem")
     path: ScenePath = Field(
         description="MJCF, MJB, URDF, OBJ, PLY, STL, GLB or DAE, relative to this file; no default"
     )
-    up: Annotated[Literal["z", "y"], _expects("z or y")] = _setting(
+    up: Annotated[Literal["z", "y"], expects("z or y")] = setting(
         "z", "axis that points up in mesh files: z or y"
     )
-    unit: Positive = _setting(1.0, "the unit of mesh files [m], > 0")
+    unit: Positive = setting(1.0, "the unit of mesh files [m], > 0")
     geoms: Annotated[
         Literal["auto", "collision", "visual", "all"],
-        _expects("auto, collision, visual or all"),
-    ] = _setting("auto", "auto (what can collide, or else all), collision, visual, all")
+        expects("auto, collision, visual or all"),
+    ] = setting("auto", "auto (what can collide, or else all), collision, visual, all")
     meshes: Annotated[
-        Annotated[MeshMode, _expects("auto, hull, surface or {pattern: one of these}"), Tag("=one")]
+        Annotated[MeshMode, expects("auto, hull, surface or {pattern: one of these}"), Tag("=one")]
         | Annotated[
-            dict[Name, Annotated[MeshMode, _expects("auto, hull or surface")]], Tag("=each")
+            dict[Name, Annotated[MeshMode, expects("auto, hull or surface")]], Tag("=each")
         ],
         Discriminator(lambda value: "=each" if isinstance(value, dict) else "=one"),
-    ] = _setting(
+    ] = setting(
         "auto",
         "hull, surface, auto (hull if it can collide), or {name pattern: hull}",
     )
-    exclude: Annotated[ExcludeSettings, _Section] = Field(
+    exclude: Annotated[ExcludeSettings, Section] = Field(
         default_factory=ExcludeSettings, description="what is left out, by pattern (*, ?, [...])"
     )
     keyframe: Annotated[
-        str | Annotated[int, Field(ge=0)] | None, _expects("a keyframe's name or index, or null")
-    ] = _setting(None, "pose: a keyframe's name, or index >= 0, or null")
+        str | Annotated[int, Field(ge=0)] | None, expects("a keyframe's name or index, or null")
+    ] = setting(None, "pose: a keyframe's name, or index >= 0, or null")
     joints: dict[
-        Name, Annotated[float | list[float], _expects("a number or a list of numbers")]
-    ] = _setting({}, "pose on top of it: {joint name: position [m or rad], or a list}")
+        Name, Annotated[float | list[float], expects("a number or a list of numbers")]
+    ] = setting({}, "pose on top of it: {joint name: position [m or rad], or a list}")
 
     @model_validator(mode="before")
     @classmethod
@@ -168,17 +130,17 @@ class SceneSettings(_Settings):
         return data
 
 
-class AgentSettings(_Settings):
+class AgentSettings(Settings):
     """The agent that must fit where it stands."""
 
-    height: Positive = _setting(1.14, "height of the agent [m], > 0")
-    radius: NotNegative = _setting(0.05, "radius of its footprint [m], >= 0")
-    traversable_floor_height: NotNegative = _setting(
+    height: Positive = setting(1.14, "height of the agent [m], > 0")
+    radius: NotNegative = setting(0.05, "radius of its footprint [m], >= 0")
+    traversable_floor_height: NotNegative = setting(
         0.25, "highest step, lowest obstacle [m], >= 0, < height"
     )
     max_slope: Annotated[
-        float, Field(ge=0, le=89.9), _expects("a number of degrees from 0 to 89.9")
-    ] = _setting(45.0, "steepest floor [degrees], 0 to 89.9")
+        float, Field(ge=0, le=89.9), expects("a number of degrees from 0 to 89.9")
+    ] = setting(45.0, "steepest floor [degrees], 0 to 89.9")
 
     @field_validator("traversable_floor_height")
     @classmethod
@@ -190,29 +152,29 @@ class AgentSettings(_Settings):
         return value
 
 
-class GridSettings(_Settings):
+class GridSettings(Settings):
     """The lattice of cells."""
 
-    cell_size: Positive = _setting(0.1, "edge of a cell [m], > 0")
+    cell_size: Positive = setting(0.1, "edge of a cell [m], > 0")
     bounds: Annotated[
         Annotated[list[float], Field(min_length=4, max_length=4), AfterValidator(_check_bounds)]
         | None,
-        _expects("[x_min, y_min, x_max, y_max] with min < max, or null"),
-    ] = _setting(None, "[x_min, y_min, x_max, y_max] of a part [m], or null")
-    margin: NotNegative = _setting(0.0, "what is added on each side [m], >= 0")
-    max_cells: Annotated[int, Field(ge=1), _expects("a whole number >= 1")] = _setting(
+        expects("[x_min, y_min, x_max, y_max] with min < max, or null"),
+    ] = setting(None, "[x_min, y_min, x_max, y_max] of a part [m], or null")
+    margin: NotNegative = setting(0.0, "what is added on each side [m], >= 0")
+    max_cells: Annotated[int, Field(ge=1), expects("a whole number >= 1")] = setting(
         25_000_000, "refuse more cells than this, >= 1"
     )
 
 
-class LevelSettings(_Settings):
+class LevelSettings(Settings):
     """One given level."""
 
     ground: Number = Field(description="height of the level's ground, world z [m]; no default")
-    top: Annotated[float | None, _expects("a number > ground, or null")] = _setting(
+    top: Annotated[float | None, expects("a number > ground, or null")] = setting(
         None, "height where it ends [m], > ground", "the next level's ground"
     )
-    name: Annotated[Name | None, _expects("text that is not empty, or null")] = _setting(
+    name: Annotated[Name | None, expects("text that is not empty, or null")] = setting(
         None, "its name, or null"
     )
 
@@ -226,15 +188,43 @@ class LevelSettings(_Settings):
         return value
 
 
-class FloorSettings(_Settings):
+class FloorSettings(Settings):
     """Which standable sheets are floors, and not furniture."""
 
-    min_area: NotNegative = _setting(1.0, "what a floor has at least, once shrunk [m2], >= 0")
-    shrink: NotNegative = _setting(0.3, "how far floors are shrunk for that [m], >= 0")
-    tops: Flag = _setting(
+    min_area: NotNegative = setting(1.0, "what a floor has at least, once shrunk [m2], >= 0")
+    shrink: NotNegative = setting(0.3, "how far floors are shrunk for that [m], >= 0")
+    tops: Flag = setting(
         False, "keep large tops of what stands on a floor (beds, blocks): true or false"
     )
-    roofs: Flag = _setting(False, "keep roofs as levels: true or false")
+    roofs: Flag = setting(False, "keep roofs as levels: true or false")
+
+
+class NameSettings(Settings):
+    """The names of what stands in the cells."""
+
+    enabled: Flag = setting(True, "write them: true or false")
+    walls: list[Name] = setting(
+        [], "body, geom or mesh name patterns of walls", "[], which tells walls by their shape"
+    )
+
+
+# `names: false` is short for `names: {enabled: false}`
+_NamesSection = BeforeValidator(
+    lambda value: {"enabled": value} if isinstance(value, bool) else value or {}
+)
+
+
+class DoorSettings(Settings):
+    """Doors, and the state that the grid has them in."""
+
+    patterns: list[Name] = setting([], "doors, by patterns of body names (*, ?, [...])")
+    find: Flag = setting(
+        True, "find doors between rooms by their looks (one hinge or slide): true or false"
+    )
+    state: Annotated[
+        Literal["modelled", "open", "closed", "removed"],
+        expects("modelled, open, closed or removed"),
+    ] = setting("modelled", "of all doors: modelled, open, closed or removed")
 
 
 def _check_ascending(levels: list[LevelSettings]) -> list[LevelSettings]:
@@ -251,22 +241,22 @@ def _check_ascending(levels: list[LevelSettings]) -> list[LevelSettings]:
     return levels
 
 
-class BakeConfig(_Settings):
+class BakeConfig(Settings):
     """All settings of a bake."""
 
-    scene: Annotated[SceneSettings, _Section] = Field(
+    scene: Annotated[SceneSettings, Section] = Field(
         description="the scene, what of it counts, and its pose"
     )
-    agent: Annotated[AgentSettings, _Section] = Field(
+    agent: Annotated[AgentSettings, Section] = Field(
         default_factory=AgentSettings, description="the agent that must fit where it stands"
     )
-    grid: Annotated[GridSettings, _Section] = Field(
+    grid: Annotated[GridSettings, Section] = Field(
         default_factory=GridSettings, description="the cells"
     )
     levels: Annotated[
         Annotated[
             Literal["auto"],
-            _expects("auto or a list of {ground: …, top: …, name: …}"),
+            expects("auto or a list of {ground: …, top: …, name: …}"),
             Tag("=auto"),
         ]
         | Annotated[
@@ -276,20 +266,30 @@ class BakeConfig(_Settings):
             Tag("=list"),
         ],
         Discriminator(lambda value: "=list" if isinstance(value, list) and value else "=auto"),
-    ] = _setting(
+    ] = setting(
         "auto",
         "the storeys: auto, or a list, lowest first, of {ground: 0.0, top: 2.7, name: first floor}"
         " [m]; top and name may be left out",
     )
-    floors: Annotated[FloorSettings, _Section] = Field(
+    floors: Annotated[FloorSettings, Section] = Field(
         default_factory=FloorSettings, description="which surfaces are floors, and not furniture"
+    )
+    names: Annotated[NameSettings, _NamesSection] = Field(
+        default_factory=NameSettings, description="names of what stands in the cells, or false"
+    )
+    rooms: Annotated[RoomSettings, BeforeValidator(expand_rooms)] = Field(
+        default_factory=RoomSettings,
+        description="what tells rooms apart; `rooms: auto` for doors alone, none for no rooms",
+    )
+    doors: Annotated[DoorSettings, Section] = Field(
+        default_factory=DoorSettings, description="what moves between rooms"
     )
     attributes: Annotated[
         list[Literal["island", "clearance"]],
-        AfterValidator(_check_distinct),
-        _expects("a list of some of island, clearance, each once"),
-    ] = _setting([], "further layers to write: island, clearance")
-    output: FilePath | None = _setting(
+        AfterValidator(check_distinct),
+        expects("a list of some of island, clearance, each once"),
+    ] = setting([], "further layers to write: island, clearance")
+    output: FilePath | None = setting(
         None, "file to write, relative to the current folder", "<id>.grid.json"
     )
 
@@ -375,5 +375,9 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "grid": GridSettings,
     "levels": LevelSettings,
     "floors": FloorSettings,
+    "doors": DoorSettings,
+    "rooms": RoomSettings,
+    "rooms.polygons": RoomPolygon,
+    "names": NameSettings,
 }
 """The model of each mapping whose keys are known, by its dotted key."""

@@ -72,16 +72,20 @@ def _complaint(
 def _unknown_key(loc: tuple[int | str, ...], sections: Mapping[str, type[BaseModel]]) -> str:
     """Name the nearest known key: of the same mapping first, then of all."""
     section = ".".join(p for p in loc[:-1] if isinstance(p, str))
-    known = {key: f"{section}.{key}".lstrip(".") for key in sections[section].model_fields}
+    known = {key: f"{section}.{key}".lstrip(".") for key in _keys(sections[section])}
     elsewhere = {
         key: f"{name}.{key}".lstrip(".")
         for name, model in reversed(list(sections.items()))
-        for key in model.model_fields
+        for key in _keys(model)
     }
     for keys in (known, elsewhere):
         if near := difflib.get_close_matches(str(loc[-1]), keys, n=1):
             return f"unknown key `{_dotted(loc)}`, the nearest known one is `{keys[near[0]]}`,"
     return f"unknown key `{_dotted(loc)}`, known are {', '.join(known)},"
+
+
+def _keys(model: type[BaseModel]) -> list[str]:
+    return [field.alias or name for name, field in model.model_fields.items()]
 
 
 def _place(loc: tuple[int | str, ...], source: str, overrides: Sequence[str]) -> str:

@@ -86,7 +86,7 @@ def _setting_lines(name: str, value: Any, description: str, indent: str) -> list
         lines = [f"{indent}{name}:  # {description}"]
         for key, field in type(value).model_fields.items():
             lines += _setting_lines(
-                key, getattr(value, key), field.description or "", indent + "  "
+                field.alias or key, getattr(value, key), field.description or "", indent + "  "
             )
         return lines
     line = f"{indent}{name}: {_flow(value)}"

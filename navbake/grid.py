@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -45,6 +45,19 @@ class _Described:
         """What navbake wrote into the metadata: versions, digests, frame; {} in others' files."""
         own = self.metadata.get("navbake")
         return own if isinstance(own, dict) else {}
+
+    @property
+    def rooms(self) -> list[Json]:
+        """The table of the rooms, by level and index; see `navbake.rooms_table.describe_rooms`."""
+        from navbake.rooms_table import describe_rooms
+
+        return describe_rooms(self)  # type: ignore[arg-type]
+
+    @property
+    def doors(self) -> list[Json]:
+        """The doors: id, joint, rooms, state, and the cells that each blocks; [] if none."""
+        doors = self.navbake.get("doors", [])
+        return doors if isinstance(doors, list) else []
 
     @property
     def cell_attributes(self) -> list[Json]:
@@ -169,6 +182,49 @@ class SceneGrid2D(_Described):
             return stored
         return _derived(np.where((stored >= 0) & (stored < 65536), stored, 0).astype(np.uint16))
 
+    def with_doors(self, states: Mapping[str, str]) -> SceneGrid2D:
+        """The same grid with doors in other states, as a bake in these states would have it.
+
+        Args:
+            states: ``modelled``, ``open``, ``closed`` or ``removed`` by a door's id.
+
+        Raises:
+            QueryError: there is no such door, or no such state.
+        """
+        from navbake.doors import with_doors
+
+        return with_doors(self, states)
+
+    def describe_cell(self, x: float, y: float, level: int = 0) -> Json:
+        """What the grid knows of a place: floor, room, island, doors, and what occupies it.
+
+        Args:
+            x, y: world position [m].
+            level: which level, 0 is the lowest.
+
+        Returns:
+            See `navbake.why.describe_cell`.
+
+        Raises:
+            QueryError: there is no such level, or the position is no number or beside the grid.
+        """
+        from navbake.why import describe_cell
+
+        return describe_cell(self, x, y, level)
+
+    def blockers(self, x: float, y: float, level: int = 0) -> list[str]:
+        """The names of what blocks the cell at a place, sorted; [] where nothing does.
+
+        Args:
+            x, y: world position [m].
+            level: which level, 0 is the lowest.
+
+        Raises:
+            QueryError: there is no such level, or the position is no number or beside the grid.
+        """
+        blockers: list[str] = self.describe_cell(x, y, level)["blockers"]
+        return blockers
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a NavGrid file, gzipped if its name ends in ``.gz``."""
         from navbake.formats.navgrid import write_navgrid
@@ -223,6 +279,49 @@ class MultiLevelGrid(_Described):
         num_cells = [grid.width * grid.height for grid in self.grids]
         return _read_links(self.navbake.get("links"), num_cells)
 
+    def with_doors(self, states: Mapping[str, str]) -> MultiLevelGrid:
+        """The same grid with doors in other states, as a bake in these states would have it.
+
+        Args:
+            states: ``modelled``, ``open``, ``closed`` or ``removed`` by a door's id.
+
+        Raises:
+            QueryError: there is no such door, or no such state.
+        """
+        from navbake.doors import with_doors
+
+        return with_doors(self, states)
+
+    def describe_cell(self, x: float, y: float, level: int = 0) -> Json:
+        """What the grid knows of a place: floor, room, island, doors, and what occupies it.
+
+        Args:
+            x, y: world position [m].
+            level: which level, 0 is the lowest.
+
+        Returns:
+            See `navbake.why.describe_cell`.
+
+        Raises:
+            QueryError: there is no such level, or the position is no number or beside the grid.
+        """
+        from navbake.why import describe_cell
+
+        return describe_cell(self, x, y, level)
+
+    def blockers(self, x: float, y: float, level: int = 0) -> list[str]:
+        """The names of what blocks the cell at a place, sorted; [] where nothing does.
+
+        Args:
+            x, y: world position [m].
+            level: which level, 0 is the lowest.
+
+        Raises:
+            QueryError: there is no such level, or the position is no number or beside the grid.
+        """
+        blockers: list[str] = self.describe_cell(x, y, level)["blockers"]
+        return blockers
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a NavGrid file, gzipped if its name ends in ``.gz``."""
         from navbake.formats.navgrid import write_navgrid
@@ -250,9 +349,10 @@ def describe_attributes(metadata: Json, levels: Sequence[SceneGrid2D]) -> list[J
     Returns:
         ``{"name", "type", "dataType", …}`` of each, in the order of the levels' attributes.
     """
+    entries = metadata.get("cellAttributes")
     stated = {
         entry["name"]: entry
-        for entry in metadata.get("cellAttributes") or []
+        for entry in (entries if isinstance(entries, list) else [])
         if isinstance(entry, dict) and isinstance(entry.get("name"), str)
     }
     described: dict[str, Json] = {}

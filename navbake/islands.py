@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -113,3 +114,19 @@ def _rank_by_size(part: NDArray[np.int32]) -> NDArray[np.int32]:
     rank = np.empty(len(size), dtype=np.int32)
     rank[np.lexsort((first, -size))] = np.arange(1, len(size) + 1)
     return rank[part]
+
+
+def add_layers(grid: SceneGrid2D | MultiLevelGrid, names: Iterable[str]) -> None:
+    """Write further layers into a grid, anew where it has them already.
+
+    Args:
+        grid: changed in place.
+        names: some of ``island`` (uint16; what lies beyond number 65535 shares it) and
+            ``clearance`` (float32 [m]).
+    """
+    if "island" in names:
+        for level, island in zip(grid.levels, find_islands(grid), strict=True):
+            level.attributes["island"] = np.minimum(island, 65535).astype(np.uint16)
+    if "clearance" in names:
+        for level in grid.levels:
+            level.attributes["clearance"] = clearance(level)

@@ -1,4 +1,4 @@
-"""Pictures of a grid: occupancy and floor height of each level, in world metres."""
+"""Pictures of a grid: layers of each level, in world metres."""
 
 from __future__ import annotations
 
@@ -13,22 +13,29 @@ from numpy.typing import NDArray
 
 from navbake.errors import MissingDependencyError, NavbakeError, QueryError
 from navbake.files import write_whole
-from navbake.info import level_name
+from navbake.layers import Label, Panel, make_panels
 
 if TYPE_CHECKING:
     from navbake.grid import MultiLevelGrid, SceneGrid2D
 
-FREE, OCCUPIED, NO_FLOOR = "#f7f3e8", "#3b4252", "#b9c0cc"
+DEFAULT_LAYERS = ("occupancy", "floor")
 COLOR_MAP = "viridis"
 MIN_RANGE = 0.1  # metres of height that the colours span at least, so that flat floors look flat
 DPI = 150
 PANEL_INCHES = 6.0  # longer side of a panel
 MIN_PANEL_INCHES = 3.0  # shorter side of one
 MAX_FIGURE_INCHES = 300.0  # Agg draws at most 65,536 pixels a side
+FONT_SIZES = (3.0, 9.0)  # points, of names in rooms
+LETTER = 0.6  # width of a letter, by its size
+FONT = "DejaVu Sans"  # comes with matplotlib
 
 
 def plot_grid(
-    grid: SceneGrid2D | MultiLevelGrid, path: str | PathLike[str], *, level: int | None = None
+    grid: SceneGrid2D | MultiLevelGrid,
+    path: str | PathLike[str],
+    *,
+    level: int | None = None,
+    layers: Sequence[str] = DEFAULT_LAYERS,
 ) -> Path:
     """Draw a grid's levels, one a row, the lowest on top, and write the picture as PNG.
 
@@ -36,17 +43,19 @@ def plot_grid(
         grid: a grid of one or several levels.
         path: the file to write; it is replaced whole or not at all.
         level: draw only this one, 0 is the lowest.
+        layers: what to draw of each, side by side: some of occupancy, floor, rooms, clearance,
+            island, weights.
 
     Returns:
         The path that was written.
 
     Raises:
-        QueryError: there is no such level.
+        QueryError: there is no such level or layer.
         MissingDependencyError: matplotlib is not installed.
         NavbakeError: the file cannot be written.
     """
     path = Path(path)
-    content = render_png(grid, level=level)
+    content = render_png(grid, level=level, layers=layers)
     try:
         write_whole(content, path)
     except OSError as error:
@@ -54,7 +63,12 @@ def plot_grid(
     return path
 
 
-def render_png(grid: SceneGrid2D | MultiLevelGrid, *, level: int | None = None) -> bytes:
+def render_png(
+    grid: SceneGrid2D | MultiLevelGrid,
+    *,
+    level: int | None = None,
+    layers: Sequence[str] = DEFAULT_LAYERS,
+) -> bytes:
     """Draw a grid's levels as `plot_grid` does; the same grid gives the same bytes.
 
     Returns:
@@ -68,20 +82,21 @@ def render_png(grid: SceneGrid2D | MultiLevelGrid, *, level: int | None = None) 
         ) from error
 
     chosen = _choose_levels(grid, level)
+    if not layers:
+        raise QueryError("expected at least one layer to draw, got none")
+    columns = [make_panels(grid, layer) for layer in layers]
     x_min, y_min, x_max, y_max = _union_bounds([grid.levels[i] for i in chosen])
-    figure = Figure(
-        figsize=_figure_size(x_max - x_min, y_max - y_min, len(chosen)),
-        dpi=DPI,
-        layout="constrained",
-    )
-    axes = figure.subplots(len(chosen), 2, squeeze=False)
+    size = _figure_size(x_max - x_min, y_max - y_min, len(chosen), len(layers))
+    figure = Figure(figsize=size, dpi=DPI, layout="constrained")
+    axes = figure.subplots(len(chosen), len(layers), squeeze=False)
     for row, index in zip(axes, chosen, strict=True):
-        _draw_level(figure, row, grid.levels[index], level_name(grid, index))
-        for ax in row:
+        for ax, panels in zip(row, columns, strict=True):
+            _draw_panel(figure, ax, panels[index], grid.levels[index])
             ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), xlabel="x [m]", ylabel="y [m]")
+            _write_labels(ax, panels[index].labels, max(x_max - x_min, y_max - y_min))
     cell_size = grid.levels[0].lattice.cell_size
     figure.suptitle(f"{grid.scene_id or 'grid'}, cells of {cell_size:g} m", parse_math=False)
-    _draw_legend(figure)
+    _draw_legend(figure, [panels[index] for panels in columns for index in chosen])
 
     content = io.BytesIO()
     figure.savefig(content, format="png", metadata={"Software": None})
@@ -105,65 +120,81 @@ def _union_bounds(levels: Sequence[SceneGrid2D]) -> tuple[float, float, float, f
     return x_min, y_min, x_max, y_max
 
 
-def _figure_size(width: float, height: float, num_levels: int) -> tuple[float, float]:
+def _figure_size(
+    width: float, height: float, num_levels: int, num_layers: int
+) -> tuple[float, float]:
     scale = PANEL_INCHES / max(width, height)
     panel_width = max(width * scale, MIN_PANEL_INCHES) + 0.9  # inches for labels
     panel_height = max(height * scale, MIN_PANEL_INCHES) + 0.8
     total = panel_height * num_levels + 0.8
-    return 2 * panel_width + 0.8, min(total, MAX_FIGURE_INCHES)
+    return num_layers * panel_width + 0.8, min(total, MAX_FIGURE_INCHES)
 
 
-def _draw_level(figure: Any, axes: Sequence[Any], level: SceneGrid2D, name: str) -> None:
+def _draw_panel(figure: Any, ax: Any, panel: Panel, level: SceneGrid2D) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
     x_min, y_min, x_max, y_max = level.lattice.bounds
-    extent = (x_min, x_max, y_min, y_max)  # row 0, the top one, has the largest y
-    free_area = np.count_nonzero(level.free) * level.lattice.cell_size**2
-    floor = level.floor_height * np.float32(level.unit)
-    colors = ScalarMappable(Normalize(*_height_range(floor)), COLOR_MAP)
-
-    axes[0].imshow(_color_occupancy(level), extent=extent)
-    axes[0].set_title(
-        f"{name}: ground {level.ground:.2f} m, free {free_area:.1f} m\N{SUPERSCRIPT TWO}",
-        fontsize="medium",
-        parse_math=False,
-    )
-    axes[1].imshow(_color_floor(floor, colors), extent=extent)
-    axes[1].set_title("floor height", fontsize="medium")
-    figure.colorbar(colors, ax=axes[1], label="z [m]")
+    rgb = panel.rgb
+    if panel.values is not None:
+        colors = ScalarMappable(Normalize(*_value_range(panel.values)), COLOR_MAP)
+        shown = np.isfinite(panel.values)
+        rgb = rgb.copy()
+        rgb[shown] = colors.to_rgba(panel.values[shown], bytes=True)[:, :3]
+        figure.colorbar(colors, ax=ax, label=panel.scale)
+    ax.imshow(rgb, extent=(x_min, x_max, y_min, y_max))  # row 0, the top one, has the largest y
+    ax.set_title(panel.title, fontsize="medium", parse_math=False)
 
 
-def _color_occupancy(level: SceneGrid2D) -> NDArray[np.uint8]:
-    """Colours of the cells by whether an agent can stand in them, shape (height, width, 3)."""
-    palette = np.array([_rgb(OCCUPIED), _rgb(FREE), _rgb(NO_FLOOR)], dtype=np.uint8)
-    kind = np.where(level.free, 1, np.where(np.isnan(level.floor_height), 2, 0))
-    return palette[kind]
-
-
-def _color_floor(floor: NDArray[np.float32], colors: Any) -> NDArray[np.uint8]:
-    rgb: NDArray[np.uint8] = colors.to_rgba(np.nan_to_num(floor), bytes=True)[..., :3]
-    rgb[np.isnan(floor)] = _rgb(NO_FLOOR)
-    return rgb
-
-
-def _height_range(floor: NDArray[np.float32]) -> tuple[float, float]:
-    heights = floor[np.isfinite(floor)]
-    if not heights.size:
+def _value_range(values: NDArray[np.float32]) -> tuple[float, float]:
+    finite = values[np.isfinite(values)]
+    if not finite.size:
         return 0.0, MIN_RANGE
-    low, high = float(heights.min()), float(heights.max())
+    low, high = float(finite.min()), float(finite.max())
     widen = max(0.0, MIN_RANGE - (high - low)) / 2
     return low - widen, high + widen
 
 
-def _draw_legend(figure: Any) -> None:
+def _write_labels(ax: Any, labels: Sequence[Label], longer_side: float) -> None:
+    """Write names in the middle of what they name, as large as it is wide."""
+    for label in labels:
+        font = _font_for(label.text)
+        text = label.fallback if font is None else label.text
+        points = label.room * PANEL_INCHES / longer_side * 72 / (LETTER * len(text))
+        ax.text(
+            label.x,
+            label.y,
+            text,
+            fontsize=min(max(points, FONT_SIZES[0]), FONT_SIZES[1]),
+            fontfamily=font or FONT,
+            ha="center",
+            va="center",
+            clip_on=True,
+            parse_math=False,
+        )
+
+
+def _font_for(text: str) -> str | None:
+    """An installed font that has all letters of a text, or None."""
+    from matplotlib import font_manager
+
+    wanted = {ord(letter) for letter in text if not letter.isspace()}
+    fonts = font_manager.fontManager.ttflist
+    for font in sorted(fonts, key=lambda font: (font.name != FONT, font.name, font.fname)):
+        try:
+            letters = font_manager.get_font(font.fname).get_charmap()
+        except (OSError, RuntimeError):  # listed, and no longer there
+            continue
+        if wanted <= letters.keys():
+            return str(font.name)
+    return None
+
+
+def _draw_legend(figure: Any, panels: Sequence[Panel]) -> None:
     from matplotlib.patches import Patch
 
-    kinds = (("free", FREE), ("occupied", OCCUPIED), ("no floor", NO_FLOOR))
-    patches = [Patch(facecolor=color, edgecolor="black", label=kind) for kind, color in kinds]
+    kinds = dict(entry for panel in panels for entry in panel.legend)
+    patches = [
+        Patch(facecolor=color, edgecolor="black", label=kind) for kind, color in kinds.items()
+    ]
     figure.legend(handles=patches, loc="outside lower center", ncols=len(patches))
-
-
-def _rgb(color: str) -> tuple[int, int, int]:
-    red, green, blue = bytes.fromhex(color.removeprefix("#"))
-    return red, green, blue

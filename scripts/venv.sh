@@ -17,8 +17,11 @@ use_venv() { # use_venv EXTRA
     stamp=$(cat pyproject.toml constraints.txt | cksum)
     if [ "$(cat ".venv/installed-$extra" 2>/dev/null)" != "$stamp" ]; then
         echo "$0: installing navbake[$extra] into .venv" >&2
+        # the pinned versions are for 3.11 and newer; 3.10 takes the newest that it can have
+        local pins=(--constraint constraints.txt)
+        python -c "import sys; sys.exit(sys.version_info < (3, 11))" || pins=()
         python -m pip install --quiet --quiet --disable-pip-version-check \
-            --editable ".[$extra]" --constraint constraints.txt
+            --editable ".[$extra]" ${pins[@]+"${pins[@]}"}
         echo "$stamp" >".venv/installed-$extra"
     fi
 }

@@ -417,9 +417,9 @@ def test_template_is_exactly_the_defaults(tmp_path, name):
 def test_template_comments_every_key(tmp_path):
     text = render_template(parse_config({"scene": {"path": "a.xml"}}))
     for section in SECTIONS:
-        if section != "levels":
+        if section not in ("levels", "rooms.polygons"):
             for key, field in SECTIONS[section].model_fields.items():
-                assert f"{key}:" in text
+                assert f"{field.alias or key}:" in text
                 assert field.description.split(";")[0][:30] in text
     plain = yaml.safe_load(text)  # any YAML reader reads it
     assert plain["grid"]["cell_size"] == 0.1

@@ -20,7 +20,7 @@ ONLY = {
 }
 # library -> the modules that may import it
 DOORS = {
-    "mujoco": ("bake.scene",),
+    "mujoco": ("bake.model",),
     "fcl": ("bake.contact",),
     "trimesh": ("bake.mesh_scene",),
     "matplotlib": ("plot",),

@@ -8,7 +8,8 @@ import pytest
 
 from navbake.errors import MissingDependencyError, NavbakeError, QueryError
 from navbake.grid import MultiLevelGrid, SceneGrid2D
-from navbake.plot import FREE, NO_FLOOR, OCCUPIED, plot_grid, render_png
+from navbake.layers import FREE, NO_FLOOR, OCCUPIED
+from navbake.plot import plot_grid, render_png
 
 pytest.importorskip("matplotlib")
 

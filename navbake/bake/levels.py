@@ -85,7 +85,8 @@ def find_floors(
             f"`floors.shrink` if it is a floor"
         )
     if not settings.tops:
-        counted = drop_tops(counted, columns, floor_like, agent.traversable_floor_height)
+        step = agent.traversable_floor_height
+        counted = drop_tops(counted, columns, floor_like, step, settings)
     if given is None:
         if not settings.roofs:
             counted = drop_roofs(counted, columns, shapes, agent, is_occupied)

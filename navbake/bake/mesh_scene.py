@@ -1,8 +1,12 @@
-"""Building meshes (OBJ, PLY, STL, GLB, DAE) as named triangle parts; the one user of trimesh."""
+"""Mesh files (OBJ, PLY, STL, GLB, DAE) as named parts in the world frame; the user of trimesh."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import logging
+import warnings
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,99 +14,156 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from navbake.bake.meshes.gltf import check_gltf
+from navbake.bake.meshes.obj import read_obj
+from navbake.bake.meshes.part import MeshPart
+from navbake.bake.meshes.ply import read_ply
+from navbake.bake.meshes.stl import read_stl
 from navbake.errors import SceneError
 
 MESH_SUFFIXES = frozenset({".obj", ".ply", ".stl", ".glb", ".gltf", ".dae"})
 
 # A turn of y-up coordinates into the world's z-up: (x, y, z) -> (x, -z, y), nothing mirrored.
 Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-
-
-@dataclass(frozen=True)
-class MeshPart:
-    """One named piece of a mesh scene.
-
-    Attributes:
-        name: unique within its scene.
-        vertices: shape (n, 3), float64, world frame [m].
-        faces: shape (m, 3), int32, indices into `vertices`, counter-clockwise from outside.
-    """
-
-    name: str
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
+# Triangles of less than half of this have no area [m2]
+NO_AREA = 1e-14
+# MuJoCo takes no coordinates beyond (its mjMAXVAL) [m]
+MAX_COORDINATE = 1e10
 
 
 def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPart]:
     """Read a mesh file as named parts in the world frame.
 
-    Every group and node of the file is read (MuJoCo's own OBJ reader takes the first group
-    only). A DAE's own ``<unit meter>`` is applied first, then `unit`, then `up`. Triangles
-    without area are dropped.
+    Every object, group, solid and node of the file is read. A DAE's own ``<unit meter>`` is
+    applied first, then `unit`, then `up`. What the file itself says or implies about its
+    vertical axis (a DAE's ``<up_axis>``, glTF's y up) counts for nothing: files are wrong about
+    it too often, so `up` alone decides. Triangles without area and unused vertices are dropped.
 
     Args:
         path: an OBJ, PLY, STL, GLB, GLTF or DAE file.
         up: the file's vertical axis, "z" or "y".
-        unit: metres per unit of the file, > 0.
+        unit: metres per unit of the file (of a DAE: per metre of the file), > 0.
 
     Returns:
-        The parts that have at least one triangle, in the file's order.
+        The parts that have at least one triangle, in the file's order, their names unique.
 
     Raises:
-        SceneError: the file can't be read as a mesh or holds no triangle.
+        SceneError: the file can't be read as a mesh or holds no triangle; a coordinate is no
+            number, or beyond 1e10 m.
     """
+    suffix = path.suffix.lower()
     try:
-        loaded = trimesh.load_scene(path, process=False)
+        found = READERS.get(suffix, _read_with_trimesh)(path)
+    except OSError as error:
+        raise SceneError(f"cannot read the mesh {path}: {error.strerror or error}") from error
+    scale = unit * (_dae_unit(path) if suffix == ".dae" else 1.0)
+    turn = scale * (Y_UP_TO_Z_UP if up == "y" else np.eye(3))
+    taken = {"world"}  # MuJoCo's own body
+    parts = [_clean(part, turn, path) for part in found]
+    named = [
+        MeshPart(_unique(part.name or path.stem, taken), part.vertices, part.faces)
+        for part in parts
+        if len(part.faces)
+    ]
+    if not named:
+        raise SceneError(f"no triangles in {path}: expected a mesh with at least one")
+    return named
+
+
+READERS: dict[str, Callable[[Path], list[MeshPart]]] = {
+    ".obj": read_obj,
+    ".ply": read_ply,
+    ".stl": read_stl,
+}
+
+
+def _read_with_trimesh(path: Path) -> list[MeshPart]:
+    """Read a file that holds a tree of nodes; a part for each node and mesh on it."""
+    is_gltf = path.suffix.lower() in (".glb", ".gltf")
+    if is_gltf:
+        check_gltf(path)
+    options: dict[str, Any] = {"skip_materials": True} if is_gltf else {}
+    try:
+        with _silence():
+            loaded = trimesh.load_scene(path, process=False, **options)
+            nodes = list(loaded.graph.nodes_geometry)
+            return [part for node in nodes if (part := _part_of(loaded, node)) is not None]
+    except SceneError:
+        raise
     except Exception as error:  # trimesh passes on whatever its parsers raise
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise SceneError(f"cannot read the mesh {path}: {reason}") from error
-    scale = unit * _file_unit(loaded, path)
-    parts: list[MeshPart] = []
-    taken: set[str] = set()
-    for node in loaded.graph.nodes_geometry:
-        transform, geometry_name = loaded.graph[node]
-        geometry = loaded.geometry[geometry_name]
-        if not isinstance(geometry, trimesh.Trimesh):
-            continue  # paths and point clouds have no surface
-        name = _unique(str(node), taken)
-        part = _part_of(name, geometry, np.asarray(transform, dtype=np.float64), up, scale)
-        if part is None:
-            continue
-        if not np.isfinite(part.vertices).all():
-            raise SceneError(f"mesh {name!r} in {path} has coordinates that are no numbers")
-        parts.append(part)
-    if not parts:
-        raise SceneError(f"no triangles in {path}: expected a mesh with at least one")
-    return parts
 
 
-def _file_unit(loaded: Any, path: Path) -> float:
-    """Metres per unit as a DAE states it; 1 for every other format."""
-    if path.suffix.lower() != ".dae":
-        return 1.0
-    import collada
-
-    try:
-        meter = collada.Collada(str(path)).assetInfo.unitmeter
-    except Exception:  # trimesh has read the file; what its header lacks is no reason to stop
-        meter = None
-    return float(meter) if meter else 1.0
-
-
-def _part_of(
-    name: str, geometry: Any, transform: NDArray[np.float64], up: str, scale: float
-) -> MeshPart | None:
-    vertices = np.asarray(geometry.vertices, dtype=np.float64) @ transform[:3, :3].T
-    vertices = (vertices + transform[:3, 3]) * scale
-    if up == "y":
-        vertices = vertices @ Y_UP_TO_Z_UP.T
-    faces = np.asarray(geometry.faces, dtype=np.int32)
-    if np.linalg.det(transform[:3, :3]) < 0:  # a mirror turns every triangle over
+def _part_of(loaded: Any, node: str) -> MeshPart | None:
+    """A node's mesh in the file's frame; None for lines and points, which have no surface."""
+    matrix, geometry_name = loaded.graph[node]
+    geometry = loaded.geometry[geometry_name]
+    if not isinstance(geometry, trimesh.Trimesh):
+        return None
+    faces = np.asarray(geometry.faces, dtype=np.int64)
+    vertices = np.asarray(geometry.vertices, dtype=np.float64)
+    if len(faces) and not 0 <= int(faces.min()) <= int(faces.max()) < len(vertices):
+        raise ValueError(f"a face of {geometry_name!r} has vertices that are not there")
+    matrix = np.asarray(matrix, dtype=np.float64)
+    if np.linalg.det(matrix[:3, :3]) < 0:  # a mirror turns every triangle over
         faces = faces[:, ::-1]
+    name = str(node)
+    if geometry.metadata.get("from_gltf_primitive"):  # trimesh makes such names up at random
+        name = str(loaded.graph.transforms.parents.get(node, geometry_name))
+    return MeshPart(name, vertices @ matrix[:3, :3].T + matrix[:3, 3], faces)
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keep trimesh's log and warnings off stderr: what matters is raised."""
+    logger = logging.getLogger("trimesh")
+    was_disabled, logger.disabled = logger.disabled, True
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.disabled = was_disabled
+
+
+def _dae_unit(path: Path) -> float:
+    """Metres per unit as a DAE states it; 1 where it doesn't."""
+    for event, element in ElementTree.iterparse(path, events=("start", "end")):
+        tag = element.tag.rpartition("}")[2]
+        if event == "start" and tag == "unit":
+            try:
+                meter = float(element.get("meter", "1"))
+            except ValueError:
+                meter = float("nan")
+            if not 0 < meter < float("inf"):
+                raise SceneError(
+                    f"expected a number > 0 as <unit meter> in {path}, got {element.get('meter')!r}"
+                )
+            return meter
+        if event == "end" and tag == "asset":
+            break
+    return 1.0
+
+
+def _clean(part: MeshPart, turn: NDArray[np.float64], path: Path) -> MeshPart:
+    """Turn a part into the world frame; leave out empty triangles and unused vertices."""
+    name = "".join(char if char.isprintable() else "_" for char in part.name)
+    used, index = np.unique(part.faces, return_inverse=True)
+    with np.errstate(all="ignore"):
+        vertices = part.vertices[used] @ turn.T
+    faces = index.reshape(-1, 3)
+    if not np.isfinite(vertices).all():
+        raise SceneError(f"mesh {name!r} in {path} has coordinates that are no numbers")
+    if len(vertices) and np.abs(vertices).max() > MAX_COORDINATE:
+        raise SceneError(
+            f"mesh {name!r} in {path} reaches beyond {MAX_COORDINATE:g} m: check `scene.unit`"
+        )
     corners = vertices[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    faces = faces[~(np.linalg.norm(cross, axis=1) <= 1e-14)]  # keeps NaN, to be named
-    return MeshPart(name, vertices, np.ascontiguousarray(faces)) if len(faces) else None
+    faces = faces[np.linalg.norm(cross, axis=1) > NO_AREA]
+    used, index = np.unique(faces, return_inverse=True)
+    return MeshPart(name, vertices[used], index.reshape(-1, 3).astype(np.int64))
 
 
 def _unique(name: str, taken: set[str]) -> str:

@@ -1,4 +1,4 @@
-"""The bake, end to end: scene, columns, levels and floors, occupancy, grid."""
+"""The bake, end to end: scene, columns, floors, occupancy, contents, rooms, doors, grid."""
 
 from __future__ import annotations
 
@@ -6,23 +6,26 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake._version import __version__
+from navbake.bake.assemble import Baked, build_grid
 from navbake.bake.columns import Columns, TiledShapes, cast_columns, tile_shapes
+from navbake.bake.contents import Contents, find_contents
+from navbake.bake.doors import find_door_bodies, place_doors, without_doors
 from navbake.bake.levels import Floors, LevelFloor, find_floors
 from navbake.bake.occupancy import Footprint, check_occupancy
-from navbake.bake.scene import GeomReport, Scene, load_scene, mujoco_version
-from navbake.config import BakeConfig, settings_digest
+from navbake.bake.rooms import find_rooms
+from navbake.bake.scene import GeomReport, Scene, load_scene
+from navbake.config import BakeConfig
 from navbake.errors import ConfigError, SceneError
 from navbake.grid import MultiLevelGrid, SceneGrid2D
-from navbake.islands import clearance, find_islands
 from navbake.lattice import Lattice
 
-STAGES = ("scene", "columns", "floors", "occupancy", "grid")
+STAGES = ("scene", "columns", "floors", "occupancy", "contents", "rooms", "doors", "grid")
 
 Progress = Callable[[str, float], None]
 
@@ -68,14 +71,16 @@ def run_bake(
     clock = _StageClock(progress)
     with _threads(threads):
         with clock.stage("scene"):
-            scene = load_scene(config.scene)
-            lattice = lay_lattice(scene, config)
+            whole = load_scene(config.scene)
+            lattice = lay_lattice(whole, config)
+            bodies, idle = find_door_bodies(whole, config.doors)
+            scene = without_doors(whole, bodies)
         footprint = Footprint.of(config.agent, lattice.cell_size)
         with clock.stage("columns"):
             tiled = tile_shapes(scene.shapes, lattice, footprint.reach)
             columns = cast_columns(tiled)
         questions = _Questions(columns, tiled, footprint)
-        with clock.stage("floors"):
+        with clock.stage("floors"), _named(config.scene.path):
             given = None if config.levels == "auto" else list(config.levels)
             floors = find_floors(
                 columns, scene.shapes, config.agent, config.floors, given, questions.ask
@@ -83,13 +88,23 @@ def run_bake(
         with clock.stage("occupancy"):
             questions.forget_counts()
             occupied = [_level_occupancy(level, questions) for level in floors.levels]
+        with clock.stage("contents"):
+            contents = _list_contents(scene, columns, tiled, floors, occupied, config)
+        with clock.stage("rooms"):
+            walls = _wall_cells(contents, floors)
+            rooms = find_rooms(scene, floors, walls, config.rooms, config.agent, lattice)
+        with clock.stage("doors"):
+            placed = place_doors(
+                whole, bodies, lattice, floors.levels, occupied, footprint, rooms.room_at
+            )
+            rooms = rooms.with_doors({door.id: door.swept for door in placed.doors})
         with clock.stage("grid"):
-            grid = build_grid(scene, config, lattice, floors, occupied)
+            grid = build_grid(Baked(whole, lattice, floors, placed, rooms, contents), config)
     grid.timings = clock.written()
     return BakeResult(
         grid=grid,
-        geoms=scene.geoms,
-        warnings=scene.warnings,
+        geoms=whole.geoms,
+        warnings=[*whole.warnings, *idle, *(contents.warnings if contents else ())],
         timings=clock.seconds,
         by_ray=questions.by_ray,
         by_fcl=questions.by_fcl,
@@ -106,7 +121,7 @@ def lay_lattice(scene: Scene, config: BakeConfig) -> Lattice:
     if settings.bounds is not None:
         bounds = tuple(settings.bounds)
     elif scene.bounds is not None:
-        bounds = (*scene.bounds[0, :2], *scene.bounds[1, :2])
+        bounds = (*scene.bounds[0, :2].tolist(), *scene.bounds[1, :2].tolist())
     else:
         raise ConfigError(
             f"only infinite planes count in {config.scene.path}, so the grid has no end: "
@@ -125,47 +140,6 @@ def lay_lattice(scene: Scene, config: BakeConfig) -> Lattice:
             f"check the scene's unit (`scene.unit`), the cell size, or raise the limit"
         )
     return Lattice.cover(tuple(float(b) for b in bounds), settings.cell_size, settings.margin)
-
-
-def build_grid(
-    scene: Scene,
-    config: BakeConfig,
-    lattice: Lattice,
-    floors: Floors,
-    occupied: list[NDArray[np.bool_]],
-) -> SceneGrid2D | MultiLevelGrid:
-    """Put levels, occupancy and what made them into the grid that is written.
-
-    One level keeps the whole lattice; of several, each is cut to the cells that have a floor.
-
-    Args:
-        scene: the scene.
-        config: all settings.
-        lattice: the whole lattice.
-        floors: the storeys on it.
-        occupied: per storey, shape (height, width), bool.
-    """
-    single = len(floors.levels) == 1
-    windows = [
-        (slice(0, lattice.height), slice(0, lattice.width)) if single else _window(level.floor)
-        for level in floors.levels
-    ]
-    bboxes = _level_boxes(scene, config, lattice, floors.levels, windows)
-    grids = [
-        _level_grid(level, mask, lattice, window, bbox)
-        for level, mask, window, bbox in zip(floors.levels, occupied, windows, bboxes, strict=True)
-    ]
-    metadata = _metadata(scene, config, floors, windows, lattice)
-    grid: SceneGrid2D | MultiLevelGrid
-    if single:
-        grid = grids[0]
-        grid.metadata = metadata
-    else:
-        grid = MultiLevelGrid(grids=grids, metadata=metadata, cell_size=lattice.cell_size)
-        for level in grids:
-            level.metadata = metadata
-    _add_layers(grid, config)
-    return grid
 
 
 class _Questions:
@@ -209,6 +183,15 @@ class _StageClock:
 
 
 @contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Say which scene it is that has no floor."""
+    try:
+        yield
+    except SceneError as error:
+        raise SceneError(f"{path}: {error}") from error
+
+
+@contextmanager
 def _threads(count: int | None) -> Iterator[None]:
     before = numba.get_num_threads()
     if count is not None:
@@ -222,126 +205,29 @@ def _threads(count: int | None) -> Iterator[None]:
         numba.set_num_threads(before)
 
 
+def _list_contents(
+    scene: Scene,
+    columns: Columns,
+    tiled: TiledShapes,
+    floors: Floors,
+    occupied: list[NDArray[np.bool_]],
+    config: BakeConfig,
+) -> Contents | None:
+    """What stands in the cells, where names or rooms ask for it."""
+    if not config.names.enabled and not config.rooms.sources:
+        return None
+    return find_contents(scene, columns, tiled, floors, occupied, config.agent, config.names)
+
+
+def _wall_cells(contents: Contents | None, floors: Floors) -> list[NDArray[np.bool_]]:
+    if contents is None:
+        return [np.zeros(level.floor.shape, dtype=np.bool_) for level in floors.levels]
+    return [contents.wall_cells(number) for number in range(len(floors.levels))]
+
+
 def _level_occupancy(level: LevelFloor, questions: _Questions) -> NDArray[np.bool_]:
     """Occupied cells of a storey: by geometry, and where there is no floor."""
     cells = np.flatnonzero(~np.isnan(level.floor))
     occupied = np.ones(level.floor.size, dtype=np.bool_)
     occupied[cells] = questions.ask(cells, level.floor.ravel()[cells])
     return occupied.reshape(level.floor.shape)
-
-
-def _window(floor: NDArray[np.float64]) -> tuple[slice, slice]:
-    """The smallest rectangle that holds all cells with a floor."""
-    has_floor = ~np.isnan(floor)
-    rows = np.flatnonzero(has_floor.any(axis=1))
-    cols = np.flatnonzero(has_floor.any(axis=0))
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
-
-
-Box = tuple[tuple[float, float, float], tuple[float, float, float]]
-
-
-def _level_boxes(
-    scene: Scene,
-    config: BakeConfig,
-    lattice: Lattice,
-    levels: list[LevelFloor],
-    windows: list[tuple[slice, slice]],
-) -> list[Box]:
-    """Each level's box, y up: from its ground to the next level's, none overlapping in height."""
-    bottoms = [level.ground for level in levels]
-    bottoms[0] = min(bottoms[0], float(np.nanmin(levels[0].floor)))
-    highest = max(float(np.nanmax(level.floor)) for level in levels) + config.agent.height
-    top = highest if scene.bounds is None else max(highest, float(scene.bounds[1, 2]))
-    tops = [*bottoms[1:], top]
-    boxes = []
-    for window, bottom, level_top in zip(windows, bottoms, tops, strict=True):
-        x0, y0, x1, y1 = lattice.cut(*window).bounds
-        if scene.bounds is not None and config.grid.bounds is None:
-            x0, y0 = max(x0, float(scene.bounds[0, 0])), max(y0, float(scene.bounds[0, 1]))
-            x1, y1 = min(x1, float(scene.bounds[1, 0])), min(y1, float(scene.bounds[1, 1]))
-        boxes.append(((x0, bottom, 0.0 - y1), (x1, level_top, 0.0 - y0)))
-    return boxes
-
-
-def _level_grid(
-    level: LevelFloor,
-    occupied: NDArray[np.bool_],
-    lattice: Lattice,
-    window: tuple[slice, slice],
-    bbox: Box,
-) -> SceneGrid2D:
-    part = lattice.cut(*window)
-    return SceneGrid2D(
-        width=part.width,
-        height=part.height,
-        cell_size=part.cell_size,
-        min_yup=(part.x_min, level.ground, 0.0 - part.y_max),
-        bbox_yup=bbox,
-        weights=np.where(occupied[window], np.inf, 1.0),
-        attributes={
-            "floorHeight": level.floor[window].astype(np.float32),
-            "roomIndex": np.zeros(part.shape, dtype=np.uint16),
-            "occupancy": occupied[window].astype(np.uint8),
-        },
-    )
-
-
-def _metadata(
-    scene: Scene,
-    config: BakeConfig,
-    floors: Floors,
-    windows: list[tuple[slice, slice]],
-    lattice: Lattice,
-) -> dict[str, object]:
-    return {
-        "sceneId": scene.id,
-        "cellAttributes": [
-            {"name": "floorHeight", "type": "Float32Array", "dataType": "continuous"},
-            {"name": "roomIndex", "type": "Uint16Array", "dataType": "categorical"},
-            {"name": "occupancy", "type": "Uint8Array", "dataType": "categorical"},
-        ],
-        "agentHeight": config.agent.height,
-        "agentRadius": config.agent.radius,
-        "traversableFloorHeight": config.agent.traversable_floor_height,
-        "useCellFloorHeight": True,
-        "navbake": {
-            "version": __version__,
-            "mujoco": mujoco_version(),
-            "sceneDigest": scene.digest,
-            "settingsDigest": settings_digest(config),
-            "worldFrame": {
-                "up": "z",
-                "unit": "m",
-                "handedness": "right",
-                "fileFromWorld": "(X, Y, Z) = (x, z, -y)",
-            },
-            "maxSlope": config.agent.max_slope,
-            "levels": [{"name": level.name, "ground": level.ground} for level in floors.levels],
-            "links": _cut_links(floors, windows, lattice).tolist(),
-        },
-    }
-
-
-def _cut_links(
-    floors: Floors, windows: list[tuple[slice, slice]], lattice: Lattice
-) -> NDArray[np.int64]:
-    """The links with cells counted on each level's own rectangle."""
-    links = floors.links.copy()
-    for side in (0, 2):
-        row, col = np.divmod(links[:, side + 1], lattice.width)
-        row0 = np.array([window[0].start for window in windows])[links[:, side]]
-        col0 = np.array([window[1].start for window in windows])[links[:, side]]
-        width = np.array([w[1].stop - w[1].start for w in windows])[links[:, side]]
-        links[:, side + 1] = (row - row0) * width + (col - col0)
-    return links
-
-
-def _add_layers(grid: SceneGrid2D | MultiLevelGrid, config: BakeConfig) -> None:
-    """Add the layers asked for."""
-    if "island" in config.attributes:
-        for level, island in zip(grid.levels, find_islands(grid), strict=True):
-            level.attributes["island"] = np.minimum(island, 65535).astype(np.uint16)
-    if "clearance" in config.attributes:
-        for level in grid.levels:
-            level.attributes["clearance"] = clearance(level)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from navbake.bake.columns import Columns
+from navbake.bake.occupancy import TOUCH
 from navbake.bake.shapes import Shapes
 from navbake.bake.sheets import Standable, mask_window
 from navbake.config import AgentSettings
@@ -116,8 +117,8 @@ class _EnclosedTest:
         columns = self.columns
         lines_blocked(
             cells[rough],
-            floor[rough] + self.agent.traversable_floor_height,
-            floor[rough] + self.agent.height,
+            floor[rough] + self.agent.traversable_floor_height + TOUCH,
+            floor[rough] + self.agent.height - TOUCH,
             columns.start,
             columns.z,
             columns.normal,

@@ -2,32 +2,32 @@
 
 from __future__ import annotations
 
-import heapq
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from navbake.kernels.watershed import (
-    find_passes,
-    flood,
-    measure_basins,
-    squared_distances,
-)
+from navbake.bake.basins import ROUGHNESS, SLACK, Basins
+from navbake.kernels.watershed import first_cells, flood, measure_basins, squared_distances
 
 Bool = NDArray[np.bool_]
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
 Labels = NDArray[np.int32]
 
 # How far a narrow place begins behind the discs that fit beside it, in door widths
 NARROW = 0.1
-# What walls that don't follow the lattice make the width of one and the same corridor vary by,
-# to each side of its middle, in half cells: measured over all angles and offsets, at most this
-ROUGHNESS = 1.0
-SLACK = 1e-6  # of half a cell: a gap this little over the door's width still has it
+# How wide a narrow place is at least, in door widths, to be a room and not a crack
+NARROWEST = 0.5
+# Rise by length from which on a floor is a stair, and how far around a cell that is looked at [m]
+STEEP, REACH = 0.3, 0.3
 
 
 def segment_rooms(
-    open_cells: Bool, cell_size: float, door_width: float, min_area: float
+    open_cells: Bool,
+    cell_size: float,
+    door_width: float,
+    min_area: float,
+    floor: Float | None = None,
 ) -> Labels:
     """Part the open cells of a level into rooms, at gaps no wider than a door.
 
@@ -42,13 +42,16 @@ def segment_rooms(
 
     Widths are exact for walls along the lattice. Others vary by a cell, so a gap whose sides
     come only half a cell nearer to its middle than the walls of a room that it leads to parts
-    nothing: a corridor at an angle is not cut where the lattice makes it look narrow.
+    nothing: a corridor at an angle is not cut where the lattice makes it look narrow. Stairs
+    that open to a room as wide as they are belong to it, at their foot rather than their head.
 
     Args:
         open_cells: shape (height, width): cells with a floor that no wall stands in.
         cell_size: edge of a cell [m].
         door_width: the widest gap that parts rooms [m], > 0.
         min_area: what a room has at least [m²], >= 0.
+        floor: heights of the floor, shape (height, width) [m]. With it, stairs are part of the
+            room that they open to.
 
     Returns:
         Shape (height, width), int32: the room of each cell from 1, 0 for none; numbered by the
@@ -71,11 +74,31 @@ def segment_rooms(
     distance = squared_distances(wall_nodes(open_cells), reach)
     label, num_wide = _find_seeds(open_cells, distance, width, least)
     flood(label, open_cells, np.ascontiguousarray(distance[1::2, 1::2]), (reach + 1) ** 2)
-    basins = _Basins(label, distance, num_wide)
+    basins = Basins(label, distance, num_wide)
     basins.join_rough_passes()
+    basins.join_junctions()
+    if floor is not None:
+        floor = np.where(open_cells, floor[window], np.nan)
+        basins.join_stairs(label, floor, find_steep(floor, cell_size) & open_cells)
     basins.join_small(least)
     rooms[window] = number_by_place(basins.joined(least)[label])
     return rooms
+
+
+def find_steep(floor: Float, cell_size: float) -> Bool:
+    """Mark cells in whose surroundings (0.6 m) the floor is as steep as stairs are.
+
+    Args:
+        floor: heights, shape (height, width), NaN for none, which is level with all [m].
+        cell_size: edge of a cell [m].
+    """
+    reach = max(1, round(REACH / cell_size))
+    padded = np.pad(floor, reach, constant_values=np.nan)
+    down = padded[2 * reach :, reach:-reach] - padded[: -2 * reach, reach:-reach]
+    across = padded[reach:-reach, 2 * reach :] - padded[reach:-reach, : -2 * reach]
+    rise = np.hypot(np.nan_to_num(down), np.nan_to_num(across))
+    steep: Bool = rise >= STEEP * 2 * reach * cell_size
+    return steep
 
 
 def wall_nodes(open_cells: Bool) -> Bool:
@@ -101,11 +124,10 @@ def wall_nodes(open_cells: Bool) -> Bool:
 
 def number_by_place(label: Labels) -> Labels:
     """Renumber labels from 1 by the first cell of each in reading order; 0 stays."""
-    flat = label.ravel()
-    used, first = np.unique(flat, return_index=True)
-    first = first[used > 0]
-    number = np.zeros(int(used[-1]) + 1, dtype=np.int32)
-    number[flat[np.sort(first)]] = np.arange(1, len(first) + 1)
+    first = first_cells(label, int(label.max(initial=0)) + 1)
+    order = np.argsort(first[1:], kind="stable")[: np.count_nonzero(first[1:] < label.size)]
+    number = np.zeros(len(first), dtype=np.int32)
+    number[1 + order] = np.arange(1, len(order) + 1)
     return number[label]
 
 
@@ -127,16 +149,23 @@ def _find_seeds(
     is_large[0] = False
     deep = is_large[left] & (to_wide > behind)
     narrow, num_narrow = ndimage.label(deep, output=np.int32)
+    _, peaks = measure_basins(narrow, distance, num_narrow)
+    narrow[peaks[narrow] < (width * NARROWEST) ** 2 - SLACK] = 0
+    deep = narrow > 0
     label = _cells_of_nodes(wide)
-    sizes = np.bincount(label.ravel(), minlength=num_wide + 1)
-    narrow_sizes = np.bincount(narrow.ravel(), minlength=num_narrow + 1)
     label[deep] = narrow[deep] + num_wide
     rank = np.zeros(num_wide + num_narrow + 1, dtype=np.int32)
-    rank[1 + np.argsort(-sizes[1:], kind="stable")] = np.arange(1, num_wide + 1)
-    rank[1 + num_wide + np.argsort(-narrow_sizes[1:], kind="stable")] = (
-        np.arange(1, num_narrow + 1) + num_wide
-    )
+    rank[1 + _by_size(label, distance, num_wide, num_narrow)] = np.arange(1, len(rank))
     return rank[label], num_wide
+
+
+def _by_size(label: Labels, distance: Labels, num_wide: int, num_narrow: int) -> Int:
+    """Order places: wide ones first, then by cells, then by how far these are from walls."""
+    number = num_wide + num_narrow + 1
+    cells = np.bincount(label.ravel(), minlength=number)[1:]
+    space = np.bincount(label.ravel(), distance[1::2, 1::2].ravel(), minlength=number)[1:]
+    is_narrow = np.arange(number - 1) >= num_wide
+    return np.lexsort((-space, -cells, is_narrow))
 
 
 def _cells_of_nodes(label: Labels) -> Labels:
@@ -145,92 +174,6 @@ def _cells_of_nodes(label: Labels) -> Labels:
     touching = np.zeros((height, width), dtype=np.int32)
     for row in range(3):
         for col in range(3):
-            np.maximum(
-                touching, label[row:, col:][: 2 * height : 2, : 2 * width : 2], out=touching
-            )
+            np.maximum(touching, label[row:, col:][: 2 * height : 2, : 2 * width : 2], out=touching)
     center = label[1::2, 1::2]
     return np.where(center > 0, center, touching)
-
-
-class _Basins:
-    """What the flood filled from each seed, and what of it is joined to one room."""
-
-    def __init__(self, label: Labels, distance: Labels, num_wide: int) -> None:
-        num_basins = int(label.max(initial=0))
-        cells, peaks = measure_basins(label, distance, num_basins)
-        self._cells = cells.tolist()
-        self._peak = np.sqrt(peaks).tolist()  # half cells from the walls, at the widest place
-        self._narrow = [basin > num_wide for basin in range(num_basins + 1)]
-        self._parent = list(range(num_basins + 1))
-        # what each basin meets: how far from the walls at the widest place, along how many cells
-        self._passes: list[dict[int, tuple[float, int]]] = [{} for _ in range(num_basins + 1)]
-        pairs, saddles = find_passes(label, distance)
-        key, place = np.unique(pairs[:, 0] * (num_basins + 1) + pairs[:, 1], return_inverse=True)
-        saddle = np.zeros(len(key), dtype=np.int32)
-        np.maximum.at(saddle, place, saddles)
-        length = np.bincount(place, minlength=len(key)).tolist()
-        for k, (a, b) in enumerate(zip(*np.divmod(key, num_basins + 1), strict=True)):
-            met = (float(np.sqrt(saddle[k])), length[k])
-            self._passes[a][int(b)] = self._passes[b][int(a)] = met
-
-    def join_rough_passes(self) -> None:
-        """Join what is parted by no more than the roughness of walls off the lattice.
-
-        The pass is as wide as the smaller one of two wide basins; or as wide as both, where one
-        is narrow, because a corridor that opens into a hall is as wide as its mouth.
-        """
-        passes = [
-            (-saddle, a, b)
-            for a, met in enumerate(self._passes)
-            for b, (saddle, _) in met.items()
-            if a < b
-        ]
-        for negative, first, second in sorted(passes):
-            a, b = self._root(first), self._root(second)
-            if a == b:
-                continue
-            choose = max if self._narrow[a] or self._narrow[b] else min
-            if choose(self._peak[a], self._peak[b]) + negative <= ROUGHNESS + SLACK:
-                self._join(min(a, b), max(a, b))
-
-    def join_small(self, least: float) -> None:
-        """Join basins of fewer cells, the smallest first, to the one they open to the widest."""
-        queue = [
-            (cells, basin)
-            for basin, cells in enumerate(self._cells)
-            if basin and self._parent[basin] == basin and cells < least
-        ]
-        heapq.heapify(queue)
-        while queue:
-            cells, small = heapq.heappop(queue)
-            met = self._passes[small]
-            if self._parent[small] != small or self._cells[small] != cells or not met:
-                continue
-            to = max(met, key=lambda other: (*met[other], self._cells[other], -other))
-            self._join(to, small)
-            if self._cells[to] < least:
-                heapq.heappush(queue, (self._cells[to], to))
-
-    def joined(self, least: float) -> Labels:
-        """The basin that each one is part of now, 0 for those of fewer cells."""
-        roots = [self._root(basin) for basin in range(len(self._parent))]
-        kept = [root if self._cells[root] >= least else 0 for root in roots]
-        return np.array(kept, dtype=np.int32)
-
-    def _root(self, basin: int) -> int:
-        while self._parent[basin] != basin:
-            basin = self._parent[basin]
-        return basin
-
-    def _join(self, to: int, gone: int) -> None:
-        self._parent[gone] = to
-        self._cells[to] += self._cells[gone]
-        self._peak[to] = max(self._peak[to], self._peak[gone])
-        self._narrow[to] = self._narrow[to] or self._narrow[gone]
-        for other, (saddle, length) in self._passes[gone].items():
-            del self._passes[other][gone]
-            if other != to:
-                known, known_length = self._passes[to].get(other, (0.0, 0))
-                met = (max(saddle, known), length + known_length)
-                self._passes[to][other] = self._passes[other][to] = met
-        self._passes[gone] = {}

@@ -6,13 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int32]
 
-FAR = 1e4  # half-size that stands for the infinite side of a plane that has a finite one [m]
+# Half-size that stands for the infinite side of a plane that has a finite one: heights on a tilted
+# one are off by about 1e-16 FAR^2 [m]
+FAR = 1e4
 
-# MuJoCo's numbers of the geom types that are solids by themselves (mjtGeom)
+# MuJoCo's numbers of the geom types (mjtGeom); the second line are solids by themselves
+PLANE, HFIELD, MESH, SDF = 0, 1, 7, 8
 SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX = 2, 3, 4, 5, 6
 
 
@@ -86,17 +90,20 @@ class Shapes:
         closed: by geom id, shape (ngeom,), uint8: 2 for solids (primitives, hulls, height
             fields), 1 for surfaces that enclose a volume, else 0. Inside of both counts as
             occupied. Infinite planes are not among them.
+        endless: by geom id, shape (ngeom,), bool: planes with one infinite side; they are
+            triangles of FAR, and don't count towards the box.
     """
 
     solids: Solids
     planes: Planes
     triangles: Triangles
     closed: NDArray[np.uint8]
+    endless: NDArray[np.bool_]
 
     def bounds(self) -> Float | None:
         """The box round everything finite, shape (2, 3), float64 [m]; None if all is infinite."""
-        boxes = np.concatenate([self.solids.bounds, self.triangles.bounds])
-        boxes = boxes[(boxes[:, 3:] - boxes[:, :3]).max(axis=1, initial=0.0) < FAR]
+        finite = self.triangles.bounds[~self.endless[self.triangles.geom]]
+        boxes = np.concatenate([self.solids.bounds, finite])
         if not len(boxes):
             return None
         return np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
@@ -122,14 +129,27 @@ def solid_bounds(kind: Int, pos: Float, mat: Float, size: Float) -> Float:
         SPHERE: radius + np.zeros_like(pos),
         CAPSULE: radius + axis * size[:, 1:2],
         ELLIPSOID: np.sqrt(np.square(rotation * size[:, None, :]).sum(axis=2)),
-        CYLINDER: axis * size[:, 1:2]
-        + radius * np.sqrt(np.clip(1.0 - np.square(axis), 0.0, None)),
+        CYLINDER: axis * size[:, 1:2] + radius * np.sqrt(np.clip(1.0 - np.square(axis), 0.0, None)),
         BOX: (np.abs(rotation) * size[:, None, :]).sum(axis=2),
     }
     for number, extent in by_kind.items():
         chosen = kind == number
         half[chosen] = extent[chosen]
     return np.concatenate([pos - half, pos + half], axis=1)
+
+
+def plane_triangles(half: Float) -> Float:
+    """A plane with a finite side as a rectangle in its geom's frame.
+
+    Args:
+        half: its half-sizes, shape (2,) [m]; 0 for infinite.
+
+    Returns:
+        Corners, shape (2, 3, 3), float64, facing its z [m].
+    """
+    x, y = np.where(half > 0, half, FAR)
+    corners = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
+    return corners[[[0, 1, 2], [0, 2, 3]]]
 
 
 def height_field_triangles(heights: Float, size: Float) -> Float:
@@ -146,9 +166,7 @@ def height_field_triangles(heights: Float, size: Float) -> Float:
         Corners, shape (m, 3, 3), float64, counter-clockwise from outside [m].
     """
     rows, cols = heights.shape
-    x, y = np.meshgrid(
-        np.linspace(-size[0], size[0], cols), np.linspace(-size[1], size[1], rows)
-    )
+    x, y = np.meshgrid(np.linspace(-size[0], size[0], cols), np.linspace(-size[1], size[1], rows))
     top = np.stack([x, y, heights * size[2]], axis=-1)
     base = np.stack([x, y, np.full_like(x, -size[3])], axis=-1)
     a, b, c, d = top[:-1, :-1], top[:-1, 1:], top[1:, 1:], top[1:, :-1]
@@ -164,6 +182,31 @@ def height_field_triangles(heights: Float, size: Float) -> Float:
     middle = np.broadcast_to((corner[0] + corner[2]) / 2, ring.shape)
     parts.append(np.stack([middle, np.roll(ring, -1, axis=0), ring], axis=-2))
     return np.concatenate([part.reshape(-1, 3, 3) for part in parts])
+
+
+def hull_triangles(vertices: Float) -> Float | None:
+    """The convex hull of points, as outward triangles.
+
+    Args:
+        vertices: shape (n, 3), float64 [m].
+
+    Returns:
+        Corners, shape (m, 3, 3), float64, counter-clockwise from outside; None where the points
+        lie in a plane, so that there is no hull.
+    """
+    try:
+        hull = ConvexHull(vertices)
+    except (QhullError, ValueError):  # flat, or fewer than four
+        return None
+    return _face_outward(vertices[hull.simplices], hull.equations[:, :3])
+
+
+def _face_outward(corners: Float, outward: Float) -> Float:
+    """Turn the triangles over that face against the given directions, shape (m, 3)."""
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = np.einsum("ij,ij->i", cross, outward) < 0
+    corners[inward] = corners[inward][:, ::-1]
+    return corners
 
 
 def is_closed_solid(corners: Float) -> bool:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,14 +13,21 @@ from scipy import ndimage
 from navbake.bake.columns import Columns
 from navbake.bake.shapes import Shapes
 from navbake.config import AgentSettings, FloorSettings
-from navbake.kernels.sheets import SLACK, group_members, join_by_steps, mark_surfaces, measure_top
+from navbake.kernels.sheets import (
+    SLACK,
+    count_covered,
+    count_drops,
+    group_members,
+    join_by_steps,
+    mark_surfaces,
+)
 from navbake.lattice import Lattice
 
 Bool = NDArray[np.bool_]
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 
-# Cells along the edge of the blocks in which large sheets are shrunk
+# Cells along the edge of the blocks in which masks are shrunk
 BLOCK = 256
 # A top covers a floor under more than this share of it, and drops to it along this share
 TOP_SHARE, DROP_SHARE = 0.5, 0.25
@@ -44,7 +53,7 @@ class Standable:
     sheet: Int
     sheet_size: Int
 
-    @property
+    @cached_property
     def cell(self) -> Int:
         """Cell id of each, shape (n,), int64."""
         return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
@@ -137,47 +146,48 @@ def drop_furniture(standable: Standable, settings: FloorSettings) -> Standable:
     return standable.only_sheets(counts)
 
 
-def drop_tops(standable: Standable, columns: Columns, floor_like: Bool, step: float) -> Standable:
+def drop_tops(
+    standable: Standable,
+    columns: Columns,
+    floor_like: Bool,
+    step: float,
+    settings: FloorSettings,
+) -> Standable:
     """Drop the tops of what stands on a floor: beds, blocks, walls that are metres thick.
 
     A sheet that no step reaches is such a top when the floor of another one goes on under more
     than half of it without room for an agent in between, and at least a quarter of its outline
-    drops to that floor. A house's floor on its plinth ends at walls, and a mezzanine has
-    standing room below, so that both are none.
+    drops to that floor, a bed's frame aside. A house's floor on its plinth ends at walls, and a
+    mezzanine has standing room below, so that both are none.
 
     Args:
         standable: the surfaces of the sheets that count by their size.
         columns: all surfaces.
         floor_like: which of them face up within the slope, shape (n,).
         step: the largest step [m].
+        settings: `shrink`, how far from the sheet's edge the floor may begin [m].
     """
     lattice, size = standable.lattice, standable.sheet_size
     start, member = group_members(standable.sheet, size)
     at_cell = np.full(lattice.width * lattice.height, -1, dtype=np.int64)
-    under = np.full(lattice.width * lattice.height, np.nan)
-    cells = standable.cell
-    counts = size > 0
+    reach = max(1, int(np.ceil(settings.shrink / lattice.cell_size)))
+    cells, counts = standable.cell, size > 0
     keep = counts.copy()
     for sheet in np.flatnonzero(counts):
         members = member[start[sheet] : start[sheet + 1]]
-        edges, drops, filled = measure_top(
-            members,
-            cells,
-            standable.start,
-            standable.z,
-            standable.sheet,
-            counts,
-            lattice.width,
-            lattice.height,
-            columns.start,
-            columns.z,
-            floor_like,
-            step,
-            at_cell,
-            under,
+        place = (cells, standable.start, standable.z, standable.sheet, counts)
+        shape = (lattice.width, lattice.height)
+        lines = (columns.start, columns.z)
+        edges, drops, floors, over = count_drops(
+            members, *place, *shape, *lines, columns.normal, step, reach, at_cell
         )
-        is_top = filled > TOP_SHARE * len(members) and drops >= DROP_SHARE * edges
-        keep[sheet] = not is_top
+        if drops > 0 and drops >= DROP_SHARE * edges:
+            covered = count_covered(
+                members, *place, *shape, *lines, floor_like, step, floors, at_cell
+            )
+            keep[sheet] = covered <= TOP_SHARE * len(members)
+        at_cell[cells[members]] = -1
+        at_cell[over] = -1
     return standable.only_sheets(keep)
 
 
@@ -192,24 +202,35 @@ def mask_window(cells: Int, lattice: Lattice, margin: int) -> tuple[Bool, Int, I
 
 def shrink_mask(mask: Bool, cell_size: float, shrink: float) -> Bool:
     """Cells of a mask whose centres are at least `shrink` from its edge [m]."""
-    cells = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
-    distance = (cells - 0.5) * cell_size
-    inner: Bool = mask & (distance >= shrink - SLACK)
+    inner = np.zeros_like(mask)
+    for place, block in _shrunk_blocks(mask, cell_size, shrink):
+        inner[place] = block
     return inner
 
 
-def _keeps_area(cells: Int, lattice: Lattice, settings: FloorSettings) -> bool:
-    """Whether cells keep `min_area` after shrinking; large masks are looked at block by block."""
-    mask, _, _ = mask_window(cells, lattice, margin=0)
-    reach = int(np.ceil(settings.shrink / lattice.cell_size)) + 2
-    needed = (settings.min_area - SLACK) / lattice.cell_size**2
-    found = 0
+def _shrunk_blocks(
+    mask: Bool, cell_size: float, shrink: float
+) -> Iterator[tuple[tuple[slice, slice], Bool]]:
+    """`shrink_mask` block by block: where each lies, and what is left of it."""
+    reach = int(np.ceil(shrink / cell_size)) + 2
+    padded = np.pad(mask, reach)
     for row in range(0, mask.shape[0], BLOCK):
         for col in range(0, mask.shape[1], BLOCK):
-            row0, col0 = max(row - reach, 0), max(col - reach, 0)
-            block = mask[row0 : row + BLOCK + reach, col0 : col + BLOCK + reach]
-            inner = shrink_mask(block, lattice.cell_size, settings.shrink)
-            found += int(inner[row - row0 :, col - col0 :][:BLOCK, :BLOCK].sum())
-            if found >= needed:
-                return True
+            block = padded[row : row + BLOCK + 2 * reach, col : col + BLOCK + 2 * reach]
+            # beyond the reach nothing matters, so the block may end in empty cells
+            cells = ndimage.distance_transform_edt(np.pad(block, 1))[1:-1, 1:-1]
+            far = (cells - 0.5) * cell_size >= shrink - SLACK
+            inner = (block & far)[reach:-reach, reach:-reach]
+            yield (slice(row, row + BLOCK), slice(col, col + BLOCK)), inner
+
+
+def _keeps_area(cells: Int, lattice: Lattice, settings: FloorSettings) -> bool:
+    """Whether cells keep `min_area` after shrinking."""
+    mask, _, _ = mask_window(cells, lattice, margin=0)
+    needed = (settings.min_area - SLACK) / lattice.cell_size**2
+    found = 0
+    for _, block in _shrunk_blocks(mask, lattice.cell_size, settings.shrink):
+        found += int(block.sum())
+        if found >= needed:
+            return True
     return found >= needed

@@ -20,6 +20,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
+from navbake.doors import check_doors
 from navbake.errors import FormatError
 from navbake.files import write_whole
 from navbake.formats.arrays import (
@@ -32,6 +33,7 @@ from navbake.formats.arrays import (
     whole_number,
 )
 from navbake.grid import Json, MultiLevelGrid, NavGrid, SceneGrid2D, Vector3
+from navbake.rooms_table import describe_rooms
 
 MAX_CELLS = 100_000_000
 VALUES_PER_CELL = 16  # arrays that a grid of MAX_CELLS may have; a smaller one may have more
@@ -75,9 +77,9 @@ def read_navgrid(
     allowance = Allowance(max_cells, max_cells, VALUES_PER_CELL * max_cells)
     kind = content.get("type", MISSING)
     if kind == "SceneGrid2D":
-        return _read_level(content, top, allowance, {}, {})
+        return _check_own(_read_level(content, top, allowance, {}, {}), top)
     if kind == "MultiLevelGrid":
-        return _read_levels(content, top, allowance)
+        return _check_own(_read_levels(content, top, allowance), top)
     top["type"].refuse("'SceneGrid2D' or 'MultiLevelGrid'", kind)
 
 
@@ -227,8 +229,16 @@ def _read_levels(content: Json, top: Place, allowance: Allowance) -> MultiLevelG
         timings=_optional(content, "timings", top),
         extra=_unknown(content, MULTI_FIELDS, top),
     )
+    return grid
+
+
+def _check_own(grid: NavGrid, top: Place) -> NavGrid:
+    """Check what navbake itself adds to the metadata: links, rooms, doors."""
     try:
         _ = grid.links
+        check_doors(grid.navbake.get("doors", []), [level.weights.size for level in grid.levels])
+        if "rooms" in grid.navbake:
+            describe_rooms(grid)
     except FormatError as error:
         raise FormatError(f"{error} in {top.file}") from None
     return grid
@@ -483,8 +493,9 @@ def _user_data(grid: SceneGrid2D, place: Place) -> Json:
 
 def _metadata(grid: NavGrid, place: Place) -> Json:
     """The grid's metadata with ``cellAttributes`` of the arrays that are there."""
-    metadata = {**grid.metadata, "cellAttributes": grid.cell_attributes}
-    return _object(_plain(metadata, place["metadata"]), place["metadata"])
+    place = place["metadata"]
+    _optional(grid.metadata, "navbake", place)
+    return _object(_plain({**grid.metadata, "cellAttributes": grid.cell_attributes}, place), place)
 
 
 def _own_metadata(level: SceneGrid2D, grid: MultiLevelGrid) -> Json | None:

@@ -7,34 +7,19 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from navbake.kernels.overlap import (
-    APART,
-    BOX,
-    CYLINDER,
-    MEETS,
-    OPEN,
-    line_is_blocked,
-    plane_meets_prism,
-    solid_meets_prism,
-    triangle_meets_prism,
+from navbake.kernels.flags import (
+    BLOCKS,
+    PROBED,
+    STANDS,
+    is_beside,
+    line_flags,
+    outside,
+    plane_flags,
+    solid_flags,
+    triangle_flags,
 )
+from navbake.kernels.overlap import line_is_blocked, plane_meets_prism
 from navbake.kernels.tiles import TILE
-
-# What an entry says of its geom: it stands in the cell, it meets the occupancy's volume, it
-# meets the square in the probed band, and the occupancy's volume without a proof either way
-STANDS, BLOCKS, PROBED, UNPROVED = 1, 2, 4, 8
-
-
-@njit(cache=True)
-def _outside(box, x, y, reach, low, high):
-    return (
-        box[0] >= x + reach
-        or box[3] <= x - reach
-        or box[1] >= y + reach
-        or box[4] <= y - reach
-        or box[2] >= high
-        or box[5] <= low
-    )
 
 
 @njit(cache=True)
@@ -65,7 +50,7 @@ def count_candidates(
     x_min, y_max, cell_size, width, height, floors, ceilings, reach,
     solid_start, solid_item, solid_bounds,
     tri_start, tri_item, tri_geom, tri_bounds,
-    num_planes, counts,
+    plane_pos, plane_mat, counts,
 ):  # fmt: skip
     """Count for each cell the geoms whose boxes meet its column: an upper bound.
 
@@ -89,126 +74,19 @@ def count_candidates(
                 if math.isnan(low):
                     continue
                 x = x_min + (col + 0.5) * cell_size
-                count = num_planes
+                middle, half_z, count = (low + high) / 2.0, (high - low) / 2.0, 0
+                for p in range(plane_pos.shape[0]):
+                    if plane_meets_prism(
+                        plane_pos[p], plane_mat[p], x, y, middle, reach, reach, half_z
+                    ):
+                        count += 1
                 for s in solids:
-                    if not _outside(solid_bounds[s], x, y, reach, low, high):
+                    if not outside(solid_bounds, s, x, y, reach, low, high):
                         count += 1
                 for g in range(group_box.shape[0]):
-                    if not _outside(group_box[g], x, y, reach, low, high):
+                    if not outside(group_box, g, x, y, reach, low, high):
                         count += 1
                 counts[cell] = count
-
-
-@njit(cache=True)
-def _line_meets(column, wanted, low, high):
-    """Whether a column's line proves that one geom is between two heights."""
-    z, normals, geom, closed, first, last = column
-    inside = 0
-    for i in range(last - 1, first - 1, -1):
-        if z[i] <= low:
-            break
-        if geom[i] != wanted:
-            continue
-        if z[i] < high:
-            return True
-        if closed[wanted]:
-            inside += 1 if normals[i, 2] > 0.0 else -1
-    return inside > 0
-
-
-@njit(cache=True)
-def _line_flags(column, wanted, heights):
-    """What a cell's line alone proves of a geom."""
-    floor, ceiling, low, high, _, _, blocked = heights
-    flags = 0
-    if _line_meets(column, wanted, floor, ceiling):
-        flags |= STANDS
-    if blocked and _line_meets(column, wanted, low, high):
-        flags |= BLOCKS
-    return flags
-
-
-@njit(cache=True)
-def _plane_flags(pos, mat, x, y, widths, heights, flags):
-    """Add what the half-space behind a plane meets."""
-    half, square, radius = widths
-    floor, ceiling, low, high, _, _, _ = heights
-    middle, half_z = (floor + ceiling) / 2.0, (ceiling - floor) / 2.0
-    if plane_meets_prism(pos, mat, x, y, middle, half, 0.0, half_z):
-        flags |= STANDS
-    middle, half_z = (low + high) / 2.0, (high - low) / 2.0
-    if plane_meets_prism(pos, mat, x, y, middle, square, radius, half_z):
-        flags |= BLOCKS
-    return flags
-
-
-@njit(cache=True)
-def _triangle_flags(items, corners, bounds, x, y, widths, heights, flags, wanted, one, other):
-    """Add what a geom's triangles meet, until all wanted flags are set."""
-    half, square, radius = widths
-    floor, ceiling, low, high, probe_low, probe_high, _ = heights
-    reach = max(square, radius)
-    for t in items:
-        if flags & wanted == wanted:
-            break
-        box, tri = bounds[t], corners[t]
-        if not flags & BLOCKS and not _outside(box, x, y, reach, low, high):
-            if triangle_meets_prism(tri, x, y, low, high, square, radius, one, other):
-                flags |= BLOCKS
-        if not flags & STANDS and not _outside(box, x, y, half, floor, ceiling):
-            if triangle_meets_prism(tri, x, y, floor, ceiling, half, 0.0, one, other):
-                flags |= STANDS
-        if wanted & ~flags & PROBED and not _outside(box, x, y, half, probe_low, probe_high):
-            if triangle_meets_prism(tri, x, y, probe_low, probe_high, half, 0.0, one, other):
-                flags |= PROBED
-    return flags
-
-
-@njit(cache=True)
-def _solid_part(kind, pos, mat, size, x, y, low, high, half, is_round, scratch, keeps):
-    """APART, MEETS or OPEN for a solid and a prism; APART for a prism of no width."""
-    if half <= 0.0:
-        return APART
-    return solid_meets_prism(
-        kind, pos, mat, size, x, y, (low + high) / 2.0, half, (high - low) / 2.0, is_round,
-        scratch[:4], keeps[0], keeps[1], scratch[4], scratch[5],
-    )  # fmt: skip
-
-
-@njit(cache=True)
-def _is_upright(kind, mat):
-    """Whether a solid has the same section at each of its heights."""
-    if kind == CYLINDER:
-        return abs(mat[8]) == 1.0
-    return kind == BOX and abs(mat[6]) + abs(mat[7]) + abs(mat[8]) == 1.0
-
-
-@njit(cache=True)
-def _solid_flags(kind, pos, mat, size, box, x, y, widths, heights, flags, scratch, keeps):
-    """Add what a solid meets; its overlap with the band is asked as `check_cells` asks it."""
-    half, square, radius = widths
-    floor, ceiling, low, high, _, _, _ = heights
-    if not flags & BLOCKS and not _outside(box, x, y, max(square, radius), low, high):
-        part = _solid_part(kind, pos, mat, size, x, y, low, high, square, False, scratch, keeps)
-        beside = square > 0.0 and part == APART
-        if square > 0.0 and not beside:
-            flags |= STANDS  # the cell's square is the footprint's
-        if part != MEETS:
-            disc = _solid_part(
-                kind, pos, mat, size, x, y, low, high, radius, True, scratch, keeps
-            )
-            part = MEETS if disc == MEETS else max(part, disc)
-        if part == MEETS:
-            flags |= BLOCKS
-        elif part == OPEN:
-            flags |= UNPROVED
-        if beside and _is_upright(kind, mat):
-            return flags  # apart at one of its heights, apart at all
-    if not flags & STANDS and not _outside(box, x, y, half, floor, ceiling):
-        part = _solid_part(kind, pos, mat, size, x, y, floor, ceiling, half, False, scratch, keeps)
-        if part != APART:
-            flags |= STANDS
-    return flags
 
 
 @njit(cache=True)
@@ -227,7 +105,7 @@ def _add(out_geom, out_flags, first, count, geom, flags):
 @njit(cache=True, parallel=True)
 def list_geoms(
     x_min, y_max, cell_size, width, height, floors, ceilings, floor_gap, probe_low, probe_high,
-    half, square, radius, band_low, band_high, probed,
+    half, square, radius, band_low, band_high, occupied, probed,
     start, z, normals, geom, closed,
     solid_start, solid_item, solid_geom, solid_kind, solid_pos, solid_mat, solid_size,
     solid_bounds,
@@ -238,9 +116,9 @@ def list_geoms(
     """List for each cell with a floor the geoms that stand in it or block it.
 
     A geom stands in a cell when it meets the cell's square between `floor_gap` over the floor
-    and the ceiling; it blocks the cell when `check_cells` would find it in the band; it is
-    PROBED when it meets the square in the probed band. Where rounding leaves no proof that it
-    blocks, it is UNPROVED.
+    and the ceiling; it blocks the cell when `check_cells` would find it in the band, which it
+    does in occupied cells only; it is PROBED when it meets the square in the probed band. Where
+    rounding leaves no proof that it blocks, it is UNPROVED.
 
     Args:
         floors, ceilings: by cell, float64, NaN where there is no floor [m]; a ceiling is at
@@ -249,8 +127,8 @@ def list_geoms(
         probe_low, probe_high: the probed band above the floor [m].
         half: half the edge of the cell's square [m].
         square, radius, band_low, band_high: as for `check_cells`.
-        probed: by geom id, bool, which geoms are looked for in the probed band; only those
-            made of triangles.
+        occupied: by cell, bool, what came of `check_cells`.
+        probed: by geom id, bool, which geoms are looked for in the probed band.
         start, z, normals, geom: the columns.
         closed: by geom id, whether it encloses a volume.
         slot: (cells + 1,) int64: where each cell may write, see `count_candidates`.
@@ -260,11 +138,15 @@ def list_geoms(
     tiles_x = (width + TILE - 1) // TILE
     tiles_y = (height + TILE - 1) // TILE
     widths = (half, square, radius)
+    solids = (solid_kind, solid_pos, solid_mat, solid_size, solid_bounds)
     for tile in prange(tiles_x * tiles_y):
-        solids = solid_item[solid_start[tile] : solid_start[tile + 1]]
+        nearby = solid_item[solid_start[tile] : solid_start[tile + 1]]
         triangles = tri_item[tri_start[tile] : tri_start[tile + 1]]
         group_start, group_box = _group_triangles(triangles, tri_geom, tri_bounds)
-        scratch, keeps = np.empty((6, 3)), np.zeros((2, 4), np.bool_)
+        scratch = (
+            np.empty((4, 3)), np.zeros(4, np.bool_), np.zeros(4, np.bool_), np.empty(3),
+            np.empty(3),
+        )  # fmt: skip
         one, other = np.empty((12, 3)), np.empty((12, 3))
         reach = max(half, max(square, radius))
         row0, col0 = tile // tiles_x * TILE, tile % tiles_x * TILE
@@ -273,45 +155,60 @@ def list_geoms(
             for col in range(col0, min(col0 + TILE, width)):
                 cell = row * width + col
                 floor, top, here, count = floors[cell], ceilings[cell], slot[cell], 0
-                if math.isnan(floor):
+                num = slot[cell + 1] - here
+                if math.isnan(floor) or num == 0:
                     continue
                 x = x_min + (col + 0.5) * cell_size
                 low, high = floor + band_low, floor + band_high
-                first, last = start[cell], start[cell + 1]
-                column = (z, normals, geom, closed, first, last)
-                blocked = line_is_blocked(z, normals, geom, closed, first, last, low, high)
                 heights = (
-                    floor + floor_gap, top, low, high, floor + probe_low, floor + probe_high,
-                    blocked,
+                    floor + floor_gap, top, low, high, floor + probe_low, floor + probe_high
                 )  # fmt: skip
+                column = (z, normals, geom, closed, start[cell], start[cell + 1])
+                taken = occupied[cell]
+                known = 0
+                if taken and num == 1:  # nothing else can be what blocks it
+                    known = BLOCKS if radius > 0.0 else BLOCKS | STANDS
+                by_line = taken and num > 1 and line_is_blocked(*column, low, high)
                 for p in range(plane_geom.shape[0]):
-                    flags = _line_flags(column, plane_geom[p], heights)
-                    flags = _plane_flags(plane_pos[p], plane_mat[p], x, y, widths, heights, flags)
+                    if not plane_meets_prism(
+                        plane_pos[p], plane_mat[p], x, y, (floor + top) / 2.0, reach, reach,
+                        (top - floor) / 2.0,
+                    ):  # fmt: skip
+                        continue
+                    flags = line_flags(column, plane_geom[p], heights, by_line, False)
+                    flags = plane_flags(
+                        plane_pos[p], plane_mat[p], x, y, widths, heights, taken, known | flags
+                    )
                     count = _add(out_geom, out_flags, here, count, plane_geom[p], flags)
                 for g in range(group_box.shape[0]):
-                    if _outside(group_box[g], x, y, reach, floor, top):
+                    if outside(group_box, g, x, y, reach, floor, top):
                         continue
                     items = triangles[group_start[g] : group_start[g + 1]]
                     of = tri_geom[items[0]]
-                    flags, wanted = _line_flags(column, of, heights), STANDS | BLOCKS
-                    if probed[of]:
-                        wanted |= PROBED
-                        if _line_meets(column, of, heights[4], heights[5]):
-                            flags |= PROBED
-                    flags = _triangle_flags(
+                    wanted = STANDS | (BLOCKS if taken else 0) | (PROBED if probed[of] else 0)
+                    flags = known
+                    if flags & wanted != wanted:
+                        flags |= line_flags(column, of, heights, by_line, probed[of])
+                    flags = triangle_flags(
                         items, tri_corners, tri_bounds, x, y, widths, heights, flags, wanted,
                         one, other,
                     )  # fmt: skip
                     count = _add(out_geom, out_flags, here, count, of, flags)
-                for s in solids:
-                    if _outside(solid_bounds[s], x, y, reach, floor, top):
+                for s in nearby:
+                    if outside(solid_bounds, s, x, y, reach, floor, top):
                         continue
-                    flags = _solid_flags(
-                        solid_kind[s], solid_pos[s], solid_mat[s], solid_size[s],
-                        solid_bounds[s], x, y, widths, heights,
-                        _line_flags(column, solid_geom[s], heights), scratch, keeps,
-                    )  # fmt: skip
-                    count = _add(out_geom, out_flags, here, count, solid_geom[s], flags)
+                    if not taken and is_beside(s, solids, x, y, half, low, high):
+                        continue
+                    of = solid_geom[s]
+                    wanted = STANDS | (BLOCKS if taken else 0) | (PROBED if probed[of] else 0)
+                    flags = known
+                    if flags & wanted != wanted:
+                        flags |= line_flags(column, of, heights, by_line, probed[of])
+                    if flags & wanted != wanted:
+                        flags = solid_flags(
+                            s, solids, x, y, widths, heights, flags, wanted, scratch
+                        )
+                    count = _add(out_geom, out_flags, here, count, of, flags)
 
 
 @njit(cache=True, parallel=True)

@@ -23,10 +23,11 @@ def mark_surfaces(
     """Tell which crossings are floor-like and which are standable.
 
     Floor-like: faces up within the slope, or faces up more steeply at most a step above one that
-    does: a bump too low to be an obstacle. Standable: faces up within the slope, inside of no solid, and the next
-    surface above is at least `headroom` higher. A solid that stands on a surface covers it; a
-    closed surface that begins at its height doesn't, because buildings are drawn as closed
-    shells stacked on each other. Of several surfaces at one height the lowest counts.
+    does: a bump too low to be an obstacle. Standable: faces up within the slope, lies inside of
+    no solid, and the next surface above is at least `headroom` higher. A solid that stands on a
+    surface covers it; a closed surface that begins at its height doesn't, because buildings are
+    drawn as closed shells stacked on each other. Of several surfaces at one height the lowest
+    counts.
 
     Args:
         x_min, y_max, cell_size, width: the lattice.
@@ -301,11 +302,30 @@ def _nearest_candidate(cell, floor, width, height, start, z, candidate, lowest, 
 
 
 @njit(cache=True)
-def measure_top(
-    members, cells, node_start, node_z, sheet, counts, width, height,
-    start, z, floor_like, step, at_cell, under,
+def _floor_below(node_start, node_z, sheet, counts, cell, own, z):
+    """The highest floor that counts, of another sheet than own, below a height, or NaN."""
+    found = math.nan
+    for t in range(node_start[cell], node_start[cell + 1]):
+        if counts[sheet[t]] and sheet[t] != own and node_z[t] < z:
+            found = node_z[t]
+    return found
+
+
+@njit(cache=True)
+def _rises(start, z, normals, cell, height):
+    """Whether something rises through a height in a column: the next crossing above is a top."""
+    for i in range(start[cell], start[cell + 1]):
+        if z[i] > height:
+            return normals[i, 2] > 0.0
+    return False
+
+
+@njit(cache=True)
+def count_drops(
+    members, cells, node_start, node_z, sheet, counts, width, height, start, z, normals,
+    step, reach, at_cell,
 ):  # fmt: skip
-    """Measure what a sheet is the top of: how it ends, and whether a floor goes on under it.
+    """Count how a sheet ends: at each edge one looks a little further, over a bed's frame.
 
     Args:
         members: the sheet's surfaces, (m,) int64.
@@ -313,71 +333,104 @@ def measure_top(
         node_start, node_z, sheet: all standable surfaces by column, and their sheets.
         counts: by sheet, whether it counts.
         width, height: of the lattice.
-        start, z, floor_like: all crossings by column, and which face up within the slope.
+        start, z, normals: all crossings by column, ascending.
         step: [m].
-        at_cell: (cells,) int64, all -1; scratch, restored.
-        under: (cells,) float64, all NaN; scratch, restored [m].
+        reach: how many cells one looks out, >= 1.
+        at_cell: (cells,) int64, all -1; receives the sheet's surface in each of its cells, and
+            -2 - surface in the cells that one looked over.
 
     Returns:
-        The number of edges between its cells and others; how many of them drop by more than a
-        step to a floor that counts; and the number of its cells under which such a floor goes
-        on without being standable there.
+        The number of edges between its cells and others, how many of them drop by more than a
+        step to a floor that counts, the cells where those floors begin, and the ones that one
+        looked over.
     """
     own = sheet[members[0]]
     for node in members:
         at_cell[cells[node]] = node  # of several in a column, the highest
-    edges, drops, filled = 0, 0, 0
-    queue = np.empty(members.shape[0] * 5, np.int64)  # each cell and each neighbour at most once
-    touched = np.empty(members.shape[0] * 4, np.int64)
-    num_touched = 0
+    edges, drops = 0, 0
+    floors = np.empty(members.shape[0] * 4, np.int64)
+    over = [np.int64(0) for _ in range(0)]
     for node in members:
         for way in range(4):
             other = _neighbour(cells[node], way, width, height)
             if other < 0 or at_cell[other] >= 0:
                 continue
             edges += 1
-            lower = math.nan
-            for t in range(node_start[other], node_start[other + 1]):
-                if counts[sheet[t]] and sheet[t] != own and node_z[t] < node_z[node] - step - SLACK:
-                    lower = node_z[t]
-            if not math.isnan(lower):
+            limit = node_z[node] - step - SLACK
+            begin = other
+            found = False
+            for _ in range(reach):
+                if other < 0 or at_cell[other] >= 0:
+                    break
+                if _rises(start, z, normals, other, node_z[node] + step):
+                    break
+                below = _floor_below(node_start, node_z, sheet, counts, other, own, limit)
+                if not math.isnan(below):
+                    found = True
+                    break
+                other = _neighbour(other, way, width, height)
+            if found:
+                floors[drops] = other
                 drops += 1
-                if math.isnan(under[other]):
-                    under[other] = lower
-                    touched[num_touched] = other
-                    num_touched += 1
-    for i in range(num_touched):
-        queue[i] = touched[i]
-    end = num_touched
+                while begin != other:
+                    if at_cell[begin] == -1:
+                        at_cell[begin] = -2 - node
+                        over.append(begin)
+                    begin = _neighbour(begin, way, width, height)
+    return edges, drops, floors[:drops], np.array(over, dtype=np.int64)
+
+
+@njit(cache=True)
+def count_covered(
+    members, cells, node_start, node_z, sheet, counts, width, height,
+    start, z, floor_like, step, floors, at_cell,
+):  # fmt: skip
+    """Count the cells of a sheet under which the floor around it goes on, too low to stand on.
+
+    Args:
+        members, cells, node_start, node_z, sheet, counts, width, height, start, z: as in
+            `count_drops`.
+        floor_like: (n,) bool, the crossings where a floor may go on.
+        step: [m].
+        floors: the cells where the floor around begins, as `count_drops` found them.
+        at_cell: as `count_drops` left it.
+    """
+    own = sheet[members[0]]
+    top = node_z[members[0]]
+    for node in members:
+        top = max(top, node_z[node])
+    under = np.full(width * height, math.nan)
+    queue = np.empty(width * height, np.int64)
+    end = 0
+    for cell in floors:
+        if math.isnan(under[cell]):
+            under[cell] = _floor_below(node_start, node_z, sheet, counts, cell, own, top)
+            queue[end] = cell
+            end += 1
+    covered = 0
     at = 0
-    inside = np.empty(members.shape[0], np.int64)
     while at < end:
         cell = queue[at]
         at += 1
         for way in range(4):
             other = _neighbour(cell, way, width, height)
-            if other < 0 or at_cell[other] < 0 or not math.isnan(under[other]):
+            if other < 0 or at_cell[other] == -1 or not math.isnan(under[other]):
                 continue
-            node = at_cell[other]
-            roomy = False
+            is_own = at_cell[other] >= 0
+            node = at_cell[other] if is_own else -2 - at_cell[other]
+            roomy = False  # whether one can stand below
             for t in range(node_start[other], node_start[other + 1]):
-                if node_z[t] < node_z[node] - SLACK and counts[sheet[t]]:
+                if t != node and abs(node_z[t] - under[cell]) <= step + SLACK:
                     roomy = True
             if roomy:
                 continue
             for i in range(start[other], start[other + 1]):
-                low_enough = z[i] < node_z[node] - step - SLACK
-                if floor_like[i] and low_enough and abs(z[i] - under[cell]) <= step + SLACK:
+                if z[i] >= node_z[node] - step - SLACK:
+                    break
+                if floor_like[i] and abs(z[i] - under[cell]) <= step + SLACK:
                     under[other] = z[i]
-                    inside[filled] = other
-                    filled += 1
+                    covered += 1 if is_own else 0
                     queue[end] = other
                     end += 1
                     break
-    for i in range(num_touched):
-        under[touched[i]] = math.nan
-    for i in range(filled):
-        under[inside[i]] = math.nan
-    for node in members:
-        at_cell[cells[node]] = -1
-    return edges, drops, filled
+    return covered

@@ -64,9 +64,10 @@ def _take_lower(lowest, values, add):
 def flood(label, fillable, height, highest):
     """Fill cells from seeds, the highest first; a watershed whose lines take no cells.
 
-    Cells are filled in order of height; those that nothing else decides, wave by wave, each
-    wave one step across edges. A cell that several seeds reach in one wave goes to the lowest
-    label, so that the order in which cells are looked at decides nothing.
+    Cells are filled in order of height, and those of a height wave by wave, each wave one step
+    across edges. A cell that several seeds reach in one wave goes to the one with the nearest
+    cell, measured straight; of two as near, to the lowest label. So the order in which cells
+    are looked at decides nothing.
 
     Args:
         label: shape (rows, cols), int32: > 0 in seeds, else 0; is filled.
@@ -75,10 +76,9 @@ def flood(label, fillable, height, highest):
         highest: the largest height.
     """
     rows, cols = label.shape
-    labels, heights = label.ravel(), height.ravel()
-    waiting = np.zeros(rows * cols, dtype=np.bool_)  # fillable, and not yet in a queue
-    for cell in range(rows * cols):
-        waiting[cell] = fillable.ravel()[cell] and labels[cell] == 0
+    labels, heights, may_fill = label.ravel(), height.ravel(), fillable.ravel()
+    source = np.arange(rows * cols).astype(np.int32)  # the cell of the seed that each one is from
+    waiting = may_fill & (labels == 0)  # and not yet in a queue
     after = np.full(rows * cols, -1, dtype=np.int32)  # a linked list of cells a height
     head = np.full(highest + 1, -1, dtype=np.int32)
     near = np.empty(4, dtype=np.int32)
@@ -90,7 +90,7 @@ def flood(label, fillable, height, highest):
                     after[near[i]] = head[heights[near[i]]]
                     head[heights[near[i]]] = near[i]
     wave = np.empty(rows * cols, dtype=np.int32)
-    chosen = np.empty(rows * cols, dtype=np.int32)
+    origin = np.empty(rows * cols, dtype=np.int32)
     for level in range(highest, -1, -1):
         count = 0
         cell = head[level]
@@ -102,13 +102,11 @@ def flood(label, fillable, height, highest):
         while begin < count:
             end = count
             for k in range(begin, end):
-                chosen[k] = 0
-                for i in range(_neighbours(wave[k], rows, cols, near)):
-                    other = labels[near[i]]
-                    if other > 0 and (chosen[k] == 0 or other < chosen[k]):
-                        chosen[k] = other
+                number = _neighbours(wave[k], rows, cols, near)
+                origin[k] = _nearest_origin(wave[k], near[:number], labels, source, cols)
             for k in range(begin, end):
-                labels[wave[k]] = chosen[k]
+                source[wave[k]] = origin[k]
+                labels[wave[k]] = labels[origin[k]]
             for k in range(begin, end):
                 for i in range(_neighbours(wave[k], rows, cols, near)):
                     other = near[i]
@@ -122,6 +120,21 @@ def flood(label, fillable, height, highest):
                         after[other] = head[heights[other]]
                         head[heights[other]] = other
             begin = end
+
+
+@njit(cache=True)
+def _nearest_origin(cell, near, labels, source, cols):
+    """The seed's cell that is nearest, of those that labelled neighbours come from."""
+    best, least = -1, 0
+    for other in near:
+        if labels[other] == 0:
+            continue
+        row, col = source[other] // cols - cell // cols, source[other] % cols - cell % cols
+        square = row * row + col * col
+        is_lower = square == least and labels[other] < labels[best]
+        if best < 0 or square < least or is_lower:
+            best, least = source[other], square
+    return best
 
 
 @njit(cache=True)
@@ -142,6 +155,16 @@ def _neighbours(cell, rows, cols, near):
         near[count] = cell - cols
         count += 1
     return count
+
+
+@njit(cache=True)
+def first_cells(label, count):
+    """The first cell of each label from 0 to ``count - 1``; how many there are for none."""
+    labels = label.ravel()
+    first = np.full(count, labels.shape[0], dtype=np.int64)
+    for cell in range(labels.shape[0] - 1, -1, -1):
+        first[labels[cell]] = cell
+    return first
 
 
 @njit(cache=True)

@@ -14,14 +14,14 @@ import pytest
 from hypothesis import HealthCheck, assume, given, note, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from oracles.prisms import OCCUPIED, UNKNOWN
-from oracles.scene import Thing, scene_xml
-from oracles.truth import Rules, Truth, UnsureError
 
 from navbake.bake.pipeline import run_bake
 from navbake.config import parse_config
 from navbake.errors import SceneError
 from navbake.grid import MultiLevelGrid, SceneGrid2D
+from oracles.prisms import OCCUPIED, UNKNOWN
+from oracles.scene import Thing, scene_xml
+from oracles.truth import Rules, Truth, UnsureError
 
 MORE = int(os.environ.get("NAVBAKE_EXAMPLES", "0"))
 FOLDER = tempfile.TemporaryDirectory()
@@ -253,12 +253,14 @@ def on_lattice(level: SceneGrid2D, truth: Truth) -> tuple[NDArray, NDArray, NDAr
     return floor.ravel(), occupancy.ravel(), weights.ravel()
 
 
-def check(things: list[Thing], rules: Rules, levels: object = "auto") -> None:
+def check(
+    things: list[Thing], rules: Rules, levels: object = "auto", *, snapped: bool = False
+) -> None:
     """Bake a scene and compare every cell of every level with the truth."""
     note(scene_xml(things))
     note(repr(rules))
     try:
-        truth = Truth(things, rules)
+        truth = Truth(things, rules, snapped)
     except UnsureError:
         assume(False)
     if not truth.counted.any():
@@ -276,10 +278,10 @@ def check(things: list[Thing], rules: Rules, levels: object = "auto") -> None:
         assume(False)
     if isinstance(levels, list):
         used = [k for k, floor in enumerate(standing) if not np.isnan(floor).all()]
-        standing, expected = [standing[k] for k in used], [expected[k] for k in used]
-    assert len(standing) == len(grid.levels)
+        expected = [expected[k] for k in used]
+    assert len(expected) == len(grid.levels)
     unknown = total = 0
-    for level, stands, floor in zip(grid.levels, standing, expected, strict=True):
+    for level, floor in zip(grid.levels, expected, strict=True):
         if len(grid.levels) == 1:
             assert level.shape == truth.shape
         found, occupancy, weights = on_lattice(level, truth)
@@ -291,8 +293,7 @@ def check(things: list[Thing], rules: Rules, levels: object = "auto") -> None:
         state[cells] = truth.occupied(cells, floor[cells])
         wrong = (state != UNKNOWN) & ((state == OCCUPIED) != (occupancy == 1))
         assert not wrong.any(), describe(truth, wrong, state == OCCUPIED, occupancy)
-        free = ~np.isnan(stands) & (occupancy == 0)
-        np.testing.assert_array_equal(weights, np.where(free, 1.0, np.inf))
+        np.testing.assert_array_equal(weights, np.where(occupancy == 0, 1.0, np.inf))
         unknown += int((state == UNKNOWN).sum())
         total += len(cells)
     assert unknown <= max(2, 0.01 * total), f"{unknown} of {total} cells were not compared"
@@ -345,3 +346,38 @@ def test_given_levels(scene: tuple[list[Thing], Rules], ground: float, upper: fl
         check(*scene, levels=[{"ground": -9.0}, {"ground": ground}, {"ground": ground + upper}])
     except SceneError as error:
         assert "no floor on level" in str(error)
+
+
+@st.composite
+def snapped_scenes(draw: st.DrawFn) -> tuple[list[Thing], Rules]:
+    """Faces on multiples of half a cell, heights on multiples of 0.05 m, limits to match."""
+    cell = draw(st.sampled_from([0.1, 0.07, 0.15, 0.2, 0.25]))
+    num = draw(st.integers(8, 20))
+    things = [Thing("box", (num * cell / 2, 5 * cell, 0.1), (0.0, 0.0, -0.1))]
+    for _ in range(draw(st.integers(1, 8))):
+        x, y = draw(st.integers(-num, num)), draw(st.integers(-10, 10))
+        dx, dy = draw(st.integers(1, 12)), draw(st.integers(1, 12))
+        z = draw(st.sampled_from([-0.2, 0.0, 0.0, 0.0, 0.25, 0.5, 1.0, 1.15, 1.2]))
+        dz = draw(st.sampled_from([0.05, 0.1, 0.15, 0.25, 0.5, 1.0]))
+        if draw(st.integers(0, 3)) == 0:
+            size: tuple[float, ...] = dx * cell / 4, dz / 2
+            things.append(Thing("cylinder", size, (x * cell / 2, y * cell / 2, z + dz / 2)))
+        else:
+            size = dx * cell / 4, dy * cell / 4, dz / 2
+            place = (x + dx / 2) * cell / 2, (y + dy / 2) * cell / 2, z + dz / 2
+            things.append(Thing("box", size, place))
+    return things, Rules(
+        cell_size=cell,
+        bounds=(-num * cell / 2, -5 * cell, num * cell / 2, 5 * cell),
+        height=draw(st.sampled_from([1.15, 1.0, 0.9, 0.6])),
+        radius=draw(st.sampled_from([0.0, 0.5, 1.0, 1.5, 2.0])) * cell,
+        step=draw(st.sampled_from([0.25, 0.1, 0.0])),
+        min_area=20.3 * cell**2,
+        shrink=draw(st.sampled_from([0.0, 0.7])) * cell,
+    )
+
+
+@examples(80)
+@given(snapped_scenes())
+def test_faces_on_edges_and_centres_of_cells(scene: tuple[list[Thing], Rules]) -> None:
+    check(*scene, snapped=True)

@@ -145,6 +145,17 @@ def test_bed_in_a_corner_is_furniture(bake):
     assert grid.occupancy[row, col] == 1
 
 
+def test_bed_upstairs_is_furniture_over_a_frame(bake):
+    """Its frame is wider than the mattress, and one can stand on the storey below."""
+    upstairs = [box(0, 10, 0, 8, 2.7, 3), *walls(0, 10, 0, 8, 3, 5.7, door=False)]
+    bed = [box(0.2, 2.0, 0.2, 2.4, 3.2, 3.32), box(0.3, 1.9, 0.3, 2.3, 3.32, 3.55)]
+    legs = [box(x, x + 0.1, y, y + 0.1, 3, 3.2) for x in (0.2, 1.9) for y in (0.2, 2.3)]
+    lower = [FLOOR, *walls(0, 10, 0, 8, 0, 2.7, door=True)]
+    grid = bake([*lower, *upstairs, box(0, 10, 0, 8, 5.7, 5.9), *bed, *legs])
+    assert grounds(grid) == [0, 3]
+    assert floor_at(grid, 1, 1.1, 1.1) == 3
+
+
 def test_house_on_a_plinth_keeps_its_floor(bake):
     """No step leads up to it, and the ground goes on under it, but it ends at its walls."""
     house = [box(0, 10, 0, 8, -0.1, 0), *walls(0, 10, 0, 8, 0, 2.5, door=True)]

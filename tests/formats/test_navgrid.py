@@ -610,7 +610,7 @@ JSON_VALUES = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(NAMES, inner, max_size=3),
     max_leaves=5,
 )
-OBJECTS = st.dictionaries(NAMES, JSON_VALUES, max_size=2)
+OBJECTS = st.dictionaries(NAMES.filter(lambda name: name != "navbake"), JSON_VALUES, max_size=2)
 LENGTHS = st.floats(-1e6, 1e6)
 VECTORS = st.tuples(LENGTHS, LENGTHS, LENGTHS)
 
@@ -776,6 +776,7 @@ UNWRITABLE = {
     "metadata number": (_grown(metadata={"a": np.int64(2)}), "type int64 at `metadata.a`"),
     "metadata key": (_grown(metadata={"a": {1: 2}}), "strings as keys .* at `metadata`"),
     "metadata keys": (_grown(metadata={"a": {(1, 2): {}}, "b": NAN}), "got nan at `metadata.b`"),
+    "navbake": (_grown(metadata={"navbake": []}), "an object, .* 0 at `metadata.navbake`"),
     "deep metadata": (_grown(metadata=json.loads('{"a":' * 70 + "1" + "}" * 70)), "deeper than 64"),
     "long integer": (_grown(metadata={"a": 2**70}), "64-bit"),
     "surrogate": (_grown(metadata={"a": "\ud800"}), "cannot write the grid"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -95,6 +95,15 @@ def part_of(thing: Thing) -> Part:
     if thing.kind == "hull":
         return Polytope.hull(world)
     return Surface(world[np.array(thing.faces)], closed=thing.kind == "closed")
+
+
+def widen(thing: Thing, margin: float) -> Thing:
+    """An upright box or cylinder, wider on all sides but not higher."""
+    if thing.kind == "box":
+        return replace(thing, size=(thing.size[0] + margin, thing.size[1] + margin, thing.size[2]))
+    if thing.kind == "cylinder":
+        return replace(thing, size=(thing.size[0] + margin, thing.size[1]))
+    return thing
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,14 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from oracles.prisms import FREE, OCCUPIED, UNKNOWN, Prisms
-from oracles.scene import HalfSpace, Part, Thing, cross_all, part_meets_prisms, part_of
+from oracles.scene import HalfSpace, Part, Thing, cross_all, part_meets_prisms, part_of, widen
 from oracles.solids import Float
 
 Bool = NDArray[np.bool_]
 
 ONE = 1e-5  # surfaces this close together are one [m]
 SURE = 1e-7  # less than this is rounding [m]
+RIM = 1e-8  # for exact rims [m]
 UNSURE = 2e-6  # up to this a limit may count as kept or not [m]
 
 
@@ -45,6 +46,8 @@ class Truth:
 
     Attributes:
         rules: the settings.
+        snapped: whether rims of boxes and upright cylinders lie under cells' centres exactly:
+            such lines cross them.
         shape: (rows, cols) of the lattice.
         x, y: centres of the cells, by cell id [m].
         top: floor-like surfaces, shape (k, cells), NaN for none [m].
@@ -54,6 +57,7 @@ class Truth:
 
     things: list[Thing]
     rules: Rules
+    snapped: bool = False
     shape: tuple[int, int] = (0, 0)
     x: Float = field(default_factory=lambda: np.zeros(0))
     y: Float = field(default_factory=lambda: np.zeros(0))
@@ -62,14 +66,17 @@ class Truth:
         self._lay_cells()
         self._parts: list[Part] = [part_of(thing) for thing in self.things]
         min_up = math.cos(math.radians(self.rules.max_slope))
-        self._columns, unsure = cross_all(self._parts, self.x, self.y, min_up)
-        if unsure.any():
+        lined_up = [part_of(widen(thing, RIM)) for thing in self.things]
+        lined_up = lined_up if self.snapped else self._parts
+        self._columns, unsure = cross_all(lined_up, self.x, self.y, min_up)
+        if unsure.any() and not self.snapped:
             raise UnsureError("a line runs along a rim")
         z = np.concatenate([c.z for c in self._columns])
         up = np.concatenate([c.up for c in self._columns])
         self._all_z = z
         with np.errstate(invalid="ignore"):
             self.top = np.where(up >= min_up - SURE, z, np.nan)
+            self._steep = np.where((up > 0) & ~(up >= min_up - SURE), z, np.nan)
         self.standable = np.stack([self._is_standable(k) for k in range(len(self.top))])
         self.counted = self._count_sheets()
 
@@ -195,15 +202,15 @@ class Truth:
     def grow(self, levels: list[Float], number: int) -> Float:
         """Let a level's floor go on under things, ring by ring.
 
-        It takes no surface that one can stand on, and keeps the agent's height from the levels
-        above and below.
+        It takes surfaces that face up within the slope, and low bumps on those; none that one
+        can stand on; and it keeps the agent's height from the levels above and below.
 
         Args:
             levels: the counted surfaces of all levels, see `place`.
             number: which of them.
         """
         floor = levels[number].copy()
-        candidate = self.top.copy()
+        candidate = np.concatenate([self.top, self._low_bumps()])
         counted_z = np.where(self.counted, self.top, np.nan)
         with np.errstate(invalid="ignore"):
             for k in range(len(candidate)):
@@ -220,6 +227,18 @@ class Truth:
                 return floor
             for cell, z in ring.items():
                 floor[cell] = z
+
+    def _low_bumps(self) -> Float:
+        """Surfaces that face up too steeply, at most a step above one that doesn't."""
+        bumps = np.full_like(self._steep, np.nan)
+        for k, z in enumerate(self._steep):
+            with np.errstate(invalid="ignore"):
+                below = np.where(self.top <= z, self.top, -np.inf).max(axis=0)
+                rise = z - below - self.rules.step
+                if (np.abs(rise) < UNSURE).any():
+                    raise UnsureError("a bump is just a step high")
+                bumps[k] = np.where(rise < 0, z, np.nan)
+        return bumps
 
     def _next_ring(self, floor: Float, candidate: Float) -> dict[int, float]:
         rows, cols = self.shape

@@ -1,0 +1,77 @@
+"""What a glTF or GLB holds that trimesh would leave out or misplace in silence."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from navbake.errors import SceneError
+
+JSON_CHUNK = 0x4E4F534A
+TRIANGLE_FAN = 6
+UNREAD = {
+    "EXT_mesh_gpu_instancing": "export its copies as nodes",
+    "EXT_meshopt_compression": "export it without compression",
+    "KHR_meshopt_compression": "export it without compression",
+    "KHR_draco_mesh_compression": "export it without compression",
+}
+
+
+def check_gltf(path: Path) -> None:
+    """Refuse a glTF or GLB file that trimesh would read as something else.
+
+    Args:
+        path: the file.
+
+    Raises:
+        SceneError: it is cut off or none, uses an extension that changes its shape, or numbers
+            that trimesh reads wrongly (normalized, sparse).
+    """
+    try:
+        data = path.read_bytes()
+        header = json.loads(_json_chunk(data) if path.suffix.lower() == ".glb" else data)
+        if not isinstance(header, dict):
+            raise ValueError("its JSON is no object")
+        problem = _find_problem(header, len(data))
+    except (ValueError, RecursionError, KeyError, IndexError, TypeError, AttributeError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise SceneError(f"broken glTF {path}: {reason}") from error
+    if problem:
+        raise SceneError(f"cannot read {path}: {problem}")
+
+
+def _json_chunk(data: bytes) -> bytes:
+    if len(data) < 20 or not data.startswith(b"glTF"):
+        raise ValueError("it has no GLB header")
+    version, length, json_length, kind = (
+        int.from_bytes(data[at : at + 4], "little") for at in (4, 8, 12, 16)
+    )
+    if version != 2:
+        raise ValueError(f"expected version 2, got {version}")
+    if length > len(data):
+        raise ValueError(f"it is cut off: expected {length} bytes, got {len(data)}")
+    if kind != JSON_CHUNK or 20 + json_length > len(data):
+        raise ValueError("its first chunk is no JSON")
+    return data[20 : 20 + json_length]
+
+
+def _find_problem(header: dict[str, Any], size: int) -> str:
+    for name in header.get("extensionsUsed", []):
+        if name in UNREAD:
+            return f"it uses {name}: {UNREAD[name]}"
+    accessors = header.get("accessors", [])
+    for accessor in accessors:
+        if "bufferView" not in accessor and accessor["count"] > max(size, 10_000_000):
+            raise ValueError(f"it claims {accessor['count']} numbers without data")
+    for mesh in header.get("meshes", []):
+        for primitive in mesh["primitives"]:
+            if primitive.get("mode") == TRIANGLE_FAN:
+                return "it has triangle fans: export them as triangles"
+            used = [primitive["attributes"].get("POSITION"), primitive.get("indices")]
+            for index in used:
+                if index is not None and "sparse" in accessors[index]:
+                    return "it has sparse accessors: export them as plain ones"
+                if index is not None and accessors[index].get("normalized"):
+                    return "its positions are normalized integers: export it unquantized"
+    return ""

@@ -1,0 +1,130 @@
+"""What the building itself is made of: floors, stairs, ceilings and roofs, but not its walls."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from navbake.bake.extents import Extents
+from navbake.bake.levels import Floors
+from navbake.config import AgentSettings
+from navbake.kernels.sheets import SAME, SLACK
+from navbake.lattice import Lattice
+
+Bool = NDArray[np.bool_]
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+# A thing that one can stand on is at most this large and lies at most this high [m², m] ...
+THING_AREA, THING_HEIGHT = 4.0, 1.0
+# ... over a floor, in at least this share of its cells
+MOSTLY = 0.9
+# What is no higher than this is no step on the way up [m]
+COVERING = 0.03
+# A ceiling is at least this wide both ways [m]
+CEILING_WIDTH = 1.5
+
+
+@dataclass(frozen=True)
+class Footing:
+    """What carries the floor of a storey.
+
+    Attributes:
+        carrier: the geom whose surface each cell's floor is, shape (cells,), int32, -1 for none.
+        gap: how far the next geom's floor lies below, shape (cells,), float64, inf for none [m].
+    """
+
+    carrier: NDArray[np.int32]
+    gap: Float
+
+
+def find_carriers(
+    floors: Floors, footings: Sequence[Footing], agent: AgentSettings, lattice: Lattice, num: int
+) -> tuple[Bool, Bool]:
+    """Part the geoms that carry floors into those of the building and things on its floors.
+
+    A thing (a rug, a pallet, a low box, a boulder) is at most 4 m² large together with what
+    goes on at its height, lies over another floor, at most 1 m higher, and leads nowhere: no
+    step goes on from it to a floor of the building. All else is the building's: floors,
+    stairs, ramps, platforms, terrain.
+
+    Args:
+        floors: the storeys.
+        footings: what carries them.
+        agent: its step.
+        lattice: the cells.
+        num: how many geoms there are.
+
+    Returns:
+        Masks of the geoms of the building and of the things, shape (num,), bool.
+    """
+    carrier = np.concatenate([footing.carrier for footing in footings])
+    gap = np.concatenate([footing.gap for footing in footings])
+    has_floor = carrier >= 0
+    carrier, gap = carrier[has_floor], gap[has_floor]
+    cells = np.bincount(carrier, minlength=num)
+    over_floor = np.bincount(carrier, gap <= THING_HEIGHT + SLACK, num)
+    covering = np.bincount(carrier, gap <= COVERING + SLACK, num) >= MOSTLY * cells
+    low, high, rise = _steps(floors, footings, lattice)
+    area = _plateau_cells(low, high, rise, cells) * lattice.cell_size**2
+    things = (cells > 0) & (area <= THING_AREA + SLACK) & (over_floor >= MOSTLY * cells)
+    is_step = (rise > SAME) & (rise <= agent.traversable_floor_height + SLACK) & ~covering[low]
+    low, high = low[is_step], high[is_step]
+    while (leads_up := np.unique(low[things[low] & ~things[high]])).size:
+        things[leads_up] = False
+    return (cells > 0) & ~things, things
+
+
+def find_ceilings(extents: Extents, base: Float, static: Bool, agent: AgentSettings) -> Bool:
+    """Mark ceilings and roofs: static, wide both ways, no taller than wide, and over all heads.
+
+    Args:
+        extents: the geoms'.
+        base: least height of each geom over a floor that it hangs over, inf for none [m].
+        static: which geoms can't move.
+        agent: its height.
+    """
+    with np.errstate(invalid="ignore"):
+        flat = extents.high - extents.low <= extents.thin
+        wide = extents.thin >= CEILING_WIDTH
+    ceilings: Bool = static & wide & flat & (base >= agent.height - SLACK)
+    return ceilings
+
+
+def _steps(floors: Floors, footings: Sequence[Footing], lattice: Lattice) -> tuple[Int, Int, Float]:
+    """Pairs of geoms whose floors lie side by side: the lower, the higher, and by how much."""
+    carrier = np.stack([footing.carrier for footing in footings])
+    floor = np.stack([level.floor.ravel() for level in floors.levels])
+    links = floors.links
+    ones = [carrier[links[:, 0], links[:, 1]]]
+    others = [carrier[links[:, 2], links[:, 3]]]
+    rises = [floor[links[:, 2], links[:, 3]] - floor[links[:, 0], links[:, 1]]]
+    for number in range(len(carrier)):
+        grid = carrier[number].reshape(lattice.shape)
+        for beside, one, other in (
+            (1, grid[:, :-1], grid[:, 1:]),
+            (lattice.width, grid[:-1], grid[1:]),
+        ):
+            row, col = np.nonzero((one != other) & (one >= 0) & (other >= 0))
+            a = row * lattice.width + col
+            ones.append(carrier[number, a])
+            others.append(carrier[number, a + beside])
+            rises.append(floor[number, a + beside] - floor[number, a])
+    first, second, rise = np.concatenate(ones), np.concatenate(others), np.concatenate(rises)
+    low, high = np.where(rise >= 0, first, second), np.where(rise >= 0, second, first)
+    return low.astype(np.int64), high.astype(np.int64), np.abs(rise)
+
+
+def _plateau_cells(low: Int, high: Int, rise: Float, cells: Int) -> Int:
+    """How many cells each geom carries together with all that go on at the same height."""
+    level = rise <= SAME
+    pairs = np.ones(int(level.sum())), (low[level], high[level])
+    graph = coo_array(pairs, shape=(len(cells), len(cells)))
+    _, plateau = connected_components(graph, directed=False)
+    total: Int = np.bincount(plateau, cells).astype(np.int64)[plateau]
+    return total

@@ -1,0 +1,199 @@
+"""Doors of a grid: the cells that each can block, and the same grid with them in other states.
+
+The file carries, for each door and state, the cells that the door blocks and nothing else does.
+So another state needs no scene and no new bake.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.errors import FormatError, QueryError
+from navbake.islands import add_layers
+
+if TYPE_CHECKING:
+    from navbake.grid import MultiLevelGrid, SceneGrid2D
+
+    AnyGrid = TypeVar("AnyGrid", SceneGrid2D, MultiLevelGrid)
+
+STATES = ("modelled", "open", "closed", "removed")
+
+Runs = list[int]
+"""Cell ids as runs: first id, count, first id, count, …"""
+
+
+def to_runs(cells: NDArray[np.int64]) -> Runs:
+    """Pack ascending cell ids, shape (n,), into runs."""
+    if not len(cells):
+        return []
+    breaks = np.flatnonzero(np.diff(cells) != 1) + 1
+    first = np.concatenate([[0], breaks])
+    count = np.diff(np.concatenate([first, [len(cells)]]))
+    return [int(v) for v in np.stack([cells[first], count], axis=1).ravel()]
+
+
+def from_runs(runs: Iterable[int]) -> NDArray[np.int64]:
+    """Unpack runs into ascending cell ids, shape (n,), int64."""
+    pairs = np.asarray(list(runs), dtype=np.int64).reshape(-1, 2)
+    parts = [np.arange(first, first + count) for first, count in pairs]
+    return np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)
+
+
+def door_cells(door: Mapping[str, Any], state: str, num_levels: int) -> list[NDArray[np.int64]]:
+    """The cells that a door blocks in a state, and nothing else does.
+
+    Args:
+        door: its entry in the grid's `doors`.
+        state: one of modelled, open, closed, removed.
+        num_levels: how many levels the grid has.
+
+    Returns:
+        Ascending cell ids for each level.
+    """
+    per_level: list[NDArray[np.int64]] = [np.empty(0, dtype=np.int64)] * num_levels
+    for level, runs in door["cells"].get(state, []):
+        per_level[level] = from_runs(runs)
+    return per_level
+
+
+def check_doors(doors: Any, sizes: list[int]) -> None:
+    """Check the doors of a file.
+
+    Args:
+        doors: what stands at ``metadata.navbake.doors``.
+        sizes: number of cells of each level.
+
+    Raises:
+        FormatError: a door names no cells, or cells that the grid doesn't have.
+    """
+    where = "metadata.navbake.doors"
+    if not isinstance(doors, list):
+        raise FormatError(f"expected a list at `{where}`, got {type(doors).__name__}")
+    for number, door in enumerate(doors):
+        here = f"{where}[{number}]"
+        if not isinstance(door, dict) or not isinstance(door.get("cells"), dict):
+            raise FormatError(f"expected a door with `cells` at `{here}`")
+        if not isinstance(door.get("id"), str) or door.get("state") not in STATES:
+            raise FormatError(f"expected a door with an `id` and a `state` at `{here}`")
+        for state, entries in door["cells"].items():
+            if state not in STATES or not isinstance(entries, list):
+                raise FormatError(f"expected a list for a known state at `{here}.cells.{state}`")
+            for entry in entries:
+                if not _is_entry(entry, sizes):
+                    raise FormatError(
+                        f"expected [level, [first cell, count, …]] within the grid at "
+                        f"`{here}.cells.{state}`"
+                    )
+
+
+def _is_entry(entry: Any, sizes: list[int]) -> bool:
+    if not isinstance(entry, list) or len(entry) != 2:
+        return False
+    level, runs = entry
+    if type(level) is not int or not 0 <= level < len(sizes):
+        return False
+    if not isinstance(runs, list) or len(runs) % 2 or any(type(v) is not int for v in runs):
+        return False
+    pairs = zip(runs[::2], runs[1::2], strict=True)
+    return all(a >= 0 and 0 < n <= sizes[level] - a for a, n in pairs)
+
+
+def with_doors(grid: AnyGrid, states: Mapping[str, str]) -> AnyGrid:
+    """The same grid with doors in other states; see `SceneGrid2D.with_doors`."""
+    doors = copy.deepcopy(grid.navbake.get("doors", []))
+    by_id = {door["id"]: door for door in doors}
+    for name, state in states.items():
+        if name not in by_id:
+            near = get_close_matches(name, by_id, n=1)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            known = ", ".join(sorted(by_id)) or "none"
+            raise QueryError(f"no door {name!r} in {grid.scene_id!r}: {hint}it has {known}")
+        if state not in STATES:
+            raise QueryError(f"expected one of {', '.join(STATES)} for {name!r}, got {state!r}")
+    levels = grid.levels
+    occupied = [level.occupancy.astype(np.bool_).ravel() for level in levels]
+    for door in doors:
+        for mask, cells in zip(occupied, door_cells(door, door["state"], len(levels)), strict=True):
+            mask[cells] = False
+    for door in doors:
+        door["state"] = states.get(door["id"], door["state"])
+        for mask, cells in zip(occupied, door_cells(door, door["state"], len(levels)), strict=True):
+            mask[cells] = True
+    return _rebuild(grid, doors, occupied)
+
+
+def name_door_cells(
+    user_data: dict[int, dict[str, Any]], doors: list[dict[str, Any]], level: int, num_levels: int
+) -> dict[int, dict[str, Any]]:
+    """Write the doors of each cell into a level's user data.
+
+    A cell is in a door where the door blocks it when closed, or as it stands.
+
+    Args:
+        user_data: what else is known of the level's cells; not changed.
+        doors: the grid's doors.
+        level: which level.
+        num_levels: how many the grid has.
+
+    Returns:
+        User data with `doors` where a cell is in one, by ascending cell id.
+    """
+    names: dict[int, set[str]] = {}
+    blocking: dict[int, set[str]] = {}
+    for door in doors:
+        for state in ("closed", door["state"]):
+            for cell in door_cells(door, state, num_levels)[level].tolist():
+                names.setdefault(cell, set()).add(door["id"])
+                if state == door["state"]:
+                    blocking.setdefault(cell, set()).add(door["id"])
+    # nothing but doors blocks their cells, so what blocks there is theirs as well
+    merged = {
+        cell: {k: v for k, v in entry.items() if k not in ("doors", "blockers")}
+        if "doors" in entry
+        else entry
+        for cell, entry in user_data.items()
+    }
+    for cell, found in names.items():
+        merged[cell] = {"doors": sorted(found), **merged.get(cell, {})}
+        by_doors = blocking.get(cell, set())
+        if by_doors and by_doors != set().union(*merged[cell].values()):
+            merged[cell]["blockers"] = sorted(by_doors)
+    return {cell: merged[cell] for cell in sorted(merged) if merged[cell]}
+
+
+def _rebuild(
+    grid: AnyGrid, doors: list[dict[str, Any]], occupied: list[NDArray[np.bool_]]
+) -> AnyGrid:
+    from navbake.grid import MultiLevelGrid
+
+    metadata = {**grid.metadata, "navbake": {**grid.navbake, "doors": doors}}
+    levels = []
+    for number, (level, mask) in enumerate(zip(grid.levels, occupied, strict=True)):
+        is_occupied = mask.reshape(level.shape)
+        was_occupied = level.occupancy.astype(np.bool_)
+        weights = level.weights.copy()
+        weights[is_occupied & ~was_occupied] = np.inf
+        weights[~is_occupied & was_occupied] = 1.0
+        levels.append(
+            replace(
+                level,
+                weights=weights,
+                attributes={**level.attributes, "occupancy": is_occupied.astype(np.uint8)},
+                user_data=name_door_cells(level.user_data, doors, number, len(occupied)),
+                metadata=metadata,
+            )
+        )
+    whole: Any = grid
+    rebuilt: Any = levels[0]
+    if isinstance(grid, MultiLevelGrid):
+        rebuilt = replace(whole, grids=levels, metadata=metadata)
+    add_layers(rebuilt, {name for level in levels for name in level.attributes})
+    result: AnyGrid = rebuilt
+    return result

@@ -1,0 +1,118 @@
+"""GeoJSON (RFC 7946), as far as it holds rooms: polygons with a name and a level, in metres."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import orjson
+
+from navbake.errors import FormatError
+from navbake.polygon import find_fault
+
+MAX_BYTES = 64 << 20
+
+Ring = list[list[float]]
+
+
+def read_room_outlines(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
+    """Read the polygons of a GeoJSON file: a FeatureCollection, or a single Feature.
+
+    Coordinates are world x, y in metres; a third one is left out. Of the properties, ``name``
+    (text) and ``level`` (a number from 0, or a name; 0 if missing) count. A MultiPolygon is one
+    room. Rings may be closed or not.
+
+    Returns:
+        ``name``, ``level``, ``points`` (the first outline) and ``rings`` (holes and further
+        parts) of each.
+
+    Raises:
+        FormatError: the file can't be read, is no GeoJSON, or holds something else than
+            polygons; the message names the feature.
+    """
+    content = _parse(Path(path))
+    kind = content.get("type") if isinstance(content, dict) else None
+    if kind == "FeatureCollection" and isinstance(content.get("features"), list):
+        features = content["features"]
+    elif kind == "Feature":
+        features = [content]
+    else:
+        raise FormatError(f"expected a GeoJSON FeatureCollection in {path}, got {_shown(kind)}")
+    return [_read_feature(feature, number, path) for number, feature in enumerate(features)]
+
+
+def _parse(path: Path) -> Any:
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise FormatError(f"{path} is larger than {MAX_BYTES:,} bytes")
+        return orjson.loads(path.read_bytes())
+    except FileNotFoundError:
+        raise FormatError(f"no such file: {path}") from None
+    except OSError as error:
+        raise FormatError(f"cannot read {path}: {error.strerror}") from error
+    except orjson.JSONDecodeError as error:
+        raise FormatError(f"{path} is no JSON: {error}") from error
+
+
+def _read_feature(feature: Any, number: int, path: str | os.PathLike[str]) -> dict[str, Any]:
+    where = f"feature {number} of {path}"
+    if not isinstance(feature, dict) or feature.get("type") != "Feature":
+        raise FormatError(f"expected a Feature, got {_shown(feature)} as {where}")
+    properties = feature.get("properties") or {}
+    name, level = properties.get("name"), properties.get("level", 0)
+    if name is not None and not (isinstance(name, str) and name):
+        raise FormatError(f"expected text at `properties.name`, got {_shown(name)} in {where}")
+    if isinstance(name, str):
+        where = f"feature {number} ({name!r}) of {path}"
+    if isinstance(level, float) and level.is_integer():
+        level = int(level)
+    is_number = isinstance(level, int) and not isinstance(level, bool) and level >= 0
+    if not is_number and not (isinstance(level, str) and level):
+        raise FormatError(
+            f"expected a level's number from 0, or its name, at `properties.level`, "
+            f"got {_shown(level)} in {where}"
+        )
+    rings = [_read_ring(ring, where) for polygon in _polygons(feature, where) for ring in polygon]
+    if not rings:
+        raise FormatError(f"expected an outline, got none in {where}")
+    return {"name": name, "level": level, "points": rings[0], "rings": rings[1:]}
+
+
+def _polygons(feature: dict[str, Any], where: str) -> list[list[Any]]:
+    geometry = feature.get("geometry")
+    kind = geometry.get("type") if isinstance(geometry, dict) else None
+    coordinates = geometry.get("coordinates") if isinstance(geometry, dict) else None
+    if kind not in ("Polygon", "MultiPolygon"):
+        raise FormatError(f"expected a Polygon or MultiPolygon, got {_shown(kind)} in {where}")
+    polygons = [coordinates] if kind == "Polygon" else coordinates
+    if not isinstance(polygons, list) or not all(isinstance(part, list) for part in polygons):
+        raise FormatError(f"expected lists of rings at `coordinates` in {where}")
+    return polygons
+
+
+def _read_ring(ring: Any, where: str) -> Ring:
+    if not isinstance(ring, list) or not all(_is_position(position) for position in ring):
+        raise FormatError(f"expected a ring of positions [x, y] in {where}")
+    points = [[float(position[0]), float(position[1])] for position in ring]
+    if len(points) > 1 and points[0] == points[-1]:
+        points.pop()
+    if len(points) < 3:
+        raise FormatError(f"expected a ring of 3 corners or more, got {len(points)} in {where}")
+    fault = find_fault(points)
+    if fault:
+        raise FormatError(f"expected a simple outline, got {fault} in {where}")
+    return points
+
+
+def _is_position(value: Any) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) >= 2
+        and all(type(v) in (int, float) and math.isfinite(v) for v in value[:2])
+    )
+
+
+def _shown(value: Any) -> str:
+    return "none" if value is None else (value if isinstance(value, str) else repr(value))[:60]

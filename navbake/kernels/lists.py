@@ -1,0 +1,51 @@
+"""Ragged lists: which of them are equal."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def number_lists(start, value, number):
+    """Number ragged lists so that equal ones share a number.
+
+    Args:
+        start: (n + 1,) int64: list i is ``value[start[i]:start[i + 1]]``.
+        value: int64, >= 0.
+        number: (n,) int64, receives the numbers, by first appearance.
+
+    Returns:
+        The first list of each number, int64.
+    """
+    num = start.shape[0] - 1
+    size = 16
+    while size < 2 * num:
+        size *= 2
+    table = np.full(size, -1, np.int64)
+    first = np.empty(num, np.int64)
+    count = 0
+    for i in range(num):
+        key = np.uint64(1469598103934665603)
+        for j in range(start[i], start[i + 1]):
+            key = (key ^ np.uint64(value[j])) * np.uint64(1099511628211)
+            key ^= key >> np.uint64(29)
+        place = np.int64(key & np.uint64(size - 1))
+        while table[place] >= 0 and not _are_equal(start, value, first[table[place]], i):
+            place = (place + 1) & (size - 1)
+        if table[place] < 0:
+            table[place] = count
+            first[count] = i
+            count += 1
+        number[i] = table[place]
+    return first[:count].copy()
+
+
+@njit(cache=True)
+def _are_equal(start, value, a, b):
+    if start[a + 1] - start[a] != start[b + 1] - start[b]:
+        return False
+    k, num = 0, start[a + 1] - start[a]
+    while k < num and value[start[a] + k] == value[start[b] + k]:
+        k += 1
+    return k == num

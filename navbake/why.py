@@ -1,0 +1,92 @@
+"""What a grid knows of one place, and why an agent can't stand there; from the file alone."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from navbake.errors import QueryError
+from navbake.islands import find_islands
+
+if TYPE_CHECKING:
+    from navbake.grid import NavGrid, SceneGrid2D
+
+NAMES = ("doors", "objects", "walls")
+
+
+def describe_cell(grid: NavGrid, x: float, y: float, level: int = 0) -> dict[str, Any]:
+    """Tell what a grid knows of the cell at a place.
+
+    Args:
+        grid: the grid.
+        x, y: world position [m].
+        level: which level, 0 is the lowest.
+
+    Returns:
+        ``level``, ``row``, ``col``, ``cell`` (its id), ``center`` (world x, y [m]), ``floor``
+        (world z [m], None for none), ``free``, ``occupied``, ``weight`` (None for infinite),
+        ``room`` (its entry in the grid's `rooms`, else its index, None for none), ``island``
+        (from 1, the largest; None where it isn't free), ``doors``, ``objects``, ``walls``: names
+        of what stands in the cell; ``blockers``: names of what blocks it, where the file tells.
+
+    Raises:
+        QueryError: there is no such level, or the position is no number or beside the grid.
+    """
+    part = _level(grid, level)
+    row, col = _cell(part, x, y, level)
+    entry = part.user_data.get(row * part.width + col, {})
+    floor, weight = float(part.floor_height[row, col]), float(part.weights[row, col])
+    free = math.isfinite(weight)
+    names = {key: sorted(_strings(entry.get(key))) for key in NAMES}
+    return {
+        "level": level,
+        "row": row,
+        "col": col,
+        "cell": row * part.width + col,
+        "center": [float(v) for v in part.lattice.positions(row, col)],
+        "floor": None if math.isnan(floor) else floor * part.unit,
+        "free": free,
+        "occupied": bool(part.occupancy[row, col]),
+        "weight": weight if free else None,
+        "room": _room(grid, level, int(part.room_index[row, col])),
+        "island": int(find_islands(grid)[level][row, col]) if free else None,
+        **names,
+        "blockers": [] if free else _blockers(entry, names),
+    }
+
+
+def _level(grid: NavGrid, level: int) -> SceneGrid2D:
+    if not 0 <= level < len(grid.levels):
+        raise QueryError(
+            f"no level {level} in {grid.scene_id!r}: expected 0 to {len(grid.levels) - 1}"
+        )
+    return grid.levels[level]
+
+
+def _cell(part: SceneGrid2D, x: float, y: float, level: int) -> tuple[int, int]:
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise QueryError(f"expected a position of finite numbers, got {x}, {y}")
+    row, col = (int(v) for v in part.lattice.rows_cols([x, y]))
+    if 0 <= row < part.height and 0 <= col < part.width:
+        return row, col
+    x0, y0, x1, y1 = part.lattice.bounds
+    raise QueryError(
+        f"{x:g}, {y:g} lies beside level {level}: it spans x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
+    )
+
+
+def _room(grid: NavGrid, level: int, index: int) -> Any:
+    if index == 0:
+        return None
+    entries = [r for r in grid.rooms if (r.get("level"), r.get("index")) == (level, index)]
+    return entries[0] if entries else index
+
+
+def _blockers(entry: dict[str, Any], names: dict[str, list[str]]) -> list[str]:
+    """A file says it where it differs from all that stands there."""
+    stated = entry.get("blockers")
+    return sorted(_strings(stated)) if stated else sorted({n for key in NAMES for n in names[key]})
+
+
+def _strings(value: Any) -> list[str]:
+    return [v for v in value if isinstance(v, str)] if isinstance(value, list) else []
