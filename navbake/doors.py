@@ -145,6 +145,8 @@ def name_door_cells(
     Returns:
         User data with `doors` where a cell is in one, by ascending cell id.
     """
+    if not doors:
+        return user_data
     names: dict[int, set[str]] = {}
     blocking: dict[int, set[str]] = {}
     for door in doors:

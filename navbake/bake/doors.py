@@ -404,7 +404,10 @@ def _side(
             inside = 0 <= row < lattice.height and 0 <= col < lattice.width
             if not inside or np.isnan(floor.floor[row, col]):
                 found = None  # where the floor ends, the outside begins
-            else:
-                found = room_at(level, row * lattice.width + col) or found
+                continue
+            room = room_at(level, row * lattice.width + col)
+            if room is None:
+                break  # a wall
+            found = room
         votes[found] = votes.get(found, 0) + 1
     return max(votes, key=lambda room: (votes[room], room is not None, room or ""))

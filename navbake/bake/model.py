@@ -129,7 +129,7 @@ def _peek_root(path: Path) -> str:
     """The tag of an XML file's root; empty where Python's parser doesn't get that far."""
     try:
         for _, element in ElementTree.iterparse(path, events=("start",)):
-            return element.tag
+            return str(element.tag)
     except (ElementTree.ParseError, ValueError, LookupError):
         pass
     return ""
@@ -151,8 +151,9 @@ def _compile(path: Path, warnings: list[str], load: Callable[[], Any]) -> Any:
     except SceneError:
         raise
     except Exception as error:  # mujoco raises ValueError, FatalError and UnexpectedError
-        reasons = [str(error) or type(error).__name__, *warnings]
-        reason = "; ".join(" ".join(reason.split()) for reason in reasons)
+        lines = [*str(error).splitlines(), *warnings] or [type(error).__name__]
+        reason = "; ".join(" ".join(line.split()) for line in lines if line.strip())
+        reason = reason.removeprefix("Error: ").removeprefix("XML Error: ")
         raise SceneError(f"MuJoCo cannot load {path}: {reason[:400]}") from error
 
 

@@ -82,11 +82,14 @@ def run_bake(
         questions = _Questions(columns, tiled, footprint)
         with clock.stage("floors"), _named(config.scene.path):
             given = None if config.levels == "auto" else list(config.levels)
+            # what a roof encloses doesn't depend on how wide the agent is
+            point = config.agent.model_copy(update={"radius": 0.0})
+            narrow = Footprint.of(point, lattice.cell_size)
+            is_blocked = _Questions(columns, tiled, narrow).ask
             floors = find_floors(
-                columns, scene.shapes, config.agent, config.floors, given, questions.ask
+                columns, scene.shapes, config.agent, config.floors, given, is_blocked
             )
         with clock.stage("occupancy"):
-            questions.forget_counts()
             occupied = [_level_occupancy(level, questions) for level in floors.levels]
         with clock.stage("contents"):
             contents = _list_contents(scene, columns, tiled, floors, occupied, config)
@@ -154,9 +157,6 @@ class _Questions:
         self.by_ray += answer.by_ray
         self.by_fcl += answer.by_fcl
         return answer.occupied
-
-    def forget_counts(self) -> None:
-        self.by_ray = self.by_fcl = 0
 
 
 class _StageClock:

@@ -96,11 +96,14 @@ def match_walls(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[str]]
         By geom id, shape (ngeom,), bool; and a warning for each pattern that matches nothing,
         with the nearest names.
     """
+    matched = np.zeros(len(scene.geoms), dtype=np.bool_)
+    warnings: list[str] = []
+    if not patterns:
+        return matched, warnings
     by_geom = [
         {*_names(scene, report.id), *_bodies_above(scene, report.id)} for report in scene.geoms
     ]
     known = sorted(set().union(*by_geom))
-    matched, warnings = np.zeros(len(by_geom), dtype=np.bool_), []
     for pattern in patterns:
         hits = {name for name in known if fnmatchcase(name, pattern)}
         matched |= np.array([not hits.isdisjoint(names) for names in by_geom], dtype=np.bool_)

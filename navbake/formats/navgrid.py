@@ -479,16 +479,23 @@ def _runs(
     return {"type": "array", **stated, "length": array.size, "encoding": "rle", "data": data}
 
 
-def _user_data(grid: SceneGrid2D, place: Place) -> Json:
+def _user_data(grid: SceneGrid2D, place: Place) -> orjson.Fragment:
+    """User data by ascending cell id; entries that cells share are checked and encoded once."""
     num_cells = grid.width * grid.height
+    distinct: dict[int, tuple[int, Json]] = {}
     for cell_id, value in grid.user_data.items():
         if not isinstance(cell_id, int | np.integer) or not 0 <= cell_id < num_cells:
             place.fail(f"expected cell ids from 0 to {num_cells - 1}, got {shown(cell_id)}")
         if not isinstance(value, dict):
             place[int(cell_id)].refuse("an object", value)
-    stored = {str(int(cell_id)): grid.user_data[cell_id] for cell_id in sorted(grid.user_data)}
-    _plain(stored, place)
-    return stored
+        distinct.setdefault(id(value), (int(cell_id), value))
+    _plain({str(cell_id): value for cell_id, value in distinct.values()}, place)
+    encoded = {key: orjson.dumps(value) for key, (_, value) in distinct.items()}
+    entries = [
+        b'"%d":%b' % (cell_id, encoded[id(grid.user_data[cell_id])])
+        for cell_id in sorted(grid.user_data)
+    ]
+    return orjson.Fragment(b"{%b}" % b",".join(entries))
 
 
 def _metadata(grid: NavGrid, place: Place) -> Json:

@@ -11,7 +11,6 @@ from navbake.kernels.flags import (
     BLOCKS,
     PROBED,
     STANDS,
-    is_beside,
     line_flags,
     outside,
     plane_flags,
@@ -196,8 +195,6 @@ def list_geoms(
                     count = _add(out_geom, out_flags, here, count, of, flags)
                 for s in nearby:
                     if outside(solid_bounds, s, x, y, reach, floor, top):
-                        continue
-                    if not taken and is_beside(s, solids, x, y, half, low, high):
                         continue
                     of = solid_geom[s]
                     wanted = STANDS | (BLOCKS if taken else 0) | (PROBED if probed[of] else 0)

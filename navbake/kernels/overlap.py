@@ -21,7 +21,7 @@ APART, MEETS, OPEN = 0, 1, 2
 SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX = 2, 3, 4, 5, 6
 
 MOST_STEPS = 128
-NEAR = 1e-10  # the two meet when they are proved to be this near to each other [m]
+NEAR = 1e-7  # the two meet when they are proved to be this near, less than TOUCH, to each other [m]
 
 
 @njit(cache=True, inline="always")

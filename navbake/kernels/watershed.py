@@ -124,16 +124,24 @@ def flood(label, fillable, height, highest):
 
 @njit(cache=True)
 def _nearest_origin(cell, near, labels, source, cols):
-    """The seed's cell that is nearest, of those that labelled neighbours come from."""
-    best, least = -1, 0
+    """The seed's cell that is nearest, of those that labelled neighbours come from.
+
+    Of two as near, that of the lower label; of one label's, the one that is further clockwise,
+    because that turns with the map.
+    """
+    best, least, best_row, best_col = -1, 0, 0, 0
     for other in near:
         if labels[other] == 0:
             continue
         row, col = source[other] // cols - cell // cols, source[other] % cols - cell % cols
         square = row * row + col * col
-        is_lower = square == least and labels[other] < labels[best]
-        if best < 0 or square < least or is_lower:
-            best, least = source[other], square
+        is_better = best < 0 or square < least
+        if not is_better and square == least:
+            turn = best_col * row - best_row * col
+            is_better = labels[other] < labels[best]
+            is_better |= labels[other] == labels[best] and turn > 0
+        if is_better:
+            best, least, best_row, best_col = source[other], square, row, col
     return best
 
 

@@ -34,6 +34,10 @@ BOMB = (
 )
 
 
+def world(geoms):
+    return f"<mujoco><worldbody>{geoms}</worldbody></mujoco>"
+
+
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """The current folder."""
@@ -112,10 +116,11 @@ def test_a_file_that_may_not_be_read(fails, folder):
     assert "room.xml" in fails("room.xml", scene={"path": "room.xml"})
 
 
+SUFFIXES = ["xml", "mjcf", "urdf", "mjb", "obj", "ply", "stl", "glb", "gltf", "dae"]
 JUNK = bytes(range(256)) * 40
 
 
-@pytest.mark.parametrize("suffix", "xml mjcf urdf mjb obj ply stl glb gltf dae".split())
+@pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("content", [b"", b"\n", b"hello world\n", JUNK, b"\0" * 5000])
 def test_empty_files_and_junk(fails, folder, suffix, content):
     name = f"room.{suffix}"
@@ -130,7 +135,7 @@ def test_empty_files_and_junk(fails, folder, suffix, content):
     ("text", "culprit"),
     [
         (ROOM[:-20], "broken XML in room.xml"),
-        (ROOM.replace("<geom", "<goem"), "unrecognized element Element 'goem', line 2"),
+        (ROOM.replace("<geom", "<goem"), "unrecognized element; Element 'goem', line 2"),
         (ROOM.replace("type=", "tpye="), "unrecognized attribute"),
         (ROOM.replace('"3 2 .1"', '"3 2 x"'), "room.xml"),
         (ROOM.replace('"3 2 .1"', '"3 0 .1"'), "size 1 must be positive in geom"),
@@ -143,7 +148,7 @@ def test_empty_files_and_junk(fails, folder, suffix, content):
         (f"{BOMB}<robot>&k;</robot>", "room.xml"),
         ("<mujoco>" * 100_000, "room.xml"),
         ("<robot>" + "<link>" * 100_000, "room.xml"),
-        ("<mujoco><worldbody>" + "<body>" * 3000 + "</body>" * 3000 + "</worldbody></mujoco>", "deep"),
+        (world("<body>" * 3000 + "</body>" * 3000), "nesting is too deep"),
         ('<mujoco><include file="room.xml"/></mujoco>', "'room.xml' already included"),
         ('<mujoco><include file="a.xml"/></mujoco>', "already included"),
         ('<mujoco><include file="none.xml"/></mujoco>', "Error opening file 'none.xml'"),
@@ -154,7 +159,7 @@ def test_empty_files_and_junk(fails, folder, suffix, content):
         ('<mujoco><asset><mesh name="m" file="junk.dae"/></asset></mujoco>', "'junk.dae'"),
         ('<mujoco><asset><texture type="2d" file="none.png"/></asset></mujoco>', "'none.png'"),
         ('<mujoco><asset><texture type="2d" file="junk.png"/></asset></mujoco>', "'junk.png'"),
-        ('<mujoco><asset><hfield name="h" size="1 1 1 1" file="junk.bin"/></asset></mujoco>', "'junk.bin'"),
+        ('<mujoco><asset><hfield size="1 1 1 1" file="junk.bin"/></asset></mujoco>', "'junk.bin'"),
         ('<mujoco><size memory="999999G"/></mujoco>', "Could not allocate memory"),
     ],
 )  # fmt: skip
@@ -221,10 +226,6 @@ def test_a_mesh_of_points(fails, folder):
 
 
 # ---------------------------------------------------------------- nothing to stand on
-
-
-def world(geoms):
-    return f"<mujoco><worldbody>{geoms}</worldbody></mujoco>"
 
 
 @pytest.mark.parametrize(

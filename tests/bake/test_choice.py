@@ -69,11 +69,10 @@ def test_modes(load, mode, expected):
 
 
 def test_reasons_read_well(load):
+    off = "can't collide (contype and conaffinity are 0)"
+    names = ["ground", "painted", "half", "ghost", "look", "touch", "seat", "leg", "both"]
     assert reasons(load(MIXED)) == {
-        name: "can collide"
-        if name in "ground half touch seat leg both".split()
-        else "can't collide (contype and conaffinity are 0)"
-        for name in "ground painted half ghost look touch seat leg both".split()
+        name: off if name in ("painted", "ghost", "look") else "can collide" for name in names
     }
     assert reasons(load(MIXED, geoms="visual")) == {
         "ground": "not drawn (alpha 0)",
@@ -96,7 +95,9 @@ def test_auto_counts_all_where_none_can_collide(load):
 
 def test_auto_does_not_mind_an_excluded_robot(load):
     """A building that is only drawn still counts when all that collides is left out."""
-    world = f'<geom name="room" size="1" {OFF}/><body name="robot"><geom name="arm" size="1"/></body>'
+    world = (
+        f'<geom name="room" size="1" {OFF}/><body name="robot"><geom name="arm" size="1"/></body>'
+    )
     assert counted(load(world)) == ["arm"]
     assert counted(load(world, exclude={"bodies": ["robot"]})) == ["room"]
 
@@ -114,7 +115,8 @@ def test_materials_and_colours_can_hide(load):
 
 
 def test_defaults_apply(load):
-    before = '<default><geom contype="0" conaffinity="0"/><default class="c"><geom contype="1"/></default></default>'
+    inner = '<default class="c"><geom contype="1"/></default>'
+    before = f"<default><geom {OFF}/>{inner}</default>"
     world = '<geom name="a" size="1"/><geom name="b" size="1" class="c"/>'
     assert counted(load(world, before)) == ["b"]
 
@@ -176,7 +178,9 @@ def test_patterns_that_match_nothing_are_named(load):
 
 
 def test_nothing_left_says_why(load):
-    with pytest.raises(SceneError, match=r"none of the 5 geoms of .*scene.xml counts .*matches '\*'"):
+    with pytest.raises(
+        SceneError, match=r"none of the 5 geoms of .*scene.xml counts .*matches '\*'"
+    ):
         load(BODIES, exclude={"geoms": ["*"]})
     world = f'<geom size="1" {OFF}/>'
     with pytest.raises(SceneError, match=r"`scene.geoms` is collision\): can't collide"):

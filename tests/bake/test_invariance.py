@@ -277,13 +277,16 @@ def snapped(draw: st.DrawFn) -> Scene:
     return Scene("".join(geoms), settings=settings_)
 
 
-@settings(
+EXAMPLES = settings(
     max_examples=MORE or 60,
     derandomize=not MORE,
     database=None,
     deadline=None,
     suppress_health_check=list(HealthCheck),
 )
+
+
+@EXAMPLES
 @given(snapped(), st.integers(-99, 99), st.integers(-99, 99), st.integers(0, 3))
 def test_snapped_scenes_shifted_and_turned(
     scene: Scene, cols: int, rows: int, quarters: int
@@ -295,3 +298,17 @@ def test_snapped_scenes_shifted_and_turned(
         assume(False)
     move = cols * scene.cell_size, rows * scene.cell_size
     check_same(grid, bake(scene, move, quarters), move, quarters)
+
+
+@EXAMPLES
+@given(snapped(), st.lists(st.integers(0, 60), min_size=2, max_size=2).map(sorted))
+def test_a_larger_radius_never_frees_a_cell_of_snapped_scenes(
+    scene: Scene, hundredths: list[int]
+) -> None:
+    note(scene.geoms)
+    try:
+        small, large = (bake(scene, radius=n / 100) for n in hundredths)
+    except SceneError:
+        assume(False)
+    freed = free_places(large) - free_places(small)
+    assert not freed, sorted(freed)[:3]

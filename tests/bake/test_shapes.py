@@ -7,9 +7,9 @@ import itertools
 import mujoco
 import numpy as np
 import pytest
-from oracles.rays import first_hit
 
 from navbake.bake import collect, shapes
+from oracles.rays import first_hit
 
 RNG_SEEDS = range(4)
 CUBE = np.array(list(itertools.product((0.0, 1.0), repeat=3)))

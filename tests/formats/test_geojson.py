@@ -1,0 +1,77 @@
+"""GeoJSON that holds rooms, and files that don't."""
+
+import json
+
+import pytest
+
+from navbake.errors import FormatError
+from navbake.formats.geojson import read_room_outlines
+
+SQUARE = [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]]
+HOLE = [[1, 1], [2, 1], [2, 2], [1, 2], [1, 1]]
+
+
+def feature(coordinates, kind="Polygon", **properties):
+    geometry = {"type": kind, "coordinates": coordinates}
+    return {"type": "Feature", "properties": properties, "geometry": geometry}
+
+
+def read(tmp_path, content):
+    path = tmp_path / "plan.geojson"
+    text = content if isinstance(content, str) else json.dumps(content)
+    path.write_text(text, encoding="utf-8")
+    return read_room_outlines(path)
+
+
+def test_reads_polygons_with_holes_and_parts(tmp_path):
+    features = [
+        feature([SQUARE, HOLE], name="küche", level=1.0),
+        feature([[SQUARE], [[[9, 9, 5.0], [10, 9, 5.0], [9, 10, 5.0]]]], "MultiPolygon"),
+        feature([SQUARE], name="客厅", level="roof"),
+    ]
+    kitchen, parts, living = read(tmp_path, {"type": "FeatureCollection", "features": features})
+    assert (kitchen["name"], kitchen["level"]) == ("küche", 1)
+    assert kitchen["points"] == SQUARE[:-1]
+    assert kitchen["rings"] == [HOLE[:-1]]
+    assert (parts["name"], parts["level"]) == (None, 0)
+    assert parts["rings"] == [[[9, 9], [10, 9], [9, 10]]]
+    assert (living["name"], living["level"]) == ("客厅", "roof")
+
+
+def test_reads_a_single_feature(tmp_path):
+    assert len(read(tmp_path, feature([SQUARE]))) == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "culprit"),
+    [
+        ("{", "is no JSON"),
+        ("[]", "expected a GeoJSON FeatureCollection"),
+        ({"type": "Point", "coordinates": [0, 0]}, "got Point"),
+        ({"type": "FeatureCollection", "features": [{}]}, "feature 0 of"),
+        (feature([0, 0], "Point"), "expected a Polygon or MultiPolygon, got Point in feature 0"),
+        (feature([SQUARE], level=-1), "got -1 in feature 0"),
+        (feature([SQUARE], level=True), "got True in feature 0"),
+        (feature([SQUARE], level=0.5), "got 0.5 in feature 0"),
+        (feature([SQUARE], name=7), "expected text at `properties.name`, got 7"),
+        (feature([[[0, 0], [1, 0], [0, 0]]], name="wc"), r"got 2 in feature 0 \('wc'\)"),
+        (feature([[[0, 0], [1, 1], [1, 0], [0, 1]]], name="wc"), "sides that cross.*'wc'"),
+        (feature([[["0", 0], [1, 1], [1, 0]]]), "positions"),
+        (feature([[[None, 0], [1, 1], [1, 0]]]), "positions"),
+        (feature(7), "rings"),
+        (feature([]), "expected an outline, got none"),
+        ({"type": "Feature", "geometry": None}, "got none in feature 0"),
+    ],
+)
+def test_refuses(tmp_path, content, culprit):
+    with pytest.raises(FormatError, match=culprit) as caught:
+        read(tmp_path, content)
+    assert "plan.geojson" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_refuses_what_is_not_there(tmp_path):
+    with pytest.raises(FormatError, match=r"no such file: .*none\.geojson"):
+        read_room_outlines(tmp_path / "none.geojson")
+    with pytest.raises(FormatError, match="cannot read"):
+        read_room_outlines(tmp_path)

@@ -1,0 +1,60 @@
+"""The sample scenes bake into what they always did; a change shows where, in text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import navbake
+from navbake.bake.pipeline import run_bake
+from navbake.config import load_config
+from navbake.grid import difference_map, first_difference
+
+ROOT = Path(__file__).parents[1]
+SAMPLES = sorted(path.stem for path in (ROOT / "configs").glob("*.yaml"))
+
+
+def golden(name: str):
+    return navbake.load(ROOT / "tests" / "golden" / f"{name}.grid.json.gz")
+
+
+def forget_versions(grid) -> None:
+    for key in ("version", "mujoco"):
+        grid.navbake.pop(key, None)
+
+
+def describe_change(kept, baked) -> str | None:
+    """None if two grids are the same but for versions and timings, else what differs, where."""
+    forget_versions(kept)
+    forget_versions(baked)
+    difference = first_difference(kept, baked)
+    if difference is None:
+        return None
+    maps = [
+        f"level {number}\n{difference_map(a, b)}"
+        for number, (a, b) in enumerate(zip(kept.levels, baked.levels, strict=False))
+    ]
+    return "\n".join([difference, *maps])
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_sample_is_what_it_was(name):
+    baked = run_bake(load_config(ROOT / "configs" / f"{name}.yaml")).grid
+    change = describe_change(golden(name), baked)
+    if change:
+        pytest.fail(f"{name} (scripts/make_golden.py {name} keeps the change): {change}")
+
+
+def test_change_in_one_cell_shows_where():
+    changed = golden("apartment")
+    level = changed.levels[0]
+    row, col = (int(v) for v in np.argwhere(level.free)[100])
+    level.occupancy[row, col] = 1
+    level.weights[row, col] = np.inf
+    change = describe_change(golden("apartment"), changed)
+    assert f"row {row}, col {col}" in change.replace("[", "").replace("]", "") or str(row) in change
+    assert change.count("x") >= 1
+    picture = [line for line in change.splitlines() if set(line) <= set(".# x")]
+    assert sum("x" in line for line in picture) == 1

@@ -1,0 +1,88 @@
+"""What a grid tells of one place, from the file alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import navbake
+from navbake.bake.pipeline import run_bake
+from navbake.cli import main
+from navbake.config import load_config
+from navbake.errors import QueryError
+
+APARTMENT = Path(__file__).parents[1] / "configs" / "apartment.yaml"
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    file = tmp_path_factory.mktemp("why") / "apartment.grid.json"
+    run_bake(load_config(APARTMENT)).grid.save(file)
+    return file
+
+
+@pytest.fixture(scope="module")
+def grid(path):
+    return navbake.load(path)
+
+
+def test_free_cell_has_room_and_island_and_no_blockers(grid):
+    facts = grid.describe_cell(0.05, 0.55)
+    assert facts["free"] and not facts["occupied"]
+    assert facts["room"]["id"] == "hall"
+    assert facts["island"] == 1
+    assert facts["blockers"] == []
+
+
+def test_wall_is_named(grid):
+    facts = grid.describe_cell(-4.95, 0.0)
+    assert facts["walls"] and facts["blockers"] == facts["walls"]
+    assert facts["room"] is None and facts["island"] is None
+
+
+def test_furniture_is_named_by_its_body_and_lamps_above_block_nothing(grid):
+    level = grid.levels[0]
+    blocked = [
+        (cell, entry)
+        for cell, entry in level.user_data.items()
+        if "objects" in entry and "blockers" in entry
+    ]
+    assert blocked
+    for cell, entry in blocked[:50]:
+        x, y = level.lattice.positions(*divmod(cell, level.width))
+        assert grid.blockers(x, y) == entry["blockers"]
+
+
+def test_every_occupied_cell_with_a_floor_says_what_blocks_it(grid):
+    level = grid.levels[0]
+    for row, col in zip(*((level.occupancy == 1).nonzero()), strict=True):
+        entry = level.user_data[int(row) * level.width + int(col)]
+        assert any(entry.get(key) for key in ("blockers", "objects", "walls", "doors"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((99.0, 0.0), "99, 0 lies beside level 0: it spans x -5 to 5, y -4 to 4"),
+        ((float("nan"), 0.0), "finite numbers, got nan"),
+        ((0.0, 0.0, 3), "no level 3 in 'apartment'"),
+    ],
+)
+def test_wrong_questions_are_refused(grid, arguments, message):
+    with pytest.raises(QueryError, match=message):
+        grid.describe_cell(*arguments)
+
+
+def test_command_tells_it(path, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["why", str(path), "--at", "-4.95,0"])
+    assert not stop.value.code
+    assert "blocked by" in capsys.readouterr().out
+
+
+def test_command_refuses_a_place_that_is_none(path, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["why", str(path), "--at", "here"])
+    assert stop.value.code == 2
+    assert "expected X,Y" in capsys.readouterr().err
