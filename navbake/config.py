@@ -116,9 +116,9 @@ class SceneSettings(Settings):
     keyframe: Annotated[
         str | Annotated[int, Field(ge=0)] | None, expects("a keyframe's name or index, or null")
     ] = setting(None, "pose: a keyframe's name, or index >= 0, or null")
-    joints: dict[
-        Name, Annotated[float | list[float], expects("a number or a list of numbers")]
-    ] = setting({}, "pose on top of it: {joint name: position [m or rad], or a list}")
+    joints: dict[Name, Annotated[float | list[float], expects("a number or a list of numbers")]] = (
+        setting({}, "pose on top of it: {joint name: position [m or rad], or a list}")
+    )
 
     @model_validator(mode="before")
     @classmethod

@@ -1,7 +1,7 @@
 """Bake the sample scenes into the golden files of the tests. Look at the change before you keep it.
 
-    python scripts/make_golden.py            # all of configs/*.yaml
-    python scripts/make_golden.py house      # some
+python scripts/make_golden.py            # all of configs/*.yaml
+python scripts/make_golden.py house      # some
 """
 
 from __future__ import annotations

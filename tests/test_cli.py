@@ -160,6 +160,7 @@ def test_a_folder_that_takes_no_files(folder, run):
         ["nonsense"],
         ["plot", "room.grid.json"],
         ["plot", "room.grid.json", "-o", "room.pdf"],
+        ["plot", "room.grid.json", "-o", "room.png", "--layer", "heat"],
     ],
 )
 def test_wrong_usage(folder, run, arguments):
@@ -236,10 +237,28 @@ def test_info_and_plot(folder, run):
     assert (folder / "room.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_rooms_and_their_picture(folder, run):
+    run("bake", "room.yaml", "-q")
+    status, out, _ = run("rooms", "room.grid.json")
+    assert status == 0
+    header, *rows, last = out.splitlines()
+    assert " ".join(header.split()) == "id name level index m2 centroid x y z m from opens to"
+    assert last == f"{len(rows)} room{'' if len(rows) == 1 else 's'}"
+    status, out, _ = run("rooms", "room.grid.json", "--json")
+    listed = json.loads(out)
+    assert listed["scene_id"] == "room"
+    assert listed["rooms"] == navbake.load("room.grid.json").rooms
+    layers = ("--layer", "rooms", "--layer", "clearance")
+    status, out, _ = run("plot", "room.grid.json", "-o", "rooms.png", *layers)
+    assert (status, out) == (0, "rooms.png\n")
+    assert (folder / "rooms.png").read_bytes().startswith(b"\x89PNG")
+
+
 @pytest.mark.parametrize(
     ("arguments", "culprit"),
     [
         (["info", "none.json"], "none.json"),
+        (["rooms", "none.json"], "none.json"),
         (["info", "room.xml"], "room.xml"),
         (["plot", "none.json", "-o", "a.png"], "none.json"),
         (["plot", "room.xml", "-o", "none/a.png"], "none/a.png"),

@@ -60,7 +60,12 @@ def test_defaults(house):
     assert (config.grid.cell_size, config.grid.bounds, config.grid.margin) == (0.1, None, 0.0)
     assert config.grid.max_cells == 25_000_000
     assert config.levels == "auto"
-    assert config.floors.model_dump() == {"min_area": 1.0, "shrink": 0.3, "tops": False, "roofs": False}
+    assert config.floors.model_dump() == {
+        "min_area": 1.0,
+        "shrink": 0.3,
+        "tops": False,
+        "roofs": False,
+    }
     assert config.attributes == []
     assert config.output is None
 

@@ -49,7 +49,7 @@ def test_a_geojson_file_is_read_beside_the_yaml(tmp_path):
 @pytest.mark.parametrize(
     ("value", "culprit"),
     [
-        ("doors", "expected auto, none or a mapping, got \"doors\" at `rooms`"),
+        ("doors", 'expected auto, none or a mapping, got "doors" at `rooms`'),
         (3, "got 3 at `rooms`"),
         ({"form": ["auto"]}, "unknown key `rooms.form`, the nearest known one is `rooms.from`"),
         ({"from": ["auto", "auto"]}, "each once, got a list of 2 at `rooms.from`"),

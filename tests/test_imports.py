@@ -29,7 +29,19 @@ DOORS = {
     "rich": ("cli_tables",),
 }
 # what an agent loads at run time, and what it never loads
-RUN_TIME = ("grid", "lattice", "formats", "info", "islands", "errors", "files", "plot")
+RUN_TIME = (
+    "grid",
+    "lattice",
+    "formats",
+    "info",
+    "islands",
+    "errors",
+    "files",
+    "plot",
+    "layers",
+    "polygon",
+    "rooms_table",
+)
 NEVER_AT_RUN_TIME = ("mujoco", "fcl", "trimesh", "navbake.bake")
 
 

@@ -1,5 +1,7 @@
 """Polygons: which cells they cover, against a plain even-odd rule, and their faults."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -68,7 +70,6 @@ def test_a_centre_on_a_common_side_is_in_one_polygon():
 def test_faults(points, fault):
     found = find_fault(points)
     assert found is not None
-    import re
 
     assert re.search(fault, found)
 

@@ -153,7 +153,8 @@ def distances_to_cells(
 
 # what an obstacle in every cell would find: the maps have free space, too
 @pytest.mark.parametrize(
-    ("name", "expected", "at_most"), [("aws_small_house", 0.95, 0.25), ("turtlebot3_world", 1, 0.35)]
+    ("name", "expected", "at_most"),
+    [("aws_small_house", 0.95, 0.25), ("turtlebot3_world", 1, 0.35)],
 )
 def test_published_map(name, expected, at_most):
     (level,) = levels_of(name)

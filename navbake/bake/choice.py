@@ -53,9 +53,18 @@ def names_of(model: Any, geom: int) -> GeomNames:
     """The names that a geom is known by, in reports and patterns alike."""
     mesh = ""
     if model.geom_type[geom] in (MESH, SDF) and model.geom_dataid[geom] >= 0:
-        mesh = model.mesh(int(model.geom_dataid[geom])).name
-    body = int(model.geom_bodyid[geom])
-    return GeomNames(model.geom(geom).name or f"geom {geom}", _body_name(model, body), mesh)
+        mesh = name_at(model, model.name_meshadr[model.geom_dataid[geom]])
+    own = name_at(model, model.name_geomadr[geom]) or f"geom {geom}"
+    return GeomNames(own, _body_name(model, int(model.geom_bodyid[geom])), mesh)
+
+
+def name_at(model: Any, address: int) -> str:
+    """A name out of the model's store, such as ``name_at(model, model.name_bodyadr[3])``.
+
+    MuJoCo's own accessors fail on names that aren't UTF-8; here their odd bytes are replaced.
+    """
+    names: bytes = model.names
+    return names[address : names.find(b"\0", address)].decode("utf-8", errors="replace")
 
 
 def choose_geoms(model: Any, settings: SceneSettings) -> tuple[list[Choice], list[str]]:
@@ -194,7 +203,7 @@ def _matches_any(pattern: str, name: GeomNames) -> bool:
 
 
 def _body_name(model: Any, body: int) -> str:
-    return model.body(body).name or f"body {body}"
+    return name_at(model, model.name_bodyadr[body]) or f"body {body}"
 
 
 def _first_match(patterns: Iterable[str], name: str) -> str | None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.bake.choice import Choice, names_of
+from navbake.bake.choice import Choice, name_at, names_of
 from navbake.bake.meshes.part import MeshPart
 from navbake.bake.shapes import (
     BOX,
@@ -223,18 +223,21 @@ def _mesh_arrays(model: Any, mesh: int) -> tuple[Corners, NDArray[np.int32], Cor
     vertices = model.mesh_vert[first : first + count].astype(np.float64)
     first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
     faces = model.mesh_face[first : first + count]
-    if len(faces) and not 0 <= int(faces.min()) <= int(faces.max()) < len(vertices):
-        raise SceneError(f"mesh {model.mesh(mesh).name!r} is broken: faces of missing vertices")
+    on_hull = _hull_index(model, mesh)
+    name = name_at(model, model.name_meshadr[mesh])
+    for index in (faces, on_hull):
+        if index.size and not 0 <= int(index.min()) <= int(index.max()) < len(vertices):
+            raise SceneError(f"mesh {name!r} is broken: faces of missing vertices")
     if not np.isfinite(vertices).all():
-        raise SceneError(f"mesh {model.mesh(mesh).name!r} has coordinates that are no numbers")
-    return vertices, faces, vertices[_hull_index(model, mesh)]
+        raise SceneError(f"mesh {name!r} has coordinates that are no numbers")
+    return vertices, faces, vertices[on_hull]
 
 
-def _hull_index(model: Any, mesh: int) -> NDArray[np.int32] | slice:
+def _hull_index(model: Any, mesh: int) -> NDArray[np.int32]:
     """The vertices that MuJoCo's hull of a mesh has: all, unless `maxhullvert` limits them."""
     address = int(model.mesh_graphadr[mesh])
     if address < 0:
-        return slice(None)
+        return np.arange(model.mesh_vertnum[mesh], dtype=np.int32)
     num_vertices = int(model.mesh_graph[address])  # then the faces' number, then two lists
     first = address + 2 + num_vertices
     index: NDArray[np.int32] = model.mesh_graph[first : first + num_vertices]

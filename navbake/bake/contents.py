@@ -13,7 +13,7 @@ from navbake.bake.extents import Extents, measure_geoms
 from navbake.bake.levels import Floors, LevelFloor
 from navbake.bake.occupancy import TOUCH, Footprint
 from navbake.bake.scene import Scene
-from navbake.bake.structure import Footing, find_carriers, find_ceilings
+from navbake.bake.structure import Carriers, Footing, find_carriers, find_ceilings
 from navbake.bake.walls import (
     BUILDING,
     DOOR,
@@ -217,7 +217,7 @@ def find_contents(
         for level, top, mask in zip(floors.levels, tops, occupied, strict=True)
     ]
     footings = [listed.footing for listed in levels]
-    carriers = find_carriers(floors, footings, agent, columns.lattice, num)
+    carriers = find_carriers(floors, footings, extents, agent, columns.lattice)
     standing = _standing(levels, floors, extents)
     kinds = _tell_kinds(scene, extents, standing, carriers, agent, doors)
     named, warnings = match_walls(scene, settings.walls)
@@ -231,17 +231,17 @@ def _tell_kinds(
     scene: Scene,
     extents: Extents,
     standing: Standing,
-    carriers: tuple[Bool, Bool],
+    carriers: Carriers,
     agent: AgentSettings,
     doors: Bool | None,
 ) -> NDArray[np.uint8]:
     """Tell what each geom is, walls by their shape."""
-    carries, things = carriers
     buildings = find_buildings(scene, extents, standing)
     excluded = buildings if doors is None else buildings | doors
-    walls = find_walls(scene, extents, standing, carries | things, excluded)
+    walls = find_walls(scene, extents, standing, carriers, excluded)
     kinds = np.full(len(extents.thin), OBJECT, dtype=np.uint8)
-    kinds[carries | find_ceilings(extents, standing.base, is_static(scene), agent)] = STRUCTURE
+    ceilings = find_ceilings(extents, standing.base, is_static(scene), agent)
+    kinds[carriers.building | ceilings] = STRUCTURE
     kinds[walls] = WALL
     kinds[buildings] = BUILDING
     if doors is not None:

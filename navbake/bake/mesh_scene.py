@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import warnings
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from navbake.bake.meshes.gltf import check_gltf
-from navbake.bake.meshes.obj import read_obj
 from navbake.bake.meshes.part import MeshPart
-from navbake.bake.meshes.ply import read_ply
-from navbake.bake.meshes.stl import read_stl
 from navbake.errors import SceneError
 
 MESH_SUFFIXES = frozenset({".obj", ".ply", ".stl", ".glb", ".gltf", ".dae"})
@@ -53,7 +50,7 @@ def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPa
     """
     suffix = path.suffix.lower()
     try:
-        found = READERS.get(suffix, _read_with_trimesh)(path)
+        found = _read_parts(path)
     except OSError as error:
         raise SceneError(f"cannot read the mesh {path}: {error.strerror or error}") from error
     scale = unit * (_dae_unit(path) if suffix == ".dae" else 1.0)
@@ -61,7 +58,7 @@ def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPa
     taken = {"world"}  # MuJoCo's own body
     parts = [_clean(part, turn, path) for part in found]
     named = [
-        MeshPart(_unique(part.name or path.stem, taken), part.vertices, part.faces)
+        MeshPart(_unique(_own_name(part.name, path), taken), part.vertices, part.faces)
         for part in parts
         if len(part.faces)
     ]
@@ -70,26 +67,23 @@ def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPa
     return named
 
 
-READERS: dict[str, Callable[[Path], list[MeshPart]]] = {
-    ".obj": read_obj,
-    ".ply": read_ply,
-    ".stl": read_stl,
+OPTIONS: dict[str, dict[str, Any]] = {
+    ".obj": {"split_objects": True, "split_groups": True, "skip_materials": True},
+    ".glb": {"skip_materials": True},
+    ".gltf": {"skip_materials": True},
 }
 
 
-def _read_with_trimesh(path: Path) -> list[MeshPart]:
-    """Read a file that holds a tree of nodes; a part for each node and mesh on it."""
-    is_gltf = path.suffix.lower() in (".glb", ".gltf")
-    if is_gltf:
+def _read_parts(path: Path) -> list[MeshPart]:
+    """Read a file as trimesh has it; a part for each node and the mesh on it."""
+    suffix = path.suffix.lower()
+    if suffix in (".glb", ".gltf"):
         check_gltf(path)
-    options: dict[str, Any] = {"skip_materials": True} if is_gltf else {}
     try:
         with _silence():
-            loaded = trimesh.load_scene(path, process=False, **options)
+            loaded = trimesh.load_scene(path, process=False, **OPTIONS.get(suffix, {}))
             nodes = list(loaded.graph.nodes_geometry)
             return [part for node in nodes if (part := _part_of(loaded, node)) is not None]
-    except SceneError:
-        raise
     except Exception as error:  # trimesh passes on whatever its parsers raise
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise SceneError(f"cannot read the mesh {path}: {reason}") from error
@@ -164,6 +158,11 @@ def _clean(part: MeshPart, turn: NDArray[np.float64], path: Path) -> MeshPart:
     faces = faces[np.linalg.norm(cross, axis=1) > NO_AREA]
     used, index = np.unique(faces, return_inverse=True)
     return MeshPart(name, vertices[used], index.reshape(-1, 3).astype(np.int64))
+
+
+def _own_name(name: str, path: Path) -> str:
+    """A part's name without the file's, which trimesh puts where the file names nothing."""
+    return (name.removeprefix(path.name).removeprefix("_") if name else "") or path.stem
 
 
 def _unique(name: str, taken: set[str]) -> str:

@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.bake.choice import name_at
 from navbake.bake.mesh_scene import MESH_SUFFIXES, read_mesh_parts
 from navbake.bake.meshes.part import MeshPart
 from navbake.bake.urdf import read_urdf
@@ -236,7 +237,7 @@ def _pose(model: Any, settings: SceneSettings) -> Any:
         for name, value in settings.joints.items():
             _set_joint(model, data, settings, name, value)
         mujoco.mj_kinematics(model, data)
-    except (mujoco.FatalError, mujoco.UnexpectedError) as error:
+    except (mujoco.FatalError, mujoco.UnexpectedError, ValueError) as error:
         reason = " ".join(str(error).split())[:400]
         raise SceneError(f"MuJoCo cannot pose {settings.path}: {reason}") from error
     return data
@@ -254,7 +255,7 @@ def _keyframe_id(model: Any, settings: SceneSettings) -> int:
     found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, key)
     if found >= 0:
         return int(found)
-    names = _listed([model.key(i).name for i in range(model.nkey)])
+    names = _listed(model, model.name_keyadr)
     raise ConfigError(f"no keyframe {key!r} for `scene.keyframe`: {settings.path} has {names}")
 
 
@@ -263,7 +264,7 @@ def _set_joint(
 ) -> None:
     joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
     if joint < 0:
-        names = _listed([model.joint(i).name for i in range(model.njnt)])
+        names = _listed(model, model.name_jntadr)
         raise ConfigError(f"no joint {name!r} for `scene.joints`: {settings.path} has {names}")
     kind = mujoco.mjtJoint(model.jnt_type[joint])
     expected = {
@@ -281,26 +282,8 @@ def _set_joint(
     data.qpos[address : address + len(values)] = values
 
 
-def _listed(names: list[str]) -> str:
-    named = [n for n in names if n]
+def _listed(model: Any, addresses: NDArray[np.int32]) -> str:
+    named = [name for address in addresses if (name := name_at(model, address))]
     if not named:
         return "none with a name"
     return ", ".join(named[:20]) + (f" and {len(named) - 20} more" if len(named) > 20 else "")
-
-
-def data_with_joint(model: Any, data: Any, joint: int, position: float) -> Any:
-    """A copy of a model's data with one hinge or slide moved, all geoms placed anew.
-
-    Args:
-        model: the mujoco.MjModel.
-        data: its mujoco.MjData; not changed.
-        joint: the joint's id.
-        position: where it goes [rad or m].
-    """
-    moved = mujoco.MjData(model)
-    moved.qpos[:] = data.qpos
-    moved.mocap_pos[:] = data.mocap_pos
-    moved.mocap_quat[:] = data.mocap_quat
-    moved.qpos[model.jnt_qposadr[joint]] = position
-    mujoco.mj_kinematics(model, moved)
-    return moved

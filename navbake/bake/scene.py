@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.bake.choice import Choice, choose_geoms, names_of
+from navbake.bake.choice import Choice, choose_geoms, name_at, names_of
 from navbake.bake.collect import TYPE_NAMES, collect_shapes
 from navbake.bake.mesh_scene import MESH_SUFFIXES
 from navbake.bake.meshes.part import MeshPart
@@ -147,15 +147,10 @@ def _find_unusable(model: Any) -> list[str]:
     """Name what can't be baked."""
     return [
         f"{kind} can't be baked and is left out: "
-        + ", ".join(_name_at(model, start) or f"{kind} {i}" for i, start in enumerate(starts))
+        + ", ".join(name_at(model, start) or f"{kind} {i}" for i, start in enumerate(starts))
         for kind, starts in (("flex", model.name_flexadr), ("skin", model.name_skinadr))
         if len(starts)
     ]
-
-
-def _name_at(model: Any, start: int) -> str:
-    name: bytes = model.names[start : model.names.index(b"\0", start)]
-    return name.decode("utf-8", errors="replace")
 
 
 def _find_idle(settings: SceneSettings) -> list[str]:

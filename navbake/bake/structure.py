@@ -20,10 +20,9 @@ Bool = NDArray[np.bool_]
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
 
-# A thing that one can stand on is at most this large and lies at most this high [m², m] ...
-THING_AREA, THING_HEIGHT = 4.0, 1.0
-# ... over a floor, in at least this share of its cells
-MOSTLY = 0.9
+# A thing that one can stand on is at most this large, and lies at most this high over a floor
+# unless it is solid down to it [m², m], in at least this share of its cells
+THING_AREA, THING_HEIGHT, MOSTLY = 4.0, 1.0, 0.9
 # What is no higher than this is no step on the way up [m]
 COVERING = 0.03
 # A ceiling is at least this wide both ways [m]
@@ -43,41 +42,61 @@ class Footing:
     gap: Float
 
 
+@dataclass(frozen=True)
+class Carriers:
+    """The geoms that carry floors, by geom id, shape (ngeom,), bool.
+
+    Attributes:
+        building: those that belong to the building.
+        things: those that only lie on its floors.
+        stood_on: those of both that one can stand on somewhere; the others carry no more than
+            what goes on of a floor under something.
+    """
+
+    building: Bool
+    things: Bool
+    stood_on: Bool
+
+
 def find_carriers(
-    floors: Floors, footings: Sequence[Footing], agent: AgentSettings, lattice: Lattice, num: int
-) -> tuple[Bool, Bool]:
+    floors: Floors,
+    footings: Sequence[Footing],
+    extents: Extents,
+    agent: AgentSettings,
+    lattice: Lattice,
+) -> Carriers:
     """Part the geoms that carry floors into those of the building and things on its floors.
 
     A thing (a rug, a pallet, a low box, a boulder) is at most 4 m² large together with what
-    goes on at its height, lies over another floor, at most 1 m higher, and leads nowhere: no
-    step goes on from it to a floor of the building. All else is the building's: floors,
-    stairs, ramps, platforms, terrain.
+    goes on at its height, lies over another floor, at most 1 m higher or solid down to it, and
+    leads nowhere: no step goes on from it to a floor of the building. All else is the
+    building's: floors, stairs, ramps, platforms, terrain.
 
     Args:
         floors: the storeys.
         footings: what carries them.
+        extents: the geoms'.
         agent: its step.
         lattice: the cells.
-        num: how many geoms there are.
-
-    Returns:
-        Masks of the geoms of the building and of the things, shape (num,), bool.
     """
-    carrier = np.concatenate([footing.carrier for footing in footings])
-    gap = np.concatenate([footing.gap for footing in footings])
-    has_floor = carrier >= 0
-    carrier, gap = carrier[has_floor], gap[has_floor]
+    carriers = np.stack([footing.carrier for footing in footings])
+    standable = np.stack([level.standable.ravel() for level in floors.levels])
+    carried = carriers >= 0
+    carrier, gap = carriers[carried], np.stack([footing.gap for footing in footings])[carried]
+    num = len(extents.thin)
     cells = np.bincount(carrier, minlength=num)
-    over_floor = np.bincount(carrier, gap <= THING_HEIGHT + SLACK, num)
+    height = np.fmax(extents.high - extents.low + COVERING, THING_HEIGHT)
+    over_floor = np.bincount(carrier, gap <= height[carrier] + SLACK, num) >= MOSTLY * cells
     covering = np.bincount(carrier, gap <= COVERING + SLACK, num) >= MOSTLY * cells
-    low, high, rise = _steps(floors, footings, lattice)
+    low, high, rise = _steps(floors, carriers, lattice)
     area = _plateau_cells(low, high, rise, cells) * lattice.cell_size**2
-    things = (cells > 0) & (area <= THING_AREA + SLACK) & (over_floor >= MOSTLY * cells)
+    things = (cells > 0) & (area <= THING_AREA + SLACK) & over_floor
     is_step = (rise > SAME) & (rise <= agent.traversable_floor_height + SLACK) & ~covering[low]
     low, high = low[is_step], high[is_step]
     while (leads_up := np.unique(low[things[low] & ~things[high]])).size:
         things[leads_up] = False
-    return (cells > 0) & ~things, things
+    stood_on = np.bincount(carriers[carried & standable], minlength=num) > 0
+    return Carriers((cells > 0) & ~things, things, stood_on)
 
 
 def find_ceilings(extents: Extents, base: Float, static: Bool, agent: AgentSettings) -> Bool:
@@ -96,9 +115,14 @@ def find_ceilings(extents: Extents, base: Float, static: Bool, agent: AgentSetti
     return ceilings
 
 
-def _steps(floors: Floors, footings: Sequence[Footing], lattice: Lattice) -> tuple[Int, Int, Float]:
-    """Pairs of geoms whose floors lie side by side: the lower, the higher, and by how much."""
-    carrier = np.stack([footing.carrier for footing in footings])
+def _steps(floors: Floors, carrier: NDArray[np.int32], lattice: Lattice) -> tuple[Int, Int, Float]:
+    """Pairs of geoms whose floors lie side by side: the lower, the higher, and by how much.
+
+    Args:
+        floors: the storeys.
+        carrier: what carries them, shape (levels, cells), -1 for none.
+        lattice: the cells.
+    """
     floor = np.stack([level.floor.ravel() for level in floors.levels])
     links = floors.links
     ones = [carrier[links[:, 0], links[:, 1]]]

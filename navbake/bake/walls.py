@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from navbake.bake.choice import names_of
 from navbake.bake.extents import Extents
 from navbake.bake.scene import Scene
+from navbake.bake.structure import Carriers
 
 Bool = NDArray[np.bool_]
 Float = NDArray[np.float64]
@@ -115,7 +116,7 @@ def match_walls(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[str]]
 
 
 def find_walls(
-    scene: Scene, extents: Extents, standing: Standing, carries: Bool, excluded: Bool
+    scene: Scene, extents: Extents, standing: Standing, carriers: Carriers, excluded: Bool
 ) -> Bool:
     """Mark the walls by their shape, and by their names where the shape leaves it open.
 
@@ -129,7 +130,8 @@ def find_walls(
         scene: the scene.
         extents: the geoms'.
         standing: how they stand.
-        carries: what is no wall unless it is named so, because it carries a floor.
+        carriers: what carries floors: no wall where one can stand on it unless it is named so,
+            and no piece in a wall's line.
         excluded: what is no wall at all, such as doors.
     """
     hinted = np.array(
@@ -143,11 +145,12 @@ def find_walls(
     stands = static & (standing.base <= NEAR_FLOOR)
     named = stands & hinted
     named &= (standing.rise >= NAMED_TALL) | (slender & (standing.rise >= LOW))
-    shaped = stands & slender & (standing.rise >= TALL) & ~carries & ~named
+    shaped = stands & slender & (standing.rise >= TALL) & ~carriers.stood_on & ~named
     shaped &= standing.upper_area >= UPRIGHT * standing.area
     for geom in np.flatnonzero(shaped):
         shaped[geom] = not _is_furniture_panel(scene, extents, int(geom))
-    return _in_line(named | shaped, static & ~carries, extents)
+    pieces = static & ~carriers.building & ~carriers.things
+    return _in_line(named | shaped, pieces, extents)
 
 
 def _is_slender(extents: Extents) -> Bool:

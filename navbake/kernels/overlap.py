@@ -21,6 +21,7 @@ APART, MEETS, OPEN = 0, 1, 2
 SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX = 2, 3, 4, 5, 6
 
 MOST_STEPS = 128
+ROUNDING = 1e-3  # by how much of itself a distance may seem to grow while it shrinks
 NEAR = 1e-7  # the two meet when they are proved to be this near, less than TOUCH, to each other [m]
 
 
@@ -254,7 +255,7 @@ def solid_meets_prism(
         distance = _dot(v, v)
         if distance < NEAR * NEAR:
             return MEETS  # v is a point of the difference
-        if distance >= last * (1.0 + 1e-9):
+        if distance > last * (1.0 + ROUNDING):
             return OPEN
         last = distance
     return OPEN

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -342,10 +344,19 @@ def test_meshes(scene: tuple[list[Thing], Rules]) -> None:
 @examples(40)
 @given(scenes("box", "cylinder"), millimetres(-0.5, 0.5), millimetres(0.3, 1.5))
 def test_given_levels(scene: tuple[list[Thing], Rules], ground: float, upper: float) -> None:
+    levels = [{"ground": -9.0}, {"ground": ground}, {"ground": ground + upper}]
+    with suppress_no_floor():
+        check(*scene, levels=levels)
+
+
+@contextmanager
+def suppress_no_floor() -> Iterator[None]:
+    """A given level without a floor is an error, and so no grid to compare."""
     try:
-        check(*scene, levels=[{"ground": -9.0}, {"ground": ground}, {"ground": ground + upper}])
+        yield
     except SceneError as error:
-        assert "no floor on level" in str(error)
+        if "no floor on level" not in str(error):
+            raise
 
 
 @st.composite

@@ -103,7 +103,8 @@ def check_same(first, second, move=(0.0, 0.0), quarters: int = 0) -> None:
         x, y = np.array([x0, x1]), np.array([y0, y1])
         for _ in range(quarters):
             x, y = -y, x
-        corners = np.array([x.min(), y.min(), x.max(), y.max()]) + [*move, *move]
+        corners = np.array([x.min(), y.min(), x.max(), y.max()])
+        corners += np.array([*move, *move])
         np.testing.assert_allclose(b.lattice.bounds, corners, atol=1e-9)
     links = first.links.copy()
     for k, level in enumerate(first.levels):

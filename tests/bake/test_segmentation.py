@@ -155,7 +155,8 @@ def test_what_is_tiny_joins_the_room_it_opens_to_and_what_is_shut_in_is_none():
 #aaaaaa#bbb#
 ############
 """)
-    check("""
+    check(
+        """
 ############
 #aaaaaa#a###
 #aaaaaaaa###
@@ -163,11 +164,14 @@ def test_what_is_tiny_joins_the_room_it_opens_to_and_what_is_shut_in_is_none():
 #aaaaaa#...#
 #aaaaaa#...#
 ############
-""", min_area=2.0)
+""",
+        min_area=2.0,
+    )
 
 
 def test_a_crack_is_no_room_however_long():
-    check("""
+    check(
+        """
 ##################
 ##################
 ##################
@@ -177,7 +181,10 @@ def test_a_crack_is_no_room_however_long():
 ##################
 #................#
 ##################
-""", door_width=1.4, min_area=4.0)
+""",
+        door_width=1.4,
+        min_area=4.0,
+    )
 
 
 def test_stairs_belong_to_where_they_begin():

@@ -11,9 +11,7 @@ from oracles.solids import Body, Capsule, Cylinder, Ellipsoid, Float, Polytope, 
 from oracles.surfaces import Surface, surface_meets_prisms
 
 NUDGE = 2e-6  # a line this near to a rim may be on either side of it [m]
-NUDGES = [
-    (NUDGE * np.cos(turn), NUDGE * np.sin(turn)) for turn in np.arange(8) * np.pi / 4 + 0.1
-]
+NUDGES = [(NUDGE * np.cos(turn), NUDGE * np.sin(turn)) for turn in np.arange(8) * np.pi / 4 + 0.1]
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,8 @@ class Polytope:
             for sign in (1.0, -1.0):
                 if (sign * side).max() < 1e-9:
                     known = any(
-                        np.abs(sign * normal - n).max() < 1e-7 and abs(sign * normal @ points[i] - d) < 1e-7
+                        np.abs(sign * normal - n).max() < 1e-7
+                        and abs(sign * normal @ points[i] - d) < 1e-7
                         for n, d in zip(normals, offsets, strict=True)
                     )
                     if not known:

@@ -132,7 +132,9 @@ class Truth:
                 ):
                     both = (grid[a][here] >= 0) & (grid[b][there] >= 0)
                     step = np.abs(height[a][here] - height[b][there])
-                    if (both & (step > self.rules.step + SURE) & (step < self.rules.step + UNSURE)).any():
+                    if (
+                        both & (step > self.rules.step + SURE) & (step < self.rules.step + UNSURE)
+                    ).any():
                         raise UnsureError("a step is just as high as can be taken")
                     joined = both & (step <= self.rules.step + SURE)
                     pairs.append(np.stack([grid[a][here][joined], grid[b][there][joined]]))
@@ -192,9 +194,7 @@ class Truth:
                 else:
                     later.append((z, home))
             for z, home in later:
-                empty = [
-                    k for k in range(home + 1, len(grounds)) if np.isnan(levels[k][cell])
-                ]
+                empty = [k for k in range(home + 1, len(grounds)) if np.isnan(levels[k][cell])]
                 assert empty, f"no level for the surface at {z} m of cell {cell}"
                 levels[empty[0]][cell] = z
         return levels
