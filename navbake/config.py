@@ -208,10 +208,11 @@ class NameSettings(Settings):
     )
 
 
-# `names: false` is short for `names: {enabled: false}`
-_NamesSection = BeforeValidator(
-    lambda value: {"enabled": value} if isinstance(value, bool) else value or {}
-)
+def _switch_names(value: Any) -> Any:
+    """`names: false` is short for `names: {enabled: false}`."""
+    if isinstance(value, bool):
+        return {"enabled": value}
+    return {} if value is None else value
 
 
 class DoorSettings(Settings):
@@ -274,7 +275,7 @@ class BakeConfig(Settings):
     floors: Annotated[FloorSettings, Section] = Field(
         default_factory=FloorSettings, description="which surfaces are floors, and not furniture"
     )
-    names: Annotated[NameSettings, _NamesSection] = Field(
+    names: Annotated[NameSettings, BeforeValidator(_switch_names)] = Field(
         default_factory=NameSettings, description="names of what stands in the cells, or false"
     )
     rooms: Annotated[RoomSettings, BeforeValidator(expand_rooms)] = Field(

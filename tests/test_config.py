@@ -66,6 +66,7 @@ def test_defaults(house):
         "tops": False,
         "roofs": False,
     }
+    assert config.names.model_dump() == {"enabled": True, "walls": []}
     assert config.attributes == []
     assert config.output is None
 
@@ -89,6 +90,7 @@ def test_every_key(house):
             - {ground: 0, top: 2.7, name: ground floor}
             - ground: 3.0
             floors: {min_area: 0, shrink: 0, roofs: true}
+            names: {enabled: false, walls: ["wall_*", fence]}
             attributes: [clearance, island]
             output: out/a.grid.json
         """)
@@ -102,6 +104,7 @@ def test_every_key(house):
     assert isinstance(config.grid.cell_size, float)
     assert config.levels[0].name == "ground floor"
     assert config.levels[1].model_dump() == {"ground": 3.0, "top": None, "name": None}
+    assert config.names.model_dump() == {"enabled": False, "walls": ["wall_*", "fence"]}
     assert config.output == Path("out/a.grid.json")
 
 
@@ -129,6 +132,14 @@ def test_a_scene_file_gets_the_defaults(name):
 def test_sections_may_be_empty(house):
     config = load_config(house("scene:\n  path: house.xml\n  exclude:\nagent:\ngrid:\nfloors:"))
     assert config == load_config(house(with_scene()))
+
+
+@pytest.mark.parametrize(
+    ("text", "enabled"), [("false", False), ("true", True), ("", True), ("{}", True)]
+)
+def test_names_are_switched_by_one_word(house, text, enabled):
+    assert load_config(house(with_scene(f"names: {text}"))).names.enabled is enabled
+    assert load_config(house(with_scene()), [f"names={text}"]).names.enabled is enabled
 
 
 def test_text_that_yaml_1_1_would_turn_into_something_else(house):
@@ -206,6 +217,9 @@ REFUSED = [
     ("levels: [{ground: 0, name: ''}]", 'got "" at `levels[0].name`'),
     ("floors: {roofs: 1}", "expected true or false, got 1 at `floors.roofs`"),
     ("floors: {roofs: yes}", 'expected true or false, got "yes" at `floors.roofs`'),
+    ("names: 0", "expected a mapping, got 0 at `names`"),
+    ("names: {walls: wall_*}", 'expected a list, got "wall_*" at `names.walls`'),
+    ("names: {wall: [wall_*]}", "the nearest known one is `names.walls`"),
     ("attributes: [island, island]", "expected a list of some of island, clearance, each once"),
     ("attributes: [color]", "got a list of 1 at `attributes`"),
     ("attributes: island", 'got "island" at `attributes`'),

@@ -287,3 +287,21 @@ def _listed(model: Any, addresses: NDArray[np.int32]) -> str:
     if not named:
         return "none with a name"
     return ", ".join(named[:20]) + (f" and {len(named) - 20} more" if len(named) > 20 else "")
+
+
+def data_with_joint(model: Any, data: Any, joint: int, position: float) -> Any:
+    """A copy of a model's data with one hinge or slide moved, all geoms placed anew.
+
+    Args:
+        model: the mujoco.MjModel.
+        data: its mujoco.MjData; not changed.
+        joint: the joint's id.
+        position: where it goes [rad or m].
+    """
+    moved = mujoco.MjData(model)
+    moved.qpos[:] = data.qpos
+    moved.mocap_pos[:] = data.mocap_pos
+    moved.mocap_quat[:] = data.mocap_quat
+    moved.qpos[model.jnt_qposadr[joint]] = position
+    mujoco.mj_kinematics(model, moved)
+    return moved

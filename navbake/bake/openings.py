@@ -94,22 +94,31 @@ def match_doors(
         The sorted ids of each opening's doors, by its number.
     """
     reach = DOOR_REACH / lattice.cell_size + SLACK
+    boxes = np.array([_box(opening.cells, lattice.width) for opening in openings]).reshape(-1, 4)
+    on_level = np.array([opening.level for opening in openings], dtype=np.int64)
     found: dict[int, list[str]] = {}
     for door, levels in sorted(doors.items()):
-        best: tuple[int, float] = (0, 0.0)
-        chosen = -1
-        for number, opening in enumerate(openings):
-            cells = levels[opening.level] if opening.level < len(levels) else np.empty(0)
+        scores: list[tuple[int, float, int]] = []
+        for level, cells in enumerate(levels):
             if not len(cells):
                 continue
-            distance = _distances(opening.cells, np.asarray(cells), lattice.width)
-            near = distance <= reach
-            score = int(near.sum()), -float(distance.mean())
-            if near.any() and (chosen < 0 or score > best):
-                best, chosen = score, number
-        if chosen >= 0:
-            found.setdefault(chosen, []).append(door)
+            row0, col0, row1, col1 = _box(cells, lattice.width)
+            near = (on_level == level) & (boxes[:, 0] <= row1 + reach)
+            near &= (boxes[:, 2] >= row0 - reach) & (boxes[:, 1] <= col1 + reach)
+            near &= boxes[:, 3] >= col0 - reach
+            for number in np.flatnonzero(near).tolist():
+                distance = _distances(openings[number].cells, cells, lattice.width)
+                within = int(np.count_nonzero(distance <= reach))
+                scores.append((within, -float(distance.mean()), -number))
+        if scores and max(scores)[0]:
+            found.setdefault(-max(scores)[2], []).append(door)
     return found
+
+
+def _box(cells: Int, width: int) -> tuple[int, int, int, int]:
+    """First row and column, last row and column."""
+    row, col = np.divmod(cells, width)
+    return int(row.min()), int(col.min()), int(row.max()), int(col.max())
 
 
 def _find_steps(
