@@ -105,10 +105,12 @@ def _is_entry(entry: Any, sizes: list[int]) -> bool:
     return all(a >= 0 and 0 < n <= sizes[level] - a for a, n in pairs)
 
 
-def with_doors(grid: AnyGrid, states: Mapping[str, str]) -> AnyGrid:
+def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
     """The same grid with doors in other states; see `SceneGrid2D.with_doors`."""
     doors = copy.deepcopy(grid.navbake.get("doors", []))
     by_id = {door["id"]: door for door in doors}
+    if isinstance(states, str):
+        states = dict.fromkeys(by_id, states)
     for name, state in states.items():
         if name not in by_id:
             near = get_close_matches(name, by_id, n=1)

@@ -182,11 +182,11 @@ class SceneGrid2D(_Described):
             return stored
         return _derived(np.where((stored >= 0) & (stored < 65536), stored, 0).astype(np.uint16))
 
-    def with_doors(self, states: Mapping[str, str]) -> SceneGrid2D:
+    def with_doors(self, states: Mapping[str, str] | str) -> SceneGrid2D:
         """The same grid with doors in other states, as a bake in these states would have it.
 
         Args:
-            states: ``modelled``, ``open``, ``closed`` or ``removed`` by a door's id.
+            states: ``modelled``, ``open``, ``closed`` or ``removed``, by a door's id or for all.
 
         Raises:
             QueryError: there is no such door, or no such state.
@@ -279,11 +279,11 @@ class MultiLevelGrid(_Described):
         num_cells = [grid.width * grid.height for grid in self.grids]
         return _read_links(self.navbake.get("links"), num_cells)
 
-    def with_doors(self, states: Mapping[str, str]) -> MultiLevelGrid:
+    def with_doors(self, states: Mapping[str, str] | str) -> MultiLevelGrid:
         """The same grid with doors in other states, as a bake in these states would have it.
 
         Args:
-            states: ``modelled``, ``open``, ``closed`` or ``removed`` by a door's id.
+            states: ``modelled``, ``open``, ``closed`` or ``removed``, by a door's id or for all.
 
         Raises:
             QueryError: there is no such door, or no such state.

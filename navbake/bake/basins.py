@@ -7,10 +7,10 @@ import heapq
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.kernels.watershed import find_passes, measure_basins
+from navbake.kernels.labels import find_passes, measure_basins
 
-Bool = NDArray[np.bool_]
 Float = NDArray[np.float64]
+Int = NDArray[np.int64]
 Labels = NDArray[np.int32]
 
 # How much wider a disc fits where corridors cross than in them
@@ -28,7 +28,7 @@ class Basins:
 
     def __init__(self, label: Labels, distance: Labels, num_wide: int) -> None:
         num_basins = int(label.max(initial=0))
-        cells, peaks = measure_basins(label, distance, num_basins)
+        cells, peaks, _ = measure_basins(label, distance, num_basins)
         self._cells: list[int] = cells.tolist()
         # how far from the walls at the widest place [half cells]
         self._peak: list[float] = np.sqrt(peaks).tolist()
@@ -96,24 +96,21 @@ class Basins:
                 if a != b and other not in places - junctions:
                     self._join(min(a, b), max(a, b))
 
-    def join_stairs(self, label: Labels, floor: Float, steep: Bool) -> None:
+    def join_stairs(self, num_steep: Int, heights: Float) -> None:
         """Join stairs to where they open to as wide as they are; of several, to the lowest.
 
         Args:
-            label: as the basins were made from.
-            floor: heights of the cells, NaN for none [m].
-            steep: the cells that are as steep as stairs.
+            num_steep: how many cells of each basin are as steep as stairs.
+            heights: sum of the heights of each basin's cells [m].
         """
-        num_steep = np.bincount(label[steep], minlength=len(self._cells))
-        total = np.bincount(label.ravel(), np.nan_to_num(floor).ravel(), minlength=len(self._cells))
-        for basin, cells in enumerate(np.bincount(label.ravel(), minlength=len(self._cells))):
-            if not basin or num_steep[basin] < HALF * cells:
+        cells = list(self._cells)
+        for basin in range(1, len(cells)):
+            if self._parent[basin] != basin or num_steep[basin] < HALF * cells[basin]:
                 continue
-            stair = self._root(basin)
-            mouths = [other for other in self._passes[stair] if self._is_mouth(other, stair)]
-            if mouths and self._parent[basin] == basin:
-                to = min(mouths, key=lambda other: (total[other] / self._cells[other], other))
-                self._join(to, stair)
+            mouths = [other for other in self._passes[basin] if self._is_mouth(other, basin)]
+            if mouths:
+                lowest = min(mouths, key=lambda other: (heights[other] / cells[other], other))
+                self._join(lowest, basin)
 
     def join_small(self, least: float) -> None:
         """Join basins of fewer cells, the smallest first, to the one they open to the widest."""

@@ -101,6 +101,8 @@ class _Collector:
         self._closed = np.zeros(model.ngeom, dtype=np.uint8)
         self._endless = np.zeros(model.ngeom, dtype=np.bool_)
         self._meshes: dict[tuple[int, str], tuple[Corners, str]] = {}
+        numbers = np.hstack([data.geom_xpos, data.geom_xmat, model.geom_size])
+        self._is_finite = np.isfinite(numbers).all(axis=1)
         self.notes: list[str] = []
 
     def add(self, geom: int, mesh_mode: str) -> str:
@@ -148,8 +150,7 @@ class _Collector:
         )
 
     def _check_place(self, geom: int) -> None:
-        numbers = (self._data.geom_xpos, self._data.geom_xmat, self._model.geom_size)
-        if not all(np.isfinite(array[geom]).all() for array in numbers):
+        if not self._is_finite[geom]:
             name = names_of(self._model, geom).geom
             raise SceneError(f"geom {name!r} has a pose or size that is no number")
 
@@ -191,8 +192,8 @@ class _Collector:
                 f"mesh {name.mesh!r} of geom {name.geom!r} is flat, so it has no convex hull: "
                 f"it counts by its triangles"
             )
-        corners = vertices[faces]
-        return corners, "closed surface" if is_closed_solid(corners) else "surface"
+        kind = "closed surface" if is_closed_solid(vertices, faces) else "surface"
+        return vertices[faces], kind
 
     def _add_triangles(self, geom: int, world: Corners, closed: int) -> None:
         self._corners.append(world)

@@ -281,35 +281,35 @@ def _list_level(
     """List the geoms of one storey's cells; a cell's ceiling is never lower than the agent."""
     lattice, shapes = columns.lattice, tiled.shapes
     place = (lattice.x_min, lattice.y_max, lattice.cell_size, lattice.width, lattice.height)
+    solids, planes = shapes.solids, shapes.planes
     footprint = Footprint.of(agent, lattice.cell_size)
+    half = lattice.cell_size / 2 - TOUCH
+    upper_low, upper_high = WALL_BAND[0] + TOUCH, WALL_BAND[1] - TOUCH
     floor = level.floor.ravel()
     ceiling = np.maximum(top, floor + agent.height) - TOUCH
-    half = lattice.cell_size / 2 - TOUCH
-    solids = (tiled.solid_start, tiled.solid_item)
-    triangles = (tiled.triangle_start, tiled.triangle_item, shapes.triangles.geom)
-    surfaces = (columns.start, columns.z, columns.normal, columns.geom)
     slot = np.zeros(len(floor) + 1, dtype=np.int64)
     count_candidates(
-        *place, floor, ceiling, footprint.reach, *solids, shapes.solids.bounds, *triangles,
-        tiled.triangle_bounds, shapes.planes.pos, shapes.planes.mat, slot[1:],
+        *place, floor, ceiling, footprint.reach,
+        tiled.solid_start, tiled.solid_item, solids.bounds,
+        tiled.triangle_start, tiled.triangle_item, shapes.triangles.geom, tiled.triangle_bounds,
+        planes.pos, planes.mat, slot[1:],
     )  # fmt: skip
     np.cumsum(slot, out=slot)
     geom, flags = np.empty(slot[-1], dtype=np.int32), np.zeros(slot[-1], dtype=np.uint8)
     list_geoms(
-        *place, floor, ceiling, SAME + TOUCH, *WALL_BAND, half, footprint.square,
-        footprint.radius, footprint.low, footprint.high, occupied.ravel(), probed, *surfaces,
-        shapes.closed,
-        *solids, shapes.solids.geom, shapes.solids.kind, shapes.solids.pos, shapes.solids.mat,
-        shapes.solids.size, shapes.solids.bounds, *triangles, shapes.triangles.corners,
-        tiled.triangle_bounds, shapes.planes.geom, shapes.planes.pos, shapes.planes.mat,
+        *place, floor, ceiling, SAME + TOUCH, upper_low, upper_high, half,
+        footprint.square, footprint.radius, footprint.low, footprint.high,
+        occupied.ravel(), probed,
+        columns.start, columns.z, columns.normal, columns.geom, shapes.closed,
+        tiled.solid_start, tiled.solid_item, solids.geom, solids.kind, solids.pos, solids.mat,
+        solids.size, solids.bounds,
+        tiled.triangle_start, tiled.triangle_item, shapes.triangles.geom,
+        shapes.triangles.corners, tiled.triangle_bounds,
+        planes.geom, planes.pos, planes.mat,
         slot, geom, flags,
     )  # fmt: skip
-    carrier, gap = np.empty(len(floor), dtype=np.int32), np.empty(len(floor))
-    min_up = float(np.cos(np.radians(agent.max_slope))) - SLACK
-    describe_floors(floor, *surfaces, min_up, carrier, gap)
     kept = flags > 0
-    start = np.concatenate([[0], np.cumsum(kept)])[slot]
-    flags = flags[kept]
+    start, flags = np.concatenate([[0], np.cumsum(kept)])[slot], flags[kept]
     unproved = np.flatnonzero(flags & UNPROVED)
     if len(unproved):  # what FCL found out about the cell decides
         cells = np.searchsorted(start, unproved, side="right") - 1
@@ -321,8 +321,17 @@ def _list_level(
         stands=(flags & STANDS) > 0,
         blocks=(flags & BLOCKS) > 0,
         upper=(flags & PROBED) > 0,
-        footing=Footing(carrier, gap),
+        footing=_footing(columns, floor, agent),
     )
+
+
+def _footing(columns: Columns, floor: NDArray[np.float64], agent: AgentSettings) -> Footing:
+    carrier, gap = np.empty(len(floor), dtype=np.int32), np.empty(len(floor))
+    min_up = float(np.cos(np.radians(agent.max_slope))) - SLACK
+    describe_floors(
+        floor, columns.start, columns.z, columns.normal, columns.geom, min_up, carrier, gap
+    )
+    return Footing(carrier, gap)
 
 
 def _standing(levels: Sequence[LevelContents], floors: Floors, extents: Extents) -> Standing:

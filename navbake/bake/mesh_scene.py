@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import logging
+import re
 import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 
 from navbake.bake.meshes.gltf import check_gltf
 from navbake.bake.meshes.part import MeshPart
+from navbake.bake.meshes.text import check_ply, prepare_obj, prepare_ply, prepare_stl
 from navbake.errors import SceneError
 
 MESH_SUFFIXES = frozenset({".obj", ".ply", ".stl", ".glb", ".gltf", ".dae"})
@@ -42,7 +45,7 @@ def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPa
         unit: metres per unit of the file (of a DAE: per metre of the file), > 0.
 
     Returns:
-        The parts that have at least one triangle, in the file's order, their names unique.
+        The parts that have at least one triangle, their names unique.
 
     Raises:
         SceneError: the file can't be read as a mesh or holds no triangle; a coordinate is no
@@ -58,7 +61,7 @@ def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPa
     taken = {"world"}  # MuJoCo's own body
     parts = [_clean(part, turn, path) for part in found]
     named = [
-        MeshPart(_unique(_own_name(part.name, path), taken), part.vertices, part.faces)
+        MeshPart(_unique(part.name, taken), part.vertices, part.faces)
         for part in parts
         if len(part.faces)
     ]
@@ -68,10 +71,16 @@ def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPa
 
 
 OPTIONS: dict[str, dict[str, Any]] = {
-    ".obj": {"split_objects": True, "split_groups": True, "skip_materials": True},
+    ".obj": {
+        "split_objects": True,
+        "split_groups": True,
+        "group_material": False,
+        "skip_materials": True,
+    },
     ".glb": {"skip_materials": True},
     ".gltf": {"skip_materials": True},
 }
+PREPARE = {".obj": prepare_obj, ".stl": prepare_stl, ".ply": prepare_ply}
 
 
 def _read_parts(path: Path) -> list[MeshPart]:
@@ -79,14 +88,22 @@ def _read_parts(path: Path) -> list[MeshPart]:
     suffix = path.suffix.lower()
     if suffix in (".glb", ".gltf"):
         check_gltf(path)
+    source: Any = io.BytesIO(PREPARE[suffix](path)) if suffix in PREPARE else path
+    options = OPTIONS.get(suffix, {})
     try:
         with _silence():
-            loaded = trimesh.load_scene(path, process=False, **OPTIONS.get(suffix, {}))
+            loaded = trimesh.load_scene(source, file_type=suffix[1:], process=False, **options)
             nodes = list(loaded.graph.nodes_geometry)
-            return [part for node in nodes if (part := _part_of(loaded, node)) is not None]
+            parts = [part for node in nodes if (part := _part_of(loaded, node)) is not None]
     except Exception as error:  # trimesh passes on whatever its parsers raise
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise SceneError(f"cannot read the mesh {path}: {reason}") from error
+        raise SceneError(
+            f"cannot read the mesh {path}, it is broken or cut off: {reason}"
+        ) from error
+    if suffix == ".ply":
+        num_vertices = sum(len(part.vertices) for part in parts)
+        check_ply(path, num_vertices, sum(len(part.faces) for part in parts))
+    return parts
 
 
 def _part_of(loaded: Any, node: str) -> MeshPart | None:
@@ -97,6 +114,8 @@ def _part_of(loaded: Any, node: str) -> MeshPart | None:
         return None
     faces = np.asarray(geometry.faces, dtype=np.int64)
     vertices = np.asarray(geometry.vertices, dtype=np.float64)
+    if faces.shape[1:] != (3,) or vertices.shape[1:] != (3,):
+        raise ValueError(f"{geometry_name!r} has no vertices of three coordinates and triangles")
     if len(faces) and not 0 <= int(faces.min()) <= int(faces.max()) < len(vertices):
         raise ValueError(f"a face of {geometry_name!r} has vertices that are not there")
     matrix = np.asarray(matrix, dtype=np.float64)
@@ -142,11 +161,10 @@ def _dae_unit(path: Path) -> float:
 
 def _clean(part: MeshPart, turn: NDArray[np.float64], path: Path) -> MeshPart:
     """Turn a part into the world frame; leave out empty triangles and unused vertices."""
-    name = "".join(char if char.isprintable() else "_" for char in part.name)
-    used, index = np.unique(part.faces, return_inverse=True)
+    name = _own_name(part.name, path)
+    vertices, faces = _only_used(part.vertices, part.faces)
     with np.errstate(all="ignore"):
-        vertices = part.vertices[used] @ turn.T
-    faces = index.reshape(-1, 3)
+        vertices = vertices @ turn.T
     if not np.isfinite(vertices).all():
         raise SceneError(f"mesh {name!r} in {path} has coordinates that are no numbers")
     if len(vertices) and np.abs(vertices).max() > MAX_COORDINATE:
@@ -155,14 +173,25 @@ def _clean(part: MeshPart, turn: NDArray[np.float64], path: Path) -> MeshPart:
         )
     corners = vertices[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    faces = faces[np.linalg.norm(cross, axis=1) > NO_AREA]
-    used, index = np.unique(faces, return_inverse=True)
-    return MeshPart(name, vertices[used], index.reshape(-1, 3).astype(np.int64))
+    has_area = np.linalg.norm(cross, axis=1) > NO_AREA
+    return MeshPart(name, *_only_used(vertices, faces[has_area]))
+
+
+def _only_used(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The vertices that faces use, and the faces counted in them."""
+    is_used = np.zeros(len(vertices), dtype=np.bool_)
+    is_used[faces] = True
+    return vertices[is_used], (np.cumsum(is_used, dtype=np.int64) - 1)[faces]
 
 
 def _own_name(name: str, path: Path) -> str:
-    """A part's name without the file's, which trimesh puts where the file names nothing."""
-    return (name.removeprefix(path.name).removeprefix("_") if name else "") or path.stem
+    """A part's name, printable; the file's stem where trimesh made one up."""
+    name = "".join(char if char.isprintable() else "_" for char in name)
+    if re.fullmatch(r"geometry(_\d+)?", name):
+        return path.stem
+    return name.removeprefix(path.name).removeprefix("_") or path.stem
 
 
 def _unique(name: str, taken: set[str]) -> str:

@@ -89,7 +89,8 @@ def _load_model(settings: SceneSettings, warnings: list[str]) -> tuple[Any, dict
         suffix = path.suffix.lower()
         if suffix in MESH_SUFFIXES:
             parts = read_mesh_parts(path, settings.up, settings.unit)
-            return _compile(path, warnings, lambda: _build_model(parts)), dict(enumerate(parts))
+            model = _compile(path, warnings, lambda: _build_model(parts))
+            return model, {int(model.geom(part.name).id): part for part in parts}
         if suffix == MJB_SUFFIX:
             return _load_mjb(path, warnings), {}
         if suffix in XML_SUFFIXES:
@@ -123,7 +124,9 @@ def _load_xml(path: Path, warnings: list[str]) -> Any:
         return _compile(path, warnings, lambda: mujoco.MjModel.from_xml_path(str(path)))
     except SceneError as error:
         problem = _find_xml_problem(path)
-        raise (SceneError(f"broken XML in {path}: {problem}") if problem else error) from error
+        if problem:
+            raise SceneError(f"broken XML in {path}: {problem}") from error
+        raise
 
 
 def _peek_root(path: Path) -> str:

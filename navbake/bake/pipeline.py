@@ -95,7 +95,7 @@ def run_bake(
             contents = _list_contents(scene, columns, tiled, floors, occupied, config)
         with clock.stage("rooms"):
             walls = _wall_cells(contents, floors)
-            rooms = find_rooms(scene, floors, walls, config.rooms, config.agent, lattice)
+            rooms = find_rooms(scene, columns, floors, walls, config.rooms, config.agent)
         with clock.stage("doors"):
             placed = place_doors(
                 whole, bodies, lattice, floors.levels, occupied, footprint, rooms.room_at

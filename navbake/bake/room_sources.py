@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from navbake.bake.choice import Choice
 from navbake.bake.collect import collect_shapes
-from navbake.bake.columns import cast_columns, tile_shapes
+from navbake.bake.columns import Columns, cast_columns, tile_shapes
 from navbake.bake.levels import LevelFloor
 from navbake.bake.scene import Scene
 from navbake.bake.shapes import Solids, solid_bounds
@@ -50,7 +50,7 @@ class Claim:
 
 
 def claim_by_geoms(
-    scene: Scene, levels: Sequence[LevelFloor], patterns: Sequence[str], lattice: Lattice
+    scene: Scene, columns: Columns, levels: Sequence[LevelFloor], patterns: Sequence[str]
 ) -> Claim:
     """Give each cell the room whose geom is its floor.
 
@@ -61,31 +61,28 @@ def claim_by_geoms(
 
     Args:
         scene: the scene; patterns that match nothing end up in its warnings.
+        columns: all surfaces of what counts in it.
         levels: the storeys.
         patterns: of geom names.
-        lattice: the cells.
     """
-    model = scene.model
+    model, lattice = scene.model, columns.lattice
     names = [model.geom(geom).name for geom in range(model.ngeom)]
     chosen = _match(names, patterns, DEFAULT_GEOMS, "geoms", scene.warnings)
     labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
     if not chosen:
         return Claim([], labels)
-    choices = [Choice(geom in chosen, "marks a room", "surface") for geom in range(model.ngeom)]
-    shapes = collect_shapes(model, scene.data, choices, {}).shapes
-    columns = cast_columns(tile_shapes(shapes, lattice, 0.0))
-    cell = np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))
-    number = np.zeros(model.ngeom, dtype=np.int32)
+    number = np.zeros(model.ngeom + 1, dtype=np.int32)
     number[chosen] = np.arange(1, len(chosen) + 1)
+    cell, z, geom = _surfaces_of(scene, columns, chosen)
     for level, label in zip(levels, labels, strict=True):
-        height = columns.z - level.floor.ravel()[cell]  # NaN without a floor, which is no match
-        here = (height >= -BELOW - SAME) & (height <= ABOVE + SAME) & (columns.normal[:, 2] > 0)
+        height = z - level.floor.ravel()[cell]  # NaN without a floor, which is no match
+        here = (height >= -BELOW - SAME) & (height <= ABOVE + SAME)
         highest = np.full(label.size, -np.inf)
-        np.maximum.at(highest, cell[here], columns.z[here])
-        here &= columns.z >= highest[cell] - SAME
+        np.maximum.at(highest, cell[here], z[here])
+        here &= z >= highest[cell] - SAME
         first = np.full(label.size, model.ngeom, dtype=np.int32)
-        np.minimum.at(first, cell[here], columns.geom[here])
-        label[:] = np.append(number, np.int32(0))[first].reshape(lattice.shape)
+        np.minimum.at(first, cell[here], geom[here])
+        label[:] = number[first].reshape(lattice.shape)
     return Claim([_room_name(names[geom]) for geom in chosen], labels)
 
 
@@ -165,6 +162,33 @@ def claim_by_polygons(
             )
         labels[level][mask & (labels[level] == 0)] = number + 1
     return Claim([polygon.name for polygon in polygons], labels)
+
+
+def _surfaces_of(
+    scene: Scene, columns: Columns, chosen: Sequence[int]
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int32]]:
+    """The surfaces of geoms that face up: cells, heights, geoms.
+
+    The columns have those that count already, but hulls cover more than the meshes do.
+    """
+    known = [geom for geom in chosen if scene.geoms[geom].shape not in ("", "hull")]
+    parts = [(columns, known)]
+    others = set(chosen) - set(known)
+    if others:
+        choices = [
+            Choice(geom in others, "marks a room", "surface") for geom in range(len(scene.geoms))
+        ]
+        shapes = collect_shapes(scene.model, scene.data, choices, {}).shapes
+        parts.append((cast_columns(tile_shapes(shapes, columns.lattice, 0.0)), sorted(others)))
+    found = []
+    for surfaces, geoms in parts:
+        is_meant = np.zeros(len(scene.geoms), dtype=np.bool_)
+        is_meant[geoms] = True
+        at = np.flatnonzero(is_meant[surfaces.geom] & (surfaces.normal[:, 2] > 0))
+        cell = np.searchsorted(surfaces.start, at, side="right") - 1
+        found.append((cell, surfaces.z[at], surfaces.geom[at]))
+    cells, heights, geoms_of = zip(*found, strict=True)
+    return np.concatenate(cells), np.concatenate(heights), np.concatenate(geoms_of)
 
 
 def _match(

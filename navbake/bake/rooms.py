@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from navbake.bake.columns import Columns
 from navbake.bake.levels import Floors
 from navbake.bake.openings import (
     Opening,
@@ -24,10 +25,11 @@ from navbake.bake.openings import (
 )
 from navbake.bake.room_sources import Claim, claim_by_geoms, claim_by_polygons, claim_by_sites
 from navbake.bake.scene import Scene
-from navbake.bake.segmentation import number_by_place, segment_rooms
+from navbake.bake.segmentation import number_by_place, order_by_place, segment_rooms
 from navbake.config import AgentSettings
 from navbake.config_rooms import RoomSettings
 from navbake.errors import SceneError
+from navbake.kernels.labels import measure_rooms
 from navbake.lattice import Lattice
 
 Bool = NDArray[np.bool_]
@@ -87,11 +89,11 @@ class Rooms:
 
 def find_rooms(
     scene: Scene,
+    columns: Columns,
     floors: Floors,
     walls: Sequence[Bool],
     settings: RoomSettings,
     agent: AgentSettings,
-    lattice: Lattice,
 ) -> Rooms:
     """Tell which room each cell belongs to.
 
@@ -102,23 +104,23 @@ def find_rooms(
 
     Args:
         scene: the scene; its warnings receive what the user should know.
+        columns: all surfaces.
         floors: the storeys and the steps between them.
         walls: by level, the cells that a wall stands in, shape (height, width), bool.
         settings: the sources and their settings.
         agent: its height and step.
-        lattice: the cells.
 
     Raises:
         ConfigError: a polygon names a level that there is not.
         SceneError: a level has more than 65,535 rooms.
     """
-    levels = floors.levels
+    levels, lattice = floors.levels, columns.lattice
     drawing = _Drawing(
         [~np.isnan(level.floor) & ~wall for level, wall in zip(levels, walls, strict=True)]
     )
     for source in settings.sources:
         if source == "geoms":
-            claim = claim_by_geoms(scene, levels, settings.geoms, lattice)
+            claim = claim_by_geoms(scene, columns, levels, settings.geoms)
             drawing.take(claim, source)
         elif source == "sites":
             claim = claim_by_sites(
@@ -147,6 +149,8 @@ class _Drawing:
 
     def take(self, claim: Claim, source: str) -> None:
         """Add what a source claims."""
+        if not claim.names:
+            return
         for open_cells, owner, label in zip(self._open, self._owner, claim.labels, strict=True):
             fresh = np.where(open_cells & (owner == 0), label, 0)
             number = np.zeros(len(claim.names) + 1, dtype=np.int32)
@@ -179,17 +183,16 @@ class _Drawing:
         """Number the rooms of each level; also tells the name and the source of each."""
         index, rooms = [], []
         for level, owner in enumerate(self._owner):
-            label = number_by_place(owner)
-            count = int(label.max(initial=0))
-            if count > MAX_ROOMS:
+            order = order_by_place(owner)
+            if len(order) > MAX_ROOMS:
                 raise SceneError(
-                    f"expected at most {MAX_ROOMS} rooms on a level, got {count} on level {level}: "
-                    f"raise `rooms.min_area` or `rooms.door_width`"
+                    f"expected at most {MAX_ROOMS} rooms on a level, got {len(order)} on level "
+                    f"{level}: raise `rooms.min_area` or `rooms.door_width`"
                 )
-            owners = np.zeros(count + 1, dtype=np.int32)
-            owners[label.ravel()] = owner.ravel()
-            index.append(label.astype(np.uint16))
-            rooms.append([self._rooms[k - 1] for k in owners[1:]])
+            number = np.zeros(len(self._rooms) + 1, dtype=np.uint16)
+            number[order] = np.arange(1, len(order) + 1)
+            index.append(number[owner])
+            rooms.append([self._rooms[k - 1] for k in order])
         return index, rooms
 
 
@@ -260,12 +263,10 @@ def _describe(
 ) -> list[Json]:
     names = Counter(name for level in rooms for name, _ in level)
     table = []
-    x, y = np.meshgrid(lattice.center_x(), lattice.center_y())
     for number, (label, level) in enumerate(zip(index, floors.levels, strict=True)):
-        has_room = label > 0
-        of_room = label[has_room]
-        count = np.bincount(of_room)
-        center = [np.bincount(of_room, v[has_room]) for v in (x, y, level.floor)]
+        count, *center = measure_rooms(
+            label, level.floor, lattice.center_x(), lattice.center_y(), len(rooms[number])
+        )
         for k, (name, source) in enumerate(rooms[number], 1):
             is_unique = name is not None and names[name] == 1 and not ID_LIKE.fullmatch(name)
             table.append(

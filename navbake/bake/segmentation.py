@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from navbake.bake.basins import ROUGHNESS, SLACK, Basins
-from navbake.kernels.watershed import first_cells, flood, measure_basins, squared_distances
+from navbake.kernels.labels import (
+    cells_of_nodes,
+    first_cells,
+    label_parts,
+    measure_basins,
+    measure_slopes,
+)
+from navbake.kernels.watershed import flood, squared_distances
 
 Bool = NDArray[np.bool_]
 Float = NDArray[np.float64]
@@ -78,27 +84,12 @@ def segment_rooms(
     basins.join_rough_passes()
     basins.join_junctions()
     if floor is not None:
-        floor = np.where(open_cells, floor[window], np.nan)
-        basins.join_stairs(label, floor, find_steep(floor, cell_size) & open_cells)
+        steps = max(1, round(REACH / cell_size))
+        rise = STEEP * 2 * steps * cell_size
+        basins.join_stairs(*measure_slopes(label, floor[window], steps, rise, int(label.max())))
     basins.join_small(least)
     rooms[window] = number_by_place(basins.joined(least)[label])
     return rooms
-
-
-def find_steep(floor: Float, cell_size: float) -> Bool:
-    """Mark cells in whose surroundings (0.6 m) the floor is as steep as stairs are.
-
-    Args:
-        floor: heights, shape (height, width), NaN for none, which is level with all [m].
-        cell_size: edge of a cell [m].
-    """
-    reach = max(1, round(REACH / cell_size))
-    padded = np.pad(floor, reach, constant_values=np.nan)
-    down = padded[2 * reach :, reach:-reach] - padded[: -2 * reach, reach:-reach]
-    across = padded[reach:-reach, 2 * reach :] - padded[reach:-reach, : -2 * reach]
-    rise = np.hypot(np.nan_to_num(down), np.nan_to_num(across))
-    steep: Bool = rise >= STEEP * 2 * reach * cell_size
-    return steep
 
 
 def wall_nodes(open_cells: Bool) -> Bool:
@@ -124,11 +115,16 @@ def wall_nodes(open_cells: Bool) -> Bool:
 
 def number_by_place(label: Labels) -> Labels:
     """Renumber labels from 1 by the first cell of each in reading order; 0 stays."""
-    first = first_cells(label, int(label.max(initial=0)) + 1)
-    order = np.argsort(first[1:], kind="stable")[: np.count_nonzero(first[1:] < label.size)]
-    number = np.zeros(len(first), dtype=np.int32)
-    number[1 + order] = np.arange(1, len(order) + 1)
+    order = order_by_place(label)
+    number = np.zeros(int(order.max(initial=0)) + 1, dtype=np.int32)
+    number[order] = np.arange(1, len(order) + 1)
     return number[label]
+
+
+def order_by_place(label: Labels) -> Int:
+    """The labels that are used, but 0, by their first cells in reading order."""
+    first = first_cells(label, int(label.max(initial=0)) + 1)[1:]
+    return 1 + np.argsort(first, kind="stable")[: np.count_nonzero(first < label.size)]
 
 
 def _find_seeds(
@@ -137,43 +133,41 @@ def _find_seeds(
     """Label where discs wider than the door fit, and the narrow places that they leave.
 
     Returns:
-        Labels of cells, those of the wide places first, the largest of each kind first; and how
-        many places are wide.
+        Labels of cells, those of the wide places first; the largest of each kind first, then
+        those farther from walls; and how many places are wide.
     """
-    limit = int((width + SLACK) ** 2)
-    wide, num_wide = ndimage.label(distance > limit, output=np.int32)
-    behind = (width * (1 + 2 * NARROW)) ** 2
-    to_wide = squared_distances(wide > 0, int(behind**0.5) + 1)[1::2, 1::2]
-    left, num_left = ndimage.label(open_cells & (to_wide > limit), output=np.int32)
-    is_large = np.bincount(left.ravel(), minlength=num_left + 1) >= max(least / 2, 1)
-    is_large[0] = False
-    deep = is_large[left] & (to_wide > behind)
-    narrow, num_narrow = ndimage.label(deep, output=np.int32)
-    _, peaks = measure_basins(narrow, distance, num_narrow)
-    narrow[peaks[narrow] < (width * NARROWEST) ** 2 - SLACK] = 0
-    deep = narrow > 0
-    label = _cells_of_nodes(wide)
-    label[deep] = narrow[deep] + num_wide
-    rank = np.zeros(num_wide + num_narrow + 1, dtype=np.int32)
-    rank[1 + _by_size(label, distance, num_wide, num_narrow)] = np.arange(1, len(rank))
+    wide, num_wide = label_parts(distance > int((width + SLACK) ** 2))
+    label = cells_of_nodes(wide)
+    narrow, num_narrow = _find_narrow(open_cells, distance, wide > 0, width, least)
+    if num_narrow:
+        label = np.where(narrow > 0, narrow + np.int32(num_wide), label)
+    cells, _, space = measure_basins(label, distance, num_wide + num_narrow)
+    is_narrow = np.arange(1, len(cells)) > num_wide
+    rank = np.zeros(len(cells), dtype=np.int32)
+    rank[1 + np.lexsort((-space[1:], -cells[1:], is_narrow))] = np.arange(1, len(cells))
     return rank[label], num_wide
 
 
-def _by_size(label: Labels, distance: Labels, num_wide: int, num_narrow: int) -> Int:
-    """Order places: wide ones first, then by cells, then by how far these are from walls."""
-    number = num_wide + num_narrow + 1
-    cells = np.bincount(label.ravel(), minlength=number)[1:]
-    space = np.bincount(label.ravel(), distance[1::2, 1::2].ravel(), minlength=number)[1:]
-    is_narrow = np.arange(number - 1) >= num_wide
-    return np.lexsort((-space, -cells, is_narrow))
+def _find_narrow(
+    open_cells: Bool, distance: Labels, is_wide: Bool, width: float, least: float
+) -> tuple[Labels, int]:
+    """Label narrow places that go on behind the discs, and are no cracks; also tell how many.
 
-
-def _cells_of_nodes(label: Labels) -> Labels:
-    """The label of each cell's centre, or one that touches the cell, from labels of nodes."""
-    height, width = label.shape[0] // 2, label.shape[1] // 2
-    touching = np.zeros((height, width), dtype=np.int32)
-    for row in range(3):
-        for col in range(3):
-            np.maximum(touching, label[row:, col:][: 2 * height : 2, : 2 * width : 2], out=touching)
-    center = label[1::2, 1::2]
-    return np.where(center > 0, center, touching)
+    Args:
+        open_cells: shape (height, width).
+        distance: of nodes to the walls, shape (2 height + 1, 2 width + 1).
+        is_wide: where discs fit, nodes likewise.
+        width: of a door [half cells, on both sides of its middle].
+        least: cells that a room has at least.
+    """
+    behind = (width * (1 + 2 * NARROW)) ** 2
+    to_wide = squared_distances(is_wide, int(behind**0.5) + 1, 1, 2)[:, 1::2]
+    left, num_left = label_parts(open_cells & (to_wide > width**2 + SLACK))
+    is_large = np.bincount(left.ravel(), minlength=num_left + 1) >= max(least / 2, 1)
+    is_large[0] = False
+    if not is_large.any():
+        return left, 0
+    narrow, num_narrow = label_parts(is_large[left] & (to_wide > behind))
+    _, peaks, _ = measure_basins(narrow, distance, num_narrow)
+    is_crack = peaks < (width * NARROWEST) ** 2 - SLACK
+    return np.where(is_crack[narrow], np.int32(0), narrow), num_narrow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -209,27 +210,36 @@ def _face_outward(corners: Float, outward: Float) -> Float:
     return corners
 
 
-def is_closed_solid(corners: Float) -> bool:
+def is_closed_solid(vertices: Float, faces: NDArray[np.integer[Any]]) -> bool:
     """Whether triangles enclose a volume from outside.
 
     They do when every directed edge is met by as many twins in the other direction, and the
     volume that they sum up to is positive. A room drawn from inside (its triangles facing in)
-    is none.
+    is none. Vertices at one place count as one.
 
     Args:
-        corners: shape (m, 3, 3), float64.
+        vertices: shape (n, 3), float64.
+        faces: shape (m, 3), indices into `vertices`.
     """
-    if len(corners) < 4:
+    if len(faces) < 4:
         return False
-    _, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-    face = index.reshape(-1, 3).astype(np.int64)
+    face = _number_points(vertices)[faces]
     start, end = face.ravel(), np.roll(face, -1, axis=1).ravel()
     distinct = start != end
     start, end = start[distinct], end[distinct]
-    num = int(index.max()) + 1
+    num = int(face.max()) + 1
     forward, backward = np.sort(start * num + end), np.sort(end * num + start)
     if not np.array_equal(forward, backward):
         return False
-    local = corners - corners[0, 0]
+    local = (vertices - vertices[faces[0, 0]])[faces]
     volume = np.einsum("ij,ij->i", local[:, 0], np.cross(local[:, 1], local[:, 2])).sum() / 6
     return bool(volume > 0)
+
+
+def _number_points(points: Float) -> NDArray[np.int64]:
+    """Number points so that equal ones have equal numbers; faster than a unique over rows."""
+    number = np.zeros(len(points), dtype=np.int64)
+    for axis in range(3):
+        values, index = np.unique(points[:, axis], return_inverse=True)
+        _, number = np.unique(number * len(values) + index, return_inverse=True)
+    return number.astype(np.int64)

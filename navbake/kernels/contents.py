@@ -123,7 +123,7 @@ def list_geoms(
         floors, ceilings: by cell, float64, NaN where there is no floor [m]; a ceiling is at
             least as high as the band.
         floor_gap: what a geom has to exceed the floor by [m].
-        probe_low, probe_high: the probed band above the floor [m].
+        probe_low, probe_high: the probed band above the floor, up to the ceiling [m].
         half: half the edge of the cell's square [m].
         square, radius, band_low, band_high: as for `check_cells`.
         occupied: by cell, bool, what came of `check_cells`.
@@ -159,9 +159,8 @@ def list_geoms(
                     continue
                 x = x_min + (col + 0.5) * cell_size
                 low, high = floor + band_low, floor + band_high
-                heights = (
-                    floor + floor_gap, top, low, high, floor + probe_low, floor + probe_high
-                )  # fmt: skip
+                probe0, probe1 = floor + probe_low, min(floor + probe_high, top)
+                heights = (floor + floor_gap, top, low, high, probe0, probe1)
                 column = (z, normals, geom, closed, start[cell], start[cell + 1])
                 taken = occupied[cell]
                 known = 0
@@ -184,10 +183,11 @@ def list_geoms(
                         continue
                     items = triangles[group_start[g] : group_start[g + 1]]
                     of = tri_geom[items[0]]
-                    wanted = STANDS | (BLOCKS if taken else 0) | (PROBED if probed[of] else 0)
+                    probing = probed[of] and probe0 < probe1
+                    wanted = STANDS | (BLOCKS if taken else 0) | (PROBED if probing else 0)
                     flags = known
                     if flags & wanted != wanted:
-                        flags |= line_flags(column, of, heights, by_line, probed[of])
+                        flags |= line_flags(column, of, heights, by_line, probing)
                     flags = triangle_flags(
                         items, tri_corners, tri_bounds, x, y, widths, heights, flags, wanted,
                         one, other,
@@ -197,10 +197,11 @@ def list_geoms(
                     if outside(solid_bounds, s, x, y, reach, floor, top):
                         continue
                     of = solid_geom[s]
-                    wanted = STANDS | (BLOCKS if taken else 0) | (PROBED if probed[of] else 0)
+                    probing = probed[of] and probe0 < probe1
+                    wanted = STANDS | (BLOCKS if taken else 0) | (PROBED if probing else 0)
                     flags = known
                     if flags & wanted != wanted:
-                        flags |= line_flags(column, of, heights, by_line, probed[of])
+                        flags |= line_flags(column, of, heights, by_line, probing)
                     if flags & wanted != wanted:
                         flags = solid_flags(
                             s, solids, x, y, widths, heights, flags, wanted, scratch

@@ -1,4 +1,4 @@
-"""Distances to walls, floods from seeds, and the borders between what they fill."""
+"""Distances to walls, and floods from seeds."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ STRIP = 256
 
 
 @njit(cache=True, parallel=True)
-def squared_distances(target, reach):
+def squared_distances(target, reach, first=0, step=1):
     """Squared distance of each node to the nearest target, exact up to `reach`.
 
     Args:
         target: shape (rows, cols), bool.
         reach: nodes, >= 0.
+        first, step: which rows to answer for: those of ``range(first, rows, step)``.
 
     Returns:
-        Shape (rows, cols), int32; ``(reach + 1) ** 2`` where there is none within reach.
+        Shape (answered rows, cols), int32; ``(reach + 1) ** 2`` where there is none within reach.
     """
     rows, cols = target.shape
     far = np.int16(reach + 1)
@@ -27,12 +28,13 @@ def squared_distances(target, reach):
     for strip in prange((cols + STRIP - 1) // STRIP):
         part = slice(strip * STRIP, min((strip + 1) * STRIP, cols))
         _sweep(target[:, part], along[:, part], far)
-    answer = np.empty((rows, cols), dtype=np.int32)
-    for row in prange(rows):
+    answer = np.empty((max(0, (rows - first + step - 1) // step), cols), dtype=np.int32)
+    for number in prange(answer.shape[0]):
         squares = np.full(cols + 2 * reach, beyond, dtype=np.int32)
         for col in range(cols):
-            squares[col + reach] = np.int32(along[row, col]) * np.int32(along[row, col])
-        nearest = answer[row]
+            value = np.int32(along[first + number * step, col])
+            squares[col + reach] = value * value
+        nearest = answer[number]
         nearest[:] = beyond
         for shift in range(2 * reach + 1):
             _take_lower(nearest, squares[shift : shift + cols], np.int32((shift - reach) ** 2))
@@ -163,83 +165,3 @@ def _neighbours(cell, rows, cols, near):
         near[count] = cell - cols
         count += 1
     return count
-
-
-@njit(cache=True)
-def first_cells(label, count):
-    """The first cell of each label from 0 to ``count - 1``; how many there are for none."""
-    labels = label.ravel()
-    first = np.full(count, labels.shape[0], dtype=np.int64)
-    for cell in range(labels.shape[0] - 1, -1, -1):
-        first[labels[cell]] = cell
-    return first
-
-
-@njit(cache=True)
-def measure_basins(label, distance, num_basins):
-    """Count the cells of each label, and find its node farthest from the walls.
-
-    Args:
-        label: of cells, shape (rows, cols), int32, 0 to `num_basins`.
-        distance: of nodes, shape (2 rows + 1, 2 cols + 1), int32.
-        num_basins: the largest label.
-
-    Returns:
-        Number of cells, (num_basins + 1,) int64; largest distance of a node on one of them,
-        (num_basins + 1,) int32. What has no label is left out.
-    """
-    cells = np.zeros(num_basins + 1, dtype=np.int64)
-    peaks = np.zeros(num_basins + 1, dtype=np.int32)
-    rows, cols = label.shape
-    for row in range(rows):
-        for col in range(cols):
-            basin = label[row, col]
-            if basin == 0:
-                continue
-            cells[basin] += 1
-            for i in range(2 * row, 2 * row + 3):
-                for j in range(2 * col, 2 * col + 3):
-                    peaks[basin] = max(peaks[basin], distance[i, j])
-    return cells, peaks
-
-
-@njit(cache=True)
-def find_passes(label, distance):
-    """Find the edges between cells with different labels, none of them 0.
-
-    Args:
-        label: of cells, shape (rows, cols), int32.
-        distance: of nodes, shape (2 rows + 1, 2 cols + 1), int32.
-
-    Returns:
-        The two labels, the lower one first, (n, 2) int64; and the largest distance of the three
-        nodes on each edge, (n,) int32.
-    """
-    rows, cols = label.shape
-    pairs = np.empty((0, 2), dtype=np.int64)
-    saddles = np.empty(0, dtype=np.int32)
-    for writing in (False, True):
-        count = 0
-        for row in range(rows):
-            for col in range(cols):
-                here = label[row, col]
-                for down in range(2):
-                    right = 1 - down
-                    if here == 0 or row + down == rows or col + right == cols:
-                        continue
-                    there = label[row + down, col + right]
-                    if there == 0 or there == here:
-                        continue
-                    if writing:
-                        pairs[count] = min(here, there), max(here, there)
-                        i, j = 2 * row + 1 + down, 2 * col + 1 + right
-                        saddles[count] = max(
-                            distance[i, j],
-                            distance[i - right, j - down],
-                            distance[i + right, j + down],
-                        )
-                    count += 1
-        if not writing:
-            pairs = np.empty((count, 2), dtype=np.int64)
-            saddles = np.empty(count, dtype=np.int32)
-    return pairs, saddles

@@ -14,7 +14,7 @@ from bake_stages import Stages, run_stages, stages_of_xml
 from navbake.bake.contents import Contents, LevelContents
 from navbake.bake.walls import DOOR, OBJECT, STRUCTURE, WALL, WALL_BAND
 from navbake.config import load_config, parse_config
-from oracles.prisms import OCCUPIED, UNKNOWN, Prisms
+from oracles.prisms import FREE, OCCUPIED, UNKNOWN, Prisms
 from oracles.scene import HalfSpace, Thing, cross_part, part_meets_prisms, part_of, scene_xml
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -45,7 +45,8 @@ def random_things(rng: np.random.Generator, kinds: tuple[str, ...], number: int)
             quat = rng.normal(size=4)
         mesh = {}
         if kind in ("closed", "open", "hull"):
-            mesh = {"vertices": CUBE, "faces": CUBE_FACES if kind != "hull" else ()}
+            faces = {"closed": CUBE_FACES, "open": CUBE_FACES[:-2], "hull": ()}[kind]
+            mesh = {"vertices": CUBE, "faces": faces}
         things.append(
             Thing(
                 kind,
@@ -80,7 +81,9 @@ def compare(stages: Stages, contents: Contents, things: list[Thing]) -> float:
         x, y = lattice.positions(*np.divmod(cells, lattice.width)).T
         ceiling = np.maximum(floor + HEIGHT, top)
         column = Prisms(x, y, floor + 1e-5, ceiling, half, False)
-        upper = Prisms(x, y, floor + WALL_BAND[0], floor + WALL_BAND[1], half, False)
+        is_high = ceiling > floor + WALL_BAND[0] + 1e-5
+        band_top = np.where(is_high, np.minimum(floor + WALL_BAND[1], ceiling), floor + 2)
+        upper = Prisms(x, y, floor + WALL_BAND[0], band_top, half, False)
         band = [Prisms(x, y, floor + STEP, floor + HEIGHT, half, False)]
         if radius > half:
             band.append(Prisms(x, y, floor + STEP, floor + HEIGHT, radius, True))
@@ -92,6 +95,7 @@ def compare(stages: Stages, contents: Contents, things: list[Thing]) -> float:
             blocks = np.where((met == OCCUPIED).any(axis=0), OCCUPIED, met.min(axis=0))
             blocks[(met == UNKNOWN).any(axis=0) & (blocks != OCCUPIED)] = UNKNOWN
             in_upper = part_meets_prisms(part, line, upper)
+            in_upper[~is_high] = FREE
             if isinstance(part, HalfSpace):  # is no wall, so it isn't asked for
                 in_upper[:] = UNKNOWN
             for expected, found in zip(

@@ -282,6 +282,122 @@ def test_gltf_without_its_buffer(tmp_path):
         read_mesh_parts(tmp_path / "w.gltf")
 
 
+# ---------------------------------------------------------------- OBJ, STL, PLY
+
+VERTICES = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Returns a function that reads a file with this name and content."""
+
+    def call(name, content):
+        path = tmp_path / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return read_mesh_parts(path)
+
+    return call
+
+
+def test_all_objects_and_groups_of_an_obj(read):
+    parts = read(
+        "house.obj",
+        f"# a house\nmtllib none.mtl\n{VERTICES}"
+        "o house\ng walls\nusemtl a\nf 1 2 3\nusemtl b\nf 1 2 4\ng floor of it\nf 2 3 4\n"
+        "o shed\ng roof\nf 1 3 4\no house\ng walls\nf 2 3 4\n",
+    )
+    assert {part.name: len(part.faces) for part in parts} == {
+        "house_walls": 3,
+        "house_floor of it": 1,
+        "shed_roof": 1,
+    }
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        VERTICES.replace("\n", "\r\n") + "f 1 2 3\r\n",
+        VERTICES.replace("\n", "\r") + "f 1 2 3\r",
+        VERTICES.replace(" ", "\t") + "f\t1\t2\t3",
+        VERTICES.replace("v", "  v") + "  f 1 2 3  # the one",
+        VERTICES.replace("\n", " 1.0\n") + "f 1 2 3",
+        VERTICES.replace("\n", " .5 .5 .5\n") + "f 1 \\\n 2 3",
+        b"# r\xe9sum\xe9\n" + VERTICES.encode() + b"f 1/1/1 2/1/1 3/1/1\n",
+        "\ufeff" + VERTICES + "vn 0 0 1\nvt 0 0\nl 1 2\np 1\nf 1//1 2//1 3//1\nf 1 2\ncurv 1",
+        VERTICES + "f -4 -3 -2",
+        VERTICES + "f -4/-1 2 -2/-1/-1",
+        "f 1 2 3\n" + VERTICES,
+    ],
+)
+def test_ways_to_write_an_obj(read, content):
+    (part,) = read("house.obj", content)
+    assert part.name == "house"
+    assert triangles(part).tolist() == [[[0, 0, 0], [1, 0, 0], [1, 1, 0]]]
+
+
+def test_relative_indices_count_from_where_they_stand(read):
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 0 0 5\nv 1 0 5\nv 0 1 5\nf -3 -2 -1\n"
+    (part,) = read("house.obj", text)
+    assert triangles(part)[:, :, 2].tolist() == [[0, 0, 0], [5, 5, 5]]
+
+
+STL = WEDGE.export(file_type="stl")
+STL_TEXT = WEDGE.export(file_type="stl_ascii")
+PLY = WEDGE.export(file_type="ply")
+PLY_TEXT = WEDGE.export(file_type="ply", encoding="ascii")
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("w.stl", b"solid" + STL[5:]),  # some writers do that
+        ("w.stl", STL + b"more"),
+        ("w.stl", STL_TEXT.replace("\n", "\r\n")),
+        ("w.stl", b"solid caf\xe9\n" + STL_TEXT.split("\n", 1)[1].encode()),
+        ("w.ply", PLY_TEXT.replace(b"comment", b"comment caf\xe9")),
+    ],
+)
+def test_ways_to_write_stl_and_ply(read, name, content):
+    (part,) = read(name, content)
+    same_triangles(part, WEDGE.triangles)
+
+
+def test_polygons_of_a_ply(read):
+    text = PLY_TEXT.replace(b"element face 4", b"element face 2")
+    (part,) = read("w.ply", text[: text.index(b"\n3 ")] + b"\n4 0 1 2 3\n3 2 1 0\n")
+    assert len(part.faces) == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "culprit"),
+    [
+        ("w.obj", VERTICES + "f 0 1 2", "counted from 1, in line 5 of"),
+        ("w.obj", VERTICES + "f 1 2 -5", "counted from 1, in line 5 of"),
+        ("w.obj", VERTICES + "f 1 -1 x", "counted from 1, in line 5 of"),
+        ("w.obj", VERTICES + "f 1 2 9", "cannot read"),
+        ("w.obj", VERTICES + "f 1 2 99999999999999999999", "cannot read"),
+        ("w.obj", "v 0 0\nv 1 0\nv 0 1\nf 1 2 3", "cannot read"),
+        ("w.obj", "v 0 0 0\nv 1 x 0\nv 0 1 0\nf 1 2 3", "cannot read"),
+        ("w.stl", STL[:50], "cut off or no STL"),
+        ("w.stl", STL[:-1], "expected 284 bytes for the 4 triangles of its header, got 283"),
+        ("w.stl", STL[:80] + b"\xff" * 4 + STL[84:], "4294967295 triangles"),
+        ("w.stl", STL_TEXT[: len(STL_TEXT) // 2], "cut off: its last solid has no end"),
+        ("w.stl", STL_TEXT + "\n" + STL_TEXT[:-20], "cut off: its last solid has no end"),
+        ("w.ply", PLY[:-1], "cut off"),
+        ("w.ply", PLY[:40], "cut off"),
+        ("w.ply", PLY.replace(b"vertex 4", b"vertex 1000000000000"), "cut off"),
+        ("w.ply", PLY.replace(b"face 4", b"face 1000000000000"), "cut off"),
+        ("w.ply", PLY_TEXT[:-8], "cut off: expected 4 face elements"),
+        ("w.ply", PLY_TEXT.replace(b"face 4", b"face 1000000000000"), "expected 1000000000000"),
+        ("w.ply", PLY_TEXT.replace(b"3 ", b"3 7", 1), "cannot read"),
+    ],
+)
+def test_broken_obj_stl_and_ply(read, name, content, culprit):
+    with pytest.raises(SceneError, match=culprit) as caught:
+        read(name, content)
+    assert name in str(caught.value)
+
+
 # ---------------------------------------------------------------- DAE
 
 

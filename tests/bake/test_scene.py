@@ -28,7 +28,8 @@ def load(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
     def call(world, before="", name="scene.xml", **settings):
-        Path(name).write_text(f"<mujoco>{before}<worldbody>{world}</worldbody></mujoco>")
+        text = f"<mujoco>{before}<worldbody>{world}</worldbody></mujoco>"
+        Path(name).write_text(text, encoding="utf-8")
         return load_scene(SceneSettings(path=tmp_path / name, **settings))
 
     return call
@@ -116,6 +117,18 @@ def test_warnings_of_mujoco_become_ours(load, capfd, tmp_path):
     assert capfd.readouterr().err == ""
     assert os.listdir(tmp_path) == ["scene.xml"]  # no MUJOCO_LOG.TXT
     assert mujoco.get_mju_user_warning() is before
+
+
+def test_names_that_are_not_utf_8(load, tmp_path):
+    scene = load('<body name="caf\xe9"><joint name="\xe9"/><geom name="t\xfcr" size="1"/></body>')
+    path = tmp_path / "latin.xml"
+    text = (tmp_path / "scene.xml").read_text(encoding="utf-8")
+    path.write_bytes(('<?xml version="1.0" encoding="latin-1"?>' + text).encode("latin-1"))
+    assert [(geom.name, geom.body) for geom in scene.geoms] == [("t\xfcr", "caf\xe9")]
+    scene = load_scene(SceneSettings(path=path))  # MuJoCo takes the bytes as they are
+    assert [(geom.name, geom.body) for geom in scene.geoms] == [("t\ufffdr", "caf\ufffd")]
+    with pytest.raises(ConfigError, match="has \ufffd"):
+        load_scene(SceneSettings(path=path, joints={"a": 1.0}))
 
 
 def test_loads_in_threads(load, tmp_path):

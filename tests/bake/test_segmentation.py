@@ -9,12 +9,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from navbake.bake.segmentation import (
-    find_steep,
-    number_by_place,
-    segment_rooms,
-    wall_nodes,
-)
+from navbake.bake.segmentation import number_by_place, segment_rooms, wall_nodes
 
 
 def read(art):
@@ -203,9 +198,6 @@ def test_stairs_belong_to_where_they_begin():
     check(art, floor=floor)
     apart = segment_rooms(read(art), 0.5, 1.0, 1.0)
     assert apart.max() == 3
-    steep = find_steep(floor, 0.5)
-    assert steep[3, 7:14].all()
-    assert not steep[:, :6].any()
 
 
 def test_nothing_open():

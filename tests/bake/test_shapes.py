@@ -17,6 +17,11 @@ TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
 OUTWARD = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
+def is_closed(triangles):
+    corners = np.reshape(triangles, (-1, 3))
+    return shapes.is_closed_solid(corners, np.arange(len(corners)).reshape(-1, 3))
+
+
 def volume(triangles):
     """By the divergence theorem: positive where they face out."""
     return np.einsum("ij,ij->", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2])) / 6
@@ -96,7 +101,7 @@ def test_height_field_is_what_mujoco_s_rays_see(seed):
         assert first_hit(triangles, start, way) == pytest.approx(expected, abs=1e-7)
         num_hits += expected >= 0
     assert num_hits > 300
-    assert shapes.is_closed_solid(triangles)
+    assert is_closed(triangles)
 
 
 def test_height_field_fills_its_box():
@@ -126,7 +131,7 @@ def test_hull_faces_out_and_holds_all_points(seed):
     normal = np.cross(hull[:, 1] - hull[:, 0], hull[:, 2] - hull[:, 0])
     offset = np.einsum("ij,ij->i", normal, hull[:, 0])
     assert (points @ normal.T <= offset + 1e-9).all()
-    assert shapes.is_closed_solid(hull)
+    assert is_closed(hull)
 
 
 def test_hull_of_a_cube():
@@ -146,15 +151,21 @@ def test_flat_points_have_no_hull(points):
 
 def test_closed_solids():
     solid = TETRAHEDRON[OUTWARD]
-    assert shapes.is_closed_solid(solid)
-    assert shapes.is_closed_solid(solid + 1e5)
-    assert shapes.is_closed_solid(np.concatenate([solid, solid + 5.0]))
-    assert not shapes.is_closed_solid(solid[:3])
-    assert not shapes.is_closed_solid(solid[:, ::-1])  # seen from inside: a room
-    assert not shapes.is_closed_solid(np.concatenate([solid[:3], solid[3:, ::-1]]))
-    assert not shapes.is_closed_solid(solid[:0])
+    assert is_closed(solid)
+    assert is_closed(solid + 1e5)
+    assert is_closed(np.concatenate([solid, solid + 5.0]))
+    assert not is_closed(solid[:3])
+    assert not is_closed(solid[:, ::-1])  # seen from inside: a room
+    assert not is_closed(np.concatenate([solid[:3], solid[3:, ::-1]]))
+    assert not is_closed(solid[:0])
+
+
+def test_closedness_by_index():
+    assert shapes.is_closed_solid(TETRAHEDRON, OUTWARD)
+    assert shapes.is_closed_solid(np.concatenate([CUBE + 9, TETRAHEDRON]), OUTWARD + 8)
+    assert not shapes.is_closed_solid(TETRAHEDRON, OUTWARD[:, ::-1])
 
 
 def test_a_seam_of_an_empty_triangle_keeps_a_solid_closed():
     a, b = TETRAHEDRON[0], TETRAHEDRON[1]
-    assert shapes.is_closed_solid(np.concatenate([TETRAHEDRON[OUTWARD], [[a, b, b]]]))
+    assert is_closed(np.concatenate([TETRAHEDRON[OUTWARD], [[a, b, b]]]))

@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from navbake.kernels.watershed import (
-    find_passes,
-    first_cells,
-    flood,
-    measure_basins,
-    squared_distances,
-)
+from navbake.kernels.watershed import flood, squared_distances
 
 
 @pytest.mark.parametrize("reach", [0, 1, 7, 40])
@@ -24,6 +18,7 @@ def test_distances_are_those_of_scipy(reach, shape):
             exact = np.rint(ndimage.distance_transform_edt(~target) ** 2)
             expected = np.minimum(exact, expected)
         np.testing.assert_array_equal(squared_distances(target, reach), expected)
+        np.testing.assert_array_equal(squared_distances(target, reach, 1, 2), expected[1::2])
 
 
 def fill(labels, heights):
@@ -56,22 +51,3 @@ def test_what_is_climbed_to_is_filled_at_once():
 
 def test_nothing_is_filled_beyond_walls_or_over_corners():
     assert fill([[1, 0, -1, 0], [0, -1, 0, 0]], np.full((2, 4), 3)) == [[1, 1, 0, 0], [1, 0, 0, 0]]
-
-
-def test_basins_and_passes():
-    label = np.array([[1, 1, 2], [0, 1, 2]], dtype=np.int32)
-    distance = np.zeros((5, 7), dtype=np.int32)
-    distance[2, 4] = 9  # the corner between the four cells at the right
-    distance[3, 4] = 25  # the middle of the edge under it
-    distance[4, 6] = 49  # only at cell (1, 2)
-    cells, peaks = measure_basins(label, distance, 2)
-    assert cells.tolist() == [0, 3, 2]
-    assert peaks.tolist() == [0, 25, 49]
-    pairs, saddles = find_passes(label, distance)
-    assert pairs.tolist() == [[1, 2], [1, 2]]
-    assert saddles.tolist() == [9, 25]
-
-
-def test_first_cells():
-    label = np.array([[0, 2, 2], [3, 0, 2]], dtype=np.int32)
-    assert first_cells(label, 5).tolist() == [0, 6, 1, 3, 6]

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from navbake.errors import SceneError
 
-STL_HEADER, STL_TRIANGLE = 84, 50
+STL_HEADER, STL_TRIANGLE = 84, 50  # [bytes]
+STL_WORDS = (b"solid", b"endsolid")
 
 
 def prepare_obj(path: Path) -> bytes:
@@ -26,7 +27,7 @@ def prepare_obj(path: Path) -> bytes:
     text = text.replace(b"\\\n", b" ")
     if re.search(rb"(?m)^(?:[ \t]+[vf]|[vf]\t)", text):
         text = b"\n".join(b" ".join(line.split()) for line in text.split(b"\n"))
-    if not re.search(rb"(?m)^f .*(?:#| -| 0+(?:[/ ]|$))", text):
+    if not re.search(rb"(?m)^f(?=.*(?:#| -| 0+(?:[/ ]|$)))", text):
         return text
     lines, num_vertices = text.split(b"\n"), 0
     for number, line in enumerate(lines):
@@ -76,9 +77,6 @@ def prepare_stl(path: Path) -> bytes:
             f"its header, got {len(data)}"
         )
     return data[:size]  # trimesh takes no more, some writers append something
-
-
-STL_WORDS = (b"solid", b"endsolid")
 
 
 def prepare_ply(path: Path) -> bytes:

@@ -1,0 +1,231 @@
+"""What labels of cells tell: their parts, places, sizes, slopes and borders."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def label_parts(mask):
+    """Label the parts of a mask that hang together over edges.
+
+    Args:
+        mask: shape (rows, cols), bool.
+
+    Returns:
+        Shape (rows, cols), int32, 0 outside, parts numbered by their first cells from 1; and how
+        many parts there are.
+    """
+    rows, cols = mask.shape
+    label = np.zeros((rows, cols), dtype=np.int32)
+    parent = np.empty(rows * ((cols + 1) // 2) + 1, dtype=np.int32)  # of runs in a row, from 1
+    count = 0
+    for row in range(rows):
+        col = 0
+        while col < cols:
+            if not mask[row, col]:
+                col += 1
+                continue
+            count += 1
+            parent[count] = count
+            above = 0
+            while col < cols and mask[row, col]:
+                label[row, col] = count
+                if row > 0 and label[row - 1, col] != above:
+                    above = label[row - 1, col]
+                    if above > 0:
+                        one, other = _root(parent, count), _root(parent, above)
+                        parent[max(one, other)] = min(one, other)
+                col += 1
+    number = np.zeros(count + 1, dtype=np.int32)
+    parts = 0
+    for run in range(1, count + 1):
+        root = _root(parent, run)
+        if root == run:
+            parts += 1
+            number[run] = parts
+        else:
+            number[run] = number[root]
+    for row in range(rows):
+        for col in range(cols):
+            label[row, col] = number[label[row, col]]
+    return label, parts
+
+
+@njit(cache=True)
+def _root(parent, item):
+    while parent[item] != item:
+        parent[item] = parent[parent[item]]
+        item = parent[item]
+    return item
+
+
+@njit(cache=True)
+def cells_of_nodes(label):
+    """The label of each cell's centre, or else the highest on its edges and corners.
+
+    Args:
+        label: of nodes, shape (2 rows + 1, 2 cols + 1), int32.
+
+    Returns:
+        Shape (rows, cols), int32.
+    """
+    rows, cols = label.shape[0] // 2, label.shape[1] // 2
+    cells = np.empty((rows, cols), dtype=np.int32)
+    for row in range(rows):
+        for col in range(cols):
+            found = label[2 * row + 1, 2 * col + 1]
+            if found == 0:
+                for i in range(2 * row, 2 * row + 3):
+                    for j in range(2 * col, 2 * col + 3):
+                        found = max(found, label[i, j])
+            cells[row, col] = found
+    return cells
+
+
+@njit(cache=True)
+def first_cells(label, count):
+    """The first cell of each label from 0 to ``count - 1``; how many there are for none."""
+    labels = label.ravel()
+    first = np.full(count, labels.shape[0], dtype=np.int64)
+    for cell in range(labels.shape[0] - 1, -1, -1):
+        first[labels[cell]] = cell
+    return first
+
+
+@njit(cache=True)
+def measure_basins(label, distance, num_basins):
+    """Count the cells of each label, and measure how far they are from the walls.
+
+    Args:
+        label: of cells, shape (rows, cols), int32, 0 to `num_basins`.
+        distance: of nodes, shape (2 rows + 1, 2 cols + 1), int32.
+        num_basins: the largest label.
+
+    Returns:
+        Number of cells, int64; largest distance of a node on one of them, int32; sum of the
+        distances of their centres, int64; each of shape (num_basins + 1,). What has no label is
+        left out.
+    """
+    cells = np.zeros(num_basins + 1, dtype=np.int64)
+    peaks = np.zeros(num_basins + 1, dtype=np.int32)
+    sums = np.zeros(num_basins + 1, dtype=np.int64)
+    rows, cols = label.shape
+    for row in range(rows):
+        for col in range(cols):
+            basin = label[row, col]
+            if basin == 0:
+                continue
+            cells[basin] += 1
+            sums[basin] += distance[2 * row + 1, 2 * col + 1]
+            for i in range(2 * row, 2 * row + 3):
+                for j in range(2 * col, 2 * col + 3):
+                    peaks[basin] = max(peaks[basin], distance[i, j])
+    return cells, peaks, sums
+
+
+@njit(cache=True)
+def measure_slopes(label, floor, reach, rise, num_basins):
+    """Count the steep cells of each label, and sum the heights of all.
+
+    A cell is steep where the floor rises by `rise` from `reach` cells on one side to as many on
+    the other. What isn't there, or has no label, is taken for level.
+
+    Args:
+        label: of cells, shape (rows, cols), int32, 0 to `num_basins`.
+        floor: heights, shape (rows, cols), float64.
+        reach: cells, >= 1.
+        rise: of the two directions together, > 0.
+        num_basins: the largest label.
+
+    Returns:
+        Number of steep cells, int64, and sum of heights, float64, of shape (num_basins + 1,).
+    """
+    steep = np.zeros(num_basins + 1, dtype=np.int64)
+    heights = np.zeros(num_basins + 1, dtype=np.float64)
+    rows, cols = label.shape
+    for row in range(rows):
+        for col in range(cols):
+            basin = label[row, col]
+            if basin == 0:
+                continue
+            heights[basin] += floor[row, col]
+            down = across = 0.0
+            if reach <= row < rows - reach:
+                both = label[row - reach, col] > 0 and label[row + reach, col] > 0
+                down = floor[row + reach, col] - floor[row - reach, col] if both else 0.0
+            if reach <= col < cols - reach:
+                both = label[row, col - reach] > 0 and label[row, col + reach] > 0
+                across = floor[row, col + reach] - floor[row, col - reach] if both else 0.0
+            if down * down + across * across >= rise * rise:
+                steep[basin] += 1
+    return steep, heights
+
+
+@njit(cache=True)
+def find_passes(label, distance):
+    """Find the edges between cells with different labels, none of them 0.
+
+    Args:
+        label: of cells, shape (rows, cols), int32.
+        distance: of nodes, shape (2 rows + 1, 2 cols + 1), int32.
+
+    Returns:
+        The two labels, the lower one first, (n, 2) int64; and the largest distance of the three
+        nodes on each edge, (n,) int32.
+    """
+    rows, cols = label.shape
+    pairs = np.empty((0, 2), dtype=np.int64)
+    saddles = np.empty(0, dtype=np.int32)
+    for writing in (False, True):
+        count = 0
+        for row in range(rows):
+            for col in range(cols):
+                here = label[row, col]
+                for down in range(2):
+                    right = 1 - down
+                    if here == 0 or row + down == rows or col + right == cols:
+                        continue
+                    there = label[row + down, col + right]
+                    if there == 0 or there == here:
+                        continue
+                    if writing:
+                        pairs[count] = min(here, there), max(here, there)
+                        i, j = 2 * row + 1 + down, 2 * col + 1 + right
+                        saddles[count] = max(
+                            distance[i, j],
+                            distance[i - right, j - down],
+                            distance[i + right, j + down],
+                        )
+                    count += 1
+        if not writing:
+            pairs = np.empty((count, 2), dtype=np.int64)
+            saddles = np.empty(count, dtype=np.int32)
+    return pairs, saddles
+
+
+@njit(cache=True)
+def measure_rooms(index, floor, center_x, center_y, num_rooms):
+    """Count the cells of each room, and sum where they are.
+
+    Args:
+        index: shape (rows, cols), uint16, 0 to `num_rooms`.
+        floor: heights, shape (rows, cols), float64.
+        center_x: of the columns, shape (cols,), float64.
+        center_y: of the rows, shape (rows,), float64.
+        num_rooms: the largest index.
+
+    Returns:
+        Number of cells, and sums of x, y and height, each of shape (num_rooms + 1,), float64.
+    """
+    sums = np.zeros((4, num_rooms + 1), dtype=np.float64)
+    for row in range(index.shape[0]):
+        for col in range(index.shape[1]):
+            room = index[row, col]
+            if room > 0:
+                sums[0, room] += 1.0
+                sums[1, room] += center_x[col]
+                sums[2, room] += center_y[row]
+                sums[3, room] += floor[row, col]
+    return sums[0], sums[1], sums[2], sums[3]
