@@ -101,5 +101,5 @@ class _CallableBake(ModuleType):
 
 
 _bake_package.__class__ = _CallableBake
-_bake_package.__doc__ = _CallableBake.__call__.__doc__
+_bake_package.__doc__ = _CallableBake.__call__.__doc__ or ""
 del _bake_package
