@@ -101,14 +101,18 @@ def _is_entry(entry: Any, sizes: list[int]) -> bool:
         return False
     if not isinstance(runs, list) or len(runs) % 2 or any(type(v) is not int for v in runs):
         return False
-    pairs = zip(runs[::2], runs[1::2], strict=True)
-    return all(a >= 0 and 0 < n <= sizes[level] - a for a, n in pairs)
+    end = 0
+    for first, count in zip(runs[::2], runs[1::2], strict=True):
+        if first < end or not 0 < count <= sizes[level] - first:
+            return False
+        end = first + count
+    return True
 
 
 def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
     """The same grid with doors in other states; see `SceneGrid2D.with_doors`."""
     doors = copy.deepcopy(grid.navbake.get("doors", []))
-    by_id = {door["id"]: door for door in doors}
+    by_id: dict[str, dict[str, Any]] = {door["id"]: door for door in doors}
     if isinstance(states, str):
         states = dict.fromkeys(by_id, states)
     for name, state in states.items():
@@ -119,6 +123,9 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
             raise QueryError(f"no door {name!r} in {grid.scene_id!r}: {hint}it has {known}")
         if state not in STATES:
             raise QueryError(f"expected one of {', '.join(STATES)} for {name!r}, got {state!r}")
+        if state != "removed" and state not in by_id[name]["cells"]:
+            possible = ", ".join(sorted([*by_id[name]["cells"], "removed"]))
+            raise QueryError(f"door {name!r} can't be {state}: it can be {possible}")
     levels = grid.levels
     occupied = [level.occupancy.astype(np.bool_).ravel() for level in levels]
     for door in doors:

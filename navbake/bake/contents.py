@@ -56,8 +56,8 @@ class LevelContents:
         geom: MuJoCo's geom ids, ascending in a cell, shape (n,), int32.
         stands: whether the geom meets the cell's square between floor and ceiling, shape (n,).
         blocks: whether it meets the volume that the occupancy is about, shape (n,), bool.
-        upper: whether it meets the square in `WALL_BAND`, shape (n,), bool; asked only of
-            `wall_candidates`.
+        upper: whether it stands there and meets the square in `WALL_BAND`, be that above the
+            ceiling or not, shape (n,), bool; asked only of `wall_candidates`.
         footing: what carries the floor.
     """
 

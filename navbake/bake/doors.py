@@ -119,12 +119,12 @@ def find_door_bodies(scene: Scene, settings: DoorSettings) -> tuple[list[DoorBod
             continue
         name = model.body(body).name or f"body {body}"
         pattern = next((p for p in settings.patterns if fnmatchcase(name, p)), None)
-        if pattern is None and not settings.find:
+        joint = _own_joint(model, body)
+        if pattern is None and (joint < 0 or not settings.find):
             continue
         geoms = _geoms_under(model, body, counted)
         if not len(geoms):
             continue
-        joint = _own_joint(model, body)
         candidate = _door_body(scene, name, joint, geoms, pattern is not None)
         if pattern is None and not _looks_like_leaf(scene, candidate):
             continue

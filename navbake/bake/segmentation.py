@@ -74,7 +74,8 @@ def segment_rooms(
         return rooms
     window = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
     open_cells = np.ascontiguousarray(open_cells[window])
-    width = door_width / cell_size  # the door's half width, in half cells
+    # the door's half width, in half cells; nothing fits beside one that is as wide as the map
+    width = min(door_width / cell_size, float(min(open_cells.shape) + 2))
     least = min_area / cell_size**2 - SLACK
     reach = int(width + ROUGHNESS) + 2
     distance = squared_distances(wall_nodes(open_cells), reach)

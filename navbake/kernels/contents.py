@@ -91,6 +91,8 @@ def count_candidates(
 @njit(cache=True)
 def _add(out_geom, out_flags, first, count, geom, flags):
     """Insert an entry into a cell's list, which is sorted by geom."""
+    if not flags & STANDS:
+        flags &= ~PROBED
     if not flags:
         return count
     i = first + count
@@ -116,14 +118,14 @@ def list_geoms(
 
     A geom stands in a cell when it meets the cell's square between `floor_gap` over the floor
     and the ceiling; it blocks the cell when `check_cells` would find it in the band, which it
-    does in occupied cells only; it is PROBED when it meets the square in the probed band. Where
-    rounding leaves no proof that it blocks, it is UNPROVED.
+    does in occupied cells only; it is PROBED when it stands there and meets the square in the
+    probed band. Where rounding leaves no proof that it blocks, it is UNPROVED.
 
     Args:
         floors, ceilings: by cell, float64, NaN where there is no floor [m]; a ceiling is at
             least as high as the band.
         floor_gap: what a geom has to exceed the floor by [m].
-        probe_low, probe_high: the probed band above the floor, up to the ceiling [m].
+        probe_low, probe_high: the probed band above the floor, ceiling or not [m].
         half: half the edge of the cell's square [m].
         square, radius, band_low, band_high: as for `check_cells`.
         occupied: by cell, bool, what came of `check_cells`.
@@ -159,8 +161,9 @@ def list_geoms(
                     continue
                 x = x_min + (col + 0.5) * cell_size
                 low, high = floor + band_low, floor + band_high
-                probe0, probe1 = floor + probe_low, min(floor + probe_high, top)
-                heights = (floor + floor_gap, top, low, high, probe0, probe1)
+                heights = (
+                    floor + floor_gap, top, low, high, floor + probe_low, floor + probe_high
+                )  # fmt: skip
                 column = (z, normals, geom, closed, start[cell], start[cell + 1])
                 taken = occupied[cell]
                 known = 0
@@ -183,11 +186,10 @@ def list_geoms(
                         continue
                     items = triangles[group_start[g] : group_start[g + 1]]
                     of = tri_geom[items[0]]
-                    probing = probed[of] and probe0 < probe1
-                    wanted = STANDS | (BLOCKS if taken else 0) | (PROBED if probing else 0)
+                    wanted = STANDS | (BLOCKS if taken else 0) | (PROBED if probed[of] else 0)
                     flags = known
                     if flags & wanted != wanted:
-                        flags |= line_flags(column, of, heights, by_line, probing)
+                        flags |= line_flags(column, of, heights, by_line, probed[of])
                     flags = triangle_flags(
                         items, tri_corners, tri_bounds, x, y, widths, heights, flags, wanted,
                         one, other,
@@ -197,11 +199,10 @@ def list_geoms(
                     if outside(solid_bounds, s, x, y, reach, floor, top):
                         continue
                     of = solid_geom[s]
-                    probing = probed[of] and probe0 < probe1
-                    wanted = STANDS | (BLOCKS if taken else 0) | (PROBED if probing else 0)
+                    wanted = STANDS | (BLOCKS if taken else 0) | (PROBED if probed[of] else 0)
                     flags = known
                     if flags & wanted != wanted:
-                        flags |= line_flags(column, of, heights, by_line, probing)
+                        flags |= line_flags(column, of, heights, by_line, probed[of])
                     if flags & wanted != wanted:
                         flags = solid_flags(
                             s, solids, x, y, widths, heights, flags, wanted, scratch

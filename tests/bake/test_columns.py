@@ -302,6 +302,34 @@ def test_a_seam_of_two_boxes_never_leaks(tmp_path: Path, rise: int, run: int, ga
         np.testing.assert_array_equal(np.diff(total), 0)
 
 
+TANGENT = {
+    "sphere": 'type="sphere" size="0.2"',
+    "ellipsoid": 'type="ellipsoid" size="0.2 0.1 0.3"',
+    "cylinder": 'type="cylinder" size="0.2 0.3"',
+    "lying cylinder": 'type="cylinder" size="0.2 0.3" quat="1 1 0 0"',
+    "lying capsule": 'type="capsule" size="0.1 0.2" quat="1 0 1 0"',
+    "box": 'type="box" size="0.2 0.1 0.3" quat="1 0 0 1"',
+    "box on its edge": f'type="box" size="{0.1 * 2**0.5!r} {0.1 * 2**0.5!r} 0.3" euler="45 90 0"',
+}
+
+
+@pytest.mark.parametrize("name", TANGENT)
+@pytest.mark.parametrize("shift", [0.0, 1e-9, 0.3])
+def test_a_solid_is_entered_as_often_as_it_is_left(tmp_path: Path, name: str, shift: float) -> None:
+    """Lines that only graze a side among them."""
+    scene = load(
+        tmp_path,
+        f"<mujoco><worldbody><body pos='{shift} 0 0'><geom {TANGENT[name]}/></body>"
+        "</worldbody></mujoco>",
+    )
+    num, cell = 13, 0.1
+    lattice = Lattice(-cell * num / 2, cell * num / 2, cell, num, num)
+    columns = cast(scene, lattice)
+    up = tops(columns)
+    np.testing.assert_array_equal(np.diff(columns.start), 2 * up)
+    assert set(up) == {0, 1}
+
+
 @pytest.mark.parametrize("yaw", [0.0, np.pi / 2, 0.3])
 def test_lines_through_the_points_of_a_height_field_cross_it_once(
     tmp_path: Path, yaw: float

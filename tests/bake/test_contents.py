@@ -81,9 +81,7 @@ def compare(stages: Stages, contents: Contents, things: list[Thing]) -> float:
         x, y = lattice.positions(*np.divmod(cells, lattice.width)).T
         ceiling = np.maximum(floor + HEIGHT, top)
         column = Prisms(x, y, floor + 1e-5, ceiling, half, False)
-        is_high = ceiling > floor + WALL_BAND[0] + 1e-5
-        band_top = np.where(is_high, np.minimum(floor + WALL_BAND[1], ceiling), floor + 2)
-        upper = Prisms(x, y, floor + WALL_BAND[0], band_top, half, False)
+        upper = Prisms(x, y, floor + WALL_BAND[0], floor + WALL_BAND[1], half, False)
         band = [Prisms(x, y, floor + STEP, floor + HEIGHT, half, False)]
         if radius > half:
             band.append(Prisms(x, y, floor + STEP, floor + HEIGHT, radius, True))
@@ -95,7 +93,8 @@ def compare(stages: Stages, contents: Contents, things: list[Thing]) -> float:
             blocks = np.where((met == OCCUPIED).any(axis=0), OCCUPIED, met.min(axis=0))
             blocks[(met == UNKNOWN).any(axis=0) & (blocks != OCCUPIED)] = UNKNOWN
             in_upper = part_meets_prisms(part, line, upper)
-            in_upper[~is_high] = FREE
+            in_upper[(stands == FREE) | (in_upper == FREE)] = FREE
+            in_upper[(stands == UNKNOWN) & (in_upper == OCCUPIED)] = UNKNOWN
             if isinstance(part, HalfSpace):  # is no wall, so it isn't asked for
                 in_upper[:] = UNKNOWN
             for expected, found in zip(

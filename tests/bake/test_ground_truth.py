@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, note, settings
 from hypothesis import strategies as st
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from navbake.bake.pipeline import run_bake
@@ -23,6 +24,7 @@ from navbake.errors import SceneError
 from navbake.grid import MultiLevelGrid, SceneGrid2D
 from oracles.prisms import OCCUPIED, UNKNOWN
 from oracles.scene import Thing, scene_xml
+from oracles.solids import rotation
 from oracles.truth import Rules, Truth, UnsureError
 
 MORE = int(os.environ.get("NAVBAKE_EXAMPLES", "0"))
@@ -392,3 +394,77 @@ def snapped_scenes(draw: st.DrawFn) -> tuple[list[Thing], Rules]:
 @given(snapped_scenes())
 def test_faces_on_edges_and_centres_of_cells(scene: tuple[list[Thing], Rules]) -> None:
     check(*scene, snapped=True)
+
+
+# ---------------------------------------------------------------- nearly touching
+
+
+def touching_point(rng: Generator, rules: Rules) -> tuple[NDArray, NDArray]:
+    """A point of the surface of a cell's volume, from its axis at the floor, and a unit normal.
+
+    The normal is that of a plane that only touches the volume there; it doesn't point down.
+    """
+    # no side of it much smaller: what enters along it enters along each axis, too
+    way = rng.uniform(0.5, 1.0, 3) * [rng.choice([-1, 1]), rng.choice([-1, 1]), 1]
+    way[rng.random(3) < 0.3] = 0.0
+    way = way / np.linalg.norm(way) if way.any() else np.array([0.0, 0.0, 1.0])
+    across = np.hypot(way[0], way[1])
+    square = np.sign(way[:2]) * rules.cell_size / 2
+    disc = way[:2] / max(across, 1e-300) * rules.radius
+    edge = max(square, disc, key=lambda p: p @ way[:2])  # the one that reaches farther
+    if across == 0:
+        edge = rng.uniform(-0.5, 0.5, 2) * rules.cell_size
+    z = rules.height if way[2] > 0 else rng.uniform(rules.step, rules.height)
+    return np.array([*edge, z]), way
+
+
+def farthest(thing: Thing, way: NDArray) -> NDArray:
+    """A point of a thing that is farthest along a way in its own frame."""
+    size = np.array(thing.size)
+    if thing.kind == "box":
+        return np.sign(way) * size
+    if thing.kind == "ellipsoid":
+        return size**2 * way / np.linalg.norm(size * way)
+    if thing.kind in ("sphere", "capsule"):
+        along = size[1] * np.sign(way[2]) if thing.kind == "capsule" else 0.0
+        return way * size[0] + np.array([0.0, 0.0, along])
+    across = np.hypot(way[0], way[1])
+    rim = way[:2] / across * size[0] if across > 1e-12 else np.zeros(2)
+    return np.array([*rim, np.sign(way[2]) * size[1]])
+
+
+@pytest.mark.parametrize("kind", ["sphere", "capsule", "ellipsoid", "cylinder", "box"])
+def test_what_nearly_touches_a_cell(kind: str) -> None:
+    """A solid 1.2e-7 to 1e-3 m off the volume of one cell leaves it free, one within fills it."""
+    rng = np.random.default_rng(len(kind))
+    compared = 0
+    for _ in range(MORE or 25):
+        cell = rng.choice([0.05, 0.1, 0.2])
+        half = 4.5 * cell
+        where = Rules(
+            cell_size=float(cell),
+            bounds=(-half, -half, half, half),
+            radius=float(rng.choice([0.0, 0.05, 0.13, 0.31])),
+            height=float(rng.uniform(0.5, 1.5)),
+            min_area=9 * cell**2,
+            shrink=0.0,
+        )
+        touch, way = touching_point(rng, where)
+        gap = float(rng.choice([-2.5e-6, -1e-5, -1e-3, 1.2e-7, 1e-6, 1e-5, 1e-3]))
+        count = {"sphere": 1, "capsule": 2, "cylinder": 2}.get(kind, 3)
+        size = tuple(map(float, rng.uniform(0.02, 0.8, count)))
+        turn = rng.normal(size=4) if rng.integers(3) else np.array([1.0, 0.0, 0.0, 0.0])
+        quat = tuple(map(float, turn / np.linalg.norm(turn)))
+        thing = Thing(kind, size, (0.0, 0.0, 0.0), quat)
+        rot = rotation(quat)
+        pos = touch + way * gap - rot @ farthest(thing, -way @ rot)
+        placed = Thing(kind, size, tuple(map(float, pos)), quat)
+        try:
+            level = bake([Thing("plane", (), (0.0, 0.0, 0.0)), placed], where).levels[0]
+        except SceneError:
+            continue  # a large solid leaves too little floor
+        if level.floor_height[4, 4] != 0.0:
+            continue  # its top is the floor instead
+        assert level.occupancy[4, 4] == (gap < 0), f"{gap} m: {placed}, {where}"
+        compared += 1
+    assert compared > 0.6 * (MORE or 25)

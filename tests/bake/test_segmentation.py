@@ -200,6 +200,12 @@ def test_stairs_belong_to_where_they_begin():
     assert apart.max() == 3
 
 
+def test_a_door_wider_than_everything():
+    rooms = segment_rooms(two_rooms(9, 1), 0.1, 1e9, 1.0)
+    assert rooms.max() == 1
+    assert (rooms > 0).sum() == two_rooms(9, 1).sum()
+
+
 def test_nothing_open():
     assert not segment_rooms(np.zeros((4, 5), dtype=bool), 0.1, 1.0, 1.0).any()
 
