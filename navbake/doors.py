@@ -109,30 +109,38 @@ def _is_entry(entry: Any, sizes: list[int]) -> bool:
     return True
 
 
+def _check_state(
+    name: str, state: str, doors: Mapping[str, Mapping[str, Any]], scene_id: str | None
+) -> None:
+    """Refuse a door that there is not, and a state that it hasn't."""
+    if name not in doors:
+        near = get_close_matches(name, doors, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        known = ", ".join(sorted(doors)) or "none"
+        raise QueryError(f"no door {name!r} in {scene_id!r}: {hint}it has {known}")
+    if state not in STATES:
+        raise QueryError(f"expected one of {', '.join(STATES)} for {name!r}, got {state!r}")
+    if state != "removed" and state not in doors[name]["cells"]:
+        possible = ", ".join(sorted([*doors[name]["cells"], "removed"]))
+        raise QueryError(f"door {name!r} can't be {state}: it can be {possible}")
+
+
 def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
     """The same grid with doors in other states; see `SceneGrid2D.with_doors`."""
     doors = copy.deepcopy(grid.navbake.get("doors", []))
     by_id: dict[str, dict[str, Any]] = {door["id"]: door for door in doors}
-    if isinstance(states, str):
-        states = dict.fromkeys(by_id, states)
-    for name, state in states.items():
-        if name not in by_id:
-            near = get_close_matches(name, by_id, n=1)
-            hint = f"did you mean {near[0]!r}? " if near else ""
-            known = ", ".join(sorted(by_id)) or "none"
-            raise QueryError(f"no door {name!r} in {grid.scene_id!r}: {hint}it has {known}")
-        if state not in STATES:
-            raise QueryError(f"expected one of {', '.join(STATES)} for {name!r}, got {state!r}")
-        if state != "removed" and state not in by_id[name]["cells"]:
-            possible = ", ".join(sorted([*by_id[name]["cells"], "removed"]))
-            raise QueryError(f"door {name!r} can't be {state}: it can be {possible}")
+    wanted: dict[str, str] = (
+        dict.fromkeys(by_id, states) if isinstance(states, str) else dict(states)
+    )
+    for name, state in wanted.items():
+        _check_state(name, state, by_id, grid.scene_id)
     levels = grid.levels
     occupied = [level.occupancy.astype(np.bool_).ravel() for level in levels]
     for door in doors:
         for mask, cells in zip(occupied, door_cells(door, door["state"], len(levels)), strict=True):
             mask[cells] = False
     for door in doors:
-        door["state"] = states.get(door["id"], door["state"])
+        door["state"] = wanted.get(door["id"], door["state"])
         for mask, cells in zip(occupied, door_cells(door, door["state"], len(levels)), strict=True):
             mask[cells] = True
     return _rebuild(grid, doors, occupied)
