@@ -46,7 +46,7 @@ def mark_surfaces(
         previous, gentle = -math.inf, -math.inf
         for i in range(first, last):
             standable[i] = False
-            floor_like[i] = normals[i, 2] > 0.0 and z[i] - gentle <= step
+            floor_like[i] = normals[i, 2] > 0.0 and z[i] - gentle <= step + SLACK
             if normals[i, 2] < min_up:
                 continue
             floor_like[i] = True

@@ -18,13 +18,15 @@ from hypothesis import strategies as st
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from navbake.bake.pipeline import run_bake
+from navbake.bake.pipeline import lay_lattice, run_bake
+from navbake.bake.scene import load_scene
 from navbake.config import parse_config
 from navbake.errors import SceneError
 from navbake.grid import MultiLevelGrid, SceneGrid2D
 from oracles.prisms import OCCUPIED, UNKNOWN
-from oracles.scene import Thing, scene_xml
+from oracles.scene import Thing, part_of, scene_xml
 from oracles.solids import rotation
+from oracles.surfaces import Surface
 from oracles.truth import Rules, Truth, UnsureError
 
 MORE = int(os.environ.get("NAVBAKE_EXAMPLES", "0"))
@@ -49,6 +51,7 @@ def millimetres(low: float, high: float) -> st.SearchStrategy[float]:
     return st.integers(round(low * 1000), round(high * 1000)).map(lambda n: n / 1000)
 
 
+SOLIDS = ("sphere", "capsule", "cylinder", "box")
 yaws = st.integers(-314, 314).map(lambda n: n / 100)
 tilts = st.one_of(st.just(0.0), st.just(0.0), st.integers(1, 314).map(lambda n: n / 100))
 
@@ -394,6 +397,33 @@ def snapped_scenes(draw: st.DrawFn) -> tuple[list[Thing], Rules]:
 @given(snapped_scenes())
 def test_faces_on_edges_and_centres_of_cells(scene: tuple[list[Thing], Rules]) -> None:
     check(*scene, snapped=True)
+
+
+@examples(60)
+@given(st.lists(solids(2.0, (*SOLIDS, "ellipsoid")) | meshes(2.0), min_size=1, max_size=6))
+def test_lattice_is_centred_on_the_scene(things: list[Thing]) -> None:
+    """As many whole cells as cover its box; infinite planes don't count."""
+    parts = [part_of(thing) for thing in things]
+    corners = [
+        [part.support(way[None])[0] for way in (*np.eye(3)[:2], *-np.eye(3)[:2])]
+        if not isinstance(part, Surface)
+        else [*part.corners.max(axis=(0, 1))[:2], *-part.corners.min(axis=(0, 1))[:2]]
+        for part in parts
+    ]
+    x1, y1, x0, y0 = np.max(corners, axis=0) * [1, 1, -1, -1]
+    path = Path(FOLDER.name) / "scene.xml"
+    path.write_text(scene_xml([*things, Thing("plane", (), (9.0, 9.0, 0.0))]))
+    config = parse_config(
+        {"scene": {"path": str(path), "geoms": "all"}, "grid": {"cell_size": 0.13}}
+    )
+    lattice = lay_lattice(load_scene(config.scene), config)
+    cells = np.array([x1 - x0, y1 - y0]) / 0.13
+    assume((np.abs(cells - np.round(cells)) > 1e-4).all())
+    assert (lattice.width, lattice.height) == tuple(np.ceil(cells))
+    low_x, low_y, high_x, high_y = lattice.bounds
+    middle = (low_x + high_x) / 2, (low_y + high_y) / 2
+    np.testing.assert_allclose(middle, [(x0 + x1) / 2, (y0 + y1) / 2], atol=1e-6)
+    assert lattice.cell_size == 0.13
 
 
 # ---------------------------------------------------------------- nearly touching
