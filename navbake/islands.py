@@ -32,10 +32,10 @@ def find_islands(grid: SceneGrid2D | MultiLevelGrid) -> list[NDArray[np.int32]]:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    max_step = _highest_step(grid)
+    limit = step_limit(grid)
     start = np.cumsum([0] + [level.free.size for level in grid.levels])
     pairs = [
-        _step_pairs(level.free, level.floor_height, max_step) + first
+        _step_pairs(level.free, level.floor_height, limit) + first
         for level, first in zip(grid.levels, start[:-1], strict=True)
     ]
     pairs.append(_link_pairs(grid, start))
@@ -74,7 +74,7 @@ def clearance(level: SceneGrid2D) -> NDArray[np.float32]:
     return np.where(level.free, metres, 0.0).astype(np.float32)
 
 
-def _highest_step(grid: SceneGrid2D | MultiLevelGrid) -> float:
+def highest_step(grid: SceneGrid2D | MultiLevelGrid) -> float:
     """The grid's `traversableFloorHeight` [file units]."""
     stated = grid.metadata.get("traversableFloorHeight")
     if isinstance(stated, int | float) and stated >= 0:
@@ -82,14 +82,23 @@ def _highest_step(grid: SceneGrid2D | MultiLevelGrid) -> float:
     return DEFAULT_STEP / grid.unit
 
 
+def step_limit(grid: SceneGrid2D | MultiLevelGrid) -> float:
+    """By how much the floors of two neighbours may differ [file units].
+
+    The grid's `traversableFloorHeight`, plus 1e-6 m and what float32 rounds off at its highest
+    floor, so that a step exactly as high as allowed is one.
+    """
+    floors = [np.abs(level.floor_height) for level in grid.levels]
+    highest = max(float(np.nanmax(floor, initial=0.0)) for floor in floors)
+    return highest_step(grid) + STEP_SLACK / grid.unit + float(np.spacing(np.float32(highest)))
+
+
 def _step_pairs(
-    free: NDArray[np.bool_], floor: NDArray[np.float32], max_step: float
+    free: NDArray[np.bool_], floor: NDArray[np.float32], limit: float
 ) -> NDArray[np.int64]:
     """Cell ids of the neighbours that a step joins, shape (2, n)."""
     cell = np.arange(free.size).reshape(free.shape)
     height = floor.astype(np.float64)
-    highest = np.nanmax(np.abs(height), initial=0.0)
-    limit = max_step + STEP_SLACK + float(np.spacing(np.float32(highest)))
     pairs = []
     for near, far in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
         too_high = np.abs(height[near] - height[far]) > limit  # False for NaN

@@ -41,6 +41,7 @@ RUN_TIME = (
     "layers",
     "polygon",
     "rooms_table",
+    "runtime",
 )
 NEVER_AT_RUN_TIME = ("mujoco", "fcl", "trimesh", "navbake.bake")
 
