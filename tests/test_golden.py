@@ -10,7 +10,7 @@ import pytest
 import navbake
 from navbake.bake.pipeline import run_bake
 from navbake.config import load_config
-from navbake.grid import difference_map, first_difference
+from navbake.differences import difference_map, first_difference
 
 ROOT = Path(__file__).parents[1]
 SAMPLES = sorted(path.stem for path in (ROOT / "configs").glob("*.yaml"))

@@ -8,8 +8,9 @@ import re
 import numpy as np
 import pytest
 
+from navbake.differences import difference_map, first_difference
 from navbake.errors import FormatError
-from navbake.grid import MultiLevelGrid, SceneGrid2D, difference_map, first_difference
+from navbake.grid import MultiLevelGrid, SceneGrid2D
 
 INF, NAN = np.inf, np.nan
 

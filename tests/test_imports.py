@@ -30,7 +30,11 @@ DOORS = {
 }
 # what an agent loads at run time, and what it never loads
 RUN_TIME = (
+    "attributes",
+    "differences",
     "grid",
+    "grid_base",
+    "links",
     "lattice",
     "formats",
     "info",

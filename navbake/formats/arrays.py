@@ -13,8 +13,8 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
+from navbake.attributes import datatype_name
 from navbake.errors import FormatError
-from navbake.grid import datatype_name
 
 DATATYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
 SHOWN_LENGTH = 40  # characters of a culprit that an error shows

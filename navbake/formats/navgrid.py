@@ -32,7 +32,8 @@ from navbake.formats.arrays import (
     shown,
     whole_number,
 )
-from navbake.grid import Json, MultiLevelGrid, NavGrid, SceneGrid2D, Vector3
+from navbake.grid import MultiLevelGrid, NavGrid, SceneGrid2D, Vector3
+from navbake.grid_base import Json
 from navbake.rooms_table import describe_rooms
 
 MAX_CELLS = 100_000_000

@@ -10,8 +10,8 @@ import pytest
 import navbake
 from navbake.bake.pipeline import run_bake
 from navbake.config import load_config, parse_config
+from navbake.differences import first_difference
 from navbake.errors import QueryError
-from navbake.grid import first_difference
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 

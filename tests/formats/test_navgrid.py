@@ -19,10 +19,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from navbake.differences import first_difference
 from navbake.errors import FormatError
 from navbake.formats import navgrid
 from navbake.formats.navgrid import dumps_navgrid, read_navgrid, write_navgrid
-from navbake.grid import MultiLevelGrid, SceneGrid2D, first_difference
+from navbake.grid import MultiLevelGrid, SceneGrid2D
 
 INF, NAN = np.inf, np.nan
 DTYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")

@@ -1,0 +1,112 @@
+"""What one may ask of a grid, whether it has one level or several."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
+
+from navbake.attributes import describe_attributes
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+    from navbake.grid import NavGrid, SceneGrid2D
+
+Json: TypeAlias = dict[str, Any]
+
+
+class GridBase:
+    """What one level and several share: what the metadata say, and what one may ask of either."""
+
+    metadata: Json
+
+    @property
+    def levels(self) -> list[SceneGrid2D]:
+        """The levels, lowest first."""
+        raise NotImplementedError
+
+    @property
+    def _itself(self) -> NavGrid:
+        return cast("NavGrid", self)  # nothing else derives from this class
+
+    @property
+    def scene_id(self) -> str | None:
+        """The scene's name, if the file gives one."""
+        name = self.metadata.get("sceneId")
+        return name if isinstance(name, str) else None
+
+    @property
+    def navbake(self) -> Json:
+        """What navbake wrote into the metadata: versions, digests, frame; {} in others' files."""
+        own = self.metadata.get("navbake")
+        return own if isinstance(own, dict) else {}
+
+    @property
+    def rooms(self) -> list[Json]:
+        """The table of the rooms, by level and index; see `navbake.rooms_table.describe_rooms`."""
+        from navbake.rooms_table import describe_rooms
+
+        return describe_rooms(self._itself)
+
+    @property
+    def doors(self) -> list[Json]:
+        """The doors: id, joint, rooms, state, and the cells that each blocks; [] if none."""
+        doors = self.navbake.get("doors", [])
+        return doors if isinstance(doors, list) else []
+
+    @property
+    def cell_attributes(self) -> list[Json]:
+        """What the metadata says of each attribute, completed where it says nothing."""
+        return describe_attributes(self.metadata, self.levels)
+
+    def with_doors(self, states: Mapping[str, str] | str) -> Self:
+        """The same grid with doors in other states, as a bake in these states would have it.
+
+        Args:
+            states: ``modelled``, ``open``, ``closed`` or ``removed``, by a door's id or for all.
+
+        Raises:
+            QueryError: there is no such door, or no such state.
+        """
+        from navbake.doors import with_doors
+
+        whole: Any = self
+        changed: Self = with_doors(whole, states)
+        return changed
+
+    def describe_cell(self, x: float, y: float, level: int = 0) -> Json:
+        """What the grid knows of a place: floor, room, island, doors, and what occupies it.
+
+        Args:
+            x, y: world position [m].
+            level: which level, 0 is the lowest.
+
+        Returns:
+            See `navbake.why.describe_cell`.
+
+        Raises:
+            QueryError: there is no such level, or the position is no number or beside the grid.
+        """
+        from navbake.why import describe_cell
+
+        return describe_cell(self._itself, x, y, level)
+
+    def blockers(self, x: float, y: float, level: int = 0) -> list[str]:
+        """The names of what blocks the cell at a place, sorted; [] where nothing does.
+
+        Args:
+            x, y: world position [m].
+            level: which level, 0 is the lowest.
+
+        Raises:
+            QueryError: there is no such level, or the position is no number or beside the grid.
+        """
+        blockers: list[str] = self.describe_cell(x, y, level)["blockers"]
+        return blockers
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a NavGrid file, gzipped if its name ends in ``.gz``."""
+        from navbake.formats.navgrid import write_navgrid
+
+        write_navgrid(self._itself, path)
