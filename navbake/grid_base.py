@@ -6,12 +6,16 @@ import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from navbake.attributes import describe_attributes
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
     from navbake.grid import NavGrid, SceneGrid2D
+    from navbake.runtime.locate import Cell, Cells
 
 Json: TypeAlias = dict[str, Any]
 
@@ -59,6 +63,24 @@ class GridBase:
     def cell_attributes(self) -> list[Json]:
         """What the metadata says of each attribute, completed where it says nothing."""
         return describe_attributes(self.metadata, self.levels)
+
+    def cell_at(self, position: ArrayLike, level: int | None = None) -> Cell | None:
+        """The cell of a world position [m]; see `navbake.runtime.locate.cell_at`."""
+        from navbake.runtime.locate import cell_at
+
+        return cell_at(self._itself, position, level)
+
+    def cells_at(self, positions: ArrayLike, level: int | None = None) -> Cells:
+        """The cells of world positions, shape (..., 3) [m]; -1 for none. See `cell_at`."""
+        from navbake.runtime.locate import cells_at
+
+        return cells_at(self._itself, positions, level)
+
+    def position_of(self, cells: Cell | Cells) -> NDArray[np.float64]:
+        """World x, y and floor z [m] of cells' centres, shape (..., 3), float64."""
+        from navbake.runtime.locate import position_of
+
+        return position_of(self._itself, cells)
 
     def with_doors(self, states: Mapping[str, str] | str) -> Self:
         """The same grid with doors in other states, as a bake in these states would have it.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from navbake.islands import step_limit
 
 if TYPE_CHECKING:
-    from navbake.grid import NavGrid
+    from navbake.grid import NavGrid, SceneGrid2D
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,8 @@ class Walk:
         ground: world z of each level's ground [m], float64: the floor of free cells that have
             none of their own.
         free: shape (n,), bool.
-        floor: world z of the floor [m], shape (n,), float64, NaN where there is none.
+        floor: world z of the floor [m], shape (n,), float64, NaN where there is none; the ground
+            on a level whose file tells no floors.
         weight: cost of a cell, shape (n,), float64, inf where it isn't free.
         max_step: by how much the floors of neighbours may differ [m], slack included; see
             `navbake.islands.step_limit`.
@@ -106,7 +107,7 @@ def make_walk(grid: NavGrid) -> Walk:
     lattices = [level.lattice for level in levels]
     start = np.cumsum([0] + [level.width * level.height for level in levels], dtype=np.int64)
     weight = np.concatenate([level.weights.ravel().astype(np.float64) for level in levels])
-    floors = [level.floor_height.ravel().astype(np.float64) * level.unit for level in levels]
+    floors = [_flat_floor(level) for level in levels]
     free = np.isfinite(weight)
     weight[~free] = np.inf
     return Walk(
@@ -123,6 +124,12 @@ def make_walk(grid: NavGrid) -> Walk:
         max_step=step_limit(grid) * grid.unit,
         **_link_lists(grid.links, start),
     )
+
+
+def _flat_floor(level: SceneGrid2D) -> NDArray[np.float64]:
+    if "floorHeight" not in level.attributes:
+        return np.full(level.width * level.height, level.ground)
+    return level.floor_height.ravel().astype(np.float64) * level.unit
 
 
 def _link_lists(links: NDArray[np.int64], start: NDArray[np.int64]) -> dict[str, NDArray[np.int64]]:
