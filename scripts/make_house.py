@@ -67,7 +67,7 @@ def make_house(rooms: int, seed: int = 0) -> str:
         for k in range(PIECES):
             kind = KINDS[k % len(KINDS)]
             circles.append(_place(kind, center, gaps, circles, rng))
-            geoms.append(_piece(f"room_{i}_{j}_{kind}_{k}", kind, *circles[-1], rng))
+            geoms.append(_piece(f"piece_{i}_{j}_{kind}_{k}", kind, *circles[-1], rng))
     lines = [f'<mujoco model="house-{rooms}">', "  <asset>", *assets, "  </asset>"]
     lines += ["  <worldbody>", *geoms, "  </worldbody>", "</mujoco>"]
     return "\n".join(lines) + "\n"

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any, Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,8 +50,18 @@ class GeomNames:
     mesh: str
 
 
+# Each stage asks for all names again, and they never change
+_names: WeakKeyDictionary[Any, list[GeomNames]] = WeakKeyDictionary()
+
+
 def names_of(model: Any, geom: int) -> GeomNames:
     """The names that a geom is known by, in reports and patterns alike."""
+    if model not in _names:
+        _names[model] = [_read_names(model, number) for number in range(model.ngeom)]
+    return _names[model][geom]
+
+
+def _read_names(model: Any, geom: int) -> GeomNames:
     mesh = ""
     if model.geom_type[geom] in (MESH, SDF) and model.geom_dataid[geom] >= 0:
         mesh = name_at(model, model.name_meshadr[model.geom_dataid[geom]])

@@ -134,10 +134,9 @@ class Contents:
         start = np.append(first, len(cell))
         number = np.empty(len(first), dtype=np.int64)
         lists = number_lists(start, token, number)
-        shared = np.empty(len(lists), dtype=object)
-        for k, which in enumerate(lists):
-            shared[k] = self._describe(token[start[which] : start[which + 1]].tolist())
-        return dict(zip(cell[first].tolist(), shared[number].tolist(), strict=True))
+        described = self._describe(token, start[lists], start[lists + 1])
+        found = map(described.__getitem__, number.tolist())
+        return dict(zip(cell[first].tolist(), found, strict=True))
 
     def _is_wall(self, listed: LevelContents) -> Bool:
         kind = self.kinds[listed.geom]
@@ -170,20 +169,38 @@ class Contents:
         merged = np.bitwise_or.reduceat(bits, first) if len(first) else bits
         return cell[first], name[first], merged
 
-    def _describe(self, tokens: Sequence[int]) -> Names:
-        """The user data of a cell that holds these names under these keys."""
-        names = [(self.names[token // ALL_BITS], token) for token in tokens]
-        names.sort()
-        data = {
-            key: found
-            for key, bit in KEYS.items()
-            if (found := [name for name, token in names if token & bit])
-        }
-        if any(bool(token & BLOCKERS) != bool(token & NAMED) for token in tokens):
-            blockers = [name for name, token in names if token & BLOCKERS]
-            if blockers:
-                data["blockers"] = blockers
-        return data
+    def _describe(
+        self, token: NDArray[np.int64], begin: NDArray[np.int64], end: NDArray[np.int64]
+    ) -> list[Names]:
+        """The user data of cells that hold the tokens from each begin to its end."""
+        name_of = [self.names[k] for k in (token // ALL_BITS).tolist()]
+        bits_of = (token % ALL_BITS).tolist()
+        described = []
+        for one, other in zip(begin.tolist(), end.tolist(), strict=True):
+            names, bits = name_of[one:other], bits_of[one:other]
+            if len(set(bits)) == 1:
+                names.sort()
+                described.append(dict.fromkeys(_KEYS_OF[bits[0]], names))
+            else:
+                described.append(_describe_mixed(names, bits))
+        return described
+
+
+def _describe_mixed(names: Sequence[str], bits: Sequence[int]) -> Names:
+    """The user data of a cell that holds names under different keys."""
+    pairs = sorted(zip(names, bits, strict=True))
+    data = {
+        key: found for key, bit in KEYS.items() if (found := [name for name, b in pairs if b & bit])
+    }
+    if any(bool(b & BLOCKERS) != bool(b & NAMED) for b in bits):
+        blockers = [name for name, b in pairs if b & BLOCKERS]
+        if blockers:
+            data["blockers"] = blockers
+    return data
+
+
+# The keys of a cell whose names all have the same bits
+_KEYS_OF = [list(_describe_mixed(["name"], [bits])) for bits in range(ALL_BITS)]
 
 
 def find_contents(

@@ -5,9 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.bake.sheets import Standable, mask_window, shrink_mask
+from navbake.bake.sheets import AreaTest, Standable, mask_window, shrink_mask
 from navbake.config import AgentSettings, FloorSettings
-from navbake.kernels.sheets import SLACK, find_links, join_by_steps, place_on_levels
+from navbake.kernels.sheets import (
+    SLACK,
+    find_links,
+    group_members,
+    join_by_steps,
+    place_on_levels,
+)
 from navbake.lattice import Lattice
 
 Bool = NDArray[np.bool_]
@@ -139,18 +145,19 @@ def _lowest_plateau(
     Looks through windows of heights one step high, half a step apart, from the lowest up.
     """
     half_step = max(agent.traversable_floor_height, PLATEAU) / 2
-    cell_area = lattice.cell_size**2
-    least = settings.min_area - SLACK
-    low = float(z.min())
-    window: Int = ((z - low) / half_step).astype(np.int64)
-    counts = np.append(np.bincount(window), 0)
-    for number in np.flatnonzero((counts[:-1] + counts[1:]) * cell_area >= least):
-        chosen = np.flatnonzero((window == number) | (window == number + 1))
-        mask, row0, col0 = mask_window(cells[chosen], lattice, margin=0)
-        inner = shrink_mask(mask, lattice.cell_size, settings.shrink)
-        if inner.sum() * cell_area >= least:
+    window: Int = ((z - z.min()) / half_step).astype(np.int64)
+    counts = np.bincount(window)
+    start, member = group_members(window, counts)
+    test = AreaTest(lattice, settings)
+    both = counts + np.append(counts[1:], 0)
+    for number in np.flatnonzero((both > 0) & (both >= test.needed)):
+        chosen = member[start[number] : start[min(number + 2, len(counts))]]
+        if test.passes(cells[chosen]):
+            mask, row0, col0 = mask_window(cells[chosen], lattice, margin=0)
+            inner = shrink_mask(mask, lattice.cell_size, settings.shrink)
             row, col = np.divmod(cells[chosen], lattice.width)
-            return _common_height(z[chosen][inner[row - row0, col - col0]])
+            heights = z[chosen][inner[row - row0, col - col0]]
+            return _common_height(heights if len(heights) else z[chosen])
     return None
 
 

@@ -15,7 +15,7 @@ from navbake.bake.shapes import Shapes
 from navbake.bake.sheets import Standable, mask_window
 from navbake.config import AgentSettings
 from navbake.kernels.occupancy import lines_blocked
-from navbake.kernels.sheets import SLACK
+from navbake.kernels.sheets import SLACK, group_members
 
 Bool = NDArray[np.bool_]
 Float = NDArray[np.float64]
@@ -58,8 +58,9 @@ def drop_roofs(
     over_share = np.bincount(sheet, over_floor, len(size)) / size
     keep = np.ones(len(size), dtype=np.bool_)
     under = _EnclosedTest(standable, columns, shapes, agent, is_occupied)
+    start, member = group_members(sheet, standable.sheet_size)
     for roof in np.flatnonzero((sky_share >= MOSTLY) & (over_share >= HALF)):
-        members = np.flatnonzero(sheet == roof)
+        members = member[start[roof] : start[roof + 1]]
         keep[roof] = not under.is_enclosed(cells[members], below[members[over_floor[members]]])
     return standable.only_sheets(keep)
 

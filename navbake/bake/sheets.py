@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,14 +12,9 @@ from scipy import ndimage
 from navbake.bake.columns import Columns
 from navbake.bake.shapes import Shapes
 from navbake.config import AgentSettings, FloorSettings
-from navbake.kernels.sheets import (
-    SLACK,
-    count_covered,
-    count_drops,
-    group_members,
-    join_by_steps,
-    mark_surfaces,
-)
+from navbake.kernels.sheets import SLACK, group_members, join_by_steps, mark_surfaces
+from navbake.kernels.shrink import count_inner, near_offsets
+from navbake.kernels.tops import count_covered, count_drops
 from navbake.lattice import Lattice
 
 Bool = NDArray[np.bool_]
@@ -136,13 +130,12 @@ def drop_furniture(standable: Standable, settings: FloorSettings) -> Standable:
         standable: all standable surfaces.
         settings: `min_area` [m²] and `shrink` [m].
     """
-    lattice, size = standable.lattice, standable.sheet_size
+    size = standable.sheet_size
     counts = np.zeros(len(size), dtype=np.bool_)
     start, member = group_members(standable.sheet, size)
-    cells = standable.cell
-    for sheet in np.flatnonzero(size * lattice.cell_size**2 >= settings.min_area - SLACK):
-        members = cells[member[start[sheet] : start[sheet + 1]]]
-        counts[sheet] = _keeps_area(members, lattice, settings)
+    cells, test = standable.cell, AreaTest(standable.lattice, settings)
+    for sheet in np.flatnonzero(size >= test.needed):
+        counts[sheet] = test.passes(cells[member[start[sheet] : start[sheet + 1]]])
     return standable.only_sheets(counts)
 
 
@@ -169,7 +162,9 @@ def drop_tops(
     """
     lattice, size = standable.lattice, standable.sheet_size
     start, member = group_members(standable.sheet, size)
-    at_cell = np.full(lattice.width * lattice.height, -1, dtype=np.int64)
+    num_cells = lattice.width * lattice.height
+    at_cell = np.full(num_cells, -1, dtype=np.int64)
+    under, queue = np.full(num_cells, np.nan), np.empty(num_cells, dtype=np.int64)
     reach = max(1, int(np.ceil(settings.shrink / lattice.cell_size)))
     cells, counts = standable.cell, size > 0
     keep = counts.copy()
@@ -183,7 +178,7 @@ def drop_tops(
         )
         if drops > 0 and drops >= DROP_SHARE * edges:
             covered = count_covered(
-                members, *place, *shape, *lines, floor_like, step, floors, at_cell
+                members, *place, *shape, *lines, floor_like, step, floors, at_cell, under, queue
             )
             keep[sheet] = covered <= TOP_SHARE * len(members)
         at_cell[cells[members]] = -1
@@ -203,15 +198,6 @@ def mask_window(cells: Int, lattice: Lattice, margin: int) -> tuple[Bool, Int, I
 def shrink_mask(mask: Bool, cell_size: float, shrink: float) -> Bool:
     """Cells of a mask whose centres are at least `shrink` from its edge [m]."""
     inner = np.zeros_like(mask)
-    for place, block in _shrunk_blocks(mask, cell_size, shrink):
-        inner[place] = block
-    return inner
-
-
-def _shrunk_blocks(
-    mask: Bool, cell_size: float, shrink: float
-) -> Iterator[tuple[tuple[slice, slice], Bool]]:
-    """`shrink_mask` block by block: where each lies, and what is left of it."""
     reach = int(np.ceil(shrink / cell_size)) + 2
     padded = np.pad(mask, reach)
     for row in range(0, mask.shape[0], BLOCK):
@@ -220,17 +206,27 @@ def _shrunk_blocks(
             # beyond the reach nothing matters, so the block may end in empty cells
             cells = ndimage.distance_transform_edt(np.pad(block, 1))[1:-1, 1:-1]
             far = (cells - 0.5) * cell_size >= shrink - SLACK
-            inner = (block & far)[reach:-reach, reach:-reach]
-            yield (slice(row, row + BLOCK), slice(col, col + BLOCK)), inner
+            place = slice(row, row + BLOCK), slice(col, col + BLOCK)
+            inner[place] = (block & far)[reach:-reach, reach:-reach]
+    return inner
 
 
-def _keeps_area(cells: Int, lattice: Lattice, settings: FloorSettings) -> bool:
-    """Whether cells keep `min_area` after shrinking."""
-    mask, _, _ = mask_window(cells, lattice, margin=0)
-    needed = (settings.min_area - SLACK) / lattice.cell_size**2
-    found = 0
-    for _, block in _shrunk_blocks(mask, lattice.cell_size, settings.shrink):
-        found += int(block.sum())
-        if found >= needed:
-            return True
-    return found >= needed
+class AreaTest:
+    """Whether cells are enough for a floor: `min_area` after shrinking, see `shrink_mask`.
+
+    Attributes:
+        needed: cells that have to be left, so also what a set has at least.
+    """
+
+    def __init__(self, lattice: Lattice, settings: FloorSettings) -> None:
+        self.needed = (settings.min_area - SLACK) / lattice.cell_size**2
+        self._shape = lattice.width, lattice.height
+        self._offsets = near_offsets((settings.shrink - SLACK) / lattice.cell_size + 0.5)
+        num_cells = lattice.width * lattice.height
+        self._masks = np.zeros(num_cells, dtype=np.bool_), np.zeros(num_cells, dtype=np.bool_)
+
+    def passes(self, cells: Int) -> bool:
+        """Tell for a set of cells, shape (n,), int64; a cell may be named more than once."""
+        needed = int(np.ceil(max(self.needed, 0.0)))
+        found = count_inner(cells, self._offsets, *self._shape, needed, *self._masks)
+        return bool(found >= needed)

@@ -1,0 +1,62 @@
+"""What is left of a mask that is shrunk, told without a distance transform."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+def near_offsets(limit: float) -> np.ndarray:
+    """Steps to the cells that are nearer than a limit, centre to centre, the farthest first.
+
+    Args:
+        limit: [cells].
+
+    Returns:
+        Rows and columns, shape (n, 2), int64, without (0, 0).
+    """
+    reach = int(np.ceil(limit))
+    rows, cols = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    squares = (rows**2 + cols**2).ravel()
+    order = np.argsort(-squares, kind="stable")
+    squares = squares[order]
+    chosen = order[(squares > 0) & (np.sqrt(squares) < limit)]
+    return np.stack([rows.ravel()[chosen], cols.ravel()[chosen]], axis=1).astype(np.int64)
+
+
+@njit(cache=True)
+def count_inner(cells, offsets, width, height, needed, mask, counted):
+    """Count the cells of a set whose neighbours at all offsets belong to it, up to a number.
+
+    Far neighbours are asked first, because near the edge of a set one of them is missing soon.
+
+    Args:
+        cells: cell ids of the set, (n,) int64; one that is named twice counts once.
+        offsets: see `near_offsets`.
+        width, height: of the lattice.
+        needed: where to stop counting.
+        mask, counted: (cells of the lattice,) bool, all False, and so again afterwards.
+
+    Returns:
+        How many there are, at most `needed`.
+    """
+    for cell in cells:
+        mask[cell] = True
+    found = 0
+    for cell in cells:
+        if found >= needed:
+            break
+        row, col = cell // width, cell % width
+        inner = True
+        for k in range(offsets.shape[0]):
+            r, c = row + offsets[k, 0], col + offsets[k, 1]
+            if r < 0 or r >= height or c < 0 or c >= width or not mask[r * width + c]:
+                inner = False
+                break
+        if inner and not counted[cell]:
+            counted[cell] = True
+            found += 1
+    for cell in cells:
+        mask[cell] = False
+        counted[cell] = False
+    return found
