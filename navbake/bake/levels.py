@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from navbake.bake.shapes import Shapes
 from navbake.bake.sheets import Standable, drop_furniture, drop_tops, find_standable
 from navbake.config import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
-from navbake.kernels.sheets import SLACK, find_links, grow_floor
+from navbake.kernels.sheets import SLACK, find_links, group_members, grow_floor
 
 Bool = NDArray[np.bool_]
 Float = NDArray[np.float64]
@@ -40,6 +40,21 @@ class LevelFloor:
 
 
 @dataclass(frozen=True)
+class Top:
+    """A top that was taken for furniture, see `drop_tops`.
+
+    Attributes:
+        geom: the geom that most of it belongs to.
+        height: of its highest point, world z [m].
+        area: [m²].
+    """
+
+    geom: int
+    height: float
+    area: float
+
+
+@dataclass(frozen=True)
 class Floors:
     """All storeys, lowest first, and where they meet.
 
@@ -47,10 +62,12 @@ class Floors:
         levels: the storeys.
         links: level a, cell a, level b, cell b of each step between two levels, shape (n, 4),
             int64, cells on the whole lattice.
+        tops: large tops that are no floors, the largest first.
     """
 
     levels: list[LevelFloor]
     links: Int
+    tops: list[Top] = field(default_factory=list)
 
 
 def find_floors(
@@ -84,9 +101,11 @@ def find_floors(
             f"after shrinking by {settings.shrink:g} m; lower `floors.min_area` or "
             f"`floors.shrink` if it is a floor"
         )
+    tops: list[Top] = []
     if not settings.tops:
-        step = agent.traversable_floor_height
-        counted = drop_tops(counted, columns, floor_like, step, settings)
+        every, step = counted, agent.traversable_floor_height
+        counted = drop_tops(every, columns, floor_like, step, settings)
+        tops = _describe_tops(every, counted, columns)
     if given is None:
         if not settings.roofs:
             counted = drop_roofs(counted, columns, shapes, agent, is_occupied)
@@ -104,7 +123,20 @@ def find_floors(
         _level_floor(k, names[k], ground, level, counted, columns, candidate, agent)
         for k, ground in enumerate(grounds)
     ]
-    return Floors(levels, _cell_links(counted, level, agent))
+    return Floors(levels, _cell_links(counted, level, agent), tops)
+
+
+def _describe_tops(every: Standable, counted: Standable, columns: Columns) -> list[Top]:
+    """Describe the sheets that are gone."""
+    gone = np.flatnonzero((every.sheet_size > 0) & (counted.sheet_size == 0))
+    start, member = group_members(every.sheet, every.sheet_size)
+    tops = []
+    for sheet in gone:
+        members = member[start[sheet] : start[sheet + 1]]
+        geoms = columns.geom[every.surface[members]]
+        area = len(members) * every.lattice.cell_size**2
+        tops.append(Top(int(np.bincount(geoms).argmax()), float(every.z[members].max()), area))
+    return sorted(tops, key=lambda top: -top.area)
 
 
 def _within_given(standable: Standable, given: list[LevelSettings], columns: Columns) -> Standable:

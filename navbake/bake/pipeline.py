@@ -27,6 +27,9 @@ from navbake.lattice import Lattice
 
 STAGES = ("scene", "columns", "floors", "occupancy", "contents", "rooms", "doors", "grid")
 
+# From this size on one is told of a top that is no floor; beds are smaller [m²]
+LARGE_TOP = 6.0
+
 Progress = Callable[[str, float], None]
 
 
@@ -107,7 +110,12 @@ def run_bake(
     return BakeResult(
         grid=grid,
         geoms=whole.geoms,
-        warnings=[*whole.warnings, *idle, *(contents.warnings if contents else ())],
+        warnings=[
+            *whole.warnings,
+            *idle,
+            *_large_tops(scene, floors),
+            *(contents.warnings if contents else ()),
+        ],
         timings=clock.seconds,
         by_ray=questions.by_ray,
         by_fcl=questions.by_fcl,
@@ -203,6 +211,19 @@ def _threads(count: int | None) -> Iterator[None]:
         yield
     finally:
         numba.set_num_threads(before)
+
+
+def _large_tops(scene: Scene, floors: Floors) -> list[str]:
+    """Tell of tops so large that they might be meant as floors."""
+    large = [top for top in floors.tops if top.area >= LARGE_TOP]
+    if not large:
+        return []
+    first = large[0]
+    more = f", and {len(large) - 1} more of {LARGE_TOP:g} m² or more" if large[1:] else ""
+    return [
+        f"no floor, because no step leads there: the top of {scene.geoms[first.geom].name!r} "
+        f"({first.area:.1f} m² at {first.height:.2f} m{more}); `floors.tops: true` makes it one"
+    ]
 
 
 def _list_contents(

@@ -404,3 +404,16 @@ def test_given_level_keeps_what_lies_between_ground_and_top(bake):
 def test_given_level_outside_the_scene_is_refused(bake):
     with pytest.raises(SceneError, match=r"level 'attic' .*30 m"):
         bake([FLOOR], levels=[{"ground": 0.0}, {"ground": 30.0, "name": "attic"}])
+
+
+def test_tells_of_large_tops_that_are_no_floors(tmp_path):
+    """A dock that nothing leads to is named; a bed isn't."""
+    pieces = [box(-10, 10, -10, 10, -0.2, 0), box(-1, 1, -6, -4, 0, 0.6, 'name="bed"')]
+    pieces.append(box(-5, 5, 3, 7, 0, 1.2, 'name="dock"'))
+    path = tmp_path / "yard.xml"
+    path.write_text(f"<mujoco><worldbody>{''.join(pieces)}</worldbody></mujoco>")
+    settings = {"scene": {"path": str(path)}}
+    [warning] = run_bake(parse_config(settings)).warnings
+    assert "'dock' (40.0 m² at 1.20 m)" in warning and "bed" not in warning
+    settings["floors"] = {"tops": True}
+    assert run_bake(parse_config(settings)).warnings == []
