@@ -171,8 +171,10 @@ def _digest(posed: PosedModel) -> str:
     for geom in range(posed.model.ngeom):
         names = names_of(posed.model, geom)
         digest.update("\0".join((names.geom, names.mesh, names.body)).encode() + b"\n")
-    for array in _digest_arrays(posed):
-        digest.update(np.ascontiguousarray(array).tobytes())
+    for number, array in enumerate(_digest_arrays(posed)):
+        array = np.ascontiguousarray(array)
+        digest.update(f"{number} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(array.tobytes())
     return digest.hexdigest()
 
 
@@ -182,8 +184,15 @@ def _digest_arrays(posed: PosedModel) -> Iterator[NDArray[Any]]:
     yield from (model.geom_contype, model.geom_conaffinity, model.geom_group)
     yield from (model.geom_rgba, model.geom_matid, model.mat_rgba)
     yield from (data.geom_xpos, data.geom_xmat)
-    yield from (model.body_parentid, model.jnt_type, model.jnt_bodyid)
+    yield from (model.body_parentid, model.body_weldid, model.body_mocapid)
+    yield from (model.jnt_type, model.jnt_bodyid, model.jnt_limited, model.jnt_range)
+    yield from (model.jnt_pos, model.jnt_axis, model.jnt_qposadr, data.qpos)
+    yield from (model.site_type, model.site_size, data.site_xpos, data.site_xmat)
+    for addresses in (model.name_siteadr, model.name_jntadr):
+        names = [name_at(model, address) for address in addresses]
+        yield np.frombuffer("\0".join(names).encode(), dtype=np.uint8)
     yield from (model.mesh_vertadr, model.mesh_faceadr, model.mesh_vert, model.mesh_face)
+    yield from (model.mesh_graphadr, model.mesh_graph)
     yield from (model.hfield_nrow, model.hfield_ncol, model.hfield_size, model.hfield_data)
     for geom in sorted(posed.parts):
-        yield from (posed.parts[geom].vertices, posed.parts[geom].faces)
+        yield from (np.array([geom]), posed.parts[geom].vertices, posed.parts[geom].faces)

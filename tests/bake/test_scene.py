@@ -394,8 +394,8 @@ def test_large_scenes_keep_their_bounds(load):
 
 # ---------------------------------------------------------------- digest
 
-WORLD = """<geom name="a" size="1"/>
-  <body name="b"><joint name="j"/><geom name="c" size="1" pos="1 0 0"/></body>"""
+WORLD = """<geom name="a" size="1"/><site name="s" size=".1"/>
+  <body name="b"><joint name="j" range="-90 90"/><geom name="c" size="1" pos="1 0 0"/></body>"""
 
 
 def test_digest_is_of_the_scene_and_not_of_its_file(load):
@@ -413,7 +413,13 @@ def test_digest_is_of_the_scene_and_not_of_its_file(load):
         ('name="a"', 'name="a" contype="0"'),
         ('name="a"', 'name="a" group="4"'),
         ('name="a"', 'name="a" rgba="1 1 1 0"'),
-        ('<joint name="j"/>', '<freejoint name="j"/>'),
+        ('<joint name="j" range="-90 90"/>', '<freejoint name="j"/>'),
+        ('range="-90 90"', 'range="-90 80"'),
+        ('name="j"', 'name="z"'),
+        ('name="j"', 'name="j" axis="1 0 0"'),
+        ('name="s"', 'name="z"'),
+        ('name="s"', 'name="s" pos="1 0 0"'),
+        ('size=".1"', 'size=".2"'),
     ],
 )
 def test_digest_changes_with_the_scene(load, old, new):
