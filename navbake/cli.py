@@ -258,25 +258,30 @@ def why(
     ],
     as_json: AsJson = False,
 ) -> None:
-    """Tell what a grid knows of a place, and what blocks it there."""
+    """Tell what a grid knows of a place, and what blocks it there; on each level unless given."""
     from navbake.formats.navgrid import read_navgrid
+    from navbake.why import describe_cell, describe_column
 
     x, y, level = _parse_place(at)
-    facts = read_navgrid(grid).describe_cell(x, y, level)
+    content = read_navgrid(grid)
+    if level is None:
+        places = describe_column(content, x, y)
+    else:
+        places = [describe_cell(content, x, y, level)]
     if as_json:
-        _print_json(facts)
+        _print_json(places)
         return
     from navbake.cli_tables import print_tables, why_table
 
-    print_tables(why_table(facts))
+    print_tables(*(why_table(facts) for facts in places))
 
 
-def _parse_place(text: str) -> tuple[float, float, int]:
+def _parse_place(text: str) -> tuple[float, float, int | None]:
     parts = text.split(",")
     try:
         if len(parts) not in (2, 3):
             raise ValueError
-        return float(parts[0]), float(parts[1]), int(parts[2]) if len(parts) == 3 else 0
+        return float(parts[0]), float(parts[1]), int(parts[2]) if len(parts) == 3 else None
     except ValueError:
         raise typer.BadParameter(
             f"expected X,Y or X,Y,LEVEL as in 1.5,-2,0, got {text}", param_hint="--at"

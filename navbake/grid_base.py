@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from navbake.grid import NavGrid, SceneGrid2D
     from navbake.runtime.locate import Cell, Cells
+    from navbake.runtime.place import Place
 
 Json: TypeAlias = dict[str, Any]
 
@@ -81,6 +82,24 @@ class GridBase:
         from navbake.runtime.locate import position_of
 
         return position_of(self._itself, cells)
+
+    def at(self, position: ArrayLike, level: int | None = None) -> Place | None:
+        """Floor, room, island, weight and occupancy at a world position [m]; None for no cell.
+
+        See `navbake.runtime.place.place_at`.
+        """
+        from navbake.runtime.place import place_at
+
+        return place_at(self._itself, position, level)
+
+    def values_at(self, layer: str, positions: ArrayLike, level: int | None = None) -> NDArray[Any]:
+        """One layer at world positions, shape (..., 3) [m], by its name: ``floor``, ``room``, ….
+
+        See `navbake.runtime.place.values_at`.
+        """
+        from navbake.runtime.place import values_at
+
+        return values_at(self._itself, layer, positions, level)
 
     def with_doors(self, states: Mapping[str, str] | str) -> Self:
         """The same grid with doors in other states, as a bake in these states would have it.

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from hashlib import blake2b
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,10 @@ if TYPE_CHECKING:
 
 STEP_SLACK = 1e-6  # metres that a step may be over the highest one
 DEFAULT_STEP = 0.25  # metres, where a file doesn't tell its traversableFloorHeight
+TOO_MANY = 65535  # the island that all further ones share in a file
+
+_FOUND: WeakKeyDictionary[SceneGrid2D | MultiLevelGrid, tuple[bytes, list[NDArray[np.int32]]]]
+_FOUND = WeakKeyDictionary()
 
 
 def find_islands(grid: SceneGrid2D | MultiLevelGrid) -> list[NDArray[np.int32]]:
@@ -29,31 +35,48 @@ def find_islands(grid: SceneGrid2D | MultiLevelGrid) -> list[NDArray[np.int32]]:
         One array a level, shape (height, width), int32: 0 where the cell isn't free, else the
         number of its part. Parts of equal size are numbered by their lowest (level, cell id).
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
+    from navbake.kernels.islands import label_islands
 
-    limit = step_limit(grid)
-    start = np.cumsum([0] + [level.free.size for level in grid.levels])
-    pairs = [
-        _step_pairs(level.free, level.floor_height, limit) + first
-        for level, first in zip(grid.levels, start[:-1], strict=True)
-    ]
-    pairs.append(_link_pairs(grid, start))
-    free = np.concatenate([level.free.ravel() for level in grid.levels])
-    node = np.cumsum(free, dtype=np.int32) - 1  # free cells only, numbered on through the levels
-    sources, targets = node[np.concatenate(pairs, axis=1)]
-    num_free = int(np.count_nonzero(free))
-    steps = coo_array(
-        (np.ones(len(sources), dtype=np.bool_), (sources, targets)), shape=(num_free, num_free)
-    )
-    _, part = connected_components(steps, directed=False)
+    levels = grid.levels
+    start = np.cumsum([0] + [level.width * level.height for level in levels], dtype=np.int64)
+    width = np.array([level.width for level in levels], dtype=np.int64)
+    free = np.concatenate([level.free.ravel() for level in levels])
+    floor = np.concatenate([level.floor_height.ravel() for level in levels])
+    links = np.asarray(grid.links, dtype=np.int64).reshape(-1, 4)
+    pairs = np.stack([start[links[:, 0]] + links[:, 1], start[links[:, 2]] + links[:, 3]], axis=1)
+    islands, _ = label_islands(start, width, free, floor, step_limit(grid), pairs)
+    return [islands[start[i] : start[i + 1]].reshape(level.shape) for i, level in enumerate(levels)]
 
-    islands = np.zeros(len(free), dtype=np.int32)
-    islands[free] = _rank_by_size(part)
-    return [
-        islands[start[i] : start[i + 1]].reshape(level.free.shape)
-        for i, level in enumerate(grid.levels)
-    ]
+
+def islands_of(grid: SceneGrid2D | MultiLevelGrid) -> list[NDArray[np.int32]]:
+    """The islands as the file has them, or else as `find_islands` finds them, kept for next time.
+
+    Only what navbake wrote is believed: in others' files ``island`` may mean anything.
+
+    Args:
+        grid: a grid of one or several levels.
+
+    Returns:
+        As `find_islands`; not to be written to.
+    """
+    stored = [level.attributes.get("island") for level in grid.levels]
+    if grid.navbake and all(s is not None and s.max(initial=0) < TOO_MANY for s in stored):
+        return [np.asarray(s).astype(np.int32) for s in stored]
+    digest = _digest(grid)
+    known = _FOUND.get(grid)
+    if known is None or known[0] != digest:
+        known = (digest, find_islands(grid))
+        _FOUND[grid] = known
+    return known[1]
+
+
+def _digest(grid: SceneGrid2D | MultiLevelGrid) -> bytes:
+    """What the islands follow from, in short: grids can be written to."""
+    digest = blake2b(repr((step_limit(grid), grid.links.tolist())).encode())
+    for level in grid.levels:
+        digest.update(np.packbits(level.free).tobytes())
+        digest.update(np.ascontiguousarray(level.floor_height).data)
+    return digest.digest()
 
 
 def clearance(level: SceneGrid2D) -> NDArray[np.float32]:
@@ -93,38 +116,6 @@ def step_limit(grid: SceneGrid2D | MultiLevelGrid) -> float:
     return highest_step(grid) + STEP_SLACK / grid.unit + float(np.spacing(np.float32(highest)))
 
 
-def _step_pairs(
-    free: NDArray[np.bool_], floor: NDArray[np.float32], limit: float
-) -> NDArray[np.int64]:
-    """Cell ids of the neighbours that a step joins, shape (2, n)."""
-    cell = np.arange(free.size).reshape(free.shape)
-    height = floor.astype(np.float64)
-    pairs = []
-    for near, far in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        too_high = np.abs(height[near] - height[far]) > limit  # False for NaN
-        joined = free[near] & free[far] & ~too_high
-        pairs.append(np.stack([cell[near][joined], cell[far][joined]]))
-    return np.concatenate(pairs, axis=1)
-
-
-def _link_pairs(grid: SceneGrid2D | MultiLevelGrid, start: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Ids, through all levels, of the free cells that links join, shape (2, n)."""
-    links = np.asarray(grid.links, dtype=np.int64).reshape(-1, 4)
-    free = np.concatenate([level.free.ravel() for level in grid.levels])
-    pairs = np.stack([start[links[:, 0]] + links[:, 1], start[links[:, 2]] + links[:, 3]])
-    return pairs[:, free[pairs].all(axis=0)]
-
-
-def _rank_by_size(part: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Renumber the parts from 1, largest first, then by their first member."""
-    size = np.bincount(part)
-    first = np.empty(len(size), dtype=np.int64)
-    first[part[::-1]] = np.arange(len(part))[::-1]  # of several, the last one written stays
-    rank = np.empty(len(size), dtype=np.int32)
-    rank[np.lexsort((first, -size))] = np.arange(1, len(size) + 1)
-    return rank[part]
-
-
 def add_layers(grid: SceneGrid2D | MultiLevelGrid, names: Iterable[str]) -> None:
     """Write further layers into a grid, anew where it has them already.
 
@@ -135,7 +126,7 @@ def add_layers(grid: SceneGrid2D | MultiLevelGrid, names: Iterable[str]) -> None
     """
     if "island" in names:
         for level, island in zip(grid.levels, find_islands(grid), strict=True):
-            level.attributes["island"] = np.minimum(island, 65535).astype(np.uint16)
+            level.attributes["island"] = np.minimum(island, TOO_MANY).astype(np.uint16)
     if "clearance" in names:
         for level in grid.levels:
             level.attributes["clearance"] = clearance(level)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from navbake.doors import door_cells
 from navbake.errors import QueryError
 from navbake.info import level_name
-from navbake.islands import clearance, find_islands
+from navbake.islands import clearance, islands_of
 from navbake.rooms_table import describe_rooms
 
 if TYPE_CHECKING:
@@ -142,12 +142,11 @@ def _show_free(
 
 
 def _show_islands(grid: AnyGrid) -> list[Panel]:
-    stored = [level.attributes.get("island") for level in grid.levels]
-    islands = find_islands(grid) if any(s is None for s in stored) else stored
+    islands = islands_of(grid)
     panels = []
     for number, (level, island) in enumerate(zip(grid.levels, islands, strict=True)):
         rgb = _color_occupancy(level)
-        part = np.asarray(island).astype(np.int64)
+        part = island.astype(np.int64)
         rgb[level.free] = _palette(int(part.max(initial=0)))[part[level.free]]
         title = f"{level_name(grid, number)}: islands"
         legend = (("occupied", OCCUPIED), ("no floor", NO_FLOOR))

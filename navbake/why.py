@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from navbake.errors import QueryError
-from navbake.islands import find_islands
+from navbake.islands import islands_of
 
 if TYPE_CHECKING:
     from navbake.grid import NavGrid, SceneGrid2D
@@ -49,10 +49,35 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int = 0) -> dict[str
         "occupied": bool(part.occupancy[row, col]),
         "weight": weight if free else None,
         "room": _room(grid, level, int(part.room_index[row, col])),
-        "island": int(find_islands(grid)[level][row, col]) if free else None,
+        "island": int(islands_of(grid)[level][row, col]) if free else None,
         **names,
         "blockers": [] if free else _blockers(entry, names),
     }
+
+
+def describe_column(grid: NavGrid, x: float, y: float) -> list[dict[str, Any]]:
+    """Tell what a grid knows of a place on each level that spans it.
+
+    Args:
+        grid: the grid.
+        x, y: world position [m].
+
+    Returns:
+        `describe_cell` of each, lowest first, at least one.
+
+    Raises:
+        QueryError: the position is no number, or beside all levels.
+    """
+    beside = []
+    found = []
+    for level in range(len(grid.levels)):
+        try:
+            found.append(describe_cell(grid, x, y, level))
+        except QueryError as error:
+            beside.append(str(error))
+    if not found:
+        raise QueryError(beside[0] if len(set(beside)) == 1 else "; ".join(beside))
+    return found
 
 
 def _level(grid: NavGrid, level: int) -> SceneGrid2D:

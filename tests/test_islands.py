@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from navbake.grid import MultiLevelGrid, SceneGrid2D
-from navbake.islands import clearance, find_islands
+from navbake.islands import add_layers, clearance, find_islands, islands_of
 
 
 def make_level(rows, step=0.25, unit=1.0, cell_size=0.1, ground=0.0):
@@ -173,3 +173,34 @@ def test_clearance_equals_a_plain_minimum(seed):
             expected = (nearest - 0.5) * 0.2
         assert found[row, col] == pytest.approx(expected, abs=1e-6)
     assert found.dtype == np.float32
+
+
+def test_islands_are_found_again_only_when_the_grid_changed():
+    level = make_level(["000"])
+    first = islands_of(level)
+    assert shown(first[0]) == ["111"]
+    assert islands_of(level) is first
+    level.weights[0, 1] = np.inf
+    assert shown(islands_of(level)[0]) == ["1.2"]
+    level.weights[0, 1] = 1.0
+    level.floor_height[0, 2] = 9.0
+    assert shown(islands_of(level)[0]) == ["112"]
+    level.metadata["traversableFloorHeight"] = 10.0
+    assert shown(islands_of(level)[0]) == ["111"]
+
+
+def test_islands_of_others_files_are_not_believed():
+    level = make_level(["000"])
+    level.attributes["island"] = np.array([[7, 7, 9]], dtype=np.uint16)
+    assert shown(islands_of(level)[0]) == ["111"]
+    level.metadata["navbake"] = {"version": "0"}
+    assert islands_of(level)[0].tolist() == [[7, 7, 9]]
+    level.attributes["island"][0, 0] = 65535  # may stand for more than one
+    assert shown(islands_of(level)[0]) == ["111"]
+
+
+def test_the_layer_is_what_is_found():
+    level = make_level(["0#0"])
+    add_layers(level, ["island"])
+    level.metadata["navbake"] = {"version": "0"}
+    np.testing.assert_array_equal(islands_of(level)[0], find_islands(level)[0])

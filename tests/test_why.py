@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
 import navbake
+import navbake.islands
 from navbake.bake.pipeline import run_bake
 from navbake.cli import main
 from navbake.config import load_config
 from navbake.errors import QueryError
+from navbake.islands import add_layers, find_islands
+from navbake.why import describe_column
 
 APARTMENT = Path(__file__).parents[1] / "configs" / "apartment.yaml"
+HOUSE = Path(__file__).parent / "golden" / "house.grid.json.gz"
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +84,47 @@ def test_command_tells_it(path, capsys):
         main(["why", str(path), "--at", "-4.95,0"])
     assert not stop.value.code
     assert "blocked by" in capsys.readouterr().out
+
+
+def ask_house(capsys, at, *options):
+    with pytest.raises(SystemExit) as stop:
+        main(["why", str(HOUSE), "--at", at, *options])
+    assert not stop.value.code
+    return capsys.readouterr().out
+
+
+def test_command_tells_of_each_level_unless_one_is_given(capsys):
+    places = json.loads(ask_house(capsys, "1,1", "--json"))
+    assert [place["level"] for place in places] == [0, 1]
+    assert places == [navbake.load(HOUSE).describe_cell(1, 1, level) for level in (0, 1)]
+    assert json.loads(ask_house(capsys, "1,1,1", "--json")) == [places[1]]
+    assert ask_house(capsys, "1,1").count("verdict") == 2
+    assert ask_house(capsys, "1,1,1").count("verdict") == 1
+
+
+def test_a_level_that_does_not_span_the_place_is_left_out():
+    house = navbake.load(HOUSE)
+    house.levels[1].min_yup = (-90.0, 3.0, -90.0)
+    assert [place["level"] for place in describe_column(house, 1, 1)] == [0]
+    with pytest.raises(QueryError, match=r"lies beside level 0.*; .*lies beside level 1"):
+        describe_column(house, 50, 50)
+    with pytest.raises(QueryError, match=r"^expected a position of finite numbers, got nan, 0$"):
+        describe_column(house, float("nan"), 0)
+
+
+def test_islands_of_the_file_are_not_sought_again(monkeypatch):
+    grid = navbake.load(HOUSE)
+    add_layers(grid, ["island"])
+    islands = find_islands(grid)
+
+    def fail(_):
+        raise AssertionError("sought again")
+
+    monkeypatch.setattr(navbake.islands, "find_islands", fail)
+    level = grid.levels[1]
+    row, col = (int(v[0]) for v in level.free.nonzero())
+    x, y = level.lattice.positions(row, col)
+    assert grid.describe_cell(x, y, 1)["island"] == islands[1][row, col]
 
 
 def test_command_refuses_a_place_that_is_none(path, capsys):
