@@ -71,26 +71,38 @@ def check_doors(doors: Any, sizes: list[int]) -> None:
         sizes: number of cells of each level.
 
     Raises:
-        FormatError: a door names no cells, or cells that the grid doesn't have.
+        FormatError: a door names no cells, or cells that the grid doesn't have, or a level twice
+            for a state, or two doors share an id.
     """
     where = "metadata.navbake.doors"
     if not isinstance(doors, list):
         raise FormatError(f"expected a list at `{where}`, got {type(doors).__name__}")
+    seen: set[str] = set()
     for number, door in enumerate(doors):
         here = f"{where}[{number}]"
         if not isinstance(door, dict) or not isinstance(door.get("cells"), dict):
             raise FormatError(f"expected a door with `cells` at `{here}`")
         if not isinstance(door.get("id"), str) or door.get("state") not in STATES:
             raise FormatError(f"expected a door with an `id` and a `state` at `{here}`")
+        if door["id"] in seen:
+            raise FormatError(f"expected an id of its own, got {door['id']!r} again at `{here}.id`")
+        seen.add(door["id"])
         for state, entries in door["cells"].items():
             if state not in STATES or not isinstance(entries, list):
-                raise FormatError(f"expected a list for a known state at `{here}.cells.{state}`")
-            for entry in entries:
-                if not _is_entry(entry, sizes):
-                    raise FormatError(
-                        f"expected [level, [first cell, count, …]] within the grid at "
-                        f"`{here}.cells.{state}`"
-                    )
+                raise FormatError(f"expected a list for a known state at `{here}.cells`")
+            _check_entries(entries, sizes, f"`{here}.cells.{state}`")
+
+
+def _check_entries(entries: list[Any], sizes: list[int], where: str) -> None:
+    seen: set[int] = set()
+    for entry in entries:
+        if not _is_entry(entry, sizes):
+            raise FormatError(
+                f"expected [level, [first cell, count, …]] within the grid at {where}"
+            )
+        if entry[0] in seen:
+            raise FormatError(f"expected one entry a level, got level {entry[0]} again at {where}")
+        seen.add(entry[0])
 
 
 def _is_entry(entry: Any, sizes: list[int]) -> bool:

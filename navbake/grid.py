@@ -18,6 +18,7 @@ from navbake.errors import FormatError
 from navbake.grid_base import GridBase, Json
 from navbake.lattice import Lattice
 from navbake.links import read_links
+from navbake.user_data import UserDataField
 
 Vector3: TypeAlias = tuple[float, float, float]
 
@@ -39,7 +40,8 @@ class SceneGrid2D(GridBase):
         attributes: further values of each cell under the names they have in the file
             (``floorHeight``, ``roomIndex``, ``occupancy``, …), each of shape (height, width)
             and of its own dtype.
-        user_data: what a file keeps for single cells, by cell id (col + row * width).
+        user_data: what a file keeps for single cells, by cell id (col + row * width); in a large
+            file it is read and checked when it is first asked for.
         metadata: as in the file.
         timings: as in the file; two grids that differ in it only are the same grid.
         extra: fields of the file that are not the format's own; they are written back.
@@ -138,6 +140,10 @@ class SceneGrid2D(GridBase):
         if stored.dtype == np.uint16:
             return stored
         return _derived(np.where((stored >= 0) & (stored < 65536), stored, 0).astype(np.uint16))
+
+
+# after the fact: a descriptor in the class's body would be the field's default
+setattr(SceneGrid2D, "user_data", UserDataField())  # noqa: B010
 
 
 @dataclass(eq=False, kw_only=True)

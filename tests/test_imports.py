@@ -46,6 +46,7 @@ RUN_TIME = (
     "polygon",
     "rooms_table",
     "runtime",
+    "user_data",
 )
 NEVER_AT_RUN_TIME = ("mujoco", "fcl", "trimesh", "navbake.bake")
 

@@ -14,67 +14,14 @@ import orjson
 from numpy.typing import NDArray
 
 from navbake.attributes import datatype_name
-from navbake.errors import FormatError
+from navbake.formats.place import MISSING, Place, shown
+from navbake.formats.values import whole_number
 
 DATATYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
-SHOWN_LENGTH = 40  # characters of a culprit that an error shows
-
-
-class _Missing:
-    """Stands for a field that is not there."""
-
-
-MISSING = _Missing()
-
-
-def shown(value: object) -> str:
-    """Word a value for an error: on one line, short however long the value is."""
-    if isinstance(value, _Missing):
-        return "nothing"
-    if isinstance(value, list | tuple):
-        return f"a list of {len(value)}"
-    if isinstance(value, dict):
-        return f"an object of {len(value)} fields"
-    if value is None or isinstance(value, bool):
-        return {None: "null", True: "true", False: "false"}[value]
-    if isinstance(value, str):
-        value = value[: SHOWN_LENGTH + 1]
-    elif isinstance(value, int) and abs(value) > 10**SHOWN_LENGTH:
-        return f"{value:.3e}" if abs(value) < 10**300 else "an integer of over 300 digits"
-    text = repr(value)
-    return text if len(text) <= SHOWN_LENGTH else text[:SHOWN_LENGTH] + "…"
-
-
-@dataclass(frozen=True)
-class Place:
-    """A place in a file, which errors name.
-
-    Attributes:
-        file: the file's name.
-        path: the JSON path inside, as in ``grids[1].weights.data[17]``; "" for the top.
-    """
-
-    file: str
-    path: str = ""
-
-    def __getitem__(self, key: str | int) -> Place:
-        if isinstance(key, int):
-            step = f"[{key}]"
-        elif key.isidentifier():
-            step = f".{key}" if self.path else key
-        else:
-            step = f"[{shown(key)}]"
-        return Place(self.file, self.path + step)
-
-    def fail(self, what: str, remedy: str = "") -> NoReturn:
-        """Raise a FormatError that says what is wrong, where, and what helps."""
-        where = f"at `{self.path}` in" if self.path else "in"
-        file = self.file if self.file.isprintable() else repr(self.file)
-        raise FormatError(f"{what} {where} {file}" + (f"; {remedy}" if remedy else ""))
-
-    def refuse(self, expected: str, value: object) -> NoReturn:
-        """Raise a FormatError that says what was expected here and what is there instead."""
-        self.fail(f"expected {expected}, got {shown(value)}")
+MAX_CELLS = 100_000_000
+VALUES_PER_CELL = 16  # arrays that a grid of as many cells as there may be can have
+FREE_VALUES = 32_000_000  # that any file may have: 256 MiB at most
+VALUES_PER_BYTE = 256  # house-100 at 0.05 m without names has 5
 
 
 @dataclass
@@ -82,14 +29,39 @@ class Allowance:
     """What a file may still fill memory with; it shrinks as its arrays are read.
 
     Attributes:
-        max_cells: the limit that the caller set.
+        max_cells: how many cells all levels together may have.
         cells: cells that further levels may have.
         values: values that further arrays may have.
+        rule: why there are no more values, and what helps, for errors.
     """
 
     max_cells: int
     cells: int
     values: int
+    rule: tuple[str, str]
+
+    @classmethod
+    def of_file(cls, num_bytes: int, max_cells: int | None) -> Allowance:
+        """What a file may fill memory with.
+
+        Runs may be as long as they like, so a short file can claim any number of values. One
+        may have `FREE_VALUES` whatever its size, and `VALUES_PER_BYTE` more for each of its
+        bytes; files that navbake bakes stay far below. A caller who sets `max_cells` has
+        thought of that: then only `VALUES_PER_CELL` times that number counts.
+
+        Args:
+            num_bytes: length of its JSON.
+            max_cells: the limit that the caller set, if any.
+        """
+        if max_cells is not None:
+            rule = (f"than max_cells = {max_cells} allows", "raise max_cells if that is meant")
+            return cls(max_cells, max_cells, VALUES_PER_CELL * max_cells, rule)
+        values = FREE_VALUES + VALUES_PER_BYTE * num_bytes
+        rule = (
+            f"than a file of {num_bytes:,} bytes may unpack to ({values:,} values)",
+            "pass max_cells if that is meant",
+        )
+        return cls(MAX_CELLS, MAX_CELLS, min(values, VALUES_PER_CELL * MAX_CELLS), rule)
 
     def take_cells(self, num_cells: int, place: Place) -> None:
         """Count a level's cells, or refuse them."""
@@ -104,19 +76,9 @@ class Allowance:
     def take_values(self, num_values: int, place: Place) -> None:
         """Count an array's values, or refuse them."""
         if num_values > self.values:
-            place.fail(
-                f"more arrays of this size than max_cells = {self.max_cells} allows",
-                "raise max_cells if that is meant",
-            )
+            why, remedy = self.rule
+            place.fail(f"more arrays of this size {why}", remedy)
         self.values -= num_values
-
-
-def whole_number(value: object, place: Place, minimum: int) -> int:
-    """Read an integer; 59.0 is one, true is none."""
-    integral = type(value) is int or (isinstance(value, float) and value.is_integer())
-    if not integral or int(value) < minimum:  # type: ignore[call-overload]
-        place.refuse(f"a whole number >= {minimum}", value)
-    return int(value)  # type: ignore[call-overload,no-any-return]
 
 
 def decode_array(

@@ -21,7 +21,8 @@ from hypothesis import strategies as st
 
 from navbake.differences import first_difference
 from navbake.errors import FormatError
-from navbake.formats import navgrid
+from navbake.formats import arrays
+from navbake.formats import source as file_source
 from navbake.formats.navgrid import dumps_navgrid, read_navgrid, write_navgrid
 from navbake.grid import MultiLevelGrid, SceneGrid2D
 
@@ -294,6 +295,18 @@ def test_a_file_is_read_from_wherever_it_is(tmp_path):
 # Bad input
 
 
+def with_doors(*doors, **cells) -> dict:
+    """A house with doors, each an id, or with one door with the cells of some states."""
+    one = [{"id": "a", "state": "closed", "cells": cells}] if cells else []
+    many = [{"id": name, "state": "open", "cells": {"open": [[0, [1, 2]]]}} for name in doors]
+    return house(metadata={"navbake": {"doors": one + many}})
+
+
+def test_doors_are_read():
+    content = with_doors("b", closed=[[0, [0, 2, 4, 1]], [1, [3, 3]]], open=[])
+    assert [door["id"] for door in read(content).doors] == ["a", "b"]
+
+
 BAD_FILES = {
     "empty": (b"", "got nothing"),
     "no JSON": (b"PK\x03\x04 zip", r"JSON object, got 'PK\\x03\\x04 zip'"),
@@ -430,6 +443,13 @@ CULPRITS = {
     "a grid of grids": (house(grids=[house()]), r"got 'MultiLevelGrid' at `grids\[0\].type`"),
     "a level's array": (house(grids=[small(), attribute([300, 6])]), r"`grids\[1\].tile.*\[0\]`"),
     "the house's unit": (house(unit=-1), "got -1 at `unit`"),
+    "two doors of one id": (with_doors("a", "b", "a"), r"got 'a' again at `.*doors\[2\].id`"),
+    "a door's level twice": (
+        with_doors(closed=[[1, [0, 1]], [0, [1, 1]], [1, [2, 1]]]),
+        r"one entry a level, got level 1 again at `.*doors\[0\].cells.closed`",
+    ),
+    "a door's state": (with_doors(ajar=[]), r"known state at `.*doors\[0\].cells`"),
+    "a door's cells": (with_doors(open=[[0, [5, 2]]]), r"within the grid at `.*cells.open`"),
     "a link": (house(metadata={"navbake": {"links": [0, 1, 2, 0]}}), "level .* got 2 in link 0"),
 }
 
@@ -508,11 +528,46 @@ def test_max_cells_counts_all_levels_and_all_arrays():
     assert "`tileAttributes.a16`" in message
 
 
+def uniform(num_arrays: int, edge: int = 2000) -> bytes:
+    """A file of edge × edge cells, the same value all over each array."""
+    runs = {"datatype": "float64", "encoding": "rle", "data": [1, edge * edge]}
+    arrays = {f"a{i}": runs for i in range(num_arrays)}
+    content = small(width=edge, height=edge, weights=runs, tileAttributes=arrays)
+    return json.dumps(content, separators=(",", ":")).encode()
+
+
+def test_a_small_file_of_a_large_level_is_read():
+    grid = read_navgrid(uniform(4))
+    assert len(uniform(4)) < 1000
+    assert grid.levels[0].weights.size == 4_000_000
+    assert len(grid.levels[0].attributes) == 4
+
+
+def test_a_small_file_of_many_arrays_is_refused_unless_meant():
+    data = uniform(30)
+    message = _message(data)
+    assert f"than a file of {len(data):,} bytes may unpack to (3" in message
+    assert message.endswith("pass max_cells if that is meant")
+    assert "`tileAttributes.a8`" in message
+    assert len(read_navgrid(uniform(30, 500), max_cells=10**6).levels[0].attributes) == 30
+
+
+def test_what_a_file_may_fill_grows_with_its_size(monkeypatch):
+    monkeypatch.setattr(arrays, "FREE_VALUES", 0)
+    monkeypatch.setattr(arrays, "VALUES_PER_BYTE", 1)
+    runs = {"data": [1, 6], "encoding": "rle"}
+    many = {f"a{i}": runs for i in range(9)}
+    assert read(small(tileAttributes=many))  # 60 values in more bytes
+    wide = {"width": 3000, "height": 1, "weights": {"data": [1, 3000], "encoding": "rle"}}
+    assert "a file of " in _message(json.dumps(small(**wide)).encode())
+    assert read(small(**wide, note="x" * 3000))
+
+
 def test_a_gzip_bomb_is_refused(monkeypatch):
-    monkeypatch.setattr(navgrid, "UNPACKED_BYTES", 2 << 20)
+    monkeypatch.setattr(file_source, "UNPACKED_BYTES", 2 << 20)
     bomb = gzip.compress(b"{" + b" " * (8 << 20))
     assert "more than 2 MiB of data in the bytes given; unpack it first" in _message(bomb)
-    monkeypatch.setattr(navgrid, "MAX_BYTES", 1 << 20)
+    monkeypatch.setattr(file_source, "MAX_BYTES", 1 << 20)
     assert "more than 1 MiB of data" in _message(b"{" + b" " * (3 << 20))
 
 

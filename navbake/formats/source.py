@@ -1,0 +1,120 @@
+"""The bytes of a file to be read: from a path, bytes or a stream, plain or gzipped, bounded."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import os
+import stat
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import BinaryIO, TypeAlias
+
+from navbake.errors import FormatError
+from navbake.formats.place import Place, shown
+
+Source: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO
+"""A path, a file's content, or a file opened in binary mode."""
+
+MAX_BYTES = 4 << 30  # of JSON
+UNPACKED_BYTES = 64 << 20  # what any gzipped file may unpack to; beyond it, UNPACKED_RATIO counts
+UNPACKED_RATIO = 200
+CHUNK = 1 << 20
+
+
+def read_source(source: Source) -> tuple[bytes, Place]:
+    """Read a JSON file whole, and unpack it if it is gzipped (which its content tells).
+
+    Returns:
+        Its content without a byte order mark, and the place that errors name for it.
+
+    Raises:
+        FormatError: it can't be read, is longer than such a file may be, or is no JSON object.
+    """
+    with _open(source) as (stream, name):
+        top = Place(name)
+        return _read_bytes(stream, top).removeprefix(b"\xef\xbb\xbf"), top
+
+
+def path_name(path: str | os.PathLike[str]) -> str:
+    """A path as an error shows it, on one line."""
+    name = os.fspath(path)
+    return name if name.isprintable() else repr(name)
+
+
+def reason(error: Exception) -> str:
+    """What the system says about an error, without its number."""
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)
+
+
+@contextmanager
+def _open(source: Source) -> Iterator[tuple[BinaryIO, str]]:
+    """Open a source; what the system refuses becomes a FormatError."""
+    if isinstance(source, bytes | bytearray | memoryview):
+        yield io.BytesIO(source), "the bytes given"
+    elif isinstance(source, str | os.PathLike):
+        try:
+            with open(source, "rb") as file:
+                yield file, os.fspath(source)
+        except (OSError, ValueError) as error:  # ValueError: a path with a NUL
+            raise FormatError(f"cannot read {path_name(source)}: {reason(error)}") from error
+    else:
+        yield source, str(getattr(source, "name", "the stream given"))
+
+
+def _read_bytes(stream: BinaryIO, top: Place) -> bytes:
+    """Read and unpack a file, up to what such a file may hold."""
+    is_buffered = isinstance(stream, io.BufferedReader)
+    head = stream.peek(1) if is_buffered else stream.read(CHUNK)  # type: ignore[attr-defined]
+    if not isinstance(head, bytes):
+        top.fail("expected a file opened in binary mode, got text")
+    if not head.startswith(b"\x1f\x8b"):
+        _check_head(head, top)
+    content = _read_rest(b"" if is_buffered else head, stream, MAX_BYTES, top)
+    if not head.startswith(b"\x1f\x8b"):
+        return content
+    return _unpack(content, top)
+
+
+def _unpack(packed: bytes, top: Place) -> bytes:
+    limit = min(MAX_BYTES, max(UNPACKED_BYTES, UNPACKED_RATIO * len(packed)))
+    try:
+        with gzip.GzipFile(fileobj=io.BytesIO(packed)) as unpacked:
+            head = unpacked.read(CHUNK)
+            _check_head(head, top)
+            return _read_rest(head, unpacked, limit, top)
+    except (EOFError, OSError, zlib.error) as error:
+        raise FormatError(f"broken gzip data in {top.file}: {reason(error)}") from error
+
+
+def _check_head(head: bytes, top: Place) -> None:
+    """Turn away what is no JSON object before the rest is read; a device has no end."""
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")
+    if not head:
+        top.fail("expected a NavGrid JSON object, got nothing")
+    if text and not text.startswith(b"{"):
+        top.fail(f"expected a NavGrid JSON object, got {shown(text[:8])[1:]}…")
+
+
+def _read_rest(head: bytes, stream: BinaryIO | gzip.GzipFile, limit: int, top: Place) -> bytes:
+    pieces, size = [head], len(head)
+    step = max(CHUNK, _bytes_left(stream))  # all that is left of a file at once
+    while chunk := stream.read(min(step, limit + 1)):  # not more at once, it would be reserved
+        pieces.append(chunk)
+        size += len(chunk)
+        if size > limit:
+            remedy = "" if limit == MAX_BYTES else "unpack it first if that is meant"
+            top.fail(f"more than {limit >> 20} MiB of data", remedy)
+    return b"".join(pieces)
+
+
+def _bytes_left(stream: BinaryIO | gzip.GzipFile) -> int:
+    """How many bytes a plain file still has; 0 if the stream isn't one."""
+    if not isinstance(stream, io.BufferedReader):
+        return 0
+    try:
+        status = os.fstat(stream.fileno())
+        return max(0, status.st_size - stream.tell()) if stat.S_ISREG(status.st_mode) else 0
+    except OSError:  # a stream over no file, or one that can't tell where it is
+        return 0

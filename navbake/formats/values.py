@@ -1,0 +1,90 @@
+"""Single values of a JSON file, checked: numbers, vectors, objects, JSON of any kind."""
+
+from __future__ import annotations
+
+import math
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from navbake.formats.place import Place
+from navbake.grid import Vector3
+from navbake.grid_base import Json
+
+MAX_DEPTH = 64  # of metadata, userData, timings and unknown fields
+LEAVES = {str, int, bool, type(None)}  # what JSON holds as it is
+NODES = {dict, list, tuple}
+
+
+def whole_number(value: object, place: Place, minimum: int) -> int:
+    """Read an integer; 59.0 is one, true is none."""
+    integral = type(value) is int or (isinstance(value, float) and value.is_integer())
+    if not integral or int(value) < minimum:  # type: ignore[call-overload]
+        place.refuse(f"a whole number >= {minimum}", value)
+    return int(value)  # type: ignore[call-overload,no-any-return]
+
+
+def json_object(value: object, place: Place) -> Json:
+    """Check that a value is an object."""
+    if not isinstance(value, dict):
+        place.refuse("an object", value)
+    return value
+
+
+def number(value: object, place: Place, *, positive: bool = False) -> float:
+    """Check a finite number; the whole ones come back as int, as they look best in JSON."""
+    expected = "a number > 0" if positive else "a finite number"
+    if isinstance(value, bool | np.bool_) or not isinstance(
+        value, int | float | np.integer | np.floating
+    ):
+        place.refuse(expected, value)
+    checked = float(value)
+    if not math.isfinite(checked) or (positive and checked <= 0):
+        place.refuse(expected, value)
+    return int(checked) if checked.is_integer() and abs(checked) < 2**53 else checked
+
+
+def vector(value: object, place: Place) -> Vector3:
+    """Check three finite numbers."""
+    if not isinstance(value, list | tuple) or len(value) != 3:
+        place.refuse("three numbers", value)
+    x, y, z = (float(number(entry, place[i])) for i, entry in enumerate(value))
+    return x, y, z
+
+
+def plain(value: Any, place: Place) -> Any:
+    """Check that a value is JSON and not too deep; layer by layer, which is fast."""
+    layer = [value]
+    for _ in range(MAX_DEPTH):
+        if set(map(type, layer)) <= LEAVES:
+            return value
+        odd = [v for v in layer if type(v) not in LEAVES and type(v) not in NODES]
+        if not all(map(_is_json, odd)):
+            _refuse_leaf(value, place)
+        objects = [v for v in layer if isinstance(v, dict)]
+        if not set(map(type, chain.from_iterable(objects))) <= {str}:
+            place.fail("expected strings as keys of objects, got others")
+        lists = [v for v in layer if isinstance(v, list | tuple)]
+        layer = list(chain.from_iterable([*map(dict.values, objects), *lists]))
+    place.fail(f"nested deeper than {MAX_DEPTH} levels")
+
+
+def _is_json(value: object) -> bool:
+    if isinstance(value, float):
+        return math.isfinite(value)
+    return value is None or isinstance(value, str | int | dict | list | tuple)
+
+
+def _refuse_leaf(value: Any, place: Place) -> None:
+    """Find the first value that is not JSON, and name it."""
+    if isinstance(value, dict):
+        for key in value:
+            _refuse_leaf(value[key], place[str(key)])
+    elif isinstance(value, list | tuple):
+        for i, child in enumerate(value):
+            _refuse_leaf(child, place[i])
+    elif isinstance(value, float) and not math.isfinite(value):
+        place.refuse("a finite number", value)
+    elif not _is_json(value):
+        place.fail(f"expected a JSON value, got one of Python's type {type(value).__name__}")

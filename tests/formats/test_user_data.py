@@ -1,0 +1,246 @@
+"""User data left in the file's bytes: found, read when needed, refused then, written back."""
+
+from __future__ import annotations
+
+import copy
+import gzip
+import json
+import pickle
+from dataclasses import replace
+
+import orjson
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from navbake.differences import first_difference
+from navbake.errors import FormatError
+from navbake.formats import user_data as reader
+from navbake.formats.navgrid import dumps_navgrid, read_navgrid
+from navbake.formats.user_data import Span, find_spans, parse_file
+from navbake.grid import SceneGrid2D
+from navbake.user_data import StoredUserData, held_user_data
+
+WALLS = {"walls": ["wall_x_0", "wall_y_0"], "doors": ["d"]}
+
+
+@pytest.fixture(autouse=True)
+def defer_all(monkeypatch):
+    monkeypatch.setattr(reader, "DEFER_BYTES", 0)
+
+
+def level(user_data=None, **fields) -> dict:
+    given = {"0": WALLS, "3": {"objects": ["a{b"]}} if user_data is None else user_data
+    content = {
+        **{"type": "SceneGrid2D", "metadata": {"sceneId": "s"}, "weights": [1, 1, 1, 1, 1, 1]},
+        **{"userData": given, "tileAttributes": {}, "width": 3, "height": 2},
+        **{"cellSize": 0.1, "min": [0, 0, 0], "unit": 1, "timings": {}},
+    }
+    return {**content, **fields}
+
+
+def house(*levels) -> dict:
+    own = [{key: value for key, value in one.items() if key != "metadata"} for one in levels]
+    return {
+        **{"type": "MultiLevelGrid", "metadata": {"sceneId": "s"}, "cellSize": 0.1, "unit": 1},
+        **{"grids": own, "timings": {}},
+    }
+
+
+def compact(content) -> bytes:
+    return json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode()
+
+
+def is_deferred(grid: SceneGrid2D) -> bool:
+    return isinstance(held_user_data(grid), StoredUserData)
+
+
+def test_user_data_are_read_when_asked_for():
+    grid = read_navgrid(compact(level())).levels[0]
+    assert is_deferred(grid)
+    assert grid.user_data == {0: WALLS, 3: {"objects": ["a{b"]}}
+    assert not is_deferred(grid)
+    assert grid.user_data is grid.user_data
+
+
+def test_short_user_data_are_read_at_once(monkeypatch):
+    monkeypatch.undo()
+    assert reader.DEFER_BYTES > 10_000
+    assert not is_deferred(read_navgrid(compact(level())).levels[0])
+    long = level({str(i): {"walls": ["w" * 20_000]} for i in range(6)})
+    assert is_deferred(read_navgrid(compact(long)).levels[0])
+
+
+def test_each_level_keeps_its_own():
+    content = house(level({"1": {"a": 1}}), level({}), level({"2": {"walls": []}}))
+    grids = read_navgrid(gzip.compress(compact(content))).levels
+    assert [is_deferred(grid) for grid in grids] == [True, False, True]
+    assert [grid.user_data for grid in grids] == [{1: {"a": 1}}, {}, {2: {"walls": []}}]
+
+
+NOT_DEFERRED = {
+    "spaces": json.dumps(level()).encode(),
+    "lines": json.dumps(level(), indent=1).encode(),
+    "a space before the end": compact(level()).replace(b"}},", b"} },"),
+    "escapes": compact(level({"1": {"a": 'b"'}})),
+    "nested": compact(level({"1": {"a": {"b": {}}}, "2": {"walls": []}})),
+    "an end in a string": compact(level({"1": {"a": "}}"}, "2": {"walls": []}})),
+    "an empty entry": compact(level({"1": {}, "2": {"a": "},}"}})),
+    "of metadata": compact(level({}, metadata={"userData": {"1": {"a": 1}}})),
+    "of an extra field": compact(level({}, mine={"userData": {"1": {"a": 1}}})),
+    "twice": compact(level()).replace(b'"unit":1', b'"userData":{"1":{"a":[1]}},"unit":1'),
+    "a house's own": compact({**house(level({})), "userData": {"1": {"a": 1}}}),
+}
+
+
+@pytest.mark.parametrize("name", NOT_DEFERRED)
+def test_the_unusual_is_read_at_once_and_as_it_is(name):
+    data = NOT_DEFERRED[name]
+    assert parse_file(data, reader.Place("a")) == orjson.loads(data)
+    grid = read_navgrid(data)
+    assert not is_deferred(grid.levels[0])
+    own = {} if "userData" in grid.extra else json.loads(data)["userData"]
+    assert grid.levels[0].user_data == {int(key): value for key, value in own.items()}
+
+
+BROKEN = {
+    "an id": (level({"6": {}, "2": {"a": 1}}), "id from 0 to 5 as key, got '6' at `userData`"),
+    "a name": (level({"1": {"a": 1}, "2x": {"a": 1}}), "got '2x' at `userData`"),
+    "no object": (level({"3": [1], "2": {"a": 1}}), r"got a list of 1 at `userData\[3\]`"),
+    "of a level": (house(level({}), level({"9": {"a": 1}})), r"at `grids\[1\].userData`"),
+    "deep": (level({"1": {"a": json.loads("[" * 70 + "]" * 70)}}), "deeper than 64 .*`userData`"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_wrong_user_data_are_refused_when_first_used_or_written(name, tmp_path):
+    content, culprit = BROKEN[name]
+    path = tmp_path / "house.json"
+    path.write_bytes(compact(content))
+    grid = read_navgrid(path)
+    broken = next(one for one in reversed(grid.levels) if is_deferred(one))
+    for _ in range(2):
+        with pytest.raises(FormatError, match=culprit + ".* in .*house.json"):
+            _ = broken.user_data
+    with pytest.raises(FormatError, match=culprit):
+        grid.save(tmp_path / "b.json")
+    assert not (tmp_path / "b.json").exists()
+
+
+def test_broken_json_is_named_with_its_place_in_the_file():
+    data = b"\n\n" + compact(level({"1": {"a": "ö"}, "2": {"a": 1}}))
+    at = data.index(b'1}},"tile')
+    data = data[:at] + b"," + data[at + 1 :]
+    grid = read_navgrid(data)
+    with pytest.raises(FormatError) as caught:
+        _ = grid.levels[0].user_data
+    column = len(data[2:at].decode()) + 1
+    assert f"broken JSON in the bytes given, line 3, column {column}: " in str(caught.value)
+
+
+def test_untouched_user_data_are_written_as_they_were(monkeypatch):
+    data = dumps_navgrid(read_navgrid(compact(level())))
+    grid = read_navgrid(data)
+    monkeypatch.setattr(reader, "sorted", None, raising=False)  # what encodes them anew
+    assert dumps_navgrid(grid) == data
+    assert is_deferred(grid.levels[0])
+
+
+def test_what_would_be_written_otherwise_is_encoded_anew():
+    data = compact(level({"3": {"a": 1.50}, "1": {"a": 2}})).replace(b"1.5", b"1.50")
+    grid = read_navgrid(data)
+    assert b'"userData":{"1":{"a":2},"3":{"a":1.5}}' in dumps_navgrid(grid)
+
+
+def test_changed_user_data_are_written():
+    grid = read_navgrid(compact(level())).levels[0]
+    twin = replace(grid, user_data=held_user_data(grid))
+    grid.user_data[5] = {"doors": ["new"]}
+    for one in (grid, twin):  # they share the dictionary, as after any `replace`
+        assert read_navgrid(dumps_navgrid(one)).levels[0].user_data[5] == {"doors": ["new"]}
+    grid.user_data = {}
+    assert grid.user_data == {}
+    assert twin.user_data[5] == {"doors": ["new"]}
+
+
+@pytest.mark.parametrize(
+    "make", [copy.copy, copy.deepcopy, lambda g: pickle.loads(pickle.dumps(g))]
+)
+def test_copies_keep_them_unread(make):
+    grid = read_navgrid(compact(level())).levels[0]
+    twin = make(grid)
+    assert is_deferred(twin) and is_deferred(grid)
+    assert first_difference(twin, read_navgrid(compact(level()))) is None
+
+
+def test_replace_and_comparison_see_the_dictionary():
+    grid = read_navgrid(compact(level())).levels[0]
+    assert replace(grid, unit=2.0).user_data is grid.user_data
+    other = read_navgrid(compact(level({"0": {"walls": ["other"]}}))).levels[0]
+    assert "user_data[0]" in (first_difference(grid, other) or "")
+    assert SceneGrid2D(width=3, height=2, cell_size=1, min_yup=(0, 0, 0), weights=grid.weights)
+
+
+# Against a parse of the whole
+
+
+def _outcome(data: bytes, defer: int) -> list | str:
+    reader.DEFER_BYTES, before = defer, reader.DEFER_BYTES
+    try:
+        grid = read_navgrid(data, max_cells=1000)
+        return [(one.user_data, one.extra, one.metadata) for one in grid.levels] + [grid.extra]
+    except FormatError:
+        return "refused"
+    finally:
+        reader.DEFER_BYTES = before
+
+
+RICH = compact(
+    house(
+        level({"1": {"a": ["b", 1]}, "2": WALLS}, note={"a": 1}),
+        level({"0": WALLS, "5": WALLS}),
+        level({"3": {"x": "ö"}}),
+    )
+)
+TOKENS = [
+    *(b"{", b"}", b"}}", b'"', b",", b"[", b"]", b'},"5', b'},"x":{"y":{}}', b"\\", b" ", b"null"),
+    *(b'"userData":{"', b'{"1":{}}', b'"userData":{"1":{"a":1}},', b'"1":1,', b""),
+]
+EDIT = st.tuples(st.integers(0, len(RICH)), st.integers(0, 6), st.sampled_from(TOKENS))
+
+
+@settings(max_examples=1500, deadline=None)
+@given(st.lists(EDIT, min_size=1, max_size=3))
+def test_a_damaged_file_is_read_as_without_deferring(edits):
+    data = RICH
+    for start, length, token in edits:
+        data = data[:start] + token + data[start + length :]
+    assert _outcome(data, 0) == _outcome(data, 1 << 30)
+
+
+NAMES = st.text('{}",\\:015 ab', max_size=4)
+VALUES = st.recursive(
+    st.sampled_from([None, 1, "}}", '},"5']) | NAMES,
+    lambda inner: st.lists(inner, max_size=2) | st.dictionaries(NAMES, inner, max_size=2),
+    max_leaves=4,
+)
+CELLS = st.dictionaries(st.sampled_from("012345"), VALUES, max_size=3)
+
+
+@settings(max_examples=600, deadline=None)
+@given(CELLS, CELLS, st.dictionaries(NAMES, VALUES, max_size=2), st.booleans())
+def test_any_user_data_are_read_as_without_deferring(first, second, more, with_spaces):
+    after = [("x", {"y": {}}), ("5x", {"y": {}}), *more.items()]
+    contents = [level(first, **more), house(level(first, **more), level(second))]
+    contents.append(dict([*list(level(first).items())[:4], *after, *list(level().items())[4:]]))
+    for content in contents:
+        data = json.dumps(content).encode() if with_spaces else compact(content)
+        assert _outcome(data, 0) == _outcome(data, 1 << 30)
+
+
+def test_spans_are_what_they_should_be():  # and the damage above is done to deferred ones
+    spans = find_spans(RICH)
+    assert [RICH[a:b] for a, b in spans][2:] == [compact({"3": {"x": "ö"}})]
+    parsed = parse_file(compact(house(level(), level())), reader.Place("a"))
+    assert all(isinstance(one["userData"], Span) for one in parsed["grids"])
+    assert parsed["grids"][1]["userData"].text == compact(level()["userData"])
