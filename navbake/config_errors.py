@@ -19,6 +19,9 @@ EXPECTED = {
     "invalid_key": "text as a key",
 }
 MAX_SHOWN = 60  # characters of a value in a message
+MAX_ITEMS = 6  # of a list that is shown
+NESTED = (Mapping, list, tuple, set)
+MAX_TOLD = 3  # errors in a message
 
 
 def describe_errors(
@@ -27,7 +30,7 @@ def describe_errors(
     source: str,
     overrides: Sequence[str] = (),
 ) -> str:
-    """Tell the first error in one line, and how many more there are.
+    """Tell the errors in one line, unknown keys first, and how many more there are than three.
 
     Args:
         error: what pydantic found.
@@ -35,20 +38,28 @@ def describe_errors(
         source: where the settings come from.
         overrides: the ``a.b=value`` among them, which are named instead where they are at fault.
     """
-    details = error.errors(include_url=False)
-    first = details[0]
-    # a tag like =list is no key, it tells the branch that the value was checked against
-    loc = tuple(p for p in first["loc"] if not str(p).startswith("=") and p != "[key]")
-    line = _complaint(first, loc, sections) + f" in {_place(loc, source, overrides)}"
-    return line if len(details) == 1 else f"{line} (and {len(details) - 1} more)"
+    details = sorted(
+        error.errors(include_url=False), key=lambda found: found["type"] != "extra_forbidden"
+    )
+    lines = []
+    for found in details[:MAX_TOLD]:
+        # a tag like =list is no key, it tells the branch that the value was checked against
+        loc = tuple(p for p in found["loc"] if not str(p).startswith("=") and p != "[key]")
+        place = _place(loc, source, overrides)
+        lines.append(f"{_complaint(found, loc, sections)} in {place}")
+    more = f" (and {len(details) - MAX_TOLD} more)" if len(details) > MAX_TOLD else ""
+    return "; ".join(lines) + more
 
 
 def show_value(value: Any) -> str:
-    """Show a value of a YAML file on one line, shortened: ``"5cm"``, ``true``, ``a list of 3``."""
+    """Show a value of a YAML file on one line, shortened: ``"5cm"``, ``true``, ``[1, 2]``."""
     if isinstance(value, Mapping):
         return "a mapping"
     if isinstance(value, list | tuple | set):
-        return f"a list of {len(value)}"
+        if not value or len(value) > MAX_ITEMS or any(isinstance(v, NESTED) for v in value):
+            return f"a list of {len(value)}"
+        shown = f"[{', '.join(show_value(item) for item in value)}]"
+        return shown if len(shown) <= MAX_SHOWN else f"a list of {len(value)}"
     if value is None or isinstance(value, bool):
         return json.dumps(value)
     shown = json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)
@@ -91,7 +102,7 @@ def _keys(model: type[BaseModel]) -> list[str]:
 def _place(loc: tuple[int | str, ...], source: str, overrides: Sequence[str]) -> str:
     for override in reversed(overrides):
         key = override_key(override)
-        if key == loc[: len(key)]:
+        if key[: len(loc)] == loc[: len(key)]:
             return f"--set {override}"
     return source
 

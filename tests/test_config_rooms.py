@@ -52,7 +52,7 @@ def test_a_geojson_file_is_read_beside_the_yaml(tmp_path):
         ("doors", 'expected auto, none or a mapping, got "doors" at `rooms`'),
         (3, "got 3 at `rooms`"),
         ({"form": ["auto"]}, "unknown key `rooms.form`, the nearest known one is `rooms.from`"),
-        ({"from": ["auto", "auto"]}, "each once, got a list of 2 at `rooms.from`"),
+        ({"from": ["auto", "auto"]}, 'each once, got ["auto", "auto"] at `rooms.from`'),
         ({"from": ["walls"]}, "polygons, geoms, sites, auto, each once"),
         ({"door_width": 0}, "expected a number > 0, got 0 at `rooms.door_width`"),
         ({"min_area": -1}, "expected a number >= 0, got -1 at `rooms.min_area`"),

@@ -83,7 +83,7 @@ def run_bake(
             tiled = tile_shapes(scene.shapes, lattice, footprint.reach)
             columns = cast_columns(tiled)
         questions = _Questions(columns, tiled, footprint)
-        with clock.stage("floors"), _named(config.scene.path):
+        with clock.stage("floors"), _located(config.scene.path, scene):
             given = None if config.levels == "auto" else list(config.levels)
             # what a roof encloses doesn't depend on how wide the agent is
             point = config.agent.model_copy(update={"radius": 0.0})
@@ -191,12 +191,16 @@ class _StageClock:
 
 
 @contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """Say which scene it is that has no floor."""
+def _located(path: Path, scene: Scene) -> Iterator[None]:
+    """Say which scene it is that has no floor, and where it is: units and bounds go wrong."""
     try:
         yield
     except SceneError as error:
-        raise SceneError(f"{path}: {error}") from error
+        if scene.bounds is None:
+            raise SceneError(f"{path}: {error}") from error
+        sides = zip("xyz", *scene.bounds.tolist(), strict=True)
+        spans = ", ".join(f"{axis} {low:.6g} to {high:.6g}" for axis, low, high in sides)
+        raise SceneError(f"{path}: {error}; the scene spans {spans} m") from error
 
 
 @contextmanager

@@ -22,6 +22,13 @@ from navbake.bake.shapes import Shapes
 from navbake.config import SceneSettings
 from navbake.errors import SceneError
 
+# Files whose format says that y is up
+Y_UP_SUFFIXES = (".glb", ".gltf")
+LYING = (
+    "glTF files are y up by their specification, and `scene.up` is z: if the scene lies on its "
+    "side, set it to y (z silences this)"
+)
+
 
 @dataclass(frozen=True)
 class GeomReport:
@@ -154,9 +161,11 @@ def _find_unusable(model: Any) -> list[str]:
 
 
 def _find_idle(settings: SceneSettings) -> list[str]:
-    """Name settings that do nothing for this kind of file."""
-    if Path(settings.path).suffix.lower() in MESH_SUFFIXES:
-        return []
+    """Name settings that do nothing for this kind of file, and one that may be missing."""
+    suffix = Path(settings.path).suffix.lower()
+    if suffix in MESH_SUFFIXES:
+        is_lying = suffix in Y_UP_SUFFIXES and "up" not in settings.model_fields_set
+        return [LYING] if is_lying else []
     given = {"up": settings.up != "z", "unit": settings.unit != 1.0}
     return [
         f"`scene.{name}` is for mesh files and does nothing here"

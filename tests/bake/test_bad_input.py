@@ -15,7 +15,7 @@ import trimesh
 from navbake.bake.pipeline import run_bake
 from navbake.cli import main
 from navbake.config import parse_config
-from navbake.errors import NavbakeError
+from navbake.errors import NavbakeError, SceneError
 
 ROOM = """<mujoco><worldbody>
   <geom name="floor" type="box" size="3 2 .1" pos="0 0 -.1"/>
@@ -364,3 +364,11 @@ def test_one_line_and_no_log_left_behind(tmp_path, name, content):
     assert done.stderr.count("\n") == 1
     assert name in done.stderr
     assert os.listdir(tmp_path) == [name]  # no MUJOCO_LOG.TXT
+
+
+def test_no_floor_tells_where_the_scene_is(tmp_path):
+    path = tmp_path / "far.xml"
+    path.write_text('<mujoco><worldbody><geom type="box" size="2 3 .1"/></worldbody></mujoco>')
+    settings = {"scene": {"path": str(path)}, "grid": {"bounds": [10, 10, 12, 12]}}
+    with pytest.raises(SceneError, match=r"the scene spans x -2 to 2, y -3 to 3, z -0.1 to 0.1 m"):
+        run_bake(parse_config(settings))
