@@ -12,12 +12,11 @@ from navbake.kernels.flags import (
     PROBED,
     STANDS,
     line_flags,
-    outside,
     plane_flags,
     solid_flags,
     triangle_flags,
 )
-from navbake.kernels.overlap import line_is_blocked, plane_meets_prism
+from navbake.kernels.overlap import line_is_blocked, outside, plane_meets_prism
 from navbake.kernels.tiles import TILE
 
 

@@ -10,42 +10,12 @@ from navbake.kernels.overlap import (
     MEETS,
     OPEN,
     line_is_blocked,
+    outside,
     plane_meets_prism,
-    solid_meets_prism,
     tile_of,
     triangle_meets_prism,
 )
-
-
-@njit(cache=True)
-def _solid_state(s, kind, pos, mat, size, x, y, z, square, radius, half_z, scratch, keeps):
-    """APART, MEETS or OPEN for one solid and the footprint's square and disc."""
-    state = APART
-    for is_round in (False, True):
-        half = radius if is_round else square
-        if half <= 0.0:
-            continue
-        part = solid_meets_prism(
-            kind[s], pos[s], mat[s], size[s], x, y, z, half, half_z, is_round,
-            scratch[:4], keeps[0], keeps[1], scratch[4], scratch[5],
-        )  # fmt: skip
-        if part == MEETS:
-            return MEETS
-        if part == OPEN:
-            state = OPEN
-    return state
-
-
-@njit(cache=True)
-def _outside_box(box, x, y, reach, low, high):
-    return (
-        box[0] >= x + reach
-        or box[3] <= x - reach
-        or box[1] >= y + reach
-        or box[4] <= y - reach
-        or box[2] >= high
-        or box[5] <= low
-    )
+from navbake.kernels.solids import solid_part
 
 
 @njit(cache=True, parallel=True)
@@ -69,6 +39,7 @@ def check_cells(
         state: (n,) uint8, receives APART, MEETS or OPEN.
         by_line: (n,) bool, receives whether the cell's line alone proved it.
     """
+    solids = (solid_kind, solid_pos, solid_mat, solid_size, solid_bounds)
     for n in prange(cells.shape[0]):
         cell = cells[n]
         row, col = cell // width, cell % width
@@ -92,7 +63,7 @@ def check_cells(
                 one, other = np.empty((12, 3)), np.empty((12, 3))
                 for i in range(first, last):
                     t = tri_item[i]
-                    if _outside_box(tri_bounds[t], x, y, reach, low, high):
+                    if outside(tri_bounds, t, x, y, reach, low, high):
                         continue
                     if triangle_meets_prism(
                         tri_corners[t], x, y, low, high, square, radius, one, other
@@ -102,15 +73,18 @@ def check_cells(
         if answer == APART:
             first, last = solid_start[tile], solid_start[tile + 1]
             if last > first:
-                scratch, keeps = np.empty((6, 3)), np.zeros((2, 4), np.bool_)
+                scratch = (
+                    np.empty((4, 3)), np.zeros(4, np.bool_), np.zeros(4, np.bool_),
+                    np.empty(3), np.empty(3),
+                )  # fmt: skip
                 for i in range(first, last):
                     s = solid_item[i]
-                    if _outside_box(solid_bounds[s], x, y, reach, low, high):
+                    if outside(solid_bounds, s, x, y, reach, low, high):
                         continue
-                    part = _solid_state(
-                        s, solid_kind, solid_pos, solid_mat, solid_size, x, y, middle,
-                        square, radius, half_z, scratch, keeps,
-                    )  # fmt: skip
+                    part = solid_part(s, solids, x, y, low, high, square, False, scratch)
+                    if part != MEETS:
+                        disc = solid_part(s, solids, x, y, low, high, radius, True, scratch)
+                        part = MEETS if disc == MEETS else max(part, disc)
                     if part == MEETS:
                         answer = MEETS
                         break

@@ -25,6 +25,19 @@ ROUNDING = 1e-3  # by how much of itself a distance may seem to grow while it sh
 NEAR = 1e-7  # the two meet when they are proved to be this near, less than TOUCH, to each other [m]
 
 
+@njit(cache=True)
+def outside(boxes, i, x, y, reach, low, high):
+    """Whether a box is beside a prism; touching is beside it."""
+    return (
+        boxes[i, 0] >= x + reach
+        or boxes[i, 3] <= x - reach
+        or boxes[i, 1] >= y + reach
+        or boxes[i, 4] <= y - reach
+        or boxes[i, 2] >= high
+        or boxes[i, 5] <= low
+    )
+
+
 @njit(cache=True, inline="always")
 def _support_solid(kind, pos, mat, size, dx, dy, dz, out):
     """The farthest point of a solid along a direction, into out."""
