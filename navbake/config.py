@@ -229,6 +229,12 @@ class DoorSettings(Settings):
 
 
 def _check_ascending(levels: list[LevelSettings]) -> list[LevelSettings]:
+    names: set[str] = set()
+    for index, level in enumerate(levels):
+        if level.name in names:
+            found = {"text": "no name twice", "got": f'"{level.name}"', "at": f"[{index}].name"}
+            raise PydanticCustomError("expected", "expected {text}", found)
+        names |= {level.name} if level.name else set()
     for index in range(1, len(levels)):
         below, level = levels[index - 1], levels[index]
         if level.ground <= below.ground:

@@ -88,4 +88,4 @@ def _describe_level(level: SceneGrid2D, island: NDArray[np.int32]) -> dict[str, 
 
 def _rounded(value: float) -> float:
     """To a millionth, finer than float32 heights are, so that 2.8 is not 2.799999952."""
-    return round(float(value), 6)
+    return round(float(value), 6) + 0.0  # no -0.0

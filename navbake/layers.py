@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 FREE, OCCUPIED, NO_FLOOR, DOOR = "#f7f3e8", "#3b4252", "#b9c0cc", "#c0392b"
 FURNITURE = 0.75  # how bright a room's colour is where something stands in it
+DARKER = "#8f8f8f"  # stands in the legend for all rooms' darker colours
 GOLDEN = 0.618034  # of a turn: hues this far apart stay apart, however many there are
 SHADES = ((0.5, 0.97), (0.25, 0.95), (0.6, 0.87))  # saturation and value, in turn
 
@@ -174,12 +175,14 @@ def _show_rooms(grid: AnyGrid) -> list[Panel]:
         rgb[np.isnan(level.floor_height)] = rgb_of(NO_FLOOR)
         doors = _door_mask(grid, number)
         rgb[doors] = rgb_of(DOOR)
-        legend = (("no room", OCCUPIED), ("no floor", NO_FLOOR))
+        legend = [("no room", OCCUPIED), ("no floor", NO_FLOOR)]
+        legend += [("darker: occupied", DARKER)] if stands.any() else []
+        legend += [("door", DOOR)] if doors.any() else []
         panels.append(
             Panel(
                 f"{level_name(grid, number)}: rooms",
                 rgb,
-                legend=(*legend, ("door", DOOR)) if doors.any() else legend,
+                legend=tuple(legend),
                 labels=tuple(labels),
             )
         )

@@ -220,6 +220,10 @@ REFUSED = [
     ("names: 0", "expected a mapping, got 0 at `names`"),
     ("names: {walls: wall_*}", 'expected a list, got "wall_*" at `names.walls`'),
     ("names: {wall: [wall_*]}", "the nearest known one is `names.walls`"),
+    (
+        "levels: [{ground: 0, name: a}, {ground: 3, name: a}]",
+        'expected no name twice, got "a" at `levels[1].name`',
+    ),
     ("attributes: [island, island]", "expected a list of some of island, clearance, each once"),
     ("attributes: [color]", 'got ["color"] at `attributes`'),
     ("attributes: island", 'got "island" at `attributes`'),

@@ -121,8 +121,18 @@ def assign_levels(
     used = np.unique(level)
     level = np.searchsorted(used, level)
     grounds = [grounds[k] for k in used]
-    labels = [named.get(g) or f"level {k}" for k, g in enumerate(grounds)]
-    return level, grounds, labels
+    return level, grounds, _label([named.get(ground) for ground in grounds])
+
+
+def _label(names: list[str | None]) -> list[str]:
+    """Name the levels that have no name by their number; no two are called the same."""
+    labels: list[str] = []
+    for number, name in enumerate(names):
+        label = name or f"level {number}"
+        while label in labels or (not name and label in names):
+            label += "'"
+        labels.append(label)
+    return labels
 
 
 def _lowest_of_columns(cells: Int) -> Bool:

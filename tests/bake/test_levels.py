@@ -417,3 +417,14 @@ def test_tells_of_large_tops_that_are_no_floors(tmp_path):
     assert "'dock' (40.0 m² at 1.20 m)" in warning and "bed" not in warning
     settings["floors"] = {"tops": True}
     assert run_bake(parse_config(settings)).warnings == []
+
+
+def test_no_two_levels_are_called_the_same(tmp_path):
+    """A given name that looks like a number's doesn't take another level's."""
+    path = tmp_path / "tower.xml"
+    slabs = "".join(box(0, 4, 0, 4, z - 0.2, z) for z in (0, 3, 6))
+    path.write_text(f"<mujoco><worldbody>{slabs}</worldbody></mujoco>")
+    levels = [{"ground": 0.0, "name": "level 1"}, {"ground": 3.0}, {"ground": 6.0}]
+    grid = run_bake(parse_config({"scene": {"path": str(path)}, "levels": levels})).grid
+    names = [level["name"] for level in grid.navbake["levels"]]
+    assert names == ["level 1", "level 1'", "level 2"]
