@@ -1,0 +1,71 @@
+"""A queue of cells by cost: buckets in a circle, each a chain of entries that works as a stack.
+
+Entries that were taken out are used again, so the queue stays as small as its longest wave, and
+in the cache.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+DIAGONAL = math.sqrt(2.0)
+SHARE = 0.5  # of the cheapest step: up to 1, few cells are worked off twice
+MAX_BUCKETS = 1 << 16
+SPARE, USED, OPEN = 0, 1, 2  # first entry to use again, entries ever used, entries in the queue
+
+
+@njit(cache=True, error_model="numpy")
+def bucket_width(size, least, most, longest_link):
+    """Width of the buckets, and how many of them a circle needs: a power of two.
+
+    Args:
+        size: the smallest edge of a cell [m].
+        least, most: the smallest and the largest weight of free cells.
+        longest_link: [m].
+    """
+    farthest = 2.0 * most * max(DIAGONAL * size, longest_link)  # from a bucket to a new entry
+    width = max(SHARE * size * least, farthest / (MAX_BUCKETS - 4))
+    if not width > 0.0:
+        return 1.0, 4
+    count = 4
+    while count < farthest / width + 3:
+        count *= 2
+    return width, count
+
+
+@njit(cache=True, error_model="numpy")
+def make_queue(num_buckets):
+    """The first entries of the buckets, and the state of a queue."""
+    return np.full(num_buckets, -1, np.int32), np.array([-1, 0, 0])
+
+
+@njit(cache=True, error_model="numpy")
+def push(head, state, entry_cell, entry_next, place, cell):
+    """Put a cell into a bucket; there is room for it."""
+    slot = place & (head.shape[0] - 1)
+    entry = state[SPARE]
+    if entry >= 0:
+        state[SPARE] = entry_next[entry]
+    else:
+        entry = state[USED]
+        state[USED] += 1
+    entry_cell[entry], entry_next[entry] = cell, head[slot]
+    head[slot] = entry
+    state[OPEN] += 1
+
+
+@njit(cache=True, error_model="numpy")
+def pop(head, state, entry_cell, entry_next, place):
+    """Take a cell out of a bucket; -1 if it is empty."""
+    slot = place & (head.shape[0] - 1)
+    entry = head[slot]
+    if entry < 0:
+        return np.int64(-1)
+    head[slot] = entry_next[entry]
+    entry_next[entry] = state[SPARE]
+    state[SPARE] = entry
+    state[OPEN] -= 1
+    return np.int64(entry_cell[entry])

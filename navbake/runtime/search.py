@@ -1,0 +1,167 @@
+"""A grid made ready to be searched: its walk, the moves of each cell, and room to work in."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.errors import QueryError
+from navbake.kernels.buckets import bucket_width
+from navbake.kernels.field import find_field
+from navbake.kernels.moves import find_moves
+from navbake.kernels.route import NO_ROOM, find_route, goal_box, trace_route
+from navbake.runtime.walk import Walk, make_walk
+
+if TYPE_CHECKING:
+    from navbake.grid import NavGrid
+
+LAST_SEARCH = 2**31 // 64 - 2  # `mark` is int32 and holds the number of a search times 64
+FIRST_ROOM = 1 << 15  # entries for open cells at first
+
+
+class Search:
+    """Searches the cells of all levels of a grid. Not to be shared by threads.
+
+    Attributes:
+        walk: the cells.
+        moves: by flat id, uint8: a bit for each way that a step leads, see
+            `navbake.kernels.moves`.
+        cut_corners: whether a diagonal step needs nothing but its target.
+    """
+
+    def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
+        self.walk: Walk = make_walk(grid)
+        self.cut_corners = cut_corners
+        self.moves = np.zeros(self.walk.num_cells, dtype=np.uint8)
+        for level in range(self.walk.num_levels):
+            height, width = int(self.walk.height[level]), int(self.walk.width[level])
+            self.refresh(level, 0, height, 0, width)
+        self._link_length = link_lengths(self.walk)
+        self._weigh(self.walk.weight[self.walk.free])
+        self._mark = np.zeros(self.walk.num_cells, dtype=np.int32)
+        self._cost = np.zeros(self.walk.num_cells, dtype=np.float64)
+        self._number = 0
+        self._make_room(FIRST_ROOM)
+
+    def refresh(self, level: int, row0: int, row1: int, col0: int, col1: int) -> None:
+        """Find the moves of a rectangle anew, after cells of the walk changed."""
+        walk = self.walk
+        height, width = int(walk.height[level]), int(walk.width[level])
+        rows = max(row0, 0), min(row1, height)
+        cols = max(col0, 0), min(col1, width)
+        first = int(walk.start[level])
+        find_moves(
+            self.moves, first, width, height, *rows, *cols, walk.free, walk.floor, walk.max_step,
+            self.cut_corners,
+        )  # fmt: skip
+
+    def route(self, origin: int, goals: NDArray[np.int64]) -> NDArray[np.int64] | None:
+        """Find the cheapest route to the cheapest of several goals.
+
+        Args:
+            origin: flat id of a free cell.
+            goals: flat ids of free cells, shape (n,), n >= 1.
+
+        Returns:
+            Flat ids of the cells from the origin to the goal, shape (m,); None for no route.
+        """
+        walk = self.walk
+        box = goal_box(goals, walk.start, walk.width, walk.x_min, walk.y_max, walk.cell_size)
+        links = (walk.link_cell, walk.link_start, walk.link_target, self._link_length)
+        while True:
+            self._next_number()
+            reached, _ = find_route(
+                origin, goals, box, self.moves, walk.weight, self._same, self._least,
+                walk.start, walk.width, walk.cell_size, *links, *self._buckets, self._number,
+                self._mark, self._cost, self._entry_cell, self._entry_next,
+            )  # fmt: skip
+            if reached != NO_ROOM:
+                break
+            self._make_room(4 * len(self._entry_cell))
+        if reached < 0:
+            return None
+        cells: NDArray[np.int64] = trace_route(
+            reached, self._mark, self._cost, walk.weight, walk.start, walk.width, *links
+        )
+        return cells
+
+    def field(self, goals: NDArray[np.int64], *, weighted: bool = True) -> NDArray[np.float64]:
+        """Find the cost of the cheapest route from every cell to the nearest of several goals.
+
+        Args:
+            goals: flat ids of free cells, shape (n,).
+            weighted: count each step times the weight of the cell that it leads to; else its
+                length alone.
+
+        Returns:
+            By flat id, shape (num_cells,), float64; inf where no route leads to a goal.
+        """
+        walk = self.walk
+        same, buckets = (self._same, self._buckets) if weighted else (1.0, self._length_buckets)
+        while True:
+            field = np.full(walk.num_cells, np.inf)
+            if find_field(
+                goals, self.moves, walk.weight, same, walk.start, walk.width, walk.cell_size,
+                walk.link_cell, walk.link_start, walk.link_target, self._link_length, *buckets,
+                field, self._entry_cell, self._entry_next,
+            ):  # fmt: skip
+                return field
+            self._make_room(4 * len(self._entry_cell))
+
+    def lengths(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
+        """The lengths of the steps of a route [m], shape (len(cells) - 1,)."""
+        walk = self.walk
+        level = walk.level_of(cells)
+        row, col = np.divmod(cells - walk.start[level], walk.width[level])
+        is_diagonal = (np.diff(row) != 0) & (np.diff(col) != 0)
+        length = walk.cell_size[level[1:]] * np.where(is_diagonal, math.sqrt(2.0), 1.0)
+        is_link = (np.diff(level) != 0) | (np.abs(np.diff(row)) > 1) | (np.abs(np.diff(col)) > 1)
+        for i in np.flatnonzero(is_link):
+            length[i] = self._length_of_link(cells[i], cells[i + 1])
+        return np.asarray(length)
+
+    def _length_of_link(self, cell: int, target: int) -> float:
+        walk = self.walk
+        slot = int(np.searchsorted(walk.link_cell, cell))
+        first, last = walk.link_start[slot : slot + 2]
+        return float(self._link_length[first:last][walk.link_target[first:last] == target][0])
+
+    def _weigh(self, weights: NDArray[np.float64]) -> None:
+        """Look at the weights of free cells; what is blocked later takes none of this away."""
+        least, most = (float(weights.min()), float(weights.max())) if weights.size else (1.0, 1.0)
+        if least < 0:
+            raise QueryError(f"expected weights >= 0, got {least:g}: no path is the cheapest then")
+        self._least = least
+        self._same = least if least == most else 0.0
+        size = float(self.walk.cell_size.min())
+        longest = float(self._link_length.max(initial=0.0))
+        self._buckets = bucket_width(size, least, most, longest)
+        self._length_buckets = bucket_width(size, 1.0, 1.0, longest)
+
+    def _next_number(self) -> None:
+        self._number += 1
+        if self._number > LAST_SEARCH:
+            self._mark[:] = 0
+            self._number = 1
+
+    def _make_room(self, size: int) -> None:
+        self._entry_cell = np.empty(size, dtype=np.int32)
+        self._entry_next = np.empty(size, dtype=np.int32)
+
+
+def link_lengths(walk: Walk) -> NDArray[np.float64]:
+    """How long each link is [m], shape (len(link_target),).
+
+    It is the octile distance between the centres of its cells, seen from above, and at least a
+    cell: between neighbours on one lattice, as navbake links them, exactly a cell.
+    """
+    source = np.repeat(walk.link_cell, np.diff(walk.link_start))
+    one, other = walk.positions(source), walk.positions(walk.link_target)
+    across, along = np.sort(np.abs(one - other)[:, :2], axis=1).T
+    size = np.minimum(
+        walk.cell_size[walk.level_of(source)], walk.cell_size[walk.level_of(walk.link_target)]
+    )
+    return np.asarray(np.maximum(along + (math.sqrt(2.0) - 1.0) * across, size))
