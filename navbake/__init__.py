@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from navbake.config import BakeConfig
     from navbake.formats.navgrid import read_navgrid as load
     from navbake.grid import MultiLevelGrid, SceneGrid2D
+    from navbake.runtime.path_finder import PathFinder
 
     def bake(
         config: BakeConfig | str | PathLike[str] | Mapping[str, Any],
@@ -43,6 +44,7 @@ __all__ = [
     "MissingDependencyError",
     "MultiLevelGrid",
     "NavbakeError",
+    "PathFinder",
     "QueryError",
     "SceneError",
     "SceneGrid2D",
@@ -54,6 +56,7 @@ __all__ = [
 _LAZY = {
     "BakeConfig": ("navbake.config", "BakeConfig"),
     "MultiLevelGrid": ("navbake.grid", "MultiLevelGrid"),
+    "PathFinder": ("navbake.runtime.path_finder", "PathFinder"),
     "SceneGrid2D": ("navbake.grid", "SceneGrid2D"),
     "load": ("navbake.formats.navgrid", "read_navgrid"),
 }

@@ -78,7 +78,5 @@ def find_field(
                 continue
             field[target] = there
             done[target] = False
-            push(
-                head, state, entry_cell, entry_next, max(np.int64(there * per_bucket), at), target
-            )
+            push(head, state, entry_cell, entry_next, max(np.int64(there * per_bucket), at), target)
     return True

@@ -81,7 +81,7 @@ def _at_least(row, col, box, scale):
 def find_route(
     origin, goals, box, moves, weight, same_weight, least_weight,
     start, width, cell_size, link_cell, link_start, link_target, link_length,
-    bucket, num_buckets, search, mark, cost, entry_cell, entry_next,
+    bucket, num_buckets, search, mark, cost, link_from, entry_cell, entry_next,
 ):  # fmt: skip
     """Find the cheapest route from a cell to the cheapest of several goals.
 
@@ -99,6 +99,7 @@ def find_route(
         search: number of this search, larger than any that wrote into `mark`.
         mark: by cell, int32, receives how cells were reached.
         cost: by cell, float64, receives their costs where `mark` is of this search.
+        link_from: by place in `link_cell`, int64, receives where a link that was taken leads from.
         entry_cell, entry_next: int32, of one length: room for open cells.
 
     Returns:
@@ -162,7 +163,9 @@ def find_route(
                 if there >= cost[target] - slack:
                     continue
                 goal = mark[target] & GOAL
-            mark[target], cost[target] = mine | goal | min(way, LINK), there
+            if way >= 8:
+                link_from[find_slot(link_cell, target)] = cell
+            mark[target], cost[target] = mine | goal | (way if way < 8 else LINK), there
             if goal and there < best:
                 best, reached = there, target
             total = there + _at_least(r, c, box[on], cell_size[on] * least_weight)
@@ -172,21 +175,19 @@ def find_route(
 
 
 @njit(cache=True, error_model="numpy")
-def trace_route(reached, mark, cost, weight, start, width, link_cell, link_start, link_target,
-                link_length):  # fmt: skip
+def trace_route(reached, mark, start, width, link_cell, link_from):
     """The cells of the route that a search has found, from its origin to the goal.
 
     Args:
         reached: the goal.
-        mark, cost: as the search left them.
-        weight, start, width, link_cell, link_start, link_target, link_length: as it had them.
+        mark, link_from: as the search left them.
+        start, width, link_cell: as it had them.
 
     Returns:
         Flat ids, shape (n,), int64.
     """
     row_step = np.array([0, -1, 0, 1, -1, -1, 1, 1])
     col_step = np.array([1, 0, -1, 0, 1, -1, -1, 1])
-    search = mark[reached] // SEARCH
     route = np.empty(256, np.int64)
     count, cell = 0, np.int64(reached)
     while True:
@@ -195,18 +196,10 @@ def trace_route(reached, mark, cost, weight, start, width, link_cell, link_start
         route[count] = cell
         count += 1
         way = mark[cell] & WAY
-        if way == START or way == NONE:
+        if way in (START, NONE):
             break
-        if way < 8:
-            columns = width[level_of(cell, start)]
-            cell -= row_step[way] * columns + col_step[way]
-            continue
-        slot = find_slot(link_cell, cell)
-        best, before = np.inf, cell
-        for k in range(link_start[slot], link_start[slot + 1]):
-            other = link_target[k]
-            is_closed = mark[other] // SEARCH == search and mark[other] & CLOSED
-            if is_closed and cost[other] + link_length[k] * weight[cell] < best:
-                best, before = cost[other] + link_length[k] * weight[cell], other
-        cell = before
+        if way == LINK:
+            cell = link_from[find_slot(link_cell, cell)]
+        else:
+            cell -= row_step[way] * width[level_of(cell, start)] + col_step[way]
     return route[:count][::-1].copy()

@@ -13,6 +13,7 @@ from navbake.kernels.buckets import bucket_width
 from navbake.kernels.field import find_field
 from navbake.kernels.moves import find_moves
 from navbake.kernels.route import NO_ROOM, find_route, goal_box, trace_route
+from navbake.runtime.locate import split_cells
 from navbake.runtime.walk import Walk, make_walk
 
 if TYPE_CHECKING:
@@ -30,6 +31,9 @@ class Search:
         moves: by flat id, uint8: a bit for each way that a step leads, see
             `navbake.kernels.moves`.
         cut_corners: whether a diagonal step needs nothing but its target.
+        same_weight: the weight of all free cells, 0 where they differ.
+        obstacles: by flat id, bool: cells that a line has to stay away from.
+        radius: how far [m].
     """
 
     def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
@@ -40,9 +44,11 @@ class Search:
             height, width = int(self.walk.height[level]), int(self.walk.width[level])
             self.refresh(level, 0, height, 0, width)
         self._link_length = link_lengths(self.walk)
+        self.obstacles, self.radius = ~self.walk.free, 0.0
         self._weigh(self.walk.weight[self.walk.free])
         self._mark = np.zeros(self.walk.num_cells, dtype=np.int32)
         self._cost = np.zeros(self.walk.num_cells, dtype=np.float64)
+        self._link_from = np.zeros(len(self.walk.link_cell), dtype=np.int64)
         self._number = 0
         self._make_room(FIRST_ROOM)
 
@@ -74,9 +80,9 @@ class Search:
         while True:
             self._next_number()
             reached, _ = find_route(
-                origin, goals, box, self.moves, walk.weight, self._same, self._least,
+                origin, goals, box, self.moves, walk.weight, self.same_weight, self._least,
                 walk.start, walk.width, walk.cell_size, *links, *self._buckets, self._number,
-                self._mark, self._cost, self._entry_cell, self._entry_next,
+                self._mark, self._cost, self._link_from, self._entry_cell, self._entry_next,
             )  # fmt: skip
             if reached != NO_ROOM:
                 break
@@ -84,7 +90,7 @@ class Search:
         if reached < 0:
             return None
         cells: NDArray[np.int64] = trace_route(
-            reached, self._mark, self._cost, walk.weight, walk.start, walk.width, *links
+            reached, self._mark, walk.start, walk.width, walk.link_cell, self._link_from
         )
         return cells
 
@@ -100,7 +106,9 @@ class Search:
             By flat id, shape (num_cells,), float64; inf where no route leads to a goal.
         """
         walk = self.walk
-        same, buckets = (self._same, self._buckets) if weighted else (1.0, self._length_buckets)
+        same, buckets = (
+            (self.same_weight, self._buckets) if weighted else (1.0, self._length_buckets)
+        )
         while True:
             field = np.full(walk.num_cells, np.inf)
             if find_field(
@@ -114,14 +122,20 @@ class Search:
     def lengths(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
         """The lengths of the steps of a route [m], shape (len(cells) - 1,)."""
         walk = self.walk
-        level = walk.level_of(cells)
-        row, col = np.divmod(cells - walk.start[level], walk.width[level])
+        level, row, col = split_cells(walk, cells)
         is_diagonal = (np.diff(row) != 0) & (np.diff(col) != 0)
         length = walk.cell_size[level[1:]] * np.where(is_diagonal, math.sqrt(2.0), 1.0)
-        is_link = (np.diff(level) != 0) | (np.abs(np.diff(row)) > 1) | (np.abs(np.diff(col)) > 1)
-        for i in np.flatnonzero(is_link):
+        for i in np.flatnonzero(self.are_links(cells)):
             length[i] = self._length_of_link(cells[i], cells[i + 1])
         return np.asarray(length)
+
+    def are_links(self, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which steps of a route lead to another level, or far, shape (len(cells) - 1,), bool."""
+        if not len(self.walk.link_cell):
+            return np.zeros(len(cells) - 1, dtype=np.bool_)
+        level, row, col = (np.diff(v) for v in split_cells(self.walk, cells))
+        far = (np.abs(row) > 1) | (np.abs(col) > 1)
+        return np.asarray((level != 0) | far)
 
     def _length_of_link(self, cell: int, target: int) -> float:
         walk = self.walk
@@ -135,11 +149,11 @@ class Search:
         if least < 0:
             raise QueryError(f"expected weights >= 0, got {least:g}: no path is the cheapest then")
         self._least = least
-        self._same = least if least == most else 0.0
+        self.same_weight = least if least == most else 0.0
         size = float(self.walk.cell_size.min())
         longest = float(self._link_length.max(initial=0.0))
-        self._buckets = bucket_width(size, least, most, longest)
-        self._length_buckets = bucket_width(size, 1.0, 1.0, longest)
+        self._buckets: tuple[float, int] = bucket_width(size, least, most, longest)
+        self._length_buckets: tuple[float, int] = bucket_width(size, 1.0, 1.0, longest)
 
     def _next_number(self) -> None:
         self._number += 1

@@ -1,0 +1,210 @@
+"""Pulls a route over cells straight."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from navbake.kernels.sight import crossed_cells, has_room, is_walkable, line_cost
+
+GAIN = 1e-9  # share of its cost by which rounding may make a straight line dearer
+
+
+@njit(cache=True, error_model="numpy")
+def _in_cells(point, level, x_min, y_max, cell_size):
+    size = cell_size[level]
+    return (point[0] - x_min[level]) / size, (y_max[level] - point[1]) / size
+
+
+@njit(cache=True, error_model="numpy")
+def can_pass(
+    a, b, level, moves, free, occupied, radius, start, width, height, x_min, y_max, cell_size
+):
+    """Whether a straight line between two points of a level stays free.
+
+    Args:
+        a, b: world x, y [m].
+        level: the level of both.
+        moves, free, occupied: by flat id.
+        radius: how far the line stays away from occupied cells [m], 0 to not look at them.
+        start, width, height, x_min, y_max, cell_size: of the levels, see
+            `navbake.runtime.walk.Walk`.
+    """
+    u0, v0 = _in_cells(a, level, x_min, y_max, cell_size)
+    u1, v1 = _in_cells(b, level, x_min, y_max, cell_size)
+    place = (start[level], width[level], height[level])
+    if not is_walkable(u0, v0, u1, v1, moves, free, *place):
+        return False
+    return has_room(u0, v0, u1, v1, radius / cell_size[level], occupied, *place)
+
+
+@njit(cache=True, error_model="numpy")
+def pull_string(
+    points, levels, is_link, kept, moves, free, occupied, radius, weight, same_weight,
+    start, width, height, x_min, y_max, cell_size,
+):  # fmt: skip
+    """Choose the points of a route that straight lines between them can do with.
+
+    From each point, the line to the farthest point that it can pass to is taken, as doubling and
+    then halving the distance finds it. A line never costs more than what it replaces, each part
+    counted by the weight of its cell, and never runs over a link.
+
+    Args:
+        points: of the route, world x, y [m], shape (n, 2), each in a free cell.
+        levels: of the points, shape (n,).
+        is_link: whether a link leads from a point to the next, shape (n - 1,), bool.
+        kept: (n,) bool, receives which points to keep.
+        moves, free, occupied, radius: as of `can_pass`.
+        weight: by flat id.
+        same_weight: the weight of all free cells, or 0 where they differ.
+        start, width, height, x_min, y_max, cell_size: of the levels.
+    """
+    num = points.shape[0]
+    spent = np.zeros(num)  # cost of the route up to each point
+    if same_weight <= 0.0:
+        for i in range(1, num):
+            spent[i] = spent[i - 1]
+            level = levels[i]
+            if not is_link[i - 1]:
+                u0, v0 = _in_cells(points[i - 1], level, x_min, y_max, cell_size)
+                u1, v1 = _in_cells(points[i], level, x_min, y_max, cell_size)
+                place = (start[level], width[level], height[level])
+                spent[i] += line_cost(u0, v0, u1, v1, weight, *place)
+    here = 0
+    kept[:] = False
+    kept[0] = True
+    while here < num - 1:
+        last = here + 1  # before the next link
+        while last < num - 1 and not is_link[here] and not is_link[last]:
+            last += 1
+        good, bad, reach = here + 1, last + 1, 2
+        while good < last and bad > last:
+            there = min(here + reach, last)
+            if _is_shortcut(
+                here, there, points, levels[here], spent, moves, free, occupied, radius, weight,
+                same_weight, start, width, height, x_min, y_max, cell_size,
+            ):  # fmt: skip
+                good = there
+            else:
+                bad = there
+            reach *= 2
+        while bad - good > 1:
+            there = (good + bad) // 2
+            if _is_shortcut(
+                here, there, points, levels[here], spent, moves, free, occupied, radius, weight,
+                same_weight, start, width, height, x_min, y_max, cell_size,
+            ):  # fmt: skip
+                good = there
+            else:
+                bad = there
+        here = good
+        kept[here] = True
+
+
+@njit(cache=True, error_model="numpy")
+def _is_shortcut(
+    a, b, points, level, spent, moves, free, occupied, radius, weight, same_weight,
+    start, width, height, x_min, y_max, cell_size,
+):  # fmt: skip
+    if not can_pass(
+        points[a], points[b], level, moves, free, occupied, radius, start, width, height, x_min,
+        y_max, cell_size,
+    ):  # fmt: skip
+        return False
+    if same_weight > 0.0:
+        return True
+    u0, v0 = _in_cells(points[a], level, x_min, y_max, cell_size)
+    u1, v1 = _in_cells(points[b], level, x_min, y_max, cell_size)
+    place = (start[level], width[level], height[level])
+    cost = line_cost(u0, v0, u1, v1, weight, *place)
+    return cost <= (spent[b] - spent[a]) * (1.0 + GAIN)
+
+
+@njit(cache=True, error_model="numpy")
+def lay_on_floor(
+    points, levels, is_link, floor, ground, start, width, height, x_min, y_max, cell_size,
+    tolerance,
+):  # fmt: skip
+    """Lay lines between points on the floor: with a point in between where its height bends.
+
+    Over a link, the line is straight. Else it runs through the
+    middle of its part in each cell that it crosses, at the cell's floor, and points that are
+    within `tolerance` of the line through those that are left go.
+
+    Args:
+        points: world x, y [m], shape (n, 2).
+        levels: of the points, shape (n,).
+        is_link: whether a link leads from a point to the next, shape (n - 1,), bool.
+        floor: by flat id [m], NaN where there is none: there it is `ground`, by level.
+        start, width, height, x_min, y_max, cell_size: of the levels.
+        tolerance: [m].
+
+    Returns:
+        World x, y, z [m], shape (m, 3), float64, and the level of each, int64.
+    """
+    num = points.shape[0]
+    out, on, count = np.empty((4 * num + 16, 3)), np.empty(4 * num + 16, np.int64), 0
+    for i in range(num):
+        level = levels[i]
+        u0, v0 = _in_cells(points[i], level, x_min, y_max, cell_size)
+        size = 1
+        cells, enter = np.empty(0, np.int64), np.empty(0)
+        if i + 1 < num and not is_link[i]:
+            u1, v1 = _in_cells(points[i + 1], level, x_min, y_max, cell_size)
+            cells, enter = crossed_cells(u0, v0, u1, v1, width[level], height[level])
+            size += cells.shape[0]
+        line = np.empty((size + 1, 2))  # share of the line, and height there
+        row, col = math.floor(v0), math.floor(u0)
+        line[0, 0] = 0.0
+        line[0, 1] = _height(start[level] + row * width[level] + col, floor, ground[level])
+        last = 1
+        if size > 1:
+            for k in range(1, cells.shape[0] - 1):
+                line[last, 0] = (enter[k] + enter[k + 1]) / 2.0
+                line[last, 1] = _height(start[level] + cells[k], floor, ground[level])
+                last += 1
+            line[last, 0] = 1.0
+            line[last, 1] = _height(
+                start[level] + math.floor(v1) * width[level] + math.floor(u1), floor, ground[level]
+            )
+            last += 1
+        here = 0
+        while here < max(last - 1, 1):
+            if count == out.shape[0]:
+                out, on = np.concatenate((out, out)), np.concatenate((on, on))
+            t = line[here, 0]
+            out[count, :2] = points[i]
+            if t > 0.0:
+                out[count, :2] = points[i] + t * (points[i + 1] - points[i])
+            out[count, 2], on[count] = line[here, 1], level
+            count += 1
+            here = _next_bend(line[:last], here, tolerance)
+    return out[:count].copy(), on[:count].copy()
+
+
+@njit(cache=True, error_model="numpy")
+def _height(cell, floor, ground):
+    return ground if math.isnan(floor[cell]) else floor[cell]
+
+
+@njit(cache=True, error_model="numpy")
+def _next_bend(line, here, tolerance):
+    """The farthest point to which all in between are within a tolerance of a straight line.
+
+    As soon as one is not, the point before is taken, so this looks at few points more than once.
+    """
+    low, high = -np.inf, np.inf  # slopes that keep all points so far
+    there = here + 1
+    while there < line.shape[0]:
+        run, rise = line[there, 0] - line[here, 0], line[there, 1] - line[here, 1]
+        if run <= 0.0:
+            there += 1
+            continue
+        if not low <= rise / run <= high:
+            return max(there - 1, here + 1)
+        low = max(low, (rise - tolerance) / run)
+        high = min(high, (rise + tolerance) / run)
+        there += 1
+    return max(line.shape[0] - 1, here + 1)

@@ -1,0 +1,120 @@
+"""The graph of a grid's steps, made by plain loops, and random grids to make it of."""
+
+import math
+
+import numpy as np
+from scipy.sparse import coo_array
+
+from navbake.grid import MultiLevelGrid, SceneGrid2D
+
+STEP = 0.25
+
+
+def make_level(free, floor, weights=None, *, col0=0, row0=0, cell_size=0.1, ground=0.0):
+    """A level whose first cell is (row0, col0) of the scene's lattice."""
+    free = np.asarray(free, dtype=bool)
+    height, width = free.shape
+    weights = np.ones(free.shape) if weights is None else weights
+    return SceneGrid2D(
+        width=width,
+        height=height,
+        cell_size=cell_size,
+        min_yup=(col0 * cell_size, ground, row0 * cell_size),
+        weights=np.where(free, weights, np.inf),
+        attributes={"floorHeight": np.asarray(floor, dtype=np.float32)},
+        metadata={"traversableFloorHeight": STEP},
+    )
+
+
+def stack(levels, links):
+    metadata = {"traversableFloorHeight": STEP, "navbake": {"links": links}}
+    return MultiLevelGrid(grids=levels, cell_size=levels[0].cell_size, metadata=metadata)
+
+
+def random_grid(rng, *, weighted=True, within=True):
+    """Up to three levels with holes, steps, weights and links, also between far cells.
+
+    Args:
+        rng: where the numbers come from.
+        weighted: weights differ.
+        within: links may lead to the same level.
+    """
+    levels, links = [], []
+    for _ in range(rng.integers(1, 4)):
+        shape = tuple(rng.integers(1, 14, size=2))
+        free = rng.random(shape) < rng.uniform(0.55, 1.0)
+        floor = np.where(rng.random(shape) < 0.05, np.nan, rng.integers(0, 4, shape) * 0.1)
+        weights = rng.choice([1.0, 1.5, 10.0, 0.0], shape, p=[0.6, 0.2, 0.15, 0.05])
+        levels.append(
+            make_level(
+                free,
+                floor,
+                weights if weighted else None,
+                col0=int(rng.integers(-3, 4)),
+                row0=int(rng.integers(-3, 4)),
+            )
+        )
+    for _ in range(rng.integers(0, 8)):
+        a, b = rng.integers(0, len(levels), size=2)
+        ends = rng.integers(levels[a].free.size), rng.integers(levels[b].free.size)
+        if a != b or within:
+            links.append([int(a), int(ends[0]), int(b), int(ends[1])])
+    return stack(levels, links)
+
+
+def step_graph(grid, *, cut_corners=False):
+    """Costs of all steps, as a sparse matrix over flat ids: length times weight of the target.
+
+    A step that costs nothing is 1e-300 there, as scipy takes 0 for no step.
+    """
+    start = np.cumsum([0] + [level.free.size for level in grid.levels])
+    steps = {}
+    for k, level in enumerate(grid.levels):
+        for row, col in np.ndindex(level.shape):
+            for r in (row - 1, row, row + 1):
+                for c in (col - 1, col, col + 1):
+                    if may_step(level, (row, col), (r, c), cut_corners):
+                        length = level.cell_size * math.hypot(r - row, c - col)
+                        a, b = (start[k] + y * level.width + x for y, x in ((row, col), (r, c)))
+                        add(steps, a, b, length * level.weights[r, c])
+    for a, cell_a, b, cell_b in grid.links.tolist():
+        for (i, one), (j, other) in (((a, cell_a), (b, cell_b)), ((b, cell_b), (a, cell_a))):
+            levels = grid.levels[i], grid.levels[j]
+            places = [
+                divmod(cell, level.width) for cell, level in zip((one, other), levels, strict=True)
+            ]
+            if all(level.free[place] for level, place in zip(levels, places, strict=True)):
+                centers = [
+                    level.lattice.positions(*place)
+                    for level, place in zip(levels, places, strict=True)
+                ]
+                short, long = sorted(np.abs(centers[0] - centers[1]))
+                length = max(long + (math.sqrt(2) - 1) * short, grid.cell_size)
+                add(steps, start[i] + one, start[j] + other, length * levels[1].weights[places[1]])
+    size = int(start[-1])
+    ends = np.array(list(steps), dtype=np.int64).reshape(-1, 2)
+    costs = np.maximum(np.array(list(steps.values()), dtype=float), 1e-300)
+    return coo_array((costs, (ends[:, 0], ends[:, 1])), shape=(size, size)).tocsr()
+
+
+def add(steps, a, b, cost):
+    if a != b:
+        steps[a, b] = min(cost, steps.get((a, b), math.inf))
+
+
+def may_step(level, here, there, cut_corners):
+    if here == there or not (is_level(level, here, there)):
+        return False
+    beside = [(here[0], there[1]), (there[0], here[1])]
+    if here[0] == there[0] or here[1] == there[1] or cut_corners:
+        return True
+    return all(is_level(level, here, b) and is_level(level, b, there) for b in beside)
+
+
+def is_level(level, a, b):
+    """Both cells are there and free, and their floors at most a step apart."""
+    for row, col in (a, b):
+        if not (0 <= row < level.height and 0 <= col < level.width and level.free[row, col]):
+            return False
+    rise = abs(float(level.floor_height[a]) - float(level.floor_height[b]))
+    return not rise > STEP + 1e-5

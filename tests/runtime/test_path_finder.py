@@ -1,0 +1,242 @@
+"""Paths as an agent asks for them."""
+
+from pathlib import Path as FilePath
+
+import numpy as np
+import pytest
+
+import navbake
+from navbake.errors import QueryError
+from navbake.runtime.path_finder import PathFinder
+from oracles.ways import make_level, random_grid, stack
+
+GOLDEN = FilePath(__file__).parents[1] / "golden"
+
+
+def from_map(rows, **kwargs):
+    """A level from a map: ``#`` blocked, a digit free with its floor so many times 0.1 m high."""
+    cells = np.array([list(row) for row in rows])
+    free = cells != "#"
+    return make_level(free, np.where(free, cells, "0").astype(float) * 0.1, **kwargs)
+
+
+@pytest.fixture(scope="module")
+def house():
+    return navbake.load(GOLDEN / "house.grid.json.gz")
+
+
+@pytest.fixture(scope="module")
+def apartment():
+    return navbake.load(GOLDEN / "apartment.grid.json.gz")
+
+
+def test_a_path_without_smoothing_runs_through_centres():
+    finder = PathFinder(from_map(["000", "0#0", "000"]))
+    path = finder.find_path((0.05, -0.05), (0.25, -0.25), smooth=False)
+    assert path.cells.tolist() in (
+        [[0, 0, 0], [0, 1, 0], [0, 2, 0], [0, 2, 1], [0, 2, 2]],
+        [[0, 0, 0], [0, 0, 1], [0, 0, 2], [0, 1, 2], [0, 2, 2]],
+    )
+    np.testing.assert_allclose(path.positions[[0, -1]], [[0.05, -0.05, 0], [0.25, -0.25, 0]])
+    assert len(path.positions) == 5
+    assert path.length == pytest.approx(0.4)
+    assert path.cost == pytest.approx(0.4)
+    assert path.levels.tolist() == [0] * 5
+
+
+def test_corners_may_be_cut():
+    grid = from_map(["000", "0#0", "000"])
+    finder = PathFinder(grid, cut_corners=True)
+    path = finder.find_path((0.05, -0.05), (0.25, -0.25))
+    assert path.cost == pytest.approx(0.2 + 0.1 * np.sqrt(2))
+
+
+def test_a_path_begins_and_ends_where_it_was_asked_to():
+    finder = PathFinder(from_map(["0000", "0000"]))
+    for smooth in (False, True):
+        path = finder.find_path((0.01, -0.02), (0.39, -0.18), smooth=smooth)
+        np.testing.assert_allclose(path.positions[0], [0.01, -0.02, 0.0])
+        np.testing.assert_allclose(path.positions[-1], [0.39, -0.18, 0.0])
+    assert path.length == pytest.approx(np.hypot(0.38, 0.16))
+    assert len(path.positions) == 2
+
+
+def test_the_cheapest_of_several_goals():
+    finder = PathFinder(from_map(["0000000"]))
+    path = finder.find_path((0.25, -0.05), [(0.65, -0.05), (0.05, -0.05), (9.0, 9.0)])
+    np.testing.assert_allclose(path.positions[-1], [0.05, -0.05, 0.0])
+
+
+def test_start_and_goal_in_one_place():
+    finder = PathFinder(from_map(["00"]))
+    path = finder.find_path((0.05, -0.05), (0.05, -0.05))
+    assert path.length == 0.0
+    assert path.cost == 0.0
+    assert len(path.positions) == 1
+
+
+def test_no_path_is_none():
+    finder = PathFinder(from_map(["00#0"]))
+    assert finder.find_path((0.05, -0.05), (0.35, -0.05)) is None
+    assert finder.find_path((0.05, -0.05), (0.25, -0.05)) is None
+    assert finder.find_path((0.25, -0.05), (0.05, -0.05)) is None
+    assert finder.find_path((0.05, -0.05), (5.0, 5.0)) is None
+    assert finder.find_path((5.0, 5.0), (0.05, -0.05)) is None
+
+
+def test_heights_follow_the_floor():
+    finder = PathFinder(from_map(["0011223344"]))
+    path = finder.find_path((0.05, -0.05), (0.95, -0.05))
+    for x, z in ((0.05, 0.0), (0.15, 0.0), (0.2, 0.05), (0.25, 0.1), (0.75, 0.3), (0.95, 0.4)):
+        np.testing.assert_allclose(path.at(x - 0.05), [x, -0.05, z], atol=2e-3)
+
+
+def test_a_smooth_path_does_not_cross_what_is_dear():
+    weights = np.ones((9, 9))
+    weights[:8, 4] = 50.0
+    grid = make_level(np.ones((9, 9)), np.zeros((9, 9)), weights)
+    path = PathFinder(grid).find_path((0.05, -0.05), (0.85, -0.05))
+    crossing = path.positions[np.argmin(np.abs(path.positions[:, 0] - 0.45))]
+    assert crossing[1] < -0.8
+
+
+def test_levels_are_crossed_by_links():
+    lower, upper = from_map(["000"]), from_map(["2200"], col0=3)
+    path = PathFinder(stack([lower, upper], [[0, 2, 1, 0]])).find_path(
+        (0.05, -0.05, 0.0), (0.65, -0.05, 0.0)
+    )
+    assert path.cells[:, 0].tolist() == [0, 0, 0, 1, 1, 1, 1]
+    assert path.levels[0] == 0
+    assert path.levels[-1] == 1
+    np.testing.assert_allclose(path.at(0.2), [0.25, -0.05, 0.0], atol=2e-3)
+    np.testing.assert_allclose(path.at(0.3), [0.35, -0.05, 0.2], atol=2e-3)
+
+
+def test_rooms_and_doors_on_the_way(apartment):
+    finder = PathFinder(apartment)
+    center = {room["id"]: room["centroid"] for room in apartment.rooms}
+    path = finder.find_path(center["kitchen"], "room:bedroom")
+    assert path.rooms[0] == "kitchen"
+    assert path.rooms[-1] == "bedroom"
+    assert path.doors == [door for door in path.doors if "door" in door]
+    assert path.doors
+
+
+def test_next_to_an_object(apartment):
+    finder = PathFinder(apartment)
+    names = {n for e in apartment.user_data.values() for n in e.get("objects", ())}
+    start = next(room["centroid"] for room in apartment.rooms if room["id"] == "hall")
+    for name in sorted(names):
+        path = finder.find_path(start, f"object:{name}")
+        if path is None:
+            continue
+        carriers = np.array(
+            [c for c, e in apartment.user_data.items() if name in e.get("objects", ())]
+        )
+        rows, cols = np.divmod(carriers, apartment.width)
+        _, row, col = path.cells[-1]
+        assert np.hypot(rows - row, cols - col).min() <= 3
+
+
+def test_fields_and_distances_agree_with_paths(house):
+    finder = PathFinder(house)
+    rng = np.random.default_rng(0)
+    walk = finder.search.walk
+    cells = rng.choice(np.flatnonzero(walk.free), 20)
+    positions = walk.positions(cells)
+    goal = positions[0]
+    distances = finder.distances(positions, goal)
+    field = np.concatenate([part.ravel() for part in finder.distance_field(goal)])
+    np.testing.assert_array_equal(distances, field[cells])
+    for position, distance in zip(positions, distances, strict=True):
+        path = finder.find_path(position, goal)
+        assert (path is None) == np.isinf(distance)
+        if path:
+            assert path.cost == pytest.approx(distance)
+
+
+def test_distances_outside_are_infinite():
+    finder = PathFinder(from_map(["00"]))
+    found = finder.distances([[0.05, -0.05], [9.0, 9.0]], (0.15, -0.05))
+    assert found.tolist() == [pytest.approx(0.1), np.inf]
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "expected"),
+    [
+        ((np.nan, 0), (0.05, -0.05), "finite"),
+        ((0.05,), (0.05, -0.05), "shape"),
+        ([[0.05, -0.05]], (0.05, -0.05), "one start"),
+        ((0.05, -0.05), (0.05, np.inf), "finite"),
+        ((0.05, -0.05), [], "shape|position"),
+        ((0.05, -0.05), "kitchen", "room:NAME"),
+        ((0.05, -0.05), "room:kitchn", "no room 'kitchn'"),
+        ((0.05, -0.05), "object:tabel", "did you mean 'table'"),
+    ],
+)
+def test_bad_questions(start, goal, expected):
+    grid = from_map(["00"])
+    grid.user_data = {1: {"objects": ["table", "chair"]}}
+    with pytest.raises(QueryError, match=expected):
+        PathFinder(grid).find_path(start, goal)
+
+
+def test_unknown_rooms_are_refused_with_the_nearest(apartment):
+    with pytest.raises(QueryError, match="did you mean 'kitchen'"):
+        PathFinder(apartment).find_path((0, 0, 0), "room:kitchn")
+
+
+def test_rooms_below_and_above_are_joined_by_stairs(house):
+    finder = PathFinder(house)
+    rooms = house.rooms
+    for below in (room for room in rooms if room["level"] == 0):
+        for above in (room for room in rooms if room["level"] == 1):
+            cells = finder.rooms.cells(below["id"])
+            start = finder.search.walk.positions(cells[finder.search.walk.free[cells]][:1])[0]
+            path = finder.find_path(start, f"room:{above['id']}")
+            assert path is not None
+            assert path.rooms[-1] == above["id"]
+            assert set(path.levels) == {0, 1}
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_smooth_paths_stay_free(seed):
+    rng = np.random.default_rng(seed)
+    grid = random_grid(rng, weighted=False, within=False)
+    finder = PathFinder(grid)
+    assert_paths_stay_free(finder, rng, 8)
+
+
+@pytest.mark.parametrize("name", ["house", "apartment"])
+def test_smooth_paths_of_the_samples_stay_free(name, request):
+    finder = PathFinder(request.getfixturevalue(name))
+    assert_paths_stay_free(finder, np.random.default_rng(1), 40)
+
+
+def assert_paths_stay_free(finder, rng, count):
+    """Every centimetre is in a free cell, on its floor, and no longer than the route."""
+    walk = finder.search.walk
+    free = np.flatnonzero(walk.free)
+    if not len(free):
+        return
+    for a, b in walk.positions(rng.choice(free, (count, 2))):
+        jitter = rng.uniform(-0.049, 0.049, (2, 2))
+        a[:2], b[:2] = a[:2] + jitter[0], b[:2] + jitter[1]
+        path = finder.find_path(a, b)
+        if path is None:
+            continue
+        rough = finder.find_path(a, b, smooth=False)
+        assert path.length <= rough.length + 1e-9
+        for one, other, i, j in zip(
+            path.positions[:-1], path.positions[1:], path.levels[:-1], path.levels[1:], strict=True
+        ):
+            if i != j:
+                continue
+            level = finder.grid.levels[i]
+            steps = int(np.hypot(*(other - one)[:2]) / 0.01) + 2
+            line = one + np.linspace(0, 1, steps)[:, None] * (other - one)
+            rows, cols = level.lattice.rows_cols(line)
+            assert level.free[rows, cols].all()
+            floor = level.floor_height[rows, cols]
+            off = np.abs(line[:, 2] - np.where(np.isnan(floor), level.ground, floor))
+            assert off.max() <= 0.3 + 5e-3  # it rises from one cell's middle to the next one's
