@@ -19,7 +19,11 @@ use_venv() { # use_venv EXTRA
         echo "$0: installing navbake[$extra] into .venv" >&2
         # the pinned versions are for 3.11 and newer; 3.10 takes the newest that it can have
         local pins=(--constraint constraints.txt)
-        python -c "import sys; sys.exit(sys.version_info < (3, 11))" || pins=()
+        if ! python -c "import sys; sys.exit(sys.version_info < (3, 11))"; then
+            pins=()
+            # the pip that comes with 3.10 tries versions for ten minutes and more
+            python -m pip install --quiet --quiet --disable-pip-version-check --upgrade pip
+        fi
         python -m pip install --quiet --quiet --disable-pip-version-check \
             --editable ".[$extra]" ${pins[@]+"${pins[@]}"}
         echo "$stamp" >".venv/installed-$extra"
