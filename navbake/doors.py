@@ -139,6 +139,11 @@ def _check_state(
 
 def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
     """The same grid with doors in other states; see `SceneGrid2D.with_doors`."""
+    if "inflation" in grid.metadata:
+        raise QueryError(
+            f"{grid.scene_id!r} was inflated with its doors as they were: change them on the grid "
+            "as it was baked, then inflate that"
+        )
     doors = copy.deepcopy(grid.navbake.get("doors", []))
     by_id: dict[str, dict[str, Any]] = {door["id"]: door for door in doors}
     wanted: dict[str, str] = (

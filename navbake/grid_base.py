@@ -101,6 +101,71 @@ class GridBase:
 
         return values_at(self._itself, layer, positions, level)
 
+    def inflate(
+        self,
+        radius: float,
+        clearance: float | None = None,
+        mode: str = "exact",
+        *,
+        costs: str = "step",
+        scaling: float = 10.0,
+    ) -> Self:
+        """The same grid for an agent of another radius.
+
+        ``exact``: a cell stays free if the open disc of the radius round its centre meets no
+        occupied cell's square. So nothing that the bake saw is ever hit, whatever the radius; the
+        baked radius needs no adding or taking away. See `navbake.runtime.inflate` for
+        steps, other levels, the edges of the grid and cells without floor. ``minos``: the weights
+        that the original client's ``refine`` gives, cell for cell.
+
+        A cell that isn't free stays so (but for what ``refine`` does at radius 0 with a
+        clearance). Occupancy stays as baked, so a grid can be inflated again.
+
+        Args:
+            radius: of the agent [m], 0 to 10,000.
+            clearance: how far beyond the radius cells cost more [m]; None for none with ``step``,
+                and for as far as the cost reaches 1 with ``nav2``.
+            mode: ``exact`` or ``minos``.
+            costs: what such a cell weighs at least: ``step``, 10; ``nav2``, the cost of nav2's
+                inflation layer, ``floor(252 exp(-scaling (d - radius)))``, d from the centre of
+                the nearest occupied cell of the level.
+            scaling: of ``nav2`` [1/m], > 0.
+
+        Returns:
+            A new grid; its metadata list what was done under ``inflation``.
+
+        Raises:
+            QueryError: an argument is out of its range.
+        """
+        from navbake.runtime.inflate import inflate
+
+        whole: Any = self
+        inflated: Self = inflate(whole, radius, clearance, mode, costs=costs, scaling=scaling)
+        return inflated
+
+    def inflate_footprint(
+        self, polygon: ArrayLike, num_headings: int = 16
+    ) -> list[NDArray[np.bool_]]:
+        """Where an agent that isn't round can stand, heading by heading.
+
+        Args:
+            polygon: its outline from above, shape (n, 2), n >= 3, in its own frame [m]: x ahead,
+                y to the left, its centre at the origin. Without crossings.
+            num_headings: how many headings; number k looks along ``2 π k / num_headings``,
+                counter-clockwise from the world's x.
+
+        Returns:
+            For each level, shape (num_headings, height, width), bool: whether the cell is free
+            and the polygon, its origin on the cell's centre, meets no occupied cell's square;
+            see `navbake.runtime.footprint`.
+
+        Raises:
+            QueryError: the polygon is none, or there is no heading.
+        """
+        from navbake.runtime.footprint import inflate_footprint
+
+        return inflate_footprint(self._itself, polygon, num_headings)
+
     def with_doors(self, states: Mapping[str, str] | str) -> Self:
         """The same grid with doors in other states, as a bake in these states would have it.
 
@@ -108,7 +173,7 @@ class GridBase:
             states: ``modelled``, ``open``, ``closed`` or ``removed``, by a door's id or for all.
 
         Raises:
-            QueryError: there is no such door, or no such state.
+            QueryError: there is no such door, or no such state, or the grid was inflated.
         """
         from navbake.doors import with_doors
 

@@ -1,0 +1,327 @@
+"""Which cells an agent can't stand on because of what is near them. All distances in cells."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+TILE = 16  # edge of the squares of cells whose floors are compared first
+
+
+@njit(cache=True)
+def dilate(occupied, half_width):
+    """Find the cells near an occupied one, by a shape that is as wide as a table says.
+
+    First each cell's distance to the nearest occupied one of its column; then each row is the
+    union of the stretches that such distances stand for. Exact for any shape that is symmetric
+    and narrows with the distance from its middle, in a time that its size has no part in.
+
+    Args:
+        occupied: shape (rows, cols), uint8, not 0 where it is.
+        half_width: (n,) int32: how many columns to each side of itself an occupied cell makes
+            near, by the number of rows between; -1 for none. The last entry is -1.
+
+    Returns:
+        Shape (rows, cols), bool.
+    """
+    rows, cols = occupied.shape
+    far = half_width.shape[0] - 1
+    above = np.empty((rows, cols), dtype=np.int32)
+    for col in range(cols):
+        above[0, col] = 0 if occupied[0, col] else far
+    for row in range(1, rows):
+        for col in range(cols):
+            above[row, col] = 0 if occupied[row, col] else min(above[row - 1, col] + 1, far)
+    near = np.empty((rows, cols), dtype=np.bool_)
+    below = np.full(cols, far, dtype=np.int32)
+    width = np.empty(cols, dtype=np.int32)
+    for row in range(rows - 1, -1, -1):
+        for col in range(cols):
+            below[col] = min(below[col] + 1, above[row, col])
+        for col in range(cols):
+            width[col] = half_width[below[col]]
+        end = -1
+        for col in range(cols):
+            if width[col] >= 0 and col + width[col] > end:
+                end = col + width[col]
+            near[row, col] = col <= end
+        end = cols
+        for col in range(cols - 1, -1, -1):
+            if width[col] >= 0 and col - width[col] < end:
+                end = col - width[col]
+            near[row, col] |= col >= end
+    return near
+
+
+@njit(cache=True)
+def squared_distances(occupied, reach):
+    """Measure from each cell's centre to that of the nearest occupied one.
+
+    Args:
+        occupied: shape (rows, cols), uint8, not 0 where it is.
+        reach: up to how many cells along an axis to measure, >= 1.
+
+    Returns:
+        Squares, shape (rows, cols), int64; more than reach² where all are farther than that.
+    """
+    rows, cols = occupied.shape
+    far = reach + 1
+    column = np.empty((rows, cols), dtype=np.int64)
+    for row in range(rows):
+        for col in range(cols):
+            before = column[row - 1, col] if row > 0 else far
+            column[row, col] = 0 if occupied[row, col] else min(before + 1, far)
+    for row in range(rows - 2, -1, -1):
+        for col in range(cols):
+            column[row, col] = min(column[row, col], column[row + 1, col] + 1)
+    squares = np.empty((rows, cols), dtype=np.int64)
+    for row in range(rows):
+        for col in range(cols):
+            best = column[row, col] ** 2
+            step = 1
+            while step <= reach and step * step < best:
+                if col >= step:
+                    best = min(best, step * step + column[row, col - step] ** 2)
+                if col + step < cols:
+                    best = min(best, step * step + column[row, col + step] ** 2)
+                step += 1
+            squares[row, col] = best
+    return squares
+
+
+@njit(cache=True)
+def refine_window(occupied, has_floor, radius, clearance, reach, least, weights):
+    """Weigh each cell by the cells of a window around it, as the original client does.
+
+    The window runs from `reach` before the cell to `reach` - 1 after it, along both axes.
+
+    Args:
+        occupied: shape (rows, cols), uint8.
+        has_floor: likewise, bool.
+        radius, clearance: of the agent, and beyond it.
+        reach: see above, >= 1.
+        least: share of the cells within the radius that must have a floor.
+        weights: (rows, cols) float64, written.
+    """
+    rows, cols = occupied.shape
+    inner, outer = radius * radius, (radius + clearance) * (radius + clearance)
+    for row in range(rows):
+        for col in range(cols):
+            weights[row, col] = _weigh(occupied, has_floor, row, col, inner, outer, reach, least)
+
+
+@njit(cache=True)
+def _weigh(occupied, has_floor, row, col, inner, outer, reach, least):
+    rows, cols = occupied.shape
+    weight = 1.0
+    within, with_floor = 0, 0
+    for r in range(max(row - reach, 0), min(row + reach, rows)):
+        for c in range(max(col - reach, 0), min(col + reach, cols)):
+            square = float((r - row) * (r - row) + (c - col) * (c - col))
+            if square < inner:
+                if occupied[r, c]:
+                    return np.inf
+                within += 1
+                with_floor += has_floor[r, c]
+            elif square < outer and occupied[r, c]:
+                weight = 10.0
+    return np.inf if within > 0 and with_floor / within < least else weight
+
+
+@njit(cache=True)
+def block_near_holes(has_floor, todo, offsets, squares, least, blocked):
+    """Block cells around which too few cells have a floor, within any distance up to the last.
+
+    Args:
+        has_floor: shape (rows, cols), bool.
+        todo: likewise, which cells to ask for.
+        offsets: (n, 2) int64, steps to the cells around, the nearest first.
+        squares: (n,) int64, their squared lengths.
+        least: share of the cells that must have a floor.
+        blocked: (rows, cols) bool, written.
+    """
+    rows, cols = has_floor.shape
+    for row in range(rows):
+        for col in range(cols):
+            if not todo[row, col] or blocked[row, col]:
+                continue
+            within, with_floor = 0, 0
+            for k in range(offsets.shape[0]):
+                if k > 0 and squares[k] > squares[k - 1] and with_floor < least * within:
+                    blocked[row, col] = True
+                    break
+                r, c = row + offsets[k, 0], col + offsets[k, 1]
+                if 0 <= r < rows and 0 <= c < cols:
+                    within += 1
+                    with_floor += has_floor[r, c]
+            if with_floor < least * within:
+                blocked[row, col] = True
+
+
+@njit(cache=True)
+def block_below_ledges(floor, level, offsets, step, top, blocked):
+    """Block cells of a level that are near the face of a higher floor, on its outer side.
+
+    A floor has a face towards a neighbouring column where no level has a floor within a step of
+    it. The face is in the way of an agent whose own floor is more than a step lower, and whose
+    centre is beyond it.
+
+    Args:
+        floor: shape (levels, rows, cols), float32 [m], NaN for none.
+        level: which of them.
+        offsets: (n, 2) int64, steps from an agent's cell to the cells whose squares it meets.
+        step: highest step [m].
+        top: how much higher the floor of another level may be to be still in the way [m].
+        blocked: (rows, cols) bool, written.
+    """
+    levels, rows, cols = floor.shape
+    lowest = np.inf
+    for height in floor[level].ravel():
+        if height < lowest:
+            lowest = height
+    for upper in range(levels):
+        for row in range(rows):
+            for col in range(cols):
+                height = floor[upper, row, col]
+                if not height - lowest > step:  # NaN too
+                    continue
+                for way in range(4):
+                    dr, dc = (way == 0) - (way == 1), (way == 2) - (way == 3)
+                    if _has_face(floor, height, row + dr, col + dc, step):
+                        limit = np.inf if upper == level else top
+                        _block_side(
+                            floor[level], height, row, col, dr, dc, offsets, step, limit, blocked
+                        )
+
+
+@njit(cache=True)
+def _has_face(floor, height, row, col, step):
+    levels, rows, cols = floor.shape
+    if row < 0 or row >= rows or col < 0 or col >= cols:
+        return False
+    for level in range(levels):  # noqa: SIM110 (numba takes no generators)
+        if abs(floor[level, row, col] - height) <= step:
+            return False
+    return True
+
+
+@njit(cache=True)
+def _block_side(floor, height, row, col, dr, dc, offsets, step, limit, blocked):
+    rows, cols = floor.shape
+    for k in range(offsets.shape[0]):
+        if -offsets[k, 0] * dr - offsets[k, 1] * dc < 1:
+            continue
+        r, c = row - offsets[k, 0], col - offsets[k, 1]
+        if 0 <= r < rows and 0 <= c < cols:
+            rise = height - floor[r, c]
+            if step < rise < limit:
+                blocked[r, c] = True
+
+
+@njit(cache=True)
+def block_across(floor, occupied, level, offsets, overlap, reach, blocked):
+    """Decide anew for the cells of a level near which another one has floors as high as theirs.
+
+    In each column that an agent meets, what its own level has there counts, and what every other
+    level has there whose floor is as high as the agent's; but its own does not where only
+    another level's is as high.
+
+    Args:
+        floor: shape (levels, rows, cols), float32 [m], NaN for none.
+        occupied: likewise, uint8.
+        level: which of them.
+        offsets: (n, 2) int64, steps from an agent's cell to the cells whose squares it meets.
+        overlap: floors less than this apart are as high [m].
+        reach: the longest step along an axis.
+        blocked: (rows, cols) bool, written.
+    """
+    _, rows, cols = floor.shape
+    low, high = _tile_ranges(floor)
+    tiles = (reach + TILE - 1) // TILE
+    for tile_row in range(low.shape[1]):
+        for tile_col in range(low.shape[2]):
+            if not _tiles_meet(low, high, level, tile_row, tile_col, tiles, overlap):
+                continue
+            for row in range(tile_row * TILE, min((tile_row + 1) * TILE, rows)):
+                for col in range(tile_col * TILE, min((tile_col + 1) * TILE, cols)):
+                    if not np.isnan(floor[level, row, col]):
+                        blocked[row, col] = _meets_any(
+                            floor, occupied, level, row, col, offsets, overlap
+                        )
+
+
+@njit(cache=True)
+def _tile_ranges(floor):
+    """The lowest and the highest floor in each tile of each level; inf and -inf for none."""
+    levels, rows, cols = floor.shape
+    shape = (levels, (rows + TILE - 1) // TILE, (cols + TILE - 1) // TILE)
+    low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
+    for level in range(levels):
+        for row in range(rows):
+            for col in range(cols):
+                height = floor[level, row, col]
+                if not np.isnan(height):
+                    r, c = row // TILE, col // TILE
+                    low[level, r, c] = min(low[level, r, c], height)
+                    high[level, r, c] = max(high[level, r, c], height)
+    return low, high
+
+
+@njit(cache=True)
+def _tiles_meet(low, high, level, row, col, tiles, overlap):
+    """Whether some other level may have a floor as high as this tile's, this near."""
+    bottom, top = low[level, row, col] - overlap, high[level, row, col] + overlap
+    for other in range(low.shape[0]):
+        if other == level:
+            continue
+        for r in range(max(row - tiles, 0), min(row + tiles + 1, low.shape[1])):
+            for c in range(max(col - tiles, 0), min(col + tiles + 1, low.shape[2])):
+                if low[other, r, c] < top and high[other, r, c] > bottom:
+                    return True
+    return False
+
+
+@njit(cache=True)
+def _meets_any(floor, occupied, level, row, col, offsets, overlap):
+    levels, rows, cols = floor.shape
+    height = floor[level, row, col]
+    for k in range(offsets.shape[0]):
+        r, c = row + offsets[k, 0], col + offsets[k, 1]
+        if r < 0 or r >= rows or c < 0 or c >= cols:
+            continue
+        is_covered = False
+        for other in range(levels):
+            if other != level and abs(floor[other, r, c] - height) < overlap:
+                is_covered = True
+                if occupied[other, r, c]:
+                    return True
+        own_counts = not is_covered or abs(floor[level, r, c] - height) < overlap
+        if own_counts and occupied[level, r, c]:
+            return True
+    return False
+
+
+@njit(cache=True)
+def meets_runs(occupied, runs, blocked):
+    """Find the cells at which a shape made of runs meets an occupied cell.
+
+    Args:
+        occupied: shape (rows, cols), uint8.
+        runs: (n, 3) int64: a row relative to the shape's cell, its first column and its last.
+        blocked: (rows, cols) bool, written.
+    """
+    rows, cols = occupied.shape
+    before = np.zeros((rows, cols + 1), dtype=np.int32)
+    for row in range(rows):
+        for col in range(cols):
+            before[row, col + 1] = before[row, col] + (occupied[row, col] != 0)
+    for k in range(runs.shape[0]):
+        first, last = runs[k, 1], runs[k, 2]
+        for row in range(max(0, -runs[k, 0]), min(rows, rows - runs[k, 0])):
+            line = before[row + runs[k, 0]]
+            if line[cols] == 0:
+                continue
+            for col in range(cols):
+                begin, end = max(col + first, 0), min(col + last + 1, cols)
+                if end > begin and line[end] > line[begin]:
+                    blocked[row, col] = True
