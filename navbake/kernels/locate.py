@@ -1,4 +1,8 @@
-"""Which cell of a walk a position is in; see `navbake.runtime.walk.Walk` for the arrays."""
+"""Which cells positions are in, and whether an agent can stand there.
+
+`place` is (start, width, height, x_min, y_max, cell_size), as in `navbake.runtime.walk.Walk`.
+Positions are worked off in blocks, so that the memory is asked for many cells at a time.
+"""
 
 from __future__ import annotations
 
@@ -7,68 +11,103 @@ import math
 import numpy as np
 from numba import njit
 
-
-@njit(cache=True)
-def cell_on(start, width, height, x_min, y_max, cell_size, level, x, y):
-    """Flat id of the cell of a level that holds x, y; -1 beside the level."""
-    col = math.floor((x - x_min[level]) / cell_size[level])
-    row = math.floor((y_max[level] - y) / cell_size[level])
-    if not (0 <= row < height[level] and 0 <= col < width[level]):
-        return np.int64(-1)
-    return start[level] + np.int64(row) * width[level] + np.int64(col)
+BLOCK = 512
 
 
 @njit(cache=True)
-def cell_under(start, width, height, x_min, y_max, cell_size, ground, floor, slack, x, y, z):
-    """Flat id of the cell whose floor is the nearest at or below z + slack.
+def locate(place, ground, floor, slack, positions):
+    """Find the cells whose floors are the nearest at or below positions.
 
-    Where no level has such a floor at x, y, the level counts whose ground is; -1 where there is
-    none of these either.
-    """
-    found, highest = np.int64(-1), -np.inf
-    grounded, highest_ground = np.int64(-1), -np.inf
-    for level in range(len(width)):
-        cell = cell_on(start, width, height, x_min, y_max, cell_size, level, x, y)
-        if cell < 0:
-            continue
-        if highest < floor[cell] <= z + slack:
-            found, highest = cell, floor[cell]
-        elif math.isnan(floor[cell]) and highest_ground < ground[level] <= z + slack:
-            grounded, highest_ground = cell, ground[level]
-    return found if found >= 0 else grounded
+    Where no level has such a floor in a position's column, the level counts whose ground is.
 
-
-@njit(cache=True)
-def locate(start, width, height, x_min, y_max, cell_size, ground, floor, slack, positions):
-    """Flat ids of the cells of positions, shape (n, 3) float64 [m]; `cell_under` of each.
+    Args:
+        place: see the module.
+        ground: z of each level's ground [m].
+        floor: by flat id [m], NaN where there is none.
+        slack: how far above a position its floor may be [m].
+        positions: shape (n, 3), float64 [m].
 
     Returns:
-        Shape (n,), int64, -1 where there is none, -2 where the position is not finite.
+        Flat ids, shape (n,), int64, -1 where there is none; and the first position that is not
+        finite, or -1.
     """
     cells = np.empty(len(positions), dtype=np.int64)
-    for i in range(len(positions)):
-        x, y, z = positions[i, 0], positions[i, 1], positions[i, 2]
-        if math.isfinite(x) and math.isfinite(y) and math.isfinite(z):
-            cells[i] = cell_under(
-                start, width, height, x_min, y_max, cell_size, ground, floor, slack, x, y, z
-            )
-        else:
-            cells[i] = -2
-    return cells
+    z = np.empty(BLOCK)
+    for begin in range(0, len(positions), BLOCK):
+        end = min(begin + BLOCK, len(positions))
+        bad = _locate_block(place, ground, floor, slack, positions[begin:end], cells[begin:end], z)
+        if bad >= 0:
+            return cells, begin + bad
+    return cells, -1
 
 
 @njit(cache=True)
-def locate_on(start, width, height, x_min, y_max, cell_size, level, positions):
-    """Flat ids of the cells of one level that hold positions, shape (n, >= 2) float64 [m].
+def stand_on(place, ground, floor, slack, free, max_drop, positions):
+    """Tell whether an agent can stand at positions.
+
+    Args:
+        place, ground, floor, slack, positions: see `locate`.
+        free: by flat id, bool.
+        max_drop: how far below a position its floor may be [m].
 
     Returns:
-        Shape (n,), int64, -1 beside the level, -2 where x or y is not finite.
+        Shape (n,), bool; and the first position that is not finite, or -1.
     """
-    cells = np.empty(len(positions), dtype=np.int64)
+    answers = np.zeros(len(positions), dtype=np.bool_)
+    cells, z = np.empty(BLOCK, dtype=np.int64), np.empty(BLOCK)
+    for begin in range(0, len(positions), BLOCK):
+        end = min(begin + BLOCK, len(positions))
+        bad = _locate_block(place, ground, floor, slack, positions[begin:end], cells, z)
+        if bad >= 0:
+            return answers, begin + bad
+        above = positions[begin:end, 2]
+        for i in range(end - begin):
+            is_near = above[i] - z[i] <= max_drop
+            answers[begin + i] = (cells[i] >= 0) & free[max(cells[i], 0)] & is_near
+    return answers, -1
+
+
+@njit(cache=True)
+def _locate_block(place, ground, floor, slack, positions, cells, z):
+    """`locate` for at most BLOCK positions; cells and their heights are written."""
+    at = np.empty(BLOCK, dtype=np.int64)
+    on_ground, highest_ground = np.full(BLOCK, -1, dtype=np.int64), np.full(BLOCK, -np.inf)
+    count = len(positions)
+    for i in range(count):
+        x, y, height = positions[i, 0], positions[i, 1], positions[i, 2]
+        if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(height)):
+            return i
+        cells[i], z[i] = -1, -np.inf
+    for level in range(len(place[1])):
+        locate_on(place, level, positions, at)
+        for i in range(count):  # few branches: no processor guesses where positions are
+            height, limit = floor[max(at[i], 0)], positions[i, 2] + slack
+            is_nearer = (at[i] >= 0) & (height > z[i]) & (height <= limit)
+            cells[i] = at[i] if is_nearer else cells[i]
+            z[i] = height if is_nearer else z[i]
+            if at[i] >= 0 and math.isnan(height) and highest_ground[i] < ground[level] <= limit:
+                on_ground[i], highest_ground[i] = at[i], ground[level]
+    for i in range(count):
+        if cells[i] < 0:
+            cells[i], z[i] = on_ground[i], highest_ground[i]
+    return -1
+
+
+@njit(cache=True)
+def locate_on(place, level, positions, cells):
+    """Find the cells of one level that positions are in.
+
+    Args:
+        place: see the module.
+        level: which level.
+        positions: shape (n, 2) or (n, 3), float64, finite [m].
+        cells: at least n, int64; receives flat ids, -1 beside the level.
+    """
+    start, width, height, x_min, y_max, cell_size = place
+    first, rows, cols = start[level], height[level], width[level]
+    x0, y1, size = x_min[level], y_max[level], cell_size[level]
     for i in range(len(positions)):
-        x, y = positions[i, 0], positions[i, 1]
-        if math.isfinite(x) and math.isfinite(y):
-            cells[i] = cell_on(start, width, height, x_min, y_max, cell_size, level, x, y)
-        else:
-            cells[i] = -2
-    return cells
+        col = np.floor((positions[i, 0] - x0) / size)
+        row = np.floor((y1 - positions[i, 1]) / size)
+        is_inside = 0 <= row < rows and 0 <= col < cols
+        cells[i] = first + np.int64(row) * cols + np.int64(col) if is_inside else -1

@@ -7,7 +7,7 @@ is on it, on the one above.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,10 @@ from navbake.islands import STEP_SLACK, highest_step
 if TYPE_CHECKING:
     from navbake.grid import NavGrid, SceneGrid2D
     from navbake.runtime.walk import Walk
+
+Ints: TypeAlias = NDArray[np.int64]
+Floats: TypeAlias = NDArray[np.float64]
+Place: TypeAlias = tuple[Ints, Ints, Ints, Floats, Floats, Floats]
 
 ROUNDING = 1e-6  # share of a height by which float32 may have moved it
 
@@ -184,13 +188,23 @@ def flat_cells(walk: Walk, positions: ArrayLike, level: int | None = None) -> ND
 
     p = check_positions(positions, walk.num_levels, level)
     flat = np.ascontiguousarray(p.reshape(-1, p.shape[-1]))
-    place = (walk.start, walk.width, walk.height, walk.x_min, walk.y_max, walk.cell_size)
     if level is not None or p.shape[-1] == 2:
-        cells = locate_on(*place, level or 0, flat)
+        cells = np.empty(len(flat), dtype=np.int64)
+        locate_on(place_of(walk), level or 0, flat, cells)
     else:
-        cells = locate(*place, walk.ground, walk.floor, walk.max_step, flat)
+        cells, _ = locate(place_of(walk), walk.ground, walk.floor, walk.max_step, flat)
     found: NDArray[np.int64] = cells.reshape(p.shape[:-1])
     return found
+
+
+def place_of(walk: Walk) -> Place:
+    """Where the cells of a walk lie: what kernels take as `place`."""
+    return walk.start, walk.width, walk.height, walk.x_min, walk.y_max, walk.cell_size
+
+
+def links_of(walk: Walk) -> tuple[Ints, Ints, Ints]:
+    """Where links of a walk lead: what kernels take as `links`."""
+    return walk.link_cell, walk.link_start, walk.link_target
 
 
 def flat_cell(walk: Walk, position: ArrayLike, level: int | None = None) -> int | None:
