@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 STATES = ("modelled", "open", "closed", "removed")
 
+NAMES = ("doors", "objects", "walls")
+"""Keys of a cell's user data that list what stands in it."""
+
 Runs = list[int]
 """Cell ids as runs: first id, count, first id, count, …"""
 
@@ -87,6 +90,8 @@ def check_doors(doors: Any, sizes: list[int]) -> None:
         if door["id"] in seen:
             raise FormatError(f"expected an id of its own, got {door['id']!r} again at `{here}.id`")
         seen.add(door["id"])
+        if not isinstance(door.get("joint"), str | None) or not _are_rooms(door.get("rooms", [])):
+            raise FormatError(f"expected `joint` to be a name and `rooms` to be ids at `{here}`")
         for state, entries in door["cells"].items():
             if state not in STATES or not isinstance(entries, list):
                 raise FormatError(f"expected a list for a known state at `{here}.cells`")
@@ -105,6 +110,10 @@ def _check_entries(entries: list[Any], sizes: list[int], where: str) -> None:
         seen.add(entry[0])
 
 
+def _are_rooms(rooms: Any) -> bool:
+    return isinstance(rooms, list) and all(isinstance(room, str | None) for room in rooms)
+
+
 def _is_entry(entry: Any, sizes: list[int]) -> bool:
     if not isinstance(entry, list) or len(entry) != 2:
         return False
@@ -121,6 +130,31 @@ def _is_entry(entry: Any, sizes: list[int]) -> bool:
     return True
 
 
+def list_doors(grid: SceneGrid2D | MultiLevelGrid) -> list[dict[str, Any]]:
+    """Summarise a grid's doors in values that JSON can hold.
+
+    Returns:
+        Of each door, as the file lists them: ``id``, ``joint`` (or None), ``rooms`` (the ids of
+        the two that it joins, None for the outside), ``levels`` (those where it blocks cells in
+        any state), ``state``, and ``states``: all that it can be in.
+    """
+    return [
+        {
+            "id": door["id"],
+            "joint": door.get("joint"),
+            "rooms": list(door.get("rooms", [])),
+            "levels": sorted({level for entry in door["cells"].values() for level, _ in entry}),
+            "state": door["state"],
+            "states": _possible(door),
+        }
+        for door in grid.doors
+    ]
+
+
+def _possible(door: Mapping[str, Any]) -> list[str]:
+    return [state for state in STATES if state in door["cells"] or state == "removed"]
+
+
 def _check_state(
     name: str, state: str, doors: Mapping[str, Mapping[str, Any]], scene_id: str | None
 ) -> None:
@@ -133,7 +167,7 @@ def _check_state(
     if state not in STATES:
         raise QueryError(f"expected one of {', '.join(STATES)} for {name!r}, got {state!r}")
     if state != "removed" and state not in doors[name]["cells"]:
-        possible = ", ".join(sorted([*doors[name]["cells"], "removed"]))
+        possible = ", ".join(_possible(doors[name]))
         raise QueryError(f"door {name!r} can't be {state}: it can be {possible}")
 
 
@@ -168,7 +202,8 @@ def name_door_cells(
 ) -> dict[int, dict[str, Any]]:
     """Write the doors of each cell into a level's user data.
 
-    A cell is in a door where the door blocks it when closed, or as it stands.
+    A cell is in a door where the door blocks it when closed, or as it stands. Where it blocks as
+    it stands, the door is one of the cell's objects, too.
 
     Args:
         user_data: what else is known of the level's cells; not changed.
@@ -182,26 +217,38 @@ def name_door_cells(
     if not doors:
         return user_data
     names: dict[int, set[str]] = {}
-    blocking: dict[int, set[str]] = {}
+    standing: dict[int, set[str]] = {}
     for door in doors:
-        for state in ("closed", door["state"]):
-            for cell in door_cells(door, state, num_levels)[level].tolist():
-                names.setdefault(cell, set()).add(door["id"])
-                if state == door["state"]:
-                    blocking.setdefault(cell, set()).add(door["id"])
-    # nothing but doors blocks their cells, so what blocks there is theirs as well
+        for cell in door_cells(door, door["state"], num_levels)[level].tolist():
+            standing.setdefault(cell, set()).add(door["id"])
+            names.setdefault(cell, set()).add(door["id"])
+        for cell in door_cells(door, "closed", num_levels)[level].tolist():
+            names.setdefault(cell, set()).add(door["id"])
+    ids = {door["id"] for door in doors}
     merged = {
-        cell: {k: v for k, v in entry.items() if k not in ("doors", "blockers")}
-        if "doors" in entry
-        else entry
+        cell: _without_doors(entry, ids) if "doors" in entry else entry
         for cell, entry in user_data.items()
     }
     for cell, found in names.items():
-        merged[cell] = {"doors": sorted(found), **merged.get(cell, {})}
-        by_doors = blocking.get(cell, set())
-        if by_doors and by_doors != set().union(*merged[cell].values()):
-            merged[cell]["blockers"] = sorted(by_doors)
+        merged[cell] = _with_doors(merged.get(cell, {}), found, standing.get(cell, set()))
     return {cell: merged[cell] for cell in sorted(merged) if merged[cell]}
+
+
+def _without_doors(entry: dict[str, Any], ids: set[str]) -> dict[str, Any]:
+    """A cell's user data without doors; what blocks a door's cell is a door as well."""
+    kept = {key: value for key, value in entry.items() if key not in ("doors", "blockers")}
+    kept["objects"] = [name for name in kept.get("objects", []) if name not in ids]
+    return {key: value for key, value in kept.items() if key != "objects" or value}
+
+
+def _with_doors(entry: dict[str, Any], names: set[str], standing: set[str]) -> dict[str, Any]:
+    """A cell's user data with the doors that it is in, and those of them that block it."""
+    objects = sorted({*entry.get("objects", []), *standing})
+    named = {"doors": sorted(names), **({"objects": objects} if objects else {})}
+    named |= {key: value for key, value in entry.items() if key not in named}
+    if standing and standing != {name for key in NAMES for name in named.get(key, [])}:
+        named["blockers"] = sorted(standing)
+    return named
 
 
 def _rebuild(
@@ -222,7 +269,11 @@ def _rebuild(
                 level,
                 weights=weights,
                 attributes={**level.attributes, "occupancy": is_occupied.astype(np.uint8)},
-                user_data=name_door_cells(level.user_data, doors, number, len(occupied)),
+                user_data=(
+                    name_door_cells(level.user_data, doors, number, len(occupied))
+                    if grid.navbake.get("names", True)
+                    else level.user_data
+                ),
                 metadata=metadata,
             )
         )

@@ -134,6 +134,22 @@ class Lattice:
         y = self.y_max - (np.asarray(rows) + 0.5) * self.cell_size
         return np.stack(np.broadcast_arrays(x, y), axis=-1)
 
+    def window(self, bounds: NDArray[np.float64], reach: float = 0.0) -> tuple[slice, slice] | None:
+        """Find the rows and columns whose cells are near a box, one more on each side.
+
+        Args:
+            bounds: lower and upper corner, shape (2, 2) or (2, 3), world frame [m].
+            reach: how much larger the box is taken to be on each side [m].
+
+        Returns:
+            Rows and columns on the lattice; None where the box lies beside it.
+        """
+        (x0, y0), (x1, y1) = bounds[0, :2] - reach, bounds[1, :2] + reach
+        row, col = self.rows_cols([[x0, y1], [x1, y0]])
+        rows = slice(max(int(row[0]) - 1, 0), min(int(row[1]) + 2, self.height))
+        cols = slice(max(int(col[0]) - 1, 0), min(int(col[1]) + 2, self.width))
+        return (rows, cols) if rows.start < rows.stop and cols.start < cols.stop else None
+
     def cut(self, rows: slice, cols: slice) -> Lattice:
         """The part of this lattice in ``[rows, cols]``, cells in the same places."""
         return Lattice(

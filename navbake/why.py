@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from navbake.doors import NAMES
 from navbake.errors import QueryError
 from navbake.islands import islands_of
 
 if TYPE_CHECKING:
     from navbake.grid import NavGrid, SceneGrid2D
-
-NAMES = ("doors", "objects", "walls")
 
 
 def describe_cell(grid: NavGrid, x: float, y: float, level: int = 0) -> dict[str, Any]:

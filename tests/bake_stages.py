@@ -32,7 +32,7 @@ class Stages:
     floors: Floors
     occupied: list[NDArray[np.bool_]]
 
-    def contents(self, doors: NDArray[np.bool_] | None = None) -> Contents:
+    def contents(self) -> Contents:
         return find_contents(
             self.scene,
             self.columns,
@@ -41,7 +41,6 @@ class Stages:
             self.occupied,
             self.config.agent,
             self.config.names,
-            doors,
         )
 
 

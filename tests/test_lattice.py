@@ -128,3 +128,21 @@ def test_positions_outside_run_on():
     lattice = Lattice(x_min=0.0, y_max=0.0, cell_size=1.0, width=2, height=2)
     rows, cols = lattice.rows_cols([[-0.5, 0.5], [2.5, -2.5]])
     assert (rows.tolist(), cols.tolist()) == ([-1, 2], [-1, 2])
+
+
+@given(lattices(), EDGES, EDGES, EXTENTS, EXTENTS, st.sampled_from([0.0, 0.1, 0.7]))
+def test_a_window_holds_all_cells_that_a_box_is_near_to(lattice, x, y, width, height, reach):
+    window = lattice.window(np.array([[x, y, 0.0], [x + width, y + height, 1.0]]), reach)
+    cell_x, cell_y = np.meshgrid(lattice.center_x(), lattice.center_y())
+    near = lattice.cell_size / 2 + reach
+    meets = (cell_x + near >= x) & (cell_x - near <= x + width)
+    meets &= (cell_y + near >= y) & (cell_y - near <= y + height)
+    inside = np.zeros(lattice.shape, dtype=bool)
+    if window is not None:
+        inside[window] = True
+        assert inside.any()
+    assert not (meets & ~inside).any()
+    far = near + 2.5 * lattice.cell_size
+    apart = (cell_x + far < x) | (cell_x - far > x + width)
+    apart |= (cell_y + far < y) | (cell_y - far > y + height)
+    assert not (apart & inside).any()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from navbake._version import __version__
 from navbake.bake.contents import Contents
-from navbake.bake.doors import PlacedDoors, describe_doors
+from navbake.bake.doors import Door, describe_doors
 from navbake.bake.levels import Floors
 from navbake.bake.model import mujoco_version
 from navbake.bake.rooms import Rooms
@@ -37,7 +37,8 @@ class Baked:
         scene: the scene, doors included.
         lattice: the cells.
         floors: the storeys.
-        placed: the doors, and the occupancy without them.
+        occupied: per storey, shape (height, width), bool: by all but doors.
+        doors: the doors.
         rooms: the rooms.
         contents: what stands in the cells, or None where nobody asked.
     """
@@ -45,7 +46,8 @@ class Baked:
     scene: Scene
     lattice: Lattice
     floors: Floors
-    placed: PlacedDoors
+    occupied: list[NDArray[np.bool_]]
+    doors: list[Door]
     rooms: Rooms
     contents: Contents | None
 
@@ -85,9 +87,9 @@ def _level_grid(
     level, part = baked.floors.levels[number], baked.lattice.cut(*window)
     num_levels = len(baked.floors.levels)
     doors = metadata["navbake"]["doors"]
-    occupied = baked.placed.occupied[number][window].copy()
+    occupied = baked.occupied[number][window].copy()
     for door in doors:
-        occupied.ravel()[door_cells(door, config.doors.state, num_levels)[number]] = True
+        occupied.ravel()[door_cells(door, door["state"], num_levels)[number]] = True
     return SceneGrid2D(
         width=part.width,
         height=part.height,
@@ -111,10 +113,6 @@ def _user_data(
     if not config.names.enabled or baked.contents is None:
         return {}
     data: dict[int, dict[str, Any]] = dict(baked.contents.user_data(number, window))
-    for name, cells in baked.placed.strays.items():
-        for cell in _cut_cells(cells[number], window, baked.lattice).tolist():
-            known = data.get(cell, {})
-            data[cell] = {**known, "objects": sorted({*known.get("objects", []), name})}
     return name_door_cells(data, doors, number, len(baked.floors.levels))
 
 
@@ -183,8 +181,9 @@ def _metadata(baked: Baked, config: BakeConfig, windows: Sequence[Window]) -> di
             "maxSlope": config.agent.max_slope,
             "levels": [{"name": level.name, "ground": level.ground} for level in levels],
             "links": _cut_links(baked.floors, windows, baked.lattice).tolist(),
+            "names": config.names.enabled,
             "rooms": baked.rooms.table,
-            "doors": describe_doors(baked.placed.doors, config.doors.state, cut),
+            "doors": describe_doors(baked.doors, config.doors.state, cut),
         },
     }
 

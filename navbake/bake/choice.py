@@ -6,11 +6,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any, Literal
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.bake.names import GeomNames, body_name, names_of, tell_unmatched
 from navbake.bake.shapes import MESH, SDF
 from navbake.config import SceneSettings
 
@@ -33,49 +33,6 @@ class Choice:
     counted: bool
     reason: str
     mesh: MeshMode
-
-
-@dataclass(frozen=True)
-class GeomNames:
-    """A geom's names.
-
-    Attributes:
-        geom: its own; ``geom <id>`` where it has none.
-        body: its body's; ``body <id>`` where it has none.
-        mesh: its mesh's; empty where it has none.
-    """
-
-    geom: str
-    body: str
-    mesh: str
-
-
-# Each stage asks for all names again, and they never change
-_names: WeakKeyDictionary[Any, list[GeomNames]] = WeakKeyDictionary()
-
-
-def names_of(model: Any, geom: int) -> GeomNames:
-    """The names that a geom is known by, in reports and patterns alike."""
-    if model not in _names:
-        _names[model] = [_read_names(model, number) for number in range(model.ngeom)]
-    return _names[model][geom]
-
-
-def _read_names(model: Any, geom: int) -> GeomNames:
-    mesh = ""
-    if model.geom_type[geom] in (MESH, SDF) and model.geom_dataid[geom] >= 0:
-        mesh = name_at(model, model.name_meshadr[model.geom_dataid[geom]])
-    own = name_at(model, model.name_geomadr[geom]) or f"geom {geom}"
-    return GeomNames(own, _body_name(model, int(model.geom_bodyid[geom])), mesh)
-
-
-def name_at(model: Any, address: int) -> str:
-    """A name out of the model's store, such as ``name_at(model, model.name_bodyadr[3])``.
-
-    MuJoCo's own accessors fail on names that aren't UTF-8; here their odd bytes are replaced.
-    """
-    names: bytes = model.names
-    return names[address : names.find(b"\0", address)].decode("utf-8", errors="replace")
 
 
 def choose_geoms(model: Any, settings: SceneSettings) -> tuple[list[Choice], list[str]]:
@@ -164,7 +121,7 @@ def _find_excluded(
         pattern = _first_match(exclude.geoms, name.geom)
         by_geom = f"excluded: matches {pattern!r}" if pattern else ""
         reasons.append(by_geom or bodies[int(model.geom_bodyid[geom])])
-    body_names = [_body_name(model, body) for body in range(1, model.nbody)]
+    body_names = [body_name(model, body) for body in range(1, model.nbody)]
     notes = _unused("scene.exclude.bodies", exclude.bodies, body_names)
     return reasons, notes + _unused("scene.exclude.geoms", exclude.geoms, [n.geom for n in names])
 
@@ -174,7 +131,7 @@ def _excluded_bodies(model: Any, settings: SceneSettings) -> list[str]:
     free = {int(model.jnt_bodyid[j]) for j in np.flatnonzero(model.jnt_type == FREE)}
     reasons = [""] * model.nbody
     for body in range(1, model.nbody):  # parents come before their children
-        name = _body_name(model, body)
+        name = body_name(model, body)
         pattern = _first_match(settings.exclude.bodies, name)
         if pattern:
             reasons[body] = f"excluded: body {name!r} matches {pattern!r}"
@@ -202,8 +159,9 @@ def _mesh_modes(
         modes.append("hull" if mode == "hull" else "surface")
     if by_pattern is not settings.meshes:
         return modes, []
+    known = [text for name in of_meshes for text in (name.geom, name.mesh, name.body)]
     return modes, [
-        f"`scene.meshes` pattern {pattern!r} matches no mesh"
+        tell_unmatched("scene.meshes", pattern, known, "no mesh")
         for pattern in by_pattern
         if not any(_matches_any(pattern, name) for name in of_meshes)
     ]
@@ -213,17 +171,13 @@ def _matches_any(pattern: str, name: GeomNames) -> bool:
     return any(fnmatchcase(text, pattern) for text in (name.geom, name.mesh, name.body) if text)
 
 
-def _body_name(model: Any, body: int) -> str:
-    return name_at(model, model.name_bodyadr[body]) or f"body {body}"
-
-
 def _first_match(patterns: Iterable[str], name: str) -> str | None:
     return next((pattern for pattern in patterns if fnmatchcase(name, pattern)), None)
 
 
 def _unused(setting: str, patterns: Iterable[str], names: list[str]) -> list[str]:
     return [
-        f"`{setting}` pattern {pattern!r} matches nothing"
+        tell_unmatched(setting, pattern, names)
         for pattern in patterns
         if not any(fnmatchcase(name, pattern) for name in names)
     ]

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.bake.choice import Choice, name_at, names_of
+from navbake.bake.choice import Choice
 from navbake.bake.meshes.part import MeshPart
+from navbake.bake.names import name_at, names_of
 from navbake.bake.shapes import (
     BOX,
     CAPSULE,
@@ -67,7 +68,11 @@ class Collected:
 
 
 def collect_shapes(
-    model: Any, data: Any, choices: Sequence[Choice], parts: Mapping[int, MeshPart]
+    model: Any,
+    data: Any,
+    choices: Sequence[Choice],
+    parts: Mapping[int, MeshPart],
+    only: Iterable[int] | None = None,
 ) -> Collected:
     """Gather the geometry of the geoms that count.
 
@@ -77,15 +82,16 @@ def collect_shapes(
         choices: what becomes of each geom, by its id.
         parts: meshes that are known better than the model has them (it rounds to float32, in a
             frame of its own), by geom id, world frame.
+        only: ids of the geoms to look at, ascending; all if None.
 
     Raises:
         SceneError: a geom that counts stands at no finite place, or is broken.
     """
     collector = _Collector(model, data, parts)
-    kinds = [
-        collector.add(geom, choice.mesh) if choice.counted else ""
-        for geom, choice in enumerate(choices)
-    ]
+    kinds = [""] * len(choices)
+    for geom in range(len(choices)) if only is None else only:
+        if choices[geom].counted:
+            kinds[geom] = collector.add(geom, choices[geom].mesh)
     return Collected(collector.shapes(), kinds, collector.notes)
 
 
@@ -212,9 +218,8 @@ class _Collector:
         heights = model.hfield_data[first : first + rows * cols].reshape(rows, cols)
         size = model.hfield_size[hfield].astype(np.float64)
         if not np.isfinite(heights).all():
-            raise SceneError(
-                f"hfield {model.hfield(hfield).name!r} has heights that are no numbers"
-            )
+            name = name_at(model, model.name_hfieldadr[hfield])
+            raise SceneError(f"hfield {name!r} has heights that are no numbers")
         return height_field_triangles(heights.astype(np.float64), size)
 
 

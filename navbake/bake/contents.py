@@ -8,6 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.bake.cell_names import (
+    BLOCKERS,
+    OBJECTS,
+    WALLS,
+    Names,
+    Window,
+    name_cells,
+    name_geoms,
+)
 from navbake.bake.columns import Columns, TiledShapes
 from navbake.bake.extents import Extents, measure_geoms
 from navbake.bake.levels import Floors, LevelFloor
@@ -16,7 +25,6 @@ from navbake.bake.scene import Scene
 from navbake.bake.structure import Carriers, Footing, find_carriers, find_ceilings
 from navbake.bake.walls import (
     BUILDING,
-    DOOR,
     OBJECT,
     STRUCTURE,
     WALL,
@@ -31,19 +39,10 @@ from navbake.bake.walls import (
 from navbake.config import AgentSettings, NameSettings
 from navbake.kernels.contents import count_candidates, describe_floors, list_geoms
 from navbake.kernels.flags import BLOCKS, PROBED, STANDS, UNPROVED
-from navbake.kernels.lists import number_lists
 from navbake.kernels.sheets import SAME, SLACK
 from navbake.lattice import Lattice
 
 Bool = NDArray[np.bool_]
-Window = tuple[slice, slice]
-Names = dict[str, list[str]]
-
-# Keys of a cell's user data, and the bits that stand for them while they are gathered
-DOORS, OBJECTS, WALLS, BLOCKERS = 1, 2, 4, 8
-KEYS = {"doors": DOORS, "objects": OBJECTS, "walls": WALLS}
-NAMED = OBJECTS | WALLS  # doors are objects, too
-ALL_BITS = 16
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ class Contents:
 
     Attributes:
         levels: the storeys' cells, lowest first.
-        kinds: by geom id, OBJECT, WALL, STRUCTURE, DOOR or BUILDING, shape (ngeom,), uint8.
+        kinds: by geom id, OBJECT, WALL, STRUCTURE or BUILDING, shape (ngeom,), uint8.
         names: by geom id, see `name_geoms`.
         extents: the geoms'.
         warnings: what the user should know, one line each.
@@ -110,9 +109,10 @@ class Contents:
         """Name what stands in a storey's cells, as the original client does.
 
         `objects` are all things but walls and the building's own floors, ceilings and stairs;
-        `doors` are those of them that are doors; `walls` are the walls; `blockers` are the
-        names of all that blocks the cell, where that isn't the same as all of the former. Of
-        what carries a floor, only things are named where one stands on them (rugs, pallets).
+        `walls` are the walls; `blockers` are the names of all that blocks the cell, where that
+        isn't the same as all of the former. Of what carries a floor, only things are named
+        where one stands on them (rugs, pallets). Doors are no part of the contents: see
+        `navbake.doors.name_door_cells`.
 
         Args:
             level: its number.
@@ -123,84 +123,22 @@ class Contents:
             Cells with the same names share one dict; nobody may change it.
         """
         listed = self.levels[level]
-        cell, name, bits = self._name_bits(listed)
-        token = name * ALL_BITS + bits
-        if window != (slice(0, listed.lattice.height), slice(0, listed.lattice.width)):
-            row, col = np.divmod(cell, listed.lattice.width)
-            (top, bottom), (left, right) = ((side.start, side.stop) for side in window)
-            inside = (row >= top) & (row < bottom) & (col >= left) & (col < right)
-            cell, token = ((row - top) * (right - left) + col - left)[inside], token[inside]
-        first = np.flatnonzero(np.diff(cell, prepend=-1))
-        start = np.append(first, len(cell))
-        number = np.empty(len(first), dtype=np.int64)
-        lists = number_lists(start, token, number)
-        described = self._describe(token, start[lists], start[lists + 1])
-        found = map(described.__getitem__, number.tolist())
-        return dict(zip(cell[first].tolist(), found, strict=True))
+        kind = self.kinds[listed.geom]
+        bits = np.where(listed.blocks, BLOCKERS, 0)
+        bits |= np.where(listed.stands & self._is_wall(listed), WALLS, 0)
+        bits |= np.where(listed.stands & (kind == OBJECT), OBJECTS, 0)
+        carrier = listed.footing.carrier
+        below = np.flatnonzero(carrier >= 0)
+        below = below[self.kinds[carrier[below]] == OBJECT]
+        cell = np.concatenate([listed.cell, below])
+        geom = np.concatenate([listed.geom, carrier[below]])
+        bits = np.concatenate([bits, np.full(len(below), OBJECTS)])
+        return name_cells(cell, geom, bits, self.names, listed.lattice, window)
 
     def _is_wall(self, listed: LevelContents) -> Bool:
         kind = self.kinds[listed.geom]
         wall: Bool = (kind == WALL) | ((kind == BUILDING) & listed.upper)
         return wall
-
-    def _name_bits(
-        self, listed: LevelContents
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Cells, numbers of names and keys, by cell and then name, none twice."""
-        kind = self.kinds[listed.geom]
-        bits = np.where(listed.blocks, BLOCKERS, 0)
-        bits |= np.where(listed.stands & self._is_wall(listed), WALLS, 0)
-        bits |= np.where(listed.stands & (kind == OBJECT), OBJECTS, 0)
-        bits |= np.where(listed.stands & (kind == DOOR), OBJECTS | DOORS, 0)
-        number = _number_names(self.names)
-        carrier = listed.footing.carrier
-        below = np.flatnonzero(carrier >= 0)
-        below = below[self.kinds[carrier[below]] == OBJECT]
-        cell = np.concatenate([listed.cell, below])
-        name = np.concatenate([number[listed.geom], number[carrier[below]]])
-        bits = np.concatenate([bits, np.full(len(below), OBJECTS)])
-        kept = bits > 0
-        cell, name, bits = cell[kept], name[kept], bits[kept]
-        pair = cell * len(self.names) + name
-        if (np.diff(pair) < 0).any():
-            order = np.argsort(pair, kind="stable")
-            pair, cell, name, bits = pair[order], cell[order], name[order], bits[order]
-        first = np.flatnonzero(np.diff(pair, prepend=-1))
-        merged = np.bitwise_or.reduceat(bits, first) if len(first) else bits
-        return cell[first], name[first], merged
-
-    def _describe(
-        self, token: NDArray[np.int64], begin: NDArray[np.int64], end: NDArray[np.int64]
-    ) -> list[Names]:
-        """The user data of cells that hold the tokens from each begin to its end."""
-        name_of = [self.names[k] for k in (token // ALL_BITS).tolist()]
-        bits_of = (token % ALL_BITS).tolist()
-        described = []
-        for one, other in zip(begin.tolist(), end.tolist(), strict=True):
-            names, bits = name_of[one:other], bits_of[one:other]
-            if len(set(bits)) == 1:
-                names.sort()
-                described.append(dict.fromkeys(_KEYS_OF[bits[0]], names))
-            else:
-                described.append(_describe_mixed(names, bits))
-        return described
-
-
-def _describe_mixed(names: Sequence[str], bits: Sequence[int]) -> Names:
-    """The user data of a cell that holds names under different keys."""
-    pairs = sorted(zip(names, bits, strict=True))
-    data = {
-        key: found for key, bit in KEYS.items() if (found := [name for name, b in pairs if b & bit])
-    }
-    if any(bool(b & BLOCKERS) != bool(b & NAMED) for b in bits):
-        blockers = [name for name, b in pairs if b & BLOCKERS]
-        if blockers:
-            data["blockers"] = blockers
-    return data
-
-
-# The keys of a cell whose names all have the same bits
-_KEYS_OF = [list(_describe_mixed(["name"], [bits])) for bits in range(ALL_BITS)]
 
 
 def find_contents(
@@ -211,7 +149,6 @@ def find_contents(
     occupied: Sequence[Bool],
     agent: AgentSettings,
     settings: NameSettings,
-    doors: Bool | None = None,
 ) -> Contents:
     """List what stands in every cell with a floor, and tell what each geom is.
 
@@ -223,7 +160,6 @@ def find_contents(
         occupied: their occupancy, shape (height, width) each, bool.
         agent: its size, step and slope.
         settings: what the user says of walls.
-        doors: by geom id, which geoms are doors; none if None.
     """
     num = len(scene.geoms)
     extents = measure_geoms(scene.shapes, num)
@@ -236,7 +172,7 @@ def find_contents(
     footings = [listed.footing for listed in levels]
     carriers = find_carriers(floors, footings, extents, agent, columns.lattice)
     standing = _standing(levels, floors, extents)
-    kinds = _tell_kinds(scene, extents, standing, carriers, agent, doors)
+    kinds = _tell_kinds(scene, extents, standing, carriers, agent)
     named, warnings = match_walls(scene, settings.walls)
     if settings.walls:
         kinds[kinds == WALL] = OBJECT
@@ -250,34 +186,16 @@ def _tell_kinds(
     standing: Standing,
     carriers: Carriers,
     agent: AgentSettings,
-    doors: Bool | None,
 ) -> NDArray[np.uint8]:
     """Tell what each geom is, walls by their shape."""
     buildings = find_buildings(scene, extents, standing)
-    excluded = buildings if doors is None else buildings | doors
-    walls = find_walls(scene, extents, standing, carriers, excluded)
+    walls = find_walls(scene, extents, standing, carriers, buildings)
     kinds = np.full(len(extents.thin), OBJECT, dtype=np.uint8)
     ceilings = find_ceilings(extents, standing.base, is_static(scene), agent)
     kinds[carriers.building | ceilings] = STRUCTURE
     kinds[walls] = WALL
     kinds[buildings] = BUILDING
-    if doors is not None:
-        kinds[doors] = DOOR
     return kinds
-
-
-def name_geoms(scene: Scene) -> list[str]:
-    """Name each geom after its topmost body, or by its own name where it hangs on the world.
-
-    What has no name is called ``body 3`` or ``geom 12``.
-    """
-    model = scene.model
-    roots = model.body_rootid[model.geom_bodyid]
-    bodies = {int(root): model.body(root).name or f"body {root}" for root in np.unique(roots)}
-    return [
-        bodies[int(root)] if root else report.name
-        for root, report in zip(roots, scene.geoms, strict=True)
-    ]
 
 
 def _level_tops(scene: Scene, floors: Floors) -> list[float]:
@@ -366,9 +284,3 @@ def _standing(levels: Sequence[LevelContents], floors: Floors, extents: Extents)
         upper = np.bincount(listed.geom[listed.upper], minlength=num) * square
         upper_area = np.maximum(upper_area, upper)
     return Standing(base, rise, area, upper_area)
-
-
-def _number_names(names: Sequence[str]) -> NDArray[np.int64]:
-    """Number the names by their first geoms, so that a scene's order of geoms is theirs, too."""
-    first: dict[str, int] = {}
-    return np.array([first.setdefault(name, k) for k, name in enumerate(names)], dtype=np.int64)

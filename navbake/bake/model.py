@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import threading
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -15,15 +16,17 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.bake.choice import name_at
 from navbake.bake.mesh_scene import MESH_SUFFIXES, read_mesh_parts
 from navbake.bake.meshes.part import MeshPart
+from navbake.bake.names import name_at
 from navbake.bake.urdf import read_urdf
 from navbake.config import SceneSettings
 from navbake.errors import ConfigError, SceneError
 
 XML_SUFFIXES = frozenset({".xml", ".mjcf", ".urdf"})
 MJB_SUFFIX = ".mjb"
+# How far beyond its range a joint may be told to go, for angles that someone rounded [rad or m]
+RANGE_SLACK = 1e-4
 
 
 @dataclass(frozen=True)
@@ -36,12 +39,14 @@ class PosedModel:
         parts: the meshes of a mesh scene by geom id, world frame, exact: the model rounds them to
             float32 in frames of its own.
         warnings: what MuJoCo warned of.
+        notes: what else the user should know of the pose.
     """
 
     model: Any
     data: Any
     parts: dict[int, MeshPart]
     warnings: list[str]
+    notes: list[str]
 
 
 def load_model(settings: SceneSettings) -> PosedModel:
@@ -57,7 +62,7 @@ def load_model(settings: SceneSettings) -> PosedModel:
     with _catch_warnings() as warnings:
         model, parts = _load_model(settings, warnings)
         data = _pose(model, settings)
-    return PosedModel(model, data, parts, warnings)
+    return PosedModel(model, data, parts, warnings, _find_out_of_range(model, settings))
 
 
 def mujoco_version() -> str:
@@ -65,6 +70,7 @@ def mujoco_version() -> str:
     return str(mujoco.__version__)
 
 
+@cache
 def mujoco_library() -> str:
     """Path of MuJoCo's shared library, whose rays the kernels call."""
     folder = Path(mujoco.__file__).parent
@@ -285,6 +291,26 @@ def _set_joint(
     data.qpos[address : address + len(values)] = values
 
 
+def _find_out_of_range(model: Any, settings: SceneSettings) -> list[str]:
+    """Tell which joints the settings put where they can't go."""
+    notes = []
+    for name, value in settings.joints.items():
+        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        unit = {mujoco.mjtJoint.mjJNT_SLIDE: "m", mujoco.mjtJoint.mjJNT_HINGE: "rad"}.get(
+            mujoco.mjtJoint(model.jnt_type[joint])
+        )
+        if unit is None or not model.jnt_limited[joint]:
+            continue
+        position = float(np.atleast_1d(np.asarray(value, dtype=np.float64))[0])
+        low, high = (float(v) for v in model.jnt_range[joint])
+        if not low - RANGE_SLACK <= position <= high + RANGE_SLACK:
+            notes.append(
+                f"joint {name!r} ranges from {low:.6g} to {high:.6g} {unit}, got {position:.6g} "
+                f"at `scene.joints.{name}`: it is posed there all the same"
+            )
+    return notes
+
+
 def _listed(model: Any, addresses: NDArray[np.int32]) -> str:
     named = [name for address in addresses if (name := name_at(model, address))]
     if not named:
@@ -292,19 +318,19 @@ def _listed(model: Any, addresses: NDArray[np.int32]) -> str:
     return ", ".join(named[:20]) + (f" and {len(named) - 20} more" if len(named) > 20 else "")
 
 
-def data_with_joint(model: Any, data: Any, joint: int, position: float) -> Any:
-    """A copy of a model's data with one hinge or slide moved, all geoms placed anew.
+def data_with_joints(model: Any, data: Any, positions: Mapping[int, float]) -> Any:
+    """A copy of a model's data with hinges and slides moved, all geoms placed anew.
 
     Args:
         model: the mujoco.MjModel.
         data: its mujoco.MjData; not changed.
-        joint: the joint's id.
-        position: where it goes [rad or m].
+        positions: where joints go, by their ids [rad or m].
     """
     moved = mujoco.MjData(model)
     moved.qpos[:] = data.qpos
     moved.mocap_pos[:] = data.mocap_pos
     moved.mocap_quat[:] = data.mocap_quat
-    moved.qpos[model.jnt_qposadr[joint]] = position
+    for joint, position in positions.items():
+        moved.qpos[model.jnt_qposadr[joint]] = position
     mujoco.mj_kinematics(model, moved)
     return moved

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numba
@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 from navbake.bake.assemble import Baked, build_grid
 from navbake.bake.columns import Columns, TiledShapes, cast_columns, tile_shapes
 from navbake.bake.contents import Contents, find_contents
-from navbake.bake.doors import find_door_bodies, place_doors, without_doors
+from navbake.bake.door_bodies import DoorBody, find_door_bodies, without_doors
+from navbake.bake.door_floors import find_carrying_doors
+from navbake.bake.doors import Door, Place, place_doors, tell_stuck
 from navbake.bake.levels import Floors, LevelFloor, find_floors
 from navbake.bake.occupancy import Footprint, check_occupancy
-from navbake.bake.rooms import find_rooms
+from navbake.bake.rooms import Rooms, find_rooms
 from navbake.bake.scene import GeomReport, Scene, load_scene
 from navbake.config import BakeConfig
 from navbake.errors import ConfigError, SceneError
@@ -77,35 +79,10 @@ def run_bake(
             whole = load_scene(config.scene)
             lattice = lay_lattice(whole, config)
             bodies, idle = find_door_bodies(whole, config.doors)
-            scene = without_doors(whole, bodies)
-        footprint = Footprint.of(config.agent, lattice.cell_size)
-        with clock.stage("columns"):
-            tiled = tile_shapes(scene.shapes, lattice, footprint.reach)
-            columns = cast_columns(tiled)
-        questions = _Questions(columns, tiled, footprint)
-        with clock.stage("floors"), _located(config.scene.path, scene):
-            given = None if config.levels == "auto" else list(config.levels)
-            # what a roof encloses doesn't depend on how wide the agent is
-            point = config.agent.model_copy(update={"radius": 0.0})
-            narrow = Footprint.of(point, lattice.cell_size)
-            is_blocked = _Questions(columns, tiled, narrow).ask
-            floors = find_floors(
-                columns, scene.shapes, config.agent, config.floors, given, is_blocked
-            )
-        with clock.stage("occupancy"):
-            occupied = [_level_occupancy(level, questions) for level in floors.levels]
-        with clock.stage("contents"):
-            contents = _list_contents(scene, columns, tiled, floors, occupied, config)
-        with clock.stage("rooms"):
-            walls = _wall_cells(contents, floors)
-            rooms = find_rooms(scene, columns, floors, walls, config.rooms, config.agent)
-        with clock.stage("doors"):
-            placed = place_doors(
-                whole, bodies, lattice, floors.levels, occupied, footprint, rooms.room_at
-            )
-            rooms = rooms.with_doors({door.id: door.swept for door in placed.doors})
+        found, doors, carrying = _find_places(whole, lattice, bodies, config, clock)
         with clock.stage("grid"):
-            grid = build_grid(Baked(whole, lattice, floors, placed, rooms, contents), config)
+            found_all = (found.floors, found.occupied, doors, found.rooms, found.contents)
+            grid = build_grid(Baked(whole, lattice, *found_all), config)
     grid.timings = clock.written()
     return BakeResult(
         grid=grid,
@@ -113,13 +90,85 @@ def run_bake(
         warnings=[
             *whole.warnings,
             *idle,
-            *_large_tops(scene, floors),
-            *(contents.warnings if contents else ()),
+            *_large_tops(whole, found.floors),
+            *(found.contents.warnings if found.contents else ()),
+            *found.rooms.warnings,
+            *tell_stuck(doors, config.doors.state),
+            *carrying,
         ],
         timings=clock.seconds,
-        by_ray=questions.by_ray,
-        by_fcl=questions.by_fcl,
+        by_ray=found.questions.by_ray,
+        by_fcl=found.questions.by_fcl,
     )
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What was found in a scene."""
+
+    scene: Scene
+    columns: Columns
+    questions: _Questions
+    floors: Floors
+    occupied: list[NDArray[np.bool_]]
+    contents: Contents | None
+    rooms: Rooms
+
+
+def _find_places(
+    whole: Scene,
+    lattice: Lattice,
+    bodies: Sequence[DoorBody],
+    config: BakeConfig,
+    clock: _StageClock,
+) -> tuple[_Found, list[Door], list[str]]:
+    """Find floors, rooms and doors; the warnings are of doors that carry floors.
+
+    What may be a door is left out at first. What joins no rooms after all (a cupboard's door)
+    stands on the floors and has a part in everything, so all is found once more with it.
+    """
+    footprint = Footprint.of(config.agent, lattice.cell_size)
+    while True:
+        found = _find_rooms(without_doors(whole, bodies), lattice, footprint, config, clock)
+        with clock.stage("doors"), _threads(1):  # a door is too small to be worth more
+            floors, rooms = found.floors.levels, found.rooms
+            place = Place(lattice, floors, found.occupied, footprint, rooms.room_at)
+            doors, strays = place_doors(whole, bodies, place)
+            bodies = [body for body in bodies if body.id not in {stray.id for stray in strays}]
+            if strays:
+                continue
+            rooms = rooms.with_doors({door.id: door.swept for door in doors})
+            carrying = find_carrying_doors(whole, bodies, found.columns, floors, config.agent)
+        return replace(found, rooms=rooms), doors, carrying
+
+
+def _find_rooms(
+    scene: Scene,
+    lattice: Lattice,
+    footprint: Footprint,
+    config: BakeConfig,
+    clock: _StageClock,
+) -> _Found:
+    """Find floors, what is occupied, what stands there, and rooms; doors are none of it."""
+    with clock.stage("columns"):
+        tiled = tile_shapes(scene.shapes, lattice, footprint.reach)
+        columns = cast_columns(tiled)
+    questions = _Questions(columns, tiled, footprint)
+    with clock.stage("floors"), _located(config.scene.path, scene):
+        given = None if config.levels == "auto" else list(config.levels)
+        # what a roof encloses doesn't depend on how wide the agent is
+        point = config.agent.model_copy(update={"radius": 0.0})
+        narrow = Footprint.of(point, lattice.cell_size)
+        is_blocked = _Questions(columns, tiled, narrow).ask
+        floors = find_floors(columns, scene.shapes, config.agent, config.floors, given, is_blocked)
+    with clock.stage("occupancy"):
+        occupied = [_level_occupancy(level, questions) for level in floors.levels]
+    with clock.stage("contents"):
+        contents = _list_contents(scene, columns, tiled, floors, occupied, config)
+    with clock.stage("rooms"):
+        walls = _wall_cells(contents, floors)
+        rooms = find_rooms(scene, columns, floors, walls, config.rooms, config.agent)
+    return _Found(scene, columns, questions, floors, occupied, contents, rooms)
 
 
 def lay_lattice(scene: Scene, config: BakeConfig) -> Lattice:
@@ -180,7 +229,7 @@ class _StageClock:
         if self._progress is not None:
             self._progress(name, 0.0)
         yield
-        self.seconds[name] = time.perf_counter() - begin
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
         if self._progress is not None:
             self._progress(name, 1.0)
 

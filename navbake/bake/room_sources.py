@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -14,6 +13,7 @@ from navbake.bake.choice import Choice
 from navbake.bake.collect import collect_shapes
 from navbake.bake.columns import Columns, cast_columns, tile_shapes
 from navbake.bake.levels import LevelFloor
+from navbake.bake.names import name_at, tell_unmatched
 from navbake.bake.scene import Scene
 from navbake.bake.shapes import Solids, solid_bounds
 from navbake.bake.volumes import vertical_chords
@@ -43,10 +43,12 @@ class Claim:
     Attributes:
         names: a room's name, or None; the room of ``names[k]`` has the number k + 1.
         labels: the room of each cell by level, shape (height, width), int32, 0 for none.
+        warnings: what the user should know, one line each.
     """
 
     names: list[str | None]
     labels: list[Labels]
+    warnings: list[str] = field(default_factory=list)
 
 
 def claim_by_geoms(
@@ -60,17 +62,17 @@ def claim_by_geoms(
     triangles.
 
     Args:
-        scene: the scene; patterns that match nothing end up in its warnings.
+        scene: the scene.
         columns: all surfaces of what counts in it.
         levels: the storeys.
         patterns: of geom names.
     """
     model, lattice = scene.model, columns.lattice
-    names = [model.geom(geom).name for geom in range(model.ngeom)]
-    chosen = _match(names, patterns, DEFAULT_GEOMS, "geoms", scene.warnings)
+    names = [name_at(model, address) for address in model.name_geomadr]
+    chosen, warnings = _match(names, patterns, DEFAULT_GEOMS, "geoms")
     labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
     if not chosen:
-        return Claim([], labels)
+        return Claim([], labels, warnings)
     number = np.zeros(model.ngeom + 1, dtype=np.int32)
     number[chosen] = np.arange(1, len(chosen) + 1)
     cell, z, geom = _surfaces_of(scene, columns, chosen)
@@ -83,7 +85,7 @@ def claim_by_geoms(
         first = np.full(label.size, model.ngeom, dtype=np.int32)
         np.minimum.at(first, cell[here], geom[here])
         label[:] = number[first].reshape(lattice.shape)
-    return Claim([_room_name(names[geom]) for geom in chosen], labels)
+    return Claim([_room_name(names[geom]) for geom in chosen], labels, warnings)
 
 
 def claim_by_sites(
@@ -103,8 +105,7 @@ def claim_by_sites(
     and none reaches into the next storey. Of volumes that overlap the first counts.
 
     Args:
-        scene: the scene; its warnings receive patterns that match nothing, and markers that are
-            smaller than `min_area`.
+        scene: the scene.
         levels: the storeys.
         patterns: of site names.
         lattice: the cells.
@@ -112,8 +113,8 @@ def claim_by_sites(
         min_area: of floor that a site marks at least, on all levels together [m²].
     """
     model, data = scene.model, scene.data
-    names = [model.site(site).name for site in range(model.nsite)]
-    chosen = _match(names, patterns, DEFAULT_SITES, "sites", scene.warnings)
+    names = [name_at(model, address) for address in model.name_siteadr]
+    chosen, warnings = _match(names, patterns, DEFAULT_SITES, "sites")
     labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
     kept: list[str | None] = []
     small: list[str] = []
@@ -127,15 +128,14 @@ def claim_by_sites(
         for label, mask in zip(labels, masks, strict=True):
             label[mask & (label == 0)] = len(kept)
     if small:
-        scene.warnings.append(
+        warnings.append(
             f"sites that hold less than {min_area:g} m² of floor (`rooms.min_area`) are no "
             f"rooms: {', '.join(small[:5])}{', …' if len(small) > 5 else ''}"
         )
-    return Claim(kept, labels)
+    return Claim(kept, labels, warnings)
 
 
 def claim_by_polygons(
-    scene: Scene,
     levels: Sequence[LevelFloor],
     polygons: Sequence[RoomPolygon],
     lattice: Lattice,
@@ -143,7 +143,6 @@ def claim_by_polygons(
     """Give each cell the room in whose polygon its centre lies; of several, the first.
 
     Args:
-        scene: the scene; rooms that have no floor end up in its warnings.
         levels: the storeys.
         polygons: the rooms.
         lattice: the cells.
@@ -152,16 +151,17 @@ def claim_by_polygons(
         ConfigError: a polygon's level is none of the levels.
     """
     labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
+    warnings = []
     for number, polygon in enumerate(polygons):
         level = _find_level(polygon, number, levels)
         mask = cover_cells([polygon.points, *polygon.rings], lattice)
         if not (mask & ~np.isnan(levels[level].floor)).any():
-            scene.warnings.append(
+            warnings.append(
                 f"room {_called(polygon, number)} of `rooms.polygons` has no floor on "
                 f"{levels[level].name}, whose {_span(levels[level], lattice)}"
             )
         labels[level][mask & (labels[level] == 0)] = number + 1
-    return Claim([polygon.name for polygon in polygons], labels)
+    return Claim([polygon.name for polygon in polygons], labels, warnings)
 
 
 def _surfaces_of(
@@ -192,23 +192,17 @@ def _surfaces_of(
 
 
 def _match(
-    names: Sequence[str],
-    patterns: Sequence[str],
-    defaults: Sequence[str],
-    setting: str,
-    warnings: list[str],
-) -> list[int]:
+    names: Sequence[str], patterns: Sequence[str], defaults: Sequence[str], setting: str
+) -> tuple[list[int], list[str]]:
     """Ids of what matches; what the user looks for and isn't there is told, with near names."""
     chosen: set[int] = set()
-    known = sorted({name for name in names if name})
+    warnings = []
     for pattern in patterns:
         found = [k for k, name in enumerate(names) if name and fnmatchcase(name, pattern)]
         chosen.update(found)
         if not found and pattern not in defaults:
-            near = difflib.get_close_matches(pattern.strip("*"), known, n=3, cutoff=0.4)
-            hint = f"; near names are {', '.join(near)}" if near else ""
-            warnings.append(f"`rooms.{setting}` pattern {pattern!r} matches nothing{hint}")
-    return sorted(chosen)
+            warnings.append(tell_unmatched(f"rooms.{setting}", pattern, names))
+    return sorted(chosen), warnings
 
 
 def _room_name(geom: str) -> str:

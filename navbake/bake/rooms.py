@@ -59,6 +59,7 @@ class Rooms:
         openings: where rooms of a level meet.
         links: pairs of rooms of two levels between which a step leads.
         lattice: the cells.
+        warnings: what the user should know, one line each.
     """
 
     index: list[NDArray[np.uint16]]
@@ -66,6 +67,7 @@ class Rooms:
     openings: list[Opening]
     links: list[tuple[Room, Room]]
     lattice: Lattice
+    warnings: list[str]
 
     def room_at(self, level: int, cell: int) -> str | None:
         """The id of the room of a level's cell, counted on the whole lattice; None for none."""
@@ -103,7 +105,7 @@ def find_rooms(
     reaches over several levels is one room on each.
 
     Args:
-        scene: the scene; its warnings receive what the user should know.
+        scene: the scene.
         columns: all surfaces.
         floors: the storeys and the steps between them.
         walls: by level, the cells that a wall stands in, shape (height, width), bool.
@@ -128,7 +130,7 @@ def find_rooms(
             )
             drawing.take(claim, source)
         elif source == "polygons":
-            claim = claim_by_polygons(scene, levels, settings.polygons, lattice)
+            claim = claim_by_polygons(levels, settings.polygons, lattice)
             drawing.take(claim, source)
         else:
             drawing.fill([level.floor for level in levels], settings, lattice.cell_size)
@@ -136,7 +138,8 @@ def find_rooms(
     openings = find_openings(index, floors, agent.traversable_floor_height)
     links = find_room_links(index, floors)
     table = _describe(index, rooms, floors, lattice)
-    return Rooms(index, _with_neighbours(table, openings, links, {}), openings, links, lattice)
+    table = _with_neighbours(table, openings, links, {})
+    return Rooms(index, table, openings, links, lattice, drawing.warnings)
 
 
 class _Drawing:
@@ -146,9 +149,11 @@ class _Drawing:
         self._open = open_cells
         self._owner = [np.zeros(mask.shape, dtype=np.int32) for mask in open_cells]
         self._rooms: list[tuple[str | None, str]] = []  # name and source; owners count from 1
+        self.warnings: list[str] = []
 
     def take(self, claim: Claim, source: str) -> None:
         """Add what a source claims."""
+        self.warnings += claim.warnings
         if not claim.names:
             return
         for open_cells, owner, label in zip(self._open, self._owner, claim.labels, strict=True):

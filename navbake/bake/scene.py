@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.bake.choice import Choice, choose_geoms, name_at, names_of
+from navbake.bake.choice import Choice, choose_geoms
 from navbake.bake.collect import TYPE_NAMES, collect_shapes
 from navbake.bake.mesh_scene import MESH_SUFFIXES
 from navbake.bake.meshes.part import MeshPart
 from navbake.bake.model import PosedModel, load_model
 from navbake.bake.model import mujoco_library as mujoco_library
 from navbake.bake.model import mujoco_version as mujoco_version
+from navbake.bake.names import name_at, names_of
 from navbake.bake.shapes import Shapes
 from navbake.config import SceneSettings
 from navbake.errors import SceneError
@@ -114,7 +115,7 @@ def load_scene(settings: SceneSettings) -> Scene:
         shapes=collected.shapes,
         bounds=collected.shapes.bounds(),
         digest=_digest(posed),
-        warnings=[*from_mujoco, *unusable, *idle, *notes, *collected.notes],
+        warnings=[*from_mujoco, *posed.notes, *unusable, *idle, *notes, *collected.notes],
         model=posed.model,
         data=posed.data,
         choices=choices,

@@ -41,6 +41,18 @@ class Solids:
     size: Float
     bounds: Float
 
+    def only(self, geoms: NDArray[np.bool_]) -> Solids:
+        """Those of the geoms that are marked, shape (ngeom,), bool."""
+        kept = geoms[self.geom]
+        return Solids(
+            self.geom[kept],
+            self.kind[kept],
+            self.pos[kept],
+            self.mat[kept],
+            self.size[kept],
+            self.bounds[kept],
+        )
+
 
 @dataclass(frozen=True)
 class Planes:
@@ -61,6 +73,11 @@ class Planes:
         """Unit normals, shape (n, 3), float64."""
         return np.ascontiguousarray(self.mat[:, [2, 5, 8]])
 
+    def only(self, geoms: NDArray[np.bool_]) -> Planes:
+        """Those of the geoms that are marked, shape (ngeom,), bool."""
+        kept = geoms[self.geom]
+        return Planes(self.geom[kept], self.pos[kept], self.mat[kept])
+
 
 @dataclass(frozen=True)
 class Triangles:
@@ -78,6 +95,11 @@ class Triangles:
     def bounds(self) -> Float:
         """Boxes round them, shape (m, 6), float64: lower corner, upper corner [m]."""
         return np.concatenate([self.corners.min(axis=1), self.corners.max(axis=1)], axis=1)
+
+    def only(self, geoms: NDArray[np.bool_]) -> Triangles:
+        """Those of the geoms that are marked, shape (ngeom,), bool."""
+        kept = geoms[self.geom]
+        return Triangles(self.geom[kept], self.corners[kept])
 
 
 @dataclass(frozen=True)
@@ -108,6 +130,16 @@ class Shapes:
         if not len(boxes):
             return None
         return np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
+
+    def only(self, geoms: NDArray[np.bool_]) -> Shapes:
+        """The geometry of the geoms that are marked, shape (ngeom,), bool."""
+        return Shapes(
+            self.solids.only(geoms),
+            self.planes.only(geoms),
+            self.triangles.only(geoms),
+            np.where(geoms, self.closed, np.uint8(0)),
+            self.endless & geoms,
+        )
 
 
 def solid_bounds(kind: Int, pos: Float, mat: Float, size: Float) -> Float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -10,8 +9,9 @@ from fnmatch import fnmatchcase
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.bake.choice import names_of
+from navbake.bake.bodies import find_subtree_ends, list_geoms
 from navbake.bake.extents import Extents
+from navbake.bake.names import body_name, names_of, tell_unmatched
 from navbake.bake.scene import Scene
 from navbake.bake.structure import Carriers
 
@@ -19,7 +19,7 @@ Bool = NDArray[np.bool_]
 Float = NDArray[np.float64]
 Kinds = NDArray[np.uint8]
 
-OBJECT, WALL, STRUCTURE, DOOR, BUILDING = range(5)
+OBJECT, WALL, STRUCTURE, BUILDING = range(4)
 """What a geom can be; BUILDING is a mesh that holds a whole one, floors and walls together."""
 
 HINTS = ("wall", "partition")  # in the names of walls, whatever the case
@@ -109,9 +109,7 @@ def match_walls(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[str]]
         hits = {name for name in known if fnmatchcase(name, pattern)}
         matched |= np.array([not hits.isdisjoint(names) for names in by_geom], dtype=np.bool_)
         if not hits:
-            near = difflib.get_close_matches(pattern.strip("*"), known, n=3, cutoff=0.4)
-            hint = f"; near names are {', '.join(near)}" if near else ""
-            warnings.append(f"`names.walls` pattern {pattern!r} matches nothing{hint}")
+            warnings.append(tell_unmatched("names.walls", pattern, known))
     return matched, warnings
 
 
@@ -132,7 +130,7 @@ def find_walls(
         standing: how they stand.
         carriers: what carries floors: no wall where one can stand on it unless it is named so,
             and no piece in a wall's line.
-        excluded: what is no wall at all, such as doors.
+        excluded: what is no wall by itself, such as a mesh that holds a whole building.
     """
     hinted = np.array(
         [
@@ -147,8 +145,9 @@ def find_walls(
     named &= (standing.rise >= NAMED_TALL) | (slender & (standing.rise >= LOW))
     shaped = stands & slender & (standing.rise >= TALL) & ~carriers.stood_on & ~named
     shaped &= standing.upper_area >= UPRIGHT * standing.area
+    ends = find_subtree_ends(scene.model)
     for geom in np.flatnonzero(shaped):
-        shaped[geom] = not _is_furniture_panel(scene, extents, int(geom))
+        shaped[geom] = not _is_furniture_panel(scene, extents, int(geom), ends)
     pieces = static & ~carriers.building & ~carriers.things
     return _in_line(named | shaped, pieces, extents)
 
@@ -213,16 +212,13 @@ def _near_pairs(
         yield block[wall], pieces[piece]
 
 
-def _is_furniture_panel(scene: Scene, extents: Extents, geom: int) -> bool:
+def _is_furniture_panel(scene: Scene, extents: Extents, geom: int, ends: NDArray[np.int64]) -> bool:
     """Whether a body that holds the geom is deeper than it, and as large as furniture is."""
     model = scene.model
     body = int(model.geom_bodyid[geom])
     while body > 0:
-        last = body + 1
-        while last < model.nbody and model.body_parentid[last] >= body:
-            last += 1  # bodies are numbered depth first
-        inside = (model.geom_bodyid >= body) & (model.geom_bodyid < last)
-        parts = np.flatnonzero(inside & ~np.isnan(extents.thin))
+        inside = list_geoms(model, body, int(ends[body]))
+        parts = inside[~np.isnan(extents.thin[inside])]
         if len(parts) > FURNITURE_PARTS:
             return False
         sides = []
@@ -247,5 +243,5 @@ def _bodies_above(scene: Scene, geom: int) -> Iterator[str]:
     model = scene.model
     body = int(model.geom_bodyid[geom])
     while body > 0:
-        yield model.body(body).name or f"body {body}"
+        yield body_name(model, body)
         body = int(model.body_parentid[body])

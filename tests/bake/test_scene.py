@@ -190,6 +190,29 @@ def test_keyframe_by_index_or_name(load):
     assert named == positions(load(JOINTS, KEYS, keyframe=1))
 
 
+@pytest.mark.parametrize(
+    ("joint", "value", "expected"),
+    [
+        (
+            'type="hinge" range="-.5 1"',
+            1.2,
+            "ranges from -0.5 to 1 rad, got 1.2 at `scene.joints.j`",
+        ),
+        ('type="slide" range="0 2"', -0.1, "ranges from 0 to 2 m, got -0.1"),
+        ('type="slide" range="0 2"', 2.0, ""),
+        ('type="slide" range="0 2"', 2.00005, ""),  # rounded
+        ('type="hinge"', 9.0, ""),
+        ('type="ball" range="0 1"', [0.0, 1.0, 0.0, 0.0], ""),
+    ],
+)
+def test_a_joint_beyond_its_range_is_told(load, joint, value, expected):
+    angles = '<compiler angle="radian"/>'
+    body = f'<body><joint name="j" {joint}/><geom size="1"/></body>'
+    warnings = load(body, angles, joints={"j": value}).warnings
+    assert len(warnings) == bool(expected)
+    assert all(f"joint 'j' {expected}" in text for text in warnings)
+
+
 def test_joints_on_top_of_a_keyframe(load):
     joints = {
         "hinge": np.pi,

@@ -171,15 +171,6 @@ def test_a_doorsill_is_no_wall(tmp_path):
     assert kinds(stages_of(tmp_path, things)) == ["structure", "wall", "object", "wall"]
 
 
-def test_a_wall_takes_no_door_along(tmp_path):
-    things = box(-3, -1, 0, 0.1, 0, 2.5) + box(-1, 0, 0.03, 0.07, 0, 2.0, 'name="leaf"')
-    stages = stages_of(tmp_path, things)
-    assert stages.contents().kinds.tolist() == [STRUCTURE, WALL, WALL]
-    doors = np.array([False, False, True])
-    assert stages.contents(doors).kinds[:2].tolist() == [STRUCTURE, WALL]
-    assert not stages.contents(doors).wall_cells(0)[:, 31:39].any()
-
-
 # ---------------------------------------------------------------- names
 
 
