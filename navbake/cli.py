@@ -189,9 +189,12 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
     if as_json:
         _print_json(facts)
         return
-    from navbake.cli_tables import fact_table, level_table, print_tables
+    from navbake.cli_tables import door_table, fact_table, level_table, print_tables
 
-    print_tables(fact_table(facts), level_table(facts))
+    tables = [fact_table(facts), level_table(facts)]
+    if facts["doors"]:
+        tables.append(door_table(facts["doors"], [level["name"] for level in facts["levels"]]))
+    print_tables(*tables)
 
 
 @app.command()
@@ -233,21 +236,25 @@ def plot(
 
 @app.command()
 def rooms(grid: GridFile, as_json: AsJson = False) -> None:
-    """List the rooms of a grid, and what each opens to."""
+    """List the rooms of a grid, what each opens to, and the doors between them."""
+    from navbake.doors import list_doors
     from navbake.formats.navgrid import read_navgrid
     from navbake.info import level_name
     from navbake.rooms_table import describe_rooms
 
     content = read_navgrid(grid)
-    described = describe_rooms(content)
+    described, doors = describe_rooms(content), list_doors(content)
     if as_json:
-        _print_json({"scene_id": content.scene_id, "rooms": described})
+        _print_json({"scene_id": content.scene_id, "rooms": described, "doors": doors})
         return
-    from navbake.cli_tables import print_tables, room_table
+    from navbake.cli_tables import door_table, print_tables, room_table
 
     names = [level_name(content, number) for number in range(len(content.levels))]
     print_tables(room_table(described, names))
     print(f"{len(described)} room{'' if len(described) == 1 else 's'}")
+    if doors:
+        print()
+        print_tables(door_table(doors, names))
 
 
 @app.command()

@@ -88,6 +88,7 @@ def fact_table(facts: dict[str, Any]) -> Table:
         *((f"agent {name.replace('_', ' ')}", str(v)) for name, v in facts["agent"].items()),
         ("islands", str(facts["num_islands"])),
         ("links", str(facts["num_links"])),
+        ("doors", str(len(facts["doors"]))),
         *((name.replace("_", " "), str(value)) for name, value in facts["made_by"].items()),
     ]
     table = _table(("", ""), rows)
@@ -137,6 +138,27 @@ def room_table(rooms: Iterable[dict[str, Any]], levels: Sequence[str]) -> Table:
     )
     headings = ("id", "name", "level", "index", "m2", "centroid x y z m", "from", "opens to")
     return _table(headings, rows, numbers={"index", "m2"})
+
+
+def door_table(doors: Iterable[dict[str, Any]], levels: Sequence[str]) -> Table:
+    """One row a door, from `navbake.doors.list_doors`.
+
+    Args:
+        doors: the doors.
+        levels: the levels' names.
+    """
+    rows = (
+        (
+            door["id"],
+            door["joint"] or "none",
+            ", ".join(levels[level] for level in door["levels"]),
+            " - ".join("outside" if room is None else room for room in door["rooms"]),
+            door["state"],
+            ", ".join(door["states"]),
+        )
+        for door in doors
+    )
+    return _table(("door", "joint", "level", "joins", "is", "can be"), rows)
 
 
 def why_table(facts: dict[str, Any]) -> Table:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.doors import list_doors
 from navbake.islands import find_islands
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def describe(grid: SceneGrid2D | MultiLevelGrid) -> dict[str, Any]:
         with ``name``, ``width`` and ``height`` [cells], ``ground``, ``floor_min`` and
         ``floor_max`` (world z [m], None without floor), ``floor_area``, ``free_area`` and
         ``largest_island_area`` [m2], ``num_islands``, ``num_rooms``; ``num_islands`` and
-        ``num_links`` of all levels together.
+        ``num_links`` of all levels together; ``doors``, see `navbake.doors.list_doors`.
     """
     islands = find_islands(grid)
     stated = {**grid.metadata, **grid.navbake}
@@ -55,6 +56,7 @@ def describe(grid: SceneGrid2D | MultiLevelGrid) -> dict[str, Any]:
         ],
         "num_islands": max(int(island.max(initial=0)) for island in islands),
         "num_links": len(grid.links),
+        "doors": list_doors(grid),
     }
 
 

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 import navbake
+from door_scenes import LEAF, ROOMS, world
 from navbake.cli import main
 from navbake.config import load_config
 
@@ -252,6 +253,26 @@ def test_rooms_and_their_picture(folder, run):
     status, out, _ = run("plot", "room.grid.json", "-o", "rooms.png", *layers)
     assert (status, out) == (0, "rooms.png\n")
     assert (folder / "rooms.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_doors_are_listed_with_their_states(folder, run):
+    (folder / "doors.xml").write_text(world(ROOMS, LEAF))
+    run("bake", "doors.xml", "-q", "--set", "doors.state=open")
+    expected = {
+        "id": "leaf",
+        "joint": "leaf",
+        "rooms": ["0:1", "0:2"],
+        "levels": [0],
+        "state": "open",
+        "states": ["modelled", "open", "closed", "removed"],
+    }
+    for command in ("info", "rooms"):
+        status, out, _ = run(command, "doors.grid.json", "--json")
+        assert (status, json.loads(out)["doors"]) == (0, [expected])
+        *_, header, row = run(command, "doors.grid.json")[1].splitlines()
+        assert header.split() == ["door", "joint", "level", "joins", "is", "can", "be"]
+        cells = "leaf leaf level 0 0:1 - 0:2 open modelled, open, closed, removed"
+        assert " ".join(row.split()) == cells
 
 
 @pytest.mark.parametrize(

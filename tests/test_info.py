@@ -99,6 +99,7 @@ def test_describes_a_house(house):
         ],
         "num_islands": 2,
         "num_links": 1,
+        "doors": [],
     }
     assert json.loads(json.dumps(facts, allow_nan=False)) == facts
 
