@@ -1,6 +1,7 @@
 """Makes a large house for measuring: rooms of 5 × 5 m, doors between neighbours, furniture.
 
 python scripts/make_house.py 100 -o house-100.xml
+python scripts/make_house.py 100 --doors -o house-100-doors.xml
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ ROOM = 5.0  # edge of a room [m], between the middles of its walls
 WALL = 0.12  # thickness [m]
 HEIGHT = 2.5  # [m]
 DOOR = 0.9  # width of a doorway [m]
+LEAF = (0.84, 0.04, 2.1)  # width, thickness and height of the door in it [m]
 AISLE = 0.35  # half the width of the way from a doorway to the room's middle [m]
 PIECES = 30  # of furniture in a room
 MESHES = 12  # assets that pieces of furniture share
@@ -29,7 +31,7 @@ RADII = {  # of the circle round a piece, from, to [m]
 Point = tuple[float, float]
 
 
-def make_house(rooms: int, seed: int = 0) -> str:
+def make_house(rooms: int, seed: int = 0, *, with_doors: bool = False) -> str:
     """Write a house of furnished rooms in a square as MJCF.
 
     The house lies in the plane's first quadrant, from the origin on. All neighbours are joined
@@ -38,6 +40,7 @@ def make_house(rooms: int, seed: int = 0) -> str:
     Args:
         rooms: how many, a square number >= 1.
         seed: of the furniture and of the doorways' places; the same bytes for the same seed.
+        with_doors: hang a hinged door into each doorway, closed.
 
     Returns:
         The document.
@@ -61,6 +64,7 @@ def make_house(rooms: int, seed: int = 0) -> str:
         for j in range(side):
             geoms += _wall(f"wall_x_{i}_{j}", True, i, j, side, doors, rng)
             geoms += _wall(f"wall_y_{i}_{j}", False, i, j, side, doors, rng)
+    bodies: list[str] = []
     for (i, j), gaps in doors.items():
         center = ((i + 0.5) * ROOM, (j + 0.5) * ROOM)
         circles: list[tuple[Point, float]] = []
@@ -68,8 +72,10 @@ def make_house(rooms: int, seed: int = 0) -> str:
             kind = KINDS[k % len(KINDS)]
             circles.append(_place(kind, center, gaps, circles, rng))
             geoms.append(_piece(f"piece_{i}_{j}_{kind}_{k}", kind, *circles[-1], rng))
+        if with_doors:
+            bodies += _doors(i, j, gaps)
     lines = [f'<mujoco model="house-{rooms}">', "  <asset>", *assets, "  </asset>"]
-    lines += ["  <worldbody>", *geoms, "  </worldbody>", "</mujoco>"]
+    lines += ["  <worldbody>", *geoms, *bodies, "  </worldbody>", "</mujoco>"]
     return "\n".join(lines) + "\n"
 
 
@@ -99,6 +105,27 @@ def _wall(
         size = (WALL / 2, (b - a) / 2) if across_x else ((b - a) / 2, WALL / 2)
         geoms.append(_geom(f"{name}_{k}", "box", pos, size=(*size, HEIGHT / 2)))
     return geoms
+
+
+def _doors(i: int, j: int, gaps: list[Point]) -> list[str]:
+    """Hang the doors to the next room of each axis, a joint each, hinge at the gap's low end."""
+    width, thickness, height = LEAF
+    bodies = []
+    for x, y in gaps:
+        across_x, across_y = x == (i + 1) * ROOM, y == (j + 1) * ROOM
+        if not across_x and not across_y:
+            continue  # the room on the other side has it
+        name = f"door_{'x' if across_x else 'y'}_{i}_{j}"
+        hinge = (x, y - width / 2, 0) if across_x else (x - width / 2, y, 0)
+        middle, size = (width / 2, 0, height / 2), (width / 2, thickness / 2, height / 2)
+        yaw = 90 if across_x else 0
+        bodies += [
+            f'    <body name="{name}" pos="{_text(hinge)}" euler="0 0 {yaw}">',
+            f'      <joint name="{name}" axis="0 0 1" range="0 90" limited="true"/>',
+            _geom(f"{name}_leaf", "box", middle, size=size),
+            "    </body>",
+        ]
+    return bodies
 
 
 def _piece(name: str, kind: str, spot: Point, r: float, rng: random.Random) -> str:
@@ -176,10 +203,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Make a large furnished house as MJCF.")
     parser.add_argument("rooms", type=int, help="how many, a square number")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--doors", action="store_true", help="hang a door into each doorway")
     parser.add_argument("-o", "--output", type=Path, help="default: house-ROOMS.xml")
     arguments = parser.parse_args()
     try:
-        document = make_house(arguments.rooms, arguments.seed)
+        document = make_house(arguments.rooms, arguments.seed, with_doors=arguments.doors)
     except ValueError as error:
         parser.error(str(error))
     output = arguments.output or Path(f"house-{arguments.rooms}.xml")

@@ -331,6 +331,30 @@ def test_a_hundred_rooms_have_3402_geoms_on_50_m() -> None:
     assert len(set(model.geom_type)) == 6
 
 
+def test_a_house_with_doors_has_one_in_each_doorway() -> None:
+    plain, document = make_house(9), make_house(9, with_doors=True)
+    model = mujoco.MjModel.from_xml_string(document)
+    assert model.njnt == 2 * 2 * 3
+    assert document.startswith(plain[: plain.index("  </worldbody>")])
+    leaves = model.body_geomadr[model.jnt_bodyid]
+    for angle in (0.0, np.pi / 2):
+        data = mujoco.MjData(model)
+        data.qpos[:] = angle
+        mujoco.mj_forward(model, data)
+        walls = [g for g in range(model.ngeom) if model.geom(g).name.startswith("wall_")]
+        assert all(
+            mujoco.mj_geomDistance(model, data, leaf, wall, 1.0, None) > 0.005
+            for leaf in leaves
+            for wall in walls
+        )
+        if angle == 0.0:  # gaps of 3 cm on both sides: nobody passes
+            sides = [
+                sorted(mujoco.mj_geomDistance(model, data, leaf, wall, 1.0, None) for wall in walls)
+                for leaf in leaves
+            ]
+            assert all(near[1] < 0.031 for near in sides)
+
+
 def test_a_house_is_the_same_for_the_same_seed() -> None:
     assert make_house(4, seed=1) == make_house(4, seed=1) != make_house(4, seed=2)
 
