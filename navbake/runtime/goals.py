@@ -104,21 +104,31 @@ def cells_around(grid: NavGrid, walk: Walk, name: str) -> NDArray[np.int64]:
     Raises:
         QueryError: no cell carries the name.
     """
-    found, known = [], False
-    for number, level in enumerate(grid.levels):
-        cells = [
+    found = []
+    for number, (level, cells) in enumerate(zip(grid.levels, cells_named(grid, name), strict=True)):
+        if len(cells):
+            free = walk.free[walk.start[number] : walk.start[number + 1]].reshape(level.shape)
+            found.append(walk.start[number] + _nearest_ring(level, cells, free))
+    return np.concatenate(found)
+
+
+def cells_named(grid: NavGrid, name: str) -> list[NDArray[np.int64]]:
+    """The cells of each level that an object, a door or a wall is in, by its name.
+
+    Raises:
+        QueryError: no cell carries the name.
+    """
+    found = [
+        [
             cell
             for cell, entry in level.user_data.items()
             if any(name in entry.get(key, ()) for key in NAMED)
         ]
-        if cells:
-            known = True
-            free = walk.free[walk.start[number] : walk.start[number + 1]].reshape(level.shape)
-            nearby = _nearest_ring(level, np.array(cells, dtype=np.int64), free)
-            found.append(walk.start[number] + nearby)
-    if not known:
+        for level in grid.levels
+    ]
+    if not any(found):
         raise QueryError(f"no object {name!r} in {grid.scene_id!r}: {_known(grid, name)}")
-    return np.concatenate(found)
+    return [np.array(cells, dtype=np.int64) for cells in found]
 
 
 def _nearest_ring(

@@ -12,16 +12,15 @@ from navbake.runtime.door_map import DoorMap, doors_on, map_doors
 from navbake.runtime.goals import Goal, Target, find_target
 from navbake.runtime.locate import check_positions, flat_cells
 from navbake.runtime.path import Path, path_length
-from navbake.runtime.room_map import RoomMap, map_rooms
-from navbake.runtime.search import Search
+from navbake.runtime.place_sampler import PlaceSampler
 from navbake.runtime.string_pulling import pull_route
 
 if TYPE_CHECKING:
     from navbake.grid import NavGrid
 
 
-class PathFinder:
-    """Answers an agent's questions about ways through a grid.
+class PathFinder(PlaceSampler):
+    """Answers an agent's questions about ways through a grid, and about places on it.
 
     A path steps over the edges and corners of free cells and over links between levels. Floors of
     neighbours differ by at most the grid's `traversableFloorHeight`. A step costs its length [m]
@@ -44,17 +43,8 @@ class PathFinder:
     """
 
     def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
-        self.grid = grid
-        self.search = Search(grid, cut_corners=cut_corners)
-        self._rooms: RoomMap | None = None
+        super().__init__(grid, cut_corners=cut_corners)
         self._doors: DoorMap | None = None
-
-    @property
-    def rooms(self) -> RoomMap:
-        """The rooms of the grid and of each cell."""
-        if self._rooms is None:
-            self._rooms = map_rooms(self.grid)
-        return self._rooms
 
     def find_path(
         self, start: ArrayLike, goal: Goal, *, level: int | None = None, smooth: bool = True

@@ -28,6 +28,7 @@ class Search:
 
     Attributes:
         walk: the cells.
+        version: goes up when cells of the walk change.
         moves: by flat id, uint8: a bit for each way that a step leads, see
             `navbake.kernels.moves`.
         cut_corners: whether a diagonal step needs nothing but its target.
@@ -38,6 +39,7 @@ class Search:
 
     def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
         self.walk: Walk = make_walk(grid)
+        self.version = 0
         self.cut_corners = cut_corners
         self.moves = np.zeros(self.walk.num_cells, dtype=np.uint8)
         for level in range(self.walk.num_levels):
@@ -54,6 +56,7 @@ class Search:
 
     def refresh(self, level: int, row0: int, row1: int, col0: int, col1: int) -> None:
         """Find the moves of a rectangle anew, after cells of the walk changed."""
+        self.version += 1
         walk = self.walk
         height, width = int(walk.height[level]), int(walk.width[level])
         rows = max(row0, 0), min(row1, height)

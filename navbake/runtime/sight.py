@@ -11,7 +11,6 @@ from navbake.runtime.locate import check_positions, flat_cell, links_of, place_o
 
 if TYPE_CHECKING:
     from navbake.grid import NavGrid
-    from navbake.runtime.room_map import RoomMap
     from navbake.runtime.walk import Walk
 
 
@@ -39,13 +38,8 @@ def find_occupied(grid: NavGrid) -> NDArray[np.bool_]:
     return np.concatenate([level.occupancy.ravel() != 0 for level in grid.levels])
 
 
-def make_sight(occupied: NDArray[np.bool_], rooms: RoomMap) -> Sight:
-    """See `Sight`."""
-    return Sight(~occupied, rooms.number)
-
-
 def line_of_sight(
-    walk: Walk, sight: Sight, a: ArrayLike, b: ArrayLike, level: int | None = None
+    walk: Walk, clear: NDArray[np.bool_], a: ArrayLike, b: ArrayLike, level: int | None = None
 ) -> bool:
     """Tell whether the straight line between two positions meets nothing that is occupied.
 
@@ -54,7 +48,7 @@ def line_of_sight(
 
     Args:
         walk: the grid.
-        sight: of the grid.
+        clear: where nothing stands, by flat id, shape (n,), bool.
         a, b: world x, y, z [m]; x, y will do on one level.
         level: which level both are on, if given; then z does not count.
 
@@ -72,7 +66,7 @@ def line_of_sight(
 
     from_xy, to_xy = (ends[0][0], ends[0][1]), (ends[1][0], ends[1][1])
     seen = is_in_sight(
-        place_of(walk), links_of(walk), sight.clear, walk.floor, NO_ROOMS,
+        place_of(walk), links_of(walk), clear, walk.floor, NO_ROOMS,
         cells[0], *from_xy, cells[1], *to_xy,
     )  # fmt: skip
     return bool(seen)
