@@ -6,7 +6,11 @@ them. So the reader may leave a `StoredUserData` in the place of the dictionary.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from navbake.grid import SceneGrid2D
@@ -24,6 +28,34 @@ class StoredUserData:
             FormatError: they don't follow the format.
         """
         raise NotImplementedError
+
+
+class SharedUserData(StoredUserData):
+    """User data of which many cells have the same.
+
+    Attributes:
+        cells: cell ids, ascending, shape (n,), int64.
+        number: which entry each cell has, shape (n,), int64.
+        entries: the entries; nobody may change them.
+    """
+
+    def __init__(
+        self, cells: NDArray[np.int64], number: NDArray[np.int64], entries: Sequence[Json]
+    ) -> None:
+        self.cells, self.number, self.entries = cells, number, entries
+        self._resolved: dict[int, Json] | None = None
+
+    @property
+    def is_resolved(self) -> bool:
+        """Whether somebody has the dictionary, and so may have changed it."""
+        return self._resolved is not None
+
+    def resolve(self) -> dict[int, Json]:
+        """Make them a dictionary; cells of one entry share it."""
+        if self._resolved is None:
+            found = map(self.entries.__getitem__, self.number.tolist())
+            self._resolved = dict(zip(self.cells.tolist(), found, strict=True))
+        return self._resolved
 
 
 class UserDataField:

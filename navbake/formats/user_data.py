@@ -19,7 +19,7 @@ from navbake.formats.place import Place, shown
 from navbake.formats.values import json_object, plain
 from navbake.grid import SceneGrid2D
 from navbake.grid_base import Json
-from navbake.user_data import StoredUserData, held_user_data
+from navbake.user_data import SharedUserData, StoredUserData, held_user_data
 
 DEFER_BYTES = 1 << 16
 KEY = b'"userData":'
@@ -227,6 +227,8 @@ def encode_user_data(grid: SceneGrid2D, place: Place) -> orjson.Fragment:
         text = held.encode(num_cells)
         if text is not None:
             return orjson.Fragment(text)
+    if isinstance(held, SharedUserData) and not held.is_resolved:
+        return _encode_shared(held, num_cells, place)
     user_data: dict[int, Json] = held.resolve() if isinstance(held, StoredUserData) else held
     distinct: dict[int, tuple[int, Json]] = {}
     for cell_id, value in user_data.items():
@@ -240,4 +242,16 @@ def encode_user_data(grid: SceneGrid2D, place: Place) -> orjson.Fragment:
     entries = [
         b'"%d":%b' % (cell_id, encoded[id(user_data[cell_id])]) for cell_id in sorted(user_data)
     ]
+    return orjson.Fragment(b"{%b}" % b",".join(entries))
+
+
+def _encode_shared(held: SharedUserData, num_cells: int, place: Place) -> orjson.Fragment:
+    if len(held.cells) and not 0 <= held.cells[0] <= held.cells[-1] < num_cells:
+        place.fail(f"expected cell ids from 0 to {num_cells - 1}, got {held.cells[[0, -1]]}")
+    plain(list(held.entries), place)
+    encoded = [orjson.dumps(entry) for entry in held.entries]
+    entries = map(
+        b'"%d":%b'.__mod__,
+        zip(held.cells.tolist(), map(encoded.__getitem__, held.number.tolist()), strict=True),
+    )
     return orjson.Fragment(b"{%b}" % b",".join(entries))

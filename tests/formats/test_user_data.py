@@ -8,6 +8,7 @@ import json
 import pickle
 from dataclasses import replace
 
+import numpy as np
 import orjson
 import pytest
 from hypothesis import given, settings
@@ -19,7 +20,7 @@ from navbake.formats import user_data as reader
 from navbake.formats.navgrid import dumps_navgrid, read_navgrid
 from navbake.formats.user_data import Span, find_spans, parse_file
 from navbake.grid import SceneGrid2D
-from navbake.user_data import StoredUserData, held_user_data
+from navbake.user_data import SharedUserData, StoredUserData, held_user_data
 
 WALLS = {"walls": ["wall_x_0", "wall_y_0"], "doors": ["d"]}
 
@@ -244,3 +245,24 @@ def test_spans_are_what_they_should_be():  # and the damage above is done to def
     parsed = parse_file(compact(house(level(), level())), reader.Place("a"))
     assert all(isinstance(one["userData"], Span) for one in parsed["grids"])
     assert parsed["grids"][1]["userData"].text == compact(level()["userData"])
+
+
+def test_shared_entries_are_written_as_the_same_dictionary():
+    rng = np.random.default_rng(0)
+    entries = [{"objects": [f"thing {k}", 'ﬁn"\\']} for k in range(5)]
+    cells = np.sort(rng.choice(200, 80, replace=False))
+    shared = SharedUserData(cells, rng.integers(0, 5, 80), entries)
+    plain_one = SharedUserData(cells, shared.number, entries).resolve()
+
+    def grid(user_data):
+        return SceneGrid2D(
+            width=20, height=10, cell_size=0.1, min_yup=(0.0, 0.0, 0.0),
+            weights=np.ones((10, 20)), user_data=user_data,
+        )  # fmt: skip
+
+    text = dumps_navgrid(grid(shared))
+    assert not shared.is_resolved
+    assert text == dumps_navgrid(grid(plain_one))
+    level = grid(shared)
+    level.user_data[int(cells[0])] = {"objects": ["mine"]}
+    assert b'"mine"' in dumps_navgrid(level)
