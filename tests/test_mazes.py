@@ -85,7 +85,7 @@ def check_maze(maze: Maze, result: BakeResult) -> None:
     assert (level.occupancy[open_] == 0).all()
     assert level.free[open_].all()
     assert (level.floor_height[open_] == np.float32(level.ground)).all()
-    assert result.warnings == []
+    assert all("the top of" in warning for warning in result.warnings)  # of its walls
 
 
 def check_robot_is_out(maze: Maze, result: BakeResult) -> None:
