@@ -1,4 +1,4 @@
-"""The command line. The only module that prints, and that ends the process."""
+"""The command line. Only this module and those of its commands print; only it ends the process."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from navbake._version import __version__
+from navbake.cli_files import GridFile, check_writable
+from navbake.cli_inflate import inflate
 from navbake.errors import ConfigError, NavbakeError
 
 if TYPE_CHECKING:
@@ -67,7 +69,6 @@ Overrides = Annotated[
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-GridFile = Annotated[Path, typer.Argument(metavar="GRID", help="A NavGrid file.")]
 
 
 @app.callback()
@@ -229,7 +230,7 @@ def plot(
         raise typer.BadParameter(
             f"expected a name that ends in .png, got {output}", param_hint="-o"
         )
-    _check_writable(output)
+    check_writable(output)
     chosen = tuple(layers or DEFAULT_LAYERS)
     print(plot_grid(read_navgrid(grid), output, level=level, layers=chosen))
 
@@ -283,6 +284,9 @@ def why(
     print_tables(*(why_table(facts) for facts in places))
 
 
+app.command()(inflate)
+
+
 def _parse_place(text: str) -> tuple[float, float, int | None]:
     parts = text.split(",")
     try:
@@ -309,7 +313,7 @@ def _bake_one(
     config = load_config(path, overrides)
     target = _choose_output(config, output)
     is_in_folder = output is not None and _is_folder(output)
-    _check_writable(target, may_make_folder=is_in_folder)
+    check_writable(target, may_make_folder=is_in_folder)
     if target.resolve() in written:
         raise ConfigError(f"{target} was written for another scene: give each its own `scene.id`")
     for source in (path, config.scene.path):
@@ -355,27 +359,6 @@ def _choose_output(config: BakeConfig, output: str | None) -> Path:
 
 def _is_folder(output: str) -> bool:
     return output.endswith(("/", os.sep)) or os.path.isdir(output)
-
-
-def _check_writable(path: Path, *, may_make_folder: bool = False) -> None:
-    """Refuse a path that cannot be written, before any work is done for it.
-
-    Args:
-        path: the file to write.
-        may_make_folder: its folder may be missing, as long as it can be made.
-
-    Raises:
-        ConfigError: its folder is missing or takes no files, or it is a folder itself.
-    """
-    from navbake.files import check_writable
-
-    probe = path
-    while may_make_folder and not probe.parent.exists():
-        probe = probe.parent
-    try:
-        check_writable(probe)
-    except OSError as error:
-        raise ConfigError(f"cannot write {path}: {error.strerror}") from error
 
 
 def _print_error(message: str) -> None:

@@ -98,11 +98,12 @@ def _check_head(head: bytes, top: Place) -> None:
 
 
 def _read_rest(head: bytes, stream: BinaryIO | gzip.GzipFile, limit: int, top: Place) -> bytes:
-    pieces, size = [head], len(head)
+    pieces, size = [head] if head else [], len(head)  # one piece alone is not copied
     step = max(CHUNK, _bytes_left(stream))  # all that is left of a file at once
     while chunk := stream.read(min(step, limit + 1)):  # not more at once, it would be reserved
         pieces.append(chunk)
         size += len(chunk)
+        step = CHUNK
         if size > limit:
             remedy = "" if limit == MAX_BYTES else "unpack it first if that is meant"
             top.fail(f"more than {limit >> 20} MiB of data", remedy)

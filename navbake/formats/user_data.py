@@ -6,7 +6,10 @@ written, beyond.
 
 from __future__ import annotations
 
+import gc
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,14 +33,17 @@ class Span:
     """A piece of a file's JSON that was not parsed.
 
     Attributes:
-        text: the piece, one whole value.
+        text: the piece, one whole value; a view, as a copy of so much takes its time.
         line: where it starts, from 1.
         column: likewise.
     """
 
-    text: bytes
+    text: bytes | memoryview
     line: int
     column: int
+
+    def __reduce__(self) -> tuple[type[Span], tuple[bytes, int, int]]:
+        return Span, (bytes(self.text), self.line, self.column)  # views can't be pickled
 
 
 class SpanUserData(StoredUserData):
@@ -52,7 +58,8 @@ class SpanUserData(StoredUserData):
     def resolve(self) -> dict[int, Json]:
         """Read and check them; the same dictionary each time."""
         if self._resolved is None:
-            self._resolved = check_user_data(self._parse(), self._place, self._num_cells)
+            with _collector_off():
+                self._resolved = check_user_data(self._parse(), self._place, self._num_cells)
         return self._resolved
 
     def encode(self, num_cells: int) -> bytes | None:
@@ -66,14 +73,27 @@ class SpanUserData(StoredUserData):
         """
         if self._resolved is not None or num_cells != self._num_cells:
             return None
-        parsed = self._parse()
-        ids = np.fromiter(check_user_data(parsed, self._place, num_cells), dtype=np.int64)
-        is_own = (ids[1:] > ids[:-1]).all() and orjson.dumps(parsed) == self._span.text
-        return self._span.text if is_own else None
+        with _collector_off():
+            parsed = self._parse()
+            ids = np.fromiter(check_user_data(parsed, self._place, num_cells), dtype=np.int64)
+            is_own = (ids[1:] > ids[:-1]).all() and orjson.dumps(parsed) == self._span.text
+        return bytes(self._span.text) if is_own else None
 
     def _parse(self) -> Json:
         parsed = parse_json(self._span.text, self._place, self._span.line, self._span.column)
         return json_object(plain(parsed, self._place), self._place)
+
+
+@contextmanager
+def _collector_off() -> Iterator[None]:
+    """Keep the garbage collector from looking through all that is parsed, over and over."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
 
 
 def parse_file(content: bytes, top: Place) -> Json:
@@ -83,7 +103,7 @@ def parse_file(content: bytes, top: Place) -> Json:
     return json_object(parse_json(content, top), top) if parsed is None else parsed
 
 
-def parse_json(content: bytes, place: Place, line: int = 1, column: int = 1) -> Any:
+def parse_json(content: bytes | memoryview, place: Place, line: int = 1, column: int = 1) -> Any:
     """Parse JSON that starts at a line and column of the place's file."""
     try:
         return orjson.loads(content)
@@ -163,7 +183,7 @@ def _parse_around(content: bytes, spans: list[tuple[int, int]]) -> Json | None:
         line = content.count(b"\n", 0, start) + 1
         before = content[content.rfind(b"\n", 0, start) + 1 : start]
         column = len(before.decode(errors="replace")) + 1
-        marks[f"{mark}{i}"]["userData"] = Span(content[start:end], line, column)
+        marks[f"{mark}{i}"]["userData"] = Span(memoryview(content)[start:end], line, column)
     return parsed if isinstance(parsed, dict) else None
 
 

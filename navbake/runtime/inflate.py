@@ -57,7 +57,7 @@ def inflate(
     scaling: float = SCALING,
 ) -> AnyGrid:
     """The same grid for an agent of another radius; see `SceneGrid2D.inflate`."""
-    _check(radius, clearance, mode, costs, scaling)
+    check_arguments(radius, clearance, mode, costs, scaling)
     if clearance is None:
         clearance = math.log(LETHAL_COST) / scaling if costs == "nav2" else 0.0
     weights = []
@@ -206,7 +206,14 @@ def check_radius(radius: float, name: str = "radius") -> None:
         raise QueryError(f"expected 0 to {MAX_RADIUS:,.0f} m as {name}, got {radius!r}")
 
 
-def _check(radius: float, clearance: float | None, mode: str, costs: str, scaling: float) -> None:
+def check_arguments(
+    radius: float, clearance: float | None, mode: str, costs: str, scaling: float
+) -> None:
+    """Refuse what `inflate` can't do.
+
+    Raises:
+        QueryError: an argument is out of its range.
+    """
     check_radius(radius)
     if clearance is not None:
         check_radius(clearance, "clearance")

@@ -1,0 +1,204 @@
+"""Measures the run time on house-100 at 0.05 m, a million cells, next to what others take.
+
+Each row is a baseline and a figure of our own, measured in turns in one process after a warm-up,
+so that a noisy machine is as noisy for both. Medians are printed, of the wall and of the
+processor, and the ratio of the medians. A baseline whose package is missing is left out, with the
+reason.
+
+    pip install -e ".[bench]"
+    python scripts/bench_run.py [--repeats 15] [--only load inflate] [--grid house-100.grid.json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+
+import navbake
+from make_house import make_house
+
+CELL = 0.05  # [m]
+ROOMS = 100
+RADIUS = 0.3  # [m]
+
+
+@dataclass(frozen=True)
+class Job:
+    """Something to be measured.
+
+    Attributes:
+        name: what it is.
+        run: does it once.
+    """
+
+    name: str
+    run: Callable[[], Any]
+
+
+@dataclass(frozen=True)
+class Row:
+    """A figure and what it is compared with.
+
+    Attributes:
+        baselines: what others take, or our own slow way; none where a package is missing.
+        job: ours.
+        limit: what is asked for, in words.
+        missing: which baseline is left out, and why.
+    """
+
+    baselines: list[Job]
+    job: Job
+    limit: str
+    missing: str = ""
+
+
+@dataclass(frozen=True)
+class House:
+    """The grid that all rows are about, and its file."""
+
+    path: Path
+    grid: navbake.SceneGrid2D | navbake.MultiLevelGrid
+
+
+# --- rows ----------------------------------------------------------------------------------
+
+
+def load_row(house: House) -> Row:
+    content = house.path.read_bytes()
+    return Row(
+        [Job("orjson.loads of the whole file", lambda: orjson.loads(content))],
+        Job("navbake.load, user data unread", lambda: navbake.load(house.path)),
+        "at most 60 ms",
+    )
+
+
+def user_data_row(house: House) -> Row:
+    content = house.path.read_bytes()
+    return Row(
+        [Job("orjson.loads of the whole file", lambda: orjson.loads(content))],
+        Job("navbake.load and user_data", lambda: navbake.load(house.path).levels[0].user_data),
+        "nothing asked",
+    )
+
+
+def inflate_row(house: House) -> Row:
+    job = Job(f"grid.inflate({RADIUS})", lambda: house.grid.inflate(RADIUS))
+    return _against_distance(house, job, "at most 3 × OpenCV")
+
+
+def step_costs_row(house: House) -> Row:
+    job = Job(f"grid.inflate({RADIUS}, 0.25)", lambda: house.grid.inflate(RADIUS, 0.25))
+    return _against_distance(house, job)
+
+
+def nav2_costs_row(house: House) -> Row:
+    name = f"grid.inflate({RADIUS}, costs='nav2')"
+    return _against_distance(house, Job(name, lambda: house.grid.inflate(RADIUS, costs="nav2")))
+
+
+def minos_row(house: House) -> Row:
+    name = f"grid.inflate({RADIUS}, mode='minos')"
+    return _against_distance(house, Job(name, lambda: house.grid.inflate(RADIUS, mode="minos")))
+
+
+def footprint_row(house: House) -> Row:
+    car = [(0.4, 0.25), (-0.4, 0.25), (-0.4, -0.25), (0.4, -0.25)]
+    run = lambda: house.grid.inflate_footprint(car, 16)  # noqa: E731
+    return _against_distance(house, Job("grid.inflate_footprint, 16 headings", run))
+
+
+def _against_distance(house: House, job: Job, limit: str = "nothing asked") -> Row:
+    """Compare with OpenCV's precise distance transform of the same occupancy."""
+    try:
+        import cv2
+    except ImportError:
+        missing = 'no OpenCV to compare with: pip install -e ".[bench]"'
+        return Row([], job, limit, missing)
+    free = (house.grid.levels[0].occupancy == 0).astype(np.uint8)
+
+    def transform() -> Any:
+        return cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+
+    return Row([Job("OpenCV distanceTransform, precise", transform)], job, limit)
+
+
+ROWS: dict[str, Callable[[House], Row]] = {
+    "load": load_row,
+    "user_data": user_data_row,
+    "inflate": inflate_row,
+    "step": step_costs_row,
+    "nav2": nav2_costs_row,
+    "minos": minos_row,
+    "footprint": footprint_row,
+}
+
+
+# --- the report ----------------------------------------------------------------------------
+
+
+def measure(jobs: list[Job], repeats: int) -> list[tuple[float, float]]:
+    """Medians of jobs that run in turns: seconds of the wall and of the processor."""
+    taken: list[list[tuple[float, float]]] = [[] for _ in jobs]
+    for job in jobs:
+        job.run()
+    for _ in range(repeats):
+        for job, times in zip(jobs, taken, strict=True):
+            wall, processor = time.perf_counter(), time.process_time()
+            job.run()
+            times.append((time.perf_counter() - wall, time.process_time() - processor))
+    return [
+        (statistics.median(t[0] for t in times), statistics.median(t[1] for t in times))
+        for times in taken
+    ]
+
+
+def report(name: str, row: Row, repeats: int) -> None:
+    print(f"\n{name}  (asked for: {row.limit})")
+    if row.missing:
+        print(f"  {row.missing}")
+    times = measure([*row.baselines, row.job], repeats)
+    wall, processor = times[-1]
+    for job, (other, busy) in zip(row.baselines, times, strict=False):
+        print(f"  {job.name:<36} {other * 1e3:9.2f} ms {busy * 1e3:9.2f} ms of processor")
+    ratios = ", ".join(f"{wall / other:.2f} × the baseline" for other, _ in times[:-1])
+    print(
+        f"  {row.job.name:<36} {wall * 1e3:9.2f} ms {processor * 1e3:9.2f} ms of processor"
+        + (f"   {ratios}" if ratios else "")
+    )
+
+
+def make_grid(folder: Path) -> Path:
+    """Bake the house, names included, and save it."""
+    scene, path = folder / "house.xml", folder / "house.grid.json"
+    scene.write_text(make_house(ROOMS), encoding="utf-8")
+    navbake.bake({"scene": {"path": str(scene)}, "grid": {"cell_size": CELL}}).save(path)
+    return path
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Measure what grids do at run time.")
+    parser.add_argument("--repeats", type=int, default=15, help="runs of each job")
+    parser.add_argument("--only", nargs="+", choices=list(ROWS), help="rows to measure")
+    parser.add_argument("--grid", type=Path, help="a grid of house-100, instead of a new bake")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        path = arguments.grid or make_grid(Path(folder))
+        house = House(path, navbake.load(path))
+        num_cells = sum(level.width * level.height for level in house.grid.levels)
+        size = path.stat().st_size / 2**20
+        print(f"house-{ROOMS} at {CELL} m: {num_cells:,} cells, {size:.1f} MiB, medians")
+        for name in arguments.only or ROWS:
+            report(name, ROWS[name](house), arguments.repeats)
+
+
+if __name__ == "__main__":
+    main()
