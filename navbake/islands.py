@@ -51,7 +51,8 @@ def find_islands(grid: SceneGrid2D | MultiLevelGrid) -> list[NDArray[np.int32]]:
 def islands_of(grid: SceneGrid2D | MultiLevelGrid) -> list[NDArray[np.int32]]:
     """The islands as the file has them, or else as `find_islands` finds them, kept for next time.
 
-    Only what navbake wrote is believed: in others' files ``island`` may mean anything.
+    Only what navbake wrote is believed, and only while nothing is blocked: in others' files
+    ``island`` may mean anything.
 
     Args:
         grid: a grid of one or several levels.
@@ -59,8 +60,16 @@ def islands_of(grid: SceneGrid2D | MultiLevelGrid) -> list[NDArray[np.int32]]:
     Returns:
         As `find_islands`; not to be written to.
     """
+    from navbake.runtime.live import known_changes
+
+    changes = [known_changes(level) for level in grid.levels]
+    is_blocked = any(change is not None and change.is_blocked for change in changes)
     stored = [level.attributes.get("island") for level in grid.levels]
-    if grid.navbake and all(s is not None and s.max(initial=0) < TOO_MANY for s in stored):
+    if (
+        grid.navbake
+        and not is_blocked
+        and all(s is not None and s.max(initial=0) < TOO_MANY for s in stored)
+    ):
         return [np.asarray(s).astype(np.int32) for s in stored]
     digest = _digest(grid)
     known = _FOUND.get(grid)

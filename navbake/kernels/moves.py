@@ -12,20 +12,22 @@ STRAIGHT = 15
 
 @njit(cache=True, error_model="numpy")
 def find_moves(
-    moves, first, width, height, row0, row1, col0, col1, free, floor, max_step, cut_corners
+    moves, first, width, height, row0, row1, col0, col1, free, wide, floor, max_step, cut_corners
 ):
     """Find the moves of a rectangle of cells on one level.
 
     A move leads to a free neighbour whose floor differs by at most `max_step`; a cell without
     floor height is level with its neighbours. A diagonal one also needs both cells beside it, and
-    steps over either of them, unless corners may be cut.
+    steps over either of them, and room at both its ends, unless corners may be cut.
 
     Args:
         moves: by flat id, uint8; of the rectangle, written.
         first: flat id of the level's first cell.
         width, height: of the level.
         row0, row1, col0, col1: the rectangle, row1 and col1 excluded.
-        free, floor: by flat id; floor in metres, NaN where there is none.
+        free: by flat id, bool.
+        wide: by flat id, bool: cells with room round them for a diagonal step.
+        floor: by flat id [m], NaN where there is none.
         max_step: [m], slack included.
         cut_corners: whether a diagonal move needs nothing but its target.
     """
@@ -36,7 +38,7 @@ def find_moves(
             if free[cell]:
                 around = _edges(cell, row, col, width, height, free, floor, max_step)
                 found = around | _corners(
-                    cell, row, col, width, height, free, floor, max_step, around, cut_corners
+                    cell, row, col, width, height, free, wide, floor, max_step, around, cut_corners
                 )
             moves[cell] = found
 
@@ -62,7 +64,7 @@ def _edges(cell, row, col, width, height, free, floor, max_step):
 
 
 @njit(cache=True, error_model="numpy")
-def _corners(cell, row, col, width, height, free, floor, max_step, around, cut_corners):
+def _corners(cell, row, col, width, height, free, wide, floor, max_step, around, cut_corners):
     """Moves over the corners of a cell, given those over its edges."""
     found = 0
     for d in range(4):
@@ -76,9 +78,13 @@ def _corners(cell, row, col, width, height, free, floor, max_step, around, cut_c
             continue
         if not cut_corners:
             both = (EAST if across > 0 else WEST) | (NORTH if down < 0 else SOUTH)
-            if around & both != both or not (
-                _joined(one, target, free, floor, max_step)
-                and _joined(other, target, free, floor, max_step)
+            if (
+                around & both != both
+                or not (wide[cell] and wide[target])
+                or not (
+                    _joined(one, target, free, floor, max_step)
+                    and _joined(other, target, free, floor, max_step)
+                )
             ):
                 continue
         found |= 16 << d

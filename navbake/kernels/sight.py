@@ -1,4 +1,4 @@
-"""Straight lines over a level: what they touch, what they cost, how near obstacles are.
+"""Straight lines over a level: what they touch, what they run through, what they cost.
 
 Lines are in the level's own units: u in columns, v in rows, so that cell (row, col) is the square
 from (col, row) to (col + 1, row + 1).
@@ -28,14 +28,15 @@ def _clip(u0, v0, u1, v1, low, high):
 
 
 @njit(cache=True, error_model="numpy")
-def is_walkable(u0, v0, u1, v1, moves, free, first, width, height):
-    """Whether all cells that a line touches are free, and all steps between them small enough.
+def is_walkable(u0, v0, u1, v1, moves, roomy, first, width, height):
+    """Whether all cells that a line touches are roomy, and all steps between them small enough.
 
     A line touches a cell where it meets the cell's closed square: over a corner, all four.
 
     Args:
         u0, v0, u1, v1: the line's ends.
-        moves, free: by flat id, see `navbake.kernels.moves`.
+        moves: by flat id, see `navbake.kernels.moves`.
+        roomy: by flat id, bool: free cells in which an agent may be anywhere.
         first: flat id of the level's first cell.
         width, height: of the level.
     """
@@ -50,64 +51,13 @@ def is_walkable(u0, v0, u1, v1, moves, free, first, width, height):
             return False
         for col in range(col0, col1 + 1):
             cell = first + row * width + col
-            if not free[cell]:
+            if not roomy[cell]:
                 return False
             if col < col1 and not moves[cell] & EAST:
                 return False
             if above0 <= col <= above1 and not moves[cell - width] & SOUTH:
                 return False
         above0, above1 = col0, col1
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def _to_line(u, v, u0, v0, u1, v1):
-    """Squared distance of a point from a line."""
-    du, dv = u1 - u0, v1 - v0
-    along = du * du + dv * dv
-    t = 0.0
-    if along > 0.0:
-        t = min(max(((u - u0) * du + (v - v0) * dv) / along, 0.0), 1.0)
-    du, dv = u0 + t * du - u, v0 + t * dv - v
-    return du * du + dv * dv
-
-
-@njit(cache=True, error_model="numpy")
-def _to_square(u, v, row, col):
-    """Squared distance of a point from a cell's square."""
-    du = max(col - u, u - col - 1, 0.0)
-    dv = max(row - v, v - row - 1, 0.0)
-    return du * du + dv * dv
-
-
-@njit(cache=True, error_model="numpy")
-def has_room(u0, v0, u1, v1, radius, occupied, first, width, height):
-    """Whether a disc that moves along a walkable line meets no occupied cell's square.
-
-    Args:
-        u0, v0, u1, v1: the line's ends; none of the cells that it touches is occupied.
-        radius: of the disc, in cells, >= 0.
-        occupied: by flat id, bool.
-        first: flat id of the level's first cell.
-        width, height: of the level.
-    """
-    if radius <= 0.0:
-        return True
-    nearest = (radius - TOUCH) ** 2
-    top = max(math.floor(min(v0, v1) - radius), 0)
-    bottom = min(math.floor(max(v0, v1) + radius), height - 1)
-    for row in range(top, bottom + 1):
-        low, high = _clip(u0, v0, u1, v1, row - radius, row + 1 + radius)
-        col0, col1 = max(math.floor(low - radius), 0), min(math.floor(high + radius), width - 1)
-        for col in range(col0, col1 + 1):
-            if not occupied[first + row * width + col]:
-                continue
-            gap = min(_to_square(u0, v0, row, col), _to_square(u1, v1, row, col))
-            for corner in range(4):
-                u, v = col + (corner & 1), row + (corner >> 1)
-                gap = min(gap, _to_line(u, v, u0, v0, u1, v1))
-            if gap < nearest:
-                return False
     return True
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from navbake.kernels.sight import crossed_cells, has_room, is_walkable, line_cost
+from navbake.kernels.sight import crossed_cells, is_walkable, line_cost
 
 GAIN = 1e-9  # share of its cost by which rounding may make a straight line dearer
 
@@ -19,30 +19,25 @@ def _in_cells(point, level, x_min, y_max, cell_size):
 
 
 @njit(cache=True, error_model="numpy")
-def can_pass(
-    a, b, level, moves, free, occupied, radius, start, width, height, x_min, y_max, cell_size
-):
+def can_pass(a, b, level, moves, roomy, start, width, height, x_min, y_max, cell_size):
     """Whether a straight line between two points of a level stays free.
 
     Args:
         a, b: world x, y [m].
         level: the level of both.
-        moves, free, occupied: by flat id.
-        radius: how far the line stays away from occupied cells [m], 0 to not look at them.
+        moves, roomy: by flat id, see `navbake.kernels.sight.is_walkable`.
         start, width, height, x_min, y_max, cell_size: of the levels, see
             `navbake.runtime.walk.Walk`.
     """
     u0, v0 = _in_cells(a, level, x_min, y_max, cell_size)
     u1, v1 = _in_cells(b, level, x_min, y_max, cell_size)
     place = (start[level], width[level], height[level])
-    if not is_walkable(u0, v0, u1, v1, moves, free, *place):
-        return False
-    return has_room(u0, v0, u1, v1, radius / cell_size[level], occupied, *place)
+    return is_walkable(u0, v0, u1, v1, moves, roomy, *place)
 
 
 @njit(cache=True, error_model="numpy")
 def pull_string(
-    points, levels, is_link, kept, moves, free, occupied, radius, weight, same_weight,
+    points, levels, is_link, kept, moves, roomy, weight, same_weight,
     start, width, height, x_min, y_max, cell_size,
 ):  # fmt: skip
     """Choose the points of a route that straight lines between them can do with.
@@ -56,7 +51,7 @@ def pull_string(
         levels: of the points, shape (n,).
         is_link: whether a link leads from a point to the next, shape (n - 1,), bool.
         kept: (n,) bool, receives which points to keep.
-        moves, free, occupied, radius: as of `can_pass`.
+        moves, roomy: as of `can_pass`.
         weight: by flat id.
         same_weight: the weight of all free cells, or 0 where they differ.
         start, width, height, x_min, y_max, cell_size: of the levels.
@@ -83,7 +78,7 @@ def pull_string(
         while good < last and bad > last:
             there = min(here + reach, last)
             if _is_shortcut(
-                here, there, points, levels[here], spent, moves, free, occupied, radius, weight,
+                here, there, points, levels[here], spent, moves, roomy, weight,
                 same_weight, start, width, height, x_min, y_max, cell_size,
             ):  # fmt: skip
                 good = there
@@ -93,7 +88,7 @@ def pull_string(
         while bad - good > 1:
             there = (good + bad) // 2
             if _is_shortcut(
-                here, there, points, levels[here], spent, moves, free, occupied, radius, weight,
+                here, there, points, levels[here], spent, moves, roomy, weight,
                 same_weight, start, width, height, x_min, y_max, cell_size,
             ):  # fmt: skip
                 good = there
@@ -105,11 +100,11 @@ def pull_string(
 
 @njit(cache=True, error_model="numpy")
 def _is_shortcut(
-    a, b, points, level, spent, moves, free, occupied, radius, weight, same_weight,
+    a, b, points, level, spent, moves, roomy, weight, same_weight,
     start, width, height, x_min, y_max, cell_size,
 ):  # fmt: skip
     if not can_pass(
-        points[a], points[b], level, moves, free, occupied, radius, start, width, height, x_min,
+        points[a], points[b], level, moves, roomy, start, width, height, x_min,
         y_max, cell_size,
     ):  # fmt: skip
         return False

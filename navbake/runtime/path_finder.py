@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from navbake.grid import NavGrid
 
 
+MAX_FIELDS = 8  # distance fields that are kept
+
+
 class PathFinder(PlaceSampler):
     """Answers an agent's questions about ways through a grid, and about places on it.
 
@@ -44,6 +47,7 @@ class PathFinder(PlaceSampler):
 
     def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
         super().__init__(grid, cut_corners=cut_corners)
+        self._fields: dict[tuple[int, bool, bytes], NDArray[np.float64]] = {}
         self._doors: DoorMap | None = None
 
     def find_path(
@@ -65,11 +69,12 @@ class PathFinder(PlaceSampler):
         Raises:
             QueryError: a position is none, or there is no such room, object or level.
         """
+        search = self.search
         origin, target = self._ends(start, goal, level)
-        goals = target.free_cells(self.search.walk)
-        if origin < 0 or not self.search.walk.free[origin] or not len(goals):
+        goals = target.free_cells(search.walk)
+        if origin < 0 or not search.walk.free[origin] or not len(goals):
             return None
-        route = self.search.route(origin, goals)
+        route = search.route(origin, goals)
         if route is None:
             return None
         return self._make_path(route, np.asarray(start, dtype=np.float64), target, smooth)
@@ -87,16 +92,14 @@ class PathFinder(PlaceSampler):
 
         Returns:
             One array a level, shape (height, width), float64, inf where no path leads to the
-            goal; not to be written to.
+            goal; read-only. The last few goals' fields are kept, so asking again costs nothing.
 
         Raises:
             QueryError: see `find_path`.
         """
-        walk = self.search.walk
-        target = find_target(self.grid, walk, lambda: self.rooms, goal, level)
-        field = self.search.field(target.free_cells(walk), weighted=weighted)
+        field, start = self._field(goal, level, weighted), self.search.walk.start
         return [
-            field[walk.start[k] : walk.start[k + 1]].reshape(part.shape)
+            field[start[k] : start[k + 1]].reshape(part.shape)
             for k, part in enumerate(self.grid.levels)
         ]
 
@@ -122,14 +125,27 @@ class PathFinder(PlaceSampler):
         Raises:
             QueryError: see `find_path`.
         """
-        walk = self.search.walk
-        cells = flat_cells(walk, starts, level)
-        target = find_target(self.grid, walk, lambda: self.rooms, goal, level)
-        field = self.search.field(target.free_cells(walk), weighted=weighted)
+        cells = flat_cells(self.search.walk, starts, level)
+        field = self._field(goal, level, weighted)
         return np.where(cells >= 0, field[cells], np.inf)
 
+    def _field(self, goal: Goal, level: int | None, weighted: bool) -> NDArray[np.float64]:
+        """The field of a goal by flat id; the last few are kept."""
+        search = self.search
+        target = find_target(self.grid, search.walk, lambda: self.rooms, goal, level)
+        goals = target.free_cells(search.walk)
+        key = (search.version, weighted, goals.tobytes())
+        field = self._fields.pop(key, None)
+        if field is None:
+            field = search.field(goals, weighted=weighted)
+            field.flags.writeable = False
+        self._fields[key] = field  # last in the row
+        for old in list(self._fields)[:-MAX_FIELDS]:
+            del self._fields[old]
+        return field
+
     def _ends(self, start: ArrayLike, goal: Goal, level: int | None) -> tuple[int, Target]:
-        walk = self.search.walk
+        walk = self._search.walk
         p = check_positions(start, walk.num_levels, level)
         if p.ndim != 1:
             raise QueryError(f"expected one start, got an array of shape {p.shape}")
@@ -139,9 +155,9 @@ class PathFinder(PlaceSampler):
     def _make_path(
         self, route: NDArray[np.int64], start: NDArray[np.float64], target: Target, smooth: bool
     ) -> Path:
-        walk = self.search.walk
+        search, walk = self._search, self._search.walk
         positions, levels = pull_route(
-            self.search, route, smooth=smooth, start=start[:2], end=target.position_in(route[-1])
+            search, route, smooth=smooth, start=start[:2], end=target.position_in(route[-1])
         )
         level = walk.level_of(route)
         row, col = np.divmod(route - walk.start[level], walk.width[level])
@@ -154,7 +170,7 @@ class PathFinder(PlaceSampler):
             levels=levels,
             cells=np.stack([level, row, col], axis=1),
             length=path_length(positions),
-            cost=float((self.search.lengths(route) * walk.weight[route[1:]]).sum()),
+            cost=float((search.lengths(route) * walk.weight[route[1:]]).sum()),
             rooms=[str(self.rooms.id_of(int(n))) for n in entered if n],
             doors=doors_on(self._doors, route),
         )

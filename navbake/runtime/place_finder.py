@@ -41,11 +41,16 @@ class PlaceFinder:
 
     def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
         self.grid = grid
-        self.search = Search(grid, cut_corners=cut_corners)
+        self._search = Search(grid, cut_corners=cut_corners)
         self._rooms: RoomMap | None = None
-        self._free_at_first = self.search.walk.free.copy()
-        self._occupied_at_first: NDArray[np.bool_] | None = None
+        self._occupied: tuple[int, NDArray[np.bool_]] | None = None
         self._islands: tuple[int, IslandMap] | None = None
+
+    @property
+    def search(self) -> Search:
+        """The cells, with what is blocked now."""
+        self._search.update()
+        return self._search
 
     @property
     def rooms(self) -> RoomMap:
@@ -64,10 +69,10 @@ class PlaceFinder:
     @property
     def occupied(self) -> NDArray[np.bool_]:
         """Where something stands now or there is no floor, by flat id, shape (n,), bool."""
-        if self._occupied_at_first is None:
-            self._occupied_at_first = find_occupied(self.grid)
-        blocked = self._free_at_first & ~self.search.walk.free
-        return np.asarray(self._occupied_at_first | blocked)
+        version = self.search.version
+        if self._occupied is None or self._occupied[0] != version:
+            self._occupied = (version, find_occupied(self.grid))
+        return self._occupied[1]
 
     @property
     def navigable_area(self) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,14 @@ from navbake.kernels.buckets import bucket_width
 from navbake.kernels.field import find_field
 from navbake.kernels.moves import find_moves
 from navbake.kernels.route import NO_ROOM, find_route, goal_box, trace_route
+from navbake.runtime.live import LevelChanges, Window, known_changes, unblocked
 from navbake.runtime.locate import split_cells
+from navbake.runtime.margins import find_room
+from navbake.runtime.outline import NARROW, TIGHT
 from navbake.runtime.walk import Walk, make_walk
 
 if TYPE_CHECKING:
-    from navbake.grid import NavGrid
+    from navbake.grid import NavGrid, SceneGrid2D
 
 LAST_SEARCH = 2**31 // 64 - 2  # `mark` is int32 and holds the number of a search times 64
 FIRST_ROOM = 1 << 15  # entries for open cells at first
@@ -26,45 +29,90 @@ FIRST_ROOM = 1 << 15  # entries for open cells at first
 class Search:
     """Searches the cells of all levels of a grid. Not to be shared by threads.
 
+    What is written into the grid's arrays later is not seen; what `grid.block` blocks is, at each
+    `update`.
+
     Attributes:
-        walk: the cells.
-        version: goes up when cells of the walk change.
+        grid: the grid.
+        walk: the cells; those that are blocked are not free.
         moves: by flat id, uint8: a bit for each way that a step leads, see
             `navbake.kernels.moves`.
         cut_corners: whether a diagonal step needs nothing but its target.
         same_weight: the weight of all free cells, 0 where they differ.
-        obstacles: by flat id, bool: cells that a line has to stay away from.
-        radius: how far [m].
+        wide: by flat id, bool: cells with room for a diagonal step, see
+            `navbake.runtime.margins`.
+        roomy: by flat id, bool: free cells with room all over.
+        version: grows with each change that `update` finds.
     """
 
     def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
-        self.walk: Walk = make_walk(grid)
-        self.version = 0
+        self.grid = grid
+        clean = unblocked(grid)
+        self.walk: Walk = make_walk(clean)
         self.cut_corners = cut_corners
+        self._room = find_room(clean)
+        self.wide, self.roomy = (v.copy() for v in self._room or (self.walk.free,) * 2)
+        self.roomy &= self.walk.free
         self.moves = np.zeros(self.walk.num_cells, dtype=np.uint8)
-        for level in range(self.walk.num_levels):
-            height, width = int(self.walk.height[level]), int(self.walk.width[level])
-            self.refresh(level, 0, height, 0, width)
         self._link_length = link_lengths(self.walk)
-        self.obstacles, self.radius = ~self.walk.free, 0.0
+        self._link_from = np.zeros(len(self.walk.link_cell), dtype=np.int64)
         self._weigh(self.walk.weight[self.walk.free])
         self._mark = np.zeros(self.walk.num_cells, dtype=np.int32)
         self._cost = np.zeros(self.walk.num_cells, dtype=np.float64)
-        self._link_from = np.zeros(len(self.walk.link_cell), dtype=np.int64)
         self._number = 0
         self._make_room(FIRST_ROOM)
+        self.version = 0
+        self._seen = [0] * self.walk.num_levels
+        for number, level in enumerate(grid.levels):
+            self._find_moves(number, (0, level.height, 0, level.width))
+        self.update()
 
-    def refresh(self, level: int, row0: int, row1: int, col0: int, col1: int) -> None:
-        """Find the moves of a rectangle anew, after cells of the walk changed."""
-        self.version += 1
+    def update(self) -> None:
+        """Catch up with what was blocked and freed."""
+        for number, level in enumerate(self.grid.levels):
+            changes = known_changes(level)
+            if changes is None or changes.revision == self._seen[number]:
+                continue
+            windows = changes.windows_since(self._seen[number])
+            if windows is None:
+                windows = [(0, level.height, 0, level.width)]
+            for window in windows:
+                self._copy_changes(number, level, changes, window)
+            self._seen[number] = changes.revision
+            self.version += 1
+
+    def _copy_changes(
+        self, number: int, level: SceneGrid2D, changes: LevelChanges, window: Window
+    ) -> None:
+        """Copy a window of a level that changed, and find the moves in and round it anew."""
+        row0, row1, col0, col1 = window
+        inside, walk = np.s_[row0:row1, col0:col1], self.walk
+        of_level = slice(int(walk.start[number]), int(walk.start[number + 1]))
+
+        def cut(array: NDArray[Any]) -> NDArray[Any]:
+            return array[of_level].reshape(level.shape)[inside]
+
+        weight = level.weights[inside].astype(np.float64)
+        free = np.isfinite(weight)
+        cut(walk.free)[:] = free
+        cut(walk.weight)[:] = np.where(free, weight, np.inf)
+        if self._room is None:
+            cut(self.wide)[:] = cut(self.roomy)[:] = free
+        else:
+            masks = zip((self.wide, self.roomy), self._room, (NARROW, TIGHT), strict=True)
+            for mask, of_bake, layer in masks:
+                held = changes.count[layer].reshape(level.shape)[inside]
+                cut(mask)[:] = cut(of_bake) & (held == 0) & free
+        self._find_moves(number, (row0 - 1, row1 + 1, col0 - 1, col1 + 1))
+
+    def _find_moves(self, number: int, window: Window) -> None:
         walk = self.walk
-        height, width = int(walk.height[level]), int(walk.width[level])
-        rows = max(row0, 0), min(row1, height)
-        cols = max(col0, 0), min(col1, width)
-        first = int(walk.start[level])
+        height, width = int(walk.height[number]), int(walk.width[number])
+        rows = max(window[0], 0), min(window[1], height)
+        cols = max(window[2], 0), min(window[3], width)
         find_moves(
-            self.moves, first, width, height, *rows, *cols, walk.free, walk.floor, walk.max_step,
-            self.cut_corners,
+            self.moves, int(walk.start[number]), width, height, *rows, *cols, walk.free, self.wide,
+            walk.floor, walk.max_step, self.cut_corners,
         )  # fmt: skip
 
     def route(self, origin: int, goals: NDArray[np.int64]) -> NDArray[np.int64] | None:

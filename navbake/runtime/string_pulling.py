@@ -66,8 +66,8 @@ def _can_join(a: NDArray[np.float64], b: NDArray[np.float64], level: int, search
     return bool(can_pass(a, b, level, *_space(search), *_place(search)))
 
 
-def _space(search: Search) -> tuple[Any, Any, Any, float]:
-    return search.moves, search.walk.free, search.obstacles, search.radius
+def _space(search: Search) -> tuple[Any, Any]:
+    return search.moves, search.roomy
 
 
 def _place(search: Search) -> tuple[Any, Any, Any, Any, Any, Any]:
