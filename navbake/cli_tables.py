@@ -152,7 +152,7 @@ def door_table(doors: Iterable[dict[str, Any]], levels: Sequence[str]) -> Table:
             door["id"],
             door["joint"] or "none",
             ", ".join(levels[level] for level in door["levels"]),
-            " - ".join("outside" if room is None else room for room in door["rooms"]),
+            _joined(door["rooms"]),
             door["state"],
             ", ".join(door["states"]),
         )
@@ -182,6 +182,12 @@ def why_table(facts: dict[str, Any]) -> Table:
     table = _table(("", ""), rows)
     table.show_header = False
     return table
+
+
+def _joined(rooms: Sequence[str | None]) -> str:
+    """What a door joins; nothing if a pattern made a door of what stands anywhere."""
+    names = ["outside" if room is None else room for room in rooms]
+    return " - ".join(names) if any(rooms) else "nothing"
 
 
 def _neighbour(neighbour: dict[str, Any]) -> str:

@@ -6,7 +6,6 @@ So another state needs no scene and no new bake.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
@@ -178,7 +177,7 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
             f"{grid.scene_id!r} was inflated with its doors as they were: change them on the grid "
             "as it was baked, then inflate that"
         )
-    doors = copy.deepcopy(grid.navbake.get("doors", []))
+    doors = [dict(door) for door in grid.doors]
     by_id: dict[str, dict[str, Any]] = {door["id"]: door for door in doors}
     wanted: dict[str, str] = (
         dict.fromkeys(by_id, states) if isinstance(states, str) else dict(states)
@@ -216,26 +215,42 @@ def name_door_cells(
     """
     if not doors:
         return user_data
+    names, standing = _doors_by_cell(doors, level, num_levels)
+    ids = {door["id"] for door in doors}
+    merged = dict(user_data)
+    for cell, found in names.items():
+        entry = _without_doors(merged.pop(cell, {}), ids)
+        if found:
+            entry = _with_doors(entry, found, standing.get(cell, set()))
+        if entry:
+            merged[cell] = entry
+    return {cell: merged[cell] for cell in sorted(merged)}
+
+
+def _doors_by_cell(
+    doors: list[dict[str, Any]], level: int, num_levels: int
+) -> tuple[dict[int, set[str]], dict[int, set[str]]]:
+    """The doors that each cell is in, and those that block it.
+
+    Among the former are all cells that a door blocks in any state, as it may have been in that.
+    """
     names: dict[int, set[str]] = {}
     standing: dict[int, set[str]] = {}
     for door in doors:
-        for cell in door_cells(door, door["state"], num_levels)[level].tolist():
-            standing.setdefault(cell, set()).add(door["id"])
-            names.setdefault(cell, set()).add(door["id"])
-        for cell in door_cells(door, "closed", num_levels)[level].tolist():
-            names.setdefault(cell, set()).add(door["id"])
-    ids = {door["id"] for door in doors}
-    merged = {
-        cell: _without_doors(entry, ids) if "doors" in entry else entry
-        for cell, entry in user_data.items()
-    }
-    for cell, found in names.items():
-        merged[cell] = _with_doors(merged.get(cell, {}), found, standing.get(cell, set()))
-    return {cell: merged[cell] for cell in sorted(merged) if merged[cell]}
+        for state in door["cells"]:
+            for cell in door_cells(door, state, num_levels)[level].tolist():
+                found = names.setdefault(cell, set())
+                if state in ("closed", door["state"]):
+                    found.add(door["id"])
+                if state == door["state"]:
+                    standing.setdefault(cell, set()).add(door["id"])
+    return names, standing
 
 
 def _without_doors(entry: dict[str, Any], ids: set[str]) -> dict[str, Any]:
     """A cell's user data without doors; what blocks a door's cell is a door as well."""
+    if "doors" not in entry:
+        return entry
     kept = {key: value for key, value in entry.items() if key not in ("doors", "blockers")}
     kept["objects"] = [name for name in kept.get("objects", []) if name not in ids]
     return {key: value for key, value in kept.items() if key != "objects" or value}

@@ -256,8 +256,9 @@ def test_rooms_and_their_picture(folder, run):
 
 
 def test_doors_are_listed_with_their_states(folder, run):
-    (folder / "doors.xml").write_text(world(ROOMS, LEAF))
-    run("bake", "doors.xml", "-q", "--set", "doors.state=open")
+    box = '<body name="box" pos="1.5 1.5 0.5"><geom type="box" size="0.1 0.1 0.1"/></body>'
+    (folder / "doors.xml").write_text(world(ROOMS, LEAF, box))
+    run("bake", "doors.xml", "-q", "--set", "doors.state=open", "--set", "doors.patterns=[box]")
     expected = {
         "id": "leaf",
         "joint": "leaf",
@@ -268,11 +269,13 @@ def test_doors_are_listed_with_their_states(folder, run):
     }
     for command in ("info", "rooms"):
         status, out, _ = run(command, "doors.grid.json", "--json")
-        assert (status, json.loads(out)["doors"]) == (0, [expected])
-        *_, header, row = run(command, "doors.grid.json")[1].splitlines()
+        assert (status, json.loads(out)["doors"][0]) == (0, expected)
+        *_, header, row, other = run(command, "doors.grid.json")[1].splitlines()
         assert header.split() == ["door", "joint", "level", "joins", "is", "can", "be"]
         cells = "leaf leaf level 0 0:1 - 0:2 open modelled, open, closed, removed"
         assert " ".join(row.split()) == cells
+        expected_other = "box none level 0 nothing modelled modelled, closed, removed"
+        assert " ".join(other.split()) == expected_other
 
 
 @pytest.mark.parametrize(

@@ -33,8 +33,8 @@ def find_carrying_doors(
 ) -> list[str]:
     """Tell of doors that carry half a square metre of floor or more, in any of their states.
 
-    That is what faces up within the agent's slope, has its headroom, and lies no more than a
-    step from a floor beside it.
+    That is what faces up within the agent's slope, has its headroom, lies no more than a step
+    from a floor beside it, and not on one (as a mat does).
 
     Args:
         scene: the whole scene, as modelled.
@@ -78,6 +78,10 @@ def _carried_area(
         return 0.0
     top = _tops(shapes, lattice.cut(*window), agent)
     rows, cols = window
+    step = agent.traversable_floor_height + SLACK
+    parts = [level.floor[window] for level in floors]
+    for floor in parts:
+        top[np.abs(top - floor) <= step] = np.nan
     row, col = np.nonzero(~np.isnan(top))
     for r, c in zip(row.tolist(), col.tolist(), strict=True):
         cell = (r + rows.start) * lattice.width + c + cols.start
@@ -85,8 +89,7 @@ def _carried_area(
         above = above[above > top[r, c] + SLACK]
         if len(above) and above[0] < top[r, c] + agent.height - SLACK:
             top[r, c] = np.nan
-    step = agent.traversable_floor_height + SLACK
-    if not any(_is_beside(top, level.floor[window], step) for level in floors):
+    if not any(_is_beside(top, floor, step) for floor in parts):
         return 0.0
     return float(np.count_nonzero(~np.isnan(top))) * lattice.cell_size**2
 

@@ -170,13 +170,19 @@ def test_a_stage_that_looked_like_a_door_carries_a_floor(bake):
 
 
 @pytest.mark.parametrize(
-    ("things", "passes"), [((ROOMS, LEAF), 1), ((ROOMS, LEAF, CUPBOARD), 2), ((SHELL,), 1)]
+    ("things", "settings", "passes"),
+    [
+        ((ROOMS, LEAF), {}, 1),
+        ((ROOMS, LEAF, CUPBOARD), {}, 2),
+        ((SHELL,), {}, 1),
+        ((ROOMS, LEAF), {"grid": {"bounds": [3.5, 0.0, 6.0, 3.0]}}, 1),  # beside them
+    ],
 )
-def test_only_what_is_no_door_costs_a_second_pass(bake, monkeypatch, things, passes):
+def test_only_what_is_no_door_costs_a_second_pass(bake, monkeypatch, things, settings, passes):
     calls = []
     find = pipeline.find_rooms
     monkeypatch.setattr(pipeline, "find_rooms", lambda *args: calls.append(1) or find(*args))
-    bake(*things)
+    bake(*things, **settings)
     assert len(calls) == passes
 
 
@@ -259,12 +265,8 @@ ROLLING = """
 <geom type="box" pos="0 0 -1.1" size="0.03 1 1.1"/></body>
 """
 
-# a lid on a floor, under a table
-LID = """
-<geom type="box" pos="0 0 -0.1" size="3 3 0.1"/><geom type="box" pos="0 0 0.6" size="1 1 0.05"/>
-<body name="lid" pos="-0.5 0 0.03"><joint name="lid" axis="0 -1 0" range="0 5"/>
-<geom type="box" pos="0.5 0 0" size="0.5 0.5 0.03"/></body>
-"""
+BEAM = '<geom type="box" pos="0.5 0 0.9" size="0.7 0.6 0.05"/>'
+MAT = '<body name="mat" pos="1.5 1.5 0.01"><geom type="box" size="1 1 0.01"/></body>'
 
 
 @pytest.mark.parametrize("angle", [0.0, 90.0])
@@ -277,7 +279,8 @@ def test_a_door_that_carries_a_floor_is_told(warnings, angle):
 
 
 @pytest.mark.parametrize(
-    ("pattern", "things"), [("gate", (ROLLING,)), ("leaf", (ROOMS, LEAF)), ("lid", (LID,))]
+    ("pattern", "things"),
+    [("gate", (ROLLING,)), ("leaf", (ROOMS, LEAF)), ("hatch", (PIT, BEAM)), ("mat", (ROOMS, MAT))],
 )
 def test_a_door_that_one_cannot_walk_on_is_not_told(warnings, pattern, things):
     assert warnings(*things, doors={"patterns": [pattern]}) == []
