@@ -11,6 +11,7 @@ from navbake.bake.names import body_name
 from navbake.bake.scene import Scene
 from navbake.kernels.lists import number_lists
 from navbake.lattice import Lattice
+from navbake.user_data import SharedUserData
 
 Int = NDArray[np.int64]
 Window = tuple[slice, slice]
@@ -44,7 +45,7 @@ def name_cells(
     names: Sequence[str],
     lattice: Lattice,
     window: Window,
-) -> dict[int, Names]:
+) -> SharedUserData:
     """Write the names of geoms in cells as user data.
 
     Args:
@@ -56,9 +57,8 @@ def name_cells(
         window: rows and columns of the lattice that the grid holds.
 
     Returns:
-        By cell id on the window, ascending: sorted names under each key that has any, and
-        ``blockers`` where they aren't all the other names. Cells with the same names share one
-        dict; nobody may change it.
+        By cell id on the window: sorted names under each key that has any, and ``blockers``
+        where they aren't all the other names.
     """
     cell, name, bits = _merge(cell, _number_names(names)[geom], bits, len(names))
     token = name * ALL_BITS + bits
@@ -72,8 +72,7 @@ def name_cells(
     number = np.empty(len(first), dtype=np.int64)
     lists = number_lists(start, token, number)
     described = _describe(token, start[lists], start[lists + 1], names)
-    found = map(described.__getitem__, number.tolist())
-    return dict(zip(cell[first].tolist(), found, strict=True))
+    return SharedUserData(cell[first], number, described)
 
 
 def _merge(cell: Int, name: Int, bits: Int, num_names: int) -> tuple[Int, Int, Int]:

@@ -12,7 +12,6 @@ from navbake.bake.cell_names import (
     BLOCKERS,
     OBJECTS,
     WALLS,
-    Names,
     Window,
     name_cells,
     name_geoms,
@@ -41,6 +40,7 @@ from navbake.kernels.contents import count_candidates, describe_floors, list_geo
 from navbake.kernels.flags import BLOCKS, PROBED, STANDS, UNPROVED
 from navbake.kernels.sheets import SAME, SLACK
 from navbake.lattice import Lattice
+from navbake.user_data import SharedUserData
 
 Bool = NDArray[np.bool_]
 
@@ -105,7 +105,7 @@ class Contents:
         cells[listed.cell[chosen]] = True
         return cells.reshape(listed.lattice.shape)
 
-    def user_data(self, level: int, window: Window) -> dict[int, Names]:
+    def user_data(self, level: int, window: Window) -> SharedUserData:
         """Name what stands in a storey's cells, as the original client does.
 
         `objects` are all things but walls and the building's own floors, ceilings and stairs;
@@ -119,8 +119,7 @@ class Contents:
             window: rows and columns of the lattice that its grid holds.
 
         Returns:
-            By cell id on the window, ascending: sorted names under each key that has any.
-            Cells with the same names share one dict; nobody may change it.
+            By cell id on the window: sorted names under each key that has any.
         """
         listed = self.levels[level]
         kind = self.kinds[listed.geom]
