@@ -59,7 +59,8 @@ def claim_by_geoms(
     Of the geoms that match, that is the one whose surface lies highest from 5 cm below the floor
     to 5 mm above it; so rugs cover no room, and geoms may be floors that are only drawn, and
     don't count in the bake. Of several at one height the first counts. Meshes are taken as their
-    triangles.
+    triangles. Furniture may be named like a room: a geom is a floor when half of what it shows
+    from above is.
 
     Args:
         scene: the scene.
@@ -76,9 +77,13 @@ def claim_by_geoms(
     number = np.zeros(model.ngeom + 1, dtype=np.int32)
     number[chosen] = np.arange(1, len(chosen) + 1)
     cell, z, geom = _surfaces_of(scene, columns, chosen)
-    for level, label in zip(levels, labels, strict=True):
-        height = z - level.floor.ravel()[cell]  # NaN without a floor, which is no match
-        here = (height >= -BELOW - SAME) & (height <= ABOVE + SAME)
+    heights = [z - level.floor.ravel()[cell] for level in levels]  # NaN for no floor: no match
+    on_floor = [(height >= -BELOW - SAME) & (height <= ABOVE + SAME) for height in heights]
+    seen = np.bincount(geom, minlength=model.ngeom)
+    as_floor = np.bincount(geom[np.any(on_floor, axis=0)], minlength=model.ngeom)
+    is_floor = as_floor >= HALF * seen
+    for label, here in zip(labels, on_floor, strict=True):
+        here &= is_floor[geom]
         highest = np.full(label.size, -np.inf)
         np.maximum.at(highest, cell[here], z[here])
         here &= z >= highest[cell] - SAME

@@ -65,6 +65,12 @@ def test_rugs_and_furniture_change_nothing(tmp_path):
     np.testing.assert_array_equal(full.grid.levels[0].room_index, bare.grid.levels[0].room_index)
 
 
+def test_furniture_named_like_a_room_is_none(tmp_path):
+    """A dome whose rim alone is at the height of the floor."""
+    dome = '<geom name="room_0_dome" type="ellipsoid" size="1.5 1.5 .3" pos="-2 0 -.29"/>'
+    assert set(rooms_of(bake(tmp_path, SLABS + dome))) == {"west", "east"}
+
+
 def test_geoms_that_are_only_drawn(tmp_path):
     """A floor that collides under floors that don't, of which one is a mesh a hair above it."""
     body = """
