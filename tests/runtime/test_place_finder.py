@@ -1,0 +1,178 @@
+"""Islands, rooms, bounds and pictures that a finder tells of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import navbake
+from grid_maps import house_from, level_from, random_house
+from navbake.errors import QueryError
+from navbake.grid import MultiLevelGrid
+from navbake.islands import find_islands
+from navbake.runtime.locate import flat_cells
+from navbake.runtime.place_finder import PlaceFinder
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_islands_are_those_of_the_grid(seed):
+    house = random_house(np.random.default_rng(seed), num_levels=1 + seed % 3, share=0.6)
+    finder = PlaceFinder(house)
+    expected = np.concatenate([island.ravel() for island in find_islands(house)])
+    np.testing.assert_array_equal(finder.islands.number, expected)
+    sizes = np.bincount(expected)
+    assert finder.islands.count == len(sizes) - 1
+    for island in range(1, len(sizes)):
+        assert finder.island_area(island) == pytest.approx(sizes[island] * 0.01)
+    assert finder.navigable_area == pytest.approx(sizes[1:].sum() * 0.01)
+
+
+def test_areas_of_levels_with_cells_of_their_own():
+    grids = [level_from("..#.", cell_size=0.5), level_from("...", ground=3.0)]
+    finder = PlaceFinder(MultiLevelGrid(grids=grids, cell_size=0.5))
+    areas = [finder.island_area(island) for island in (1, 2, 3)]
+    assert areas == pytest.approx([0.03, 0.5, 0.25])
+    assert finder.navigable_area == pytest.approx(0.78)
+
+
+def test_island_of_a_position():
+    finder = PlaceFinder(level_from("...#."))
+    assert finder.island_at((0.05, -0.05)) == 1
+    assert finder.island_at((0.45, -0.05)) == 2
+    assert finder.island_at((0.35, -0.05)) is None
+    assert finder.island_at((9.0, 0.0)) is None
+    assert finder.same_island((0.05, -0.05), (0.25, -0.05))
+    assert not finder.same_island((0.05, -0.05), (0.45, -0.05))
+    assert not finder.same_island((0.35, -0.05), (0.35, -0.05))
+    with pytest.raises(QueryError, match="no island 0: there are 1 to 2, 1 the largest"):
+        finder.island_area(0)
+
+
+@pytest.fixture(scope="module")
+def house():
+    return navbake.PathFinder(navbake.load(GOLDEN / "house.grid.json.gz"))
+
+
+def test_rooms_of_the_sample_house(house):
+    rng = np.random.default_rng(0)
+    for room in house.rooms.rooms:
+        points = house.random_point(rng, 20, room=room["id"])
+        assert {house.room_at(p) for p in points} == {room["id"]}
+        assert {house.cell_at(p).level for p in points} == {room["level"]}
+        assert house.same_room(points[0], points[1])
+        assert house.room_near(points[0], 0.0) == room["id"]
+        assert not house.same_room(points[0], (99.0, 0.0, 0.0))
+
+
+def test_room_near_a_wall(house):
+    walls = np.flatnonzero((house.rooms.number == 0) & house.occupied)
+    walk = house.search.walk
+    in_rooms = np.flatnonzero(house.rooms.number)
+    for cell in np.random.default_rng(1).choice(walls, size=30):
+        position, level = walk.positions(cell), int(walk.level_of(cell))
+        there = in_rooms[walk.level_of(in_rooms) == level]
+        distance = np.linalg.norm((walk.positions(there) - position)[:, :2], axis=1)
+        nearest = there[distance <= distance.min() + 1e-9]
+        rooms = {house.rooms.id_of(int(n)) for n in house.rooms.number[nearest]}
+        assert house.room_near(position, level=level) in rooms
+        assert house.room_near(position, distance.min() - 0.01, level=level) is None
+
+
+def test_room_of_an_object(house):
+    names = {
+        name: (number, cell)
+        for number, level in enumerate(house.grid.levels)
+        for cell, entry in level.user_data.items()
+        for name in entry.get("objects", ())
+    }
+    assert names
+    for name in list(names)[:20]:
+        room = house.room_of(name)
+        assert room is None or room in {entry["id"] for entry in house.rooms.rooms}
+    with pytest.raises(QueryError, match="no object 'no such thing'"):
+        house.room_of("no such thing")
+
+
+def test_room_of_an_object_is_where_most_of_it_is():
+    level = level_from("......")
+    level.attributes["roomIndex"] = np.array([[1, 1, 2, 2, 2, 0]], dtype=np.uint16)
+    level.user_data = {c: {"objects": ["sofa"]} for c in range(1, 6)} | {5: {"objects": ["lamp"]}}
+    finder = PlaceFinder(level)
+    assert finder.room_of("sofa") == "0:2"
+    assert finder.room_of("lamp") is None
+
+
+def test_bounds_are_those_of_free_cells_and_their_floors():
+    lower = level_from("#...\n####")
+    upper = level_from("....\n....\n....", ground=3.0, x=2.0, y_max=1.0)
+    low, high = PlaceFinder(house_from([lower, upper])).bounds
+    np.testing.assert_allclose(low, (0.1, -0.1, 0.0), atol=1e-12)
+    np.testing.assert_allclose(high, (2.4, 1.0, 3.0), atol=1e-12)
+    with pytest.raises(QueryError, match="no cell of 'house' is free"):
+        _ = PlaceFinder(house_from([level_from("##")])).bounds
+
+
+def test_a_picture_shows_its_own_storey():
+    finder = PlaceFinder(house_from([level_from("..#\n# ."), level_from("##.", ground=3.0)]))
+    free, blocked, none = (247, 243, 232), (59, 66, 82), (185, 192, 204)
+    assert finder.top_down(0).tolist() == [
+        [list(v) for v in row] for row in ((free, free, blocked), (blocked, none, free))
+    ]
+    assert finder.top_down(1).shape == (1, 3, 3)
+    np.testing.assert_array_equal(
+        finder.top_down(0, 0.05), finder.top_down(0).repeat(2, 0).repeat(2, 1)
+    )
+    assert finder.top_down(0, 0.2).shape == (1, 2, 3)
+    finder.search.walk.free[0] = False
+    assert tuple(finder.top_down(0)[0, 0]) == blocked
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((2,), "no level 2: expected 0 to 1"),
+        ((0, 0.0), "metres_per_pixel > 0, got 0.0"),
+        ((0, np.nan), "metres_per_pixel > 0, got nan"),
+        ((0, 1e-6), "pixels are too many"),
+    ],
+)
+def test_pictures_that_cannot_be_are_refused(arguments, message):
+    finder = PlaceFinder(house_from([level_from(".." * 9), level_from("..", ground=3.0)]))
+    with pytest.raises(QueryError, match=message):
+        finder.top_down(*arguments)
+
+
+@pytest.mark.parametrize("name", ["apartment", "house", "terrain"])
+def test_samples_in_a_walk_round(name):
+    """Nothing here knows of one grid only: places of each sample stand up to every question."""
+    finder = navbake.PathFinder(navbake.load(GOLDEN / f"{name}.grid.json.gz"))
+    rng = np.random.default_rng(2)
+    points = finder.random_point(rng, 50, anywhere=True)
+    assert finder.are_navigable(points).all()
+    for p in points:
+        cell = finder.cell_at(p)
+        level = finder.grid.levels[cell.level]
+        assert level.free[cell.row, cell.col]
+        np.testing.assert_allclose(finder.snap(p), p)
+        assert finder.clearance(p) > 0
+        moved = finder.try_step(p, p[:2] + rng.normal(size=2) * 0.3)
+        assert finder.is_navigable(moved)
+        assert finder.same_island(p, moved)
+    numbers = finder.islands.number[flat_cells(finder.search.walk, points)]
+    assert (numbers > 0).all()
+
+
+def test_third_party_files():
+    """The original client's own cases: no links, no islands, no clearance."""
+    level = level_from("....\n.##.\n....", floors=False)
+    level.metadata.clear()
+    level.attributes.clear()
+    finder = PlaceFinder(level)
+    assert finder.islands.count == 1
+    assert finder.clearance((0.05, -0.05)) == pytest.approx(np.hypot(0.05, 0.05))
+    assert finder.room_at((0.05, -0.05)) is None
+    assert not finder.line_of_sight((0.05, -0.15), (0.35, -0.15))

@@ -1,0 +1,259 @@
+"""Random places: even by area, reachable, where they are asked for."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+from scipy.stats import chisquare
+
+from grid_maps import house_from, level_from, random_house
+from navbake.errors import QueryError
+from navbake.grid import MultiLevelGrid
+from navbake.runtime.locate import flat_cells
+from navbake.runtime.place_sampler import PlaceSampler
+
+
+def make_rng(seed=0):
+    return np.random.default_rng(seed)
+
+
+def room(level, index, id):
+    return {
+        "level": level, "index": index, "id": id, "name": None, "area": 1.0,
+        "centroid": [0.0, 0.0, 0.0], "neighbours": [],
+    }  # fmt: skip
+
+
+def random_sampler(seed, **options):
+    return PlaceSampler(random_house(make_rng(seed), **options))
+
+
+@pytest.mark.parametrize("anywhere", [False, True])
+def test_cells_of_all_levels_are_as_likely_as_one_another(anywhere):
+    sampler = random_sampler(3, num_levels=3)
+    walk = sampler.search.walk
+    points = sampler.random_point(make_rng(), 40000, anywhere=anywhere)
+    cells = flat_cells(walk, points)
+    assert walk.free[cells].all()
+    counts = np.bincount(cells, minlength=walk.num_cells)[walk.free]
+    assert chisquare(counts).pvalue > 0.01
+    offset = points - walk.positions(cells)
+    assert np.all(offset[:, 2] == 0)
+    if anywhere:
+        for axis in (0, 1):
+            parts = np.histogram(offset[:, axis], bins=10, range=(-0.05, 0.05))[0]
+            assert chisquare(parts).pvalue > 0.01
+    else:
+        assert not offset.any()
+
+
+def test_larger_cells_are_likelier_by_their_area():
+    coarse, fine = level_from("..", cell_size=0.3), level_from("...", ground=3.0)
+    sampler = PlaceSampler(MultiLevelGrid(grids=[coarse, fine], cell_size=0.3))
+    cells = flat_cells(sampler.search.walk, sampler.random_point(make_rng(), 20000))
+    counts = np.bincount(cells, minlength=5)
+    expected = np.array([9, 9, 1, 1, 1]) / 21 * 20000
+    assert chisquare(counts, expected).pvalue > 0.01
+
+
+def test_the_same_generator_draws_the_same():
+    sampler = random_sampler(1)
+    one, other = (sampler.random_point(make_rng(5), 10, anywhere=True) for _ in range(2))
+    np.testing.assert_array_equal(one, other)
+    assert sampler.random_point(make_rng(5)).shape == (3,)
+    assert sampler.random_point(make_rng(5), 0).shape == (0, 3)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_points_are_where_they_are_asked_for(seed):
+    sampler = random_sampler(seed, num_levels=2, share=0.55)
+    rng = make_rng(seed)
+    numbers = sampler.islands.number
+    walk = sampler.search.walk
+    for island in range(1, min(sampler.islands.count, 5) + 1):
+        points = sampler.random_point(rng, 50, island=island, anywhere=True)
+        assert set(numbers[flat_cells(walk, points)]) == {island}
+        start = points[0]
+        for found in (
+            sampler.random_point(rng, 50, reachable_from=start, anywhere=True),
+            sampler.random_point_near(rng, start, 1.0, 50, anywhere=True),
+        ):
+            assert set(numbers[flat_cells(walk, found)]) == {island}
+    points = sampler.random_point(rng, 50, level=1)
+    assert set(walk.level_of(flat_cells(walk, points))) == {1}
+
+
+def test_in_a_room():
+    level = level_from("....#....")
+    level.attributes["roomIndex"] = np.array([[1, 1, 1, 1, 0, 2, 2, 2, 2]], dtype=np.uint16)
+    sampler = PlaceSampler(house_from([level], rooms=[room(0, 1, "a"), room(0, 2, "b")]))
+    points = sampler.random_point(make_rng(), 50, room="b", anywhere=True)
+    assert points[:, 0].min() > 0.5
+    with pytest.raises(QueryError, match="no room 'c' in 'house': it has a, b"):
+        sampler.random_point(make_rng(), room="c")
+    with pytest.raises(QueryError, match="no free cell in 'house' with room b, island 1"):
+        sampler.random_point(make_rng(), room="b", island=1)
+    near = sampler.random_point_near(make_rng(), (0.05, -0.05), 9.0, 50, straight=True, room="b")
+    assert near[:, 0].min() > 0.5
+
+
+def plain_distances(sampler, start):
+    """scipy's, over eight neighbours without corners, and links of a cell's length."""
+    walk, moves = sampler.search.walk, []
+    for level in range(walk.num_levels):
+        width, height, first = (int(v[level]) for v in (walk.width, walk.height, walk.start))
+        free = walk.free[first : first + width * height].reshape(height, width)
+        floor = walk.floor[first : first + width * height].reshape(height, width)
+
+        def joined(a, b, free=free, floor=floor):
+            return free[a] and free[b] and not abs(floor[a] - floor[b]) > walk.max_step
+
+        for row, col in np.ndindex(height, width):
+            for down, across in ((0, 1), (1, 0), (1, 1), (1, -1)):
+                there = (row + down, col + across)
+                if not (there[0] < height and 0 <= there[1] < width):
+                    continue
+                corners = [(row, there[1]), (there[0], col)]
+                ok = joined((row, col), there)
+                for corner in corners if down and across else ():
+                    ok = ok and joined((row, col), corner) and joined(corner, there)
+                if ok:
+                    ids = [first + r * width + c for r, c in ((row, col), there)]
+                    moves.append((*ids, 0.1 * math.hypot(down, across)))
+    for i, cell in enumerate(walk.link_cell):
+        for other in walk.link_target[walk.link_start[i] : walk.link_start[i + 1]]:
+            if walk.free[cell] and walk.free[other]:
+                moves.append((cell, other, 0.1))
+    a, b, length = np.array(moves).T
+    shape = (walk.num_cells, walk.num_cells)
+    graph = coo_array((length, (a.astype(int), b.astype(int))), shape=shape).tocsr()
+    return dijkstra(graph, directed=False, indices=start)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_near_by_the_length_of_the_path(seed):
+    sampler = random_sampler(seed, num_levels=2, share=0.8)
+    walk, rng = sampler.search.walk, make_rng(seed)
+    start = sampler.random_point(rng, island=1)
+    distance = plain_distances(sampler, int(flat_cells(walk, start)))
+    points = sampler.random_point_near(rng, start, 0.8, 4000, min_distance=0.35)
+    cells = flat_cells(walk, points)
+    near = walk.free & (distance > 0.35 - 1e-9) & (distance < 0.8 + 1e-9)
+    assert set(cells) == set(np.flatnonzero(near))
+    assert chisquare(np.bincount(cells, minlength=walk.num_cells)[near]).pvalue > 0.001
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_in_an_annulus(seed):
+    sampler = random_sampler(seed, num_levels=2, share=0.5)
+    walk, rng = sampler.search.walk, make_rng(seed)
+    for level in range(2):
+        cells = np.arange(walk.start[level], walk.start[level + 1])
+        centers = walk.positions(cells)[:, :2]
+        for _ in range(40):
+            p = centers[rng.integers(len(cells))] + rng.uniform(-0.04, 0.04, size=2)
+            low, high = np.sort(rng.uniform(0, 0.6, size=2))
+            distance = np.hypot(*(centers - p).T)
+            expected = cells[walk.free[cells] & (distance >= low) & (distance <= high)]
+            found = sampler.any_free_in_annulus(p, low, high, level=level)
+            assert found == (len(expected) > 0)
+            if found:
+                points = sampler.random_point_near(
+                    rng, p, high, 300, min_distance=low, straight=True, level=level
+                )
+                assert set(flat_cells(walk, points)) <= set(expected)
+                assert len(set(flat_cells(walk, points))) >= 0.8 * len(expected) - 1
+    assert sampler.any_free_in_annulus(p, 0.0, np.inf, level=level)
+
+
+def test_a_pose_looks_at_its_target_past_no_wall():
+    level = level_from(".....\n.....\n..#..\n#####\n.....")
+    level.attributes["roomIndex"] = np.repeat([[1], [1], [1], [0], [2]], 5, 1).astype(np.uint16)
+    sampler = PlaceSampler(level)
+    target = np.array((0.25, -0.25, 0.7))  # in something
+    rng = make_rng()
+    for _ in range(100):
+        pose = sampler.random_pose(rng, target, 0.3)
+        assert sampler.is_navigable(pose.position)
+        assert pose.position[1] > -0.3  # not behind the wall
+        offset = target[:2] - pose.position[:2]
+        assert math.hypot(*offset) <= 0.3 + 1e-9
+        assert math.cos(pose.heading - math.atan2(offset[1], offset[0])) == pytest.approx(1.0)
+    anywhere = [sampler.random_pose(rng, target, 0.3, in_sight=False) for _ in range(100)]
+    assert min(pose.position[1] for pose in anywhere) < -0.4
+
+
+def test_a_pose_without_target_looks_all_round():
+    sampler = random_sampler(0)
+    rng = make_rng()
+    headings = [sampler.random_pose(rng).heading for _ in range(2000)]
+    assert chisquare(np.histogram(headings, bins=8, range=(-math.pi, math.pi))[0]).pvalue > 0.01
+
+
+def test_a_pose_in_the_room_of_its_target():
+    level = level_from("...#....")
+    level.attributes["roomIndex"] = np.array([[1, 1, 1, 1, 2, 2, 2, 2]], dtype=np.uint16)
+    sampler = PlaceSampler(house_from([level], rooms=[room(0, 1, "a"), room(0, 2, "b")]))
+    for seed in range(20):
+        pose = sampler.random_pose(make_rng(seed), (0.35, -0.05), 1.0, same_room=True)
+        assert pose.position[0] < 0.3
+    with pytest.raises(QueryError, match=r"no free cell in 'house' with distance \[m\] 0 to 0.05"):
+        sampler.random_pose(make_rng(), (0.35, -0.05), 0.05)
+
+
+def test_live_obstacles_part_islands_and_take_places():
+    sampler = PlaceSampler(level_from("....."))
+    assert sampler.islands.count == 1
+    sampler.search.walk.free[2] = False
+    sampler.search.refresh(0, 0, 1, 0, 5)
+    assert sampler.islands.count == 2
+    points = sampler.random_point(make_rng(), 50, reachable_from=(0.05, -0.05))
+    assert points[:, 0].max() < 0.2
+    assert not sampler.same_island((0.05, -0.05), (0.45, -0.05))
+
+
+def two_islands():
+    return PlaceSampler(house_from([level_from("...#.")]))
+
+
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        (lambda s: s.random_point(3), "numpy.random.Generator, got 3: make one with"),
+        (lambda s: s.random_point(make_rng(), -1), "a count >= 0, got -1"),
+        (lambda s: s.random_point(make_rng(), 1.5), "a count >= 0, got 1.5"),
+        (lambda s: s.random_point(make_rng(), island=3), "no island 3: there are 1 to 2"),
+        (lambda s: s.random_point(make_rng(), level=1), "no level 1: expected 0 to 0"),
+        (
+            lambda s: s.random_point(make_rng(), reachable_from=(0.35, -0.05)),
+            "no agent can stand at 0.35, -0.05: snap",
+        ),
+        (
+            lambda s: s.random_point(make_rng(), reachable_from=(0.05, -0.05), island=2),
+            "island 2 can't be reached: the position is on 1",
+        ),
+        (
+            lambda s: s.random_point_near(make_rng(), (0.05, -0.05), 1.0, min_distance=2.0),
+            "min_distance <= max_distance .*, got 2.0 and 1.0",
+        ),
+        (
+            lambda s: s.random_point_near(make_rng(), (0.05, -0.05), np.nan),
+            "min_distance <= max_distance",
+        ),
+        (
+            lambda s: s.random_point_near(make_rng(), (9.0, 0.0), 1.0),
+            "9, 0 is in no cell of 'house'",
+        ),
+        (
+            lambda s: s.random_point_near(make_rng(), (0.05, -0.05), 9.0, min_distance=5.0),
+            r"no free cell in 'house' with distance \[m\] 5 to 9",
+        ),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(ask, message):
+    with pytest.raises(QueryError, match=message):
+        ask(two_islands())
