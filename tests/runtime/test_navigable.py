@@ -7,7 +7,7 @@ import pytest
 
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
-from navbake.runtime.locate import cell_at
+from navbake.runtime.locate import Cell, cell_at
 from navbake.runtime.place_finder import PlaceFinder
 
 
@@ -64,7 +64,7 @@ def test_free_cells_without_floor_stand_on_the_ground():
 
 def test_live_obstacles_count():
     finder = PlaceFinder(level_from("..."))
-    finder.search.walk.free[1] = False
+    finder.grid.block(cells=Cell(0, 0, 1))
     assert finder.are_navigable([[0.05, -0.05], [0.15, -0.05]]).tolist() == [True, False]
 
 

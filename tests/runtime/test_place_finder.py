@@ -12,7 +12,7 @@ from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
 from navbake.grid import MultiLevelGrid
 from navbake.islands import find_islands
-from navbake.runtime.locate import flat_cells
+from navbake.runtime.locate import Cell, flat_cells
 from navbake.runtime.place_finder import PlaceFinder
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -127,7 +127,7 @@ def test_a_picture_shows_its_own_storey():
         finder.top_down(0, 0.05), finder.top_down(0).repeat(2, 0).repeat(2, 1)
     )
     assert finder.top_down(0, 0.2).shape == (1, 2, 3)
-    finder.search.walk.free[0] = False
+    finder.grid.block(cells=Cell(0, 0, 0))
     assert tuple(finder.top_down(0)[0, 0]) == blocked
 
 

@@ -13,7 +13,7 @@ from scipy.stats import chisquare
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
 from navbake.grid import MultiLevelGrid
-from navbake.runtime.locate import flat_cells
+from navbake.runtime.locate import Cell, flat_cells
 from navbake.runtime.place_sampler import PlaceSampler
 
 
@@ -208,12 +208,13 @@ def test_a_pose_in_the_room_of_its_target():
 def test_live_obstacles_part_islands_and_take_places():
     sampler = PlaceSampler(level_from("....."))
     assert sampler.islands.count == 1
-    sampler.search.walk.free[2] = False
-    sampler.search.refresh(0, 0, 1, 0, 5)
+    block = sampler.grid.block(cells=Cell(0, 0, 2))
     assert sampler.islands.count == 2
     points = sampler.random_point(make_rng(), 50, reachable_from=(0.05, -0.05))
     assert points[:, 0].max() < 0.2
     assert not sampler.same_island((0.05, -0.05), (0.45, -0.05))
+    block.free()
+    assert sampler.same_island((0.05, -0.05), (0.45, -0.05))
 
 
 def two_islands():

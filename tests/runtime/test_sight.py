@@ -7,6 +7,7 @@ import pytest
 
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
+from navbake.runtime.locate import Cell
 from navbake.runtime.place_finder import PlaceFinder
 
 
@@ -53,8 +54,9 @@ def test_levels_are_apart_but_for_links():
 
 def test_live_obstacles_stand_between():
     finder = PlaceFinder(level_from("....."))
-    finder.search.walk.free[2] = False
-    assert not finder.line_of_sight((0.05, -0.05), (0.45, -0.05))
+    with finder.grid.block(cells=Cell(0, 0, 2)):
+        assert not finder.line_of_sight((0.05, -0.05), (0.45, -0.05))
+    assert finder.line_of_sight((0.05, -0.05), (0.45, -0.05))
 
 
 def test_no_position_is_refused():

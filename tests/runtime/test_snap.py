@@ -9,6 +9,7 @@ import pytest
 
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
+from navbake.runtime.locate import Cells
 from navbake.runtime.place_finder import PlaceFinder
 
 
@@ -159,7 +160,7 @@ def test_onto_an_island():
 
 def test_live_obstacles_count():
     finder = PlaceFinder(level_from("....."))
-    finder.search.walk.free[:2] = False
+    finder.grid.block(cells=Cells(0, 0, np.arange(2)))
     assert finder.snap((0.05, -0.05))[0] == pytest.approx(0.25)
     assert finder.snap((0.05, -0.05), in_sight=True)[0] == pytest.approx(0.25)
 
