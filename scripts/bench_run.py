@@ -116,6 +116,31 @@ def footprint_row(house: House) -> Row:
     return _against_distance(house, Job("grid.inflate_footprint, 16 headings", run))
 
 
+def navigable_row(house: House) -> Row:
+    """One million positions all over the house, at heights below a storey's."""
+    finder = navbake.PathFinder(house.grid)
+    level = house.grid.levels[0]
+    x0, y0, x1, y1 = level.lattice.bounds
+    low, high = (x0, y0, level.ground), (x1, y1, level.ground + 0.6)
+    positions = np.random.default_rng(0).uniform(low, high, size=(1_000_000, 3))
+    if not np.array_equal(plain_navigable(level, positions), finder.are_navigable(positions)):
+        raise SystemExit("are_navigable and plain numpy differ")
+    return Row(
+        [Job("plain numpy, for one level", lambda: plain_navigable(level, positions))],
+        Job("a million answers of are_navigable", lambda: finder.are_navigable(positions)),
+        "at most 30 ms",
+    )
+
+
+def plain_navigable(level: navbake.SceneGrid2D, positions: np.ndarray) -> np.ndarray:
+    """The same answers by numpy alone: a cell that is free, and at most 0.5 m below."""
+    rows, cols = level.lattice.rows_cols(positions)
+    inside = (rows >= 0) & (rows < level.height) & (cols >= 0) & (cols < level.width)
+    rows, cols = np.where(inside, rows, 0), np.where(inside, cols, 0)
+    rise = positions[:, 2] - level.floor_height[rows, cols]
+    return inside & level.free[rows, cols] & (rise <= 0.5) & (rise >= -0.25)
+
+
 def _against_distance(house: House, job: Job, limit: str = "nothing asked") -> Row:
     """Compare with OpenCV's precise distance transform of the same occupancy."""
     try:
@@ -139,6 +164,7 @@ ROWS: dict[str, Callable[[House], Row]] = {
     "nav2": nav2_costs_row,
     "minos": minos_row,
     "footprint": footprint_row,
+    "navigable": navigable_row,
 }
 
 
