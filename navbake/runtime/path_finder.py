@@ -79,6 +79,30 @@ class PathFinder(PlaceSampler):
             return None
         return self._make_path(route, np.asarray(start, dtype=np.float64), target, smooth)
 
+    def why_not(self, start: ArrayLike, goal: Goal, *, level: int | None = None) -> str | None:
+        """Say why there is no path: in one sentence, with positions and figures.
+
+        It tells of a start or goal that isn't free and of the nearest cell that is; or of the
+        islands that they are in and how near these come; then of what is between: cells that are
+        blocked for now, doors, a gap that is too narrow for the agent (known of grids that were
+        inflated), steps between levels that can't be taken, or the names of what stands there.
+
+        Args:
+            start: world position [m].
+            goal: see `PathFinder`.
+            level: which level positions are on; then z does not count.
+
+        Returns:
+            None if there is a path.
+
+        Raises:
+            QueryError: see `find_path`.
+        """
+        from navbake.runtime.reason import explain
+
+        origin, target = self._ends(start, goal, level)
+        return explain(self, np.asarray(start, dtype=np.float64), origin, target)
+
     def distance_field(
         self, goal: Goal, *, level: int | None = None, weighted: bool = True
     ) -> list[NDArray[np.float64]]:
@@ -145,7 +169,7 @@ class PathFinder(PlaceSampler):
         return field
 
     def _ends(self, start: ArrayLike, goal: Goal, level: int | None) -> tuple[int, Target]:
-        walk = self._search.walk
+        walk = self.search.walk
         p = check_positions(start, walk.num_levels, level)
         if p.ndim != 1:
             raise QueryError(f"expected one start, got an array of shape {p.shape}")

@@ -252,3 +252,28 @@ def test_next_to_an_object_is_on_this_side_of_the_wall():
     grid.weights[2, 3:] = grid.weights[2, 0] = np.inf  # as an inflation leaves it
     grid.weights[3, 1:4] = np.inf
     assert cells_around(grid, PathFinder(grid).search.walk, "shelf").tolist() == [24, 28]
+
+
+@pytest.mark.parametrize(
+    ("seed", "radius"), [(0, 0.1), (1, 0.15), (2, 0.2), (3, 0.25), (4, 0.32), (5, 0.12)]
+)
+@pytest.mark.parametrize("smooth", [True, False])
+def test_paths_keep_the_radius_that_a_grid_was_inflated_for(seed, radius, smooth):
+    """Every centimetre, the disc meets no occupied cell's square."""
+    rng = np.random.default_rng(seed)
+    free = rng.random((40, 40)) < 0.985
+    grid = make_level(free, np.zeros((40, 40)))
+    grid.attributes["occupancy"] = (~free).astype(np.uint8)
+    finder = PathFinder(grid.inflate(radius))
+    squares = grid.lattice.positions(*np.nonzero(~free))
+    cells = np.flatnonzero(finder.search.walk.free)
+    nearest = np.inf
+    for a, b in finder.search.walk.positions(rng.choice(cells, (40, 2))):
+        a[:2], b[:2] = a[:2] + rng.uniform(-0.04, 0.04, 2), b[:2] + rng.uniform(-0.04, 0.04, 2)
+        path = finder.find_path(a, b, smooth=smooth)
+        if path is None:
+            continue
+        line = np.array([path.at(d) for d in np.arange(0, path.length + 0.01, 0.01)])[:, :2]
+        gap = np.abs(line[:, None] - squares) - 0.05
+        nearest = min(nearest, np.hypot(*np.maximum(gap, 0).transpose(2, 0, 1)).min())
+    assert nearest >= radius - 1e-9
