@@ -159,63 +159,53 @@ def block_near_holes(has_floor, todo, offsets, squares, least, blocked):
 
 
 @njit(cache=True)
-def block_below_ledges(floor, level, offsets, step, top, blocked):
-    """Block cells of a level that are near the face of a higher floor, on its outer side.
-
-    A floor has a face towards a neighbouring column where no level has a floor within a step of
-    it. The face is in the way of an agent whose own floor is more than a step lower, and whose
-    centre is beyond it.
+def block_below_floors(floor, level, offsets, reach, step, top, blocked):
+    """Block cells of a level from which a floor that they meet is more than a step higher.
 
     Args:
         floor: shape (levels, rows, cols), float32 [m], NaN for none.
         level: which of them.
         offsets: (n, 2) int64, steps from an agent's cell to the cells whose squares it meets.
+        reach: the longest step along an axis.
         step: highest step [m].
         top: how much higher the floor of another level may be to be still in the way [m].
         blocked: (rows, cols) bool, written.
     """
     levels, rows, cols = floor.shape
-    lowest = np.inf
-    for height in floor[level].ravel():
-        if height < lowest:
-            lowest = height
+    low, high = _tile_ranges(floor)
+    tiles = (reach + TILE - 1) // TILE
     for upper in range(levels):
-        for row in range(rows):
-            for col in range(cols):
-                height = floor[upper, row, col]
-                if not height - lowest > step:  # NaN too
+        limit = np.inf if upper == level else top
+        for tile_row in range(low.shape[1]):
+            for tile_col in range(low.shape[2]):
+                lowest = _lowest_near(low[level], tile_row, tile_col, tiles)
+                if not high[upper, tile_row, tile_col] - lowest > step:
                     continue
-                for way in range(4):
-                    dr, dc = (way == 0) - (way == 1), (way == 2) - (way == 3)
-                    if _has_face(floor, height, row + dr, col + dc, step):
-                        limit = np.inf if upper == level else top
-                        _block_side(
-                            floor[level], height, row, col, dr, dc, offsets, step, limit, blocked
-                        )
+                for row in range(tile_row * TILE, min((tile_row + 1) * TILE, rows)):
+                    for col in range(tile_col * TILE, min((tile_col + 1) * TILE, cols)):
+                        height = floor[upper, row, col]
+                        if height - lowest > step:
+                            _block_lower(
+                                floor[level], height, row, col, offsets, step, limit, blocked
+                            )
 
 
 @njit(cache=True)
-def _has_face(floor, height, row, col, step):
-    levels, rows, cols = floor.shape
-    if row < 0 or row >= rows or col < 0 or col >= cols:
-        return False
-    for level in range(levels):  # noqa: SIM110 (numba takes no generators)
-        if abs(floor[level, row, col] - height) <= step:
-            return False
-    return True
+def _lowest_near(low, row, col, tiles):
+    lowest = np.inf
+    for r in range(max(row - tiles, 0), min(row + tiles + 1, low.shape[0])):
+        for c in range(max(col - tiles, 0), min(col + tiles + 1, low.shape[1])):
+            lowest = min(lowest, low[r, c])
+    return lowest
 
 
 @njit(cache=True)
-def _block_side(floor, height, row, col, dr, dc, offsets, step, limit, blocked):
+def _block_lower(floor, height, row, col, offsets, step, limit, blocked):
     rows, cols = floor.shape
     for k in range(offsets.shape[0]):
-        if -offsets[k, 0] * dr - offsets[k, 1] * dc < 1:
-            continue
         r, c = row - offsets[k, 0], col - offsets[k, 1]
-        if 0 <= r < rows and 0 <= c < cols:
-            rise = height - floor[r, c]
-            if step < rise < limit:
-                blocked[r, c] = True
+        if 0 <= r < rows and 0 <= c < cols and step < height - floor[r, c] < limit:
+            blocked[r, c] = True
 
 
 @njit(cache=True)

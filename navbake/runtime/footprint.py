@@ -38,14 +38,15 @@ def inflate_footprint(
     masks = []
     for number, level in enumerate(grid.levels):
         cells = outline / level.lattice.cell_size
-        reach = math.ceil(np.hypot(*cells.T).max()) + 1
+        radius = float(np.hypot(*outline.T).max())
+        reach = math.ceil(radius / level.lattice.cell_size) + 1
         if reach > MAX_REACH:
             raise QueryError(f"expected a polygon within {MAX_REACH} cells, got one of {reach}")
         around = find_surroundings(grid, number, reach)
         free = np.empty((num_headings, *level.shape), dtype=np.bool_)
         for k in range(num_headings):
             offsets = footprint_offsets(_turn(cells, 2 * math.pi * k / num_headings))
-            free[k] = level.free & ~_find_blocked(around, offsets)
+            free[k] = level.free & ~_find_blocked(around, radius, offsets)
         masks.append(free)
     return masks
 
@@ -101,14 +102,16 @@ def _runs_through(
     return np.asarray(enters < leaves)
 
 
-def _find_blocked(around: Surroundings, offsets: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _find_blocked(
+    around: Surroundings, radius: float, offsets: NDArray[np.int64]
+) -> NDArray[np.bool_]:
     """Find the cells of a level at which what covers these steps would meet something."""
     from navbake.kernels.inflation import meets_runs
 
     occupied = around.occupied[around.level]
     blocked = np.zeros(occupied.shape, dtype=np.bool_)
     meets_runs(occupied, _to_runs(offsets), blocked)
-    block_by_others(around, offsets, blocked)
+    block_by_others(around, radius, offsets, blocked)
     return blocked[around.rows, around.cols]
 
 

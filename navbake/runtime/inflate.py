@@ -6,7 +6,9 @@ How `exact` decides, for an agent whose centre is on a cell's centre:
   something meets its square or the disc of the baked radius round its centre, so whatever the
   bake saw lies in an occupied square. The baked radius is no part of the new one: it is the
   radius round free centres that the grid was good for as it was.
-- A floor more than a step higher is a wall to it from below; from above, an edge is none.
+- A floor that it meets may be a step higher than its own, not more: a ledge is a wall from below,
+  and so is the step after the next one to who is too large for a stair. Up to the baked radius the
+  bake has seen to that, more precisely than the squares of cells tell. Lower floors are no matter.
 - Near another level the cells of both count, each where its floor is as high as the agent's (less
   than the body's height apart); what is under a landing is not in the way of who is on the stair.
 - Beyond the rectangle of a single level the bake saw nothing. A level of several is cut to its
@@ -99,27 +101,32 @@ def find_blocked(grid: SceneGrid2D | MultiLevelGrid, number: int, radius: float)
     occupied = around.occupied[around.level]
     blocked: Bool = dilate(occupied, half_widths(cells, occupied.shape))
     if cells > 0:
-        block_by_others(around, disc_offsets(cells, occupied.shape)[0], blocked)
+        block_by_others(around, radius, disc_offsets(cells, occupied.shape)[0], blocked)
         _block_by_holes(around, cells, blocked)
     return blocked[around.rows, around.cols]
 
 
-def block_by_others(around: Surroundings, offsets: NDArray[np.int64], blocked: Bool) -> None:
+def block_by_others(
+    around: Surroundings, radius: float, offsets: NDArray[np.int64], blocked: Bool
+) -> None:
     """Block what other levels and higher floors block, and free what they free.
 
     Args:
         around: the level and its surroundings.
+        radius: of the agent, or of a circle around it [m].
         offsets: steps from an agent's cell to those that it meets, (n, 2).
         blocked: what the level's own occupied cells block, shape of the surroundings; changed.
     """
-    from navbake.kernels.inflation import block_across, block_below_ledges
+    from navbake.kernels.inflation import block_across, block_below_floors
 
-    if len(around.floor) > 1:
+    floor, level = around.floor, around.level
+    reach = int(np.abs(offsets).max(initial=0))
+    if len(floor) > 1:
         overlap = around.height - around.step
-        reach = int(np.abs(offsets).max(initial=0))
-        block_across(around.floor, around.occupied, around.level, offsets, overlap, reach, blocked)
-    top = around.height + SLAB
-    block_below_ledges(around.floor, around.level, offsets, around.step, top, blocked)
+        block_across(floor, around.occupied, level, offsets, overlap, reach, blocked)
+    if radius > around.baked_radius:
+        top = around.height + SLAB
+        block_below_floors(floor, level, offsets, reach, around.step, top, blocked)
 
 
 def _block_by_holes(around: Surroundings, cells: float, blocked: Bool) -> None:

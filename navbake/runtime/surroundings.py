@@ -30,6 +30,7 @@ class Surroundings:
         occupied: likewise, uint8; 1 beyond a level's rectangle.
         step: by how much floors of neighbours may differ [m].
         height: of the agent [m].
+        baked_radius: of the agent [m]; 0 where a file doesn't tell.
     """
 
     level: int
@@ -39,6 +40,7 @@ class Surroundings:
     occupied: NDArray[np.uint8]
     step: float
     height: float
+    baked_radius: float
 
 
 def find_surroundings(grid: NavGrid, number: int, reach: int) -> Surroundings:
@@ -57,11 +59,11 @@ def find_surroundings(grid: NavGrid, number: int, reach: int) -> Surroundings:
         With an only level, its own arrays.
     """
     level = grid.levels[number]
-    step, height = step_limit(grid) * grid.unit, agent_height(grid)
+    agent = step_limit(grid) * grid.unit, agent_height(grid), baked_radius(grid)
     if len(grid.levels) == 1:
         inside = slice(0, level.height), slice(0, level.width)
         floor, occupied = _floor(level)[None], np.ascontiguousarray(level.occupancy)[None]
-        return Surroundings(0, *inside, floor, occupied, step, height)
+        return Surroundings(0, *inside, floor, occupied, *agent)
     shifts = [_shift(level.lattice, other.lattice) for other in grid.levels]
     together = [i for i, shift in enumerate(shifts) if shift is not None]
     placed = [(grid.levels[i], *(shifts[i] or (0, 0))) for i in together]
@@ -76,7 +78,7 @@ def find_surroundings(grid: NavGrid, number: int, reach: int) -> Surroundings:
         _paste(floor[i], _floor(part), row - top, col - left)
         _paste(occupied[i], part.occupancy, row - top, col - left)
     rows, cols = slice(-top, level.height - top), slice(-left, level.width - left)
-    return Surroundings(together.index(number), rows, cols, floor, occupied, step, height)
+    return Surroundings(together.index(number), rows, cols, floor, occupied, *agent)
 
 
 def agent_height(grid: NavGrid) -> float:
@@ -85,6 +87,14 @@ def agent_height(grid: NavGrid) -> float:
     if isinstance(stated, int | float) and stated > 0:
         return float(stated) * grid.unit
     return DEFAULT_HEIGHT
+
+
+def baked_radius(grid: NavGrid) -> float:
+    """The grid's `agentRadius` [m], 0 where it isn't told."""
+    stated = grid.metadata.get("agentRadius")
+    if isinstance(stated, int | float) and stated > 0:
+        return float(stated) * grid.unit
+    return 0.0
 
 
 def _floor(level: SceneGrid2D) -> NDArray[np.float32]:

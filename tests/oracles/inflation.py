@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-STEP, HEIGHT, SLAB = 0.25, 1.14, 0.3
+STEP, HEIGHT, SLAB, BAKED = 0.25, 1.14, 0.3, 0.05
 
 
 def square_distance(row: int, col: int) -> float:
@@ -56,17 +56,17 @@ def stacked_free(grid, radius: float, extent: int) -> list[np.ndarray]:
     for number, level in enumerate(grid.levels):
         free = level.free.copy()
         for place, (floor, _, own) in known[number].items():
-            if free[own] and _is_hit(known, number, place, floor, radius / cell, extent):
+            if free[own] and _is_hit(known, number, place, floor, radius, cell, extent):
                 free[own] = False
         result.append(free)
     return result
 
 
-def _is_hit(known, number, place, floor, radius, extent) -> bool:
+def _is_hit(known, number, place, floor, radius, cell, extent) -> bool:
     nothing = (math.nan, True, None)
     for dr in range(-extent, extent + 1):
         for dc in range(-extent, extent + 1):
-            if not square_distance(dr, dc) < radius * (1 - 1e-9):
+            if not square_distance(dr, dc) * cell < radius * (1 - 1e-9):
                 continue
             there = (place[0] + dr, place[1] + dc)
             own_floor, own_occupied, _ = known[number].get(there, nothing)
@@ -80,27 +80,16 @@ def _is_hit(known, number, place, floor, radius, extent) -> bool:
             own_counts = not others or abs(own_floor - floor) < HEIGHT - STEP
             if own_occupied and own_counts:
                 return True
-            if _meets_face(known, number, place, there, floor):
+            if radius > BAKED and any(
+                _is_in_the_way(cells.get(there, nothing)[0] - floor, i == number)
+                for i, cells in enumerate(known)
+            ):
                 return True
     return False
 
 
-def _meets_face(known, number, place, there, floor) -> bool:
-    """Whether a floor more than a step higher ends there, on the agent's side of it."""
-    for i, cells in enumerate(known):
-        height = cells.get(there, (math.nan,))[0]
-        rise = height - floor
-        if not rise > STEP + 1e-5 or (i != number and rise >= HEIGHT + SLAB):
-            continue
-        for dr, dc in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-            beyond = (place[0] - there[0]) * dr + (place[1] - there[1]) * dc >= 1
-            beside = (there[0] + dr, there[1] + dc)
-            goes_on = any(
-                abs(other[beside][0] - height) <= STEP + 1e-5 for other in known if beside in other
-            )
-            if beyond and not goes_on:
-                return True
-    return False
+def _is_in_the_way(rise: float, is_own: bool) -> bool:
+    return rise > STEP + 1e-5 and (is_own or rise < HEIGHT + SLAB)
 
 
 def refine(level, radius: float, clearance: float) -> np.ndarray:

@@ -80,17 +80,25 @@ def test_a_higher_floor_is_a_wall_from_below_and_an_edge_from_above():
     assert shown(level.inflate(0.2)) == ["..##...", "..##..."]
 
 
-def test_steps_are_no_walls():
-    level = level_of("0024679", "0024679")
-    assert level.inflate(0.4).free.all()
+def test_a_step_is_no_wall_but_the_next_one_is():
+    level = level_of("000222444666")
+    assert shown(level.inflate(0.2)) == ["............"]
+    assert shown(level.inflate(0.34)) == ["............"]
+    assert shown(level.inflate(0.36)) == ["..#..#......"]
+    assert shown(level.inflate(0.46)) == [".##.##......"]
 
 
-def test_the_side_of_a_stair_is_a_wall_beside_it_and_not_on_it():
+def test_the_bake_has_seen_to_steps_up_to_its_radius():
+    level = level_of("000555")
+    level.metadata["agentRadius"] = 0.12
+    assert shown(level.inflate(0.12)) == ["......"]
+    assert shown(level.inflate(0.16)) == [".##..."]
+
+
+def test_the_side_of_a_stair_is_a_wall_beside_it():
     rows = ["0000000", "0000000", "0246800", "0246800", "0246800", "0000000"]
-    free = shown(level_of(*rows).inflate(0.16))
-    assert free[2:5] == [".....##"] * 3
-    assert free[0:2] == [".#####.", "#######"]  # by the treads that are over a step high
-    assert free[5:] == ["#######"]
+    blocked = shown(level_of(*rows).inflate(0.06))
+    assert blocked == [".......", "..###..", ".....#.", ".....#.", ".....#.", "..###.."]
 
 
 def test_holes_that_are_not_occupied_count_as_in_the_original():

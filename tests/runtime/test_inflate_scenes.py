@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,7 +19,8 @@ from oracles.scene import Thing, cross_part, part_meets_prisms, part_of, scene_x
 
 FOLDER = tempfile.TemporaryDirectory()
 STEP, HEIGHT = 0.25, 1.14
-GOLDEN = Path(__file__).parents[1] / "golden"
+ROOT = Path(__file__).parents[2]
+GOLDEN = ROOT / "tests" / "golden"
 
 LENGTHS = st.floats(0.03, 0.5)
 PLACES = st.tuples(st.floats(-1.4, 1.4), st.floats(-1.4, 1.4))
@@ -61,12 +63,13 @@ def hits(scene: list[Thing], grid: navbake.SceneGrid2D | MultiLevelGrid, radius:
     return found
 
 
-def bake(scene: list[Thing], cell: float):
+def bake(scene: list[Thing], cell: float, radius: float = 0.05):
     path = Path(FOLDER.name) / "scene.xml"
     path.write_text(scene_xml(scene))
     settings = {
         "scene": {"path": str(path)},
         "grid": {"cell_size": cell},
+        "agent": {"radius": radius},
         "names": {"enabled": False},
         "floors": {"tops": True},
     }
@@ -92,7 +95,12 @@ def test_a_disc_on_any_free_cell_hits_nothing(scene, cell, radius):
     scene = [FLOOR, *scene]
     grid = bake(scene, cell)
     if not has_low_bumps(grid):
-        assert not hits(scene, grid.inflate(radius), radius)
+        inflated = grid.inflate(radius)
+        assert not hits(scene, inflated, radius)
+        if radius > 0.05:
+            native = bake(scene, cell, radius)
+            for own, other in zip(inflated.levels, native.levels, strict=True):
+                assert (own.free <= other.free).all()
 
 
 @settings(max_examples=20, deadline=None)
@@ -114,3 +122,35 @@ def test_the_house_stays_one_over_its_stairs(radius):
     inflated = house.inflate(radius)
     below, above = find_islands(inflated)
     assert any((below == k).sum() > 300 and (above == k).sum() > 300 for k in (1, 2, 3))
+
+
+@pytest.mark.parametrize(("name", "keyframe"), [("house", "doors_open"), ("apartment", None)])
+def test_a_body_on_free_cells_of_the_samples_touches_nothing(name, keyframe):
+    radius, step = 0.25, 0.25
+    grid = navbake.load(GOLDEN / f"{name}.grid.json.gz")
+    half = (grid.metadata["agentHeight"] - step) / 2
+    spec = mujoco.MjSpec.from_file(str(ROOT / "configs" / "scenes" / f"{name}.xml"))
+    body = spec.worldbody.add_body(name="agent", mocap=True)
+    size = [radius - 1e-4, half - 1e-4, 0]
+    body.add_geom(name="agent", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=size)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    if keyframe:
+        mujoco.mj_resetDataKeyframe(model, data, model.key(keyframe).id)
+    agent = model.geom("agent").id
+    collides = (model.geom_contype | model.geom_conaffinity) != 0
+    for level in grid.inflate(radius).levels:
+        row, col = np.nonzero(level.free)
+        floor = level.floor_height[row, col]
+        order = np.random.default_rng(0).permutation(len(row))
+        on_stairs = order[np.abs(floor - np.median(floor))[order] > 0.06]
+        for k in [*on_stairs[:150], *order[:150]]:
+            x, y = level.lattice.positions(row[k], col[k])
+            data.mocap_pos[0] = x, y, floor[k] + step + half
+            mujoco.mj_kinematics(model, data)
+            away = np.linalg.norm(data.geom_xpos - data.geom_xpos[agent], axis=1)
+            is_near = (away < model.geom_rbound + radius + half) | (model.geom_rbound == 0)
+            for geom in np.flatnonzero(collides & is_near):
+                if geom != agent:
+                    away_by = mujoco.mj_geomDistance(model, data, agent, geom, 0.01, None)
+                    assert away_by > -1e-4, (model.geom(geom).name, x, y, floor[k])
