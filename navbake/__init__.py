@@ -25,9 +25,13 @@ from navbake.errors import (
 
 if TYPE_CHECKING:
     from navbake.config import BakeConfig
+    from navbake.explored import ExploredMap
     from navbake.formats.navgrid import read_navgrid as load
     from navbake.grid import MultiLevelGrid, SceneGrid2D
     from navbake.runtime.path_finder import PathFinder
+    from navbake.voxels.files import read_voxels as load_voxels
+    from navbake.voxels.grid import VoxelGrid
+    from navbake.voxels.voxelize import Voxelizer, create_voxel_grid
 
     def bake(
         config: BakeConfig | str | PathLike[str] | Mapping[str, Any],
@@ -40,6 +44,7 @@ if TYPE_CHECKING:
 __all__ = [
     "BakeConfig",
     "ConfigError",
+    "ExploredMap",
     "FormatError",
     "MissingDependencyError",
     "MultiLevelGrid",
@@ -48,17 +53,26 @@ __all__ = [
     "QueryError",
     "SceneError",
     "SceneGrid2D",
+    "VoxelGrid",
+    "Voxelizer",
     "__version__",
     "bake",
+    "create_voxel_grid",
     "load",
+    "load_voxels",
 ]
 
 _LAZY = {
     "BakeConfig": ("navbake.config", "BakeConfig"),
+    "ExploredMap": ("navbake.explored", "ExploredMap"),
     "MultiLevelGrid": ("navbake.grid", "MultiLevelGrid"),
     "PathFinder": ("navbake.runtime.path_finder", "PathFinder"),
     "SceneGrid2D": ("navbake.grid", "SceneGrid2D"),
+    "VoxelGrid": ("navbake.voxels.grid", "VoxelGrid"),
+    "Voxelizer": ("navbake.voxels.voxelize", "Voxelizer"),
+    "create_voxel_grid": ("navbake.voxels.voxelize", "create_voxel_grid"),
     "load": ("navbake.formats.navgrid", "read_navgrid"),
+    "load_voxels": ("navbake.voxels.files", "read_voxels"),
 }
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from navbake import cli_voxels
 from navbake._version import __version__
 from navbake.cli_files import GridFile, check_writable
 from navbake.cli_inflate import inflate
@@ -367,3 +368,6 @@ def _print_error(message: str) -> None:
 
 def _print_json(value: Any) -> None:
     print(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False))
+
+
+cli_voxels.register(app)

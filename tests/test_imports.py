@@ -25,13 +25,15 @@ DOORS = {
     "trimesh": ("bake.mesh_scene",),
     "matplotlib": ("plot",),
     "numba": ("kernels", "bake"),
-    "typer": ("cli", "cli_files", "cli_inflate"),
+    "typer": ("cli", "cli_files", "cli_inflate", "cli_voxels"),
     "rich": ("cli_tables",),
 }
 # what an agent loads at run time, and what it never loads
 RUN_TIME = (
+    "arena",
     "attributes",
     "differences",
+    "explored",
     "grid",
     "grid_base",
     "links",
@@ -47,6 +49,11 @@ RUN_TIME = (
     "rooms_table",
     "runtime",
     "user_data",
+    "voxels.files",
+    "voxels.floor_plan",
+    "voxels.grid",
+    "voxels.io",
+    "voxels.placement",
 )
 NEVER_AT_RUN_TIME = ("mujoco", "fcl", "trimesh", "navbake.bake")
 
@@ -124,6 +131,7 @@ def test_importing_navbake_loads_none_of_its_dependencies():
 
 def test_the_run_time_loads_no_baker():
     code = "import navbake\nnavbake.load, navbake.SceneGrid2D, navbake.MultiLevelGrid"
+    code += "\nnavbake.VoxelGrid, navbake.load_voxels, navbake.ExploredMap"
     loaded = loaded_after(code + "\nimport navbake.info, navbake.islands, navbake.plot")
     assert "navbake.grid" in loaded
     assert loaded.isdisjoint(["mujoco", "fcl", "trimesh", "navbake.bake.pipeline"])

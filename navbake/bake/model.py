@@ -14,7 +14,7 @@ from xml.parsers import expat
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from navbake.bake.mesh_scene import MESH_SUFFIXES, read_mesh_parts
 from navbake.bake.meshes.part import MeshPart
@@ -61,7 +61,7 @@ def load_model(settings: SceneSettings) -> PosedModel:
     """
     with _catch_warnings() as warnings:
         model, parts = _load_model(settings, warnings)
-        data = _pose(model, settings)
+        data = pose_model(model, settings)
     return PosedModel(model, data, parts, warnings, _find_out_of_range(model, settings))
 
 
@@ -237,8 +237,13 @@ def _catch_warnings() -> Iterator[list[str]]:
 # ---------------------------------------------------------------- posing
 
 
-def _pose(model: Any, settings: SceneSettings) -> Any:
-    """The model's data, with all geoms placed by the keyframe and the joint values asked for."""
+def pose_model(model: Any, settings: SceneSettings) -> Any:
+    """The model's data, with all geoms placed by the keyframe and the joint values asked for.
+
+    Raises:
+        ConfigError: there is no such keyframe or joint.
+        SceneError: MuJoCo can't place the geoms.
+    """
     try:
         data = mujoco.MjData(model)
         if settings.keyframe is not None:
@@ -316,6 +321,25 @@ def _listed(model: Any, addresses: NDArray[np.int32]) -> str:
     if not named:
         return "none with a name"
     return ", ".join(named[:20]) + (f" and {len(named) - 20} more" if len(named) > 20 else "")
+
+
+def data_of_qpos(model: Any, qpos: ArrayLike) -> Any:
+    """A model's data with all joints at given positions, all geoms placed.
+
+    Args:
+        model: the mujoco.MjModel.
+        qpos: positions, shape (nq,).
+
+    Raises:
+        ConfigError: there are more or fewer joint positions.
+    """
+    positions = np.asarray(qpos, dtype=np.float64)
+    if positions.shape != (model.nq,):
+        raise ConfigError(f"expected {model.nq} joint positions (nq), got {positions.shape}")
+    data = mujoco.MjData(model)
+    data.qpos[:] = positions
+    mujoco.mj_kinematics(model, data)
+    return data
 
 
 def data_with_joints(model: Any, data: Any, positions: Mapping[int, float]) -> Any:

@@ -1,0 +1,301 @@
+"""binvox: voxels as runs of bytes behind a text header, read and written.
+
+A voxel grid ``g[x, y, z]`` of the world, z up, is written by the rules of the format:
+``dim nx nz ny``, y fastest, then z, then x; ``translate`` is the lower corner of the first voxel,
+``scale`` the grid's longest side. So a voxel's centre is ``translate + (i + 0.5) * res`` with
+``res = scale / max(dim)``. Version 1 holds 0 and 1, version 2 any byte.
+
+AirSim has a layout of its own under the same name: x fastest, then z, then y; ``scale`` is one
+over the size along x; ``translate`` is half of the size, without the grid's position; a voxel i
+is taken at ``(i - n // 2) * res``, so grids of even counts lie half a voxel off. Its axes are
+north, east and up, which is (x, -y, z) here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navbake.errors import FormatError
+from navbake.voxels.grid import VoxelGrid
+from navbake.voxels.io import read_bytes, write_bytes
+from navbake.voxels.placement import check_memory
+
+Layout = Literal["auto", "binvox", "airsim"]
+LAYOUTS = ("auto", "binvox", "airsim")
+VERSIONS = (1, 2)
+MOST = 255  # greatest value of a voxel
+HEADER_LIMIT = 65536  # longest header, comments included [bytes]
+NEAR = 1e-4  # relative; AirSim writes six digits
+
+
+@dataclass(frozen=True)
+class Header:
+    """What stands before the data.
+
+    Attributes:
+        version: 1 or 2.
+        dim: as stated: nx, nz, ny.
+        translate: shape (3,) [m].
+        scale: [m]; in AirSim's layout [1/m].
+        end: where the data begin in the file.
+    """
+
+    version: int
+    dim: tuple[int, int, int]
+    translate: tuple[float, float, float]
+    scale: float
+    end: int
+
+
+# ---------------------------------------------------------------- writing
+
+
+def write_binvox(
+    grid: VoxelGrid,
+    path: str | PathLike[str],
+    *,
+    layout: Literal["binvox", "airsim"] = "binvox",
+    mapping: Mapping[int, int] | Literal["compact"] | None = None,
+) -> None:
+    """Write a binvox file: version 1 for voxels without IDs, version 2 for voxels with IDs.
+
+    Args:
+        grid: the voxels.
+        path: the file.
+        layout: ``airsim`` for that of AirSim's simCreateVoxelGrid. It can't say where the grid
+            is; its reader has to know.
+        mapping: what to write for each ID, 0 to 255; ``compact`` numbers the IDs that occur
+            anew from 1, in their order. `with_mapping` tells which IDs were written.
+
+    Raises:
+        FormatError: there are IDs above 255, or the mapping isn't to 0 … 255.
+    """
+    write_bytes(encode_binvox(with_mapping(grid, mapping), layout), path)
+
+
+def with_mapping(
+    grid: VoxelGrid, mapping: Mapping[int, int] | Literal["compact"] | None
+) -> VoxelGrid:
+    """The grid with the IDs that binvox is to hold, see `write_binvox`."""
+    if not grid.is_segmented or mapping is None:
+        return grid
+    present = _present(grid)
+    if mapping == "compact":
+        ids = {old: new for new, old in enumerate(present, 1)}
+    elif isinstance(mapping, Mapping):
+        ids = {int(old): int(new) for old, new in mapping.items()}
+        missing = [old for old in present if old not in ids]
+        if missing:
+            raise FormatError(f"the mapping says nothing of ID {missing[0]}, which occurs")
+    else:
+        raise FormatError(f"expected a mapping of IDs, or 'compact', got {mapping!r}")
+    bad = next((new for new in ids.values() if not 0 <= new <= MOST), None)
+    if bad is not None:
+        raise FormatError(
+            f"binvox holds values up to {MOST}, and the mapping has {bad}"
+            + (f": {len(present)} IDs occur; write .npz" if mapping == "compact" else "")
+        )
+    return grid.with_ids(ids)
+
+
+def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox") -> bytes:
+    """A binvox file's bytes, see `write_binvox`."""
+    from navbake.kernels.runs import encode_runs
+
+    values = _as_bytes(grid)
+    sizes = [n * grid.res for n in grid.shape]
+    if layout == "airsim":
+        order = values[:, ::-1].transpose(1, 2, 0)  # east, up, north
+        translate, scale = [-size / 2 for size in sizes], 1.0 / sizes[0]
+    elif layout == "binvox":
+        order = values.transpose(0, 2, 1)
+        translate, scale = list(grid.origin), grid.res * max(grid.shape)
+    else:
+        raise FormatError(f"expected layout binvox or airsim, got {layout!r}")
+    nx, ny, nz = grid.shape
+    header = (
+        f"#binvox {2 if grid.is_segmented else 1}\ndim {nx} {nz} {ny}\n"
+        f"translate {' '.join(_text(t) for t in translate)}\nscale {_text(scale)}\ndata\n"
+    )
+    pairs = np.empty(encode_runs(order, np.empty(0, np.uint8)), np.uint8)
+    encode_runs(order, pairs)
+    return header.encode() + pairs.tobytes()
+
+
+def _as_bytes(grid: VoxelGrid) -> NDArray[np.uint8]:
+    if not grid.is_segmented:
+        return grid.values.view(np.uint8)
+    most = int(grid.values.max())
+    if most > MOST:
+        raise FormatError(
+            f"binvox holds IDs up to {MOST}, and these voxels have IDs up to {most}: write .npz, "
+            f"or give a mapping ('compact', --compact, numbers the {len(_present(grid))} IDs "
+            f"that occur anew)"
+        )
+    return np.asarray(grid.values.astype(np.uint8, copy=False))
+
+
+def _present(grid: VoxelGrid) -> list[int]:
+    found = np.zeros(int(grid.values.max()) + 1, dtype=np.bool_)
+    for part in grid.values:  # slice by slice: the index would take 8 bytes a voxel
+        found[part] = True
+    return [int(number) for number in np.flatnonzero(found) if number]
+
+
+def _text(value: float) -> str:
+    """A number as short as it can be read back; `translate` may be a hair off a whole multiple."""
+    rounded = round(value, 12)
+    return repr(rounded + 0.0) if rounded else "0.0"
+
+
+# ---------------------------------------------------------------- reading
+
+
+def read_binvox(
+    path: str | PathLike[str], *, layout: Layout = "auto", position: ArrayLike = (0.0, 0.0, 0.0)
+) -> VoxelGrid:
+    """Read a binvox file, versions 1 and 2.
+
+    Runs of no length are passed over, comment lines in the header too. Version 1 gives True
+    and False, version 2 IDs as uint8.
+
+    Args:
+        path: the file.
+        layout: how it is laid out; ``auto`` tells AirSim's by its inverted scale, and says so
+            in the grid's notes.
+        position: what AirSim was asked for, world frame [m]: its files don't say. Its own frame
+            is north, east, down; (n, e, d) is (n, -e, -d) here.
+
+    Raises:
+        FormatError: it is no binvox file, its header is broken, or its data are too few or many.
+    """
+    if layout not in LAYOUTS:
+        raise FormatError(f"expected layout {', '.join(LAYOUTS)}, got {layout!r}")
+    return decode_binvox(read_bytes(path), str(path), layout=layout, position=position)
+
+
+def decode_binvox(
+    data: bytes, source: str, *, layout: Layout = "auto", position: ArrayLike = (0.0, 0.0, 0.0)
+) -> VoxelGrid:
+    """Read a binvox file's bytes, see `read_binvox`; `source` names them in messages."""
+    header = _read_header(data, source)
+    nx, nz, ny = header.dim
+    check_memory((nx, ny, nz), 1)
+    is_airsim = layout == "airsim" or (layout == "auto" and _looks_like_airsim(header))
+    values = np.zeros((nx, ny, nz), dtype=np.uint8)
+    order = values[:, ::-1].transpose(1, 2, 0) if is_airsim else values.transpose(0, 2, 1)
+    _fill(order, data, header, source)
+    if header.version == 1:
+        values = values.view(np.bool_) if values.max() <= 1 else values != 0
+    if not is_airsim:
+        res = header.scale / max(header.dim)
+        return VoxelGrid(values=values, origin=header.translate, res=res)
+    return _place_airsim(values, header, position, source)
+
+
+def _place_airsim(
+    values: NDArray[Any], header: Header, position: ArrayLike, source: str
+) -> VoxelGrid:
+    nx, ny, nz = values.shape
+    res = -2 * header.translate[0] / nx
+    if not res > 0:
+        raise FormatError(f"expected a negative `translate` in AirSim's layout in {source}")
+    centers = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * res  # of the first voxel
+    low = np.asarray(position, dtype=np.float64) + centers - res / 2
+    notes = [
+        f"{source} is laid out as AirSim writes it (scale {header.scale:g} is 1 / size): read "
+        f"as north, east, up round ({', '.join(f'{p:g}' for p in np.asarray(position))}), "
+        f"voxels of {res:g} m"
+    ]
+    return VoxelGrid(values=np.ascontiguousarray(values), origin=tuple(low), res=res, notes=notes)
+
+
+def _looks_like_airsim(header: Header) -> bool:
+    """Whether the scale is one over the size along x, and can't be the longest side."""
+    size = -2 * header.translate[0]
+    if size <= 0 or not math.isclose(header.scale * size, 1.0, rel_tol=NEAR):
+        return False
+    return not math.isclose(header.scale / max(header.dim), size / header.dim[0], rel_tol=NEAR)
+
+
+def _fill(order: NDArray[np.uint8], data: bytes, header: Header, source: str) -> None:
+    from navbake.kernels.runs import decode_runs
+
+    pairs = np.frombuffer(data, dtype=np.uint8, offset=header.end)
+    held = int(decode_runs(pairs, order))
+    if held != order.size or len(pairs) % 2:
+        found = "half a run" if len(pairs) % 2 else f"{held} voxels"
+        more = "too many" if held > order.size else "too few"
+        raise FormatError(
+            f"expected runs of {order.size} voxels in {source} (dim "
+            f"{' '.join(map(str, header.dim))}), got {found}"
+            + ("" if len(pairs) % 2 and held == order.size else f": {more}")
+        )
+
+
+def _read_header(data: bytes, source: str) -> Header:
+    if not data.startswith(b"#binvox"):
+        raise FormatError(f"expected a binvox file that begins with #binvox, got {source}")
+    fields: dict[str, list[str]] = {}
+    place = 0
+    while True:
+        end = data.find(b"\n", place, HEADER_LIMIT)
+        if end < 0:
+            raise FormatError(f"no line `data` ends the binvox header of {source}")
+        words = data[place:end].decode("ascii", errors="replace").split()
+        place = end + 1
+        if not words:
+            continue
+        if words[0] == "data":
+            break
+        if words[0] == "#binvox":
+            fields["version"] = words[1:]
+        elif not words[0].startswith("#"):
+            fields[words[0]] = words[1:]
+    unknown = sorted(set(fields) - {"version", "dim", "translate", "scale"})
+    if unknown:
+        raise FormatError(f"unknown line {unknown[0][:40]!r} in the binvox header of {source}")
+    (version,) = _numbers(fields, "version", 1, int, source)
+    if version not in VERSIONS:
+        raise FormatError(f"expected binvox version 1 or 2, got {version} in {source}")
+    dim = _numbers(fields, "dim", 3, int, source)
+    if min(dim) < 1:
+        raise FormatError(f"expected `dim` of numbers >= 1, got {dim} in {source}")
+    translate = _numbers(fields, "translate", 3, float, source, default=[0.0, 0.0, 0.0])
+    (scale,) = _numbers(fields, "scale", 1, float, source, default=[1.0])
+    if not scale > 0:
+        raise FormatError(f"expected `scale` > 0, got {scale:g} in {source}")
+    return Header(version, (dim[0], dim[1], dim[2]), tuple(translate), scale, place)
+
+
+def _numbers(
+    fields: Mapping[str, list[str]],
+    name: str,
+    count: int,
+    kind: type,
+    source: str,
+    default: list[Any] | None = None,
+) -> list[Any]:
+    if name not in fields:
+        if default is not None:
+            return default
+        raise FormatError(f"no line `{name}` in the binvox header of {source}")
+    words = fields[name]
+    try:
+        numbers = [kind(word) for word in words]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(math.isfinite(number) for number in numbers):
+        what = "whole number" if kind is int else "number"
+        raise FormatError(
+            f"expected {count} {what}{'s' if count > 1 else ''} at `{name}` in the binvox header "
+            f"of {source}, got {' '.join(words)[:60]!r}"
+        )
+    return numbers

@@ -1,0 +1,142 @@
+"""Map descriptors: what of an arena is explored, and what is in it, as two hexadecimal strings.
+
+Part 1 has a bit for each square, 1 where it is explored, between two bits 11 and two bits 11.
+Part 2 has a bit for each explored square, 1 for an obstacle, and 0s up to a full byte. Squares
+go row by row from the bottom, each row from the left. An arena of 15 × 20 squares fills 38 bytes
+in part 1; other sizes get 0s after the closing 11, up to a full byte.
+
+Arrays are ``[row, col]`` with row 0 at the top, as one draws a map and as all of navbake's are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navbake.errors import FormatError
+
+ARENA = (20, 15)  # rows and columns of the arena that the format is for
+SQUARE = 0.1  # edge of its squares [m]
+PAD = np.array([1, 1], dtype=np.uint8)
+HEX = set("0123456789abcdefABCDEF")
+
+UNEXPLORED, FREE, OBSTACLE = "?", ".", "#"
+
+
+def encode(explored: ArrayLike, obstacles: ArrayLike) -> tuple[str, str]:
+    """Encode a map.
+
+    Args:
+        explored: shape (rows, cols), row 0 at the top, true where a square is explored.
+        obstacles: the same, true where an obstacle is; what isn't explored doesn't count.
+
+    Returns:
+        Part 1 and part 2, in capitals; part 2 is empty where nothing is explored.
+
+    Raises:
+        FormatError: the two aren't of one shape, or of no squares.
+    """
+    known, filled = _flags(explored, "explored"), _flags(obstacles, "obstacles")
+    if known.shape != filled.shape:
+        raise FormatError(
+            f"expected explored and obstacles of one shape (rows, cols), "
+            f"got {known.shape} and {filled.shape}"
+        )
+    squares, content = known[::-1].ravel(), filled[::-1].ravel()
+    part1 = np.concatenate([PAD, squares, PAD])
+    return _to_hex(part1), _to_hex(content[squares])
+
+
+def decode(
+    part1: str, part2: str, shape: Sequence[int] = ARENA
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Decode a map; the inverse of `encode`.
+
+    Small letters, and a part 2 that is filled up to a digit instead of a byte, are read too.
+
+    Args:
+        part1, part2: the strings.
+        shape: rows and columns, >= 1 each.
+
+    Returns:
+        explored and obstacles, shape (rows, cols), bool, row 0 at the top; what isn't explored
+        holds no obstacle.
+
+    Raises:
+        FormatError: a string isn't hexadecimal, too short or too long, or its padding is wrong.
+    """
+    rows, cols = _check_shape(shape)
+    bits = _from_hex(part1, "part 1")
+    count = rows * cols + 4
+    digits = 2 * -(-count // 8)
+    if len(part1.strip()) != digits:
+        raise FormatError(
+            f"expected {digits} digits in part 1 for {rows} × {cols} squares, "
+            f"got {len(part1.strip())}"
+        )
+    for name, pad in (("first", bits[:2]), ("last", bits[count - 2 : count])):
+        if not pad.all():
+            raise FormatError(
+                f"expected the {name} two bits of part 1 to be 11, got {pad[0]}{pad[1]}"
+            )
+    if bits[count:].any():
+        raise FormatError("expected 0s after the closing 11 of part 1, got others")
+    squares = bits[2 : count - 2].astype(np.bool_)
+    obstacles = np.zeros(rows * cols, dtype=np.bool_)
+    obstacles[squares] = _read_part2(part2, int(squares.sum()))
+    return squares.reshape(rows, cols)[::-1].copy(), obstacles.reshape(rows, cols)[::-1].copy()
+
+
+def draw(explored: ArrayLike, obstacles: ArrayLike) -> str:
+    """Draw a map: ``?`` unexplored, ``.`` free, ``#`` obstacle; a line a row, the top one first."""
+    known, filled = _flags(explored, "explored"), _flags(obstacles, "obstacles")
+    marks = np.where(known, np.where(filled, OBSTACLE, FREE), UNEXPLORED)
+    return "\n".join("".join(row) for row in marks)
+
+
+def _read_part2(part2: str, count: int) -> NDArray[np.bool_]:
+    bits = _from_hex(part2, "part 2")
+    digits, whole = -(-count // 4), 2 * -(-count // 8)
+    got = len(part2.strip())
+    if got not in (digits, whole):
+        expected = f"{whole}" if digits == whole else f"{whole} (or {digits})"
+        longer = "more than" if got > whole else "fewer than"
+        raise FormatError(
+            f"expected {expected} digits in part 2 for the {count} squares that part 1 has "
+            f"explored, got {got}: {longer} it has"
+        )
+    if bits[count:].any():
+        raise FormatError(
+            f"expected 0s after the {count} bits of part 2, got more: it is longer than the "
+            f"squares that part 1 has explored"
+        )
+    return bits[:count].astype(np.bool_)
+
+
+def _flags(values: ArrayLike, name: str) -> NDArray[np.bool_]:
+    flags = np.asarray(values)
+    if flags.ndim != 2 or 0 in flags.shape:
+        raise FormatError(f"expected {name} of shape (rows, cols), got {flags.shape}")
+    return np.asarray(flags != 0)
+
+
+def _check_shape(shape: Sequence[int]) -> tuple[int, int]:
+    sizes = list(shape)
+    if len(sizes) != 2 or not all(isinstance(n, int | np.integer) and n >= 1 for n in sizes):
+        raise FormatError(f"expected a shape (rows, cols), each >= 1, got {sizes}")
+    return int(sizes[0]), int(sizes[1])
+
+
+def _to_hex(bits: NDArray[np.generic]) -> str:
+    return np.packbits(bits.astype(np.uint8)).tobytes().hex().upper()
+
+
+def _from_hex(text: str, name: str) -> NDArray[np.uint8]:
+    digits = text.strip()
+    bad = next((c for c in digits if c not in HEX), None)
+    if bad is not None:
+        raise FormatError(f"expected hexadecimal digits in {name}, got {bad!r}")
+    data = bytes.fromhex(digits + "0" * (len(digits) % 2))
+    return np.unpackbits(np.frombuffer(data, dtype=np.uint8))

@@ -1,0 +1,261 @@
+"""OctoMap trees: voxels as octrees, ``.bt`` (occupied, free, unknown) and ``.ot`` (log-odds).
+
+A tree has depth 16; a voxel's key is ``floor(coordinate / res) + 32768`` along each axis, so a
+grid lies on whole multiples of its edge and within 32768 of them round the world's origin.
+Children that are equal are pruned. Files are the same, byte for byte, as OctoMap's own.
+
+Source: OctoMap 1.9 (`AbstractOcTree.cpp`, `OccupancyOcTreeBase.hxx`): the header's lines, the
+order of the nodes, and the log-odds of what is certain.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navbake.errors import FormatError
+from navbake.voxels.grid import VoxelGrid
+from navbake.voxels.io import read_bytes, write_bytes
+from navbake.voxels.placement import check_memory
+
+DEPTH = 16
+CENTER = 2 ** (DEPTH - 1)  # key of the world's origin
+FIRST_LINES = {"bt": "# Octomap OcTree binary file", "ot": "# Octomap OcTree file"}
+COMMENT = "# (feel free to add / change comments, but leave the first line as it is!)\n#"
+HEADER_LIMIT = 65536  # longest header [bytes]
+OFF = 1e-3  # of a voxel: what a grid may lie off the tree's lattice
+
+# OctoMap's clamping thresholds: the log-odds of what is certainly free or occupied
+FREE_ODDS, OCCUPIED_ODDS = (math.log(p / (1 - p)) for p in (0.1192, 0.971))
+
+
+# ---------------------------------------------------------------- writing
+
+
+def write_octomap(grid: VoxelGrid, path: str | PathLike[str], *, free: bool = False) -> None:
+    """Write an octree, a ``.bt`` or ``.ot`` by the path's suffix.
+
+    Args:
+        grid: the voxels; IDs count as occupied. It must lie on whole multiples of its edge.
+        path: the file.
+        free: voxels that are known and not occupied are free; else they are unknown.
+
+    Raises:
+        FormatError: the grid doesn't lie on the tree's lattice, or reaches beyond it.
+    """
+    kind = Path(path).suffix.lower().removeprefix(".")
+    write_bytes(encode_octomap(grid, kind, free=free), path)
+
+
+def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
+    """The bytes of an octree file of kind ``bt`` or ``ot``, see `write_octomap`."""
+    from navbake.kernels.octree import write_odds, write_tree
+
+    if kind not in FIRST_LINES:
+        raise FormatError(f"expected an octree as bt or ot, got {kind!r}")
+    first = _first_key(grid)
+    levels = _build_pyramid(grid, first, free)
+    none = np.empty(0, np.uint8)
+    if kind == "bt":
+        num_bytes, num_nodes = write_tree(levels, first, none)
+        nodes = np.empty(num_bytes, np.uint8)
+        write_tree(levels, first, nodes)
+    else:
+        odds = np.array([0.0, FREE_ODDS, OCCUPIED_ODDS], dtype="<f4").view(np.uint8).reshape(3, 4)
+        num_bytes, num_nodes = write_odds(levels, first, odds, none)
+        nodes = np.empty(num_bytes, np.uint8)
+        write_odds(levels, first, odds, nodes)
+    header = (
+        f"{FIRST_LINES[kind]}\n{COMMENT}\nid OcTree\nsize {num_nodes}\n"
+        f"res {_text(grid.res)}\ndata\n"
+    )
+    return header.encode() + nodes.tobytes()
+
+
+def _build_pyramid(
+    grid: VoxelGrid, first: NDArray[np.int64], free: bool
+) -> tuple[NDArray[np.uint8], ...]:
+    """The states of all nodes over the grid, from the voxels up to the root."""
+    from navbake.kernels.octree import join_states, state_voxels
+
+    known = np.zeros((0, 0, 0), dtype=np.bool_) if grid.known is None else grid.known
+    states = np.empty(grid.shape, np.uint8)
+    state_voxels(grid.occupied, known, free, states)
+    levels: list[NDArray[np.uint8]] = [states]
+    last = first + np.array(grid.shape) - 1
+    for level in range(1, DEPTH + 1):
+        shape = (last >> level) - (first >> level) + 1
+        above = np.empty(tuple(int(n) for n in shape), np.uint8)
+        join_states(levels[-1], first >> (level - 1), above)
+        levels.append(above)
+    return tuple(levels)
+
+
+def _first_key(grid: VoxelGrid) -> NDArray[np.int64]:
+    """The tree's key of the first voxel along each axis."""
+    place = np.array(grid.origin) / grid.res
+    whole = np.round(place)
+    off = np.abs(place - whole).max() * grid.res
+    if off > OFF * grid.res:
+        raise FormatError(
+            f"an octree's voxels lie on whole multiples of their edge {grid.res:g} m, and this "
+            f"grid's lower corner ({', '.join(f'{c:g}' for c in grid.origin)}) is {off:.3g} m off: "
+            f"make the grid with align=True (--align)"
+        )
+    if (np.abs(whole) > CENTER).any() or (np.abs(whole + grid.shape) > CENTER).any():
+        reach = CENTER * grid.res
+        raise FormatError(
+            f"an octree reaches {reach:g} m from the origin with voxels of {grid.res:g} m, and "
+            f"this grid goes beyond: expected larger voxels or a grid nearer to the origin"
+        )
+    return np.asarray(whole.astype(np.int64) + CENTER)
+
+
+def _text(res: float) -> str:
+    """The edge in six digits, as OctoMap writes it, or in as many as it takes."""
+    short = f"{res:g}"
+    return short if math.isclose(float(short), res, rel_tol=1e-12) else repr(res)
+
+
+# ---------------------------------------------------------------- reading
+
+
+@dataclass(frozen=True)
+class _Header:
+    kind: str
+    size: int
+    res: float
+    end: int
+
+
+def read_octomap(path: str | PathLike[str], *, bounds: ArrayLike | None = None) -> VoxelGrid:
+    """Read an octree of class OcTree, ``.bt`` or ``.ot``.
+
+    The grid covers all space that is known, occupied or free; `VoxelGrid.known` says which
+    voxels are. Log-odds of 0 and more are occupied.
+
+    Args:
+        path: the file.
+        bounds: read only this box, (2, 3), lower and upper corner, world frame [m].
+
+    Raises:
+        FormatError: it is no such file, or broken.
+        ConfigError: the grid would need more memory than there is.
+    """
+    return decode_octomap(read_bytes(path), str(path), bounds=bounds)
+
+
+def decode_octomap(data: bytes, source: str, *, bounds: ArrayLike | None = None) -> VoxelGrid:
+    """Read an octree file's bytes, see `read_octomap`; `source` names them in messages."""
+    from navbake.kernels.octree import fill_leaves
+
+    header = _read_header(data, source)
+    leaves, notes = _read_leaves(data, header, source)
+    if bounds is None:
+        first, shape = _box_leaves(leaves)
+    else:
+        first, shape = _box_keys(bounds, header.res)
+    check_memory(shape, 2)
+    values, known = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
+    fill_leaves(leaves, first, values, known)
+    x, y, z = ((first - CENTER) * header.res).tolist()
+    return VoxelGrid(
+        values=values,
+        origin=(x, y, z),
+        res=header.res,
+        known=None if known.all() else known,
+        notes=notes,
+    )
+
+
+def _read_leaves(data: bytes, header: _Header, source: str) -> tuple[NDArray[np.int32], list[str]]:
+    from navbake.kernels.octree import TOO_DEEP, read_odds, read_tree
+
+    nodes = np.frombuffer(data, dtype=np.uint8, offset=header.end)
+    empty = np.empty((0, 5), np.int32)
+    if header.size == 0 and not len(nodes):
+        return empty, [f"{source} is an empty tree: nothing is known"]
+    read: Any = read_tree
+    if header.kind == "ot":
+        whole = nodes[: len(nodes) // 5 * 5].reshape(-1, 5)
+        odds = np.ascontiguousarray(whole[:, :4]).view("<f4").ravel()
+        read = partial(read_odds, odds)
+    num_leaves, num_bytes, num_nodes = read(nodes, empty)
+    if num_leaves < 0:
+        what = "a tree deeper than 16" if num_leaves == TOO_DEEP else "an end within the tree"
+        raise FormatError(f"expected {header.size} nodes in {source}, got {what}")
+    if num_bytes != len(nodes):
+        raise FormatError(
+            f"expected {num_bytes} bytes of nodes in {source}, got {len(nodes)}: data run over"
+        )
+    leaves = np.empty((num_leaves, 5), np.int32)
+    read(nodes, leaves)
+    if num_nodes != header.size:
+        return leaves, [f"{source} has {num_nodes} nodes, and says {header.size}"]
+    return leaves, []
+
+
+def _box_leaves(leaves: NDArray[np.int32]) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
+    """The keys that leaves cover: the first along each axis, and how many."""
+    if not len(leaves):
+        return np.full(3, CENTER), (1, 1, 1)
+    first = leaves[:, :3].min(axis=0).astype(np.int64)
+    end = (leaves[:, :3].astype(np.int64) + (1 << leaves[:, 3:4].astype(np.int64))).max(axis=0)
+    nx, ny, nz = (end - first).tolist()
+    return first, (nx, ny, nz)
+
+
+def _box_keys(bounds: ArrayLike, res: float) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
+    box = np.asarray(bounds, dtype=np.float64)
+    if box.shape != (2, 3) or not np.isfinite(box).all() or not (box[0] < box[1]).all():
+        raise FormatError(f"expected bounds as (lower, upper) corner [m], got {bounds!r}")
+    first = np.clip(np.floor(box[0] / res + OFF).astype(np.int64) + CENTER, 0, 2 * CENTER - 1)
+    end = np.clip(np.ceil(box[1] / res - OFF).astype(np.int64) + CENTER, first + 1, 2 * CENTER)
+    nx, ny, nz = (end - first).tolist()
+    return first, (nx, ny, nz)
+
+
+def _read_header(data: bytes, source: str) -> _Header:
+    start, _, _ = data[:200].partition(b"\n")
+    first = start.decode("ascii", errors="replace").strip()
+    kind = next((kind for kind, line in FIRST_LINES.items() if first == line), None)
+    if kind is None:
+        raise FormatError(f"expected an OctoMap file (bt or ot), got {source}")
+    fields: dict[str, str] = {}
+    place = len(start) + 1
+    while True:
+        end = data.find(b"\n", place, HEADER_LIMIT)
+        if end < 0:
+            raise FormatError(f"no line `data` ends the header of {source}")
+        line = data[place:end].decode("ascii", errors="replace").strip()
+        place = end + 1
+        if line == "data":
+            break
+        if line and not line.startswith("#"):
+            name, _, value = line.partition(" ")
+            fields[name] = value.strip()
+    if fields.get("id") != "OcTree":
+        raise FormatError(f"expected a tree of id OcTree in {source}, got {fields.get('id')!r}")
+    return _Header(
+        kind, int(_number(fields, "size", source)), _number(fields, "res", source), place
+    )
+
+
+def _number(fields: dict[str, str], name: str, source: str) -> float:
+    try:
+        number = float(fields[name])
+    except (KeyError, ValueError):
+        number = math.nan
+    if not math.isfinite(number) or number < 0 or (name == "res" and number == 0):
+        raise FormatError(
+            f"expected a number > 0 at `{name}` in the header of {source}, "
+            f"got {fields.get(name, 'none')!r}"
+        )
+    return number

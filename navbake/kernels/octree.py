@@ -1,0 +1,262 @@
+"""Octrees of depth 16 out of dense voxels, and back.
+
+A pyramid holds the state of every node over the grid, level by level: 0 are the voxels, 16 the
+root. Arrays of a level begin at its own first node, ``first key >> level``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+DEPTH = 16
+UNKNOWN, FREE, OCCUPIED, MIXED_FREE, MIXED = 0, 1, 2, 3, 4  # the mixed ones have children
+OVERRUN, TOO_DEEP = -1, -2
+
+
+@njit(cache=True, parallel=True)
+def state_voxels(occupied, known, free, states):
+    """The states of voxels.
+
+    Args:
+        occupied: (nx, ny, nz) bool.
+        known: the same, or empty if all is known.
+        free: whether what is known and not occupied is FREE, or else UNKNOWN.
+        states: (nx, ny, nz) uint8, receives them.
+    """
+    for i in prange(occupied.shape[0]):
+        for j in range(occupied.shape[1]):
+            for k in range(occupied.shape[2]):
+                if occupied[i, j, k]:
+                    states[i, j, k] = OCCUPIED
+                elif free and (known.shape[0] == 0 or known[i, j, k]):
+                    states[i, j, k] = FREE
+                else:
+                    states[i, j, k] = UNKNOWN
+
+
+@njit(cache=True, parallel=True)
+def join_states(below, first, above):
+    """The states of a level's nodes from those of the level below.
+
+    Args:
+        below: (a, b, c) uint8.
+        first: (3,) int64, the first node of the level below.
+        above: uint8, receives the states.
+    """
+    nx, ny, nz = below.shape
+    for i in prange(above.shape[0]):
+        for j in range(above.shape[1]):
+            for k in range(above.shape[2]):
+                x = 2 * (first[0] // 2 + i) - first[0]
+                y = 2 * (first[1] // 2 + j) - first[1]
+                z = 2 * (first[2] // 2 + k) - first[2]
+                one, most, same = 0, 0, True
+                for child in range(8):
+                    cx, cy, cz = x + (child & 1), y + (child >> 1 & 1), z + (child >> 2)
+                    state = 0
+                    if 0 <= cx < nx and 0 <= cy < ny and 0 <= cz < nz:
+                        state = int(below[cx, cy, cz])
+                    if child == 0:
+                        one = state
+                    same = same and state == one and state < MIXED_FREE
+                    if state in (OCCUPIED, MIXED):
+                        most = OCCUPIED
+                if same:
+                    above[i, j, k] = one
+                else:
+                    above[i, j, k] = MIXED if most == OCCUPIED else MIXED_FREE
+
+
+@njit(cache=True)
+def _state(levels, first, level, x, y, z):
+    nodes = levels[level]
+    i, j, k = x - (first[0] >> level), y - (first[1] >> level), z - (first[2] >> level)
+    if 0 <= i < nodes.shape[0] and 0 <= j < nodes.shape[1] and 0 <= k < nodes.shape[2]:
+        return int(nodes[i, j, k])
+    return UNKNOWN
+
+
+@njit(cache=True)
+def write_tree(levels, first, out):
+    """Write a pyramid's nodes as a ``.bt`` has them: 2 bits a child, 2 bytes an inner node.
+
+    Args:
+        levels: the 17 levels.
+        first: (3,) int64, the key of the first voxel.
+        out: uint8, receives the bytes; empty to count them only.
+
+    Returns:
+        The number of bytes, and of all nodes.
+    """
+    stack = np.empty((8 * (DEPTH + 1), 4), np.int64)
+    depth, num_bytes, num_nodes = 0, 0, 0
+    if _state(levels, first, DEPTH, 0, 0, 0) != UNKNOWN:
+        stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = DEPTH, 0, 0, 0
+        depth = 1
+        num_nodes = 1
+    while depth > 0:
+        depth -= 1
+        level, x, y, z = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
+        bits = 0
+        for child in range(7, -1, -1):
+            cx, cy, cz = 2 * x + (child & 1), 2 * y + (child >> 1 & 1), 2 * z + (child >> 2)
+            state = _state(levels, first, level - 1, cx, cy, cz)
+            bits |= min(state, 3) << (2 * child)
+            if state != UNKNOWN:
+                num_nodes += 1
+            if state >= MIXED_FREE:
+                stack[depth, 0], stack[depth, 1] = level - 1, cx
+                stack[depth, 2], stack[depth, 3] = cy, cz
+                depth += 1
+        if out.shape[0] > 0:
+            out[num_bytes], out[num_bytes + 1] = bits & 255, bits >> 8
+        num_bytes += 2
+    return num_bytes, num_nodes
+
+
+@njit(cache=True)
+def write_odds(levels, first, odds, out):
+    """Write a pyramid's nodes as an ``.ot`` has them: 4 bytes of log-odds, 1 of children.
+
+    An inner node has the greatest log-odds of its children.
+
+    Args:
+        levels: the 17 levels.
+        first: (3,) int64, the key of the first voxel.
+        odds: (3, 4) uint8: the bytes of the log-odds of UNKNOWN, FREE and OCCUPIED.
+        out: uint8, receives the bytes; empty to count them only.
+
+    Returns:
+        The number of bytes, and of all nodes.
+    """
+    stack = np.empty((8 * (DEPTH + 1), 4), np.int64)
+    depth, num_nodes = 0, 0
+    if _state(levels, first, DEPTH, 0, 0, 0) != UNKNOWN:
+        stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = DEPTH, 0, 0, 0
+        depth = 1
+    while depth > 0:
+        depth -= 1
+        level, x, y, z = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
+        state = _state(levels, first, level, x, y, z)
+        children = 0
+        if state >= MIXED_FREE:
+            for child in range(7, -1, -1):
+                cx, cy, cz = 2 * x + (child & 1), 2 * y + (child >> 1 & 1), 2 * z + (child >> 2)
+                if _state(levels, first, level - 1, cx, cy, cz) != UNKNOWN:
+                    children |= 1 << child
+                    stack[depth, 0], stack[depth, 1] = level - 1, cx
+                    stack[depth, 2], stack[depth, 3] = cy, cz
+                    depth += 1
+        if out.shape[0] > 0:
+            value = OCCUPIED if state in (OCCUPIED, MIXED) else FREE
+            for k in range(4):
+                out[5 * num_nodes + k] = odds[value, k]
+            out[5 * num_nodes + 4] = children
+        num_nodes += 1
+    return 5 * num_nodes, num_nodes
+
+
+@njit(cache=True)
+def read_tree(data, leaves):
+    """Read a ``.bt``'s nodes.
+
+    Args:
+        data: uint8.
+        leaves: (n, 5) int32, receives each leaf's first key x, y, z, its level and its state;
+            empty to count them only.
+
+    Returns:
+        The number of leaves, of bytes, and of all nodes; the first is OVERRUN or TOO_DEEP where
+        the data are wrong.
+    """
+    stack = np.empty((8 * (DEPTH + 1), 4), np.int64)
+    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = DEPTH, 0, 0, 0
+    depth, place, num_leaves, num_nodes = 1, 0, 0, 1
+    while depth > 0:
+        depth -= 1
+        level, x, y, z = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
+        if place + 2 > data.shape[0]:
+            return OVERRUN, place, num_nodes
+        bits = np.int64(data[place]) | (np.int64(data[place + 1]) << 8)
+        place += 2
+        for child in range(7, -1, -1):
+            state = bits >> (2 * child) & 3
+            if state == UNKNOWN:
+                continue
+            num_nodes += 1
+            cx, cy, cz = 2 * x + (child & 1), 2 * y + (child >> 1 & 1), 2 * z + (child >> 2)
+            if state == 3:
+                if level == 1:
+                    return TOO_DEEP, place, num_nodes
+                stack[depth, 0], stack[depth, 1] = level - 1, cx
+                stack[depth, 2], stack[depth, 3] = cy, cz
+                depth += 1
+                continue
+            if leaves.shape[0] > 0:
+                size = level - 1
+                leaves[num_leaves, 0], leaves[num_leaves, 1] = cx << size, cy << size
+                leaves[num_leaves, 2], leaves[num_leaves, 3] = cz << size, size
+                leaves[num_leaves, 4] = state
+            num_leaves += 1
+    return num_leaves, place, num_nodes
+
+
+@njit(cache=True)
+def read_odds(odds, data, leaves):
+    """Read an ``.ot``'s nodes.
+
+    Args:
+        odds: float32, the nodes' log-odds.
+        data: uint8, 5 bytes a node.
+        leaves: see `read_tree`; log-odds of 0 and more are OCCUPIED, others FREE.
+
+    Returns:
+        See `read_tree`.
+    """
+    stack = np.empty((8 * (DEPTH + 1), 4), np.int64)
+    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = DEPTH, 0, 0, 0
+    depth, num_leaves, num_nodes = 1, 0, 0
+    while depth > 0:
+        depth -= 1
+        level, x, y, z = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
+        if 5 * num_nodes + 5 > data.shape[0]:
+            return OVERRUN, 5 * num_nodes, num_nodes
+        children = data[5 * num_nodes + 4]
+        state = OCCUPIED if odds[num_nodes] >= 0.0 else FREE
+        num_nodes += 1
+        if children == 0:
+            if leaves.shape[0] > 0:
+                leaves[num_leaves, 0], leaves[num_leaves, 1] = x << level, y << level
+                leaves[num_leaves, 2], leaves[num_leaves, 3] = z << level, level
+                leaves[num_leaves, 4] = state
+            num_leaves += 1
+            continue
+        if level == 0:
+            return TOO_DEEP, 5 * num_nodes, num_nodes
+        for child in range(7, -1, -1):
+            if children >> child & 1:
+                stack[depth, 0], stack[depth, 1] = level - 1, 2 * x + (child & 1)
+                stack[depth, 2], stack[depth, 3] = 2 * y + (child >> 1 & 1), 2 * z + (child >> 2)
+                depth += 1
+    return num_leaves, 5 * num_nodes, num_nodes
+
+
+@njit(cache=True)
+def fill_leaves(leaves, first, values, known):
+    """Write leaves into voxels, as far as these reach.
+
+    Args:
+        leaves: see `read_tree`.
+        first: (3,) int64, the key of the first voxel.
+        values, known: (nx, ny, nz) bool, receive whether voxels are occupied, and known.
+    """
+    num_x, num_y, num_z = values.shape
+    for n in range(leaves.shape[0]):
+        size = 1 << leaves[n, 3]
+        x, y, z = leaves[n, 0] - first[0], leaves[n, 1] - first[1], leaves[n, 2] - first[2]
+        for i in range(max(x, 0), min(x + size, num_x)):
+            for j in range(max(y, 0), min(y + size, num_y)):
+                for k in range(max(z, 0), min(z + size, num_z)):
+                    known[i, j, k] = True
+                    values[i, j, k] = leaves[n, 4] == OCCUPIED

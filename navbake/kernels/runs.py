@@ -1,0 +1,61 @@
+"""Runs of equal bytes, as pairs of value and count up to 255, in any order of a 3-D array."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+LONGEST = 255
+
+
+@njit(cache=True)
+def encode_runs(values, out):
+    """Write the runs of a 3-D array, its last index first.
+
+    Args:
+        values: (a, b, c) uint8; a transposed view will do.
+        out: uint8, receives pairs of value and count; empty to count them only.
+
+    Returns:
+        How many bytes that are.
+    """
+    writing = out.shape[0] > 0
+    num = 0
+    value, count = values[0, 0, 0], 0
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            for k in range(values.shape[2]):
+                if values[i, j, k] == value and count < LONGEST:
+                    count += 1
+                    continue
+                if writing:
+                    out[num], out[num + 1] = value, count
+                num += 2
+                value, count = values[i, j, k], 1
+    if writing:
+        out[num], out[num + 1] = value, count
+    return num + 2
+
+
+@njit(cache=True)
+def decode_runs(pairs, values):
+    """Fill a 3-D array from runs, its last index first; runs of no length are passed over.
+
+    Args:
+        pairs: uint8, value and count in turn.
+        values: (a, b, c) uint8, zeros; a transposed view will do. Runs beyond it are counted.
+
+    Returns:
+        How many values the runs hold.
+    """
+    rows, cols = values.shape[1], values.shape[2]
+    size = values.shape[0] * rows * cols
+    done = np.int64(0)
+    for n in range(0, pairs.shape[0] - 1, 2):
+        value, count = pairs[n], np.int64(pairs[n + 1])
+        if value != 0:
+            for place in range(done, min(done + count, size)):
+                rest = place // cols
+                values[rest // rows, rest % rows, place % cols] = value
+        done += count
+    return done

@@ -1,0 +1,377 @@
+"""Filling voxels column by column, from the heights that each geom has over a column's square.
+
+What a solid, a half-space or a triangle has over a square is one span of heights, so a column
+costs one calculation, not one a voxel. Insides of closed surfaces follow from a line through
+the column. Voxels are narrowed by `touch` on all sides: what reaches in by less only touches.
+
+A grid is passed as its lower corner `origin`, the edge `res` of a voxel and `values`
+(nx, ny, nz), unsigned integers, 0 for empty. Where several geoms meet a voxel the least label
+stays, in whatever order they come.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from navbake.kernels.spans import clip, plane_span, polygon_span, solid_span
+
+TILE = 8  # columns along a tile's edge
+SURFACE, CLOSED, CONVEX = 0, 1, 2  # what triangles of a geom enclose
+
+# Where a line is moved to when it ran through an edge and rounding lost a crossing [voxels]
+ASIDE = np.array([[0, 0], [0.137, 0.071], [-0.093, 0.119], [0.061, -0.143], [-0.127, -0.083]])
+
+
+@njit(cache=True)
+def _touched(low, high, first, res, num):
+    """The voxels along an axis that a closed interval meets: first, last (none: last < first)."""
+    start, end = (low - first) / res, (high - first) / res
+    if not (start <= num and end >= 0.0):
+        return 0, -1
+    return int(max(start, 0.0)), int(min(end, num - 1.0))
+
+
+@njit(cache=True)
+def _fill(values, i, j, low, high, label, origin, res, touch):
+    """Label the voxels of a column that a span of heights meets."""
+    num = values.shape[2]
+    start, end = (low + touch - origin[2]) / res, (high - touch - origin[2]) / res
+    if not (start < num and end > 0.0):
+        return
+    first = math.floor(start) if start > 0.0 else 0
+    last = math.ceil(end) if end < num else num
+    for k in range(first, last):
+        if values[i, j, k] == 0 or values[i, j, k] > label:
+            values[i, j, k] = label
+
+
+@njit(cache=True)
+def bin_items(bounds, origin, res, shape):
+    """List, for each tile of columns, the boxes that reach into it.
+
+    Args:
+        bounds: (n, 6) float64: lower and upper corners [m].
+        origin, res, shape: the grid.
+
+    Returns:
+        start, (num_tiles + 1,) int64, and item int32: tile t holds
+        ``item[start[t]:start[t + 1]]``, ascending.
+    """
+    tiles_x, tiles_y = (shape[0] + TILE - 1) // TILE, (shape[1] + TILE - 1) // TILE
+    start = np.zeros(tiles_x * tiles_y + 1, np.int64)
+    item = np.empty(0, np.int32)
+    cursor = start[:-1].copy()
+    top = origin[2] + shape[2] * res
+    for writing in range(2):
+        if writing == 1:
+            for tile in range(tiles_x * tiles_y):
+                start[tile + 1] += start[tile]
+            item = np.empty(start[-1], np.int32)
+            cursor = start[:-1].copy()
+        for n in range(bounds.shape[0]):
+            if bounds[n, 2] > top or bounds[n, 5] < origin[2]:
+                continue
+            i0, i1 = _touched(bounds[n, 0], bounds[n, 3], origin[0], res, shape[0])
+            j0, j1 = _touched(bounds[n, 1], bounds[n, 4], origin[1], res, shape[1])
+            if i1 < i0 or j1 < j0:
+                continue
+            for x in range(i0 // TILE, i1 // TILE + 1):
+                for y in range(j0 // TILE, j1 // TILE + 1):
+                    tile = x * tiles_y + y
+                    if writing == 0:
+                        start[tile + 1] += 1
+                    else:
+                        item[cursor[tile]] = n
+                        cursor[tile] += 1
+    return start, item
+
+
+@njit(cache=True)
+def _square(i, j, origin, res, touch):
+    x, y = origin[0] + i * res, origin[1] + j * res
+    return x + touch, x + res - touch, y + touch, y + res - touch
+
+
+@njit(cache=True)
+def _columns(low_x, high_x, low_y, high_y, tile, origin, res):
+    """The columns of a tile under a rectangle: i0, i1, j0, j1, without the ends i1 and j1."""
+    i0, i1 = _touched(low_x, high_x, origin[0] + tile[0] * res, res, tile[1] - tile[0])
+    j0, j1 = _touched(low_y, high_y, origin[1] + tile[2] * res, res, tile[3] - tile[2])
+    return tile[0] + i0, tile[0] + i1 + 1, tile[2] + j0, tile[2] + j1 + 1
+
+
+@njit(cache=True)
+def _fill_solid(s, solids, label, tile, values, origin, res, touch, one, other):
+    kind, pos, mat, size, bounds = solids
+    i0, i1, j0, j1 = _columns(
+        bounds[s, 0], bounds[s, 3], bounds[s, 1], bounds[s, 4], tile, origin, res
+    )
+    for i in range(i0, i1):
+        for j in range(j0, j1):
+            x0, x1, y0, y1 = _square(i, j, origin, res, touch)
+            low, high = solid_span(kind[s], pos[s], mat[s], size[s], x0, x1, y0, y1, one, other)
+            _fill(values, i, j, low, high, label, origin, res, touch)
+
+
+@njit(cache=True)
+def _side(ax, ay, bx, by, px, py):
+    """On which side of the line from a to b a point is: 1 left, -1 right, 0 where a is b.
+
+    The same but for the sign, to the bit, for the line from b to a; a point on the line counts
+    as moved by a hair along x, and by a hair of that along y.
+    """
+    swap = ax > bx or (ax == bx and ay > by)
+    if swap:
+        ax, ay, bx, by = bx, by, ax, ay
+    cross = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
+    if cross == 0.0:
+        cross = ay - by
+    if cross == 0.0:
+        cross = bx - ax
+    if cross == 0.0:
+        return 0
+    return -1 if (cross > 0.0) == swap else 1
+
+
+@njit(cache=True)
+def _crossing(c, x, y):
+    """How the upright line at (x, y) crosses a triangle: 1 if it faces up there, -1, or 0."""
+    side = _side(c[0, 0], c[0, 1], c[1, 0], c[1, 1], x, y)
+    if side == 0 or side != _side(c[1, 0], c[1, 1], c[2, 0], c[2, 1], x, y):
+        return 0
+    return side if side == _side(c[2, 0], c[2, 1], c[0, 0], c[0, 1], x, y) else 0
+
+
+@njit(cache=True)
+def _height_at(c, x, y):
+    """The height of a triangle at (x, y) inside of it."""
+    ax, ay = c[0, 0] - x, c[0, 1] - y
+    bx, by = c[1, 0] - x, c[1, 1] - y
+    cx, cy = c[2, 0] - x, c[2, 1] - y
+    u, v, w = bx * cy - cx * by, cx * ay - ax * cy, ax * by - bx * ay
+    low, high = polygon_span(c, 3)
+    total = u + v + w
+    if total == 0.0:
+        return low
+    return min(max((u * c[0, 2] + v * c[1, 2] + w * c[2, 2]) / total, low), high)
+
+
+@njit(cache=True)
+def _note_crossing(c, x, y, winding, origin, res):
+    """Add a triangle's crossing of a column's line at the first voxel with its middle above."""
+    side = _crossing(c, x, y)
+    if side != 0:
+        above = (_height_at(c, x, y) - origin[2]) / res + 0.5
+        last = winding.shape[0] - 1
+        k = 0 if above < 0.0 else (last if above >= last else int(above))
+        winding[k] -= side
+
+
+@njit(cache=True)
+def _add_triangle(
+    c, mode, label, tile, values, origin, res, touch, spans, winding, one, other, strip
+):
+    """Fill what one triangle meets, and note what its geom needs to be filled."""
+    x_low, x_high = min(c[0, 0], c[1, 0], c[2, 0]), max(c[0, 0], c[1, 0], c[2, 0])
+    y_low, y_high = min(c[0, 1], c[1, 1], c[2, 1]), max(c[0, 1], c[1, 1], c[2, 1])
+    i0, i1, j0, j1 = _columns(x_low, x_high, y_low, y_high, tile, origin, res)
+    for i in range(i0, i1):
+        x0, x1, _, _ = _square(i, 0, origin, res, touch)
+        num = clip(c, 3, other, 0, x0, x1, strip)
+        for j in range(j0, j1):
+            _, _, y0, y1 = _square(0, j, origin, res, touch)
+            left = clip(strip, num, other, 1, y0, y1, one)
+            if left > 0:
+                low, high = polygon_span(one, left)
+                if mode == CONVEX:
+                    span = spans[i - tile[0], j - tile[2]]
+                    span[0], span[1] = min(span[0], low), max(span[1], high)
+                else:
+                    _fill(values, i, j, low, high, label, origin, res, touch)
+            x, y = (x0 + x1) / 2.0, (y0 + y1) / 2.0
+            if mode == CLOSED and x_low <= x <= x_high and y_low <= y <= y_high:
+                _note_crossing(c, x, y, winding[i - tile[0], j - tile[2]], origin, res)
+
+
+@njit(cache=True)
+def _fill_inside(items, corners, label, tile, values, origin, res, touch, winding):
+    """Fill the inside of a closed surface from its crossings, column by column."""
+    num = values.shape[2]
+    for i in range(tile[0], tile[1]):
+        for j in range(tile[2], tile[3]):
+            column = winding[i - tile[0], j - tile[2]]
+            x0, x1, y0, y1 = _square(i, j, origin, res, touch)
+            for attempt in range(1, ASIDE.shape[0]):
+                left = 0
+                for k in range(num + 1):
+                    left += column[k]
+                if left == 0:
+                    break
+                for k in range(num + 1):
+                    column[k] = 0
+                x = (x0 + x1) / 2.0 + ASIDE[attempt, 0] * res
+                y = (y0 + y1) / 2.0 + ASIDE[attempt, 1] * res
+                for t in items:
+                    _note_crossing(corners[t], x, y, column, origin, res)
+            inside = 0
+            for k in range(num):
+                inside += column[k]
+                if inside > 0 and (values[i, j, k] == 0 or values[i, j, k] > label):
+                    values[i, j, k] = label
+
+
+@njit(cache=True)
+def _fill_triangles(items, mode, label, corners, tile, values, origin, res, touch, scratch):
+    """Fill what the triangles of one geom meet and enclose within a tile."""
+    spans, winding, one, other, strip = scratch
+    for i in range(TILE):
+        for j in range(TILE):
+            spans[i, j, 0], spans[i, j, 1] = math.inf, -math.inf
+            if mode == CLOSED:
+                for k in range(winding.shape[2]):
+                    winding[i, j, k] = 0
+    for t in items:
+        _add_triangle(
+            corners[t], mode, label, tile, values, origin, res, touch,
+            spans, winding, one, other, strip,
+        )  # fmt: skip
+    if mode == CONVEX:
+        for i in range(tile[0], tile[1]):
+            for j in range(tile[2], tile[3]):
+                low, high = spans[i - tile[0], j - tile[2]]
+                if low <= high:
+                    _fill(values, i, j, low, high, label, origin, res, touch)
+    if mode == CLOSED:
+        _fill_inside(items, corners, label, tile, values, origin, res, touch, winding)
+
+
+@njit(cache=True)
+def _fill_tile(
+    solids, solid_label, solid_items, planes, plane_label,
+    corners, triangle_geom, triangle_items, mode, geom_label, tile, values, origin, res, touch,
+):  # fmt: skip
+    """Label the voxels of one tile."""
+    one, other, strip = np.empty((12, 3)), np.empty((12, 3)), np.empty((12, 3))
+    for s in solid_items:
+        _fill_solid(s, solids, solid_label[s], tile, values, origin, res, touch, one, other)
+    for p in range(plane_label.shape[0]):
+        for i in range(tile[0], tile[1]):
+            for j in range(tile[2], tile[3]):
+                x0, x1, y0, y1 = _square(i, j, origin, res, touch)
+                low, high = plane_span(planes[0][p], planes[1][p], x0, x1, y0, y1)
+                _fill(values, i, j, low, high, plane_label[p], origin, res, touch)
+    first, end = 0, triangle_items.shape[0]
+    if end == 0:
+        return
+    scratch = (
+        np.empty((TILE, TILE, 2)), np.empty((TILE, TILE, values.shape[2] + 1), np.int32),
+        one, other, strip,
+    )  # fmt: skip
+    while first < end:
+        geom = triangle_geom[triangle_items[first]]
+        last = first + 1
+        while last < end and triangle_geom[triangle_items[last]] == geom:
+            last += 1
+        _fill_triangles(
+            triangle_items[first:last], mode[geom], geom_label[geom], corners, tile,
+            values, origin, res, touch, scratch,
+        )  # fmt: skip
+        first = last
+
+
+@njit(cache=True, parallel=True)
+def fill_voxels(
+    solids, solid_label, solid_start, solid_item,
+    planes, plane_label,
+    corners, triangle_geom, triangle_start, triangle_item, mode, geom_label,
+    values, origin, res, touch,
+):  # fmt: skip
+    """Label all voxels that geoms meet.
+
+    Args:
+        solids: kind, pos, mat, size and bounds of the primitive solids.
+        planes: pos and mat of the infinite planes.
+        corners, triangle_geom: the triangles, (m, 3, 3) float64 [m], and their geoms,
+            ascending.
+        mode: by geom id, what its triangles enclose: SURFACE, CLOSED or CONVEX, uint8.
+        solid_label, plane_label, geom_label: labels > 0, the last by geom id; in the dtype of
+            `values`.
+        solid_start, solid_item, triangle_start, triangle_item: the tiles' lists.
+        values, origin, res, touch: the grid; labels are added to what it holds.
+    """
+    num_x, num_y, _ = values.shape
+    tiles_y = (num_y + TILE - 1) // TILE
+    num_tiles = (num_x + TILE - 1) // TILE * tiles_y
+    # neighbours are alike: with every second tile in each half, threads have as much to do
+    half = (num_tiles + 1) // 2
+    for turn in prange(num_tiles):
+        number = 2 * turn if turn < half else 2 * (turn - half) + 1
+        x, y = number // tiles_y * TILE, number % tiles_y * TILE
+        tile = (x, min(x + TILE, num_x), y, min(y + TILE, num_y))
+        _fill_tile(
+            solids, solid_label, solid_item[solid_start[number] : solid_start[number + 1]],
+            planes, plane_label,
+            corners, triangle_geom,
+            triangle_item[triangle_start[number] : triangle_start[number + 1]],
+            mode, geom_label, tile, values, origin, res, touch,
+        )  # fmt: skip
+
+
+@njit(cache=True)
+def box_triangles(corners, triangle_geom, mode):
+    """Boxes round triangles; what encloses a volume reaches as high and low as its geom does.
+
+    So a column sees all of a volume's surface above and below the grid.
+
+    Args:
+        corners, triangle_geom: (m, 3, 3) float64 [m], and geoms int32, ascending.
+        mode: by geom id, see `fill_voxels`.
+
+    Returns:
+        (m, 6) float64: lower and upper corners [m].
+    """
+    boxes = np.empty((corners.shape[0], 6))
+    first = 0
+    for t in range(corners.shape[0]):
+        c = corners[t]
+        for k in range(3):
+            boxes[t, k] = min(c[0, k], c[1, k], c[2, k])
+            boxes[t, 3 + k] = max(c[0, k], c[1, k], c[2, k])
+        if t + 1 < corners.shape[0] and triangle_geom[t + 1] == triangle_geom[t]:
+            continue
+        if mode[triangle_geom[t]] != SURFACE:
+            low, high = math.inf, -math.inf
+            for n in range(first, t + 1):
+                low, high = min(low, boxes[n, 2]), max(high, boxes[n, 5])
+            for n in range(first, t + 1):
+                boxes[n, 2], boxes[n, 5] = low, high
+        first = t + 1
+    return boxes
+
+
+@njit(cache=True)
+def move_triangles(base, triangle_geom, moved, rotation, shift, corners):
+    """Move the triangles of some geoms from where they were first.
+
+    Args:
+        base: (m, 3, 3) float64, where they were [m].
+        triangle_geom: their geoms, int32.
+        moved: by geom id, whether it moved, bool.
+        rotation, shift: by geom id, (n, 3, 3) and (n, 3) float64: ``rotation @ p + shift``.
+        corners: (m, 3, 3) float64, receives those that moved.
+    """
+    for t in range(base.shape[0]):
+        geom = triangle_geom[t]
+        if not moved[geom]:
+            continue
+        for corner in range(3):
+            for k in range(3):
+                corners[t, corner, k] = (
+                    rotation[geom, k, 0] * base[t, corner, 0]
+                    + rotation[geom, k, 1] * base[t, corner, 1]
+                    + rotation[geom, k, 2] * base[t, corner, 2]
+                    + shift[geom, k]
+                )

@@ -1,0 +1,131 @@
+"""Between voxels and navigation grids: a band of heights as a plan, a level as voxels."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.errors import QueryError
+from navbake.grid import SceneGrid2D
+from navbake.lattice import CELL_SLACK, Lattice
+from navbake.voxels.grid import VoxelGrid
+
+
+def lattice_of(voxels: VoxelGrid) -> Lattice:
+    """The cells under a voxel grid's columns."""
+    nx, ny, _ = voxels.shape
+    x, y, _ = voxels.origin
+    return Lattice(x, y + ny * voxels.res, voxels.res, nx, ny)
+
+
+def cut_band(
+    voxels: VoxelGrid,
+    low: float,
+    high: float,
+    floor: NDArray[np.floating] | None = None,
+    *,
+    whole: bool = False,
+) -> NDArray[np.uint8]:
+    """Cut voxels at a band of heights: is anything in it?
+
+    Args:
+        voxels: the voxels.
+        low, high: the band [m]: world z, or over the floor if one is given.
+        floor: world z of each cell's floor, shape (ny, nx) [m]; no floor, NaN, is occupied.
+        whole: count only voxels that lie in the band as a whole, not those that reach into it.
+
+    Returns:
+        Occupancy as navigation grids have it: ``[row, col]``, shape (ny, nx), uint8, rows
+        against y; of the cells of `lattice_of`.
+
+    Raises:
+        QueryError: the band is empty, or the floor of another shape.
+    """
+    nx, ny, nz = voxels.shape
+    if not low < high:
+        raise QueryError(f"expected a band of heights, low < high, got {low:g} and {high:g}")
+    if floor is not None and floor.shape != (ny, nx):
+        raise QueryError(f"expected a floor of shape (ny, nx) = {(ny, nx)}, got {floor.shape}")
+    base = np.zeros((ny, nx)) if floor is None else np.asarray(floor, dtype=np.float64)
+    start = (base + low - voxels.origin[2]) / voxels.res
+    end = (base + high - voxels.origin[2]) / voxels.res
+    if whole:
+        first, last = np.ceil(start - CELL_SLACK), np.floor(end + CELL_SLACK)
+    else:
+        first, last = np.floor(start + CELL_SLACK), np.ceil(end - CELL_SLACK)
+    first, last = (np.nan_to_num(bound).clip(0, nz) for bound in (first, last))
+    occupied = np.isnan(base)
+    filled = voxels.occupied.transpose(1, 0, 2)[::-1]
+    for k in range(int(first.min()), int(last.max())):
+        occupied |= filled[:, :, k] & (first <= k) & (k < last)
+    return occupied.astype(np.uint8)
+
+
+def plan_of(
+    voxels: VoxelGrid, floor: float, *, step: float = 0.25, height: float = 1.14
+) -> SceneGrid2D:
+    """A navigation grid of a level floor, from the voxels above it.
+
+    A cell is blocked where a voxel reaches into the band from `step` to `height` over the floor.
+    Nothing is said of holes in the floor: voxels don't tell what one can stand on.
+
+    Args:
+        voxels: the voxels.
+        floor: world z of the floor [m].
+        step: what an agent steps over [m].
+        height: its height [m], > step.
+
+    Raises:
+        QueryError: the band is empty.
+    """
+    occupancy = cut_band(voxels, floor + step, floor + height)
+    lattice = lattice_of(voxels)
+    x0, y0, x1, y1 = lattice.bounds
+    top = floor + height
+    return SceneGrid2D(
+        width=lattice.width,
+        height=lattice.height,
+        cell_size=voxels.res,
+        min_yup=(x0, floor, 0.0 - y1),
+        bbox_yup=((x0, floor, 0.0 - y1), (x1, top, 0.0 - y0)),
+        weights=np.where(occupancy == 0, np.float32(1), np.float32(np.inf)),
+        attributes={
+            "floorHeight": np.full(lattice.shape, floor, dtype=np.float32),
+            "occupancy": occupancy,
+        },
+    )
+
+
+def voxels_of(level: SceneGrid2D, *, step: float = 0.25, height: float = 1.14) -> VoxelGrid:
+    """A level as voxels: its occupied cells, from `step` to `height` over their floors.
+
+    Cells without a floor are filled from `step` to `height` over the level's ground. Voxels
+    have the cells' edge, and begin `step` over the ground or below; each that reaches into a
+    cell's band is filled. What the level says of its rooms and weights is left out.
+
+    Args:
+        level: the level.
+        step: what an agent steps over, as in the level's settings [m].
+        height: its height, as in the level's settings [m], > step.
+
+    Raises:
+        QueryError: the band is empty.
+    """
+    if not step < height:
+        raise QueryError(f"expected a band of heights, step < height, got {step:g} and {height:g}")
+    lattice, res = level.lattice, level.lattice.cell_size
+    floor = level.floor_height.astype(np.float64) * level.unit
+    floor = np.where(np.isnan(floor), level.ground, floor)
+    below = math.ceil(max(level.ground - floor.min(), 0.0) / res - CELL_SLACK)
+    bottom = level.ground + step - below * res
+    start = np.floor((floor + step - bottom) / res + CELL_SLACK)
+    end = np.ceil((floor + height - bottom) / res - CELL_SLACK)
+    values = np.zeros((lattice.width, lattice.height, max(int(end.max()), 1)), dtype=np.bool_)
+    columns = values.transpose(1, 0, 2)[::-1]
+    filled = level.occupancy != 0
+    for k in range(values.shape[2]):
+        columns[:, :, k] = filled & (start <= k) & (k < end)
+    x0, y0, _, _ = lattice.bounds
+    return VoxelGrid(values=values, origin=(x0, y0, bottom), res=res)

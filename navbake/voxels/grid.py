@@ -1,0 +1,171 @@
+"""Voxel grids in memory: which part of space is filled, and by what."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navbake.errors import FormatError, QueryError
+
+Vector3 = tuple[float, float, float]
+
+# What voxels may be, and the greatest ID that each integer holds
+DTYPES = {"bool": 1, "uint8": 2**8 - 1, "uint16": 2**16 - 1, "uint32": 2**32 - 1}
+
+
+@dataclass(eq=False, kw_only=True)
+class VoxelGrid:
+    """A box of cubic voxels, parallel to the world's axes.
+
+    Voxel (i, j, k) is the box from ``origin + (i, j, k) * res`` on, `res` long each way.
+
+    Attributes:
+        values: shape (nx, ny, nz): bool, True where something is, or uint8, uint16 or uint32, the
+            ID of what is there, 0 for nothing.
+        origin: the lower corner of voxel (0, 0, 0), world frame [m].
+        res: edge of a voxel [m], > 0.
+        names: what the IDs stand for; empty where nothing says so.
+        known: shape (nx, ny, nz), bool: False where nobody knows whether something is there (an
+            octree has such space); None where all is known.
+        notes: what whoever made or read it had to assume, one line each.
+    """
+
+    values: NDArray[Any] = field(repr=False)
+    origin: Vector3
+    res: float
+    names: dict[int, str] = field(default_factory=dict, repr=False)
+    known: NDArray[np.bool_] | None = field(default=None, repr=False)
+    notes: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 3 or 0 in self.values.shape:
+            raise FormatError(
+                f"expected voxels of shape (nx, ny, nz), each >= 1, got {self.values.shape}"
+            )
+        if self.values.dtype.name not in DTYPES:
+            raise FormatError(
+                f"expected voxels of dtype {', '.join(DTYPES)}, got {self.values.dtype}"
+            )
+        if self.known is not None and self.known.shape != self.values.shape:
+            raise FormatError(
+                f"expected `known` of the voxels' shape {self.values.shape}, got {self.known.shape}"
+            )
+        self.origin = _check_origin(self.origin)
+        self.res = float(self.res)
+        if not (np.isfinite(self.res) and self.res > 0):
+            raise FormatError(f"expected a voxel's edge > 0 m, got {self.res:g}")
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(nx, ny, nz), voxels along x, y and z."""
+        nx, ny, nz = self.values.shape
+        return nx, ny, nz
+
+    @property
+    def is_segmented(self) -> bool:
+        """Whether voxels hold IDs."""
+        return self.values.dtype != np.bool_
+
+    @property
+    def occupied(self) -> NDArray[np.bool_]:
+        """True where something is, shape (nx, ny, nz), bool; `values` itself if it is that."""
+        return self.values if not self.is_segmented else self.values != 0
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Lower and upper corner, shape (2, 3), float64, world frame [m]."""
+        low = np.array(self.origin)
+        return np.stack([low, low + np.array(self.shape) * self.res])
+
+    def centers(self) -> NDArray[np.float64]:
+        """The middles of the occupied voxels, shape (n, 3), float64, world frame [m]."""
+        middles = (np.argwhere(self.values) + 0.5) * self.res + np.array(self.origin)
+        return np.asarray(middles, dtype=np.float64)
+
+    def indices(self, xyz: ArrayLike) -> NDArray[np.int64]:
+        """The voxels that hold positions; beside the grid they run on.
+
+        Args:
+            xyz: shape (..., 3), world frame [m].
+
+        Returns:
+            Shape (..., 3), int64.
+        """
+        place = (np.asarray(xyz, dtype=np.float64) - self.origin) / self.res
+        return np.floor(place).astype(np.int64)
+
+    def at(self, xyz: ArrayLike) -> NDArray[Any]:
+        """What the voxels at positions hold.
+
+        Args:
+            xyz: shape (..., 3), world frame [m].
+
+        Returns:
+            Shape (...), in the dtype of `values`.
+
+        Raises:
+            QueryError: a position is beside the grid, or no number.
+        """
+        places = np.asarray(xyz, dtype=np.float64)
+        if places.shape[-1:] != (3,) or not np.isfinite(places).all():
+            raise QueryError(f"expected finite positions x, y, z [m], got {places.tolist()}"[:200])
+        index = self.indices(places)
+        beside = ((index < 0) | (index >= self.shape)).any(axis=-1)
+        if beside.any():
+            first = places.reshape(-1, 3)[int(np.argmax(beside.ravel()))]
+            low, high = self.bounds
+            raise QueryError(
+                f"no voxel at ({_text(first)}): the grid is from ({_text(low)}) to ({_text(high)})"
+            )
+        return np.asarray(self.values[index[..., 0], index[..., 1], index[..., 2]])
+
+    def without_ids(self) -> VoxelGrid:
+        """The same voxels as occupied or not."""
+        return replace(self, values=self.occupied, names={})
+
+    def with_ids(self, ids: Mapping[int, int]) -> VoxelGrid:
+        """The same voxels with other IDs.
+
+        Args:
+            ids: the new ID of each, >= 0 and < 2**32; an ID that isn't there goes to 0.
+
+        Raises:
+            QueryError: the voxels hold no IDs.
+        """
+        if not self.is_segmented:
+            raise QueryError("these voxels hold no IDs that could be exchanged")
+        most = int(self.values.max())
+        table = np.zeros(most + 1, dtype=dtype_of(max(ids.values(), default=0)))
+        for old, new in ids.items():
+            if 0 < old <= most:
+                table[old] = new
+        names = {new: self.names[old] for old, new in ids.items() if new and old in self.names}
+        return replace(self, values=table[self.values], names=names)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write a file: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``, see `navbake.voxels.files`."""
+        from navbake.voxels.files import write_voxels
+
+        write_voxels(self, path)
+
+
+def dtype_of(most: int) -> np.dtype[Any]:
+    """The smallest dtype of `DTYPES` for IDs up to a number."""
+    name = next(name for name, limit in DTYPES.items() if limit >= most and name != "bool")
+    return np.dtype(name)
+
+
+def _check_origin(origin: ArrayLike) -> Vector3:
+    corner = np.asarray(origin, dtype=np.float64)
+    if corner.shape != (3,) or not np.isfinite(corner).all():
+        raise FormatError(f"expected a lower corner x, y, z [m], got {origin!r}")
+    return float(corner[0]), float(corner[1]), float(corner[2])
+
+
+def _text(xyz: NDArray[np.float64]) -> str:
+    return ", ".join(f"{value:.6g}" for value in xyz)

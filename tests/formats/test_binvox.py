@@ -1,0 +1,207 @@
+"""binvox: round trips, the rules of the format, AirSim's layout, and what is wrong."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from navbake.errors import FormatError, NavbakeError
+from navbake.formats.binvox import decode_binvox, encode_binvox, read_binvox, write_binvox
+from navbake.voxels.files import names_path, read_voxels, write_voxels
+from navbake.voxels.grid import VoxelGrid
+from oracles.voxel_files import read_binvox_plainly, write_binvox_as_airsim
+
+ASYMMETRIC = np.zeros((5, 7, 3), dtype=bool)
+ASYMMETRIC[0, 1, 2] = ASYMMETRIC[4, 6, 0] = True
+ASYMMETRIC[2, :, 1] = ASYMMETRIC[:3, 3, 0] = True
+HEADER = b"#binvox 1\ndim 2 3 4\ntranslate 1 2 3\nscale 4\ndata\n"
+
+
+def grid_of(values, origin=(-0.5, 2.0, 1.5), res=0.25, **more):
+    return VoxelGrid(values=np.asarray(values), origin=origin, res=res, **more)
+
+
+@st.composite
+def grids(draw):
+    shape = draw(st.tuples(*[st.integers(1, 9)] * 3))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    share = draw(st.sampled_from([0.0, 0.02, 0.5, 1.0]))
+    values = rng.random(shape) < share
+    if draw(st.booleans()):
+        values = values * rng.integers(1, 256, shape).astype(np.uint8)
+    res = draw(st.sampled_from([0.05, 0.1, 0.25, 1.0]))
+    return grid_of(values, tuple(draw(st.integers(-999, 999)) * res for _ in range(3)), res)
+
+
+def same(a, b):
+    np.testing.assert_array_equal(a.values, b.values)
+    np.testing.assert_allclose(a.origin, b.origin, atol=1e-9)
+    assert a.res == pytest.approx(b.res, rel=1e-9)
+    assert a.values.dtype == b.values.dtype
+
+
+@settings(deadline=None)
+@given(grids())
+def test_what_is_written_is_read(grid):
+    same(decode_binvox(encode_binvox(grid), "x"), grid)
+
+
+@settings(deadline=None)
+@given(grids())
+def test_a_plain_reader_sees_the_same(grid):
+    values, low, res = read_binvox_plainly(encode_binvox(grid))
+    np.testing.assert_array_equal(values, grid.values)
+    np.testing.assert_allclose(low, grid.origin, atol=1e-9)
+    assert res == pytest.approx(grid.res)
+
+
+def test_the_header_is_the_formats():
+    header = encode_binvox(grid_of(ASYMMETRIC)).split(b"data\n")[0]
+    assert header == b"#binvox 1\ndim 5 3 7\ntranslate -0.5 2.0 1.5\nscale 1.75\n"
+    assert encode_binvox(grid_of(ASYMMETRIC.astype(np.uint8))).startswith(b"#binvox 2\n")
+
+
+def test_runs_are_of_255_at_most():
+    data = encode_binvox(grid_of(np.ones((10, 10, 10), dtype=bool))).split(b"data\n")[1]
+    assert data == bytes([1, 255]) * 3 + bytes([1, 1000 - 3 * 255])
+
+
+def test_empty_runs_comments_and_missing_lines_are_read():
+    runs = bytes([0, 0, 1, 5, 0, 0, 0, 19, 1, 0])
+    plain = decode_binvox(HEADER + runs, "x")
+    assert plain.shape == (2, 4, 3) and plain.values.sum() == 5
+    commented = HEADER.replace(b"dim", b"# made by somebody\n\ndim")
+    commented = commented.replace(b"\nscale", b"\n#\nscale")
+    same(decode_binvox(commented + runs, "x"), plain)
+    bare = decode_binvox(b"#binvox 1\ndim 2 3 4\ndata\n" + runs, "x")
+    assert bare.origin == (0, 0, 0) and bare.res == 0.25
+
+
+def test_windows_line_ends_are_read():
+    runs = bytes([1, 24])
+    same(
+        decode_binvox(HEADER.replace(b"\n", b"\r\n") + runs, "x"), decode_binvox(HEADER + runs, "x")
+    )
+
+
+def test_any_value_counts_in_version_1():
+    assert decode_binvox(HEADER + bytes([7, 24]), "x").values.all()
+
+
+# ---------------------------------------------------------------- IDs
+
+
+def test_more_than_255_ids_need_a_mapping(tmp_path):
+    values = np.zeros((3, 3, 3), dtype=np.uint16)
+    values[0, 0, 0], values[1, 1, 1] = 300, 700
+    grid = grid_of(values, names={300: "chair", 700: "table"})
+    with pytest.raises(FormatError, match=r"IDs up to 255.*up to 700.*\.npz.*compact"):
+        write_binvox(grid, tmp_path / "a.binvox")
+    write_voxels(grid, tmp_path / "a.binvox", mapping="compact")
+    back = read_voxels(tmp_path / "a.binvox")
+    assert back.names == {1: "chair", 2: "table"}
+    assert back.values[0, 0, 0] == 1 and back.values[1, 1, 1] == 2 and back.values.sum() == 3
+    write_voxels(grid, tmp_path / "b.binvox", mapping={300: 9, 700: 0})
+    back = read_voxels(tmp_path / "b.binvox")
+    assert back.names == {9: "chair"} and back.values.sum() == 9
+    with pytest.raises(FormatError, match="nothing of ID 700"):
+        write_voxels(grid, tmp_path / "b.binvox", mapping={300: 9})
+    with pytest.raises(FormatError, match="values up to 255, and the mapping has 256"):
+        write_voxels(grid, tmp_path / "b.binvox", mapping={300: 256, 700: 1})
+
+
+def test_more_than_255_ids_that_occur_fit_no_binvox(tmp_path):
+    grid = grid_of(np.arange(1, 301, dtype=np.uint16).reshape(3, 10, 10))
+    with pytest.raises(FormatError, match=r"300 IDs occur; write \.npz"):
+        write_binvox(grid, tmp_path / "a.binvox", mapping="compact")
+    write_voxels(grid, tmp_path / "a.npz")
+    same(read_voxels(tmp_path / "a.npz"), grid)
+
+
+def test_the_table_lies_beside_the_file(tmp_path):
+    grid = grid_of(ASYMMETRIC.astype(np.uint8) * 3, names={3: "Tür"})
+    grid.save(tmp_path / "a.binvox")
+    assert names_path(tmp_path / "a.binvox").name == "a.binvox.names.json"
+    assert read_voxels(tmp_path / "a.binvox").names == {3: "Tür"}
+    names_path(tmp_path / "a.binvox").write_text("[]")
+    with pytest.raises(FormatError, match=r"table of IDs.*a\.binvox\.names\.json"):
+        read_voxels(tmp_path / "a.binvox")
+
+
+# ---------------------------------------------------------------- AirSim
+
+
+@pytest.mark.parametrize("shape", [(4, 6, 2), (5, 7, 3), (4, 5, 6), (12, 13, 10)])
+def test_airsims_files_are_recognised_and_placed(shape):
+    """Written as AirSim does it: samples at (i - n // 2) * res along north, east and up."""
+    rng = np.random.default_rng(0)
+    filled = {tuple(p) for p in (rng.random((6, 3)) * shape).astype(int)}
+    position, res = np.array([10.0, -4.0, 2.0]), 0.5
+    data, samples = write_binvox_as_airsim(filled, shape, res)
+    grid = decode_binvox(data, "map.binvox", position=position)
+    assert grid.res == pytest.approx(res) and grid.shape == shape
+    assert "AirSim" in grid.notes[0] and "map.binvox" in grid.notes[0]
+    north_east_up = {tuple(np.round(p, 9)) for p in samples}
+    expected = {tuple(np.round(position + np.array([n, -e, u]), 9)) for n, e, u in north_east_up}
+    assert {tuple(np.round(c, 9)) for c in grid.centers()} == expected
+    assert not decode_binvox(data, "x", layout="binvox").notes
+
+
+@pytest.mark.parametrize("shape", [(4, 6, 2), (5, 7, 3), (8, 8, 8)])
+def test_airsims_layout_is_written_when_asked(shape):
+    rng = np.random.default_rng(1)
+    grid = grid_of(rng.random(shape) < 0.5, (0, 0, 0), 0.5)
+    data = encode_binvox(grid, "airsim")
+    back = decode_binvox(data, "x")
+    np.testing.assert_array_equal(back.values, grid.values)
+    assert back.notes and back.res == pytest.approx(0.5)
+    # its reader places voxel n // 2 at the position that it is told; y runs against east
+    nx, ny, nz = shape
+    middle = np.array([nx // 2, ny - 1 - ny // 2, nz // 2]) * 0.5
+    np.testing.assert_allclose(back.origin, -middle - 0.25)
+
+
+def test_a_centred_unit_cube_is_no_airsim_file():
+    grid = grid_of(np.ones((10, 10, 10), dtype=bool), (-0.5, -0.5, -0.5), 0.1)
+    assert decode_binvox(encode_binvox(grid), "x").notes == []
+
+
+# ---------------------------------------------------------------- bad files
+
+
+@pytest.mark.parametrize(
+    ("data", "culprit"),
+    [
+        (b"", "begins with #binvox"),
+        (b"#vox 1\n", "begins with #binvox"),
+        (HEADER[:-6], "no line `data`"),
+        (HEADER.replace(b"#binvox 1", b"#binvox 3"), "version 1 or 2, got 3"),
+        (HEADER.replace(b"#binvox 1", b"#binvox x"), "at `version`.*'x'"),
+        (HEADER.replace(b"dim 2 3 4", b"dim 2 3"), "3 whole numbers at `dim`.*'2 3'"),
+        (HEADER.replace(b"dim 2 3 4", b"dim 2 0 4"), r"`dim` of numbers >= 1, got \[2, 0, 4\]"),
+        (HEADER.replace(b"dim 2 3 4\n", b""), "no line `dim`"),
+        (HEADER.replace(b"1 2 3", b"1 nan 3"), "3 numbers at `translate`"),
+        (HEADER.replace(b"scale 4", b"scale 0"), "`scale` > 0, got 0"),
+        (HEADER.replace(b"scale", b"scald"), "unknown line 'scald'"),
+        (HEADER + bytes([1, 23]), "runs of 24 voxels.*got 23 voxels: too few"),
+        (HEADER + bytes([1, 25]), "got 25 voxels: too many"),
+        (HEADER + bytes([1, 24, 1, 255]), "got 279 voxels: too many"),
+        (HEADER + bytes([1, 24, 0]), "got half a run"),
+        (HEADER.replace(b"2 3 4", b"999999 999999 9"), "GiB of memory are free"),
+    ],
+)
+def test_broken_files_say_what_is_wrong(data, culprit):
+    with pytest.raises(NavbakeError, match=culprit) as caught:
+        decode_binvox(data, "a.binvox")
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_are_not_there(tmp_path):
+    with pytest.raises(FormatError, match=r"cannot read .*none\.binvox"):
+        read_binvox(tmp_path / "none.binvox")
+    with pytest.raises(FormatError, match=r"cannot write .*there is no folder"):
+        write_binvox(grid_of(ASYMMETRIC), tmp_path / "no" / "a.binvox")
+    with pytest.raises(FormatError, match=r"ends in \.binvox, \.bt, \.ot, \.npz, got a\.vox"):
+        grid_of(ASYMMETRIC).save("a.vox")
+    with pytest.raises(FormatError, match="layout auto, binvox, airsim, got 'x'"):
+        read_binvox("a.binvox", layout="x")

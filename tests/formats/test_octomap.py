@@ -1,0 +1,233 @@
+"""Octrees against OctoMap's own: its `binvox2bt`, and its library through octomap-python.
+
+`binvox2bt` is in Debian's octomap-tools, octomap-python on the package index; without them the
+tests that need them are skipped, and say so.
+"""
+
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from navbake.errors import ConfigError, FormatError
+from navbake.formats.binvox import write_binvox
+from navbake.formats.octomap import decode_octomap, encode_octomap, read_octomap, write_octomap
+from navbake.voxels.grid import VoxelGrid
+
+try:
+    import octomap
+except ImportError:
+    octomap = None
+
+needs_octomap = pytest.mark.skipif(
+    octomap is None, reason="octomap-python is not installed: pip install octomap-python"
+)
+needs_tools = pytest.mark.skipif(
+    shutil.which("binvox2bt") is None,
+    reason="binvox2bt is not installed: apt-get install octomap-tools",
+)
+
+ASYMMETRIC = np.zeros((5, 7, 3), dtype=bool)
+ASYMMETRIC[0, 1, 2] = ASYMMETRIC[4, 6, 0] = True
+ASYMMETRIC[2, :, 1] = ASYMMETRIC[:3, 3, 0] = True
+
+
+def grid_of(values, corner=(0, 0, 0), res=0.1, **more):
+    """Voxels whose lower corner is given in voxels."""
+    origin = tuple(float(c) * res for c in corner)
+    return VoxelGrid(values=np.asarray(values), origin=origin, res=res, **more)
+
+
+def noise(shape, share, seed=0):
+    """Scattered voxels with solid blocks, so that some of the tree is pruned."""
+    rng = np.random.default_rng(seed)
+    values = rng.random(shape) < share
+    values[: shape[0] // 2, : shape[1] // 2] = True
+    values[shape[0] // 2 :, shape[1] // 2 :] = False
+    return values
+
+
+GRIDS = {
+    "asymmetric": grid_of(ASYMMETRIC),
+    "off-centre": grid_of(noise((33, 20, 11), 0.5), (-413, 52, -31)),
+    "beyond 32 m": grid_of(noise((40, 9, 40), 0.3), (900, -1234, 3000)),
+    "odd edge": grid_of(noise((16, 16, 16), 0.4), (-8, -8, -8), 0.17),
+    "full": grid_of(np.ones((32, 32, 32), dtype=bool), (-16, 0, 16)),
+    "empty": grid_of(np.zeros((3, 4, 5), dtype=bool), (7, 8, 9)),
+}
+each_grid = pytest.mark.parametrize("grid", GRIDS.values(), ids=GRIDS.keys())
+
+
+def keys_of(grid):
+    """The voxels' numbers from the world's origin, of those that are occupied."""
+    return {tuple(n) for n in np.floor(grid.centers() / grid.res).astype(int)}
+
+
+@st.composite
+def grids(draw):
+    shape = draw(st.tuples(*[st.integers(1, 12)] * 3))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    values = rng.random(shape) < draw(st.sampled_from([0.0, 0.05, 0.5, 0.95, 1.0]))
+    corner = tuple(draw(st.integers(-40, 40)) for _ in range(3))
+    known = (rng.random(shape) < 0.8) | values if draw(st.booleans()) else None
+    return grid_of(values, corner, draw(st.sampled_from([0.05, 0.1, 1 / 3])), known=known)
+
+
+# ---------------------------------------------------------------- round trips
+
+
+@settings(deadline=None, max_examples=60)
+@given(grids(), st.sampled_from(["bt", "ot"]), st.booleans())
+def test_what_is_written_is_read(grid, kind, free):
+    back = decode_octomap(encode_octomap(grid, kind, free=free), "x")
+    assert keys_of(back) == keys_of(grid)
+    assert back.res == pytest.approx(grid.res, rel=1e-12)
+    seen = (
+        grid.occupied | (grid.known if grid.known is not None else True) if free else grid.occupied
+    )
+    known = np.ones(back.shape, bool) if back.known is None else back.known
+    assert keys_of(grid_like(back, known)) == keys_of(grid_like(grid, seen)) or not seen.any()
+
+
+def grid_like(grid, values):
+    shaped = np.broadcast_to(values, grid.shape).copy()
+    return VoxelGrid(values=shaped, origin=grid.origin, res=grid.res)
+
+
+def test_only_a_box_is_read_when_asked():
+    grid = GRIDS["off-centre"]
+    low, high = grid.bounds
+    part = decode_octomap(
+        encode_octomap(grid, "bt"), "x", bounds=(low + 0.5, np.array(high) - [1.3, 0.8, 0.1])
+    )
+    assert part.shape == (15, 7, 5)
+    np.testing.assert_array_equal(part.values, grid.values[5:20, 5:12, 5:10])
+    with pytest.raises(FormatError, match="expected bounds"):
+        decode_octomap(encode_octomap(grid, "bt"), "x", bounds=(high, low))
+
+
+def test_ids_count_as_occupied():
+    labelled = grid_of(ASYMMETRIC.astype(np.uint16) * 700)
+    assert encode_octomap(labelled, "bt") == encode_octomap(grid_of(ASYMMETRIC), "bt")
+
+
+# ---------------------------------------------------------------- OctoMap's own
+
+
+@needs_tools
+@each_grid
+@pytest.mark.parametrize("free", [False, True], ids=["unknown", "free"])
+def test_bt_is_byte_for_byte_that_of_binvox2bt(grid, free, tmp_path):
+    write_binvox(grid, tmp_path / "a.binvox")
+    half = repr(grid.res / 2)
+    mark = ["--mark-free"] if free else []
+    command = ["binvox2bt", *mark, "--offset", half, half, half, "-o", "b.bt", "a.binvox"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    write_octomap(grid, tmp_path / "a.bt", free=free)
+    assert (tmp_path / "a.bt").read_bytes() == (tmp_path / "b.bt").read_bytes()
+
+
+@needs_tools
+def test_binvox2bt_reads_a_twin_of_labelled_voxels(tmp_path):
+    labels = ASYMMETRIC * np.arange(1, 4, dtype=np.uint8)
+    write_binvox(grid_of(labels).without_ids(), tmp_path / "a.binvox")
+    command = ["binvox2bt", "--offset", ".05", ".05", ".05", "-o", "b.bt", "a.binvox"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    assert keys_of(read_octomap(tmp_path / "b.bt")) == keys_of(grid_of(ASYMMETRIC))
+
+
+@needs_octomap
+@each_grid
+@pytest.mark.parametrize("kind", ["bt", "ot"])
+def test_octomap_holds_exactly_our_voxels(grid, kind):
+    data = encode_octomap(grid, kind)
+    if kind == "bt":
+        tree = octomap.OcTree(grid.res)
+        assert tree.readBinary(data)
+    else:
+        tree = octomap.OcTree.read(data)
+    found = set()
+    for leaf in tree.begin_leafs():
+        assert tree.isNodeOccupied(leaf)
+        count = round(leaf.getSize() / grid.res)
+        first = np.round(np.array(leaf.getCoordinate()) / grid.res - count / 2).astype(int)
+        found |= {tuple(first + offset) for offset in np.ndindex(count, count, count)}
+    assert found == keys_of(grid)
+
+
+@needs_octomap
+@each_grid
+@pytest.mark.parametrize("free", [False, True], ids=["unknown", "free"])
+def test_both_kinds_are_octomaps_bytes(grid, free):
+    tree = octomap.OcTree(grid.res)
+    binary = encode_octomap(grid, "bt", free=free)
+    tree.readBinary(binary)
+    assert tree.writeBinary() == binary
+    tree.updateInnerOccupancy()  # reading leaves the root as occupied
+    assert tree.write() == encode_octomap(grid, "ot", free=free)
+
+
+@needs_octomap
+def test_a_tree_that_octomap_built_is_read():
+    tree = octomap.OcTree(0.25)
+    hit = np.array([[1.1, -2.2, 3.3], [40.0, 0.1, 0.1]])
+    tree.updateNodes(hit, True)
+    tree.updateNodes(np.array([[1.1, -2.2, 3.6]]), False)
+    for data in (tree.write(), tree.writeBinary()):
+        back = decode_octomap(data, "x")
+        assert keys_of(back) == {tuple(n) for n in np.floor(hit / 0.25).astype(int)}
+        assert back.known is not None and np.count_nonzero(back.known) == 3
+
+
+# ---------------------------------------------------------------- what can't be, and bad files
+
+
+def test_a_grid_off_the_lattice_is_refused():
+    grid = grid_of(ASYMMETRIC, (0.5, 0, 0))
+    with pytest.raises(FormatError, match=r"whole multiples.*0\.05 m off.*align=True"):
+        encode_octomap(grid, "bt")
+
+
+def test_a_grid_beyond_the_tree_is_refused():
+    encode_octomap(grid_of(ASYMMETRIC, (32768 - 5, -32768, 0)), "bt")
+    for corner in ((32768 - 4, 0, 0), (0, -32769, 0)):
+        with pytest.raises(FormatError, match=r"octree reaches 3276\.8 m.*goes beyond"):
+            encode_octomap(grid_of(ASYMMETRIC, corner), "bt")
+
+
+BT = encode_octomap(grid_of(ASYMMETRIC), "bt")
+OT = encode_octomap(grid_of(ASYMMETRIC), "ot")
+
+
+@pytest.mark.parametrize(
+    ("data", "culprit"),
+    [
+        (b"", "expected an OctoMap file"),
+        (BT.replace(b"binary", b"bimary", 1), "expected an OctoMap file"),
+        (BT.replace(b"id OcTree", b"id ColorOcTree"), "id OcTree.*'ColorOcTree'"),
+        (BT.replace(b"res 0.1", b"res 0"), "number > 0 at `res`.*'0'"),
+        (BT.replace(b"size", b"sise"), "at `size`.*'none'"),
+        (BT.replace(b"\ndata\n", b"\n"), "no line `data`"),
+        (BT[:-1], "an end within the tree"),
+        (BT + b"x", "data run over"),
+        (OT[:-1], "an end within the tree"),
+        (OT + b"12345", "data run over"),
+        (BT.split(b"data\n")[0] + b"data\n" + b"\xff\xff" * 400, "deeper than 16"),
+    ],
+)
+def test_broken_files_say_what_is_wrong(data, culprit):
+    with pytest.raises(FormatError, match=culprit) as caught:
+        decode_octomap(data, "a.bt")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_leaf_too_large_for_memory_is_refused():
+    header = BT.split(b"data\n")[0] + b"data\n"
+    with pytest.raises(ConfigError, match="GiB of memory are free"):
+        decode_octomap(header + b"\x02\x00", "a.bt")  # an eighth of all space is occupied
+    small = decode_octomap(header + b"\x02\x00", "a.bt", bounds=((-1, -1, -1), (0, 0, 0.5)))
+    assert small.shape == (10, 10, 15) and small.values[:, :, :10].all()
+    assert small.values.sum() == 1000 and "says" in small.notes[0]

@@ -1,0 +1,160 @@
+"""Voxels of random scenes against exact geometry that shares nothing with navbake, and FCL.
+
+Run ``NAVBAKE_EXAMPLES=3000 pytest tests/voxels/test_ground_truth.py`` for more, other scenes.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+import fcl
+import numpy as np
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from navbake.bake.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from navbake.voxels.placement import Placement
+from navbake.voxels.voxelize import Voxelizer
+from oracles.prisms import FREE, OCCUPIED, UNKNOWN, Prisms
+from oracles.scene import Thing, cross_part, part_meets_prisms, part_of, scene_xml
+from oracles.surfaces import Surface, surface_meets_prisms
+
+MORE = int(os.environ.get("NAVBAKE_EXAMPLES", "0"))
+FOLDER = tempfile.TemporaryDirectory()
+KINDS = {
+    "sphere": SPHERE,
+    "capsule": CAPSULE,
+    "ellipsoid": ELLIPSOID,
+    "cylinder": CYLINDER,
+    "box": BOX,
+}
+FCL = {
+    SPHERE: lambda s: fcl.Sphere(s[0]),
+    CAPSULE: lambda s: fcl.Capsule(s[0], 2 * s[1]),
+    ELLIPSOID: lambda s: fcl.Ellipsoid(*s),
+    CYLINDER: lambda s: fcl.Cylinder(s[0], 2 * s[1]),
+    BOX: lambda s: fcl.Box(*(2 * s)),
+}
+
+# a tetrahedron with a dent: not convex
+DENTED = Thing(
+    "closed", (), (0.0, 0.0, 0.0),
+    vertices=((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (0.2, 0.2, 0.15)),
+    faces=((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 4), (2, 3, 4), (3, 1, 4)),
+)  # fmt: skip
+
+
+def examples(number: int) -> settings:
+    return settings(
+        max_examples=MORE or number,
+        derandomize=not MORE,
+        database=None,
+        deadline=None,
+        suppress_health_check=[HealthCheck.too_slow],
+    )
+
+
+def hundredths(low: float, high: float) -> st.SearchStrategy[float]:
+    """Numbers that often make faces lie on voxels' faces."""
+    return st.integers(round(low * 100), round(high * 100)).map(lambda n: n / 100)
+
+
+@st.composite
+def quats(draw: st.DrawFn) -> tuple[float, float, float, float]:
+    """As modelled, a yaw, a lying pose, or any rotation."""
+    kind = draw(st.integers(0, 3))
+    half = np.pi / 4 if kind == 2 else draw(st.integers(-314, 314)) / 200
+    if kind == 0:
+        return (1.0, 0.0, 0.0, 0.0)
+    axis = {
+        1: (0.0, 0.0, 1.0),
+        2: draw(st.sampled_from([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)])),
+        3: draw(st.tuples(*[st.integers(-9, 9)] * 3).filter(any)),
+    }[kind]
+    way = np.array(axis, dtype=float) / np.linalg.norm(axis)
+    return tuple(float(v) for v in (np.cos(half), *(np.sin(half) * way)))
+
+
+@st.composite
+def things(draw: st.DrawFn) -> Thing:
+    kind = draw(st.sampled_from([*KINDS, *KINDS, "hull", "closed", "open", "plane"]))
+    pos = tuple(draw(hundredths(-0.5, 0.5)) for _ in range(3))
+    quat = draw(quats())
+    if kind in KINDS:
+        count = {"sphere": 1, "capsule": 2, "cylinder": 2}.get(kind, 3)
+        size = tuple(draw(hundredths(0.02, 0.5)) for _ in range(count))
+        return Thing(kind, size, pos, quat)
+    if kind == "plane":
+        return Thing(kind, (), pos, quat)
+    vertices = DENTED.vertices
+    if kind == "hull":
+        spots = draw(st.lists(st.tuples(*[hundredths(-0.5, 0.5)] * 3), min_size=6, max_size=9))
+        hull = np.array(spots)
+        if np.linalg.matrix_rank(hull - hull[0], tol=0.02) == 3:
+            return Thing(kind, (), pos, quat, tuple(spots))
+        kind = "closed"
+    faces = DENTED.faces[:-1] if kind == "open" else DENTED.faces
+    return Thing(kind, (), pos, quat, vertices, faces)
+
+
+@st.composite
+def placements(draw: st.DrawFn) -> Placement:
+    res = draw(st.sampled_from([0.1, 0.13, 0.25]))
+    shape = tuple(draw(st.integers(1, 9)) for _ in range(3))
+    origin = np.array([draw(hundredths(-0.8, 0.3)) for _ in range(3)])
+    return Placement(origin, res, shape)
+
+
+def voxelizer_of(scene: list[Thing]) -> Voxelizer:
+    path = Path(FOLDER.name) / "scene.xml"
+    path.write_text(scene_xml(scene), encoding="utf-8")
+    settings = {"path": str(path), "geoms": "all"}
+    modes = {f"m{i}": "surface" for i, t in enumerate(scene) if t.kind in ("closed", "open")}
+    if modes:
+        settings["meshes"] = modes
+    return Voxelizer({"scene": settings})
+
+
+def truth(scene: list[Thing], place: Placement) -> np.ndarray:
+    """FREE, OCCUPIED or UNKNOWN of each thing and voxel, shape (n, nx, ny, nz)."""
+    middles = (np.indices(place.shape).reshape(3, -1).T + 0.5) * place.res + place.origin
+    low, high = middles[:, 2] - place.res / 2, middles[:, 2] + place.res / 2
+    prisms = Prisms(middles[:, 0], middles[:, 1], low, high, place.res / 2, False)
+    states = []
+    for thing in scene:
+        part = part_of(thing)
+        column = cross_part(part, prisms.x, prisms.y)
+        state = part_meets_prisms(part, column, prisms)
+        if isinstance(part, Surface):
+            state = surface_meets_prisms(part, prisms)
+            if part.closed:  # what its surface leaves alone is in or out as any point of it is
+                aside = cross_part(part, prisms.x + 0.0137 * place.res, prisms.y)
+                within = (aside.low < middles[:, 2]) & (aside.high > middles[:, 2])
+                inside = np.where(np.isinf(aside.z).any(axis=0), UNKNOWN, FREE)
+                inside[within.any(axis=0)] = OCCUPIED
+                state = np.where(state == FREE, inside, state)
+        states.append(state.reshape(place.shape))
+    return np.array(states)
+
+
+@examples(120)
+@given(scene=st.lists(things(), min_size=1, max_size=3), place=placements())
+def test_voxels_are_those_that_geoms_meet(scene, place):
+    states = truth(scene, place)
+    grid = voxelizer_of(scene).fill(place)
+    assert grid.values.dtype == np.bool_
+    assert grid.occupied[(states == OCCUPIED).any(axis=0)].all()
+    assert not grid.occupied[(states == FREE).all(axis=0)].any()
+
+
+@examples(40)
+@given(scene=st.lists(things(), min_size=2, max_size=4), place=placements())
+def test_the_least_id_of_those_that_meet_wins(scene, place):
+    states = truth(scene, place)
+    values = voxelizer_of(scene).fill(place, segments="geom").values
+    sure = (states != UNKNOWN).all(axis=0)
+    meets = states == OCCUPIED
+    least = np.where(meets.any(axis=0), meets.argmax(axis=0) + 1, 0)
+    np.testing.assert_array_equal(values[sure], least[sure])
