@@ -216,9 +216,7 @@ def bench_robot(repeats: int) -> None:
                 voxelizer.set_pose(keyframe=("doors_open", "doors_closed")[number % 2])
             voxelizer.create(center, (100, 100, 100), res=RES)
 
-    print(
-        f"\n100 × 100 × 100 voxels of {RES} m round a robot in the apartment; asked for: 10 a second"
-    )
+    print(f"\n100 × 100 × 100 voxels of {RES} m round a robot in the apartment; asked for 10/s")
     for name, posed in (("another place", False), ("another place and pose", True)):
         seconds = least(repeats, lambda posed=posed: go_round(posed)) / len(centers)
         print(f"  {name:<32} {1 / seconds:8.0f} a second")
