@@ -21,13 +21,14 @@ def nearest_cell(place, level, mask, floor, point, farthest, measure, height):
         place: see the module.
         level: which level.
         mask: by flat id, the cells that count, bool.
-        floor: by flat id [m], float64; for IN_SPACE without NaN.
+        floor: by flat id [m], float64, NaN where there is none.
         point: x, y, z [m], float64; for TO_OBSTACLE, z is the floor's there.
         farthest: the largest distance that counts [m].
         measure: TO_CENTER on the map; IN_SPACE to the centre, on the floor; TO_OBSTACLE to the
             square on the map, but not of cells over or under which another level goes on at the
             point's height.
-        height: of the agent [m], for TO_OBSTACLE.
+        height: for TO_OBSTACLE, that of the agent; for IN_SPACE, where cells without floor are
+            taken to be [m].
 
     Returns:
         Its flat id, -1 for none, and the distance [m]; of equally near ones, the lowest id.
@@ -75,7 +76,8 @@ def _look(place, level, mask, floor, point, measure, height, span, best):
             dx, dy = max(0.0, dx - 0.5 * size), max(0.0, dy - 0.5 * size)
         d2 = dx * dx + dy * dy
         if measure == IN_SPACE:
-            d2 += (floor[cell] - point[2]) ** 2
+            z = height if math.isnan(floor[cell]) else floor[cell]
+            d2 += (z - point[2]) ** 2
         if d2 < d2_best or (d2 == d2_best and (found < 0 or cell < found)):
             if measure == TO_OBSTACLE and _is_elsewhere(
                 place, mask, floor, level, cell, point[2], height

@@ -38,6 +38,7 @@ def slide(place, links, passable, floor, max_step, cell, x0, y0, x1, y1):
     queue = np.empty(window[0, -1], dtype=np.int64)  # as long as there are cells, all fit in
     at = _slot(place, window, cell)
     length[at], queue[0], queued[at] = 0.0, cell, True
+    around = np.empty(8, dtype=np.int64)
     head, count = 0, 1
     best = (np.inf, cell, x0, y0)
     while count > 0:
@@ -46,8 +47,9 @@ def slide(place, links, passable, floor, max_step, cell, x0, y0, x1, y1):
         at = _slot(place, window, here)
         queued[at] = False
         best = _closer(place, here, x0, y0, x1, y1, left, best)
+        _find_neighbours(place, links, passable, floor, max_step, here, around)
         for way in range(8):
-            other = _neighbour(place, links, passable, floor, max_step, here, way)
+            other = around[way]
             slot = _slot(place, window, other) if other >= 0 else -1
             if slot < 0:
                 continue
@@ -71,19 +73,22 @@ def _closer(place, cell, x0, y0, x1, y1, left, best):
 
 
 @njit(cache=True)
-def _neighbour(place, links, passable, floor, max_step, cell, way):
-    """One of eight neighbours that a step leads to, or -1; over a corner only if both sides do."""
-    if way < 4:
-        down, across = (0, 1 - way) if way % 2 == 0 else (way - 2, 0)
-        return cross(place, links, passable, floor, max_step, cell, down, across)
-    down, across = 1 - 2 * (way % 2), 1 - 2 * (way // 2 % 2)
-    one = cross(place, links, passable, floor, max_step, cell, down, 0)
-    other = cross(place, links, passable, floor, max_step, cell, 0, across)
-    if one < 0 or other < 0:
-        return np.int64(-1)
-    one = cross(place, links, passable, floor, max_step, one, 0, across)
-    other = cross(place, links, passable, floor, max_step, other, down, 0)
-    return one if one == other else np.int64(-1)
+def _find_neighbours(place, links, passable, floor, max_step, cell, around):
+    """The cells that steps lead to, -1 for none: over edges, then over corners past both sides."""
+    steps = ((0, 1), (-1, 0), (0, -1), (1, 0))
+    for way in range(4):
+        down, across = steps[way]
+        around[way] = cross(place, links, passable, floor, max_step, cell, down, across)
+    for way in range(4):
+        one, other = around[way], around[(way + 1) % 4]
+        around[4 + way] = -1
+        if one >= 0 and other >= 0:
+            down, across = steps[(way + 1) % 4]
+            one = cross(place, links, passable, floor, max_step, one, down, across)
+            down, across = steps[way]
+            other = cross(place, links, passable, floor, max_step, other, down, across)
+            if one == other:
+                around[4 + way] = one
 
 
 @njit(cache=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +31,7 @@ class Place:
         occupied: something stands in the agent's way.
         weight: cost of the cell, infinite where it isn't free.
         room: id of the room in the grid's `rooms`, None for none.
-        island: number of the connected part, from 1, the largest; None where it isn't free.
+        grid: what was asked.
     """
 
     cell: Cell
@@ -40,7 +40,13 @@ class Place:
     occupied: bool
     weight: float
     room: str | None
-    island: int | None
+    grid: NavGrid = field(repr=False, compare=False)
+
+    @property
+    def island(self) -> int | None:
+        """Number of the connected part, from 1, the largest; None where the cell isn't free."""
+        level, row, col = self.cell
+        return int(islands_of(self.grid)[level][row, col]) if self.free else None
 
 
 def place_at(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Place | None:
@@ -71,7 +77,7 @@ def place_at(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Pl
         occupied=bool(part.occupancy[at]),
         weight=weight if free else math.inf,
         room=room_id(grid, cell.level, index) if index else None,
-        island=int(islands_of(grid)[cell.level][at]) if free else None,
+        grid=grid,
     )
 
 

@@ -204,7 +204,8 @@ class PlaceSampler(PlaceFinder):
             raise QueryError(f"{where} is in no cell of {self.grid.scene_id!r}: nothing is near")
         if straight:
             on_level = int(walk.level_of(np.array(home)))
-            return cells_in_annulus(walk, on_level, p[0], p[1], min_distance, max_distance)
+            limits = min_distance, max_distance
+            return cells_in_annulus(walk, on_level, p[0], p[1], *limits, walk.free)
         self._island_of(position, level)
         field = self.search.field(np.array([home]), weighted=False)
         return np.flatnonzero((field >= min_distance) & (field <= max_distance + 1e-9))

@@ -64,14 +64,16 @@ def cells_in_annulus(
     y: float,
     min_distance: float,
     max_distance: float,
+    allowed: NDArray[np.bool_],
 ) -> NDArray[np.int64]:
-    """The free cells of a level whose centres are so far from a point on the map.
+    """The allowed cells of a level whose centres are so far from a point on the map.
 
     Args:
         walk: the grid.
         level: which level.
         x, y: the point [m].
         min_distance, max_distance: [m], both included.
+        allowed: by flat id, shape (n,), bool.
 
     Returns:
         Flat ids, ascending, shape (n,), int64.
@@ -86,7 +88,7 @@ def cells_in_annulus(
     low, high = max(min_distance - SLACK, 0.0), max_distance + SLACK
     near = (squared >= low**2) & (squared <= high**2)
     cells = (int(walk.start[level]) + rows[:, None] * width + cols)[near]
-    found: NDArray[np.int64] = cells[walk.free[cells]].astype(np.int64)
+    found: NDArray[np.int64] = cells[allowed[cells]].astype(np.int64)
     return found
 
 

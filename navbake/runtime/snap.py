@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.errors import QueryError
 from navbake.runtime.locate import check_positions, flat_cell, links_of, place_of
 from navbake.runtime.navigable import MAX_DROP
+from navbake.runtime.sample import cells_in_annulus
 
 if TYPE_CHECKING:
     from navbake.runtime.sight import Sight
@@ -77,12 +78,6 @@ def _is_on_floor(walk: Walk, p: NDArray[np.float64], cell: int, level: int | Non
     return bool(p[2] - walk.positions(np.array(cell))[2] <= MAX_DROP)
 
 
-def _heights(walk: Walk) -> NDArray[np.float64]:
-    """Where the floors of cells are taken to be [m]."""
-    ground = np.repeat(walk.ground, np.diff(walk.start))
-    return np.where(np.isnan(walk.floor), ground, walk.floor)
-
-
 def _nearest(
     walk: Walk,
     p: NDArray[np.float64],
@@ -95,11 +90,10 @@ def _nearest(
     from navbake.kernels.nearest import IN_SPACE, TO_CENTER, nearest_cell
 
     measure = TO_CENTER if on_map else IN_SPACE
-    floor = walk.floor if on_map else _heights(walk)
     best, found = max_distance, -1
     for level in levels:
         cell, distance = nearest_cell(
-            place_of(walk), level, allowed, floor, p, best, measure, math.inf
+            place_of(walk), level, allowed, walk.floor, p, best, measure, walk.ground[level]
         )
         if cell >= 0 and (found < 0 or distance < best):
             best, found = distance, int(cell)
@@ -121,21 +115,34 @@ def _nearest_in_sight(
         return -1
     from navbake.kernels.nearest import first_in_sight
 
-    cells = np.concatenate(
-        [walk.start[k] + np.flatnonzero(allowed[walk.start[k] : walk.start[k + 1]]) for k in levels]
-    )
-    offset = walk.positions(cells) - p
-    distance = np.linalg.norm(offset[:, :2] if on_map else offset, axis=1)
     reach, done = FIRST_LOOK, -1.0
-    farthest = min(max_distance, float(distance.max(initial=0.0)))
+    farthest = min(max_distance, _farthest(walk, p, levels, on_map))
     while done < farthest:
-        near = np.flatnonzero((distance > done) & (distance <= min(reach, max_distance)))
-        candidates = cells[near[np.argsort(distance[near], kind="stable")]]
+        radius = min(reach, farthest)
+        cells = np.concatenate(
+            [cells_in_annulus(walk, k, p[0], p[1], 0.0, radius, allowed) for k in levels]
+        )
+        offset = walk.positions(cells) - p
+        distance = np.linalg.norm(offset[:, :2] if on_map else offset, axis=1)
+        near = np.flatnonzero((distance > done) & (distance <= radius))
         found = first_in_sight(
             place_of(walk), links_of(walk), sight.clear, walk.floor, sight.room, home,
-            p[0], p[1], candidates,
+            p[0], p[1], cells[near[np.argsort(distance[near], kind="stable")]],
         )  # fmt: skip
         if found >= 0:
             return int(found)
         reach, done = 2.0 * reach, reach
     return -1
+
+
+def _farthest(walk: Walk, p: NDArray[np.float64], levels: list[int], on_map: bool) -> float:
+    """No cell of the levels is farther from a position [m], on the map or in space."""
+    x1 = walk.x_min + walk.width * walk.cell_size
+    y0 = walk.y_max - walk.height * walk.cell_size
+    across = np.maximum(np.abs(walk.x_min - p[0]), np.abs(x1 - p[0]))
+    along = np.maximum(np.abs(walk.y_max - p[1]), np.abs(y0 - p[1]))
+    farthest = float(np.hypot(across, along)[levels].max())
+    if on_map:
+        return farthest
+    heights = np.append(walk.floor, walk.ground)
+    return farthest + float(np.nanmax(np.abs(heights - p[2])))
