@@ -86,6 +86,7 @@ def fact_table(facts: dict[str, Any]) -> Table:
         ("scene", facts["scene_id"] or "not named"),
         ("cell size [m]", f"{facts['cell_size']:g}"),
         *((f"agent {name.replace('_', ' ')}", str(v)) for name, v in facts["agent"].items()),
+        *(("inflated to [m]", _inflation(entry)) for entry in facts["inflated"]),
         ("islands", str(facts["num_islands"])),
         ("links", str(facts["num_links"])),
         ("doors", str(len(facts["doors"]))),
@@ -94,6 +95,10 @@ def fact_table(facts: dict[str, Any]) -> Table:
     table = _table(("", ""), rows)
     table.show_header = False
     return table
+
+
+def _inflation(entry: dict[str, Any]) -> str:
+    return f"{entry['radius']}, clearance {entry['clearance']} ({entry['mode']})"
 
 
 def level_table(facts: dict[str, Any]) -> Table:

@@ -26,6 +26,7 @@ AGENT = {
     "traversableFloorHeight": "traversable_floor_height",
     "maxSlope": "max_slope",
 }
+INFLATION = ("radius", "clearance", "mode")
 
 
 def describe(grid: SceneGrid2D | MultiLevelGrid) -> dict[str, Any]:
@@ -40,7 +41,8 @@ def describe(grid: SceneGrid2D | MultiLevelGrid) -> dict[str, Any]:
         with ``name``, ``width`` and ``height`` [cells], ``ground``, ``floor_min`` and
         ``floor_max`` (world z [m], None without floor), ``floor_area``, ``free_area`` and
         ``largest_island_area`` [m2], ``num_islands``, ``num_rooms``; ``num_islands`` and
-        ``num_links`` of all levels together; ``doors``, see `navbake.doors.list_doors`.
+        ``num_links`` of all levels together; ``doors``, see `navbake.doors.list_doors`;
+        ``inflated``: radius and clearance [m] and mode of each inflation since the bake.
     """
     islands = find_islands(grid)
     stated = {**grid.metadata, **grid.navbake}
@@ -57,6 +59,7 @@ def describe(grid: SceneGrid2D | MultiLevelGrid) -> dict[str, Any]:
         "num_islands": max(int(island.max(initial=0)) for island in islands),
         "num_links": len(grid.links),
         "doors": list_doors(grid),
+        "inflated": _inflations(grid),
     }
 
 
@@ -91,3 +94,13 @@ def _describe_level(level: SceneGrid2D, island: NDArray[np.int32]) -> dict[str, 
 def _rounded(value: float) -> float:
     """To a millionth, finer than float32 heights are, so that 2.8 is not 2.799999952."""
     return round(float(value), 6) + 0.0  # no -0.0
+
+
+def _inflations(grid: SceneGrid2D | MultiLevelGrid) -> list[dict[str, Any]]:
+    """What `inflate` noted; another's file may have anything there."""
+    noted = grid.metadata.get("inflation")
+    return [
+        {key: entry[key] for key in INFLATION}
+        for entry in (noted if isinstance(noted, list) else [])
+        if isinstance(entry, dict) and entry.keys() >= set(INFLATION)
+    ]

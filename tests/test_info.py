@@ -100,8 +100,19 @@ def test_describes_a_house(house):
         "num_islands": 2,
         "num_links": 1,
         "doors": [],
+        "inflated": [],
     }
     assert json.loads(json.dumps(facts, allow_nan=False)) == facts
+
+
+def test_tells_of_inflations(house):
+    house.metadata = {**house.metadata, "inflation": "by hand"}
+    assert describe(house)["inflated"] == []
+    twice = house.inflate(0.1).inflate(0.2, clearance=0.3)
+    assert describe(twice)["inflated"] == [
+        {"radius": 0.1, "clearance": 0.0, "mode": "exact"},
+        {"radius": 0.2, "clearance": 0.3, "mode": "exact"},
+    ]
 
 
 def test_describes_a_file_that_tells_little():
