@@ -27,8 +27,8 @@ def nearest_cell(place, level, mask, floor, point, farthest, measure, height):
         measure: TO_CENTER on the map; IN_SPACE to the centre, on the floor; TO_OBSTACLE to the
             square on the map, but not of cells over or under which another level goes on at the
             point's height.
-        height: for TO_OBSTACLE, that of the agent; for IN_SPACE, where cells without floor are
-            taken to be [m].
+        height: for TO_OBSTACLE, floors less than this apart are at one height; for IN_SPACE,
+            where cells without floor are taken to be [m].
 
     Returns:
         Its flat id, -1 for none, and the distance [m]; of equally near ones, the lowest id.

@@ -42,7 +42,8 @@ def nearest_obstacle(
     """Find the nearest point of an occupied cell's square on the position's level.
 
     Beyond the edge of the grid nothing is known, and nothing counts. Where the level ends and
-    another goes on at the same height, as at the top of stairs, that is no obstacle.
+    another goes on, as at the top of stairs, that is no obstacle: the other one counts where its
+    floor is less than the agent's height, less a step, above or below, and its own isn't.
 
     Args:
         walk: the grid.
@@ -68,10 +69,11 @@ def nearest_obstacle(
     if home is None:
         raise QueryError(f"{', '.join(f'{v:g}' for v in p)} lies beside the grid: no obstacles")
     z = walk.positions(np.array(home))[2]
+    overlap = agent_height - walk.max_step  # as `grid.inflate` has it
     number = int(walk.level_of(np.array(home)))
     point = np.array([p[0], p[1], z])
     cell, distance = nearest_cell(
-        place_of(walk), number, occupied, walk.floor, point, max_distance, TO_OBSTACLE, agent_height
+        place_of(walk), number, occupied, walk.floor, point, max_distance, TO_OBSTACLE, overlap
     )
     if cell < 0:
         return None

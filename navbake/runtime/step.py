@@ -28,6 +28,9 @@ def try_step(
     among those that a walk leads to which is no longer than what is left of the way. So it also
     gets along walls that are not parallel to the cells.
 
+    A way may end anywhere in a free cell, so up to half a cell nearer to obstacles than at its
+    centre.
+
     Args:
         walk: the grid.
         start: world x, y, z [m], where an agent can stand; x, y will do on one level.

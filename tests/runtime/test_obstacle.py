@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import navbake
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
 from navbake.runtime.locate import Cell
 from navbake.runtime.place_finder import PlaceFinder
+
+GOLDEN = Path(__file__).parents[1] / "golden"
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -67,6 +71,16 @@ def test_where_another_level_goes_on_there_is_no_obstacle():
     upper.weights[0, 4] = np.inf
     finder = PlaceFinder(house_from([lower, upper]))
     assert finder.clearance((0.35, -0.05, 0.75)) == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("name", ["apartment", "clutter", "house"])
+def test_no_obstacle_is_nearer_to_a_free_center_than_the_radius(name):
+    grid = navbake.load(GOLDEN / f"{name}.grid.json.gz")
+    for radius in (0.12, 0.3):
+        finder = PlaceFinder(grid.inflate(radius))
+        walk = finder.search.walk
+        for position in walk.positions(np.flatnonzero(walk.free)[::5]):
+            assert finder.clearance(position) >= radius - 1e-9
 
 
 def test_beside_the_grid_there_is_no_answer():
