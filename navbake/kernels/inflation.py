@@ -178,25 +178,29 @@ def block_below_floors(floor, level, offsets, reach, step, top, blocked):
         limit = np.inf if upper == level else top
         for tile_row in range(low.shape[1]):
             for tile_col in range(low.shape[2]):
-                lowest = _lowest_near(low[level], tile_row, tile_col, tiles)
+                lowest, highest = _range_near(low[level], high[level], tile_row, tile_col, tiles)
                 if not high[upper, tile_row, tile_col] - lowest > step:
+                    continue
+                if not low[upper, tile_row, tile_col] - highest < limit:
                     continue
                 for row in range(tile_row * TILE, min((tile_row + 1) * TILE, rows)):
                     for col in range(tile_col * TILE, min((tile_col + 1) * TILE, cols)):
                         height = floor[upper, row, col]
-                        if height - lowest > step:
+                        if height - lowest > step and height - highest < limit:
                             _block_lower(
                                 floor[level], height, row, col, offsets, step, limit, blocked
                             )
 
 
 @njit(cache=True)
-def _lowest_near(low, row, col, tiles):
-    lowest = np.inf
+def _range_near(low, high, row, col, tiles):
+    """The lowest and the highest floor of a level in the tiles around one."""
+    lowest, highest = np.inf, -np.inf
     for r in range(max(row - tiles, 0), min(row + tiles + 1, low.shape[0])):
         for c in range(max(col - tiles, 0), min(col + tiles + 1, low.shape[1])):
             lowest = min(lowest, low[r, c])
-    return lowest
+            highest = max(highest, high[r, c])
+    return lowest, highest
 
 
 @njit(cache=True)
@@ -214,7 +218,7 @@ def block_across(floor, occupied, level, offsets, overlap, reach, blocked):
 
     In each column that an agent meets, what its own level has there counts, and what every other
     level has there whose floor is as high as the agent's; but its own does not where only
-    another level's is as high.
+    another level's is as high. Cells that are occupied themselves stay as they are.
 
     Args:
         floor: shape (levels, rows, cols), float32 [m], NaN for none.
@@ -234,7 +238,7 @@ def block_across(floor, occupied, level, offsets, overlap, reach, blocked):
                 continue
             for row in range(tile_row * TILE, min((tile_row + 1) * TILE, rows)):
                 for col in range(tile_col * TILE, min((tile_col + 1) * TILE, cols)):
-                    if not np.isnan(floor[level, row, col]):
+                    if not np.isnan(floor[level, row, col]) and not occupied[level, row, col]:
                         blocked[row, col] = _meets_any(
                             floor, occupied, level, row, col, offsets, overlap
                         )
