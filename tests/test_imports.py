@@ -137,6 +137,11 @@ def test_the_run_time_loads_no_baker():
     assert loaded.isdisjoint(["mujoco", "fcl", "trimesh", "navbake.bake.pipeline"])
 
 
+def test_the_run_time_starts_without_what_its_first_question_needs():
+    code = "import navbake\nnavbake.load, navbake.SceneGrid2D, navbake.PathFinder"
+    assert loaded_after(code).isdisjoint(["mujoco", "fcl", "trimesh", "numba", "scipy"])
+
+
 def test_help_loads_no_baker():
     code = "import navbake.cli\ntry: navbake.cli.main(['bake', '--help'])\nexcept SystemExit: pass"
     assert loaded_after(code).isdisjoint(["mujoco", "fcl", "trimesh", "numba", "scipy"])

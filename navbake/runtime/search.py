@@ -9,10 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import QueryError
-from navbake.kernels.buckets import bucket_width
-from navbake.kernels.field import find_field
-from navbake.kernels.moves import find_moves
-from navbake.kernels.route import NO_ROOM, find_route, goal_box, trace_route
 from navbake.runtime.live import LevelChanges, Window, known_changes, unblocked
 from navbake.runtime.locate import split_cells
 from navbake.runtime.margins import find_room
@@ -106,6 +102,8 @@ class Search:
         self._find_moves(number, (row0 - 1, row1 + 1, col0 - 1, col1 + 1))
 
     def _find_moves(self, number: int, window: Window) -> None:
+        from navbake.kernels.moves import find_moves
+
         walk = self.walk
         height, width = int(walk.height[number]), int(walk.width[number])
         rows = max(window[0], 0), min(window[1], height)
@@ -125,6 +123,8 @@ class Search:
         Returns:
             Flat ids of the cells from the origin to the goal, shape (m,); None for no route.
         """
+        from navbake.kernels.route import NO_ROOM, find_route, goal_box, trace_route
+
         walk = self.walk
         box = goal_box(goals, walk.start, walk.width, walk.x_min, walk.y_max, walk.cell_size)
         links = (walk.link_cell, walk.link_start, walk.link_target, self._link_length)
@@ -156,6 +156,8 @@ class Search:
         Returns:
             By flat id, shape (num_cells,), float64; inf where no route leads to a goal.
         """
+        from navbake.kernels.field import find_field
+
         walk = self.walk
         same, buckets = (
             (self.same_weight, self._buckets) if weighted else (1.0, self._length_buckets)
@@ -196,6 +198,8 @@ class Search:
 
     def _weigh(self, weights: NDArray[np.float64]) -> None:
         """Look at the weights of free cells; what is blocked later takes none of this away."""
+        from navbake.kernels.buckets import bucket_width
+
         least, most = (float(weights.min()), float(weights.max())) if weights.size else (1.0, 1.0)
         if least < 0:
             raise QueryError(f"expected weights >= 0, got {least:g}: no path is the cheapest then")

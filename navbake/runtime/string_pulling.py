@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.kernels.string import can_pass, lay_on_floor, pull_string
 from navbake.runtime.search import Search
 
 SAME = 1e-9  # metres between two points that are one
@@ -39,6 +38,8 @@ def pull_route(
     Returns:
         World x, y, z on the floor [m], shape (m, 3), and the level of each, shape (m,).
     """
+    from navbake.kernels.string import lay_on_floor, pull_string
+
     walk = search.walk
     level = walk.level_of(route)
     points = walk.positions(route)[:, :2]
@@ -61,6 +62,8 @@ def pull_route(
 
 def _can_join(a: NDArray[np.float64], b: NDArray[np.float64], level: int, search: Search) -> bool:
     """Whether two points are not the same, and a line between them stays free."""
+    from navbake.kernels.string import can_pass
+
     if np.abs(a - b).max() <= SAME:
         return False
     return bool(can_pass(a, b, level, *_space(search), *_place(search)))
