@@ -228,12 +228,12 @@ class GridBase:
         changed: Self = with_doors(whole, states)
         return changed
 
-    def describe_cell(self, x: float, y: float, level: int = 0) -> Json:
+    def describe_cell(self, x: float, y: float, level: int | None = None) -> Json:
         """What the grid knows of a place: floor, room, island, doors, and what occupies it.
 
         Args:
             x, y: world position [m].
-            level: which level, 0 is the lowest.
+            level: which level, 0 is the lowest; may be left out where there is but one.
 
         Returns:
             See `navbake.why.describe_cell`.
@@ -245,12 +245,12 @@ class GridBase:
 
         return describe_cell(self._itself, x, y, level)
 
-    def blockers(self, x: float, y: float, level: int = 0) -> list[str]:
+    def blockers(self, x: float, y: float, level: int | None = None) -> list[str]:
         """The names of what blocks the cell at a place, sorted; [] where nothing does.
 
         Args:
             x, y: world position [m].
-            level: which level, 0 is the lowest.
+            level: which level, 0 is the lowest; may be left out where there is but one.
 
         Raises:
             QueryError: there is no such level, or the position is no number or beside the grid.

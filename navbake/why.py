@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from navbake.grid import NavGrid, SceneGrid2D
 
 
-def describe_cell(grid: NavGrid, x: float, y: float, level: int = 0) -> dict[str, Any]:
+def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -> dict[str, Any]:
     """Tell what a grid knows of the cell at a place.
 
     Args:
         grid: the grid.
         x, y: world position [m].
-        level: which level, 0 is the lowest.
+        level: which level, 0 is the lowest; may be left out where there is but one.
 
     Returns:
         ``level``, ``row``, ``col``, ``cell`` (its id), ``center`` (world x, y [m]), ``floor``
@@ -31,6 +31,9 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int = 0) -> dict[str
     Raises:
         QueryError: there is no such level, or the position is no number or beside the grid.
     """
+    if level is None and len(grid.levels) > 1:
+        raise QueryError(f"expected a level of {grid.scene_id!r}, 0 to {len(grid.levels) - 1}")
+    level = level or 0
     part = _level(grid, level)
     row, col = _cell(part, x, y, level)
     entry = part.user_data.get(row * part.width + col, {})

@@ -102,6 +102,11 @@ def test_command_tells_of_each_level_unless_one_is_given(capsys):
     assert ask_house(capsys, "1,1,1").count("verdict") == 1
 
 
+def test_no_level_is_guessed_where_there_are_several():
+    with pytest.raises(QueryError, match="expected a level of 'house', 0 to 1"):
+        navbake.load(HOUSE).blockers(1, 1)
+
+
 def test_a_level_that_does_not_span_the_place_is_left_out():
     house = navbake.load(HOUSE)
     house.levels[1].min_yup = (-90.0, 3.0, -90.0)
