@@ -157,6 +157,15 @@ def test_levels_off_the_others_lattice_are_looked_at_alone():
     assert shown(grid.inflate(0.04).levels[1]) == ["...#", "...."]
 
 
+@pytest.mark.parametrize("edge", range(12, 22))
+def test_wherever_an_edge_is_it_is_seen(edge):  # floors are compared in squares of 16 cells first
+    ledge = level_of("0" * edge + "5" * 20)
+    assert shown(ledge.inflate(0.16)) == ["." * (edge - 2) + "##" + "." * 20]
+    beside = stack(level_of(*["0" * edge] * 9), level_of(*["0#000"] * 9, col=edge))
+    seen = shown(beside.inflate(0.26).levels[0])[4]
+    assert seen == "###" + "." * (edge - 5) + "##"  # beyond the first column there is no floor
+
+
 # The result
 
 
