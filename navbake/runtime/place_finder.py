@@ -16,7 +16,7 @@ from navbake.runtime.obstacle import Obstacle, nearest_obstacle
 from navbake.runtime.room_map import RoomMap, map_rooms
 from navbake.runtime.search import Search
 from navbake.runtime.sight import Sight, find_occupied, line_of_sight
-from navbake.runtime.snap import snap_to
+from navbake.runtime.snap import nearest_on_level, snap_to
 from navbake.runtime.step import try_step
 from navbake.runtime.surroundings import agent_height
 from navbake.runtime.top_down import draw_top_down
@@ -218,10 +218,11 @@ class PlaceFinder:
         here = self.room_at(position, level=level)
         if here is not None:
             return here
-        has_room = self.rooms.number > 0
-        walk = self.search.walk
-        found = snap_to(walk, position, has_room, level=level, max_distance=max_distance)
-        return None if found is None else self.room_at(found)
+        number = self.rooms.number
+        cell = nearest_on_level(
+            self.search.walk, position, number > 0, level=level, max_distance=max_distance
+        )
+        return None if cell is None else self.rooms.id_of(int(number[cell]))
 
     def room_of(self, name: str) -> str | None:
         """The id of the room that most cells of an object are in, by its name; None for none."""

@@ -72,6 +72,39 @@ def snap_to(
     return walk.positions(np.array(cell)) if cell >= 0 else None
 
 
+def nearest_on_level(
+    walk: Walk,
+    position: ArrayLike,
+    mask: NDArray[np.bool_],
+    *,
+    level: int | None = None,
+    max_distance: float = math.inf,
+) -> int | None:
+    """Find the cell of a mask whose centre is the nearest on the map, on the position's level.
+
+    Args:
+        walk: the grid.
+        position: world x, y, z [m]; x, y will do on one level.
+        mask: by flat id, shape (n,), bool.
+        level: which level the position is on; that of the nearest floor below it unless given.
+        max_distance: farther ones don't count [m].
+
+    Returns:
+        Flat id; None for none, and for a position that is in no cell.
+
+    Raises:
+        QueryError: there is no such level, the position is none, or the distance is negative.
+    """
+    if not max_distance >= 0:
+        raise QueryError(f"expected a max_distance >= 0 m, got {max_distance}")
+    p = check_positions(position, walk.num_levels, level)
+    home = flat_cell(walk, p, level)
+    if home is None:
+        return None
+    cell = _nearest(walk, p, mask, [int(walk.level_of(np.array(home)))], max_distance, True)
+    return cell if cell >= 0 else None
+
+
 def _is_on_floor(walk: Walk, p: NDArray[np.float64], cell: int, level: int | None) -> bool:
     if level is not None or len(p) == 2:
         return True

@@ -14,6 +14,7 @@ from navbake.grid import MultiLevelGrid
 from navbake.islands import find_islands
 from navbake.runtime.locate import Cell, flat_cells
 from navbake.runtime.place_finder import PlaceFinder
+from navbake.runtime.place_sampler import PlaceSampler
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 
@@ -166,8 +167,42 @@ def test_samples_in_a_walk_round(name):
     assert (numbers > 0).all()
 
 
+def test_room_near_takes_floors_as_they_are():
+    """A room's cell without floor, under another level's floor a step above its ground."""
+    lower, upper = level_from("# ", ground=0.0), level_from(" .", ground=0.2)
+    lower.attributes["roomIndex"] = np.array([[0, 1]], dtype=np.uint16)
+    lower.weights[0, 0] = 1.0
+    finder = PlaceFinder(house_from([lower, upper]))
+    assert finder.room_near((0.05, -0.05, 0.0)) == "0:1"
+    assert finder.room_near((9.0, 0.0, 0.0)) is None
+
+
+@pytest.mark.parametrize("floors", [False, True])
+def test_random_questions_to_third_party_files(floors):
+    """No links, islands, clearance, occupancy or metadata; and no floor heights in some."""
+    rng = np.random.default_rng(3)
+    for _ in range(10):
+        shape = rng.integers(3, 20, size=2)
+        text = "\n".join("".join(row) for row in rng.choice([".", ".", "#"], size=shape))
+        level = level_from(text, floors=floors)
+        level.metadata.clear()
+        del level.attributes["occupancy"]
+        finder = PlaceSampler(level)
+        points = finder.random_point(rng, 20, anywhere=True)
+        assert finder.are_navigable(points).all()
+        for p in points:
+            assert finder.same_island(p, finder.random_point_near(rng, p, 1.0))
+            moved = finder.try_step(p, p + rng.normal(size=3) * 0.4)
+            assert finder.is_navigable(moved) and finder.same_island(p, moved)
+            snapped = finder.snap(p + rng.normal(size=3))
+            assert finder.is_navigable(snapped)
+            assert finder.is_navigable(finder.random_pose(rng, p, 1.0).position)
+            assert finder.room_near(p) is None
+            assert level.at(p).island == finder.island_at(p)
+
+
 def test_third_party_files():
-    """The original client's own cases: no links, no islands, no clearance."""
+    """No layers at all: what weighs nothing finite is occupied."""
     level = level_from("....\n.##.\n....", floors=False)
     level.metadata.clear()
     level.attributes.clear()
