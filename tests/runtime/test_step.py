@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import math
 
 import numpy as np
@@ -164,6 +165,54 @@ def way_between(walk, start, goal, length):
                 seen.add(other)
                 queue.append(other)
     return False
+
+
+def plain_slide(walk, start, stopped, end):
+    """How near to the end a short walk on from where the straight one stopped can get."""
+    left = math.dist(stopped[:2], end)
+    limit = 1.09 * left + 0.15
+    home = flat_cell(walk, stopped)
+    length, queue, nearest = {home: 0.0}, [(0.0, home)], math.inf
+    while queue:
+        here, cell = heapq.heappop(queue)
+        if here > length[cell]:
+            continue
+        middle = walk.positions(np.array(cell))[:2]
+        point = np.clip(end, middle - 0.05, middle + 0.05)
+        if math.dist(point, stopped[:2]) <= left + 1e-6:
+            nearest = min(nearest, math.dist(point, end))
+        around = plain_neighbours(walk, cell)
+        ways = [(other, 0.1) for other in around.values()]
+        for one in ((1, 0), (-1, 0)):
+            for other in ((0, 1), (0, -1)):
+                if one in around and other in around:
+                    a = plain_neighbours(walk, around[one]).get(other)
+                    b = plain_neighbours(walk, around[other]).get(one)
+                    if a is not None and a == b:
+                        ways.append((a, 0.1 * math.sqrt(2)))
+        for other, step in ways:
+            there = here + step
+            if there <= limit and there < length.get(other, math.inf) - 1e-9:
+                length[other] = there
+                heapq.heappush(queue, (there, other))
+    return nearest
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_sliding_gets_as_near_as_a_short_walk_can(seed):
+    rng = np.random.default_rng(100 + seed)
+    walk = make_walk(random_house(rng, num_levels=1 + seed % 2, share=0.75, size=(12, 18)))
+    slid_on = 0
+    for cell in rng.choice(np.flatnonzero(walk.free), size=40):
+        start = walk.positions(cell) + np.append(rng.uniform(-0.049, 0.049, size=2), 0.0)
+        end = start[:2] + rng.normal(size=2) * rng.choice([0.1, 0.4])
+        stopped = try_step(walk, start, end, slide=False)
+        if math.dist(stopped[:2], end) < 1e-5:
+            continue
+        found = math.dist(try_step(walk, start, end)[:2], end)
+        assert found == pytest.approx(plain_slide(walk, start, stopped, end), abs=1e-5)
+        slid_on += found < math.dist(stopped[:2], end) - 1e-3
+    assert slid_on > 3
 
 
 def test_live_obstacles_count():
