@@ -153,9 +153,12 @@ class Voxelizer:
         """
         labels = self._label(segments)
         dtype = dtype_of(max(labels.names, default=1))
-        check_memory(place.shape, dtype.itemsize)
-        values = np.zeros(place.shape, dtype=dtype)
-        self._fill(values, place, labels.ids.astype(dtype))
+        # one kernel for all IDs beyond a byte: each dtype costs seconds of compiling
+        worked = dtype if dtype == np.uint8 else np.dtype(np.uint32)
+        check_memory(place.shape, worked.itemsize + (worked != dtype) * dtype.itemsize)
+        values = np.zeros(place.shape, dtype=worked)
+        self._fill(values, place, labels.ids.astype(worked))
+        values = values.astype(dtype, copy=False)
         x, y, z = place.origin.tolist()
         return VoxelGrid(
             values=values.view(np.bool_) if segments is None else values,

@@ -11,10 +11,13 @@ from pathlib import Path
 
 import fcl
 import numpy as np
+import pytest
+import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from navbake.bake.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from navbake.kernels.spans import solid_spans
 from navbake.voxels.placement import Placement
 from navbake.voxels.voxelize import Voxelizer
 from oracles.prisms import FREE, OCCUPIED, UNKNOWN, Prisms
@@ -158,3 +161,102 @@ def test_the_least_id_of_those_that_meet_wins(scene, place):
     meets = states == OCCUPIED
     least = np.where(meets.any(axis=0), meets.argmax(axis=0) + 1, 0)
     np.testing.assert_array_equal(values[sure], least[sure])
+
+
+# ---------------------------------------------------------------- larger meshes
+
+
+def torus(around=24, across=12, bumps=0.1):
+    """A closed, bumpy ring that is neither convex nor star-shaped."""
+    u, v = np.meshgrid(np.arange(around), np.arange(across), indexing="ij")
+    a, b = 2 * np.pi * u / around, 2 * np.pi * v / across
+    thick = 0.35 * (1 + bumps * np.sin(5 * a) * np.cos(3 * b))
+    reach = 0.8 + thick * np.cos(b)
+    vertices = np.stack([reach * np.cos(a), reach * np.sin(a), thick * np.sin(b)], axis=-1)
+    number = u * across + v
+    right, up = np.roll(number, -1, axis=0), np.roll(number, -1, axis=1)
+    both = np.roll(right, -1, axis=1)
+    faces = np.concatenate(
+        [np.stack([number, right, both], -1), np.stack([number, both, up], -1)]
+    ).reshape(-1, 3)
+    return vertices.reshape(-1, 3), faces
+
+
+def mesh_thing(kind, vertices, faces, pos=(0.0, 0.0, 0.0), quat=(1.0, 0.0, 0.0, 0.0)):
+    corners = tuple(tuple(v) for v in np.asarray(vertices).tolist())
+    return Thing(kind, (), pos, quat, corners, tuple(tuple(f) for f in np.asarray(faces).tolist()))
+
+
+@pytest.mark.parametrize("kind", ["closed", "open"])
+@pytest.mark.parametrize("quat", [(1.0, 0.0, 0.0, 0.0), (0.8, 0.36, 0.48, 0.1)])
+def test_a_ring_is_that_of_separating_axes_and_parity(kind, quat):
+    vertices, faces = torus()
+    faces = faces if kind == "closed" else faces[:-60]
+    scene = [
+        Thing(
+            kind,
+            (),
+            (0.013, -0.021, 0.007),
+            quat,
+            tuple(map(tuple, vertices.tolist())),
+            tuple(map(tuple, faces.tolist())),
+        )
+    ]
+    place = Placement(np.array([-1.3, -1.3, -0.9]), 0.1, (26, 26, 18))
+    (states,) = truth(scene, place)
+    grid = voxelizer_of(scene).fill(place)
+    sure = states != UNKNOWN
+    assert sure.mean() > 0.99 and (states == OCCUPIED).sum() > 500
+    np.testing.assert_array_equal(grid.values[sure], states[sure] == OCCUPIED)
+
+
+def test_lines_through_edges_and_corners_leave_no_holes():
+    """Voxels' middles lie over the edges, diagonals and corners of a closed mesh."""
+    box = trimesh.creation.box((1.0, 1.0, 1.0)).subdivide().subdivide()
+    scene = [mesh_thing("closed", box.vertices, box.faces)]
+    place = Placement(np.full(3, -0.5625), 0.125, (9, 9, 9))
+    assert voxelizer_of(scene).fill(place).values.all()
+    place = Placement(np.full(3, -0.75), 0.125, (12, 12, 12))
+    values = voxelizer_of(scene).fill(place).values
+    assert values[2:10, 2:10, 2:10].all() and values.sum() == 8**3
+
+
+# ---------------------------------------------------------------- FCL
+
+
+def random_turn(rng):
+    axis = rng.normal(size=3)
+    turn = {0: np.eye(3), 1: np.eye(3)[[1, 2, 0]]}.get(int(rng.integers(4)))
+    if turn is not None:
+        return turn
+    x, y, z = axis / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    angle = rng.uniform(0, np.pi)
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS.keys())
+def test_spans_agree_with_fcl(kind):
+    """FCL's word on boxes over a square, but for those that reach in by less than 2e-5 m."""
+    rng = np.random.default_rng(kind)
+    wrong = asked = 0
+    for _ in range(MORE or 400):
+        size = np.exp(rng.uniform(np.log(0.02), np.log(1.0), 3))
+        turn, pos = random_turn(rng), rng.uniform(-1, 1, 3)
+        half = rng.choice([0.025, 0.1, 0.5])
+        center = pos + rng.normal(size=3) * (size.max() + half) * 0.7
+        answers = []
+        for margin in (-2e-5, 2e-5):
+            x0, y0 = center[:2] - half - margin
+            x1, y1 = center[:2] + half + margin
+            square = np.array([[x0, x1, y0, y1]])
+            low, high = solid_spans(kind, pos, turn.ravel().copy(), size, square)[0]
+            answers.append(low < center[2] + half + margin and high > center[2] - half - margin)
+        if answers[0] != answers[1]:
+            continue
+        asked += 1
+        box = fcl.CollisionObject(fcl.Box(*[2 * half] * 3), fcl.Transform(center))
+        solid = fcl.CollisionObject(FCL[kind](size), fcl.Transform(turn, pos))
+        wrong += (fcl.collide(box, solid) > 0) != answers[0]
+    assert asked > 0.9 * (MORE or 400)
+    assert wrong == 0
