@@ -86,7 +86,7 @@ def with_mapping(
     """The grid with the IDs that binvox is to hold, see `write_binvox`."""
     if not grid.is_segmented or mapping is None:
         return grid
-    present = _present(grid)
+    present = grid.ids()
     if mapping == "compact":
         ids = {old: new for new, old in enumerate(present, 1)}
     elif isinstance(mapping, Mapping):
@@ -136,17 +136,10 @@ def _as_bytes(grid: VoxelGrid) -> NDArray[np.uint8]:
     if most > MOST:
         raise FormatError(
             f"binvox holds IDs up to {MOST}, and these voxels have IDs up to {most}: write .npz, "
-            f"or give a mapping ('compact', --compact, numbers the {len(_present(grid))} IDs "
+            f"or give a mapping ('compact', --compact, numbers the {len(grid.ids())} IDs "
             f"that occur anew)"
         )
     return np.asarray(grid.values.astype(np.uint8, copy=False))
-
-
-def _present(grid: VoxelGrid) -> list[int]:
-    found = np.zeros(int(grid.values.max()) + 1, dtype=np.bool_)
-    for part in grid.values:  # slice by slice: the index would take 8 bytes a voxel
-        found[part] = True
-    return [int(number) for number in np.flatnonzero(found) if number]
 
 
 def _text(value: float) -> str:
@@ -164,7 +157,8 @@ def read_binvox(
     """Read a binvox file, versions 1 and 2.
 
     Runs of no length are passed over, comment lines in the header too. Version 1 gives True
-    and False, version 2 IDs as uint8.
+    and False, version 2 IDs as uint8, and so does a version 1 with other values than 0 and 1, as
+    segmenting simulators write it.
 
     Args:
         path: the file.
@@ -192,16 +186,19 @@ def decode_binvox(
     values = np.zeros((nx, ny, nz), dtype=np.uint8)
     order = values[:, ::-1].transpose(1, 2, 0) if is_airsim else values.transpose(0, 2, 1)
     _fill(order, data, header, source)
-    if header.version == 1:
-        values = values.view(np.bool_) if values.max() <= 1 else values != 0
-    if not is_airsim:
-        res = header.scale / max(header.dim)
-        return VoxelGrid(values=values, origin=header.translate, res=res)
-    return _place_airsim(values, header, position, source)
+    notes = []
+    if header.version == 1 and values.max() > 1:
+        notes.append(f"{source} is of version 1 and has values above 1: read as IDs")
+    elif header.version == 1:
+        values = values.view(np.bool_)
+    if is_airsim:
+        return _place_airsim(values, header, position, source, notes)
+    res = header.scale / max(header.dim)
+    return VoxelGrid(values=values, origin=header.translate, res=res, notes=notes)
 
 
 def _place_airsim(
-    values: NDArray[Any], header: Header, position: ArrayLike, source: str
+    values: NDArray[Any], header: Header, position: ArrayLike, source: str, notes: list[str]
 ) -> VoxelGrid:
     nx, ny, nz = values.shape
     res = -2 * header.translate[0] / nx
@@ -210,9 +207,10 @@ def _place_airsim(
     centers = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * res  # of the first voxel
     low = np.asarray(position, dtype=np.float64) + centers - res / 2
     notes = [
+        *notes,
         f"{source} is laid out as AirSim writes it (scale {header.scale:g} is 1 / size): read "
         f"as north, east, up round ({', '.join(f'{p:g}' for p in np.asarray(position))}), "
-        f"voxels of {res:g} m"
+        f"voxels of {res:g} m",
     ]
     return VoxelGrid(values=np.ascontiguousarray(values), origin=tuple(low), res=res, notes=notes)
 

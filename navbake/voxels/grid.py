@@ -124,6 +124,14 @@ class VoxelGrid:
             )
         return np.asarray(self.values[index[..., 0], index[..., 1], index[..., 2]])
 
+    def ids(self) -> list[int]:
+        """The IDs that occur, ascending, without 0; [] where voxels hold none."""
+        found: set[int] = set()
+        if self.is_segmented:
+            for part in self.values:  # slice by slice: all at once takes much memory
+                found.update(np.unique(part).tolist())
+        return sorted(found - {0})
+
     def without_ids(self) -> VoxelGrid:
         """The same voxels as occupied or not."""
         return replace(self, values=self.occupied, names={})
@@ -139,13 +147,13 @@ class VoxelGrid:
         """
         if not self.is_segmented:
             raise QueryError("these voxels hold no IDs that could be exchanged")
-        most = int(self.values.max())
-        table = np.zeros(most + 1, dtype=dtype_of(max(ids.values(), default=0)))
-        for old, new in ids.items():
-            if 0 < old <= most:
-                table[old] = new
+        present = np.array([0, *self.ids()], dtype=np.int64)
+        table = np.array([0, *(ids.get(int(old), 0) for old in present[1:])])
+        values = np.empty(self.shape, dtype=dtype_of(max(ids.values(), default=0)))
+        for part, target in zip(self.values, values, strict=True):
+            target[...] = table[np.searchsorted(present, part)]
         names = {new: self.names[old] for old, new in ids.items() if new and old in self.names}
-        return replace(self, values=table[self.values], names=names)
+        return replace(self, values=values, names=names)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write a file: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``, see `navbake.voxels.files`."""

@@ -1,5 +1,7 @@
 """binvox: round trips, the rules of the format, AirSim's layout, and what is wrong."""
 
+from contextlib import suppress
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -84,8 +86,20 @@ def test_windows_line_ends_are_read():
     )
 
 
-def test_any_value_counts_in_version_1():
-    assert decode_binvox(HEADER + bytes([7, 24]), "x").values.all()
+def test_ids_in_version_1_are_kept():
+    grid = decode_binvox(HEADER + bytes([7, 20, 0, 4]), "a.binvox")
+    assert set(np.unique(grid.values)) == {0, 7} and grid.values.dtype == np.uint8
+    assert "a.binvox is of version 1 and has values above 1" in grid.notes[0]
+
+
+@settings(deadline=None)
+@given(grids(), st.lists(st.tuples(st.integers(0, 400), st.integers(0, 255)), max_size=5))
+def test_any_other_bytes_are_a_grid_or_an_error_of_ours(grid, changes):
+    data = bytearray(encode_binvox(grid))
+    for place, value in changes:
+        data[place % len(data)] = value
+    with suppress(NavbakeError):
+        assert decode_binvox(bytes(data), "x").values.size
 
 
 # ---------------------------------------------------------------- IDs

@@ -6,13 +6,14 @@ tests that need them are skipped, and say so.
 
 import shutil
 import subprocess
+from contextlib import suppress
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from navbake.errors import ConfigError, FormatError
+from navbake.errors import ConfigError, FormatError, NavbakeError
 from navbake.formats.binvox import write_binvox
 from navbake.formats.octomap import decode_octomap, encode_octomap, read_octomap, write_octomap
 from navbake.voxels.grid import VoxelGrid
@@ -222,6 +223,19 @@ def test_broken_files_say_what_is_wrong(data, culprit):
     with pytest.raises(FormatError, match=culprit) as caught:
         decode_octomap(data, "a.bt")
     assert "\n" not in str(caught.value)
+
+
+@settings(deadline=None)
+@given(
+    st.sampled_from([BT, OT]),
+    st.lists(st.tuples(st.integers(0, 2000), st.integers(0, 255)), max_size=5),
+)
+def test_any_other_bytes_are_a_grid_or_an_error_of_ours(data, changes):
+    changed = bytearray(data)
+    for place, value in changes:
+        changed[place % len(changed)] = value
+    with suppress(NavbakeError):
+        assert decode_octomap(bytes(changed), "x", bounds=((-1, -1, -1), (1, 1, 1))).values.size
 
 
 def test_a_leaf_too_large_for_memory_is_refused():
