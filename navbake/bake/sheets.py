@@ -221,7 +221,8 @@ class AreaTest:
     def __init__(self, lattice: Lattice, settings: FloorSettings) -> None:
         self.needed = (settings.min_area - SLACK) / lattice.cell_size**2
         self._shape = lattice.width, lattice.height
-        self._offsets = near_offsets((settings.shrink - SLACK) / lattice.cell_size + 0.5)
+        limit = (settings.shrink - SLACK) / lattice.cell_size + 0.5
+        self._offsets = near_offsets(limit, min(self._shape))
         num_cells = lattice.width * lattice.height
         self._masks = np.zeros(num_cells, dtype=np.bool_), np.zeros(num_cells, dtype=np.bool_)
 

@@ -6,15 +6,20 @@ import numpy as np
 from numba import njit
 
 
-def near_offsets(limit: float) -> np.ndarray:
+def near_offsets(limit: float, shorter: int) -> np.ndarray:
     """Steps to the cells that are nearer than a limit, centre to centre, the farthest first.
 
     Args:
         limit: [cells].
+        shorter: the shorter side of the lattice [cells]. Where no cell is as far from outside as
+            the limit, those steps are enough of which one always leads out.
 
     Returns:
         Rows and columns, shape (n, 2), int64, without (0, 0).
     """
+    out = (shorter + 1) // 2
+    if limit > out:
+        return np.array([[0, out], [0, -out], [out, 0], [-out, 0]], dtype=np.int64)
     reach = int(np.ceil(limit))
     rows, cols = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     squares = (rows**2 + cols**2).ravel()
