@@ -16,11 +16,14 @@ from numpy.typing import NDArray
 
 from navbake.errors import FormatError, QueryError
 from navbake.islands import add_layers
+from navbake.user_data import SharedUserData, held_user_data
 
 if TYPE_CHECKING:
     from navbake.grid import MultiLevelGrid, SceneGrid2D
 
     AnyGrid = TypeVar("AnyGrid", SceneGrid2D, MultiLevelGrid)
+
+UserData = TypeVar("UserData", dict[int, dict[str, Any]], SharedUserData)
 
 STATES = ("modelled", "open", "closed", "removed")
 
@@ -197,8 +200,8 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
 
 
 def name_door_cells(
-    user_data: dict[int, dict[str, Any]], doors: list[dict[str, Any]], level: int, num_levels: int
-) -> dict[int, dict[str, Any]]:
+    user_data: UserData, doors: list[dict[str, Any]], level: int, num_levels: int
+) -> UserData:
     """Write the doors of each cell into a level's user data.
 
     A cell is in a door where the door blocks it when closed, or as it stands. Where it blocks as
@@ -211,20 +214,25 @@ def name_door_cells(
         num_levels: how many the grid has.
 
     Returns:
-        User data with `doors` where a cell is in one, by ascending cell id.
+        User data of the same kind with `doors` where a cell is in one, by ascending cell id.
     """
     if not doors:
         return user_data
     names, standing = _doors_by_cell(doors, level, num_levels)
     ids = {door["id"] for door in doors}
-    merged = dict(user_data)
-    for cell, found in names.items():
-        entry = _without_doors(merged.pop(cell, {}), ids)
-        if found:
-            entry = _with_doors(entry, found, standing.get(cell, set()))
-        if entry:
-            merged[cell] = entry
-    return {cell: merged[cell] for cell in sorted(merged)}
+    if isinstance(user_data, SharedUserData):
+        known = user_data.find(np.fromiter(names, dtype=np.int64, count=len(names)))
+    else:
+        known = [user_data.get(cell, {}) for cell in names]
+    changed: dict[int, dict[str, Any]] = {}
+    for (cell, found), before in zip(names.items(), known, strict=True):
+        entry = _without_doors(before, ids)
+        changed[cell] = _with_doors(entry, found, standing.get(cell, set())) if found else entry
+    if isinstance(user_data, SharedUserData):
+        replaced: Any = user_data.replaced(changed)
+        return replaced  # type: ignore[no-any-return]
+    merged = {**user_data, **changed}
+    return {cell: merged[cell] for cell in sorted(merged) if cell not in changed or changed[cell]}
 
 
 def _doors_by_cell(
@@ -266,6 +274,13 @@ def _with_doors(entry: dict[str, Any], names: set[str], standing: set[str]) -> d
     return named
 
 
+def _known(level: SceneGrid2D) -> Any:
+    """A level's user data: as a dictionary, unless nobody can have changed what cells share."""
+    held = held_user_data(level)
+    is_shared = isinstance(held, SharedUserData) and not held.is_resolved
+    return held if is_shared else level.user_data
+
+
 def _rebuild(
     grid: AnyGrid, doors: list[dict[str, Any]], occupied: list[NDArray[np.bool_]]
 ) -> AnyGrid:
@@ -285,9 +300,9 @@ def _rebuild(
                 weights=weights,
                 attributes={**level.attributes, "occupancy": is_occupied.astype(np.uint8)},
                 user_data=(
-                    name_door_cells(level.user_data, doors, number, len(occupied))
+                    name_door_cells(_known(level), doors, number, len(occupied))
                     if grid.navbake.get("names", True)
-                    else level.user_data
+                    else held_user_data(level)
                 ),
                 metadata=metadata,
             )

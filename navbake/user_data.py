@@ -6,7 +6,9 @@ them. So the reader may leave a `StoredUserData` in the place of the dictionary.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import gc
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +18,18 @@ if TYPE_CHECKING:
     from navbake.grid import SceneGrid2D
 
 Json = dict[str, Any]
+
+
+@contextmanager
+def collector_off() -> Iterator[None]:
+    """Keep the garbage collector from looking through all that is made, over and over."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
 
 
 class StoredUserData:
@@ -51,11 +65,41 @@ class SharedUserData(StoredUserData):
         return self._resolved is not None
 
     def resolve(self) -> dict[int, Json]:
-        """Make them a dictionary; cells of one entry share it."""
+        """Make them a dictionary; each cell gets an entry of its own, as from a file."""
         if self._resolved is None:
-            found = map(self.entries.__getitem__, self.number.tolist())
-            self._resolved = dict(zip(self.cells.tolist(), found, strict=True))
+            with collector_off():
+                entries = [_copy_json(self.entries[k]) for k in self.number.tolist()]
+            self._resolved = dict(zip(self.cells.tolist(), entries, strict=True))
         return self._resolved
+
+    def find(self, cells: NDArray[np.int64]) -> list[Json]:
+        """The entries of some cells, shape (n,), int64; an empty one where a cell has none."""
+        if not len(self.cells):
+            return [{}] * len(cells)
+        place = np.minimum(np.searchsorted(self.cells, cells), len(self.cells) - 1)
+        is_known = (self.cells[place] == cells).tolist()
+        number = self.number[place].tolist()
+        return [self.entries[k] if known else {} for k, known in zip(number, is_known, strict=True)]
+
+    def replaced(self, changed: Mapping[int, Json]) -> SharedUserData:
+        """The same with other entries in some cells; those whose entry is empty drop out.
+
+        Args:
+            changed: entries by cell id; nobody may change them.
+        """
+        kept = ~np.isin(self.cells, np.fromiter(changed, dtype=np.int64, count=len(changed)))
+        added = {cell: entry for cell, entry in changed.items() if entry}
+        own = np.fromiter(added, dtype=np.int64, count=len(added))
+        cells = np.concatenate([self.cells[kept], own])
+        number = np.concatenate([self.number[kept], len(self.entries) + np.arange(len(own))])
+        order = np.argsort(cells)
+        return SharedUserData(cells[order], number[order], [*self.entries, *added.values()])
+
+
+def _copy_json(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _copy_json(part) for key, part in value.items()}
+    return [_copy_json(part) for part in value] if isinstance(value, list) else value
 
 
 class UserDataField:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from navbake.doors import check_doors, door_cells, from_runs, list_doors, name_door_cells, to_runs
 from navbake.errors import FormatError, QueryError
 from navbake.grid import SceneGrid2D
+from navbake.user_data import SharedUserData
 
 GATE = {
     "id": "gate",
@@ -102,6 +103,22 @@ def test_names_follow_the_doors():
     assert name_door_cells(things, opened, 0, 1) == expected
     assert name_door_cells(named, opened, 0, 1) == expected
     assert name_door_cells(expected, [GATE, HATCH], 0, 1) == named
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_names_follow_the_doors_where_cells_share_entries(seed):
+    """Told apart only by how they are kept, user data get the same names."""
+    rng = np.random.default_rng(seed)
+    entries = [{"objects": ["lamp"]}, {"walls": ["beam"]}, {"doors": ["gate"], "objects": ["gate"]}]
+    cells = np.sort(rng.choice(9, rng.integers(0, 10), replace=False))
+    shared = SharedUserData(cells, rng.integers(0, 3, len(cells)), entries)
+    plain = SharedUserData(cells, shared.number, entries).resolve()
+    before = copy.deepcopy(entries)
+    named = name_door_cells(shared, [GATE, HATCH], 0, 1)
+    assert not shared.is_resolved and entries == before
+    assert list(named.resolve().items()) == list(
+        name_door_cells(plain, [GATE, HATCH], 0, 1).items()
+    )
 
 
 @pytest.mark.parametrize("names", [None, True, False])

@@ -110,13 +110,11 @@ def _level_grid(
 def _user_data(
     baked: Baked, config: BakeConfig, number: int, window: Window, doors: list[dict[str, Any]]
 ) -> Any:
-    """A dictionary by cell id, or where no doors have to be named, what becomes one."""
+    """A dictionary by cell id, or what becomes one when somebody asks for it."""
     if not config.names.enabled or baked.contents is None:
         return {}
     shared = baked.contents.user_data(number, window)
-    if not doors:
-        return shared
-    return name_door_cells(shared.resolve(), doors, number, len(baked.floors.levels))
+    return name_door_cells(shared, doors, number, len(baked.floors.levels))
 
 
 def _cut_cells(cells: Int, window: Window, lattice: Lattice) -> Int:

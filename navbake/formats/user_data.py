@@ -6,10 +6,7 @@ written, beyond.
 
 from __future__ import annotations
 
-import gc
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +19,7 @@ from navbake.formats.place import Place, shown
 from navbake.formats.values import json_object, plain
 from navbake.grid import SceneGrid2D
 from navbake.grid_base import Json
-from navbake.user_data import SharedUserData, StoredUserData, held_user_data
+from navbake.user_data import SharedUserData, StoredUserData, collector_off, held_user_data
 
 DEFER_BYTES = 1 << 16
 KEY = b'"userData":'
@@ -58,7 +55,7 @@ class SpanUserData(StoredUserData):
     def resolve(self) -> dict[int, Json]:
         """Read and check them; the same dictionary each time."""
         if self._resolved is None:
-            with _collector_off():
+            with collector_off():
                 self._resolved = check_user_data(self._parse(), self._place, self._num_cells)
         return self._resolved
 
@@ -73,7 +70,7 @@ class SpanUserData(StoredUserData):
         """
         if self._resolved is not None or num_cells != self._num_cells:
             return None
-        with _collector_off():
+        with collector_off():
             parsed = self._parse()
             ids = np.fromiter(check_user_data(parsed, self._place, num_cells), dtype=np.int64)
             is_own = (ids[1:] > ids[:-1]).all() and orjson.dumps(parsed) == self._span.text
@@ -82,18 +79,6 @@ class SpanUserData(StoredUserData):
     def _parse(self) -> Json:
         parsed = parse_json(self._span.text, self._place, self._span.line, self._span.column)
         return json_object(plain(parsed, self._place), self._place)
-
-
-@contextmanager
-def _collector_off() -> Iterator[None]:
-    """Keep the garbage collector from looking through all that is parsed, over and over."""
-    was_on = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_on:
-            gc.enable()
 
 
 def parse_file(content: bytes, top: Place) -> Json:

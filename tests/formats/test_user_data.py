@@ -266,3 +266,17 @@ def test_shared_entries_are_written_as_the_same_dictionary():
     level = grid(shared)
     level.user_data[int(cells[0])] = {"objects": ["mine"]}
     assert b'"mine"' in dumps_navgrid(level)
+
+
+def test_a_change_in_one_cell_is_none_in_those_that_share_its_entry():
+    entries = [{"objects": ["lamp"], "walls": ["beam"], "more": {"deep": [1]}}]
+    entries[0]["walls"] = entries[0]["objects"]  # as the bake has them where all names are both
+    shared = SharedUserData(np.arange(3), np.zeros(3, dtype=np.int64), entries)
+    user_data = shared.resolve()
+    user_data[1]["note"] = "mine"
+    user_data[1]["objects"].append("chair")
+    user_data[1]["more"]["deep"].append(2)
+    same = {"objects": ["lamp"], "walls": ["lamp"], "more": {"deep": [1]}}
+    assert user_data[0] == user_data[2] == entries[0] == same
+    assert user_data[1]["walls"] == ["lamp"]
+    assert shared.resolve() is user_data
