@@ -152,7 +152,11 @@ def _text(value: float) -> str:
 
 
 def read_binvox(
-    path: str | PathLike[str], *, layout: Layout = "auto", position: ArrayLike = (0.0, 0.0, 0.0)
+    path: str | PathLike[str],
+    *,
+    layout: Layout = "auto",
+    position: ArrayLike = (0.0, 0.0, 0.0),
+    res: float | None = None,
 ) -> VoxelGrid:
     """Read a binvox file, versions 1 and 2.
 
@@ -166,17 +170,24 @@ def read_binvox(
             in the grid's notes.
         position: what AirSim was asked for, world frame [m]: its files don't say. Its own frame
             is north, east, down; (n, e, d) is (n, -e, -d) here.
+        res: edge of AirSim's voxels [m]: its files say only how large the grid was asked to be,
+            which may be a part of a voxel more than it is. By the sizes and counts if None.
 
     Raises:
         FormatError: it is no binvox file, its header is broken, or its data are too few or many.
     """
     if layout not in LAYOUTS:
         raise FormatError(f"expected layout {', '.join(LAYOUTS)}, got {layout!r}")
-    return decode_binvox(read_bytes(path), str(path), layout=layout, position=position)
+    return decode_binvox(read_bytes(path), str(path), layout=layout, position=position, res=res)
 
 
 def decode_binvox(
-    data: bytes, source: str, *, layout: Layout = "auto", position: ArrayLike = (0.0, 0.0, 0.0)
+    data: bytes,
+    source: str,
+    *,
+    layout: Layout = "auto",
+    position: ArrayLike = (0.0, 0.0, 0.0),
+    res: float | None = None,
 ) -> VoxelGrid:
     """Read a binvox file's bytes, see `read_binvox`; `source` names them in messages."""
     header = _read_header(data, source)
@@ -191,28 +202,32 @@ def decode_binvox(
         notes.append(f"{source} is of version 1 and has values above 1: read as IDs")
     elif header.version == 1:
         values = values.view(np.bool_)
-    if is_airsim:
-        return _place_airsim(values, header, position, source, notes)
-    res = header.scale / max(header.dim)
-    return VoxelGrid(values=values, origin=header.translate, res=res, notes=notes)
+    if not is_airsim:
+        edge = header.scale / max(header.dim)
+        return VoxelGrid(values=values, origin=header.translate, res=edge, notes=notes)
+    edge, assumed = _airsim_edge(header, res, source)
+    first = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * edge  # its middle
+    low = np.asarray(position, dtype=np.float64) + first - edge / 2
+    around = ", ".join(f"{p:g}" for p in np.asarray(position))
+    notes.append(f"{assumed}, round ({around})")
+    values = np.ascontiguousarray(values)
+    return VoxelGrid(values=values, origin=(low[0], low[1], low[2]), res=edge, notes=notes)
 
 
-def _place_airsim(
-    values: NDArray[Any], header: Header, position: ArrayLike, source: str, notes: list[str]
-) -> VoxelGrid:
-    nx, ny, nz = values.shape
-    res = -2 * header.translate[0] / nx
-    if not res > 0:
+def _airsim_edge(header: Header, res: float | None, source: str) -> tuple[float, str]:
+    """The edge of AirSim's voxels, and what is assumed with it."""
+    nx, nz, ny = header.dim
+    edges = -2 * np.array(header.translate) / (nx, ny, nz)  # at most: counts are cut, not rounded
+    edge = float(edges.min()) if res is None else float(res)
+    if not edge > 0:
         raise FormatError(f"expected a negative `translate` in AirSim's layout in {source}")
-    centers = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * res  # of the first voxel
-    low = np.asarray(position, dtype=np.float64) + centers - res / 2
-    notes = [
-        *notes,
-        f"{source} is laid out as AirSim writes it (scale {header.scale:g} is 1 / size): read "
-        f"as north, east, up round ({', '.join(f'{p:g}' for p in np.asarray(position))}), "
-        f"voxels of {res:g} m",
-    ]
-    return VoxelGrid(values=np.ascontiguousarray(values), origin=tuple(low), res=res, notes=notes)
+    assumed = (
+        f"{source} is laid out as AirSim writes it (scale {header.scale:g} is 1 / size): read as "
+        f"north, east, up, voxels of {edge:g} m"
+    )
+    if res is None and edges.max() > edge * (1 + NEAR):
+        assumed += " at most (give `res`: the sizes are no whole multiples)"
+    return edge, assumed
 
 
 def _looks_like_airsim(header: Header) -> bool:

@@ -16,15 +16,15 @@ from navbake.bake.scene import Scene, load_scene
 from navbake.bake.shapes import Shapes, solid_bounds
 from navbake.config import BakeConfig, SceneSettings, as_config
 from navbake.errors import ConfigError, SceneError
-from navbake.kernels.voxels import (
+from navbake.kernels.voxel_tiles import (
     CLOSED,
     CONVEX,
     SURFACE,
     bin_items,
     box_triangles,
-    fill_voxels,
     move_triangles,
 )
+from navbake.kernels.voxels import fill_voxels
 from navbake.voxels.grid import VoxelGrid, dtype_of
 from navbake.voxels.placement import Placement, check_memory, place_grid
 from navbake.voxels.segments import Labels, Segments, label_geoms

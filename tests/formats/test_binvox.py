@@ -161,6 +161,17 @@ def test_airsims_files_are_recognised_and_placed(shape):
     assert not decode_binvox(data, "x", layout="binvox").notes
 
 
+def test_airsims_sizes_may_be_no_whole_multiples():
+    header = b"#binvox 1\ndim 3 3 2\ntranslate -0.5 -0.35 -0.5\nscale 1\ndata\n"
+    data = header + bytes([1, 18])  # 1 × 0.7 × 1 m at 0.3 m
+    grid = decode_binvox(data, "a", layout="airsim")
+    assert grid.res == pytest.approx(1 / 3) and "at most (give `res`" in grid.notes[0]
+    grid = decode_binvox(data, "a", layout="airsim", res=0.3)
+    assert grid.res == 0.3 and "at most" not in grid.notes[0]
+    with pytest.raises(FormatError, match="negative `translate`"):
+        decode_binvox(data.replace(b"-0.5 -0.35", b"0.5 0.35"), "a", layout="airsim")
+
+
 @pytest.mark.parametrize("shape", [(4, 6, 2), (5, 7, 3), (8, 8, 8)])
 def test_airsims_layout_is_written_when_asked(shape):
     rng = np.random.default_rng(1)
