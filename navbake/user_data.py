@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import compress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -90,10 +91,14 @@ class SharedUserData(StoredUserData):
         kept = ~np.isin(self.cells, np.fromiter(changed, dtype=np.int64, count=len(changed)))
         added = {cell: entry for cell, entry in changed.items() if entry}
         own = np.fromiter(added, dtype=np.int64, count=len(added))
+        is_used = np.zeros(len(self.entries), dtype=np.bool_)
+        is_used[self.number[kept]] = True
+        entries = list(compress(self.entries, is_used))  # or they pile up, change by change
+        number = (np.cumsum(is_used) - 1)[self.number[kept]]
         cells = np.concatenate([self.cells[kept], own])
-        number = np.concatenate([self.number[kept], len(self.entries) + np.arange(len(own))])
+        number = np.concatenate([number, len(entries) + np.arange(len(own))])
         order = np.argsort(cells)
-        return SharedUserData(cells[order], number[order], [*self.entries, *added.values()])
+        return SharedUserData(cells[order], number[order], [*entries, *added.values()])
 
 
 def _copy_json(value: Any) -> Any:

@@ -119,6 +119,11 @@ def test_names_follow_the_doors_where_cells_share_entries(seed):
     assert list(named.resolve().items()) == list(
         name_door_cells(plain, [GATE, HATCH], 0, 1).items()
     )
+    again = name_door_cells(shared, [GATE, HATCH], 0, 1)
+    for state in ("open", "modelled") * 3:
+        again = name_door_cells(again, [{**GATE, "state": state}, HATCH], 0, 1)
+    assert again.resolve() == named.resolve()
+    assert len(again.entries) <= len(again.cells)  # none is kept that no cell has
 
 
 @pytest.mark.parametrize("names", [None, True, False])
