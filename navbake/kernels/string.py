@@ -9,6 +9,7 @@ from numba import njit
 
 from navbake.kernels.sight import crossed_cells, is_walkable, line_cost
 
+STEEP = 1.001  # rise, in cells, over which neighbours are a step, not a slope
 GAIN = 1e-9  # share of its cost by which rounding may make a straight line dearer
 
 
@@ -122,11 +123,12 @@ def lay_on_floor(
     points, levels, is_link, floor, ground, start, width, height, x_min, y_max, cell_size,
     tolerance,
 ):  # fmt: skip
-    """Lay lines between points on the floor: with a point in between where its height bends.
+    """Lay lines between points on the floor: with points in between where its height bends.
 
-    Over a link, the line is straight. Else it runs through the
-    middle of its part in each cell that it crosses, at the cell's floor, and points that are
-    within `tolerance` of the line through those that are left go.
+    The line runs through the middle of its part in each cell that it crosses, at the cell's
+    floor; between two that differ by more than a cell is wide, which is steeper than any slope,
+    straight up or down at their edge, or halfway over a link. Points that are within `tolerance`
+    of the line through those that are left go.
 
     Args:
         points: world x, y [m], shape (n, 2).
@@ -143,63 +145,79 @@ def lay_on_floor(
     out, on, count = np.empty((4 * num + 16, 3)), np.empty(4 * num + 16, np.int64), 0
     for i in range(num):
         level = levels[i]
+        place = (start[level], width[level], height[level])
         u0, v0 = _in_cells(points[i], level, x_min, y_max, cell_size)
-        size = 1
-        cells, enter = np.empty(0, np.int64), np.empty(0)
+        u1, v1 = u0, v0
+        way = np.zeros(2)
         if i + 1 < num and not is_link[i]:
             u1, v1 = _in_cells(points[i + 1], level, x_min, y_max, cell_size)
-            cells, enter = crossed_cells(u0, v0, u1, v1, width[level], height[level])
-            size += cells.shape[0]
-        line = np.empty((size + 1, 2))  # share of the line, and height there
-        row, col = math.floor(v0), math.floor(u0)
-        line[0, 0] = 0.0
-        line[0, 1] = _height(start[level] + row * width[level] + col, floor, ground[level])
-        last = 1
-        if size > 1:
-            for k in range(1, cells.shape[0] - 1):
-                line[last, 0] = (enter[k] + enter[k + 1]) / 2.0
-                line[last, 1] = _height(start[level] + cells[k], floor, ground[level])
-                last += 1
-            line[last, 0] = 1.0
-            line[last, 1] = _height(
-                start[level] + math.floor(v1) * width[level] + math.floor(u1), floor, ground[level]
-            )
-            last += 1
+            way = points[i + 1] - points[i]
+        line = _profile(u0, v0, u1, v1, floor, ground[level], *place, cell_size[level])
         here = 0
-        while here < max(last - 1, 1):
-            if count == out.shape[0]:
+        while here == 0 or here < line.shape[0] - 1:
+            if count + 3 > out.shape[0]:
                 out, on = np.concatenate((out, out)), np.concatenate((on, on))
-            t = line[here, 0]
-            out[count, :2] = points[i]
-            if t > 0.0:
-                out[count, :2] = points[i] + t * (points[i + 1] - points[i])
+            out[count, :2] = points[i] + line[here, 0] * way
             out[count, 2], on[count] = line[here, 1], level
             count += 1
-            here = _next_bend(line[:last], here, tolerance)
+            here = _next_bend(line, here, tolerance)
+        if i + 1 < num and is_link[i]:
+            after = levels[i + 1]
+            u1, v1 = _in_cells(points[i + 1], after, x_min, y_max, cell_size)
+            z = _height(u1, v1, floor, ground[after], start[after], width[after])
+            if abs(z - out[count - 1, 2]) > cell_size[level] * STEEP:
+                out[count : count + 2, :2] = (points[i] + points[i + 1]) / 2.0
+                out[count, 2], out[count + 1, 2] = out[count - 1, 2], z
+                on[count], on[count + 1] = level, after
+                count += 2
     return out[:count].copy(), on[:count].copy()
 
 
 @njit(cache=True, error_model="numpy")
-def _height(cell, floor, ground):
-    return ground if math.isnan(floor[cell]) else floor[cell]
+def _profile(u0, v0, u1, v1, floor, ground, first, width, height, steep):
+    """The floor under a line: shares of it, and heights there, (n, 2) float64."""
+    cells, enter = crossed_cells(u0, v0, u1, v1, width, height)
+    cells[0] = math.floor(v0) * width + math.floor(u0)
+    line = np.empty((3 * cells.shape[0] + 1, 2))
+    count, before = 0, 0.0
+    for k in range(cells.shape[0]):
+        if k == cells.shape[0] - 1 and k > 0:
+            cells[k] = math.floor(v1) * width + math.floor(u1)
+        z = floor[first + cells[k]]
+        if math.isnan(z):
+            z = ground
+        if k > 0 and abs(z - before) > steep * STEEP:
+            line[count, 0], line[count, 1] = enter[k], before
+            line[count + 1, 0], line[count + 1, 1] = enter[k], z
+            count += 2
+        share = (enter[k] + enter[k + 1]) / 2.0
+        if k == 0:
+            share = 0.0
+        elif k == cells.shape[0] - 1:
+            share = 1.0
+        line[count, 0], line[count, 1] = share, z
+        count += 1
+        before = z
+    if cells.shape[0] == 1 and (u0 != u1 or v0 != v1):
+        line[count, 0], line[count, 1] = 1.0, before
+        count += 1
+    return line[:count]
+
+
+@njit(cache=True, error_model="numpy")
+def _height(u, v, floor, ground, first, width):
+    z = floor[first + math.floor(v) * width + math.floor(u)]
+    return ground if math.isnan(z) else z
 
 
 @njit(cache=True, error_model="numpy")
 def _next_bend(line, here, tolerance):
-    """The farthest point to which all in between are within a tolerance of a straight line.
-
-    As soon as one is not, the point before is taken, so this looks at few points more than once.
-    """
+    """The last point to which all in between are within a tolerance of a straight line."""
     low, high = -np.inf, np.inf  # slopes that keep all points so far
-    there = here + 1
-    while there < line.shape[0]:
+    for there in range(here + 1, line.shape[0]):
         run, rise = line[there, 0] - line[here, 0], line[there, 1] - line[here, 1]
-        if run <= 0.0:
-            there += 1
-            continue
-        if not low <= rise / run <= high:
+        if run <= 0.0 or not low <= rise / run <= high:
             return max(there - 1, here + 1)
         low = max(low, (rise - tolerance) / run)
         high = min(high, (rise + tolerance) / run)
-        there += 1
     return max(line.shape[0] - 1, here + 1)

@@ -5,6 +5,10 @@ the next, or anywhere else in a cell, it may be nearer to what is beside it. So 
 need cells that would be free for a radius so much larger that the discs round both ends cover the
 way; and straight lines off the centres need cells in which any place will do.
 
+Floors are known at cells' centres: where one is a step higher than the next, the edge between
+them may be half a cell off, and so may the edges beside it. There, steps go straight from centre
+to centre, as the bake knows them.
+
 Straight steps need nothing more, for where cells are squares, what is beside the middle of a step
 is as near to its ends, but for corners: past those, a step may come nearer by up to
 ``c (√((k + ½)² + ¼) - (k + ½))``, where c is the cell size and k the whole cells in the radius
@@ -23,7 +27,9 @@ from navbake.runtime.inflate import check_radius, find_blocked
 from navbake.runtime.outline import Margins
 
 if TYPE_CHECKING:
-    from navbake.grid import NavGrid
+    from navbake.grid import NavGrid, SceneGrid2D
+
+STEEP = 1.001  # rise, in cells, over which neighbours are a step, not a slope
 
 
 def exact_radius(grid: NavGrid) -> float:
@@ -80,9 +86,21 @@ def find_room(grid: NavGrid) -> tuple[NDArray[np.bool_], NDArray[np.bool_]] | No
     roomy: list[NDArray[np.bool_]] = []
     for number, level in enumerate(grid.levels):
         narrow, tight = _larger(radius, level.lattice.cell_size)
-        wide.append(~find_blocked(grid, number, narrow).ravel())
-        roomy.append(~find_blocked(grid, number, tight).ravel())
+        at_edge = _at_edges(level)
+        wide.append(~(find_blocked(grid, number, narrow) | at_edge).ravel())
+        roomy.append(~(find_blocked(grid, number, tight) | at_edge).ravel())
     return np.concatenate(wide), np.concatenate(roomy)
+
+
+def _at_edges(level: SceneGrid2D) -> NDArray[np.bool_]:
+    """Cells from which the floor of one beside is a step higher or lower, not a slope."""
+    floor = level.floor_height.astype(np.float64)
+    at_edge = np.zeros(level.shape, dtype=np.bool_)
+    for near, far in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        is_step = np.abs(floor[near] - floor[far]) > STEEP * level.cell_size  # False for NaN
+        at_edge[near] |= is_step
+        at_edge[far] |= is_step
+    return at_edge
 
 
 def _larger(radius: float, cell_size: float) -> tuple[float, float]:
