@@ -52,21 +52,26 @@ class Claim:
 
 
 def claim_by_geoms(
-    scene: Scene, columns: Columns, levels: Sequence[LevelFloor], patterns: Sequence[str]
+    scene: Scene,
+    columns: Columns,
+    levels: Sequence[LevelFloor],
+    patterns: Sequence[str],
+    step: float,
 ) -> Claim:
     """Give each cell the room whose geom is its floor.
 
     Of the geoms that match, that is the one whose surface lies highest from 5 cm below the floor
     to 5 mm above it; so rugs cover no room, and geoms may be floors that are only drawn, and
     don't count in the bake. Of several at one height the first counts. Meshes are taken as their
-    triangles. Furniture may be named like a room: a geom is a floor when half of what it shows
-    from above is.
+    triangles. Furniture may be named like a room: a geom is a floor when half of its upper side
+    is, or lies up to a step under one (a carpet, a podium).
 
     Args:
         scene: the scene.
         columns: all surfaces of what counts in it.
         levels: the storeys.
         patterns: of geom names.
+        step: the agent's [m].
     """
     model, lattice = scene.model, columns.lattice
     names = [name_at(model, address) for address in model.name_geomadr]
@@ -78,12 +83,11 @@ def claim_by_geoms(
     number[chosen] = np.arange(1, len(chosen) + 1)
     cell, z, geom = _surfaces_of(scene, columns, chosen)
     heights = [z - level.floor.ravel()[cell] for level in levels]  # NaN for no floor: no match
-    on_floor = [(height >= -BELOW - SAME) & (height <= ABOVE + SAME) for height in heights]
-    seen = np.bincount(geom, minlength=model.ngeom)
-    as_floor = np.bincount(geom[np.any(on_floor, axis=0)], minlength=model.ngeom)
-    is_floor = as_floor >= HALF * seen
-    for label, here in zip(labels, on_floor, strict=True):
-        here &= is_floor[geom]
+    at_floor = np.any([(h >= -step - SAME) & (h <= ABOVE + SAME) for h in heights], axis=0)
+    sides = np.bincount(geom, minlength=model.ngeom)
+    is_floor = np.bincount(geom[at_floor], minlength=model.ngeom) >= HALF * sides
+    for label, height in zip(labels, heights, strict=True):
+        here = (height >= -BELOW - SAME) & (height <= ABOVE + SAME) & is_floor[geom]
         highest = np.full(label.size, -np.inf)
         np.maximum.at(highest, cell[here], z[here])
         here &= z >= highest[cell] - SAME

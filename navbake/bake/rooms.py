@@ -122,7 +122,9 @@ def find_rooms(
     )
     for source in settings.sources:
         if source == "geoms":
-            claim = claim_by_geoms(scene, columns, levels, settings.geoms)
+            claim = claim_by_geoms(
+                scene, columns, levels, settings.geoms, agent.traversable_floor_height
+            )
             drawing.take(claim, source)
         elif source == "sites":
             claim = claim_by_sites(

@@ -67,8 +67,15 @@ def test_rugs_and_furniture_change_nothing(tmp_path):
 
 def test_furniture_named_like_a_room_is_none(tmp_path):
     """A dome whose rim alone is at the height of the floor."""
-    dome = '<geom name="room_0_dome" type="ellipsoid" size="1.5 1.5 .3" pos="-2 0 -.29"/>'
+    dome = '<geom name="room_0_dome" type="ellipsoid" size="1.5 1.5 1.2" pos="-2 0 -1.19"/>'
     assert set(rooms_of(bake(tmp_path, SLABS + dome))) == {"west", "east"}
+
+
+def test_a_podium_over_most_of_a_room_leaves_the_room(tmp_path):
+    podium = '<geom name="podium" type="box" size="1.8 1.8 .1" pos="-2 0 .1"/>'
+    rooms = rooms_of(bake(tmp_path, SLABS + podium))
+    assert set(rooms) == {"west", "east"}
+    assert span(rooms["west"]) == [-4, -2, 0, 2]
 
 
 def test_geoms_that_are_only_drawn(tmp_path):
