@@ -17,6 +17,7 @@ from navbake import cli_voxels
 from navbake._version import __version__
 from navbake.cli_files import GridFile, check_writable
 from navbake.cli_inflate import inflate
+from navbake.cli_path import path
 from navbake.errors import ConfigError, NavbakeError
 
 if TYPE_CHECKING:
@@ -286,6 +287,7 @@ def why(
 
 
 app.command()(inflate)
+app.command()(path)
 
 
 def _parse_place(text: str) -> tuple[float, float, int | None]:

@@ -17,9 +17,11 @@ from navbake.layers import Label, Panel, make_panels
 
 if TYPE_CHECKING:
     from navbake.grid import MultiLevelGrid, SceneGrid2D
+    from navbake.runtime.path import Path as Route
 
 DEFAULT_LAYERS = ("occupancy", "floor")
 COLOR_MAP = "viridis"
+ROUTE = "#d6336c"  # colour of a path
 MIN_RANGE = 0.1  # metres of height that the colours span at least, so that flat floors look flat
 DPI = 150
 PANEL_INCHES = 6.0  # longer side of a panel
@@ -36,6 +38,7 @@ def plot_grid(
     *,
     level: int | None = None,
     layers: Sequence[str] = DEFAULT_LAYERS,
+    route: Route | None = None,
 ) -> Path:
     """Draw a grid's levels, one a row, the lowest on top, and write the picture as PNG.
 
@@ -45,6 +48,7 @@ def plot_grid(
         level: draw only this one, 0 is the lowest.
         layers: what to draw of each, side by side: some of occupancy, floor, rooms, clearance,
             island, weights.
+        route: a path to draw on top, each of its parts on its level.
 
     Returns:
         The path that was written.
@@ -55,7 +59,7 @@ def plot_grid(
         NavbakeError: the file cannot be written.
     """
     path = Path(path)
-    content = render_png(grid, level=level, layers=layers)
+    content = render_png(grid, level=level, layers=layers, route=route)
     try:
         write_whole(content, path)
     except OSError as error:
@@ -68,6 +72,7 @@ def render_png(
     *,
     level: int | None = None,
     layers: Sequence[str] = DEFAULT_LAYERS,
+    route: Route | None = None,
 ) -> bytes:
     """Draw a grid's levels as `plot_grid` does; the same grid gives the same bytes.
 
@@ -94,9 +99,11 @@ def render_png(
             _draw_panel(figure, ax, panels[index], grid.levels[index])
             ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), xlabel="x [m]", ylabel="y [m]")
             _write_labels(ax, panels[index].labels, max(x_max - x_min, y_max - y_min))
+            if route is not None:
+                _draw_route(ax, route, index)
     cell_size = grid.levels[0].lattice.cell_size
     figure.suptitle(f"{grid.scene_id or 'grid'}, cells of {cell_size:g} m", parse_math=False)
-    _draw_legend(figure, [panels[index] for panels in columns for index in chosen])
+    _draw_legend(figure, [panels[index] for panels in columns for index in chosen], route)
 
     content = io.BytesIO()
     figure.savefig(content, format="png", metadata={"Software": None})
@@ -190,11 +197,23 @@ def _font_for(text: str) -> str | None:
     return None
 
 
-def _draw_legend(figure: Any, panels: Sequence[Panel]) -> None:
+def _draw_route(ax: Any, route: Route, level: int) -> None:
+    """Draw the parts of a path that are on a level, and its ends."""
+    x, y = route.positions[:, 0], route.positions[:, 1]
+    on_level = route.levels == level
+    ax.plot(np.where(on_level, x, np.nan), np.where(on_level, y, np.nan), color=ROUTE, lw=1.5)
+    for end, marker in ((0, "o"), (-1, "X")):
+        if on_level[end]:
+            ax.plot(x[end], y[end], marker, color=ROUTE, markeredgecolor="white", markersize=8)
+
+
+def _draw_legend(figure: Any, panels: Sequence[Panel], route: Route | None) -> None:
     from matplotlib.patches import Patch
 
     kinds = dict(entry for panel in panels for entry in panel.legend)
     patches = [
         Patch(facecolor=color, edgecolor="black", label=kind) for kind, color in kinds.items()
     ]
+    if route is not None:
+        patches.append(Patch(facecolor=ROUTE, label="path, from o to x"))
     figure.legend(handles=patches, loc="outside lower center", ncols=len(patches))

@@ -25,7 +25,7 @@ DOORS = {
     "trimesh": ("bake.mesh_scene",),
     "matplotlib": ("plot",),
     "numba": ("kernels", "bake"),
-    "typer": ("cli", "cli_files", "cli_inflate", "cli_voxels"),
+    "typer": ("cli", "cli_files", "cli_inflate", "cli_path", "cli_voxels"),
     "rich": ("cli_tables",),
 }
 # what an agent loads at run time, and what it never loads
