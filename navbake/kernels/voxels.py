@@ -19,6 +19,8 @@ from numba import njit, prange
 from navbake.kernels.spans import clip, plane_span, polygon_span, solid_span
 from navbake.kernels.voxel_tiles import CLOSED, CONVEX, TILE, touched
 
+# A triangle this little beside a column is looked at, because rounding may have put it there
+SLACK = 1e-3  # [voxels]
 # Where a line is moved to when it ran through an edge and rounding lost a crossing [voxels]
 ASIDE = np.array([[0, 0], [0.137, 0.071], [-0.093, 0.119], [0.061, -0.143], [-0.127, -0.083]])
 
@@ -108,27 +110,39 @@ def _height_at(c, x, y):
 
 
 @njit(cache=True)
-def _note_crossing(c, x, y, winding, origin, res):
-    """Add a triangle's crossing of a column's line at the first voxel with its middle above."""
+def _note_crossing(c, x, y, winding, reach, origin, res):
+    """Add a triangle's crossing of a column's line at the first voxel with its middle above.
+
+    `reach` is the first and the last entry of `winding` that may not be 0.
+    """
     side = _crossing(c, x, y)
     if side != 0:
         above = (_height_at(c, x, y) - origin[2]) / res + 0.5
         last = winding.shape[0] - 1
         k = 0 if above < 0.0 else (last if above >= last else int(above))
         winding[k] -= side
+        reach[0], reach[1] = min(reach[0], k), max(reach[1], k)
 
 
 @njit(cache=True)
 def _add_triangle(
-    c, mode, label, tile, values, origin, res, touch, spans, winding, one, other, strip
+    c, mode, label, tile, values, origin, res, touch, spans, winding, reaches, one, other, strip
 ):
     """Fill what one triangle meets, and note what its geom needs to be filled."""
     x_low, x_high = min(c[0, 0], c[1, 0], c[2, 0]), max(c[0, 0], c[1, 0], c[2, 0])
     y_low, y_high = min(c[0, 1], c[1, 1], c[2, 1]), max(c[0, 1], c[1, 1], c[2, 1])
-    i0, i1, j0, j1 = _columns(x_low, x_high, y_low, y_high, tile, origin, res)
+    i0, i1, _, _ = _columns(x_low, x_high, y_low, y_high, tile, origin, res)
     for i in range(i0, i1):
         x0, x1, _, _ = _square(i, 0, origin, res, touch)
         num = clip(c, 3, other, 0, x0, x1, strip)
+        if num == 0:
+            continue
+        low_y, high_y = strip[0, 1], strip[0, 1]
+        for n in range(1, num):
+            low_y, high_y = min(low_y, strip[n, 1]), max(high_y, strip[n, 1])
+        _, _, j0, j1 = _columns(
+            x0, x1, low_y - SLACK * res, high_y + SLACK * res, tile, origin, res
+        )
         for j in range(j0, j1):
             _, _, y0, y1 = _square(0, j, origin, res, touch)
             left = clip(strip, num, other, 1, y0, y1, one)
@@ -141,50 +155,56 @@ def _add_triangle(
                     _fill(values, i, j, low, high, label, origin, res, touch)
             x, y = (x0 + x1) / 2.0, (y0 + y1) / 2.0
             if mode == CLOSED and x_low <= x <= x_high and y_low <= y <= y_high:
-                _note_crossing(c, x, y, winding[i - tile[0], j - tile[2]], origin, res)
+                a, b = i - tile[0], j - tile[2]
+                _note_crossing(c, x, y, winding[a, b], reaches[a, b], origin, res)
 
 
 @njit(cache=True)
-def _fill_inside(items, corners, label, tile, values, origin, res, touch, winding):
-    """Fill the inside of a closed surface from its crossings, column by column."""
+def _close_column(items, corners, x, y, column, reach, origin, res):
+    """See to it that a column's crossings add up to 0, on another line if one was lost."""
+    for attempt in range(1, ASIDE.shape[0]):
+        left = 0
+        for k in range(reach[0], reach[1] + 1):
+            left += column[k]
+        if left == 0:
+            break
+        for k in range(reach[0], reach[1] + 1):
+            column[k] = 0
+        aside_x, aside_y = x + ASIDE[attempt, 0] * res, y + ASIDE[attempt, 1] * res
+        for t in items:
+            _note_crossing(corners[t], aside_x, aside_y, column, reach, origin, res)
+
+
+@njit(cache=True)
+def _fill_inside(items, corners, label, tile, values, origin, res, touch, winding, reaches):
+    """Fill the inside of a closed surface from its crossings, column by column; clear them."""
     num = values.shape[2]
     for i in range(tile[0], tile[1]):
         for j in range(tile[2], tile[3]):
-            column = winding[i - tile[0], j - tile[2]]
+            column, reach = winding[i - tile[0], j - tile[2]], reaches[i - tile[0], j - tile[2]]
             x0, x1, y0, y1 = _square(i, j, origin, res, touch)
-            for attempt in range(1, ASIDE.shape[0]):
-                left = 0
-                for k in range(num + 1):
-                    left += column[k]
-                if left == 0:
-                    break
-                for k in range(num + 1):
-                    column[k] = 0
-                x = (x0 + x1) / 2.0 + ASIDE[attempt, 0] * res
-                y = (y0 + y1) / 2.0 + ASIDE[attempt, 1] * res
-                for t in items:
-                    _note_crossing(corners[t], x, y, column, origin, res)
+            x, y = (x0 + x1) / 2.0, (y0 + y1) / 2.0
+            _close_column(items, corners, x, y, column, reach, origin, res)
             inside = 0
-            for k in range(num):
+            for k in range(reach[0], reach[1] + 1):
                 inside += column[k]
-                if inside > 0 and (values[i, j, k] == 0 or values[i, j, k] > label):
+                column[k] = 0
+                if inside > 0 and k < num and (values[i, j, k] == 0 or values[i, j, k] > label):
                     values[i, j, k] = label
+            reach[0], reach[1] = num, -1
 
 
 @njit(cache=True)
 def _fill_triangles(items, mode, label, corners, tile, values, origin, res, touch, scratch):
     """Fill what the triangles of one geom meet and enclose within a tile."""
-    spans, winding, one, other, strip = scratch
+    spans, winding, reaches, one, other, strip = scratch
     for i in range(TILE):
         for j in range(TILE):
             spans[i, j, 0], spans[i, j, 1] = math.inf, -math.inf
-            if mode == CLOSED:
-                for k in range(winding.shape[2]):
-                    winding[i, j, k] = 0
     for t in items:
         _add_triangle(
             corners[t], mode, label, tile, values, origin, res, touch,
-            spans, winding, one, other, strip,
+            spans, winding, reaches, one, other, strip,
         )  # fmt: skip
     if mode == CONVEX:
         for i in range(tile[0], tile[1]):
@@ -193,7 +213,7 @@ def _fill_triangles(items, mode, label, corners, tile, values, origin, res, touc
                 if low <= high:
                     _fill(values, i, j, low, high, label, origin, res, touch)
     if mode == CLOSED:
-        _fill_inside(items, corners, label, tile, values, origin, res, touch, winding)
+        _fill_inside(items, corners, label, tile, values, origin, res, touch, winding, reaches)
 
 
 @njit(cache=True)
@@ -214,8 +234,10 @@ def _fill_tile(
     first, end = 0, triangle_items.shape[0]
     if end == 0:
         return
+    reaches = np.empty((TILE, TILE, 2), np.int64)
+    reaches[:, :, 0], reaches[:, :, 1] = values.shape[2], -1
     scratch = (
-        np.empty((TILE, TILE, 2)), np.empty((TILE, TILE, values.shape[2] + 1), np.int32),
+        np.empty((TILE, TILE, 2)), np.zeros((TILE, TILE, values.shape[2] + 1), np.int32), reaches,
         one, other, strip,
     )  # fmt: skip
     while first < end:
