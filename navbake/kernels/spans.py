@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
 
 from navbake.kernels.overlap import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
@@ -295,22 +294,3 @@ def polygon_span(points, num):
     for i in range(1, num):
         low, high = min(low, points[i, 2]), max(high, points[i, 2])
     return low, high
-
-
-@njit(cache=True)
-def solid_spans(kind, pos, mat, size, squares):
-    """`solid_span` over many squares.
-
-    Args:
-        kind, pos, mat, size: one solid.
-        squares: (n, 4) float64: x0, x1, y0, y1 [m].
-
-    Returns:
-        (n, 2) float64.
-    """
-    spans = np.empty((squares.shape[0], 2))
-    one, other = np.empty((12, 3)), np.empty((12, 3))
-    for i in range(squares.shape[0]):
-        x0, x1, y0, y1 = squares[i]
-        spans[i] = solid_span(kind, pos, mat, size, x0, x1, y0, y1, one, other)
-    return spans

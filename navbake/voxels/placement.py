@@ -25,11 +25,13 @@ class Placement:
         origin: its lower corner, shape (3,), float64, world frame [m].
         res: edge of a voxel [m].
         shape: voxels along x, y and z.
+        moved: how far it lies from where it was asked for [m].
     """
 
     origin: NDArray[np.float64]
     res: float
     shape: tuple[int, int, int]
+    moved: float = 0.0
 
 
 def place_grid(
@@ -71,9 +73,10 @@ def place_grid(
     else:
         center = _check_three(position, "the centre to be x, y, z [m]")
     origin = center - np.array(shape) * edge / 2
-    if align:
-        origin = np.round(origin / edge) * edge
-    return Placement(origin, edge, shape)
+    if not align:
+        return Placement(origin, edge, shape)
+    aligned = np.round(origin / edge) * edge
+    return Placement(aligned, edge, shape, float(np.abs(aligned - origin).max()))
 
 
 def check_memory(shape: Sequence[int], itemsize: int) -> None:

@@ -25,6 +25,7 @@ from navbake.kernels.voxel_tiles import (
     move_triangles,
 )
 from navbake.kernels.voxels import fill_voxels
+from navbake.lattice import CELL_SLACK
 from navbake.voxels.grid import VoxelGrid, dtype_of
 from navbake.voxels.placement import Placement, check_memory, place_grid
 from navbake.voxels.segments import Labels, Segments, label_geoms
@@ -143,7 +144,13 @@ class Voxelizer:
             ConfigError: a number is wrong, or the grid needs more memory than there is.
         """
         bounds = self.shapes.bounds()
-        return self.fill(place_grid(position, cells, size, res, bounds, align=align), segments)
+        place = place_grid(position, cells, size, res, bounds, align=align)
+        grid = self.fill(place, segments)
+        if place.moved > CELL_SLACK * place.res:
+            grid.notes.append(
+                f"the grid was moved by {place.moved:.3g} m onto whole multiples of its edge"
+            )
+        return grid
 
     def fill(self, place: Placement, segments: Segments | None = None) -> VoxelGrid:
         """Make the voxel grid of a given placement.

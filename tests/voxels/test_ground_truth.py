@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from navbake.bake.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
-from navbake.kernels.spans import solid_spans
+from navbake.kernels.spans import solid_span
 from navbake.voxels.placement import Placement
 from navbake.voxels.voxelize import Voxelizer
 from oracles.prisms import FREE, OCCUPIED, UNKNOWN, Prisms
@@ -40,6 +40,8 @@ FCL = {
     CYLINDER: lambda s: fcl.Cylinder(s[0], 2 * s[1]),
     BOX: lambda s: fcl.Box(*(2 * s)),
 }
+
+SCRATCH = (np.empty((12, 3)), np.empty((12, 3)))
 
 # a tetrahedron with a dent: not convex
 DENTED = Thing(
@@ -243,14 +245,14 @@ def test_spans_agree_with_fcl(kind):
     for _ in range(MORE or 400):
         size = np.exp(rng.uniform(np.log(0.02), np.log(1.0), 3))
         turn, pos = random_turn(rng), rng.uniform(-1, 1, 3)
+        mat = np.ascontiguousarray(turn).ravel()
         half = rng.choice([0.025, 0.1, 0.5])
         center = pos + rng.normal(size=3) * (size.max() + half) * 0.7
         answers = []
         for margin in (-2e-5, 2e-5):
             x0, y0 = center[:2] - half - margin
             x1, y1 = center[:2] + half + margin
-            square = np.array([[x0, x1, y0, y1]])
-            low, high = solid_spans(kind, pos, turn.ravel().copy(), size, square)[0]
+            low, high = solid_span(kind, pos, mat, size, x0, x1, y0, y1, *SCRATCH)
             answers.append(low < center[2] + half + margin and high > center[2] - half - margin)
         if answers[0] != answers[1]:
             continue

@@ -87,6 +87,7 @@ def test_a_grid_for_an_octree_is_moved_onto_its_lattice(voxelizer, tmp_path):
     np.testing.assert_allclose(grid.origin, [-0.2, -0.3, 1.2], atol=1e-9)
     np.testing.assert_allclose(back.centers(), grid.centers(), atol=1e-9)
     assert len(grid.centers()) > 50
+    assert grid.notes == ["the grid was moved by 0.02 m onto whole multiples of its edge"]
     with pytest.raises(navbake.FormatError, match="--align"):
         voxelizer.create((0.03, 0, 1), (5, 5, 5), res=0.1).save(tmp_path / "b.bt")
 
