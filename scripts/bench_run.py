@@ -22,6 +22,8 @@ from typing import Any
 
 import numpy as np
 import orjson
+from scipy import sparse
+from scipy.sparse import csgraph
 
 import navbake
 from make_house import make_house
@@ -29,6 +31,7 @@ from make_house import make_house
 CELL = 0.05  # [m]
 ROOMS = 100
 RADIUS = 0.3  # [m]
+APARTMENT = Path(__file__).parents[1] / "configs" / "apartment.yaml"
 
 
 @dataclass(frozen=True)
@@ -141,6 +144,99 @@ def plain_navigable(level: navbake.SceneGrid2D, positions: np.ndarray) -> np.nda
     return inside & level.free[rows, cols] & (rise <= 0.5) & (rise >= -0.25)
 
 
+def path_row(house: House) -> Row:
+    """Eight paths between random places, smooth ones."""
+    finder = navbake.PathFinder(house.grid)
+    pairs = random_pairs(finder, 8)
+    job = Job("8 × find_path", lambda: [finder.find_path(a, b) for a, b in pairs])
+    limit = "at most pyastar2d"
+    try:
+        import pyastar2d
+    except ImportError:
+        return Row([], job, limit, 'no pyastar2d to compare with: pip install -e ".[bench]"')
+    level = house.grid.levels[0]
+    weights = level.weights.astype(np.float32)
+    ends = [[tuple(int(v) for v in level.lattice.rows_cols(p)) for p in pair] for pair in pairs]
+
+    def search() -> None:
+        for start, goal in ends:
+            if pyastar2d.astar_path(weights, start, goal, allow_diagonal=True) is None:
+                raise SystemExit("pyastar2d finds no path")
+
+    return Row([Job("8 × pyastar2d, diagonals cost 1", search)], job, limit)
+
+
+def field_row(house: House) -> Row:
+    """The whole distance field of one goal, without what is kept of the last."""
+    finder = navbake.PathFinder(house.grid)
+    goal = finder.random_point(np.random.default_rng(0), island=1)
+    cells = finder.search.walk.free.nonzero()[0]
+    level = house.grid.levels[0]
+    row, col = (int(v) for v in level.lattice.rows_cols(goal))
+    source = row * level.width + col
+    graph = step_graph(finder)
+    own = finder.search.field(np.array([source]))
+    if not np.allclose(own[cells], csgraph.dijkstra(graph, indices=source)[cells]):
+        raise SystemExit("distance_field and scipy differ")
+    baselines = [
+        Job("scipy csgraph, its graph made before", lambda: csgraph.dijkstra(graph, indices=source))
+    ]
+    job = Job("distance field", lambda: finder.search.field(np.array([source])))
+    limit = "at most dijkstra3d"
+    try:
+        import dijkstra3d
+    except ImportError:
+        missing = 'no dijkstra3d to compare with: pip install -e ".[bench]"'
+        return Row(baselines, job, limit, missing)
+    costs = np.where(level.free, 1.0, np.inf).astype(np.float32)
+    run = lambda: dijkstra3d.distance_field(costs, source=(row, col), connectivity=8)  # noqa: E731
+    return Row([Job("dijkstra3d, node costs", run), *baselines], job, limit)
+
+
+def thousand_row(house: House) -> Row:
+    """A thousand smooth paths in the apartment, which has 5 rooms."""
+    finder = navbake.PathFinder(navbake.bake(str(APARTMENT)))
+    pairs = random_pairs(finder, 1000)
+    run = lambda: [finder.find_path(a, b) for a, b in pairs]  # noqa: E731
+    return Row([], Job("1,000 × find_path in the apartment", run), "at most 1 s")
+
+
+def block_row(house: House) -> Row:
+    """Something of 0.3 m comes and goes, with paths right after each."""
+    finder = navbake.PathFinder(house.grid)
+    place = finder.random_point(np.random.default_rng(0), island=1)
+
+    def come_and_go() -> None:
+        with house.grid.block(disc=(place, 0.3)):
+            finder.search.update()
+        finder.search.update()
+
+    return Row(
+        [Job("a new PathFinder", lambda: navbake.PathFinder(house.grid))],
+        Job("block a disc, and free it", come_and_go),
+        "cheaper than a new grid",
+    )
+
+
+def random_pairs(finder: navbake.PathFinder, count: int) -> list[np.ndarray]:
+    """Pairs of places that a path joins, on the largest island."""
+    points = finder.random_point(np.random.default_rng(0), 2 * count, island=1)
+    return list(points.reshape(count, 2, 3))
+
+
+def step_graph(finder: navbake.PathFinder) -> Any:
+    """All steps of a grid of one level as scipy wants them: lengths times weights."""
+    walk, moves = finder.search.walk, finder.search.moves
+    width, size = int(walk.width[0]), float(walk.cell_size[0])
+    steps = [1, -width, -1, width, 1 - width, -1 - width, width - 1, width + 1]
+    sources = [np.flatnonzero(moves >> way & 1) for way in range(8)]
+    targets = [source + step for source, step in zip(sources, steps, strict=True)]
+    lengths = np.repeat([size] * 4 + [size * 2**0.5] * 4, [len(source) for source in sources])
+    source, target = np.concatenate(sources), np.concatenate(targets)
+    shape = (walk.num_cells, walk.num_cells)
+    return sparse.csr_array((lengths * walk.weight[target], (source, target)), shape=shape)
+
+
 def _against_distance(house: House, job: Job, limit: str = "nothing asked") -> Row:
     """Compare with OpenCV's precise distance transform of the same occupancy."""
     try:
@@ -165,6 +261,10 @@ ROWS: dict[str, Callable[[House], Row]] = {
     "minos": minos_row,
     "footprint": footprint_row,
     "navigable": navigable_row,
+    "path": path_row,
+    "field": field_row,
+    "thousand": thousand_row,
+    "block": block_row,
 }
 
 

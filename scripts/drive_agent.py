@@ -3,8 +3,9 @@
 Each scene is baked for a small radius and inflated to the agent's at run time. Then paths between
 random places are planned and driven: the agent is a cylinder on three slides and a hinge, moved
 by servos in real physics steps. As in the bake, it fills the height from
-`traversable_floor_height` to its own height above the floor, so what it could step on it floats
-over, and there is nothing that it may touch. The scene stays in the pose that was baked.
+`traversable_floor_height` to its own height above the floor, so it floats over what it could step
+on; all that it may touch, with its underside, is floor. The scene stays in the pose that was
+baked.
 
     python scripts/drive_agent.py configs/*.yaml [--paths 200] [--radius 0.18] [--seed 0]
 """
@@ -32,6 +33,7 @@ SPEED, ACCELERATION = 1.0, 2.0  # [m/s], [m/s²]
 STRAIGHT = np.cos(np.radians(1.0))  # it brakes where a path turns by more
 MASS = 20.0  # [kg]
 FREQUENCY = 60.0  # [rad/s] of the servos
+UNDERSIDE = 0.005  # [m] of its lower edge that may touch floor
 THICKNESS = 1e-4  # [m] of a triangle that something may run into
 
 
@@ -43,7 +45,8 @@ class Drive:
         num_paths: how many paths were driven.
         num_steps: physics steps.
         length: of all paths [m].
-        touched: in how many steps each geom was touched, by name.
+        touched: in how many steps each geom was touched, by name; but for floor.
+        num_on_floor: in how many steps its underside touched something no steeper than floor is.
         off: the farthest that the agent was from where it should have been [m].
     """
 
@@ -51,6 +54,7 @@ class Drive:
     num_steps: int = 0
     length: float = 0.0
     touched: Counter[str] = field(default_factory=Counter)
+    num_on_floor: int = 0
     off: float = 0.0
 
     @property
@@ -195,17 +199,18 @@ def drive(config: BakeConfig, num_paths: int, radius: float, seed: int) -> Drive
         path = finder.find_path(start, finder.random_point(rng, reachable_from=start))
         if path is None or path.length == 0.0:
             continue
-        drive_line(model, data, pose, path.positions, result)
+        drive_line(model, data, pose, path.positions, result, config.agent.max_slope)
         result.num_paths += 1
         result.length += path.length
     return result
 
 
 def drive_line(
-    model: Any, data: Any, pose: np.ndarray, positions: np.ndarray, result: Drive
+    model: Any, data: Any, pose: np.ndarray, positions: np.ndarray, result: Drive, max_slope: float
 ) -> None:
     """Drive along a line from its start, and add what came of it."""
     course, velocity = schedule(positions)
+    level = np.cos(np.radians(max_slope))
     heading = find_heading(velocity)
     course = np.column_stack([course, heading])
     velocity = np.column_stack([velocity, np.gradient(heading, TIME_STEP)])
@@ -218,8 +223,20 @@ def drive_line(
         mujoco.mj_step(model, data)
         result.num_steps += 1
         result.off = max(result.off, float(np.abs(data.qpos[own] - place)[:3].max()))
-        for pair in data.contact.geom[: data.ncon]:
-            result.touched[" and ".join(sorted(model.geom(g).name for g in pair))] += 1
+        count_contacts(model, data, result, level)
+
+
+def count_contacts(model: Any, data: Any, result: Drive, level: float) -> None:
+    """Count what the agent touches now; what is as level as `level` and below it is floor."""
+    agent = model.body("agent").id
+    bottom = data.geom_xpos[-1, 2] - model.geom_size[-1, 1]
+    for contact in data.contact[: data.ncon]:
+        geoms = [g for g in contact.geom if model.geom_bodyid[g] != agent]
+        is_below = contact.pos[2] < bottom + UNDERSIDE
+        if is_below and abs(contact.frame[2]) > level:
+            result.num_on_floor += 1
+        else:
+            result.touched.update(model.geom(g).name for g in geoms)
 
 
 def find_heading(velocity: np.ndarray) -> np.ndarray:
@@ -251,7 +268,7 @@ def main() -> None:
         print(
             f"{config.scene.id:<12} {result.num_paths} paths, {result.length:7.1f} m, "
             f"{result.num_steps:,} steps, at most {result.off * 1000:.1f} mm off: "
-            f"{result.num_contacts} contacts"
+            f"{result.num_contacts} contacts, {result.num_on_floor} with the floor"
         )
         for name, count in result.touched.most_common(5):
             print(f"  {name}: in {count} steps")

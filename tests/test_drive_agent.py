@@ -29,7 +29,7 @@ def test_a_line_through_a_wall_touches_it():
     model = drive_agent.make_model(config, scene, 0.18)
     result = drive_agent.Drive()
     line = np.array([[0.0, -6.0, 0.0], [0.0, 6.0, 0.0]])
-    drive_agent.drive_line(model, mujoco.MjData(model), scene.data.qpos, line, result)
+    drive_agent.drive_line(model, mujoco.MjData(model), scene.data.qpos, line, result, 45.0)
     assert result.num_contacts > 0
     assert any("wall" in name for name in result.touched)
 
