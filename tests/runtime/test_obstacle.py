@@ -67,6 +67,10 @@ def test_where_another_level_goes_on_there_is_no_obstacle():
     finder = PlaceFinder(house_from([lower, upper], [((0, 0, 3), (1, 0, 4))]))
     assert finder.clearance((0.35, -0.05, 0.75), max_distance=5.0) == 5.0
     assert finder.clearance((0.45, -0.05, 1.0)) == pytest.approx(0.35)
+    lower.floor_height[0, 4] = 1.0  # a wall on the floor that one stands on stays one
+    finder = PlaceFinder(house_from([lower, upper]))
+    assert finder.clearance((0.35, -0.05, 0.75)) == pytest.approx(0.05)
+    lower.floor_height[0, 4] = np.nan
     upper.occupancy[0, 4] = 1  # now the wall of the upper level is in the way
     upper.weights[0, 4] = np.inf
     finder = PlaceFinder(house_from([lower, upper]))

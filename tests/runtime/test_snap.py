@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+import navbake.runtime.snap
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
 from navbake.runtime.locate import Cells
@@ -133,7 +134,8 @@ def test_what_a_larger_radius_takes_does_not_hide():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_in_sight_is_the_nearest_of_those_that_dense_samples_see(seed):
+def test_in_sight_is_the_nearest_of_those_that_dense_samples_see(seed, monkeypatch):
+    monkeypatch.setattr(navbake.runtime.snap, "FIRST_LOOK", 0.06)  # so that it looks again
     rng, finder = random_finder(seed, num_levels=1, share=0.6)
     walk, occupied = finder.search.walk, finder.occupied
     free = np.flatnonzero(walk.free)
@@ -148,6 +150,23 @@ def test_in_sight_is_the_nearest_of_those_that_dense_samples_see(seed):
         assert (found is None) == (not seen)
         if seen:
             assert math.dist(found[:2], position[:2]) == pytest.approx(min(seen))
+
+
+def test_cells_without_floor_are_at_the_ground():
+    lower, upper = level_from("#."), level_from("..", ground=2.0)
+    lower.floor_height[0, 1] = np.nan
+    finder = PlaceFinder(house_from([lower, upper]))
+    np.testing.assert_allclose(
+        finder.snap((0.05, -0.05, 0.1), same_level=False), (0.15, -0.05, 0.0)
+    )
+
+
+def test_a_place_in_something_is_not_in_sight():
+    level = level_from("##")
+    level.weights[0, 1] = 10.0  # as in others' files
+    finder = PlaceFinder(level)
+    assert finder.snap((0.05, -0.05), in_sight=True) is None
+    assert finder.snap((0.05, -0.05)) is not None
 
 
 def test_onto_an_island():
