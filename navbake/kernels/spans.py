@@ -145,22 +145,15 @@ def _cylinder_top(radius, half, ax, ay, az, x0, x1, y0, y1):
     for t in (-half, half):
         z = t * az + radius * rise
         best = _best_in_square(best, t * ax + ux, t * ay + uy, z, x0, x1, y0, y1)
-    for face in range(2):
-        x, y = (x0, y0) if face == 0 else (x1, y1)
-        best = max(best, _cut_top(radius, half, ax, ay, az, x, y0, y1))
-        # the same with x and y exchanged
-        best = max(best, _cut_top(radius, half, ay, ax, az, y, x0, x1))
-        best = max(best, _line_top(radius, half, ax, ay, az, x, y0))
-        best = max(best, _line_top(radius, half, ax, ay, az, x, y1))
-    return best
-
-
-@njit(cache=True)
-def _capsule_top(radius, half, ax, ay, az, x0, x1, y0, y1):
-    best = _cylinder_top(radius, half, ax, ay, az, x0, x1, y0, y1)
-    for t in (-half, half):
-        end = _sphere_top(radius, t * ax, t * ay, t * az, x0, x1, y0, y1)
-        best = max(best, end)
+    for side in range(4):  # one call of each: every copy of them takes the compiler a second
+        is_far = side % 2 == 1
+        if side < 2:
+            across, along, at, start, end = ax, ay, x1 if is_far else x0, y0, y1
+        else:  # the same with x and y exchanged
+            across, along, at, start, end = ay, ax, y1 if is_far else y0, x0, x1
+        best = max(best, _cut_top(radius, half, across, along, az, at, start, end))
+        x, y = x1 if is_far else x0, y1 if side >= 2 else y0
+        best = max(best, _line_top(radius, half, ax, ay, az, x, y))
     return best
 
 
@@ -247,11 +240,14 @@ def _top(kind, mat, size, x0, x1, y0, y1, one, other):
         return _box_top(mat, size, x0, x1, y0, y1, one, other)
     if kind == ELLIPSOID:
         return _ellipsoid_top(mat, size, x0, x1, y0, y1)
-    if kind == CYLINDER:
-        return _cylinder_top(size[0], size[1], mat[2], mat[5], mat[8], x0, x1, y0, y1)
-    if kind == CAPSULE:
-        return _capsule_top(size[0], size[1], mat[2], mat[5], mat[8], x0, x1, y0, y1)
-    return NONE
+    if kind not in (CYLINDER, CAPSULE):
+        return NONE
+    ax, ay, az = mat[2], mat[5], mat[8]
+    best = _cylinder_top(size[0], size[1], ax, ay, az, x0, x1, y0, y1)
+    for end in range(2 if kind == CAPSULE else 0):
+        t = size[1] if end else -size[1]
+        best = max(best, _sphere_top(size[0], t * ax, t * ay, t * az, x0, x1, y0, y1))
+    return best
 
 
 @njit(cache=True)
@@ -267,11 +263,14 @@ def solid_span(kind, pos, mat, size, x0, x1, y0, y1, one, other):
         Lower and upper end [m]; -inf twice where the solid isn't over the square.
     """
     x0, x1, y0, y1 = x0 - pos[0], x1 - pos[0], y0 - pos[1], y1 - pos[1]
-    high = _top(kind, mat, size, x0, x1, y0, y1, one, other)
-    if high == NONE:
-        return NONE, NONE
-    low = _top(kind, mat, size, -x1, -x0, -y1, -y0, one, other)
-    return pos[2] - low, pos[2] + high
+    high = NONE
+    for way in range(2):
+        top = _top(kind, mat, size, x0, x1, y0, y1, one, other)
+        if top == NONE or way == 1:
+            break
+        high = top
+        x0, x1, y0, y1 = -x1, -x0, -y1, -y0
+    return (NONE, NONE) if high == NONE else (pos[2] - top, pos[2] + high)
 
 
 @njit(cache=True)

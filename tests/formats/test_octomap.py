@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from navbake.errors import ConfigError, FormatError, NavbakeError
-from navbake.formats.binvox import write_binvox
+from navbake.formats.binvox import read_binvox, write_binvox
 from navbake.formats.octomap import decode_octomap, encode_octomap, read_octomap, write_octomap
 from navbake.voxels.grid import VoxelGrid
 
@@ -129,6 +129,19 @@ def test_bt_is_byte_for_byte_that_of_binvox2bt(grid, free, tmp_path):
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
     write_octomap(grid, tmp_path / "a.bt", free=free)
     assert (tmp_path / "a.bt").read_bytes() == (tmp_path / "b.bt").read_bytes()
+
+
+@needs_tools
+def test_more_than_2_to_the_24_voxels_have_no_holes(tmp_path):
+    """Where an index of 32 bits in a float can't tell neighbours apart."""
+    values = noise((52, 52, 52), 0.3).repeat(5, axis=0).repeat(5, axis=1).repeat(5, axis=2)
+    assert values.size > 2**24
+    grid = grid_of(values, (-100, 3, -7))
+    write_binvox(grid, tmp_path / "a.binvox")
+    np.testing.assert_array_equal(read_binvox(tmp_path / "a.binvox").values, values)
+    command = ["binvox2bt", "--offset", ".05", ".05", ".05", "-o", "b.bt", "a.binvox"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    assert (tmp_path / "b.bt").read_bytes() == encode_octomap(grid, "bt")
 
 
 @needs_tools
