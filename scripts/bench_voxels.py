@@ -1,7 +1,7 @@
 """Measures voxel grids and octrees next to the tools that one would take instead.
 
-Peers that aren't installed are passed over (`pip install open3d octomap-python`; trimesh is
-there). The least of several runs is printed, as machines are noisy; kernels are warm.
+Peers that aren't installed are passed over (`pip install open3d pyvista octomap-python`; trimesh
+is there, and slow). The least of several runs is printed, as machines are noisy; kernels are warm.
 
     python scripts/bench_voxels.py [--repeats 5]
 """
@@ -151,7 +151,18 @@ def bench_scene(repeats: int, folder: Path) -> VoxelGrid:
     except ImportError:  # trimesh takes more than a minute, and is asked once
         print("  Open3D isn't installed")
         peers["trimesh, surface"] = lambda: whole.voxelized(RES, max_iter=20)
-    runs = max(1, repeats // 2) if "Open3D, surface" in peers else 0
+    try:
+        import pyvista as pv
+
+        corners = np.insert(whole.faces, 0, 3, axis=1).ravel()
+        surface = pv.PolyData(whole.vertices, corners)
+        middles = pv.ImageData(dimensions=SHAPE, spacing=(RES,) * 3, origin=(RES / 2,) * 3)
+        peers["pyvista, voxels' middles only"] = lambda: surface.voxelize_binary_mask(
+            reference_volume=middles
+        )
+    except ImportError:
+        print("  pyvista isn't installed")
+    runs = 0 if "trimesh, surface" in peers else max(1, repeats // 2)
     times = {name: least(runs, call) for name, call in peers.items()}
     for name, seconds in times.items():
         print(f"  {name:<32} {seconds:8.3f} s")
