@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from navbake.bake.columns import Columns
 from navbake.bake.grounds import assign_levels, find_grounds, lower_grounds
-from navbake.bake.roofs import drop_roofs
+from navbake.bake.roofs import drop_roofs, is_walled
 from navbake.bake.shapes import Shapes
 from navbake.bake.sheets import Standable, drop_furniture, drop_tops, find_standable
 from navbake.config import AgentSettings, FloorSettings, LevelSettings
@@ -41,7 +41,7 @@ class LevelFloor:
 
 @dataclass(frozen=True)
 class Top:
-    """A top that was taken for furniture, see `drop_tops`.
+    """A sheet that is no floor: furniture (see `drop_tops`), or a roof.
 
     Attributes:
         geom: the geom that most of it belongs to.
@@ -63,11 +63,13 @@ class Floors:
         links: level a, cell a, level b, cell b of each step between two levels, shape (n, 4),
             int64, cells on the whole lattice.
         tops: large tops that are no floors, the largest first.
+        roofs: roofs that walls stand on, likewise: storeys that nobody put a ceiling on?
     """
 
     levels: list[LevelFloor]
     links: Int
     tops: list[Top] = field(default_factory=list)
+    roofs: list[Top] = field(default_factory=list)
 
 
 def find_floors(
@@ -102,13 +104,16 @@ def find_floors(
             f"`floors.shrink` if it is a floor"
         )
     tops: list[Top] = []
+    roofs: list[Top] = []
     if not settings.tops:
         every, step = counted, agent.traversable_floor_height
         counted = drop_tops(every, columns, floor_like, step, settings)
-        tops = _describe_tops(every, counted, columns)
+        tops = _describe_gone(every, counted, columns)
     if given is None:
         if not settings.roofs:
-            counted = drop_roofs(counted, columns, shapes, agent, is_occupied)
+            every = counted
+            counted = drop_roofs(every, columns, shapes, agent, is_occupied)
+            roofs = _describe_gone(every, counted, columns, walled_by=agent.height)
         grounds = find_grounds(counted, agent, settings)
         grounds = lower_grounds(counted, grounds, agent)
         given_names: list[str | None] = []
@@ -123,19 +128,25 @@ def find_floors(
         _level_floor(k, names[k], ground, level, counted, columns, candidate, agent)
         for k, ground in enumerate(grounds)
     ]
-    return Floors(levels, _cell_links(counted, level, agent), tops)
+    return Floors(levels, _cell_links(counted, level, agent), tops, roofs)
 
 
-def _describe_tops(every: Standable, counted: Standable, columns: Columns) -> list[Top]:
-    """Describe the sheets that are gone."""
+def _describe_gone(
+    every: Standable, counted: Standable, columns: Columns, walled_by: float | None = None
+) -> list[Top]:
+    """Describe the sheets that are gone, or those with walls of a height around them."""
     gone = np.flatnonzero((every.sheet_size > 0) & (counted.sheet_size == 0))
     start, member = group_members(every.sheet, every.sheet_size)
+    cells = every.cell
     tops = []
     for sheet in gone:
         members = member[start[sheet] : start[sheet + 1]]
+        z = every.z[members]
+        if walled_by is not None and not is_walled(cells[members], z, columns, walled_by):
+            continue
         geoms = columns.geom[every.surface[members]]
         area = len(members) * every.lattice.cell_size**2
-        tops.append(Top(int(np.bincount(geoms).argmax()), float(every.z[members].max()), area))
+        tops.append(Top(int(np.bincount(geoms).argmax()), float(z.max()), area))
     return sorted(tops, key=lambda top: -top.area)
 
 

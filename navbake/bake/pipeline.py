@@ -20,6 +20,7 @@ from navbake.bake.door_floors import find_carrying_doors
 from navbake.bake.doors import Door, Place, place_doors, tell_stuck
 from navbake.bake.levels import Floors, LevelFloor, find_floors
 from navbake.bake.occupancy import Footprint, check_occupancy
+from navbake.bake.remarks import remark_floors
 from navbake.bake.rooms import Rooms, find_rooms
 from navbake.bake.scene import GeomReport, Scene, load_scene
 from navbake.config import BakeConfig
@@ -28,9 +29,6 @@ from navbake.grid import MultiLevelGrid, SceneGrid2D
 from navbake.lattice import Lattice
 
 STAGES = ("scene", "columns", "floors", "occupancy", "contents", "rooms", "doors", "grid")
-
-# From this size on one is told of a top that is no floor; beds are smaller [m²]
-LARGE_TOP = 6.0
 
 Progress = Callable[[str, float], None]
 
@@ -90,7 +88,7 @@ def run_bake(
         warnings=[
             *whole.warnings,
             *idle,
-            *_large_tops(whole, found.floors),
+            *remark_floors(whole, found.floors, config),
             *(found.contents.warnings if found.contents else ()),
             *found.rooms.warnings,
             *tell_stuck(doors, config.doors.state),
@@ -249,7 +247,11 @@ def _located(path: Path, scene: Scene) -> Iterator[None]:
             raise SceneError(f"{path}: {error}") from error
         sides = zip("xyz", *scene.bounds.tolist(), strict=True)
         spans = ", ".join(f"{axis} {low:.6g} to {high:.6g}" for axis, low, high in sides)
-        raise SceneError(f"{path}: {error}; the scene spans {spans} m") from error
+        endless = scene.shapes.planes.geom
+        if len(endless):
+            spans += f" without {scene.geoms[endless[0]].name!r}, which is endless"
+            spans += ": `grid.margin` or `grid.bounds` shows more of it"
+        raise SceneError(f"{path}: {error}; the scene spans, in m, {spans}") from error
 
 
 @contextmanager
@@ -264,19 +266,6 @@ def _threads(count: int | None) -> Iterator[None]:
         yield
     finally:
         numba.set_num_threads(before)
-
-
-def _large_tops(scene: Scene, floors: Floors) -> list[str]:
-    """Tell of tops so large that they might be meant as floors."""
-    large = [top for top in floors.tops if top.area >= LARGE_TOP]
-    if not large:
-        return []
-    first = large[0]
-    more = f", and {len(large) - 1} more of {LARGE_TOP:g} m² or more" if large[1:] else ""
-    return [
-        f"no floor, because no step leads there: the top of {scene.geoms[first.geom].name!r} "
-        f"({first.area:.1f} m² at {first.height:.2f} m{more}); `floors.tops: true` makes it one"
-    ]
 
 
 def _list_contents(

@@ -65,6 +65,28 @@ def drop_roofs(
     return standable.only_sheets(keep)
 
 
+def is_walled(cells: Int, z: Float, columns: Columns, height: float) -> bool:
+    """Whether something higher than an agent stands along most of a sheet's edge.
+
+    Args:
+        cells, z: of the sheet's surfaces, shape (n,).
+        columns: all surfaces.
+        height: of the agent [m].
+    """
+    lattice = columns.lattice
+    floor, top = np.full(lattice.shape, np.nan), np.full(lattice.shape, -np.inf)
+    floor.ravel()[cells] = z
+    filled = np.flatnonzero(np.diff(columns.start))
+    top.ravel()[filled] = columns.z[columns.start[filled + 1] - 1]
+    edges = walled = 0
+    for one, other in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        for a, b in ((one, other), (other, one)):
+            is_edge = ~np.isnan(floor[a]) & np.isnan(floor[b])
+            edges += int(np.count_nonzero(is_edge))
+            walled += int(np.count_nonzero(top[b][is_edge] >= floor[a][is_edge] + height))
+    return walled > HALF * edges
+
+
 @dataclass(frozen=True)
 class _EnclosedTest:
     """Whether a floor under a sheet is shut off from outside of the sheet's outline."""
@@ -94,12 +116,14 @@ class _EnclosedTest:
             return False  # a solid's top is no roof over a room
         distance = ndimage.distance_transform_edt(~blocked) * lattice.cell_size
         wide = ~blocked & (distance > DOOR_HALF_WIDTH)
-        wide &= (roof & has_floor) | ~roof
-        inner = wide & roof
+        wide &= has_floor | ~roof
+        # what stands on a roof leaves a hole in it, and is not outside of it
+        outline = ndimage.binary_fill_holes(roof)
+        inner = wide & outline
         if not inner.any():
             return True  # nothing but narrow places
         part, _ = ndimage.label(wide)
-        outside = np.unique(part[wide & ~roof])
+        outside = np.unique(part[wide & ~outline])
         reached = np.isin(part, outside[outside > 0]) & inner
         return bool(reached.sum() < HALF * inner.sum())
 

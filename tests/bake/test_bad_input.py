@@ -370,5 +370,17 @@ def test_no_floor_tells_where_the_scene_is(tmp_path):
     path = tmp_path / "far.xml"
     path.write_text('<mujoco><worldbody><geom type="box" size="2 3 .1"/></worldbody></mujoco>')
     settings = {"scene": {"path": str(path)}, "grid": {"bounds": [10, 10, 12, 12]}}
-    with pytest.raises(SceneError, match=r"the scene spans x -2 to 2, y -3 to 3, z -0.1 to 0.1 m"):
+    with pytest.raises(
+        SceneError, match=r"the scene spans, in m, x -2 to 2, y -3 to 3, z -0.1 to 0.1"
+    ):
         run_bake(parse_config(settings))
+
+
+def test_no_floor_beside_an_endless_plane_tells_of_the_margin(tmp_path):
+    path = tmp_path / "plane.xml"
+    path.write_text(
+        '<mujoco><worldbody><geom name="ground" type="plane" size="0 0 1"/>'
+        '<geom type="box" size=".4 .4 .4" pos="0 0 .4"/></worldbody></mujoco>'
+    )
+    with pytest.raises(SceneError, match=r"without 'ground', which is endless: `grid.margin`"):
+        run_bake(parse_config({"scene": {"path": str(path)}}))

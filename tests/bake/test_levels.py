@@ -428,3 +428,39 @@ def test_no_two_levels_are_called_the_same(tmp_path):
     grid = run_bake(parse_config({"scene": {"path": str(path)}, "levels": levels})).grid
     names = [level["name"] for level in grid.navbake["levels"]]
     assert names == ["level 1", "level 1'", "level 2"]
+
+
+@pytest.mark.parametrize(
+    "on_it", [[], [box(1, 1.3, 1, 1.3, 2.7, 3.0)], [box(1, 2, 1, 2, 3.3, 3.4)]]
+)
+def test_a_storey_without_a_ceiling_is_a_roof_whatever_stands_on_it(tmp_path, on_it):
+    """What stands on a roof opens no way into the storey under it; walls on it are told of."""
+    pieces = [box(0, 4, 0, 4, -0.2, 0), *walls(0, 4, 0, 4, 0, 2.5, door=False)]
+    pieces += [box(0, 4, 0, 4, 2.5, 2.7, 'name="slab"'), *on_it]
+    path = tmp_path / "house.xml"
+    settings = {"scene": {"path": str(path)}}
+    path.write_text(f"<mujoco><worldbody>{''.join(pieces)}</worldbody></mujoco>")
+    result = run_bake(parse_config(settings))
+    assert [level.ground for level in result.grid.levels] == [0.0]
+    assert result.warnings == []
+    pieces += walls(0, 4, 0, 4, 2.7, 5.2, door=False)
+    path.write_text(f"<mujoco><worldbody>{''.join(pieces)}</worldbody></mujoco>")
+    result = run_bake(parse_config(settings))
+    assert [level.ground for level in result.grid.levels] == [0.0]
+    [warning] = result.warnings
+    assert "left out as a roof, though it has walls: the top of 'slab' (1" in warning
+    settings["floors"] = {"roofs": True}
+    result = run_bake(parse_config(settings))
+    assert [level.ground for level in result.grid.levels] == [0.0, 2.7]
+
+
+def test_tells_of_an_endless_ground_that_the_grid_hides(tmp_path):
+    path = tmp_path / "plinth.xml"
+    plane = '<geom name="ground" type="plane" size="0 0 1"/>'
+    path.write_text(f"<mujoco><worldbody>{plane}{box(-2, 2, -2, 2, 0, 0.8)}</worldbody></mujoco>")
+    settings = {"scene": {"path": str(path)}}
+    [warning] = run_bake(parse_config(settings)).warnings
+    assert "'ground' is endless" in warning and "the ground at 0.00 m" in warning
+    result = run_bake(parse_config({**settings, "grid": {"margin": 2.0}}))
+    assert result.grid.levels[0].ground == 0.0
+    assert not any("endless" in warning for warning in result.warnings)
