@@ -159,7 +159,7 @@ def find_route(
                 r, c = divmod(target - start[on], width[on])
             there = here + length * (same_weight if same_weight > 0.0 else weight[target])
             goal = 0
-            if mark[target] // SEARCH == search:
+            if mark[target] >= mine:  # no search has a larger number
                 if there >= cost[target] - slack:
                     continue
                 goal = mark[target] & GOAL
