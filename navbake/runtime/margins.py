@@ -9,10 +9,8 @@ Floors are known at cells' centres: where one is a step higher than the next, th
 them may be half a cell off, and so may the edges beside it. There, steps go straight from centre
 to centre, as the bake knows them.
 
-Straight steps need nothing more, for where cells are squares, what is beside the middle of a step
-is as near to its ends, but for corners: past those, a step may come nearer by up to
-``c (√((k + ½)² + ¼) - (k + ½))``, where c is the cell size and k the whole cells in the radius
-less half a cell; and only if the radius is that little over k + ½ cells.
+Straight steps need nothing more: a square beside such a step is straight beside one of its ends,
+and as near to it.
 """
 
 from __future__ import annotations

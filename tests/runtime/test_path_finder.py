@@ -256,7 +256,8 @@ def test_next_to_an_object_is_on_this_side_of_the_wall():
 
 
 @pytest.mark.parametrize(
-    ("seed", "radius"), [(0, 0.1), (1, 0.15), (2, 0.2), (3, 0.25), (4, 0.32), (5, 0.12)]
+    ("seed", "radius"),
+    [(0, 0.1), (1, 0.15), (2, 0.2), (3, 0.25), (4, 0.32), (5, 0.12), (6, 0.06), (7, 0.157)],
 )
 @pytest.mark.parametrize("smooth", [True, False])
 def test_paths_keep_the_radius_that_a_grid_was_inflated_for(seed, radius, smooth):
