@@ -175,7 +175,7 @@ def _parse_segments(words: list[str] | None) -> Any:
 
 
 def mdf(
-    grid: Annotated[Path | None, typer.Argument(metavar="[GRID]", help="A NavGrid file.")] = None,
+    grid: Annotated[Path | None, typer.Argument(metavar="GRID", help="A NavGrid file.")] = None,
     decode: Annotated[
         tuple[str, str] | None,
         typer.Option("--decode", metavar="P1 P2", help="Draw this descriptor instead of a grid."),

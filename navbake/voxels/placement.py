@@ -152,14 +152,20 @@ def _check_bounds(bounds: NDArray[np.float64] | None) -> NDArray[np.float64]:
 
 def _free_memory() -> int:
     """Memory that can be had without swapping [bytes]; a great number where nothing tells."""
+    free = 2**62
+    try:
+        with open("/sys/fs/cgroup/memory.max", encoding="ascii") as file:  # a container's
+            free = int(file.read())
+    except (OSError, ValueError):  # ValueError: "max"
+        pass
     try:
         with open("/proc/meminfo", encoding="ascii") as file:
             for line in file:
                 if line.startswith("MemAvailable:"):
-                    return int(line.split()[1]) * 1024
+                    return min(free, int(line.split()[1]) * 1024)
     except (OSError, ValueError, IndexError):
         pass
     try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        return min(free, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     except (AttributeError, ValueError, OSError):  # not on Windows
-        return 2**62
+        return free
