@@ -18,6 +18,7 @@ from navbake._version import __version__
 from navbake.cli_files import GridFile, check_writable
 from navbake.cli_inflate import inflate
 from navbake.cli_path import path
+from navbake.cli_warm_up import tell_if_cold, warm_up
 from navbake.errors import ConfigError, NavbakeError
 
 if TYPE_CHECKING:
@@ -288,6 +289,7 @@ def why(
 
 app.command()(inflate)
 app.command()(path)
+app.command()(warm_up)
 
 
 def _parse_place(text: str) -> tuple[float, float, int | None]:
@@ -326,6 +328,8 @@ def _bake_one(
     from navbake.bake.pipeline import run_bake
     from navbake.cli_tables import StageProgress
 
+    if not quiet:
+        tell_if_cold()
     with StageProgress(title=config.scene.id, hidden=quiet) as progress:
         result = run_bake(config, threads=threads, progress=progress)
     begin = time.perf_counter()
