@@ -29,7 +29,7 @@ def place_squares(
         shape: rows and columns, >= 1 each; as many as cover the rest of the level if None.
 
     Raises:
-        QueryError: a number is wrong.
+        QueryError: a number is wrong, or the arena lies beside the level.
     """
     if not (np.isfinite(square) and square > 0):
         raise QueryError(f"expected squares with an edge > 0 m, got {square:g}")
@@ -47,7 +47,14 @@ def place_squares(
     rows, cols = shape
     if rows < 1 or cols < 1:
         raise QueryError(f"expected rows and columns >= 1, got {rows} and {cols}")
-    return Lattice(float(place[0]), float(place[1] + rows * square), square, cols, rows)
+    squares = Lattice(float(place[0]), float(place[1] + rows * square), square, cols, rows)
+    left, bottom, right, top = squares.bounds
+    if left >= x1 or bottom >= y1 or right <= x0 or top <= y0:
+        raise QueryError(
+            f"the arena, x {left:g} to {right:g}, y {bottom:g} to {top:g} m, lies beside the "
+            f"level: it spans x {x0:g} to {x1:g}, y {y0:g} to {y1:g} m"
+        )
+    return squares
 
 
 def find_obstacles(level: SceneGrid2D, squares: Lattice) -> NDArray[np.bool_]:

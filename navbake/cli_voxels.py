@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from navbake.voxels.grid import VoxelGrid
 
 Triple = tuple[float, float, float]
-SUFFIXES = (".binvox", ".bt", ".ot", ".npz")
+OCTREES = (".bt", ".ot")
+SUFFIXES = (".binvox", *OCTREES, ".npz")
 
 
 def register(app: typer.Typer) -> None:
@@ -90,6 +91,10 @@ def voxelize(
     """Write which voxels of a scene are filled."""
     for output in outputs:
         _check_output(output)
+    if segments and all(output.suffix.lower() in OCTREES for output in outputs):
+        raise typer.BadParameter(
+            "octrees hold no IDs: write a .npz or a .binvox, too", param_hint="--segment"
+        )
     from navbake.config import load_config
     from navbake.voxels.voxelize import Voxelizer
 
@@ -97,7 +102,7 @@ def voxelize(
     voxelizer = Voxelizer(settings, ignore=ignore or [])
     for warning in voxelizer.scene.warnings:
         _warn(warning)
-    align = align or any(output.suffix.lower() in (".bt", ".ot") for output in outputs)
+    align = align or any(output.suffix.lower() in OCTREES for output in outputs)
     grid = voxelizer.create(
         center, cells, res=res, size=size, segments=_parse_segments(segments), align=align
     )

@@ -104,10 +104,11 @@ def _show_occupancy(grid: AnyGrid) -> list[Panel]:
 
 def _show_floor(grid: AnyGrid) -> list[Panel]:
     panels = []
-    for level in grid.levels:
+    for number, level in enumerate(grid.levels):
         floor = level.floor_height * np.float32(level.unit)
         rgb = np.full((*level.shape, 3), rgb_of(NO_FLOOR), dtype=np.uint8)
-        panels.append(Panel("floor height", rgb, floor, "z [m]", (("no floor", NO_FLOOR),)))
+        title = f"{level_name(grid, number)}: floor height"
+        panels.append(Panel(title, rgb, floor, "z [m]", (("no floor", NO_FLOOR),)))
     return panels
 
 
@@ -170,12 +171,15 @@ def _show_rooms(grid: AnyGrid) -> list[Panel]:
                 colors[room["index"]] = palette[k]
                 labels.append(_place_label(level, cells, room))
         rgb = colors[index]
+        left = (index == 0) & level.free
+        rgb[left] = rgb_of(FREE)
         stands = (index > 0) & ~level.free
         rgb[stands] = (rgb[stands] * FURNITURE).astype(np.uint8)
         rgb[np.isnan(level.floor_height)] = rgb_of(NO_FLOOR)
         doors = _door_mask(grid, number)
         rgb[doors] = rgb_of(DOOR)
         legend = [("no room", OCCUPIED), ("no floor", NO_FLOOR)]
+        legend += [("free, no room", FREE)] if left.any() else []
         legend += [("darker: occupied", DARKER)] if stands.any() else []
         legend += [("door", DOOR)] if doors.any() else []
         panels.append(

@@ -116,7 +116,8 @@ def test_free_space_in_octrees(folder, run):
     [
         (("-o", "a.vox"), 2, ".binvox, .bt, .ot, .npz"),
         (("-o", "no/a.bt"), 1, "cannot write no/a.bt"),
-        (("-o", "a.bt", "--segment", "a=b"), 2, "PATTERN=ID"),
+        (("-o", "a.npz", "--segment", "a=b"), 2, "PATTERN=ID"),
+        (("-o", "a.bt", "--segment", "top"), 2, "octrees hold no IDs"),
         (("-o", "a.bt", "--center", 0, 0, 0), 1, "beside the centre"),
         (("-o", "a.bt", "--cells", 0, 1, 1), 1, "whole numbers >= 1"),
         (("-o", "a.bt", "--res", 0), 1, "`res`"),

@@ -5,7 +5,7 @@ import pytest
 
 from navbake.errors import QueryError
 from navbake.grid import MultiLevelGrid, SceneGrid2D
-from navbake.layers import DOOR, LAYERS, NO_FLOOR, OCCUPIED, make_panels, rgb_of
+from navbake.layers import DOOR, FREE, LAYERS, NO_FLOOR, OCCUPIED, make_panels, rgb_of
 from navbake.plot import render_png
 
 ROOMS = """
@@ -70,6 +70,16 @@ def test_rooms():
     assert tuple(panel.rgb[0, 0]) == rgb_of(OCCUPIED)
     assert tuple(panel.rgb[0, 10]) == rgb_of(NO_FLOOR)
     assert ("door", DOOR) in panel.legend
+
+
+def test_free_cells_of_no_room_are_not_shown_as_walls():
+    level = make_level()
+    level.attributes["roomIndex"][1, 1] = 0
+    [panel] = make_panels(level, "rooms")
+    assert tuple(panel.rgb[1, 1]) == rgb_of(FREE)
+    assert ("free, no room", FREE) in panel.legend
+    [panel] = make_panels(make_level(), "rooms")
+    assert not any(name == "free, no room" for name, _ in panel.legend)
 
 
 def test_names_stand_in_their_rooms():

@@ -118,6 +118,8 @@ def cells_named(grid: NavGrid, name: str) -> list[NDArray[np.int64]]:
     Raises:
         QueryError: no cell carries the name.
     """
+    if not isinstance(name, str):
+        raise QueryError(f"expected the name of an object, got {name!r}")
     found = [
         [
             cell
