@@ -75,7 +75,7 @@ def test_says_what_is_wrong():
         place_squares(level, corner=(1, 2, 3))
     with pytest.raises(QueryError, match="leaves nothing of the level"):
         place_squares(level, corner=(1, 0))
-    with pytest.raises(QueryError, match="lies beside the level: it spans x 0 to 0.2"):
+    with pytest.raises(QueryError, match=r"lies beside the level: it spans x 0 to 0\.2"):
         place_squares(level, corner=(5, 0), shape=(2, 2))
     with pytest.raises(QueryError, match="rows and columns >= 1, got 0 and 5"):
         place_squares(level, shape=(0, 5))
