@@ -158,7 +158,7 @@ def door_table(doors: Iterable[dict[str, Any]], levels: Sequence[str]) -> Table:
             door["joint"] or "none",
             ", ".join(levels[level] for level in door["levels"]),
             _joined(door["rooms"]),
-            door["state"],
+            f"{door['state']} ({door['like']})" if door["like"] else door["state"],
             ", ".join(door["states"]),
         )
         for door in doors

@@ -138,7 +138,8 @@ def list_doors(grid: SceneGrid2D | MultiLevelGrid) -> list[dict[str, Any]]:
     Returns:
         Of each door, as the file lists them: ``id``, ``joint`` (or None), ``rooms`` (the ids of
         the two that it joins, None for the outside), ``levels`` (those where it blocks cells in
-        any state), ``state``, and ``states``: all that it can be in.
+        any state), ``state``, ``like`` (which of closed and open is the same as modelled, where
+        one is and that is its state; else None), and ``states``: all that it can be in.
     """
     return [
         {
@@ -147,10 +148,18 @@ def list_doors(grid: SceneGrid2D | MultiLevelGrid) -> list[dict[str, Any]]:
             "rooms": list(door.get("rooms", [])),
             "levels": sorted({level for entry in door["cells"].values() for level, _ in entry}),
             "state": door["state"],
+            "like": _like(door),
             "states": _possible(door),
         }
         for door in grid.doors
     ]
+
+
+def _like(door: Mapping[str, Any]) -> str | None:
+    cells = door["cells"]
+    if door["state"] != "modelled" or "modelled" not in cells:
+        return None
+    return next((s for s in ("closed", "open") if cells.get(s) == cells["modelled"]), None)
 
 
 def _possible(door: Mapping[str, Any]) -> list[str]:

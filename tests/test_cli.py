@@ -265,6 +265,7 @@ def test_doors_are_listed_with_their_states(folder, run):
         "rooms": ["0:1", "0:2"],
         "levels": [0],
         "state": "open",
+        "like": None,
         "states": ["modelled", "open", "closed", "removed"],
     }
     for command in ("info", "rooms"):
@@ -274,7 +275,7 @@ def test_doors_are_listed_with_their_states(folder, run):
         assert header.split() == ["door", "joint", "level", "joins", "is", "can", "be"]
         cells = "leaf leaf level 0 0:1 - 0:2 open modelled, open, closed, removed"
         assert " ".join(row.split()) == cells
-        expected_other = "box none level 0 nothing modelled modelled, closed, removed"
+        expected_other = "box none level 0 nothing modelled (closed) modelled, closed, removed"
         assert " ".join(other.split()) == expected_other
 
 

@@ -59,6 +59,7 @@ def test_a_summary_of_the_doors():
             "rooms": ["hall", None],
             "levels": [0],
             "state": "modelled",
+            "like": "closed",
             "states": ["modelled", "open", "closed", "removed"],
         },
         {
@@ -67,6 +68,7 @@ def test_a_summary_of_the_doors():
             "rooms": [None, None],
             "levels": [0],
             "state": "removed",
+            "like": None,
             "states": ["modelled", "closed", "removed"],
         },
     ]
