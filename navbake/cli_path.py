@@ -99,6 +99,9 @@ def _parse_place(grid: NavGrid, text: str, option: str) -> list[float]:
         ) from None
     cell = grid.cell_at((x, y), level)
     z = grid.levels[level].ground if cell is None else float(grid.position_of(cell)[2])
+    found = grid.cell_at((x, y, z))
+    if found is not None and found.level != level:  # where the level is open to the one below
+        raise typer.BadParameter(f"level {level} has no floor at {x:g}, {y:g}", param_hint=option)
     return [x, y, z]
 
 

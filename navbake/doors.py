@@ -189,6 +189,8 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
             f"{grid.scene_id!r} was inflated with its doors as they were: change them on the grid "
             "as it was baked, then inflate that"
         )
+    if not isinstance(states, str | Mapping):
+        raise QueryError(f"expected a state, or states by door, got {states!r}")
     doors = [dict(door) for door in grid.doors]
     by_id: dict[str, dict[str, Any]] = {door["id"]: door for door in doors}
     wanted: dict[str, str] = (
@@ -290,24 +292,41 @@ def _known(level: SceneGrid2D) -> Any:
     return held if is_shared else level.user_data
 
 
+def _with_blocks(
+    level: SceneGrid2D, occupied: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """What is occupied, and where nobody can stand, with what `grid.block` blocks now."""
+    from navbake.runtime.live import known_changes
+    from navbake.runtime.outline import BLOCKED, OCCUPIED
+
+    changes = known_changes(level)
+    if changes is None:
+        return occupied, np.zeros_like(occupied)
+    held = (changes.count > 0).reshape(-1, *level.shape)
+    return occupied | held[OCCUPIED], held[BLOCKED]
+
+
 def _rebuild(
     grid: AnyGrid, doors: list[dict[str, Any]], occupied: list[NDArray[np.bool_]]
 ) -> AnyGrid:
     from navbake.grid import MultiLevelGrid
+    from navbake.runtime.live import own_attributes
 
     metadata = {**grid.metadata, "navbake": {**grid.navbake, "doors": doors}}
     levels = []
     for number, (level, mask) in enumerate(zip(grid.levels, occupied, strict=True)):
         is_occupied = mask.reshape(level.shape)
+        is_occupied, is_blocked = _with_blocks(level, is_occupied)
         was_occupied = level.occupancy.astype(np.bool_)
         weights = level.weights.copy()
         weights[is_occupied & ~was_occupied] = np.inf
         weights[~is_occupied & was_occupied] = 1.0
+        weights[is_blocked] = np.inf
         levels.append(
             replace(
                 level,
                 weights=weights,
-                attributes={**level.attributes, "occupancy": is_occupied.astype(np.uint8)},
+                attributes={**own_attributes(level), "occupancy": is_occupied.astype(np.uint8)},
                 user_data=(
                     name_door_cells(_known(level), doors, number, len(occupied))
                     if grid.navbake.get("names", True)

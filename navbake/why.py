@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 from navbake.doors import NAMES
@@ -91,7 +92,8 @@ def _level(grid: NavGrid, level: int) -> SceneGrid2D:
 
 
 def _cell(part: SceneGrid2D, x: float, y: float, level: int) -> tuple[int, int]:
-    if not (math.isfinite(x) and math.isfinite(y)):
+    are_numbers = all(isinstance(v, Real) for v in (x, y))
+    if not (are_numbers and math.isfinite(x) and math.isfinite(y)):
         raise QueryError(f"expected a position of finite numbers, got {x}, {y}")
     row, col = (int(v) for v in part.lattice.rows_cols([x, y]))
     if 0 <= row < part.height and 0 <= col < part.width:

@@ -97,3 +97,9 @@ def test_wrong_usage(run, arguments, status, message):
     found, _, err = run(HOUSE, *arguments)
     assert found == status
     assert message in err
+
+
+def test_a_level_without_floor_there_is_refused(run):
+    status, _, err = run(HOUSE, "--from", "0,-4.8,L1", "--to", "room:1:1")
+    assert status == 2
+    assert "level 1 has no floor at 0, -4.8" in err

@@ -12,7 +12,7 @@ from navbake.errors import QueryError
 from navbake.islands import step_limit
 from navbake.runtime.inflate import check_radius
 from navbake.runtime.live import Block
-from navbake.runtime.locate import Cell, Cells, check_level, check_positions
+from navbake.runtime.locate import Cell, Cells, check_cells, check_level, check_positions
 from navbake.runtime.margins import margins_of
 from navbake.runtime.outline import Layers, Shape, outline_cells, outline_shape
 from navbake.runtime.surroundings import agent_height
@@ -52,8 +52,7 @@ def block(
 
 
 def _given_cells(grid: NavGrid, cells: Cell | Cells) -> list[Layers]:
-    level, row, col = (np.atleast_1d(np.asarray(v, dtype=np.int64)) for v in cells)
-    level, row, col = np.broadcast_arrays(level, row, col)
+    level, row, col = (np.atleast_1d(v) for v in check_cells(cells))
     layers = []
     known = np.zeros(level.shape, dtype=np.bool_)
     for number, part in enumerate(grid.levels):
@@ -71,7 +70,7 @@ def _disc(
     grid: NavGrid, disc: tuple[ArrayLike, float], level: int | None, height: float | None
 ) -> Shape:
     """A disc that stands at a position; with x, y only, as high as the level."""
-    center, radius = disc
+    center, radius = _two(disc, "a disc's centre and radius")
     p = check_positions(center, len(grid.levels), level)
     if p.ndim != 1:
         raise QueryError(f"expected one centre of a disc, got an array of shape {p.shape}")
@@ -87,8 +86,17 @@ def _disc(
 
 def _box(grid: NavGrid, box: Any, level: int | None) -> Shape:
     """A box between two corners; with x, y only, as high as the level."""
-    low, high = (check_positions(corner, len(grid.levels), level) for corner in box)
+    corners = _two(box, "a box's lower and upper corner")
+    low, high = (check_positions(corner, len(grid.levels), level) for corner in corners)
     if low.ndim != 1 or low.shape != high.shape or (low > high).any():
         raise QueryError(f"expected a box's lower and upper corner, got {low} and {high}")
     bottom, top = (float(low[2]), float(high[2])) if len(low) == 3 else (-math.inf, math.inf)
     return Shape(float(low[0]), float(low[1]), float(high[0]), float(high[1]), 0.0, bottom, top)
+
+
+def _two(things: Any, name: str) -> tuple[Any, Any]:
+    try:
+        one, other = things
+    except (TypeError, ValueError):
+        raise QueryError(f"expected {name}, got {things!r}") from None
+    return one, other

@@ -34,7 +34,10 @@ def map_doors(grid: NavGrid, walk: Walk) -> DoorMap:
     if not grid.doors and not grid.navbake:
         for level, part in enumerate(grid.levels):
             for cell, entry in part.user_data.items():
-                names = [name for name in entry.get("doors") or () if isinstance(name, str)]
+                stored = entry.get("doors")
+                if not isinstance(stored, list):
+                    continue
+                names = [name for name in stored if isinstance(name, str)]
                 if names:
                     found[int(walk.start[level]) + cell] = names
     return found

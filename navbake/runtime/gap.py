@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from navbake.runtime.inflate import find_blocked
 from navbake.runtime.island_map import map_islands
 from navbake.runtime.live import unblocked
+from navbake.runtime.locate import split_cells
 from navbake.runtime.margins import exact_radius
 from navbake.runtime.search import Search
 from navbake.runtime.walk import Walk
@@ -63,8 +64,19 @@ def find_gap(grid: NavGrid, walk: Walk, origin: int, goals: NDArray[np.int64]) -
     route = Search(_with_free(plain, free, walk)).route(origin, goals)
     if route is None:
         return None
-    stops = route[~_free_for(plain, high)[route]]
-    return _measure(plain, walk, stops, low)
+    taken = _with_flanks(walk, route)
+    stops = taken[~_free_for(plain, high)[taken]]
+    return _measure(plain, walk, stops, low) if len(stops) else None
+
+
+def _with_flanks(walk: Walk, route: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The cells of a route and, as no corners are cut, those beside its diagonal steps."""
+    level, row, col = split_cells(walk, route)
+    is_diagonal = (np.diff(level) == 0) & (np.abs(np.diff(row)) == 1) & (np.abs(np.diff(col)) == 1)
+    one, other = np.flatnonzero(is_diagonal), np.flatnonzero(is_diagonal) + 1
+    first, width = walk.start[level[one]], walk.width[level[one]]
+    flanks = [first + row[a] * width + col[b] for a, b in ((one, other), (other, one))]
+    return np.concatenate([route, *flanks])
 
 
 def _measure(grid: NavGrid, walk: Walk, stops: NDArray[np.int64], radius: float) -> Gap:

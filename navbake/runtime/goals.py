@@ -124,7 +124,7 @@ def cells_named(grid: NavGrid, name: str) -> list[NDArray[np.int64]]:
         [
             cell
             for cell, entry in level.user_data.items()
-            if any(name in entry.get(key, ()) for key in NAMED)
+            if any(isinstance(v := entry.get(key), list) and name in v for key in NAMED)
         ]
         for level in grid.levels
     ]
@@ -156,11 +156,12 @@ def _known(grid: NavGrid, name: str) -> str:
         for level in grid.levels
         for entry in level.user_data.values()
         for key in NAMED
-        for n in entry.get(key, ())
+        if isinstance(listed := entry.get(key), list)
+        for n in listed
         if isinstance(n, str)
     }
     near = get_close_matches(name, names, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
-    listed = sorted(names)
-    more = f", and {len(listed) - MAX_LISTED} more" if len(listed) > MAX_LISTED else ""
-    return f"{hint}it has {', '.join(listed[:MAX_LISTED]) or 'none'}{more}"
+    known = sorted(names)
+    more = f", and {len(known) - MAX_LISTED} more" if len(known) > MAX_LISTED else ""
+    return f"{hint}it has {', '.join(known[:MAX_LISTED]) or 'none'}{more}"

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from navbake.errors import QueryError
 from navbake.islands import add_layers
 from navbake.runtime.discs import disc_offsets, half_widths
+from navbake.runtime.live import own_attributes
 from navbake.runtime.surroundings import SLAB, Surroundings, find_surroundings
 from navbake.user_data import held_user_data
 
@@ -246,7 +247,7 @@ def _with_weights(
         replace(
             level,
             weights=weight,
-            attributes=dict(level.attributes),
+            attributes=_baked_attributes(level),
             user_data=held_user_data(level),
             metadata=metadata if level.metadata is whole.metadata else _noted(level.metadata, done),
         )
@@ -260,6 +261,17 @@ def _with_weights(
         add_layers(inflated, names & {"island", "clearance"})
     result: AnyGrid = inflated
     return result
+
+
+def _baked_attributes(level: SceneGrid2D) -> dict[str, NDArray[Any]]:
+    """The level's attributes; what follows from its weights else is kept as it is without radius.
+
+    So an inflated grid knows what stands there, and can be inflated again.
+    """
+    attributes = own_attributes(level)
+    attributes.setdefault("occupancy", level.occupancy.copy())
+    attributes.setdefault("floorHeight", level.floor_height.copy())
+    return attributes
 
 
 def _noted(metadata: dict[str, Any], done: dict[str, Any]) -> dict[str, Any]:

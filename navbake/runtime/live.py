@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from navbake.grid import NavGrid, SceneGrid2D
 
+CHANGING = {"occupancy", "clearance"}  # attributes that are changed in place
 MAX_JOURNAL = 1024  # changes that a level remembers; who missed more looks at all of it
 
 Window = tuple[int, int, int, int]
@@ -50,9 +51,8 @@ class LevelChanges:
         # arrays of its own: others may share them, or they may be read-only
         level.weights = np.array(level.weights, order="C")
         level.attributes = dict(level.attributes)
-        for name in ("occupancy", "clearance"):
-            if name in level.attributes:
-                level.attributes[name] = np.array(level.attributes[name], order="C")
+        for name in CHANGING & level.attributes.keys():
+            level.attributes[name] = np.array(level.attributes[name], order="C")
         self.weights = level.weights.ravel().copy()
         stored = level.attributes.get("occupancy")
         self.occupancy = None if stored is None else stored.ravel().copy()
@@ -155,6 +155,15 @@ def changes_of(level: SceneGrid2D) -> LevelChanges:
 def known_changes(level: SceneGrid2D) -> LevelChanges | None:
     """The changes of a level; None if nothing was ever blocked there."""
     return _CHANGES.get(level)
+
+
+def own_attributes(level: SceneGrid2D) -> dict[str, NDArray[Any]]:
+    """The attributes for a level that is derived from this one, which may be blocked and freed."""
+    attributes = dict(level.attributes)
+    if known_changes(level) is not None:
+        for name in CHANGING & attributes.keys():
+            attributes[name] = attributes[name].copy()
+    return attributes
 
 
 def unblocked(grid: NavGrid) -> NavGrid:

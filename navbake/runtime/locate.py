@@ -105,8 +105,7 @@ def position_of(grid: NavGrid, cells: Cell | Cells) -> NDArray[np.float64]:
     Raises:
         QueryError: there is no such cell.
     """
-    level, row, col = (np.asarray(v, dtype=np.int64) for v in cells)
-    level, row, col = np.broadcast_arrays(level, row, col)
+    level, row, col = check_cells(cells)
     positions = np.empty((*level.shape, 3), dtype=np.float64)
     known = np.zeros(level.shape, dtype=np.bool_)
     for number, part in enumerate(grid.levels):
@@ -120,6 +119,27 @@ def position_of(grid: NavGrid, cells: Cell | Cells) -> NDArray[np.float64]:
         first = tuple(int(v[~known].ravel()[0]) for v in (level, row, col))
         raise QueryError(f"no cell (level, row, col) = {first} in {grid.scene_id!r}")
     return positions
+
+
+def check_cells(cells: Cell | Cells) -> Cells:
+    """Refuse what are no cells; whether the grid has them is not looked at.
+
+    Args:
+        cells: level, row and column, whole numbers or arrays of them.
+
+    Returns:
+        The three, int64, of one shape.
+
+    Raises:
+        QueryError: they are not three, no whole numbers, or of shapes that don't go together.
+    """
+    try:
+        arrays = np.broadcast_arrays(*(np.asarray(v) for v in cells))
+    except (TypeError, ValueError):
+        arrays = ()
+    if len(arrays) != 3 or any(v.dtype.kind not in "iu" and v.size for v in arrays):
+        raise QueryError(f"expected cells as (level, row, col), whole numbers, got {cells!r}")
+    return Cells(*(v.astype(np.int64) for v in arrays))
 
 
 def check_positions(
@@ -142,7 +162,7 @@ def check_positions(
     check_level(level, num_levels)
     try:
         p = np.asarray(positions, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise QueryError(f"expected world positions x, y, z [m], got {positions!r}") from error
     if p.ndim == 0 or p.shape[-1] not in (2, 3):
         raise QueryError(f"expected world positions of shape (..., 3) [m], got {p.shape}")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.runtime.locate import check_positions, flat_cells, place_of
+from navbake.runtime.sample import check_distance
 
 if TYPE_CHECKING:
     from navbake.runtime.walk import Walk
@@ -33,9 +34,10 @@ def is_navigable(
         Shape (...), bool; False beside the grid.
 
     Raises:
-        QueryError: there is no such level, or a position is none.
+        QueryError: there is no such level, a position is none, or `max_drop` is.
     """
-    p = np.asarray(positions)
+    check_distance(max_drop, "max_drop")
+    p: NDArray[Any] = positions if isinstance(positions, np.ndarray) else np.empty(0)
     if level is not None or p.dtype != np.float64 or p.ndim != 2 or p.shape[1] != 3:
         p = check_positions(positions, walk.num_levels, level)
     if level is not None or p.shape[-1] == 2:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
 from navbake.runtime.locate import check_positions, flat_cell, place_of
+from navbake.runtime.sample import check_distance
 
 if TYPE_CHECKING:
     from navbake.runtime.walk import Walk
@@ -62,8 +63,7 @@ def nearest_obstacle(
     """
     from navbake.kernels.nearest import TO_OBSTACLE, nearest_cell
 
-    if not max_distance >= 0:
-        raise QueryError(f"expected a max_distance >= 0 m, got {max_distance}")
+    check_distance(max_distance)
     p = check_positions(position, walk.num_levels, level)
     home = flat_cell(walk, p, level)
     if home is None:

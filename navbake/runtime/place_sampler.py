@@ -208,7 +208,8 @@ class PlaceSampler(PlaceFinder):
             return cells_in_annulus(walk, on_level, p[0], p[1], *limits, walk.free)
         self._island_of(position, level)
         field = self.search.field(np.array([home]), weighted=False)
-        return np.flatnonzero((field >= min_distance) & (field <= max_distance + 1e-9))
+        near = (field >= min_distance) & (field <= max_distance + 1e-9)
+        return np.flatnonzero(near & np.isfinite(field))  # none, where any distance will do
 
     def _island_of(self, position: ArrayLike, level: int | None) -> int:
         island = self.island_at(position, level=level)

@@ -43,7 +43,7 @@ class RoomMap:
             QueryError: there is none, or several rooms have the name.
         """
         by_id = {room["id"]: number for number, room in enumerate(self.rooms, start=1)}
-        if name in by_id:
+        if isinstance(name, str) and name in by_id:
             return int(by_id[name])
         named = [room["id"] for room in self.rooms if room["name"] and room["name"] == name]
         if len(named) == 1:

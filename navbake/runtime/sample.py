@@ -13,6 +13,7 @@ from navbake.errors import QueryError
 if TYPE_CHECKING:
     from navbake.runtime.walk import Walk
 
+Number = int | float | np.integer | np.floating
 INSIDE = 1e-6  # of a cell: how far from its edges a point stays
 SLACK = 1e-9  # metres
 
@@ -111,13 +112,24 @@ def check_generator(rng: object) -> np.random.Generator:
     )
 
 
+def check_distance(distance: float, name: str = "max_distance") -> None:
+    """Refuse what is no distance.
+
+    Raises:
+        QueryError: it is no number, negative, or NaN.
+    """
+    if not (isinstance(distance, Number) and distance >= 0):
+        raise QueryError(f"expected a {name} >= 0 m, got {distance!r}")
+
+
 def check_distances(min_distance: float, max_distance: float) -> None:
     """Refuse distances that are none.
 
     Raises:
         QueryError: they are negative, not in order, or NaN.
     """
-    if not 0 <= min_distance <= max_distance:
+    numbers = isinstance(min_distance, Number) and isinstance(max_distance, Number)
+    if not (numbers and 0 <= min_distance <= max_distance):
         raise QueryError(
             f"expected 0 <= min_distance <= max_distance [m], got {min_distance} and {max_distance}"
         )

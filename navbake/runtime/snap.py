@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.errors import QueryError
 from navbake.runtime.locate import check_positions, flat_cell, links_of, place_of
 from navbake.runtime.navigable import MAX_DROP
-from navbake.runtime.sample import cells_in_annulus
+from navbake.runtime.sample import cells_in_annulus, check_distance
 
 if TYPE_CHECKING:
     from navbake.runtime.sight import Sight
@@ -53,8 +52,7 @@ def snap_to(
     Raises:
         QueryError: there is no such level, the position is none, or the distance is negative.
     """
-    if not max_distance >= 0:
-        raise QueryError(f"expected a max_distance >= 0 m, got {max_distance}")
+    check_distance(max_distance)
     p = check_positions(position, walk.num_levels, level)
     home = flat_cell(walk, p, level)
     if home is not None and allowed[home] and _is_on_floor(walk, p, home, level):
@@ -95,8 +93,7 @@ def nearest_on_level(
     Raises:
         QueryError: there is no such level, the position is none, or the distance is negative.
     """
-    if not max_distance >= 0:
-        raise QueryError(f"expected a max_distance >= 0 m, got {max_distance}")
+    check_distance(max_distance)
     p = check_positions(position, walk.num_levels, level)
     home = flat_cell(walk, p, level)
     if home is None:

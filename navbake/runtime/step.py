@@ -13,6 +13,7 @@ from navbake.runtime.locate import check_positions, flat_cell, links_of, place_o
 if TYPE_CHECKING:
     from navbake.runtime.walk import Walk
 
+FARTHEST = 1e6  # metres
 NO_ROOMS = np.empty(0, dtype=np.int32)
 
 
@@ -53,6 +54,10 @@ def try_step(
     if home is None or not walk.free[home]:
         where = ", ".join(f"{v:g}" for v in p)
         raise QueryError(f"no agent can stand at {where}: snap it to the nearest place first")
+    way = q[:2] - p[:2]
+    farthest = float(np.abs(way).max())
+    if farthest > FARTHEST:  # beyond all grids, so no need to count cells up to there
+        q = p[:2] + way * (FARTHEST / farthest)
     return _move(walk, home, p[:2], q[:2], slide)
 
 

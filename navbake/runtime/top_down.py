@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from navbake.errors import QueryError
 from navbake.layers import FREE, NO_FLOOR, OCCUPIED, rgb_of
 from navbake.runtime.locate import check_level
+from navbake.runtime.sample import Number
 
 if TYPE_CHECKING:
     from navbake.runtime.walk import Walk
@@ -38,14 +39,17 @@ def draw_top_down(
     Raises:
         QueryError: there is no such level, or the pixels are none or too many.
     """
+    if level is None:
+        raise QueryError(f"expected a level, 0 to {walk.num_levels - 1}, got None")
     check_level(level, walk.num_levels)
     shape = int(walk.height[level]), int(walk.width[level])
     cells = slice(int(walk.start[level]), int(walk.start[level + 1]))
     kind = np.where(walk.free[cells], 0, np.where(np.isnan(walk.floor[cells]), 2, 1)).reshape(shape)
     if metres_per_pixel is not None:
         cell = float(walk.cell_size[level])
-        if not 0 < metres_per_pixel < math.inf:
-            raise QueryError(f"expected metres_per_pixel > 0, got {metres_per_pixel}")
+        is_number = isinstance(metres_per_pixel, Number)
+        if not (is_number and 0 < metres_per_pixel < math.inf):
+            raise QueryError(f"expected metres_per_pixel > 0, got {metres_per_pixel!r}")
         pixels = [math.ceil(n * cell / metres_per_pixel - 1e-6) for n in shape]
         if math.prod(pixels) > MAX_PIXELS:
             raise QueryError(f"{pixels[1]} × {pixels[0]} pixels are too many: make them larger")

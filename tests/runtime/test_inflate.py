@@ -249,3 +249,13 @@ def test_doors_are_changed_before_not_after():
 def test_what_makes_no_sense_is_refused(arguments, culprit):
     with pytest.raises(QueryError, match=culprit):
         level_of("00").inflate(**arguments)
+
+
+@pytest.mark.parametrize("without", [["occupancy"], ["floorHeight"], ["occupancy", "floorHeight"]])
+def test_a_file_that_tells_less_can_be_inflated_again(without):
+    level = level_of("0000000000", "000#000000", "0000000000", "0000000000", "0000000000")
+    for name in without:
+        del level.attributes[name]
+    again = level.inflate(0.1).inflate(0.15)
+    np.testing.assert_array_equal(again.free, level.inflate(0.15).free)
+    np.testing.assert_array_equal(again.occupancy, level.occupancy)

@@ -244,3 +244,51 @@ def test_kept_fields_are_not_those_of_before():
 def test_bad_blocks(kwargs, expected):
     with pytest.raises(QueryError, match=expected):
         open_level(4).block(**kwargs)
+
+
+@pytest.mark.parametrize("derive", [lambda g: g.inflate(0.1), lambda g: g.with_doors("open")])
+def test_a_derived_grid_keeps_what_was_blocked_whatever_happens_to_the_first(derive):
+    grid = open_level()
+    grid.attributes["occupancy"] = np.zeros(grid.shape, dtype=np.uint8)
+    block = grid.block(disc=((1.0, -1.0, 0.0), 0.2))
+    derived = derive(grid)
+    occupancy, free = derived.occupancy.copy(), derived.free.copy()
+    assert occupancy.any()
+    block.free()
+    grid.block(cells=(0, 2, 2))
+    np.testing.assert_array_equal(derived.occupancy, occupancy)
+    np.testing.assert_array_equal(derived.free, free)
+
+
+def test_a_door_that_opens_frees_nothing_that_is_blocked():
+    grid = open_level()
+    grid.attributes["occupancy"] = np.zeros(grid.shape, dtype=np.uint8)
+    grid.attributes["occupancy"][5, 5:9] = 1
+    grid.weights[5, 5:9] = np.inf
+    closed = [[0, [5 * 30 + 5, 4]]]
+    door = {"id": "d", "joint": "d", "rooms": [None, None], "state": "closed"}
+    door["cells"] = {"modelled": closed, "closed": closed, "open": []}
+    grid.metadata["navbake"] = {"doors": [door]}
+    with grid.block(cells=(0, 5, 6)):
+        opened = grid.with_doors("open")
+    assert opened.free[5, 5:9].tolist() == [True, False, True, True]
+    assert opened.occupancy[5, 5:9].tolist() == [0, 1, 0, 0]
+
+
+@pytest.mark.parametrize(
+    "thing",
+    [
+        {"disc": 3},
+        {"disc": (1.0, 2.0, 3.0)},
+        {"box": 3},
+        {"box": ((0, 0, 0),)},
+        {"cells": 3},
+        {"cells": (0, 1)},
+        {"cells": (0, 1.5, 2)},
+        {"cells": (0, np.nan, 2)},
+        {"cells": (0, [1, 2], [1, 2, 3])},
+    ],
+)
+def test_things_that_are_none_are_refused(thing):
+    with pytest.raises(QueryError, match="expected"):
+        open_level().block(**thing)

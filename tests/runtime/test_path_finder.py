@@ -279,3 +279,13 @@ def test_paths_keep_the_radius_that_a_grid_was_inflated_for(seed, radius, smooth
         gap = np.abs(line[:, None] - squares) - 0.05
         nearest = min(nearest, np.hypot(*np.maximum(gap, 0).transpose(2, 0, 1)).min())
     assert nearest >= radius - 1e-9
+
+
+@pytest.mark.parametrize("entry", [{"objects": None}, {"objects": "a sofa"}, {"objects": [{}]}])
+def test_user_data_that_name_nothing(entry):
+    level = make_level(np.ones((3, 3)), np.zeros((3, 3)))
+    level.user_data = {4: entry, 8: {"objects": ["sofa"], "doors": "d"}}
+    finder = PathFinder(level)
+    assert finder.find_path((0.05, -0.05, 0.0), "object:sofa").doors == []
+    with pytest.raises(QueryError, match="it has sofa"):
+        finder.find_path((0.05, -0.05, 0.0), "object:chair")

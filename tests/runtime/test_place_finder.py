@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -211,3 +212,27 @@ def test_third_party_files():
     assert finder.clearance((0.05, -0.05)) == pytest.approx(np.hypot(0.05, 0.05))
     assert finder.room_at((0.05, -0.05)) is None
     assert not finder.line_of_sight((0.05, -0.15), (0.35, -0.15))
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda f: f.are_navigable([[0, 0, 0], [0, 0]]),
+        lambda f: f.is_navigable([10**400, 0, 0]),
+        lambda f: f.is_navigable((0, 0, 0), max_drop=None),
+        lambda f: f.snap((0, 0, 0), max_distance=None),
+        lambda f: f.room_near((0, 0, 0), None),
+        lambda f: f.snap((0, 0, 0), max_distance=math.nan),
+        lambda f: f.clearance((0.05, -0.05, 0), max_distance="1"),
+        lambda f: f.snap((0, 0, 0), room=["hall"]),
+        lambda f: f.top_down(None),
+        lambda f: f.top_down(0, "1"),
+        lambda f: f.grid.position_of(None),
+        lambda f: f.grid.position_of((0, 0.5, 0)),
+        lambda f: f.grid.with_doors(3),
+        lambda f: f.grid.blockers(None, 0),
+    ],
+)
+def test_what_is_no_question_is_refused(ask):
+    with pytest.raises(QueryError):
+        ask(PlaceFinder(level_from("#..\n...")))

@@ -258,3 +258,9 @@ def two_islands():
 def test_what_cannot_be_drawn_is_refused(ask, message):
     with pytest.raises(QueryError, match=message):
         ask(two_islands())
+
+
+def test_any_distance_leads_no_farther_than_paths_do():
+    sampler = PlaceSampler(level_from("..#.\n..#."))
+    points = sampler.random_point_near(make_rng(), (0.05, -0.05, 0.0), math.inf, 200)
+    assert (points[:, 0] < 0.2).all()

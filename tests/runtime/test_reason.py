@@ -178,3 +178,9 @@ def test_rooms_and_objects_without_a_free_cell(house):
     start = finder.search.walk.positions(free[0])
     reasons = [finder.why_not(start, f"room:{room['id']}") for room in house.rooms]
     assert any(r and "no cell of room" in r and "radius of 1 m" in r for r in reasons)
+
+
+def test_a_gap_beside_a_diagonal_step():
+    finder = PathFinder(from_map(["#..", "...", "..#"]).inflate(0.1))
+    reason = finder.why_not((0.05, -0.25), (0.25, -0.05))
+    assert_says(reason, "the gap between", "0.10 m wide, the agent 0.20 m")

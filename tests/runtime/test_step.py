@@ -252,3 +252,11 @@ def test_cells_of_many_ends_are_free():
         p = try_step(walk, p, p[:2] + rng.normal(size=2) * 0.2)
         visited.append(p)
     assert walk.free[flat_cells(walk, visited)].all()
+
+
+@pytest.mark.parametrize("slide", [False, True])
+def test_an_end_beyond_everything(slide):
+    walk = make_walk(level_from("...\n.#.\n..."))
+    for far in (1e9, 1e300):
+        found = try_step(walk, (0.05, -0.05), (far, -0.05), slide=slide)
+        np.testing.assert_allclose(found, (0.3, -0.05, 0.0), atol=1e-5)
