@@ -7,7 +7,7 @@ them. So the reader may leave a `StoredUserData` in the place of the dictionary.
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import compress
 from typing import TYPE_CHECKING, Any
@@ -51,14 +51,24 @@ class SharedUserData(StoredUserData):
     Attributes:
         cells: cell ids, ascending, shape (n,), int64.
         number: which entry each cell has, shape (n,), int64.
-        entries: the entries; nobody may change them.
+        entries: the entries, each made when they are first needed; nobody may change them.
     """
 
     def __init__(
-        self, cells: NDArray[np.int64], number: NDArray[np.int64], entries: Sequence[Json]
+        self,
+        cells: NDArray[np.int64],
+        number: NDArray[np.int64],
+        entries: Sequence[Json] | Callable[[], Sequence[Json]],
     ) -> None:
-        self.cells, self.number, self.entries = cells, number, entries
+        self.cells, self.number, self._entries = cells, number, entries
         self._resolved: dict[int, Json] | None = None
+
+    @property
+    def entries(self) -> Sequence[Json]:
+        """The entries that cells share."""
+        if callable(self._entries):
+            self._entries = self._entries()
+        return self._entries
 
     @property
     def is_resolved(self) -> bool:
@@ -68,8 +78,9 @@ class SharedUserData(StoredUserData):
     def resolve(self) -> dict[int, Json]:
         """Make them a dictionary; each cell gets an entry of its own, as from a file."""
         if self._resolved is None:
+            shared = self.entries
             with collector_off():
-                entries = [_copy_json(self.entries[k]) for k in self.number.tolist()]
+                entries = [_copy_json(shared[k]) for k in self.number.tolist()]
             self._resolved = dict(zip(self.cells.tolist(), entries, strict=True))
         return self._resolved
 
@@ -79,8 +90,8 @@ class SharedUserData(StoredUserData):
             return [{}] * len(cells)
         place = np.minimum(np.searchsorted(self.cells, cells), len(self.cells) - 1)
         is_known = (self.cells[place] == cells).tolist()
-        number = self.number[place].tolist()
-        return [self.entries[k] if known else {} for k, known in zip(number, is_known, strict=True)]
+        number, entries = self.number[place].tolist(), self.entries
+        return [entries[k] if known else {} for k, known in zip(number, is_known, strict=True)]
 
     def replaced(self, changed: Mapping[int, Json]) -> SharedUserData:
         """The same with other entries in some cells; those whose entry is empty drop out.
@@ -91,9 +102,10 @@ class SharedUserData(StoredUserData):
         kept = ~np.isin(self.cells, np.fromiter(changed, dtype=np.int64, count=len(changed)))
         added = {cell: entry for cell, entry in changed.items() if entry}
         own = np.fromiter(added, dtype=np.int64, count=len(added))
-        is_used = np.zeros(len(self.entries), dtype=np.bool_)
+        known = self.entries
+        is_used = np.zeros(len(known), dtype=np.bool_)
         is_used[self.number[kept]] = True
-        entries = list(compress(self.entries, is_used))  # or they pile up, change by change
+        entries = list(compress(known, is_used))  # or they pile up, change by change
         number = (np.cumsum(is_used) - 1)[self.number[kept]]
         cells = np.concatenate([self.cells[kept], own])
         number = np.concatenate([number, len(entries) + np.arange(len(own))])

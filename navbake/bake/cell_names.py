@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,8 +72,9 @@ def name_cells(
     start = np.append(first, len(cell))
     number = np.empty(len(first), dtype=np.int64)
     lists = number_lists(start, token, number)
-    described = _describe(token, start[lists], start[lists + 1], names)
-    return SharedUserData(cell[first], number, described)
+    # one entry a kind of cell takes a while, and who only plans or plots needs none
+    describe = partial(_describe, token, start[lists], start[lists + 1], names)
+    return SharedUserData(cell[first], number, describe)
 
 
 def _merge(cell: Int, name: Int, bits: Int, num_names: int) -> tuple[Int, Int, Int]:
