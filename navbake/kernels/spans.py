@@ -18,7 +18,7 @@ from numba import njit
 
 from navbake.kernels.overlap import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 
-UPRIGHT = 1.0 - 1e-12  # an axis whose z is at least this points up
+UPRIGHT = 1e-8  # a solid that leans by less than this stands upright [m]
 FLAT = 1e-9  # a direction of which less than this leaves a plane lies in it
 NONE = -math.inf
 
@@ -122,7 +122,7 @@ def _line_top(radius, half, ax, ay, az, x, y):
     elif abs(on_axis) > half:
         return NONE
     # |p - (a.p) a| <= r is a quadratic in z
-    a = 1.0 - az * az
+    a = ax * ax + ay * ay  # 1 - az * az would lose all digits of a slight lean
     b = -az * on_axis
     c = x * x + y * y - on_axis * on_axis - radius * radius
     square = b * b - a * c
@@ -136,11 +136,11 @@ def _line_top(radius, half, ax, ay, az, x, y):
 @njit(cache=True)
 def _cylinder_top(radius, half, ax, ay, az, x0, x1, y0, y1):
     """Top of a cylinder (half-length, unit axis) over the square."""
-    if abs(az) >= UPRIGHT:
+    rise = math.hypot(ax, ay)
+    if rise * (radius + half) < UPRIGHT:
         dx, dy = max(x0, 0.0, -x1), max(y0, 0.0, -y1)
         return half if dx * dx + dy * dy < radius * radius else NONE
     best = NONE
-    rise = math.sqrt(1.0 - az * az)
     ux, uy = -az * ax / rise * radius, -az * ay / rise * radius
     for t in (-half, half):
         z = t * az + radius * rise
@@ -234,8 +234,9 @@ def _top(kind, mat, size, x0, x1, y0, y1, one, other):
     if kind == SPHERE:
         return _sphere_top(size[0], 0.0, 0.0, 0.0, x0, x1, y0, y1)
     if kind == BOX:
+        longest = max(size[0], size[1], size[2])
         for axis in range(3):
-            if abs(mat[6 + axis]) >= UPRIGHT:
+            if math.hypot(mat[axis], mat[3 + axis]) * longest < UPRIGHT:
                 return _upright_box_top(mat, size, axis, x0, x1, y0, y1)
         return _box_top(mat, size, x0, x1, y0, y1, one, other)
     if kind == ELLIPSOID:

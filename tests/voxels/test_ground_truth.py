@@ -223,6 +223,32 @@ def test_lines_through_edges_and_corners_leave_no_holes():
     assert values[2:10, 2:10, 2:10].all() and values.sum() == 8**3
 
 
+@pytest.mark.parametrize("lean", [1e-8, 1e-7, 1e-6, 1.4e-6, 1e-5, 1e-3])
+def test_what_leans_by_a_hair_is_not_taken_for_upright(lean):
+    """Slabs and poles of 20 m that lean by less than a simulation leaves: up to 1e-5 m at the end.
+
+    All lean from y towards z, so that their tops rise with y, and poles reach far at -y.
+    """
+    sin, cos = np.sin(lean), np.cos(lean)
+    mat = np.array([1, 0, 0, 0, cos, -sin, 0, sin, cos])
+    middle = np.zeros(3)
+
+    def span(kind, size, y0, y1):
+        return solid_span(kind, middle, mat, np.array(size), -0.05, 0.05, y0, y1, *SCRATCH)
+
+    for kind, size in ((BOX, (10.0, 10.0, 0.5)), (CYLINDER, (10.0, 0.5, 0.0))):
+        for y0, y1 in ((9.8, 9.9), (-9.9, -9.8), (0.0, 0.1)):
+            expected = (0.5 + y1 * sin) / cos
+            assert span(kind, size, y0, y1)[1] == pytest.approx(expected, abs=1e-10)
+            assert span(kind, size, -y1, -y0)[0] == pytest.approx(-expected, abs=1e-10)
+    for kind, size in ((CYLINDER, (0.5, 10.0, 0.0)), (CAPSULE, (0.5, 10.0, 0.0))):
+        mantle = -0.5 / cos - 5.0 * sin / cos  # where it is at a quarter of the pole from its top
+        low, _ = span(kind, size, -1.0, mantle)
+        assert low == pytest.approx(5.0, abs=1e-14 / lean + 1e-9)
+        beyond = -0.5 * (cos if kind == CYLINDER else 1.0) - 10.0 * sin
+        assert span(kind, size, -1.0, beyond - 1e-9) == (-np.inf, -np.inf)
+
+
 # ---------------------------------------------------------------- FCL
 
 
