@@ -333,7 +333,10 @@ def data_of_qpos(model: Any, qpos: ArrayLike) -> Any:
     Raises:
         ConfigError: there are more or fewer joint positions.
     """
-    positions = np.asarray(qpos, dtype=np.float64)
+    try:
+        positions = np.asarray(qpos, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"expected {model.nq} joint positions (nq), got {qpos!r}") from error
     if positions.shape != (model.nq,):
         raise ConfigError(f"expected {model.nq} joint positions (nq), got {positions.shape}")
     data = mujoco.MjData(model)

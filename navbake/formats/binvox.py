@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.errors import FormatError
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.io import read_bytes, write_bytes
-from navbake.voxels.placement import check_memory
+from navbake.voxels.placement import check_memory, check_three
 
 Layout = Literal["auto", "binvox", "airsim"]
 LAYOUTS = ("auto", "binvox", "airsim")
@@ -175,6 +175,7 @@ def read_binvox(
 
     Raises:
         FormatError: it is no binvox file, its header is broken, or its data are too few or many.
+        ConfigError: the position is none, or the grid would need more memory than there is.
     """
     if layout not in LAYOUTS:
         raise FormatError(f"expected layout {', '.join(LAYOUTS)}, got {layout!r}")
@@ -207,8 +208,9 @@ def decode_binvox(
         return VoxelGrid(values=values, origin=header.translate, res=edge, notes=notes)
     edge, assumed = _airsim_edge(header, res, source)
     first = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * edge  # its middle
-    low = np.asarray(position, dtype=np.float64) + first - edge / 2
-    around = ", ".join(f"{p:g}" for p in np.asarray(position))
+    center = check_three(position, "the position to be x, y, z [m]")
+    low = center + first - edge / 2
+    around = ", ".join(f"{p:g}" for p in center)
     notes.append(f"{assumed}, round ({around})")
     values = np.ascontiguousarray(values)
     return VoxelGrid(values=values, origin=(low[0], low[1], low[2]), res=edge, notes=notes)
@@ -219,6 +221,8 @@ def _airsim_edge(header: Header, res: float | None, source: str) -> tuple[float,
     nx, nz, ny = header.dim
     edges = -2 * np.array(header.translate) / (nx, ny, nz)  # at most: counts are cut, not rounded
     edge = float(edges.min()) if res is None else float(res)
+    if res is not None and not (math.isfinite(edge) and edge > 0):
+        raise FormatError(f"expected `res`, the edge of AirSim's voxels, to be > 0 m, got {res}")
     if not edge > 0:
         raise FormatError(f"expected a negative `translate` in AirSim's layout in {source}")
     assumed = (
@@ -231,11 +235,17 @@ def _airsim_edge(header: Header, res: float | None, source: str) -> tuple[float,
 
 
 def _looks_like_airsim(header: Header) -> bool:
-    """Whether the scale is one over the size along x, and can't be the longest side."""
-    size = -2 * header.translate[0]
-    if size <= 0 or not math.isclose(header.scale * size, 1.0, rel_tol=NEAR):
+    """Whether the scale is one over the size along x, and can't be the longest side.
+
+    All of `translate` is half of the size, too: one edge makes these counts of all sizes.
+    """
+    nx, nz, ny = header.dim
+    sizes, counts = -2 * np.array(header.translate), np.array((nx, ny, nz), dtype=np.float64)
+    if (sizes <= 0).any() or not math.isclose(header.scale * sizes[0], 1.0, rel_tol=NEAR):
         return False
-    return not math.isclose(header.scale / max(header.dim), size / header.dim[0], rel_tol=NEAR)
+    if (sizes / (counts + 1)).max() > (sizes / counts).min() * (1 + NEAR):
+        return False
+    return not math.isclose(header.scale / max(header.dim), sizes[0] / nx, rel_tol=NEAR)
 
 
 def _fill(order: NDArray[np.uint8], data: bytes, header: Header, source: str) -> None:
@@ -303,9 +313,10 @@ def _numbers(
     words = fields[name]
     try:
         numbers = [kind(word) for word in words]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count or not all(math.isfinite(number) for number in numbers):
+        finite = all(math.isfinite(number) for number in numbers)
+    except (ValueError, OverflowError):  # OverflowError: a whole number beyond all floats
+        finite = False
+    if not finite or len(numbers) != count:
         what = "whole number" if kind is int else "number"
         raise FormatError(
             f"expected {count} {what}{'s' if count > 1 else ''} at `{name}` in the binvox header "

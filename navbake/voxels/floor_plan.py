@@ -11,6 +11,7 @@ from navbake.errors import QueryError
 from navbake.grid import SceneGrid2D
 from navbake.lattice import CELL_SLACK, Lattice
 from navbake.voxels.grid import VoxelGrid
+from navbake.voxels.placement import check_memory
 
 
 def lattice_of(voxels: VoxelGrid) -> Lattice:
@@ -112,6 +113,7 @@ def voxels_of(level: SceneGrid2D, *, step: float = 0.25, height: float = 1.14) -
 
     Raises:
         QueryError: the band is empty.
+        ConfigError: the voxels need more memory than there is.
     """
     if not step < height:
         raise QueryError(f"expected a band of heights, step < height, got {step:g} and {height:g}")
@@ -122,7 +124,9 @@ def voxels_of(level: SceneGrid2D, *, step: float = 0.25, height: float = 1.14) -
     bottom = level.ground + step - below * res
     start = np.floor((floor + step - bottom) / res + CELL_SLACK)
     end = np.ceil((floor + height - bottom) / res - CELL_SLACK)
-    values = np.zeros((lattice.width, lattice.height, max(int(end.max()), 1)), dtype=np.bool_)
+    shape = lattice.width, lattice.height, max(int(end.max()), 1)
+    check_memory(shape, 1)
+    values = np.zeros(shape, dtype=np.bool_)
     columns = values.transpose(1, 0, 2)[::-1]
     filled = level.occupancy != 0
     for k in range(values.shape[2]):

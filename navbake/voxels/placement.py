@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.errors import ConfigError
 from navbake.lattice import CELL_SLACK, num_cells
 
+MANY = 2**200  # more than any memory, and still a float
 FINEST = 1e-5  # least edge of a voxel, well above what counts as touching [m]
 
 
@@ -68,10 +69,11 @@ def place_grid(
             raise ConfigError("expected counts of cells or a size in metres beside the centre")
         return _cover(_check_bounds(bounds), edge)
     shape = _check_cells(cells) if cells is not None else _count_cells(size, edge)
+    check_memory(shape, 1)  # before such numbers meet arrays
     if position is None:
         center = _check_bounds(bounds).mean(axis=0)
     else:
-        center = _check_three(position, "the centre to be x, y, z [m]")
+        center = check_three(position, "the centre to be x, y, z [m]")
     origin = center - np.array(shape) * edge / 2
     if not align:
         return Placement(origin, edge, shape)
@@ -85,12 +87,17 @@ def check_memory(shape: Sequence[int], itemsize: int) -> None:
     Raises:
         ConfigError: it needs more than there is.
     """
-    needed, free = math.prod(shape) * itemsize, _free_memory()
+    needed, free = min(math.prod(shape) * itemsize, MANY), _free_memory()
     if needed > free:
         raise ConfigError(
-            f"a grid of {' × '.join(map(str, shape))} voxels takes {needed / 2**30:.3g} GiB, and "
+            f"a grid of {' × '.join(_short(n) for n in shape)} voxels takes "
+            f"{needed / 2**30:.3g} GiB, and "
             f"{free / 2**30:.3g} GiB of memory are free: expected fewer or larger voxels"
         )
+
+
+def _short(count: int) -> str:
+    return str(count) if count < 10**15 else f"{min(count, MANY):.3g}"
 
 
 def _cover(bounds: NDArray[np.float64], res: float) -> Placement:
@@ -111,7 +118,7 @@ def _check_res(res: Any) -> float:
 
 
 def _check_cells(cells: Sequence[Any]) -> tuple[int, int, int]:
-    counts = list(cells)
+    counts = list(cells) if np.iterable(cells) else [cells]
     whole = all(
         isinstance(n, int | np.integer) and not isinstance(n, bool) and n >= 1 for n in counts
     )
@@ -122,14 +129,19 @@ def _check_cells(cells: Sequence[Any]) -> tuple[int, int, int]:
 
 
 def _count_cells(size: ArrayLike | None, res: float) -> tuple[int, int, int]:
-    extent = _check_three(size, "a size x, y, z in metres")
+    extent = check_three(size, "a size x, y, z in metres")
     if not (extent > 0).all():
         raise ConfigError(f"expected a size > 0 m along each axis, got {extent.tolist()}")
-    nx, ny, nz = (num_cells(float(length), res) for length in extent)
+    nx, ny, nz = (num_cells(min(float(length), MANY * res), res) for length in extent)
     return nx, ny, nz
 
 
-def _check_three(value: ArrayLike | None, expected: str) -> NDArray[np.float64]:
+def check_three(value: ArrayLike | None, expected: str) -> NDArray[np.float64]:
+    """Three finite numbers, shape (3,), float64.
+
+    Raises:
+        ConfigError: they are none; the message says what was `expected`.
+    """
     try:
         numbers = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):

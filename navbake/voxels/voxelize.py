@@ -200,12 +200,18 @@ class Voxelizer:
             data is not None
         ) != 1:
             raise ConfigError("expected one of joints (with a keyframe or not), qpos and data")
+        if isinstance(keyframe, int) and keyframe < 0:
+            raise ConfigError(f"expected a keyframe's name or its index >= 0, got {keyframe}")
         if qpos is not None:
             data = data_of_qpos(model, qpos)
         elif data is None:
+            if joints is not None and not isinstance(joints, Mapping):
+                raise ConfigError(f"expected joints as positions by name, got {joints!r}")
             given = self._settings or SceneSettings(path=Path(self.scene.id))
             update = {"joints": dict(joints or {}), "keyframe": keyframe}
             data = pose_model(model, given.model_copy(update=update))
+        if not hasattr(data, "geom_xpos"):
+            raise ConfigError(f"expected a mujoco.MjData of this scene, got {type(data).__name__}")
         if data.geom_xpos.shape != self.scene.data.geom_xpos.shape:
             raise ConfigError(
                 f"expected data of this scene's {model.ngeom} geoms, got {len(data.geom_xpos)}"

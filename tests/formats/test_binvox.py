@@ -191,6 +191,30 @@ def test_a_centred_unit_cube_is_no_airsim_file():
     assert decode_binvox(encode_binvox(grid), "x").notes == []
 
 
+@pytest.mark.parametrize("low", [(-0.5, 0.0, 0.0), (-0.5, -0.7, -0.1), (-0.5, -0.5, -0.5)])
+def test_files_by_the_rules_whose_scale_is_one_are_no_airsim_files(low):
+    """The longest side is 1 m, and x begins at -0.5 m: the scale fits AirSim's by chance."""
+    grid = grid_of(np.random.default_rng(2).random((10, 20, 10)) < 0.4, low, 0.05)
+    back = decode_binvox(encode_binvox(grid), "x")
+    np.testing.assert_array_equal(back.values, grid.values)
+    assert back.notes == [] and back.origin == low
+
+
+@pytest.mark.parametrize(
+    ("asked", "culprit"),
+    [
+        ({"position": "here"}, "position to be x, y, z"),
+        ({"position": (1, 2)}, "position to be x, y, z"),
+        ({"res": float("nan")}, "`res`.* > 0 m, got nan"),
+        ({"res": -0.1}, "`res`.* > 0 m, got -0.1"),
+    ],
+)
+def test_what_airsim_was_asked_for_may_be_wrong(asked, culprit):
+    data, _ = write_binvox_as_airsim({(0, 0, 0)}, (3, 4, 5), 0.5)
+    with pytest.raises(NavbakeError, match=culprit):
+        decode_binvox(data, "x", **asked)
+
+
 # ---------------------------------------------------------------- bad files
 
 
@@ -213,6 +237,9 @@ def test_a_centred_unit_cube_is_no_airsim_file():
         (HEADER + bytes([1, 24, 1, 255]), "got 279 voxels: too many"),
         (HEADER + bytes([1, 24, 0]), "got half a run"),
         (HEADER.replace(b"2 3 4", b"999999 999999 9"), "GiB of memory are free"),
+        (HEADER.replace(b"2 3 4", b"9" * 30 + b" 3 4"), "GiB of memory are free"),
+        (HEADER.replace(b"2 3 4", b"9" * 400 + b" 3 4"), "3 whole numbers at `dim`"),
+        (HEADER.replace(b"#binvox 1", b"#binvox " + b"9" * 400), "1 whole number at `version`"),
     ],
 )
 def test_broken_files_say_what_is_wrong(data, culprit):

@@ -164,6 +164,14 @@ def test_bad_poses(path, voxelizer, tmp_path):
         voxelizer.set_pose(keyframe="in")
     with pytest.raises(ConfigError, match=r"expected 2 joint positions \(nq\), got \(3,\)"):
         voxelizer.set_pose(qpos=[1, 2, 3])
+    with pytest.raises(ConfigError, match=r"2 joint positions \(nq\), got 'out'"):
+        voxelizer.set_pose(qpos="out")
+    with pytest.raises(ConfigError, match="index >= 0, got -1"):
+        voxelizer.set_pose(keyframe=-1)
+    with pytest.raises(ConfigError, match="joints as positions by name"):
+        voxelizer.set_pose(joints=["pull"])
+    with pytest.raises(ConfigError, match="MjData of this scene, got int"):
+        voxelizer.set_pose(data=3)
     with pytest.raises(ConfigError, match="one of joints"):
         voxelizer.set_pose()
     with pytest.raises(ConfigError, match="one of joints"):
@@ -285,6 +293,11 @@ def test_beyond_2_to_the_24_voxels_there_are_no_holes(tmp_path):
         ({"cells": (5, 5, 5), "position": (1, 2, np.nan)}, "the centre"),
         ({"cells": (10**5, 10**5, 10**5)}, "GiB, and .* GiB of memory are free"),
         ({"size": (1e4, 1e4, 1e4), "res": 1e-3}, "GiB of memory are free"),
+        ({"size": (1e20, 1, 1), "align": True}, r"1e\+21 × 10 × 10 voxels .*of memory are free"),
+        ({"size": (1e308, 1, 1), "res": 1e-5}, "GiB of memory are free"),
+        ({"cells": (10**30, 1, 1), "align": True}, r"1e\+30 × 1 × 1 voxels .*memory are free"),
+        ({"cells": (10**400, 1, 1)}, "GiB of memory are free"),
+        ({"cells": 5}, r"3 counts of cells.*\[5\]"),
         ({"cells": (5, 5, 5), "segments": "room"}, "geom, body, top, or name patterns.*'room'"),
         ({"cells": (5, 5, 5), "segments": []}, "geom, body, top, or name patterns"),
         ({"cells": (5, 5, 5), "segments": {"a": 0}}, "an ID from 1 to .* 'a', got 0"),
