@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
-from navbake.formats.map_descriptor import SQUARE
+from navbake.formats.map_descriptor import MOST, SQUARE
 from navbake.grid import SceneGrid2D
 from navbake.lattice import CELL_SLACK, Lattice, num_cells
 
@@ -43,10 +43,17 @@ def place_squares(
                 f"the corner ({place[0]:g}, {place[1]:g}) leaves nothing of the level, which ends "
                 f"at ({x1:g}, {y1:g})"
             )
+        if max(x1 - place[0], y1 - place[1]) > MOST * square:
+            raise QueryError(f"expected larger squares: the level has over {MOST} of {square:g} m")
         shape = (num_cells(y1 - place[1], square), num_cells(x1 - place[0], square))
     rows, cols = shape
     if rows < 1 or cols < 1:
         raise QueryError(f"expected rows and columns >= 1, got {rows} and {cols}")
+    if rows * cols > MOST:
+        raise QueryError(
+            f"expected at most {MOST} squares, got {rows} × {cols} of {square:g} m: "
+            f"take larger squares, or a part of the level"
+        )
     squares = Lattice(float(place[0]), float(place[1] + rows * square), square, cols, rows)
     left, bottom, right, top = squares.bounds
     if left >= x1 or bottom >= y1 or right <= x0 or top <= y0:

@@ -259,4 +259,6 @@ def _read_squares(
         known = np.load(explored, allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
         raise FormatError(f"expected an array (.npy), {explored} can't be read: {error}") from error
+    if not isinstance(known, np.ndarray):
+        raise FormatError(f"expected one array (.npy), got several in {explored}")
     return known, filled

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
-from navbake.formats.map_descriptor import ARENA, SQUARE, decode, draw, encode
+from navbake.formats.map_descriptor import ARENA, SQUARE, check_shape, decode, draw, encode
 from navbake.lattice import Lattice
 
 HAIR = 1e-6  # a range that ends this little before a face was measured to it [m]
@@ -42,13 +42,14 @@ class ExploredMap:
             corner: the lower left corner, x and y, world frame [m].
 
         Raises:
+            FormatError: the shape is none.
             QueryError: a number is wrong.
         """
-        rows, cols = shape
-        if rows < 1 or cols < 1 or not (np.isfinite(square) and square > 0):
-            raise QueryError(
-                f"expected rows and columns >= 1 of squares > 0 m, got {rows} × {cols} of {square}"
-            )
+        rows, cols = check_shape(shape)
+        if not (np.isfinite(square) and square > 0):
+            raise QueryError(f"expected squares with an edge > 0 m, got {square:g}")
+        if not np.isfinite(corner).all() or len(corner) != 2:
+            raise QueryError(f"expected the lower left corner as x, y [m], got {corner}")
         self.lattice = Lattice(
             float(corner[0]), float(corner[1]) + rows * square, square, cols, rows
         )
@@ -106,14 +107,13 @@ class ExploredMap:
             QueryError: the position is beside the arena, or a number is wrong.
         """
         self._square_at(x, y)
-        ways, lengths = np.atleast_1d(angles).astype(float), np.atleast_1d(ranges).astype(float)
-        if ways.ndim != 1 or ways.shape != lengths.shape or not np.isfinite(ways).all():
+        ways, lengths = _check_rays(angles, max_range), _numbers(ranges, "ranges [m]")
+        if ways.shape != lengths.shape:
             raise QueryError(
-                f"expected as many finite angles as ranges, got shapes {ways.shape} and "
-                f"{lengths.shape}"
+                f"expected as many angles as ranges, got {len(ways)} and {len(lengths)}"
             )
-        if (lengths < 0).any() or not (np.isfinite(max_range) and max_range > 0):
-            raise QueryError(f"expected ranges >= 0 m, and below {max_range:g} m, which is > 0")
+        if (lengths < 0).any():
+            raise QueryError(f"expected ranges >= 0 m, got {np.nanmin(lengths):g}")
         passed, hit = np.zeros_like(self.explored), np.zeros_like(self.explored)
         for angle, length in zip(ways, lengths, strict=True):
             if not np.isnan(length):
@@ -146,11 +146,12 @@ class ExploredMap:
             raise QueryError(f"expected a truth of shape {self.explored.shape}, got {filled.shape}")
         self._square_at(x, y)
         ranges = []
-        for angle in np.atleast_1d(angles).astype(float):
+        ways = _check_rays(angles, max_range)
+        for angle in ways:
             rows, cols, starts = self._trace(x, y, angle, max_range, False)
             blocked = np.flatnonzero(filled[rows, cols])
             ranges.append(float(starts[blocked[0]]) if len(blocked) else np.inf)
-        self.observe(x, y, angles, ranges, max_range)
+        self.observe(x, y, ways, ranges, max_range)
         return np.array(ranges)
 
     def descriptor(self) -> tuple[str, str]:
@@ -185,15 +186,18 @@ class ExploredMap:
         way = np.array([np.cos(angle), -np.sin(angle)])
         far = (length + (2 * HAIR if beyond else 0.0)) / size
         stops = [np.array([0.0, far])]
-        for place, speed in zip(start, way, strict=True):
+        counts = self.lattice.width, self.lattice.height
+        for place, speed, count in zip(start, way, counts, strict=True):
             if abs(speed) > 1e-12:
-                ends = np.sort([place, place + speed * far])
+                # the arena's own lines; a ray that left it doesn't come back
+                ends = np.sort([place, place + speed * far]).clip(-1.0, count + 1.0)
                 lines = np.arange(np.ceil(ends[0]), np.floor(ends[1]) + 1)
                 stops.append((lines - place) / speed)
         t = np.unique(np.concatenate(stops).clip(0.0, far))
         t = t[np.append(True, np.diff(t) > HAIR / size / 2)]
         starts, middles = t[:-1], (t[:-1] + t[1:]) / 2
-        cols, rows = np.floor(start[:, None] + way[:, None] * middles).astype(np.int64)
+        places = (start[:, None] + way[:, None] * middles).clip(-1.0, 2.0**31)
+        cols, rows = np.floor(places).astype(np.int64)
         starts = starts * size
         if beyond and len(starts):
             last = (rows == rows[-1]) & (cols == cols[-1])
@@ -201,3 +205,23 @@ class ExploredMap:
         inside = (rows >= 0) & (rows < self.lattice.height)
         inside &= (cols >= 0) & (cols < self.lattice.width)
         return rows[inside], cols[inside], starts[inside]
+
+
+def _check_rays(angles: ArrayLike, max_range: float) -> NDArray[np.float64]:
+    """The directions of rays, shape (n,) [rad]."""
+    ways = _numbers(angles, "angles [rad]")
+    if not np.isfinite(ways).all():
+        raise QueryError("expected finite angles [rad], got others")
+    if not (np.isfinite(max_range) and max_range > 0):
+        raise QueryError(f"expected a finite `max_range` > 0 m, got {max_range:g}")
+    return ways
+
+
+def _numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
+    try:
+        numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    except (TypeError, ValueError):
+        numbers = np.empty((0, 0))
+    if numbers.ndim != 1:
+        raise QueryError(f"expected {what} of shape (n,), got {values!r}"[:200])
+    return numbers

@@ -77,5 +77,10 @@ def test_says_what_is_wrong():
         place_squares(level, corner=(1, 0))
     with pytest.raises(QueryError, match=r"lies beside the level: it spans x 0 to 0\.2"):
         place_squares(level, corner=(5, 0), shape=(2, 2))
+    for square in (1e-7, 1e-310):
+        with pytest.raises(QueryError, match="larger squares"):
+            place_squares(level, square=square)
+    with pytest.raises(QueryError, match="at most 100000000 squares, got 1000000 × 1000000"):
+        place_squares(level, shape=(10**6, 10**6))
     with pytest.raises(QueryError, match="rows and columns >= 1, got 0 and 5"):
         place_squares(level, shape=(0, 5))

@@ -170,11 +170,14 @@ def test_decodes_the_canonical_descriptor(run):
         (("arena.grid.json", "--rows", 3), 2, "both or none"),
         (("arena.grid.json", "--level", 4), 1, "no level 4 in arena.grid.json: it has 1"),
         (("arena.grid.json", "--explored", "no.npy"), 1, "no.npy can't be read"),
+        (("arena.grid.json", "--explored", "several.npz"), 1, "got several in several.npz"),
+        (("arena.grid.json", "--square", 1e-7), 1, "larger squares"),
         (("--decode", P1, P2 + "0"), 1, "in part 2"),
         (("none.json",), 1, "none.json"),
     ],
 )
 def test_wrong_descriptors_say_what_is_wrong(folder, run, arguments, status, culprit):
     run("bake", "arena.yaml", "-q")
+    np.savez("several.npz", np.ones((3, 3)))
     found, _, err = run("mdf", *arguments)
     assert found == status and culprit in " ".join(err.split())

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from navbake.errors import QueryError
+from navbake.errors import FormatError, QueryError
 from navbake.explored import ExploredMap
 from navbake.formats.map_descriptor import decode
 
@@ -136,6 +136,17 @@ def test_the_latest_counts_and_an_end_more_than_a_pass():
     assert str(own).split("\n")[-1] == "......?????????"
 
 
+def test_ranges_may_reach_far_beyond_the_arena():
+    """A sensor that sees kilometres costs no more than one that sees the arena."""
+    near, far = ExploredMap(), ExploredMap()
+    angles = np.linspace(0, 2 * np.pi, 90)
+    near.observe(0.73, 0.91, angles, np.full(90, np.inf), max_range=3.0)
+    far.observe(0.73, 0.91, angles, np.full(90, np.inf), max_range=1e12)
+    far.observe(0.73, 0.91, angles, np.full(90, 1e11), max_range=1e12)
+    np.testing.assert_array_equal(far.explored, near.explored)
+    assert not far.obstacles.any()
+
+
 def test_walls_of_the_arena_are_no_part_of_it():
     own = ExploredMap()
     own.observe(1.45, 1.95, [0.0, np.pi / 2], [0.05, 0.05], max_range=0.8)
@@ -156,13 +167,29 @@ def test_says_what_is_wrong():
         own.enter(1.6, 0)
     with pytest.raises(QueryError, match="within the arena"):
         own.observe(np.nan, 0, [0], [1], 1)
-    with pytest.raises(QueryError, match="as many finite angles as ranges"):
+    with pytest.raises(QueryError, match="as many angles as ranges, got 2 and 1"):
         own.observe(0.5, 0.5, [0, 1], [1], 1)
     with pytest.raises(QueryError, match="ranges >= 0 m"):
         own.observe(0.5, 0.5, [0], [-1], 1)
-    with pytest.raises(QueryError, match="below 0 m, which is > 0"):
+    with pytest.raises(QueryError, match="`max_range` > 0 m, got 0"):
         own.observe(0.5, 0.5, [0], [1], 0)
+    with pytest.raises(QueryError, match="finite angles"):
+        own.observe(0.5, 0.5, [np.nan], [1], 1)
+    with pytest.raises(QueryError, match=r"ranges \[m\] of shape \(n,\), got \['far'\]"):
+        own.observe(0.5, 0.5, [0], ["far"], 1)
+    free = np.zeros((20, 15))
+    with pytest.raises(QueryError, match="`max_range` > 0 m, got inf"):
+        own.look(free, 0.5, 0.5, [0], np.inf)
+    with pytest.raises(QueryError, match=r"angles \[rad\] of shape \(n,\)"):
+        own.look(free, 0.5, 0.5, [[0, 1]], 1)
     with pytest.raises(QueryError, match=r"truth of shape \(20, 15\), got \(2, 2\)"):
         own.look(np.zeros((2, 2)), 0.5, 0.5, [0], 1)
-    with pytest.raises(QueryError, match="rows and columns >= 1"):
-        ExploredMap((0, 5))
+    for shape in ((0, 5), (2.5, 5), 20, (1, 2, 3)):
+        with pytest.raises(FormatError, match=r"shape \(rows, cols\), each >= 1"):
+            ExploredMap(shape)
+    with pytest.raises(FormatError, match="at most 100000000 squares"):
+        ExploredMap((10**6, 10**6))
+    with pytest.raises(QueryError, match="lower left corner as x, y"):
+        ExploredMap(corner=(np.nan, 0))
+    with pytest.raises(QueryError, match="edge > 0 m, got -1"):
+        ExploredMap(square=-1)

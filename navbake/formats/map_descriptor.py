@@ -20,6 +20,7 @@ from navbake.errors import FormatError
 ARENA = (20, 15)  # rows and columns of the arena that the format is for
 SQUARE = 0.1  # edge of its squares [m]
 PAD = np.array([1, 1], dtype=np.uint8)
+MOST = 10**8  # squares that a map may have
 HEX = set("0123456789abcdefABCDEF")
 
 UNEXPLORED, FREE, OBSTACLE = "?", ".", "#"
@@ -67,7 +68,7 @@ def decode(
     Raises:
         FormatError: a string isn't hexadecimal, too short or too long, or its padding is wrong.
     """
-    rows, cols = _check_shape(shape)
+    rows, cols = check_shape(shape)
     bits = _from_hex(part1, "part 1")
     count = rows * cols + 4
     digits = 2 * -(-count // 8)
@@ -116,17 +117,30 @@ def _read_part2(part2: str, count: int) -> NDArray[np.bool_]:
 
 
 def _flags(values: ArrayLike, name: str) -> NDArray[np.bool_]:
-    flags = np.asarray(values)
+    try:
+        flags = np.asarray(values)
+    except ValueError:  # rows of several lengths
+        flags = np.empty(0)
+    if flags.dtype.kind not in "biuf":
+        raise FormatError(f"expected {name} of true and false, got dtype {flags.dtype}")
     if flags.ndim != 2 or 0 in flags.shape:
         raise FormatError(f"expected {name} of shape (rows, cols), got {flags.shape}")
     return np.asarray(flags != 0)
 
 
-def _check_shape(shape: Sequence[int]) -> tuple[int, int]:
-    sizes = list(shape)
+def check_shape(shape: Sequence[int]) -> tuple[int, int]:
+    """Rows and columns of a map.
+
+    Raises:
+        FormatError: they aren't two whole numbers >= 1, or too many.
+    """
+    sizes = list(shape) if np.iterable(shape) else [shape]
     if len(sizes) != 2 or not all(isinstance(n, int | np.integer) and n >= 1 for n in sizes):
         raise FormatError(f"expected a shape (rows, cols), each >= 1, got {sizes}")
-    return int(sizes[0]), int(sizes[1])
+    rows, cols = int(sizes[0]), int(sizes[1])
+    if rows * cols > MOST:
+        raise FormatError(f"expected at most {MOST} squares, got {rows} × {cols}")
+    return rows, cols
 
 
 def _to_hex(bits: NDArray[np.generic]) -> str:
@@ -134,6 +148,8 @@ def _to_hex(bits: NDArray[np.generic]) -> str:
 
 
 def _from_hex(text: str, name: str) -> NDArray[np.uint8]:
+    if not isinstance(text, str):
+        raise FormatError(f"expected {name} as a string of hexadecimal digits, got {text!r}")
     digits = text.strip()
     bad = next((c for c in digits if c not in HEX), None)
     if bad is not None:

@@ -213,11 +213,22 @@ def _box_leaves(leaves: NDArray[np.int32]) -> tuple[NDArray[np.int64], tuple[int
 
 
 def _box_keys(bounds: ArrayLike, res: float) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
-    box = np.asarray(bounds, dtype=np.float64)
+    try:
+        box = np.asarray(bounds, dtype=np.float64)
+    except (TypeError, ValueError):
+        box = np.empty(0)
     if box.shape != (2, 3) or not np.isfinite(box).all() or not (box[0] < box[1]).all():
         raise FormatError(f"expected bounds as (lower, upper) corner [m], got {bounds!r}")
-    first = np.clip(np.floor(box[0] / res + OFF).astype(np.int64) + CENTER, 0, 2 * CENTER - 1)
-    end = np.clip(np.ceil(box[1] / res - OFF).astype(np.int64) + CENTER, first + 1, 2 * CENTER)
+    place = np.clip(box / res + CENTER, -1.0, 2.0 * CENTER + 1.0)  # whole numbers hold no more
+    first = np.clip(np.floor(place[0] + OFF), 0, None).astype(np.int64)
+    end = np.clip(np.ceil(place[1] - OFF), None, 2 * CENTER).astype(np.int64)
+    end = np.where(end == first, first + 1, end)  # a box within a hair of a face
+    if (end <= first).any() or (end > 2 * CENTER).any():
+        reach = CENTER * res
+        raise FormatError(
+            f"expected bounds within {reach:g} m of the origin, where the tree reaches, "
+            f"got {box.tolist()}"
+        )
     nx, ny, nz = (end - first).tolist()
     return first, (nx, ny, nz)
 

@@ -107,6 +107,18 @@ def test_says_what_is_wrong(part1, part2, culprit):
         decode(part1, part2)
 
 
+def test_says_what_is_no_map_at_all():
+    for part1, part2 in ((None, PART2), (PART1, None), (12, PART2)):
+        with pytest.raises(FormatError, match="as a string of hexadecimal digits, got"):
+            decode(part1, part2)
+    with pytest.raises(FormatError, match=r"shape \(rows, cols\), each >= 1, got \[3\]"):
+        decode(PART1, PART2, 3)
+    with pytest.raises(FormatError, match="explored of true and false, got dtype <U1"):
+        encode([["?"]], [["."]])
+    with pytest.raises(FormatError, match="explored of shape"):
+        encode([[1], [1, 0]], [[1]])
+
+
 def test_padding_that_holds_something_is_wrong():
     with pytest.raises(FormatError, match="0s after the 1 bits of part 2"):
         decode("F8", "C0", (1, 1))

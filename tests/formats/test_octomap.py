@@ -106,8 +106,19 @@ def test_only_a_box_is_read_when_asked():
     )
     assert part.shape == (15, 7, 5)
     np.testing.assert_array_equal(part.values, grid.values[5:20, 5:12, 5:10])
-    with pytest.raises(FormatError, match="expected bounds"):
-        decode_octomap(encode_octomap(grid, "bt"), "x", bounds=(high, low))
+    for bounds in ((high, low), "here", None):
+        with pytest.raises(FormatError, match="expected bounds as"):
+            decode_octomap(encode_octomap(grid, "bt"), "x", bounds=bounds or [[0, 0, 0]])
+
+
+def test_a_box_reaches_as_far_as_the_tree_and_not_beside_it():
+    data = encode_octomap(grid_of(np.ones((2, 2, 2), dtype=bool), (32766, 0, 0), 0.1), "bt")
+    part = decode_octomap(data, "x", bounds=((3276.6, 0, 0), (1e300, 0.1, 0.1)))
+    assert part.shape == (2, 1, 1) and part.values.all()
+    assert part.origin == pytest.approx((3276.6, 0, 0))
+    for low, high in ((4000, 5000), (-5000, -4000), (1e299, 1e300)):
+        with pytest.raises(FormatError, match=r"within 3276\.8 m of the origin"):
+            decode_octomap(data, "x", bounds=((low, 0, 0), (high, 1, 1)))
 
 
 def test_ids_count_as_occupied():
