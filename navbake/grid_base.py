@@ -120,7 +120,8 @@ class GridBase:
         that the original client's ``refine`` gives, cell for cell.
 
         A cell that isn't free stays so (but for what ``refine`` does at radius 0 with a
-        clearance). Occupancy stays as baked, so a grid can be inflated again.
+        clearance). Occupancy stays as baked, so a grid can be inflated again; a file that tells
+        none, or no floors, gets those layers, as they followed from its weights.
 
         Args:
             radius: of the agent [m], 0 to 10,000.

@@ -7,6 +7,7 @@ from numba import njit
 # Directions: east, north, west, south, then north-east, north-west, south-west, south-east. North
 # is row - 1. Bit d of a cell's moves is set where a step leads that way.
 EAST, NORTH, WEST, SOUTH = 1, 2, 4, 8
+SOUTH_WEST, SOUTH_EAST = 64, 128
 STRAIGHT = 15
 
 

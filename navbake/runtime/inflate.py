@@ -62,7 +62,8 @@ def inflate(
     """The same grid for an agent of another radius; see `SceneGrid2D.inflate`."""
     check_arguments(radius, clearance, mode, costs, scaling)
     if clearance is None:
-        clearance = math.log(LETHAL_COST) / scaling if costs == "nav2" else 0.0
+        falls_off = math.log(LETHAL_COST) / scaling  # how far costs reach 1
+        clearance = min(falls_off, MAX_RADIUS) if costs == "nav2" else 0.0
     weights = []
     for number, level in enumerate(grid.levels):
         cell = level.lattice.cell_size

@@ -43,12 +43,20 @@ class IslandMap:
         raise QueryError(f"no island {island!r}: there are {there_are}")
 
 
-def map_islands(walk: Walk) -> IslandMap:
-    """Find the islands of a walk, by the rule of `navbake.islands.find_islands`."""
+def map_islands(walk: Walk, corners: NDArray[np.uint8] | None = None) -> IslandMap:
+    """Find the islands of a walk, by the rule of `navbake.islands.find_islands`.
+
+    Args:
+        walk: the cells.
+        corners: the moves of each cell, see `navbake.kernels.moves`, where corners may be cut:
+            then diagonal ones join cells that nothing else does.
+    """
     from navbake.kernels.islands import label_islands
 
     source = np.repeat(walk.link_cell, np.diff(walk.link_start))
     links = np.stack([source, walk.link_target], axis=1)
+    if corners is not None:
+        links = np.concatenate([links, _over_corners(walk, corners)])
     number, sizes = label_islands(
         walk.start, walk.width, walk.free, walk.floor, walk.max_step, links
     )
@@ -60,3 +68,14 @@ def map_islands(walk: Walk) -> IslandMap:
             areas += np.bincount(of_level, minlength=len(sizes)) * size**2
         areas[0] = 0.0
     return IslandMap(number, areas)
+
+
+def _over_corners(walk: Walk, moves: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """The pairs of cells that a diagonal move joins, shape (n, 2)."""
+    from navbake.kernels.moves import SOUTH_EAST, SOUTH_WEST
+
+    pairs = []
+    for bit, across in ((SOUTH_WEST, -1), (SOUTH_EAST, 1)):
+        cells = np.flatnonzero(moves & bit)
+        pairs.append(np.stack([cells, cells + walk.width[walk.level_of(cells)] + across], axis=1))
+    return np.concatenate(pairs)

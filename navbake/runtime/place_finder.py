@@ -63,7 +63,9 @@ class PlaceFinder:
     def islands(self) -> IslandMap:
         """The connected parts of the cells that are free now: ``count``, ``areas`` [m²]."""
         if self._islands is None or self._islands[0] != self.search.version:
-            self._islands = (self.search.version, map_islands(self.search.walk))
+            search = self.search
+            corners = search.moves if search.cut_corners else None
+            self._islands = (search.version, map_islands(search.walk, corners))
         return self._islands[1]
 
     @property

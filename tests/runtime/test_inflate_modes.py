@@ -90,3 +90,9 @@ def test_nav2_costs_become_weights_and_open_nothing():
     np.testing.assert_array_equal(everywhere, weights)  # where it would be below 1, it is 1
     slow = level.inflate(0.22, costs="nav2", scaling=3.0).weights[0]
     assert slow[1] == math.floor(252 * math.exp(-3 * (1.3 - 0.22)))
+
+
+def test_costs_that_hardly_fall_reach_everywhere():
+    level = level_of("0000000000", "000#000000")
+    weights = level.inflate(0.1, costs="nav2", scaling=1e-320).weights
+    assert (weights[np.isfinite(weights)] == 252).all()

@@ -14,6 +14,7 @@ from navbake.errors import QueryError
 from navbake.grid import MultiLevelGrid
 from navbake.islands import find_islands
 from navbake.runtime.locate import Cell, flat_cells
+from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.place_finder import PlaceFinder
 from navbake.runtime.place_sampler import PlaceSampler
 
@@ -236,3 +237,13 @@ def test_third_party_files():
 def test_what_is_no_question_is_refused(ask):
     with pytest.raises(QueryError):
         ask(PlaceFinder(level_from("#..\n...")))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_islands_are_what_paths_join_where_corners_are_cut(seed):
+    rng = np.random.default_rng(seed)
+    finder = PathFinder(random_house(rng, share=0.5), cut_corners=True)
+    search = finder.search
+    start = int(rng.choice(np.flatnonzero(search.walk.free)))
+    joined = np.isfinite(search.field(np.array([start])))
+    np.testing.assert_array_equal(finder.islands.number == finder.islands.number[start], joined)
