@@ -45,30 +45,55 @@ class StoredUserData:
         raise NotImplementedError
 
 
+Parts = tuple[NDArray[np.int64], NDArray[np.int64], Sequence[Json]]
+
+
 class SharedUserData(StoredUserData):
     """User data of which many cells have the same.
 
-    Attributes:
+    Args:
         cells: cell ids, ascending, shape (n,), int64.
         number: which entry each cell has, shape (n,), int64.
-        entries: the entries, each made when they are first needed; nobody may change them.
+        entries: the entries; nobody may change them.
     """
 
     def __init__(
-        self,
-        cells: NDArray[np.int64],
-        number: NDArray[np.int64],
-        entries: Sequence[Json] | Callable[[], Sequence[Json]],
+        self, cells: NDArray[np.int64], number: NDArray[np.int64], entries: Sequence[Json]
     ) -> None:
-        self.cells, self.number, self._entries = cells, number, entries
+        self._parts: Parts | Callable[[], Parts] = (cells, number, entries)
         self._resolved: dict[int, Json] | None = None
+
+    @classmethod
+    def later(cls, make: Callable[[], Parts]) -> SharedUserData:
+        """User data whose cells, numbers and entries are made when they are first needed."""
+        shared = cls(np.empty(0, np.int64), np.empty(0, np.int64), [])
+        shared._parts = make
+        return shared
+
+    def __reduce__(self) -> tuple[type[SharedUserData], Parts]:
+        return SharedUserData, self.parts
+
+    @property
+    def parts(self) -> Parts:
+        """Cells, numbers and entries."""
+        if callable(self._parts):
+            self._parts = self._parts()
+        return self._parts
+
+    @property
+    def cells(self) -> NDArray[np.int64]:
+        """Cell ids, ascending, shape (n,), int64."""
+        return self.parts[0]
+
+    @property
+    def number(self) -> NDArray[np.int64]:
+        """Which entry each cell has, shape (n,), int64."""
+        return self.parts[1]
 
     @property
     def entries(self) -> Sequence[Json]:
-        """The entries that cells share."""
-        if callable(self._entries):
-            self._entries = self._entries()
-        return self._entries
+        """The entries that cells share; nobody may change them."""
+        return self.parts[2]
 
     @property
     def is_resolved(self) -> bool:

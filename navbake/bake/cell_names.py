@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,6 @@ from navbake.bake.names import body_name
 from navbake.bake.scene import Scene
 from navbake.kernels.lists import number_lists
 from navbake.lattice import Lattice
-from navbake.user_data import SharedUserData
 
 Int = NDArray[np.int64]
 Window = tuple[slice, slice]
@@ -46,7 +44,7 @@ def name_cells(
     names: Sequence[str],
     lattice: Lattice,
     window: Window,
-) -> SharedUserData:
+) -> tuple[Int, Int, list[Names]]:
     """Write the names of geoms in cells as user data.
 
     Args:
@@ -58,8 +56,9 @@ def name_cells(
         window: rows and columns of the lattice that the grid holds.
 
     Returns:
-        By cell id on the window: sorted names under each key that has any, and ``blockers``
-        where they aren't all the other names.
+        Cell ids on the window, ascending; which entry each has; and the entries: sorted names
+        under each key that has any, and ``blockers`` where they aren't all the other names. See
+        `SharedUserData`.
     """
     cell, name, bits = _merge(cell, _number_names(names)[geom], bits, len(names))
     token = name * ALL_BITS + bits
@@ -72,9 +71,7 @@ def name_cells(
     start = np.append(first, len(cell))
     number = np.empty(len(first), dtype=np.int64)
     lists = number_lists(start, token, number)
-    # one entry a kind of cell takes a while, and who only plans or plots needs none
-    describe = partial(_describe, token, start[lists], start[lists + 1], names)
-    return SharedUserData(cell[first], number, describe)
+    return cell[first], number, _describe(token, start[lists], start[lists + 1], names)
 
 
 def _merge(cell: Int, name: Int, bits: Int, num_names: int) -> tuple[Int, Int, Int]:

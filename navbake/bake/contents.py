@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from navbake.bake.cell_names import (
     BLOCKERS,
     OBJECTS,
     WALLS,
+    Names,
     Window,
     name_cells,
     name_geoms,
@@ -121,6 +123,12 @@ class Contents:
         Returns:
             By cell id on the window: sorted names under each key that has any.
         """
+        # it takes a while, and who only plans or plots needs none of it
+        return SharedUserData.later(partial(self._name_cells, level, window))
+
+    def _name_cells(
+        self, level: int, window: Window
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], list[Names]]:
         listed = self.levels[level]
         kind = self.kinds[listed.geom]
         bits = np.where(listed.blocks, BLOCKERS, 0)

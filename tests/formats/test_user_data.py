@@ -280,3 +280,18 @@ def test_a_change_in_one_cell_is_none_in_those_that_share_its_entry():
     assert user_data[0] == user_data[2] == entries[0] == same
     assert user_data[1]["walls"] == ["lamp"]
     assert shared.resolve() is user_data
+
+
+def test_what_is_made_later_is_made_once_and_can_be_copied():
+    made = []
+
+    def make():
+        made.append(1)
+        return np.array([1, 4]), np.array([0, 0]), [{"objects": ["a"]}]
+
+    shared = SharedUserData.later(make)
+    assert not made
+    for other in (copy.deepcopy(shared), pickle.loads(pickle.dumps(shared))):
+        assert other.resolve() == {1: {"objects": ["a"]}, 4: {"objects": ["a"]}}
+    assert shared.resolve()[1] is not shared.resolve()[4]
+    assert made == [1]
