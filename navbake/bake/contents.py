@@ -38,7 +38,12 @@ from navbake.bake.walls import (
     wall_candidates,
 )
 from navbake.config import AgentSettings, NameSettings
-from navbake.kernels.contents import count_candidates, describe_floors, list_geoms
+from navbake.kernels.contents import (
+    count_candidates,
+    describe_floors,
+    list_geoms,
+    measure_standing,
+)
 from navbake.kernels.flags import BLOCKS, PROBED, STANDS, UNPROVED
 from navbake.kernels.sheets import SAME, SLACK
 from navbake.lattice import Lattice
@@ -281,13 +286,12 @@ def _standing(levels: Sequence[LevelContents], floors: Floors, extents: Extents)
     base, rise = np.full(num, np.inf), np.full(num, -np.inf)
     area, upper_area = np.zeros(num), np.zeros(num)
     for listed, level in zip(levels, floors.levels, strict=True):
-        geom = listed.geom[listed.stands]
-        floor = level.floor.ravel()[listed.cell[listed.stands]]
-        low, high = extents.low[geom], extents.high[geom]
-        np.fmin.at(base, geom, low - floor)
-        np.fmax.at(rise, geom, high - np.maximum(low, floor))
+        cells, upper = np.zeros(num, dtype=np.int64), np.zeros(num, dtype=np.int64)
+        measure_standing(
+            listed.start, listed.geom, listed.stands, listed.upper, level.floor.ravel(),
+            extents.low, extents.high, base, rise, cells, upper,
+        )  # fmt: skip
         square = listed.lattice.cell_size**2
-        area = np.maximum(area, np.bincount(geom, minlength=num) * square)
-        upper = np.bincount(listed.geom[listed.upper], minlength=num) * square
-        upper_area = np.maximum(upper_area, upper)
+        area = np.maximum(area, cells * square)
+        upper_area = np.maximum(upper_area, upper * square)
     return Standing(base, rise, area, upper_area)

@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from navbake.bake.extents import Extents
 from navbake.bake.levels import Floors
 from navbake.config import AgentSettings
+from navbake.kernels.contents import count_footings
 from navbake.kernels.sheets import SAME, SLACK
 from navbake.lattice import Lattice
 
@@ -80,14 +81,17 @@ def find_carriers(
         lattice: the cells.
     """
     carriers = np.stack([footing.carrier for footing in footings])
-    standable = np.stack([level.standable.ravel() for level in floors.levels])
-    carried = carriers >= 0
-    carrier, gap = carriers[carried], np.stack([footing.gap for footing in footings])[carried]
     num = len(extents.thin)
-    cells = np.bincount(carrier, minlength=num)
-    height = np.fmax(extents.high - extents.low + COVERING, THING_HEIGHT)
-    over_floor = np.bincount(carrier, gap <= height[carrier] + SLACK, num) >= MOSTLY * cells
-    covering = np.bincount(carrier, gap <= COVERING + SLACK, num) >= MOSTLY * cells
+    cells, over, near = (np.zeros(num, dtype=np.int64) for _ in range(3))
+    stood_on = np.zeros(num, dtype=np.bool_)
+    height = np.fmax(extents.high - extents.low + COVERING, THING_HEIGHT) + SLACK
+    for footing, level in zip(footings, floors.levels, strict=True):
+        standable = level.standable.ravel()
+        count_footings(
+            footing.carrier, footing.gap, standable, height, COVERING + SLACK,
+            cells, over, near, stood_on,
+        )  # fmt: skip
+    over_floor, covering = over >= MOSTLY * cells, near >= MOSTLY * cells
     low, high, rise = _steps(floors, carriers, lattice)
     area = _plateau_cells(low, high, rise, cells) * lattice.cell_size**2
     things = (cells > 0) & (area <= THING_AREA + SLACK) & over_floor
@@ -95,7 +99,6 @@ def find_carriers(
     low, high = low[is_step], high[is_step]
     while (leads_up := np.unique(low[things[low] & ~things[high]])).size:
         things[leads_up] = False
-    stood_on = np.bincount(carriers[carried & standable], minlength=num) > 0
     return Carriers((cells > 0) & ~things, things, stood_on)
 
 

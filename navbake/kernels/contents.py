@@ -236,3 +236,54 @@ def describe_floors(floors, start, z, normals, geom, min_up, carrier, gap):
                 break
             if normals[i, 2] >= min_up and geom[i] != carrier[cell]:
                 gap[cell] = floor - z[i]
+
+
+@njit(cache=True)
+def count_footings(carrier, gap, standable, limit, covering, cells, over, near, stood_on):
+    """Count the cells of one storey by the geom that carries their floor.
+
+    Args:
+        carrier: (cells,) int32, -1 for none.
+        gap: (cells,) float64, from the floor down to the next one [m].
+        standable: (cells,) bool.
+        limit: (geoms,) float64, gaps that tell of a floor below [m].
+        covering: the same for what covers a floor [m].
+        cells, over, near: (geoms,) int64, receive how many cells there are, how many with a gap
+            up to the limit, and up to covering.
+        stood_on: (geoms,) bool, receives where one can stand on a geom.
+    """
+    for i in range(carrier.shape[0]):
+        geom = carrier[i]
+        if geom < 0:
+            continue
+        cells[geom] += 1
+        over[geom] += 1 if gap[i] <= limit[geom] else 0
+        near[geom] += 1 if gap[i] <= covering else 0
+        stood_on[geom] |= standable[i]
+
+
+@njit(cache=True)
+def measure_standing(start, geom, stands, upper, floors, low, high, base, rise, area, upper_area):
+    """Measure how a storey's geoms stand over its floors.
+
+    Args:
+        start, geom, stands, upper: the geoms of each cell, ragged: (cells + 1,), (n,) each.
+        floors: (cells,) float64 [m].
+        low, high: (geoms,) float64, where each begins and ends [m].
+        base, rise: (geoms,) float64: least height of its lower end over a floor, and largest of
+            its upper end over its lower one or a floor; are lowered and raised [m].
+        area, upper_area: (geoms,) int64, receive how many cells it stands in, and those where
+            it does so in the wall's band.
+    """
+    for cell in range(floors.shape[0]):
+        for i in range(start[cell], start[cell + 1]):
+            g = geom[i]
+            upper_area[g] += 1 if upper[i] else 0
+            if not stands[i]:
+                continue
+            area[g] += 1
+            floor = floors[cell]
+            if low[g] - floor < base[g]:
+                base[g] = low[g] - floor
+            if high[g] - max(low[g], floor) > rise[g]:
+                rise[g] = high[g] - max(low[g], floor)

@@ -61,11 +61,21 @@ def _gap(s, solids, x, y, low, high, half, is_round):
             over = max(bounds[s, 2] - high, low - bounds[s, 5])
             return max(_plan_gap(s, solids, axis, dx, dy, half, is_round), over)
     if kind[s] == CAPSULE or kind[s] == CYLINDER:
-        ax, ay = mat[s, 2] * size[s, 1], mat[s, 5] * size[s, 1]
+        ax, ay, az = mat[s, 2] * size[s, 1], mat[s, 5] * size[s, 1], mat[s, 8] * size[s, 1]
         square = ax * ax + ay * ay
         t = min(max((dx * ax + dy * ay) / square, -1.0), 1.0) if square > 0.0 else 0.0
+        px, py, pz = dx - t * ax, dy - t * ay, pos[s, 2] + t * az
+        if kind[s] == CAPSULE:  # the ball round its axis where that comes nearest proves most
+            over = max(low - pz, pz - high, 0.0)
+            if is_round:
+                beside = max(math.hypot(px, py) - half, 0.0)
+            else:
+                beside = math.hypot(max(abs(px) - half, 0.0), max(abs(py) - half, 0.0))
+            gap = math.hypot(beside, over) - size[s, 0]
+            if gap < 0.0:
+                return gap
         reach = size[s, 0] + (half if is_round else half * math.sqrt(2.0))
-        return max(math.hypot(dx - t * ax, dy - t * ay) - reach, 0.0)
+        return max(math.hypot(px, py) - reach, 0.0)
     return 0.0
 
 
