@@ -24,8 +24,8 @@ import mujoco
 import numpy as np
 
 from make_house import ROOM, make_house
-from navbake.bake.pipeline import run_bake
-from navbake.config import BakeConfig, parse_config
+from navbake.baker.pipeline import run_bake
+from navbake.config.settings import BakeConfig, parse_config
 
 CELL = 0.05  # [m]
 STEP, AGENT = 0.25, 1.14  # traversable floor height and height of the agent [m]

@@ -21,13 +21,13 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from navbake.bake.scene import load_scene
-from navbake.config import parse_config
+from navbake.baker.scene.scene import load_scene
+from navbake.baker.voxelize.voxelizer import Voxelizer
+from navbake.config.settings import parse_config
 from navbake.formats.binvox import encode_binvox
 from navbake.formats.octomap import encode_octomap
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import Placement
-from navbake.voxels.voxelize import Voxelizer
 
 APARTMENT = Path(__file__).parent.parent / "configs" / "apartment.yaml"
 RES = 0.05  # [m]

@@ -23,8 +23,8 @@ import mujoco
 import numpy as np
 
 import navbake
-from navbake.bake.scene import Scene, load_scene
-from navbake.config import BakeConfig, load_config
+from navbake.baker.scene.scene import Scene, load_scene
+from navbake.config.settings import BakeConfig, load_config
 
 BAKED_RADIUS = 0.05  # [m]
 RADIUS = 0.18  # [m]; stairs of the samples are for 0.2 m: there, a servo has no millimetre left

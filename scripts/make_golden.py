@@ -9,8 +9,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from navbake.bake.pipeline import run_bake
-from navbake.config import load_config
+from navbake.baker.pipeline import run_bake
+from navbake.config.settings import load_config
 
 ROOT = Path(__file__).resolve().parents[1]
 GOLDEN = ROOT / "tests" / "golden"

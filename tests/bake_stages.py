@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.bake.columns import Columns, TiledShapes, cast_columns, tile_shapes
-from navbake.bake.contents import Contents, find_contents
-from navbake.bake.levels import Floors, find_floors
-from navbake.bake.occupancy import Footprint, check_occupancy
-from navbake.bake.pipeline import lay_lattice
-from navbake.bake.scene import Scene, load_scene
-from navbake.config import BakeConfig, parse_config
-from navbake.lattice import Lattice
+from navbake.baker.columns import Columns, TiledShapes, cast_columns, tile_shapes
+from navbake.baker.contents.contents import Contents, find_contents
+from navbake.baker.floors.levels import Floors, find_floors
+from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
+from navbake.baker.pipeline import lay_lattice
+from navbake.baker.scene.scene import Scene, load_scene
+from navbake.config.settings import BakeConfig, parse_config
+from navbake.navgrid.lattice import Lattice
 
 
 @dataclass

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from navbake.bake.pipeline import BakeResult, run_bake
-from navbake.config import parse_config
+from navbake.baker.pipeline import BakeResult, run_bake
+from navbake.config.settings import parse_config
 
 SHELL = """
 <geom name="{0}floor" type="box" pos="3 1.5 -0.1" size="3.1 1.6 0.1"/>

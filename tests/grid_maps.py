@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from navbake.grid import MultiLevelGrid, SceneGrid2D
+from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 
 STEP = 0.25
 

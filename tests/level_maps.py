@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from navbake.grid import MultiLevelGrid, SceneGrid2D
+from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 
 CELL = 0.1
 AGENT = {"agentHeight": 1.14, "agentRadius": 0.05, "traversableFloorHeight": 0.25}

@@ -1,16 +1,13 @@
 """The agent that drives planned paths in MuJoCo touches nothing; off its paths it does."""
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
 
 import drive_agent
-from navbake.bake.scene import load_scene
-from navbake.config import load_config
-
-CONFIGS = Path(__file__).parents[1] / "configs"
+from navbake.baker.scene.scene import load_scene
+from navbake.config.settings import load_config
+from project_paths import CONFIGS
 
 
 @pytest.mark.parametrize("name", ["apartment", "house", "warehouse", "terrain", "clutter"])

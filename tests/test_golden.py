@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import navbake
-from navbake.bake.pipeline import run_bake
-from navbake.config import load_config
-from navbake.differences import difference_map, first_difference
+from navbake.baker.pipeline import run_bake
+from navbake.config.settings import load_config
+from navbake.navgrid.differences import difference_map, first_difference
+from project_paths import ROOT
 
-ROOT = Path(__file__).parents[1]
 SAMPLES = sorted(path.stem for path in (ROOT / "configs").glob("*.yaml"))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,13 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from navbake.config import load_config
-
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "scripts"))
-
-from make_house import make_house  # noqa: E402
-from make_scenes import MAKERS, SCENES, write_scenes  # noqa: E402
+from make_house import make_house
+from make_scenes import MAKERS, SCENES, write_scenes
+from navbake.config.settings import load_config
+from project_paths import ROOT
 
 MJCF = ("apartment", "house", "warehouse", "terrain")
 KEYFRAMES = ("doors_closed", "doors_open")

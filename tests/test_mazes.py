@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from navbake.bake.pipeline import BakeResult, run_bake
-from navbake.config import parse_config
-from navbake.lattice import Lattice
+from navbake.baker.pipeline import BakeResult, run_bake
+from navbake.config.settings import parse_config
+from navbake.navgrid.lattice import Lattice
 
 EDGE = 1e-6  # metres that a cell may reach over its block: rounding
 

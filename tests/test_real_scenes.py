@@ -18,14 +18,15 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from navbake.bake.mesh_scene import read_mesh_parts
-from navbake.bake.pipeline import BakeResult, run_bake
-from navbake.bake.scene import load_scene
-from navbake.config import parse_config
-from navbake.grid import SceneGrid2D
-from navbake.islands import find_islands
+from navbake.baker.pipeline import BakeResult, run_bake
+from navbake.baker.scene.mesh_scene import read_mesh_parts
+from navbake.baker.scene.scene import load_scene
+from navbake.config.settings import parse_config
+from navbake.navgrid.grid import SceneGrid2D
+from navbake.navgrid.islands import find_islands
+from project_paths import SHARED_DATA
 
-DATA = Path(__file__).parents[1].parent / "shared" / "data"
+DATA = SHARED_DATA
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no real scenes in {DATA}")
 
 STEP, HEADROOM = 0.25, 1.14  # metres, the default agent

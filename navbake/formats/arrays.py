@@ -13,9 +13,9 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from navbake.attributes import datatype_name
-from navbake.formats.place import MISSING, Place, shown
+from navbake.formats.json_path import MISSING, Place, shown
 from navbake.formats.values import whole_number
+from navbake.navgrid.attributes import datatype_name
 
 DATATYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
 MAX_CELLS = 100_000_000

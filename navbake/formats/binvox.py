@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
+from navbake.formats.bytes_file import read_bytes, write_bytes
 from navbake.voxels.grid import VoxelGrid
-from navbake.voxels.io import read_bytes, write_bytes
 from navbake.voxels.placement import check_memory, check_three
 
 Layout = Literal["auto", "binvox", "airsim"]
@@ -107,7 +107,7 @@ def with_mapping(
 
 def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox") -> bytes:
     """A binvox file's bytes, see `write_binvox`."""
-    from navbake.kernels.runs import encode_runs
+    from navbake.formats.kernels.runs import encode_runs
 
     values = _as_bytes(grid)
     sizes = [n * grid.res for n in grid.shape]
@@ -249,7 +249,7 @@ def _looks_like_airsim(header: Header) -> bool:
 
 
 def _fill(order: NDArray[np.uint8], data: bytes, header: Header, source: str) -> None:
-    from navbake.kernels.runs import decode_runs
+    from navbake.formats.kernels.runs import decode_runs
 
     pairs = np.frombuffer(data, dtype=np.uint8, offset=header.end)
     held = int(decode_runs(pairs, order))

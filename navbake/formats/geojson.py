@@ -10,7 +10,7 @@ from typing import Any
 import orjson
 
 from navbake.errors import FormatError
-from navbake.polygon import find_fault
+from navbake.navgrid.polygon import find_fault
 
 MAX_BYTES = 64 << 20
 

@@ -16,17 +16,17 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from navbake.doors import check_doors
 from navbake.errors import FormatError
 from navbake.files import write_whole
 from navbake.formats.arrays import Allowance, decode_array, encode_array
-from navbake.formats.place import MISSING, Place
+from navbake.formats.json_path import MISSING, Place
 from navbake.formats.source import Source, path_name, read_source, reason
 from navbake.formats.user_data import encode_user_data, parse_file, read_user_data
 from navbake.formats.values import json_object, number, plain, vector, whole_number
-from navbake.grid import MultiLevelGrid, NavGrid, SceneGrid2D, Vector3
-from navbake.grid_base import Json
-from navbake.rooms_table import describe_rooms
+from navbake.navgrid.doors import check_doors
+from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D, Vector3
+from navbake.navgrid.grid_base import Json
+from navbake.navgrid.rooms import describe_rooms
 
 SCENE_FIELDS = (
     *("type", "metadata", "weights", "userData", "tileAttributes", "width", "height"),

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
+from navbake.formats.bytes_file import read_bytes, write_bytes
 from navbake.voxels.grid import VoxelGrid
-from navbake.voxels.io import read_bytes, write_bytes
 from navbake.voxels.placement import check_memory
 
 DEPTH = 16
@@ -56,7 +56,7 @@ def write_octomap(grid: VoxelGrid, path: str | PathLike[str], *, free: bool = Fa
 
 def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     """The bytes of an octree file of kind ``bt`` or ``ot``, see `write_octomap`."""
-    from navbake.kernels.octree import write_odds, write_tree
+    from navbake.formats.kernels.octree import write_odds, write_tree
 
     if kind not in FIRST_LINES:
         raise FormatError(f"expected an octree as bt or ot, got {kind!r}")
@@ -83,7 +83,7 @@ def _build_pyramid(
     grid: VoxelGrid, first: NDArray[np.int64], free: bool
 ) -> tuple[NDArray[np.uint8], ...]:
     """The states of all nodes over the grid, from the voxels up to the root."""
-    from navbake.kernels.octree import join_states, state_voxels
+    from navbake.formats.kernels.octree import join_states, state_voxels
 
     known = np.zeros((0, 0, 0), dtype=np.bool_) if grid.known is None else grid.known
     states = np.empty(grid.shape, np.uint8)
@@ -154,7 +154,7 @@ def read_octomap(path: str | PathLike[str], *, bounds: ArrayLike | None = None) 
 
 def decode_octomap(data: bytes, source: str, *, bounds: ArrayLike | None = None) -> VoxelGrid:
     """Read an octree file's bytes, see `read_octomap`; `source` names them in messages."""
-    from navbake.kernels.octree import fill_leaves
+    from navbake.formats.kernels.octree import fill_leaves
 
     header = _read_header(data, source)
     leaves, notes = _read_leaves(data, header, source)
@@ -176,7 +176,7 @@ def decode_octomap(data: bytes, source: str, *, bounds: ArrayLike | None = None)
 
 
 def _read_leaves(data: bytes, header: _Header, source: str) -> tuple[NDArray[np.int32], list[str]]:
-    from navbake.kernels.octree import TOO_DEEP, read_odds, read_tree
+    from navbake.formats.kernels.octree import TOO_DEEP, read_odds, read_tree
 
     nodes = np.frombuffer(data, dtype=np.uint8, offset=header.end)
     empty = np.empty((0, 5), np.int32)

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from typing import BinaryIO, TypeAlias
 
 from navbake.errors import FormatError
-from navbake.formats.place import Place, shown
+from navbake.formats.json_path import Place, shown
 
 Source: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO
 """A path, a file's content, or a file opened in binary mode."""

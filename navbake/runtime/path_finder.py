@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
-from navbake.runtime.door_map import DoorMap, doors_on, map_doors
-from navbake.runtime.goals import Goal, Target, find_target
-from navbake.runtime.locate import check_positions, flat_cells
-from navbake.runtime.path import Path, path_length
+from navbake.runtime.paths.door_map import DoorMap, doors_on, map_doors
+from navbake.runtime.paths.goals import Goal, Target, find_target
+from navbake.runtime.paths.path import Path, path_length
+from navbake.runtime.paths.string_pulling import pull_route
 from navbake.runtime.place_sampler import PlaceSampler
-from navbake.runtime.string_pulling import pull_route
+from navbake.runtime.places.locate import check_positions, flat_cells
 
 if TYPE_CHECKING:
-    from navbake.grid import NavGrid
+    from navbake.navgrid.grid import NavGrid
 
 
 MAX_FIELDS = 8  # distance fields that are kept
@@ -98,7 +98,7 @@ class PathFinder(PlaceSampler):
         Raises:
             QueryError: see `find_path`.
         """
-        from navbake.runtime.reason import explain
+        from navbake.runtime.paths.why_not import explain
 
         origin, target = self._ends(start, goal, level)
         return explain(self, np.asarray(start, dtype=np.float64), origin, target)

@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
-from navbake.runtime.island_map import IslandMap, map_islands
-from navbake.runtime.locate import Cell, check_level, flat_cell, split_cell
-from navbake.runtime.navigable import MAX_DROP, is_navigable
-from navbake.runtime.obstacle import Obstacle, nearest_obstacle
-from navbake.runtime.room_map import RoomMap, map_rooms
-from navbake.runtime.search import Search
-from navbake.runtime.sight import Sight, find_occupied, line_of_sight
-from navbake.runtime.snap import nearest_on_level, snap_to
-from navbake.runtime.step import try_step
-from navbake.runtime.surroundings import agent_height
-from navbake.runtime.top_down import draw_top_down
+from navbake.runtime.inflation.surroundings import agent_height
+from navbake.runtime.paths.search import Search
+from navbake.runtime.places.island_map import IslandMap, map_islands
+from navbake.runtime.places.locate import Cell, check_level, flat_cell, split_cell
+from navbake.runtime.places.navigable import MAX_DROP, is_navigable
+from navbake.runtime.places.obstacle import Obstacle, nearest_obstacle
+from navbake.runtime.places.room_map import RoomMap, map_rooms
+from navbake.runtime.places.sight import Sight, find_occupied, line_of_sight
+from navbake.runtime.places.snap import nearest_on_level, snap_to
+from navbake.runtime.places.step import try_step
+from navbake.runtime.places.top_down import draw_top_down
 
 if TYPE_CHECKING:
-    from navbake.grid import NavGrid
+    from navbake.navgrid.grid import NavGrid
 
 Floats = NDArray[np.float64]
 
@@ -108,7 +108,7 @@ class PlaceFinder:
         return is_navigable(self.search.walk, positions, level, max_drop)
 
     def cell_at(self, position: ArrayLike, *, level: int | None = None) -> Cell | None:
-        """The cell that a position is in; see `navbake.runtime.locate.cell_at`."""
+        """The cell that a position is in; see `navbake.runtime.places.locate.cell_at`."""
         cell = flat_cell(self.search.walk, position, level)
         return None if cell is None else split_cell(self.search.walk, cell)
 
@@ -124,7 +124,7 @@ class PlaceFinder:
         in_sight: bool = False,
         max_distance: float = math.inf,
     ) -> Floats | None:
-        """The nearest place where an agent can stand; see `navbake.runtime.snap.snap_to`.
+        """The nearest place where an agent can stand; see `navbake.runtime.places.snap.snap_to`.
 
         Args:
             position: world position [m].
@@ -159,11 +159,11 @@ class PlaceFinder:
     def try_step(
         self, start: ArrayLike, end: ArrayLike, *, slide: bool = True, level: int | None = None
     ) -> Floats:
-        """Where a straight move ends; see `navbake.runtime.step.try_step`."""
+        """Where a straight move ends; see `navbake.runtime.places.step.try_step`."""
         return try_step(self.search.walk, start, end, slide=slide, level=level)
 
     def line_of_sight(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
-        """Whether nothing stands between; see `navbake.runtime.sight.line_of_sight`."""
+        """Whether nothing stands between; see `navbake.runtime.places.sight.line_of_sight`."""
         return line_of_sight(self.search.walk, ~self.occupied, a, b, level)
 
     def nearest_obstacle(
@@ -171,7 +171,7 @@ class PlaceFinder:
     ) -> Obstacle | None:
         """The nearest obstacle, its distance and point; None for none within `max_distance` [m].
 
-        See `navbake.runtime.obstacle.nearest_obstacle`.
+        See `navbake.runtime.places.obstacle.nearest_obstacle`.
         """
         return nearest_obstacle(
             self.search.walk,
@@ -228,7 +228,7 @@ class PlaceFinder:
 
     def room_of(self, name: str) -> str | None:
         """The id of the room that most cells of an object are in, by its name; None for none."""
-        from navbake.runtime.goals import cells_named
+        from navbake.runtime.paths.goals import cells_named
 
         start = self.search.walk.start
         cells = [start[k] + c for k, c in enumerate(cells_named(self.grid, name))]
@@ -237,7 +237,7 @@ class PlaceFinder:
         return self.rooms.id_of(int(np.argmax(counts)))
 
     def top_down(self, level: int, metres_per_pixel: float | None = None) -> NDArray[np.uint8]:
-        """A picture of a level, (rows, cols, 3); see `navbake.runtime.top_down.draw_top_down`."""
+        """A picture of a level, (rows, cols, 3); see `.places.top_down.draw_top_down`."""
         return draw_top_down(self.search.walk, level, metres_per_pixel)
 
     def _allowed(

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
-from navbake.runtime.locate import check_positions, flat_cell, links_of, place_of
 from navbake.runtime.place_finder import PlaceFinder
-from navbake.runtime.sample import (
+from navbake.runtime.places.locate import check_positions, flat_cell, links_of, place_of
+from navbake.runtime.places.sample import (
     cells_in_annulus,
     check_distances,
     check_generator,
@@ -151,7 +151,7 @@ class PlaceSampler(PlaceFinder):
             target: world position [m], which may be in something; the agent stands on its level.
             max_distance, min_distance: from the target, straight on the map [m].
             in_sight: nothing stands between, but for what the target is in, see
-                `navbake.kernels.crossing.walk_line`.
+                `navbake.runtime.kernels.crossing.walk_line`.
             same_room: stand in the target's room.
             level: which level the target is on; without one, where to stand.
 
@@ -178,7 +178,7 @@ class PlaceSampler(PlaceFinder):
 
     def _first_seen(self, rng: np.random.Generator, cells: Ints, home: int, p: Floats) -> Ints:
         """One of some cells that sees a point, drawn evenly from all that do; or none."""
-        from navbake.kernels.nearest import first_in_sight
+        from navbake.runtime.kernels.nearest import first_in_sight
 
         walk = self.search.walk
         found = first_in_sight(

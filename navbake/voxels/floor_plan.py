@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import QueryError
-from navbake.grid import SceneGrid2D
-from navbake.lattice import CELL_SLACK, Lattice
+from navbake.navgrid.grid import SceneGrid2D
+from navbake.navgrid.lattice import CELL_SLACK, Lattice
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import check_memory
 

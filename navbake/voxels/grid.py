@@ -156,8 +156,8 @@ class VoxelGrid:
         return replace(self, values=values, names=names)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write a file: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``, see `navbake.voxels.files`."""
-        from navbake.voxels.files import write_voxels
+        """Write a file: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``, see `navbake.formats.voxels`."""
+        from navbake.formats.voxels import write_voxels
 
         write_voxels(self, path)
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import ConfigError
-from navbake.lattice import CELL_SLACK, num_cells
+from navbake.navgrid.lattice import CELL_SLACK, num_cells
 
 MANY = 2**200  # more than any memory, and still a float
 FINEST = 1e-5  # least edge of a voxel, well above what counts as touching [m]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from navbake.errors import FormatError, NavbakeError
 from navbake.formats.binvox import decode_binvox, encode_binvox, read_binvox, write_binvox
-from navbake.voxels.files import names_path, read_voxels, write_voxels
+from navbake.formats.voxels import names_path, read_voxels, write_voxels
 from navbake.voxels.grid import VoxelGrid
 from oracles.voxel_files import read_binvox_plainly, write_binvox_as_airsim
 

@@ -14,13 +14,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from navbake.differences import first_difference
 from navbake.errors import FormatError
 from navbake.formats import user_data as reader
 from navbake.formats.navgrid import dumps_navgrid, read_navgrid
 from navbake.formats.user_data import Span, find_spans, parse_file
-from navbake.grid import SceneGrid2D
-from navbake.user_data import SharedUserData, StoredUserData, held_user_data
+from navbake.navgrid.differences import first_difference
+from navbake.navgrid.grid import SceneGrid2D
+from navbake.navgrid.user_data import SharedUserData, StoredUserData, held_user_data
 
 WALLS = {"walls": ["wall_x_0", "wall_y_0"], "doors": ["d"]}
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy.sparse import coo_array
 
-from navbake.grid import MultiLevelGrid, SceneGrid2D
+from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 
 STEP = 0.25
 

@@ -1,17 +1,14 @@
 """Paths as an agent asks for them."""
 
-from pathlib import Path as FilePath
-
 import numpy as np
 import pytest
 
 import navbake
 from navbake.errors import QueryError
-from navbake.runtime.goals import cells_around
 from navbake.runtime.path_finder import PathFinder
+from navbake.runtime.paths.goals import cells_around
 from oracles.ways import make_level, random_grid, stack
-
-GOLDEN = FilePath(__file__).parents[1] / "golden"
+from project_paths import GOLDEN
 
 
 def from_map(rows, **kwargs):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,14 +10,13 @@ import pytest
 import navbake
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
-from navbake.grid import MultiLevelGrid
-from navbake.islands import find_islands
-from navbake.runtime.locate import Cell, flat_cells
+from navbake.navgrid.grid import MultiLevelGrid
+from navbake.navgrid.islands import find_islands
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.place_finder import PlaceFinder
 from navbake.runtime.place_sampler import PlaceSampler
-
-GOLDEN = Path(__file__).parents[1] / "golden"
+from navbake.runtime.places.locate import Cell, flat_cells
+from project_paths import GOLDEN
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -1,20 +1,18 @@
 """Voxels cut at a band of heights, and levels as voxels: the two agree on the samples."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from navbake.bake.pipeline import run_bake
-from navbake.config import load_config
+from navbake.baker.pipeline import run_bake
+from navbake.baker.voxelize.voxelizer import Voxelizer
+from navbake.config.settings import load_config
 from navbake.errors import QueryError
-from navbake.grid import SceneGrid2D
+from navbake.navgrid.grid import SceneGrid2D
 from navbake.voxels.floor_plan import cut_band, lattice_of, plan_of, voxels_of
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import Placement
-from navbake.voxels.voxelize import Voxelizer
+from project_paths import CONFIGS
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 SAMPLES = ("apartment", "clutter", "house", "terrain", "warehouse")
 STEP = 0.25  # [m]
 

@@ -1,0 +1,104 @@
+"""A level's obstacles in the squares of an arena, as map descriptors have them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navbake.arena.map_descriptor import MOST, SQUARE
+from navbake.errors import QueryError
+from navbake.navgrid.grid import SceneGrid2D
+from navbake.navgrid.lattice import CELL_SLACK, Lattice, num_cells
+
+
+def place_squares(
+    level: SceneGrid2D,
+    *,
+    square: float = SQUARE,
+    corner: ArrayLike | None = None,
+    shape: Sequence[int] | None = None,
+) -> Lattice:
+    """Lay the squares of an arena over a level.
+
+    Args:
+        level: the level.
+        square: edge of a square [m], > 0.
+        corner: the arena's lower left corner, x and y, world frame [m]; the level's if None.
+        shape: rows and columns, >= 1 each; as many as cover the rest of the level if None.
+
+    Raises:
+        QueryError: a number is wrong, or the arena lies beside the level.
+    """
+    if not (np.isfinite(square) and square > 0):
+        raise QueryError(f"expected squares with an edge > 0 m, got {square:g}")
+    x0, y0, x1, y1 = level.lattice.bounds
+    place = np.array([x0, y0]) if corner is None else np.asarray(corner, dtype=np.float64)
+    if place.shape != (2,) or not np.isfinite(place).all():
+        raise QueryError(f"expected the arena's lower left corner as x, y [m], got {corner!r}")
+    if shape is None:
+        if not (place[0] < x1 and place[1] < y1):
+            raise QueryError(
+                f"the corner ({place[0]:g}, {place[1]:g}) leaves nothing of the level, which ends "
+                f"at ({x1:g}, {y1:g})"
+            )
+        if max(x1 - place[0], y1 - place[1]) > MOST * square:
+            raise QueryError(f"expected larger squares: the level has over {MOST} of {square:g} m")
+        shape = (num_cells(y1 - place[1], square), num_cells(x1 - place[0], square))
+    rows, cols = shape
+    if rows < 1 or cols < 1:
+        raise QueryError(f"expected rows and columns >= 1, got {rows} and {cols}")
+    if rows * cols > MOST:
+        raise QueryError(
+            f"expected at most {MOST} squares, got {rows} × {cols} of {square:g} m: "
+            f"take larger squares, or a part of the level"
+        )
+    squares = Lattice(float(place[0]), float(place[1] + rows * square), square, cols, rows)
+    left, bottom, right, top = squares.bounds
+    if left >= x1 or bottom >= y1 or right <= x0 or top <= y0:
+        raise QueryError(
+            f"the arena, x {left:g} to {right:g}, y {bottom:g} to {top:g} m, lies beside the "
+            f"level: it spans x {x0:g} to {x1:g}, y {y0:g} to {y1:g} m"
+        )
+    return squares
+
+
+def find_obstacles(level: SceneGrid2D, squares: Lattice) -> NDArray[np.bool_]:
+    """Tell which squares hold an obstacle: anywhere in the square fills it.
+
+    Obstacles are occupied cells, and what lies beside the level. A cell that only touches a
+    square isn't in it.
+
+    Args:
+        level: the level.
+        squares: see `place_squares`.
+
+    Returns:
+        Shape (rows, cols), bool, row 0 at the top.
+    """
+    lattice = level.lattice
+    filled = np.pad(level.occupancy != 0, 1, constant_values=True)
+    sums = np.zeros((filled.shape[0] + 1, filled.shape[1] + 1), dtype=np.int64)
+    sums[1:, 1:] = filled.cumsum(axis=0).cumsum(axis=1)
+    size = squares.cell_size / lattice.cell_size
+    left = (squares.x_min - lattice.x_min) / lattice.cell_size
+    top = (lattice.y_max - squares.y_max) / lattice.cell_size
+    row0, row1 = _spans(top, size, squares.height, lattice.height)
+    col0, col1 = _spans(left, size, squares.width, lattice.width)
+    row0, row1 = row0[:, None], row1[:, None]
+    inside: NDArray[np.int64] = (
+        sums[row1, col1] - sums[row0, col1] - sums[row1, col0] + sums[row0, col0]
+    )
+    return inside > 0
+
+
+def _spans(
+    first: float, size: float, count: int, limit: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The cells under each square along an axis, from and to, in an array padded by one."""
+    edges = first + np.arange(count + 1) * size
+    start = np.floor(edges[:-1] + CELL_SLACK).astype(np.int64) + 1
+    end = np.ceil(edges[1:] - CELL_SLACK).astype(np.int64) + 1
+    start = np.clip(start, 0, limit + 1)
+    return start, np.clip(np.maximum(end, start + 1), 1, limit + 2)

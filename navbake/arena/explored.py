@@ -1,0 +1,227 @@
+"""What an agent has explored of an arena, and what it found there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navbake.arena.map_descriptor import ARENA, SQUARE, check_shape, decode, draw, encode
+from navbake.errors import QueryError
+from navbake.navgrid.lattice import Lattice
+
+HAIR = 1e-6  # a range that ends this little before a face was measured to it [m]
+
+
+class ExploredMap:
+    """A map of squares that an agent fills with what its sensors see.
+
+    The arena is fully surrounded by walls, which are no part of it. The latest that was seen of
+    a square counts; within one call of `observe` a square that some ray ends in is an obstacle,
+    whatever other rays pass through it.
+
+    Attributes:
+        lattice: where the squares lie in the world.
+        explored: shape (rows, cols), bool, row 0 at the top.
+        obstacles: the same; never true where nothing is explored.
+    """
+
+    def __init__(
+        self,
+        shape: Sequence[int] = ARENA,
+        *,
+        square: float = SQUARE,
+        corner: Sequence[float] = (0.0, 0.0),
+    ) -> None:
+        """Begin with nothing explored.
+
+        Args:
+            shape: rows and columns, >= 1 each.
+            square: edge of a square [m], > 0.
+            corner: the lower left corner, x and y, world frame [m].
+
+        Raises:
+            FormatError: the shape is none.
+            QueryError: a number is wrong.
+        """
+        rows, cols = check_shape(shape)
+        if not (np.isfinite(square) and square > 0):
+            raise QueryError(f"expected squares with an edge > 0 m, got {square:g}")
+        if not np.isfinite(corner).all() or len(corner) != 2:
+            raise QueryError(f"expected the lower left corner as x, y [m], got {corner}")
+        self.lattice = Lattice(
+            float(corner[0]), float(corner[1]) + rows * square, square, cols, rows
+        )
+        self.explored = np.zeros((rows, cols), dtype=np.bool_)
+        self.obstacles = np.zeros((rows, cols), dtype=np.bool_)
+
+    @classmethod
+    def from_descriptor(
+        cls,
+        part1: str,
+        part2: str,
+        shape: Sequence[int] = ARENA,
+        *,
+        square: float = SQUARE,
+        corner: Sequence[float] = (0.0, 0.0),
+    ) -> ExploredMap:
+        """Go on from a map descriptor.
+
+        Raises:
+            FormatError: the descriptor is wrong, see `navbake.arena.map_descriptor.decode`.
+        """
+        own = cls(shape, square=square, corner=corner)
+        own.explored, own.obstacles = decode(part1, part2, shape)
+        return own
+
+    def enter(self, x: float, y: float) -> None:
+        """Note that the agent is in the square at a position: it is explored, and free.
+
+        Args:
+            x, y: world position [m].
+
+        Raises:
+            QueryError: the position is beside the arena.
+        """
+        row, col = self._square_at(x, y)
+        self.explored[row, col], self.obstacles[row, col] = True, False
+
+    def observe(
+        self, x: float, y: float, angles: ArrayLike, ranges: ArrayLike, max_range: float
+    ) -> None:
+        """Note what range sensors measured from one place.
+
+        Each ray explores the squares that it passes, and they are free. A range below
+        `max_range` ends in an obstacle: the square that holds the ray's end, or that begins
+        there. What lies behind it stays as it was, as does all beside the arena.
+
+        Args:
+            x, y: where the sensors are, world position [m].
+            angles: their directions, from the world's x towards its y, shape (n,) [rad].
+            ranges: what they measured, shape (n,) [m], >= 0; infinite, or `max_range` and more,
+                where they saw nothing; NaN where they measured nothing.
+            max_range: how far they see [m], > 0.
+
+        Raises:
+            QueryError: the position is beside the arena, or a number is wrong.
+        """
+        self._square_at(x, y)
+        ways, lengths = _check_rays(angles, max_range), _numbers(ranges, "ranges [m]")
+        if ways.shape != lengths.shape:
+            raise QueryError(
+                f"expected as many angles as ranges, got {len(ways)} and {len(lengths)}"
+            )
+        if (lengths < 0).any():
+            raise QueryError(f"expected ranges >= 0 m, got {np.nanmin(lengths):g}")
+        passed, hit = np.zeros_like(self.explored), np.zeros_like(self.explored)
+        for angle, length in zip(ways, lengths, strict=True):
+            if not np.isnan(length):
+                is_hit = length < max_range
+                rows, cols, starts = self._trace(x, y, angle, min(length, max_range), is_hit)
+                ends = is_hit & (starts >= length - HAIR)
+                passed[rows[~ends], cols[~ends]] = True
+                hit[rows[ends], cols[ends]] = True
+        self.explored |= passed | hit
+        self.obstacles[passed] = False
+        self.obstacles[hit] = True
+
+    def look(
+        self, truth: ArrayLike, x: float, y: float, angles: ArrayLike, max_range: float
+    ) -> NDArray[np.float64]:
+        """See what sensors at a place would see in an arena that is known.
+
+        Args:
+            truth: where obstacles are, shape (rows, cols), row 0 at the top.
+            x, y, angles, max_range: see `observe`.
+
+        Returns:
+            The ranges, shape (n,), float64 [m]; infinite where nothing is in sight.
+
+        Raises:
+            QueryError: see `observe`; or the truth has another shape.
+        """
+        filled = np.asarray(truth) != 0
+        if filled.shape != self.explored.shape:
+            raise QueryError(f"expected a truth of shape {self.explored.shape}, got {filled.shape}")
+        self._square_at(x, y)
+        ranges = []
+        ways = _check_rays(angles, max_range)
+        for angle in ways:
+            rows, cols, starts = self._trace(x, y, angle, max_range, False)
+            blocked = np.flatnonzero(filled[rows, cols])
+            ranges.append(float(starts[blocked[0]]) if len(blocked) else np.inf)
+        self.observe(x, y, ways, ranges, max_range)
+        return np.array(ranges)
+
+    def descriptor(self) -> tuple[str, str]:
+        """The map descriptor as it stands now: part 1 and part 2."""
+        return encode(self.explored, self.obstacles)
+
+    def __str__(self) -> str:
+        """Draw the map: ``?`` unexplored, ``.`` free, ``#`` obstacle."""
+        return draw(self.explored, self.obstacles)
+
+    def _square_at(self, x: float, y: float) -> tuple[int, int]:
+        if np.isfinite([x, y]).all():
+            row, col = (int(n) for n in self.lattice.rows_cols([x, y]))
+            if 0 <= row < self.lattice.height and 0 <= col < self.lattice.width:
+                return row, col
+        x0, y0, x1, y1 = self.lattice.bounds
+        raise QueryError(
+            f"expected a position within the arena, x {x0:g} to {x1:g}, y {y0:g} to {y1:g}, "
+            f"got ({x:g}, {y:g})"
+        )
+
+    def _trace(
+        self, x: float, y: float, angle: float, length: float, beyond: bool
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+        """The squares of the arena along a ray, nearest first, and where it enters each [m].
+
+        With `beyond`, the square that holds or follows the ray's end comes with the ray's
+        length or more, once.
+        """
+        size = self.lattice.cell_size
+        start = np.array([x - self.lattice.x_min, self.lattice.y_max - y]) / size  # cols, rows
+        way = np.array([np.cos(angle), -np.sin(angle)])
+        far = (length + (2 * HAIR if beyond else 0.0)) / size
+        stops = [np.array([0.0, far])]
+        counts = self.lattice.width, self.lattice.height
+        for place, speed, count in zip(start, way, counts, strict=True):
+            if abs(speed) > 1e-12:
+                # the arena's own lines; a ray that left it doesn't come back
+                ends = np.sort([place, place + speed * far]).clip(-1.0, count + 1.0)
+                lines = np.arange(np.ceil(ends[0]), np.floor(ends[1]) + 1)
+                stops.append((lines - place) / speed)
+        t = np.unique(np.concatenate(stops).clip(0.0, far))
+        t = t[np.append(True, np.diff(t) > HAIR / size / 2)]
+        starts, middles = t[:-1], (t[:-1] + t[1:]) / 2
+        places = (start[:, None] + way[:, None] * middles).clip(-1.0, 2.0**31)
+        cols, rows = np.floor(places).astype(np.int64)
+        starts = starts * size
+        if beyond and len(starts):
+            last = (rows == rows[-1]) & (cols == cols[-1])
+            starts = np.where(last, np.maximum(starts, length), starts)
+        inside = (rows >= 0) & (rows < self.lattice.height)
+        inside &= (cols >= 0) & (cols < self.lattice.width)
+        return rows[inside], cols[inside], starts[inside]
+
+
+def _check_rays(angles: ArrayLike, max_range: float) -> NDArray[np.float64]:
+    """The directions of rays, shape (n,) [rad]."""
+    ways = _numbers(angles, "angles [rad]")
+    if not np.isfinite(ways).all():
+        raise QueryError("expected finite angles [rad], got others")
+    if not (np.isfinite(max_range) and max_range > 0):
+        raise QueryError(f"expected a finite `max_range` > 0 m, got {max_range:g}")
+    return ways
+
+
+def _numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
+    try:
+        numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    except (TypeError, ValueError):
+        numbers = np.empty((0, 0))
+    if numbers.ndim != 1:
+        raise QueryError(f"expected {what} of shape (n,), got {values!r}"[:200])
+    return numbers

@@ -1,0 +1,297 @@
+"""What stands in each cell: which geoms, what they are, and under which names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.baker.columns import Columns, TiledShapes
+from navbake.baker.contents.cell_names import (
+    BLOCKERS,
+    OBJECTS,
+    WALLS,
+    Names,
+    Window,
+    name_cells,
+    name_geoms,
+)
+from navbake.baker.contents.structure import Carriers, Footing, find_carriers, find_ceilings
+from navbake.baker.contents.walls import (
+    BUILDING,
+    OBJECT,
+    STRUCTURE,
+    WALL,
+    WALL_BAND,
+    Standing,
+    find_buildings,
+    find_walls,
+    is_static,
+    match_walls,
+    wall_candidates,
+)
+from navbake.baker.floors.levels import Floors, LevelFloor
+from navbake.baker.kernels.contents import (
+    count_candidates,
+    describe_floors,
+    list_geoms,
+    measure_standing,
+)
+from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS, UNPROVED
+from navbake.baker.kernels.sheets import SAME, SLACK
+from navbake.baker.occupancy.occupancy import TOUCH, Footprint
+from navbake.baker.scene.extents import Extents, measure_geoms
+from navbake.baker.scene.scene import Scene
+from navbake.config.settings import AgentSettings, NameSettings
+from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.user_data import SharedUserData
+
+Bool = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class LevelContents:
+    """The geoms of a storey's cells, ragged: cell i holds ``[start[i], start[i + 1])``.
+
+    Attributes:
+        lattice: the cells, the whole lattice.
+        start: shape (cells + 1,), int64.
+        geom: MuJoCo's geom ids, ascending in a cell, shape (n,), int32.
+        stands: whether the geom meets the cell's square between floor and ceiling, shape (n,).
+        blocks: whether it meets the volume that the occupancy is about, shape (n,), bool.
+        upper: whether it stands there and meets the square in `WALL_BAND`, be that above the
+            ceiling or not, shape (n,), bool; asked only of `wall_candidates`.
+        footing: what carries the floor.
+    """
+
+    lattice: Lattice
+    start: NDArray[np.int64]
+    geom: NDArray[np.int32]
+    stands: Bool
+    blocks: Bool
+    upper: Bool
+    footing: Footing
+
+    @property
+    def cell(self) -> NDArray[np.int64]:
+        """Cell id of each entry, shape (n,), int64."""
+        return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What stands in all cells with a floor.
+
+    Attributes:
+        levels: the storeys' cells, lowest first.
+        kinds: by geom id, OBJECT, WALL, STRUCTURE or BUILDING, shape (ngeom,), uint8.
+        names: by geom id, see `name_geoms`.
+        extents: the geoms'.
+        warnings: what the user should know, one line each.
+    """
+
+    levels: list[LevelContents]
+    kinds: NDArray[np.uint8]
+    names: list[str]
+    extents: Extents
+    warnings: list[str]
+
+    def wall_cells(self, level: int) -> Bool:
+        """Mark the cells of a storey that a wall stands in and blocks.
+
+        Returns:
+            Shape (height, width) of the whole lattice, bool. Cells without a floor are not
+            among them.
+        """
+        listed = self.levels[level]
+        chosen = self._is_wall(listed) & listed.stands & listed.blocks
+        cells = np.zeros(len(listed.start) - 1, dtype=np.bool_)
+        cells[listed.cell[chosen]] = True
+        return cells.reshape(listed.lattice.shape)
+
+    def user_data(self, level: int, window: Window) -> SharedUserData:
+        """Name what stands in a storey's cells, as the original client does.
+
+        `objects` are all things but walls and the building's own floors, ceilings and stairs;
+        `walls` are the walls; `blockers` are the names of all that blocks the cell, where that
+        isn't the same as all of the former. Of what carries a floor, only things are named
+        where one stands on them (rugs, pallets). Doors are no part of the contents: see
+        `navbake.navgrid.doors.name_door_cells`.
+
+        Args:
+            level: its number.
+            window: rows and columns of the lattice that its grid holds.
+
+        Returns:
+            By cell id on the window: sorted names under each key that has any.
+        """
+        # it takes a while, and who only plans or plots needs none of it
+        return SharedUserData.later(partial(self._name_cells, level, window))
+
+    def _name_cells(
+        self, level: int, window: Window
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], list[Names]]:
+        listed = self.levels[level]
+        kind = self.kinds[listed.geom]
+        bits = np.where(listed.blocks, BLOCKERS, 0)
+        bits |= np.where(listed.stands & self._is_wall(listed), WALLS, 0)
+        bits |= np.where(listed.stands & (kind == OBJECT), OBJECTS, 0)
+        carrier = listed.footing.carrier
+        below = np.flatnonzero(carrier >= 0)
+        below = below[self.kinds[carrier[below]] == OBJECT]
+        cell = np.concatenate([listed.cell, below])
+        geom = np.concatenate([listed.geom, carrier[below]])
+        bits = np.concatenate([bits, np.full(len(below), OBJECTS)])
+        return name_cells(cell, geom, bits, self.names, listed.lattice, window)
+
+    def _is_wall(self, listed: LevelContents) -> Bool:
+        kind = self.kinds[listed.geom]
+        wall: Bool = (kind == WALL) | ((kind == BUILDING) & listed.upper)
+        return wall
+
+
+def find_contents(
+    scene: Scene,
+    columns: Columns,
+    tiled: TiledShapes,
+    floors: Floors,
+    occupied: Sequence[Bool],
+    agent: AgentSettings,
+    settings: NameSettings,
+) -> Contents:
+    """List what stands in every cell with a floor, and tell what each geom is.
+
+    Args:
+        scene: the scene.
+        columns: all surfaces.
+        tiled: the geometry on its lattice.
+        floors: the storeys.
+        occupied: their occupancy, shape (height, width) each, bool.
+        agent: its size, step and slope.
+        settings: what the user says of walls.
+    """
+    num = len(scene.geoms)
+    extents = measure_geoms(scene.shapes, num)
+    candidates = wall_candidates(scene, extents)
+    tops = _level_tops(scene, floors)
+    levels = [
+        _list_level(columns, tiled, level, top, mask, agent, candidates)
+        for level, top, mask in zip(floors.levels, tops, occupied, strict=True)
+    ]
+    footings = [listed.footing for listed in levels]
+    carriers = find_carriers(floors, footings, extents, agent, columns.lattice)
+    standing = _standing(levels, floors, extents)
+    kinds = _tell_kinds(scene, extents, standing, carriers, agent)
+    named, warnings = match_walls(scene, settings.walls)
+    if settings.walls:
+        kinds[kinds == WALL] = OBJECT
+        kinds[named] = WALL
+    return Contents(levels, kinds, name_geoms(scene), extents, warnings)
+
+
+def _tell_kinds(
+    scene: Scene,
+    extents: Extents,
+    standing: Standing,
+    carriers: Carriers,
+    agent: AgentSettings,
+) -> NDArray[np.uint8]:
+    """Tell what each geom is, walls by their shape."""
+    buildings = find_buildings(scene, extents, standing)
+    walls = find_walls(scene, extents, standing, carriers, buildings)
+    kinds = np.full(len(extents.thin), OBJECT, dtype=np.uint8)
+    ceilings = find_ceilings(extents, standing.base, is_static(scene), agent)
+    kinds[carriers.building | ceilings] = STRUCTURE
+    kinds[walls] = WALL
+    kinds[buildings] = BUILDING
+    return kinds
+
+
+def _level_tops(scene: Scene, floors: Floors) -> list[float]:
+    """The height where each storey ends: the next one's ground, or the scene's top [m]."""
+    top = -np.inf if scene.bounds is None else float(scene.bounds[1, 2])
+    return [*(level.ground for level in floors.levels[1:]), top]
+
+
+def _list_level(
+    columns: Columns,
+    tiled: TiledShapes,
+    level: LevelFloor,
+    top: float,
+    occupied: Bool,
+    agent: AgentSettings,
+    probed: Bool,
+) -> LevelContents:
+    """List the geoms of one storey's cells; a cell's ceiling is never lower than the agent."""
+    lattice, shapes = columns.lattice, tiled.shapes
+    place = (lattice.x_min, lattice.y_max, lattice.cell_size, lattice.width, lattice.height)
+    solids, planes = shapes.solids, shapes.planes
+    footprint = Footprint.of(agent, lattice.cell_size)
+    half = lattice.cell_size / 2 - TOUCH
+    upper_low, upper_high = WALL_BAND[0] + TOUCH, WALL_BAND[1] - TOUCH
+    floor = level.floor.ravel()
+    ceiling = np.maximum(top, floor + agent.height) - TOUCH
+    slot = np.zeros(len(floor) + 1, dtype=np.int64)
+    count_candidates(
+        *place, floor, ceiling, footprint.reach,
+        tiled.solid_start, tiled.solid_item, solids.bounds,
+        tiled.triangle_start, tiled.triangle_item, shapes.triangles.geom, tiled.triangle_bounds,
+        planes.pos, planes.mat, slot[1:],
+    )  # fmt: skip
+    np.cumsum(slot, out=slot)
+    geom, flags = np.empty(slot[-1], dtype=np.int32), np.zeros(slot[-1], dtype=np.uint8)
+    list_geoms(
+        *place, floor, ceiling, SAME + TOUCH, upper_low, upper_high, half,
+        footprint.square, footprint.radius, footprint.low, footprint.high,
+        occupied.ravel(), probed,
+        columns.start, columns.z, columns.normal, columns.geom, shapes.closed,
+        tiled.solid_start, tiled.solid_item, solids.geom, solids.kind, solids.pos, solids.mat,
+        solids.size, solids.bounds,
+        tiled.triangle_start, tiled.triangle_item, shapes.triangles.geom,
+        shapes.triangles.corners, tiled.triangle_bounds,
+        planes.geom, planes.pos, planes.mat,
+        slot, geom, flags,
+    )  # fmt: skip
+    kept = flags > 0
+    start, flags = np.concatenate([[0], np.cumsum(kept)])[slot], flags[kept]
+    unproved = np.flatnonzero(flags & UNPROVED)
+    if len(unproved):  # what FCL found out about the cell decides
+        cells = np.searchsorted(start, unproved, side="right") - 1
+        flags[unproved[occupied.ravel()[cells]]] |= BLOCKS
+    return LevelContents(
+        lattice=lattice,
+        start=start,
+        geom=geom[kept],
+        stands=(flags & STANDS) > 0,
+        blocks=(flags & BLOCKS) > 0,
+        upper=(flags & PROBED) > 0,
+        footing=_footing(columns, floor, agent),
+    )
+
+
+def _footing(columns: Columns, floor: NDArray[np.float64], agent: AgentSettings) -> Footing:
+    carrier, gap = np.empty(len(floor), dtype=np.int32), np.empty(len(floor))
+    min_up = float(np.cos(np.radians(agent.max_slope))) - SLACK
+    describe_floors(
+        floor, columns.start, columns.z, columns.normal, columns.geom, min_up, carrier, gap
+    )
+    return Footing(carrier, gap)
+
+
+def _standing(levels: Sequence[LevelContents], floors: Floors, extents: Extents) -> Standing:
+    num = len(extents.low)
+    base, rise = np.full(num, np.inf), np.full(num, -np.inf)
+    area, upper_area = np.zeros(num), np.zeros(num)
+    for listed, level in zip(levels, floors.levels, strict=True):
+        cells, upper = np.zeros(num, dtype=np.int64), np.zeros(num, dtype=np.int64)
+        measure_standing(
+            listed.start, listed.geom, listed.stands, listed.upper, level.floor.ravel(),
+            extents.low, extents.high, base, rise, cells, upper,
+        )  # fmt: skip
+        square = listed.lattice.cell_size**2
+        area = np.maximum(area, cells * square)
+        upper_area = np.maximum(upper_area, upper * square)
+    return Standing(base, rise, area, upper_area)

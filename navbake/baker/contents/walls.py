@@ -1,0 +1,247 @@
+"""What counts as wall, and what all the other geoms are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.baker.contents.structure import Carriers
+from navbake.baker.scene.bodies import find_subtree_ends, list_geoms
+from navbake.baker.scene.extents import Extents
+from navbake.baker.scene.names import body_name, names_of, tell_unmatched
+from navbake.baker.scene.scene import Scene
+
+Bool = NDArray[np.bool_]
+Float = NDArray[np.float64]
+Kinds = NDArray[np.uint8]
+
+OBJECT, WALL, STRUCTURE, BUILDING = range(4)
+"""What a geom can be; BUILDING is a mesh that holds a whole one, floors and walls together."""
+
+HINTS = ("wall", "partition")  # in the names of walls, whatever the case
+
+# A wall rises from near a floor (or a window from its sill), at least this high [m] ...
+NEAR_FLOOR, TALL = 0.6, 1.5
+# ... and is thin and long, so much or (a thick one) so much [m, m, ratio]
+THIN = ((0.25, 0.5, 3.0), (0.5, 3.0, 6.0))
+# With a wall's name, it is tall from here; from LOW, if it is as thin and as long as a wall [m]
+NAMED_TALL, LOW = 1.0, 0.5
+# What has more depth than a panel of it by this, and is no larger, is a piece of furniture [m]
+DEEPER, FURNITURE_DEPTH, FURNITURE_LENGTH, FURNITURE_PARTS = 0.1, 1.2, 3.0, 200
+# A piece that goes on in a wall's line lies within the wall by this much, and touches it so [m]
+IN_LINE, TOUCHING = 0.03, 0.05
+PAIRS = 1_000_000  # of walls and pieces that are looked at together
+# A mesh that holds a building is at least this wide both ways, and so much of it is hollow [m]
+BUILDING_WIDTH, HOLLOW = 2.0, 0.5
+# It is wall where it meets this band over the floor [m] ...
+WALL_BAND = (1.5, 1.8)
+# ... and what is a wall by its shape meets it in this share of the cells it stands in
+UPRIGHT = 0.5
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How geoms stand over floors, by geom id.
+
+    Attributes:
+        base: least height of its bottom over a floor of a cell it stands in, inf for none [m].
+        rise: greatest height of its top over its bottom or such a floor, whichever is higher,
+            -inf for none [m].
+        area: how much of a storey it stands in at most [m²].
+        upper_area: how much of a storey it stands in between the heights of `WALL_BAND`, at
+            most; known for `wall_candidates` only [m²].
+    """
+
+    base: Float
+    rise: Float
+    area: Float
+    upper_area: Float
+
+
+def wall_candidates(scene: Scene, extents: Extents) -> Bool:
+    """Mark the geoms that may be walls or hold a building, by their own shape alone."""
+    with np.errstate(invalid="ignore"):
+        tall = extents.high - extents.low >= TALL
+        large = extents.thin >= BUILDING_WIDTH
+    candidates: Bool = tall & (
+        (is_static(scene) & _is_slender(extents)) | (_is_surface(scene) & large)
+    )
+    return candidates
+
+
+def find_buildings(scene: Scene, extents: Extents, standing: Standing) -> Bool:
+    """Mark the meshes that hold a whole building: surfaces, tall, wide both ways, and hollow."""
+    with np.errstate(invalid="ignore"):
+        large = (extents.thin >= BUILDING_WIDTH) & (extents.high - extents.low >= TALL)
+        hollow = standing.upper_area < HOLLOW * extents.thin * extents.long
+    buildings: Bool = _is_surface(scene) & large & hollow
+    return buildings
+
+
+def is_static(scene: Scene) -> Bool:
+    """Mark the geoms that no joint moves, up to the world, and no mocap body."""
+    model = scene.model
+    body = model.geom_bodyid
+    fixed: Bool = (model.body_weldid[body] == 0) & (model.body_mocapid[model.body_rootid[body]] < 0)
+    return fixed
+
+
+def match_walls(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[str]]:
+    """Mark the geoms whose own, mesh's or body's name matches, up to the topmost body.
+
+    Returns:
+        By geom id, shape (ngeom,), bool; and a warning for each pattern that matches nothing,
+        with the nearest names.
+    """
+    matched = np.zeros(len(scene.geoms), dtype=np.bool_)
+    warnings: list[str] = []
+    if not patterns:
+        return matched, warnings
+    by_geom = [
+        {*_names(scene, report.id), *_bodies_above(scene, report.id)} for report in scene.geoms
+    ]
+    known = sorted(set().union(*by_geom))
+    for pattern in patterns:
+        hits = {name for name in known if fnmatchcase(name, pattern)}
+        matched |= np.array([not hits.isdisjoint(names) for names in by_geom], dtype=np.bool_)
+        if not hits:
+            warnings.append(tell_unmatched("names.walls", pattern, known))
+    return matched, warnings
+
+
+def find_walls(
+    scene: Scene, extents: Extents, standing: Standing, carriers: Carriers, excluded: Bool
+) -> Bool:
+    """Mark the walls by their shape, and by their names where the shape leaves it open.
+
+    A wall is static, rises from near a floor over 1.5 m, straight up, and is thin (0.25 m) and
+    long; a thicker one (0.5 m) is longer. A panel of a deeper piece of furniture is none. With
+    `wall` or `partition` in its geom's, mesh's or body's name 1 m is tall enough, however thick
+    it is; and 0.5 m for something thin and long. What goes on in the line of a wall is wall,
+    too: parapets, lintels, stubs, windows.
+
+    Args:
+        scene: the scene.
+        extents: the geoms'.
+        standing: how they stand.
+        carriers: what carries floors: no wall where one can stand on it unless it is named so,
+            and no piece in a wall's line.
+        excluded: what is no wall by itself, such as a mesh that holds a whole building.
+    """
+    hinted = np.array(
+        [
+            any(hint in name.lower() for name in _names(scene, report.id) for hint in HINTS)
+            for report in scene.geoms
+        ],
+        dtype=np.bool_,
+    )
+    static, slender = is_static(scene) & ~excluded, _is_slender(extents)
+    stands = static & (standing.base <= NEAR_FLOOR)
+    named = stands & hinted
+    named &= (standing.rise >= NAMED_TALL) | (slender & (standing.rise >= LOW))
+    shaped = stands & slender & (standing.rise >= TALL) & ~carriers.stood_on & ~named
+    shaped &= standing.upper_area >= UPRIGHT * standing.area
+    ends = find_subtree_ends(scene.model)
+    for geom in np.flatnonzero(shaped):
+        shaped[geom] = not _is_furniture_panel(scene, extents, int(geom), ends)
+    pieces = static & ~carriers.building & ~carriers.things
+    return _in_line(named | shaped, pieces, extents)
+
+
+def _is_slender(extents: Extents) -> Bool:
+    with np.errstate(invalid="ignore"):
+        slender = [
+            (extents.thin <= thin) & (extents.long >= np.maximum(long, ratio * extents.thin))
+            for thin, long, ratio in THIN
+        ]
+    return np.logical_or(*slender)
+
+
+def _is_surface(scene: Scene) -> Bool:
+    return np.array([report.shape in ("surface", "closed surface") for report in scene.geoms])
+
+
+def _in_line(walls: Bool, candidates: Bool, extents: Extents) -> Bool:
+    """Add the pieces that touch a thin wall and go on in its line, no thicker than it is."""
+    walls = walls.copy()
+    with np.errstate(invalid="ignore"):
+        thin = extents.thin <= THIN[-1][0]
+        candidates = candidates & thin
+    new = np.flatnonzero(walls & thin)
+    while len(new):
+        thickest = extents.thin[new].max() + 2 * IN_LINE
+        pieces = np.flatnonzero(candidates & ~walls & (extents.thin <= thickest))
+        found = np.zeros(len(walls), dtype=np.bool_)
+        for wall, piece in _near_pairs(new, pieces, extents):
+            offset = extents.center[piece] - extents.center[wall]
+            across, along = extents.across[wall], extents.along[wall]
+            beyond = np.abs((offset * across).sum(axis=1)) + extents.half_widths(piece, across)
+            gap = np.abs((offset * along).sum(axis=1)) - extents.half_widths(piece, along)
+            fits = (beyond <= extents.thin[wall] / 2 + IN_LINE) & (
+                gap <= extents.long[wall] / 2 + TOUCHING
+            )
+            found[piece[fits]] = True
+        new = np.flatnonzero(found)
+        walls |= found
+    return walls
+
+
+def _near_pairs(
+    walls: NDArray[np.intp], pieces: NDArray[np.intp], extents: Extents
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Pairs of walls and pieces whose boxes touch, a block of walls at a time."""
+    geoms = np.arange(len(extents.thin))
+    center = np.column_stack([extents.center, (extents.low + extents.high) / 2])
+    reach = np.column_stack(
+        [
+            extents.half_widths(geoms, np.array([1.0, 0.0])),
+            extents.half_widths(geoms, np.array([0.0, 1.0])),
+            (extents.high - extents.low) / 2,
+        ]
+    )
+    for block in np.array_split(walls, len(walls) * len(pieces) // PAIRS + 1):
+        touch = np.ones((len(block), len(pieces)), dtype=np.bool_)
+        for axis in range(3):
+            apart = np.abs(center[block, axis, None] - center[pieces, axis])
+            touch &= apart <= reach[block, axis, None] + reach[pieces, axis] + TOUCHING
+        wall, piece = np.nonzero(touch)
+        yield block[wall], pieces[piece]
+
+
+def _is_furniture_panel(scene: Scene, extents: Extents, geom: int, ends: NDArray[np.int64]) -> bool:
+    """Whether a body that holds the geom is deeper than it, and as large as furniture is."""
+    model = scene.model
+    body = int(model.geom_bodyid[geom])
+    while body > 0:
+        inside = list_geoms(model, body, int(ends[body]))
+        parts = inside[~np.isnan(extents.thin[inside])]
+        if len(parts) > FURNITURE_PARTS:
+            return False
+        sides = []
+        for way in (extents.across[geom], extents.along[geom]):
+            middle, half = extents.center[parts] @ way, extents.half_widths(parts, way)
+            sides.append(float((middle + half).max() - (middle - half).min()))
+        is_deeper = extents.thin[geom] + DEEPER <= sides[0] <= FURNITURE_DEPTH
+        if is_deeper and sides[1] <= FURNITURE_LENGTH:
+            return True
+        body = int(model.body_parentid[body])
+    return False
+
+
+def _names(scene: Scene, geom: int) -> list[str]:
+    """The names of a geom, of its body and of its mesh."""
+    names = names_of(scene.model, geom)
+    return [name for name in (names.geom, names.body, names.mesh) if name]
+
+
+def _bodies_above(scene: Scene, geom: int) -> Iterator[str]:
+    """The names of the bodies from a geom's up to the topmost."""
+    model = scene.model
+    body = int(model.geom_bodyid[geom])
+    while body > 0:
+        yield body_name(model, body)
+        body = int(model.body_parentid[body])

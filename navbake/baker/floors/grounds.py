@@ -1,0 +1,188 @@
+"""Grounds: at which heights the storeys begin, and which surface is on which storey."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.baker.floors.sheets import AreaTest, Standable, mask_window, shrink_mask
+from navbake.baker.kernels.sheets import (
+    SLACK,
+    find_links,
+    group_members,
+    join_by_steps,
+    place_on_levels,
+)
+from navbake.config.settings import AgentSettings, FloorSettings
+from navbake.navgrid.lattice import Lattice
+
+Bool = NDArray[np.bool_]
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+# Floors whose heights round to the same multiple of this are one plateau [m]
+PLATEAU = 0.02
+
+
+def find_grounds(
+    standable: Standable, agent: AgentSettings, settings: FloorSettings
+) -> list[float]:
+    """Find the ground heights of the storeys, lowest first.
+
+    The lowest storey's ground is the lowest floor that is large enough (as sheets are, after
+    shrinking). A new storey begins where floors that are large enough lie over floors of the
+    storey below; so a hill, a half-storey beside another, or a platform with nothing under it
+    opens none. What is too small for that gets its place in `assign_levels`.
+
+    Args:
+        standable: the surfaces that count.
+        agent: its step.
+        settings: `min_area` [m²] and `shrink` [m].
+    """
+    cells, z = standable.cell, standable.z
+    lowest = _lowest_of_columns(cells)
+    ground = _lowest_plateau(cells[lowest], z[lowest], standable.lattice, agent, settings)
+    grounds = [_common_height(z[lowest]) if ground is None else ground]
+    rest = np.flatnonzero(~lowest)
+    while len(rest):
+        ground = _lowest_plateau(cells[rest], z[rest], standable.lattice, agent, settings)
+        if ground is None:
+            break
+        grounds.append(ground)
+        above = np.flatnonzero(z >= ground - SLACK)
+        rest = above[~_lowest_of_columns(cells[above])]
+    return grounds
+
+
+def lower_grounds(standable: Standable, grounds: list[float], agent: AgentSettings) -> list[float]:
+    """Lower each ground to what lies a little below it and hangs together with nothing else.
+
+    A floor is rarely quite flat. A part of the level below that lies within a step under a
+    ground, and that steps join to nothing but the level of that ground, belongs up there.
+
+    Args:
+        standable: the surfaces that count.
+        grounds: ground heights, ascending [m].
+        agent: its step.
+
+    Returns:
+        The grounds, as many as before, ascending [m].
+    """
+    step, lattice = agent.traversable_floor_height, standable.lattice
+    for _ in grounds[1:]:
+        level = _place(standable, grounds)
+        part, size = join_by_steps(
+            standable.start, standable.z, level, lattice.width, lattice.height, step
+        )
+        links = find_links(standable.start, standable.z, level, lattice.width, lattice.height, step)
+        lowered = list(grounds)
+        low = np.full(len(size), np.inf)
+        np.minimum.at(low, part, standable.z)
+        for k in range(1, len(grounds)):
+            to_above = np.zeros(len(size), dtype=np.bool_)
+            to_others = np.zeros(len(size), dtype=np.bool_)
+            for here, there in ((links[:, 0], links[:, 1]), (links[:, 1], links[:, 0])):
+                on_below = level[here] == k - 1
+                is_above = level[there] == k
+                to_above[part[here[on_below & is_above]]] = True
+                to_others[part[here[on_below & ~is_above]]] = True
+            joins = to_above & ~to_others & (low >= grounds[k] - step - SLACK)
+            if joins.any():
+                lowered[k] = min(grounds[k], float(low[joins].min()))
+        if lowered == grounds:
+            break
+        grounds = lowered
+    return grounds
+
+
+def assign_levels(
+    standable: Standable, grounds: list[float], names: list[str | None]
+) -> tuple[Int, list[float], list[str]]:
+    """Give each surface its level; none shares a column's level with another.
+
+    A surface belongs to the highest ground at or below it (the lowest ones to the first). The
+    upper one of two on a level goes to the next level up that has none in that column; where
+    there is none, a level of its own is opened at the lowest such surface.
+
+    Args:
+        standable: the surfaces that count.
+        grounds: ground heights, ascending [m].
+        names: the levels' names, None for those without; empty if none has one.
+
+    Returns:
+        The level of each surface, shape (n,), int64, the grounds and the names of all levels.
+    """
+    named = dict(zip(grounds, names, strict=False))
+    grounds = sorted(grounds)
+    level = _place(standable, grounds)
+    while (level < 0).any():
+        grounds = sorted([*grounds, _own_ground(standable.z[level < 0], grounds)])
+        level = _place(standable, grounds)
+    used = np.unique(level)
+    level = np.searchsorted(used, level)
+    grounds = [grounds[k] for k in used]
+    return level, grounds, _label([named.get(ground) for ground in grounds])
+
+
+def _label(names: list[str | None]) -> list[str]:
+    """Name the levels that have no name by their number; no two are called the same."""
+    labels: list[str] = []
+    for number, name in enumerate(names):
+        label = name or f"level {number}"
+        while label in labels or (not name and label in names):
+            label += "'"
+        labels.append(label)
+    return labels
+
+
+def _lowest_of_columns(cells: Int) -> Bool:
+    """Mark the first surface of each column, given the cells of sorted surfaces."""
+    return np.concatenate([[True], cells[1:] != cells[:-1]])[: len(cells)]
+
+
+def _common_height(z: Float) -> float:
+    """The lowest member of the most common height, rounded to plateaus [m]."""
+    level: Int = np.round(z / PLATEAU).astype(np.int64)
+    level = level - level.min()
+    return float(z[level == np.bincount(level).argmax()].min())
+
+
+def _lowest_plateau(
+    cells: Int, z: Float, lattice: Lattice, agent: AgentSettings, settings: FloorSettings
+) -> float | None:
+    """The ground of the lowest large floor among surfaces, or None.
+
+    Looks through windows of heights one step high, half a step apart, from the lowest up.
+    """
+    half_step = max(agent.traversable_floor_height, PLATEAU) / 2
+    window: Int = ((z - z.min()) / half_step).astype(np.int64)
+    counts = np.bincount(window)
+    start, member = group_members(window, counts)
+    test = AreaTest(lattice, settings)
+    both = counts + np.append(counts[1:], 0)
+    for number in np.flatnonzero((both > 0) & (both >= test.needed)):
+        chosen = member[start[number] : start[min(number + 2, len(counts))]]
+        if test.passes(cells[chosen]):
+            mask, row0, col0 = mask_window(cells[chosen], lattice, margin=0)
+            inner = shrink_mask(mask, lattice.cell_size, settings.shrink)
+            row, col = np.divmod(cells[chosen], lattice.width)
+            heights = z[chosen][inner[row - row0, col - col0]]
+            return _common_height(heights if len(heights) else z[chosen])
+    return None
+
+
+def _place(standable: Standable, grounds: list[float]) -> Int:
+    """The level of each surface by the grounds, -1 where all that it could go to are taken."""
+    base = np.searchsorted(np.array(grounds) - SLACK, standable.z, side="right") - 1
+    level = np.empty(len(standable.z), dtype=np.int64)
+    place_on_levels(standable.start, standable.z, np.maximum(base, 0), len(grounds), level)
+    return level
+
+
+def _own_ground(lost: Float, grounds: list[float]) -> float:
+    """The lowest height among lost surfaces that is no ground yet [m]."""
+    known = np.array(grounds)
+    new = lost[np.abs(lost[:, None] - known).min(axis=1) > SLACK] if len(lost) else lost
+    if len(new):
+        return float(new.min())
+    return float(max(grounds)) + 1.0  # a level above all, for what is doubled everywhere

@@ -1,0 +1,236 @@
+"""Levels and floors: from the surfaces of all columns to the floors of each storey."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.baker.columns import Columns
+from navbake.baker.floors.grounds import assign_levels, find_grounds, lower_grounds
+from navbake.baker.floors.roofs import drop_roofs, is_walled
+from navbake.baker.floors.sheets import Standable, drop_furniture, drop_tops, find_standable
+from navbake.baker.kernels.sheets import SLACK, find_links, group_members, grow_floor
+from navbake.baker.scene.shapes import Shapes
+from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
+from navbake.errors import SceneError
+
+Bool = NDArray[np.bool_]
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class LevelFloor:
+    """One storey on the whole lattice.
+
+    Attributes:
+        name: as given, or ``level <number>``, lowest first.
+        ground: ground height [m].
+        floor: floor heights, shape (height, width), float64, NaN for none [m].
+        standable: where the floor is a standable surface, shape (height, width), bool.
+    """
+
+    name: str
+    ground: float
+    floor: Float
+    standable: Bool
+
+
+@dataclass(frozen=True)
+class Top:
+    """A sheet that is no floor: furniture (see `drop_tops`), or a roof.
+
+    Attributes:
+        geom: the geom that most of it belongs to.
+        height: of its highest point, world z [m].
+        area: [m²].
+    """
+
+    geom: int
+    height: float
+    area: float
+
+
+@dataclass(frozen=True)
+class Floors:
+    """All storeys, lowest first, and where they meet.
+
+    Attributes:
+        levels: the storeys.
+        links: level a, cell a, level b, cell b of each step between two levels, shape (n, 4),
+            int64, cells on the whole lattice.
+        tops: large tops that are no floors, the largest first.
+        roofs: roofs that walls stand on, likewise: storeys that nobody put a ceiling on?
+    """
+
+    levels: list[LevelFloor]
+    links: Int
+    tops: list[Top] = field(default_factory=list)
+    roofs: list[Top] = field(default_factory=list)
+
+
+def find_floors(
+    columns: Columns,
+    shapes: Shapes,
+    agent: AgentSettings,
+    settings: FloorSettings,
+    given: list[LevelSettings] | None,
+    is_occupied: Callable[[Int, Float], Bool],
+) -> Floors:
+    """Find the storeys, the floor of each, and the steps between them.
+
+    Args:
+        columns: all surfaces.
+        shapes: the geometry they were cast at.
+        agent: its height, step and slope.
+        settings: which sheets count.
+        given: the levels of the configuration, or None to find them.
+        is_occupied: tells for cell ids and floor heights which are occupied.
+
+    Raises:
+        SceneError: there is no floor at all, or none on a given level.
+    """
+    standable, floor_like = find_standable(columns, shapes, agent)
+    if not len(standable.z):
+        raise SceneError(_no_floor(columns, floor_like, agent))
+    counted = drop_furniture(standable, settings)
+    if not len(counted.z):
+        raise SceneError(
+            f"no floor: the largest standable sheet keeps less than {settings.min_area:g} m² "
+            f"after shrinking by {settings.shrink:g} m; lower `floors.min_area` or "
+            f"`floors.shrink` if it is a floor"
+        )
+    tops: list[Top] = []
+    roofs: list[Top] = []
+    if not settings.tops:
+        every, step = counted, agent.traversable_floor_height
+        counted = drop_tops(every, columns, floor_like, step, settings)
+        tops = _describe_gone(every, counted, columns)
+    if given is None:
+        if not settings.roofs:
+            every = counted
+            counted = drop_roofs(every, columns, shapes, agent, is_occupied)
+            roofs = _describe_gone(every, counted, columns, walled_by=agent.height)
+        grounds = find_grounds(counted, agent, settings)
+        grounds = lower_grounds(counted, grounds, agent)
+        given_names: list[str | None] = []
+    else:
+        counted = _within_given(counted, given, columns)
+        grounds = [level.ground for level in given]
+        given_names = [level.name for level in given]
+    level, grounds, names = assign_levels(counted, grounds, given_names)
+    candidate = floor_like.copy()
+    candidate[counted.surface] = False
+    levels = [
+        _level_floor(k, names[k], ground, level, counted, columns, candidate, agent)
+        for k, ground in enumerate(grounds)
+    ]
+    return Floors(levels, _cell_links(counted, level, agent), tops, roofs)
+
+
+def _describe_gone(
+    every: Standable, counted: Standable, columns: Columns, walled_by: float | None = None
+) -> list[Top]:
+    """Describe the sheets that are gone, or those with walls of a height around them."""
+    gone = np.flatnonzero((every.sheet_size > 0) & (counted.sheet_size == 0))
+    start, member = group_members(every.sheet, every.sheet_size)
+    cells = every.cell
+    tops = []
+    for sheet in gone:
+        members = member[start[sheet] : start[sheet + 1]]
+        z = every.z[members]
+        if walled_by is not None and not is_walled(cells[members], z, columns, walled_by):
+            continue
+        geoms = columns.geom[every.surface[members]]
+        area = len(members) * every.lattice.cell_size**2
+        tops.append(Top(int(np.bincount(geoms).argmax()), float(z.max()), area))
+    return sorted(tops, key=lambda top: -top.area)
+
+
+def _within_given(standable: Standable, given: list[LevelSettings], columns: Columns) -> Standable:
+    """Keep the surfaces between the grounds and the tops of the given levels."""
+    kept = np.zeros(len(standable.z), dtype=np.bool_)
+    for number, level in enumerate(given):
+        is_last = number + 1 == len(given)
+        top = np.inf if is_last else given[number + 1].ground
+        if level.top is not None:
+            top = min(top, level.top)
+        on_level = (standable.z >= level.ground - SLACK) & (standable.z < top - SLACK)
+        if not on_level.any():
+            name = f"level {level.name!r}" if level.name else f"level {number}"
+            low, high = float(columns.z.min()), float(columns.z.max())
+            raise SceneError(
+                f"no floor on {name} (ground {level.ground:g} m, top {top:g} m) of `levels`: "
+                f"the scene's surfaces span {low:g} to {high:g} m"
+            )
+        kept |= on_level
+    return standable.only(kept)
+
+
+def _level_floor(
+    number: int,
+    name: str,
+    ground: float,
+    level: Int,
+    standable: Standable,
+    columns: Columns,
+    candidate: Bool,
+    agent: AgentSettings,
+) -> LevelFloor:
+    lattice = standable.lattice
+    floor = np.full(lattice.width * lattice.height, np.nan)
+    cells, z = standable.cell, standable.z
+    chosen = level == number
+    floor[cells[chosen]] = z[chosen]
+    is_standable = ~np.isnan(floor)
+    lowest, highest = np.full(floor.shape, -np.inf), np.full(floor.shape, np.inf)
+    below, above = np.flatnonzero(level < number), np.flatnonzero(level > number)[::-1]
+    # of several in a column, the last one written stays: here the highest, there the lowest
+    lowest[cells[below]] = z[below] + agent.height - SLACK
+    highest[cells[above]] = z[above] - agent.height + SLACK
+    grow_floor(
+        floor,
+        lattice.width,
+        lattice.height,
+        columns.start,
+        columns.z,
+        candidate,
+        lowest,
+        highest,
+        agent.traversable_floor_height,
+    )
+    return LevelFloor(
+        name, ground, floor.reshape(lattice.shape), is_standable.reshape(lattice.shape)
+    )
+
+
+def _cell_links(standable: Standable, level: Int, agent: AgentSettings) -> Int:
+    pairs = find_links(
+        standable.start,
+        standable.z,
+        level,
+        standable.lattice.width,
+        standable.lattice.height,
+        agent.traversable_floor_height,
+    )
+    cells = standable.cell
+    a, b = pairs[:, 0], pairs[:, 1]
+    links = np.stack([level[a], cells[a], level[b], cells[b]], axis=1)
+    return links[np.lexsort(links.T[::-1])]
+
+
+def _no_floor(columns: Columns, floor_like: Bool, agent: AgentSettings) -> str:
+    if not len(columns.z):
+        return "no floor at all: no vertical line through a cell's centre meets a geom"
+    if not floor_like.any():
+        return (
+            f"no floor at all: none of {len(columns.z)} surfaces faces up within "
+            f"{agent.max_slope:g}° (a mesh may be inside out, or `scene.up` wrong)"
+        )
+    return (
+        f"no floor at all: none of {int(floor_like.sum())} surfaces that face up has "
+        f"{agent.height:g} m of headroom (a wrong unit, or everything lies inside of a solid)"
+    )

@@ -1,0 +1,233 @@
+"""Sheets: the standable surfaces that steps join, and which of them are floors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from navbake.baker.columns import Columns
+from navbake.baker.kernels.sheets import SLACK, group_members, join_by_steps, mark_surfaces
+from navbake.baker.kernels.shrink import count_inner, near_offsets
+from navbake.baker.kernels.tops import count_covered, count_drops
+from navbake.baker.scene.shapes import Shapes
+from navbake.config.settings import AgentSettings, FloorSettings
+from navbake.navgrid.lattice import Lattice
+
+Bool = NDArray[np.bool_]
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+# Cells along the edge of the blocks in which masks are shrunk
+BLOCK = 256
+# A top covers a floor under more than this share of it, and drops to it along this share
+TOP_SHARE, DROP_SHARE = 0.5, 0.25
+
+
+@dataclass(frozen=True)
+class Standable:
+    """Standable surfaces, ragged by cell as in `Columns`.
+
+    Attributes:
+        lattice: the cells.
+        start: shape (cells + 1,), int64.
+        z: heights, ascending in a cell, shape (n,), float64 [m].
+        surface: each one's index in the columns, shape (n,), int64.
+        sheet: the sheet that it belongs to, shape (n,), int64.
+        sheet_size: how many surfaces each sheet has, shape (sheets,), int64.
+    """
+
+    lattice: Lattice
+    start: Int
+    z: Float
+    surface: Int
+    sheet: Int
+    sheet_size: Int
+
+    @cached_property
+    def cell(self) -> Int:
+        """Cell id of each, shape (n,), int64."""
+        return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
+
+    def only_sheets(self, counts: Bool) -> Standable:
+        """The surfaces of the sheets that count, shape (sheets,); they keep their numbers."""
+        return self.only(counts[self.sheet])
+
+    def only(self, kept: Bool) -> Standable:
+        """The surfaces that are kept, shape (n,)."""
+        if kept.all():
+            return self
+        start = np.concatenate([[0], np.cumsum(kept)])[self.start]
+        return replace(
+            self,
+            start=start,
+            z=self.z[kept],
+            surface=self.surface[kept],
+            sheet=self.sheet[kept],
+            sheet_size=np.bincount(self.sheet[kept], minlength=len(self.sheet_size)),
+        )
+
+
+def find_standable(
+    columns: Columns, shapes: Shapes, agent: AgentSettings
+) -> tuple[Standable, Bool]:
+    """Find the standable surfaces and the sheets that steps make of them.
+
+    Args:
+        columns: all surfaces.
+        shapes: the geometry they were cast at.
+        agent: its height, step and slope.
+
+    Returns:
+        The standable surfaces, and a mask of all surfaces, shape (n,), bool: those that a floor
+        may go on at: facing up within the slope, or low bumps.
+    """
+    lattice = columns.lattice
+    floor_like = np.zeros(len(columns.z), dtype=np.bool_)
+    standable = np.zeros(len(columns.z), dtype=np.bool_)
+    mark_surfaces(
+        lattice.x_min,
+        lattice.y_max,
+        lattice.cell_size,
+        lattice.width,
+        columns.start,
+        columns.z,
+        columns.normal,
+        columns.geom,
+        shapes.closed,
+        shapes.planes.pos,
+        shapes.planes.normal,
+        float(np.cos(np.radians(agent.max_slope))) - SLACK,
+        agent.height,
+        agent.traversable_floor_height,
+        floor_like,
+        standable,
+    )
+    start = np.concatenate([[0], np.cumsum(standable)])[columns.start]
+    surface = np.flatnonzero(standable)
+    z = columns.z[surface]
+    sheet, size = join_by_steps(
+        start,
+        z,
+        np.zeros(len(z), dtype=np.int64),
+        lattice.width,
+        lattice.height,
+        agent.traversable_floor_height,
+    )
+    return Standable(lattice, start, z, surface, sheet, size), floor_like
+
+
+def drop_furniture(standable: Standable, settings: FloorSettings) -> Standable:
+    """Keep the sheets that count: those large enough after shrinking.
+
+    A sheet's cells are taken together over all heights; a cell survives shrinking when its
+    centre is at least `shrink` from the sheet's edge.
+
+    Args:
+        standable: all standable surfaces.
+        settings: `min_area` [m²] and `shrink` [m].
+    """
+    size = standable.sheet_size
+    counts = np.zeros(len(size), dtype=np.bool_)
+    start, member = group_members(standable.sheet, size)
+    cells, test = standable.cell, AreaTest(standable.lattice, settings)
+    for sheet in np.flatnonzero(size >= test.needed):
+        counts[sheet] = test.passes(cells[member[start[sheet] : start[sheet + 1]]])
+    return standable.only_sheets(counts)
+
+
+def drop_tops(
+    standable: Standable,
+    columns: Columns,
+    floor_like: Bool,
+    step: float,
+    settings: FloorSettings,
+) -> Standable:
+    """Drop the tops of what stands on a floor: beds, blocks, walls that are metres thick.
+
+    A sheet that no step reaches is such a top when the floor of another one goes on under more
+    than half of it without room for an agent in between, and at least a quarter of its outline
+    drops to that floor, a bed's frame aside. A house's floor on its plinth ends at walls, and a
+    mezzanine has standing room below, so that both are none.
+
+    Args:
+        standable: the surfaces of the sheets that count by their size.
+        columns: all surfaces.
+        floor_like: which of them face up within the slope, shape (n,).
+        step: the largest step [m].
+        settings: `shrink`, how far from the sheet's edge the floor may begin [m].
+    """
+    lattice, size = standable.lattice, standable.sheet_size
+    start, member = group_members(standable.sheet, size)
+    num_cells = lattice.width * lattice.height
+    at_cell = np.full(num_cells, -1, dtype=np.int64)
+    under, queue = np.full(num_cells, np.nan), np.empty(num_cells, dtype=np.int64)
+    reach = max(1, int(np.ceil(settings.shrink / lattice.cell_size)))
+    cells, counts = standable.cell, size > 0
+    keep = counts.copy()
+    for sheet in np.flatnonzero(counts):
+        members = member[start[sheet] : start[sheet + 1]]
+        place = (cells, standable.start, standable.z, standable.sheet, counts)
+        shape = (lattice.width, lattice.height)
+        lines = (columns.start, columns.z)
+        edges, drops, floors, over = count_drops(
+            members, *place, *shape, *lines, columns.normal, step, reach, at_cell
+        )
+        if drops > 0 and drops >= DROP_SHARE * edges:
+            covered = count_covered(
+                members, *place, *shape, *lines, floor_like, step, floors, at_cell, under, queue
+            )
+            keep[sheet] = covered <= TOP_SHARE * len(members)
+        at_cell[cells[members]] = -1
+        at_cell[over] = -1
+    return standable.only_sheets(keep)
+
+
+def mask_window(cells: Int, lattice: Lattice, margin: int) -> tuple[Bool, Int, Int]:
+    """Cells as a mask over their own rectangle, with a margin; and its first row and column."""
+    row, col = np.divmod(cells, lattice.width)
+    row0, col0 = row.min() - margin, col.min() - margin
+    mask = np.zeros((row.max() - row0 + 1 + margin, col.max() - col0 + 1 + margin), dtype=np.bool_)
+    mask[row - row0, col - col0] = True
+    return mask, row0, col0
+
+
+def shrink_mask(mask: Bool, cell_size: float, shrink: float) -> Bool:
+    """Cells of a mask whose centres are at least `shrink` from its edge [m]."""
+    inner = np.zeros_like(mask)
+    reach = int(np.ceil(shrink / cell_size)) + 2
+    padded = np.pad(mask, reach)
+    for row in range(0, mask.shape[0], BLOCK):
+        for col in range(0, mask.shape[1], BLOCK):
+            block = padded[row : row + BLOCK + 2 * reach, col : col + BLOCK + 2 * reach]
+            # beyond the reach nothing matters, so the block may end in empty cells
+            cells = ndimage.distance_transform_edt(np.pad(block, 1))[1:-1, 1:-1]
+            far = (cells - 0.5) * cell_size >= shrink - SLACK
+            place = slice(row, row + BLOCK), slice(col, col + BLOCK)
+            inner[place] = (block & far)[reach:-reach, reach:-reach]
+    return inner
+
+
+class AreaTest:
+    """Whether cells are enough for a floor: `min_area` after shrinking, see `shrink_mask`.
+
+    Attributes:
+        needed: cells that have to be left, so also what a set has at least.
+    """
+
+    def __init__(self, lattice: Lattice, settings: FloorSettings) -> None:
+        self.needed = (settings.min_area - SLACK) / lattice.cell_size**2
+        self._shape = lattice.width, lattice.height
+        limit = (settings.shrink - SLACK) / lattice.cell_size + 0.5
+        self._offsets = near_offsets(limit, min(self._shape))
+        num_cells = lattice.width * lattice.height
+        self._masks = np.zeros(num_cells, dtype=np.bool_), np.zeros(num_cells, dtype=np.bool_)
+
+    def passes(self, cells: Int) -> bool:
+        """Tell for a set of cells, shape (n,), int64; a cell may be named more than once."""
+        needed = int(np.ceil(max(self.needed, 0.0)))
+        found = count_inner(cells, self._offsets, *self._shape, needed, *self._masks)
+        return bool(found >= needed)

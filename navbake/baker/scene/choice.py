@@ -1,0 +1,183 @@
+"""Which geoms of a model count, by the settings, and why. Knows models, but not mujoco."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.baker.scene.names import GeomNames, body_name, names_of, tell_unmatched
+from navbake.baker.scene.shapes import MESH, SDF
+from navbake.config.settings import SceneSettings
+
+FREE = 0  # MuJoCo's number of the free joint (mjtJoint)
+DRAWN_GROUPS = 3  # MuJoCo's viewers draw the geom groups below this unless told otherwise
+
+MeshMode = Literal["hull", "surface"]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What becomes of one geom.
+
+    Attributes:
+        counted: whether it takes part in the bake.
+        reason: why.
+        mesh: as what it counts if it is a mesh.
+    """
+
+    counted: bool
+    reason: str
+    mesh: MeshMode
+
+
+def choose_geoms(model: Any, settings: SceneSettings) -> tuple[list[Choice], list[str]]:
+    """Decide for each geom whether it counts.
+
+    What is excluded is out, whatever else it is. `collision` counts what can collide (contype or
+    conaffinity not 0), drawn or not. `auto` does the same, but counts all geoms where none of
+    those left can collide. `visual` counts what is drawn: alpha above 0, a geom group that
+    MuJoCo's viewers draw, and no stand-in, which is a geom that can collide on a body that has
+    drawn geoms of another group that can't; the world's own geoms are no stand-ins.
+
+    Args:
+        model: the compiled model.
+        settings: what counts.
+
+    Returns:
+        A choice for each geom, by its id, and what the user should know, one line each.
+    """
+    names = [names_of(model, geom) for geom in range(model.ngeom)]
+    excluded, notes = _find_excluded(model, settings, names)
+    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    left = np.array([not reason for reason in excluded], dtype=bool)
+    counts = _rule(model, settings, collides, bool((collides & left).any()))
+    modes, unused = _mesh_modes(settings, names, collides, model.geom_type)
+    choices = []
+    for geom, mode in enumerate(modes):
+        is_counted, reason = (False, excluded[geom]) if excluded[geom] else counts[geom]
+        choices.append(Choice(is_counted, reason, mode))
+    return choices, notes + unused
+
+
+def _rule(
+    model: Any, settings: SceneSettings, collides: NDArray[np.bool_], any_collides: bool
+) -> list[tuple[bool, str]]:
+    """For each geom, whether it counts by `scene.geoms`, and why."""
+    if settings.geoms == "all":
+        return [(True, "all geoms count")] * model.ngeom
+    if settings.geoms == "auto" and not any_collides:
+        return [(True, "no geom can collide, so all count")] * model.ngeom
+    if settings.geoms == "visual":
+        return _visual_rule(model, collides)
+    no, yes = (False, "can't collide (contype and conaffinity are 0)"), (True, "can collide")
+    return [yes if can else no for can in collides]
+
+
+def _visual_rule(model: Any, collides: NDArray[np.bool_]) -> list[tuple[bool, str]]:
+    group, body = model.geom_group, model.geom_bodyid
+    drawn = (_alpha(model) > 0) & (group < DRAWN_GROUPS)
+    visuals: dict[int, set[int]] = {}
+    for visual in np.flatnonzero(drawn & ~collides):
+        visuals.setdefault(int(body[visual]), set()).add(int(group[visual]))
+    rule = []
+    for geom in range(model.ngeom):
+        beside = visuals.get(int(body[geom]), set()) if body[geom] else set()
+        if not drawn[geom]:
+            is_hidden = group[geom] >= DRAWN_GROUPS
+            why = f"not drawn (group {int(group[geom])})" if is_hidden else "not drawn (alpha 0)"
+            rule.append((False, why))
+        elif collides[geom] and beside - {int(group[geom])}:
+            rule.append((False, "stands in for its body's visual geoms"))
+        else:
+            rule.append((True, "is drawn"))
+    return rule
+
+
+def _alpha(model: Any) -> NDArray[np.float64]:
+    """Each geom's opacity: its material's, unless its own colour was set (as MuJoCo draws it)."""
+    alpha: NDArray[np.float64] = model.geom_rgba[:, 3].astype(np.float64)
+    material = model.geom_matid
+    has_material = material >= 0
+    if has_material.any():
+        plain = (model.geom_rgba == np.array([0.5, 0.5, 0.5, 1.0], np.float32)).all(axis=1)
+        by_material = has_material & plain
+        alpha[by_material] = model.mat_rgba[material[by_material], 3]
+    return alpha
+
+
+def _find_excluded(
+    model: Any, settings: SceneSettings, names: list[GeomNames]
+) -> tuple[list[str], list[str]]:
+    """The reason each geom is excluded, empty where it isn't; and patterns that match nothing."""
+    exclude = settings.exclude
+    bodies = _excluded_bodies(model, settings)
+    reasons = []
+    for geom, name in enumerate(names):
+        pattern = _first_match(exclude.geoms, name.geom)
+        by_geom = f"excluded: matches {pattern!r}" if pattern else ""
+        reasons.append(by_geom or bodies[int(model.geom_bodyid[geom])])
+    body_names = [body_name(model, body) for body in range(1, model.nbody)]
+    notes = _unused("scene.exclude.bodies", exclude.bodies, body_names)
+    return reasons, notes + _unused("scene.exclude.geoms", exclude.geoms, [n.geom for n in names])
+
+
+def _excluded_bodies(model: Any, settings: SceneSettings) -> list[str]:
+    """The reason each body is excluded, empty where it isn't; the world never is."""
+    free = {int(model.jnt_bodyid[j]) for j in np.flatnonzero(model.jnt_type == FREE)}
+    reasons = [""] * model.nbody
+    for body in range(1, model.nbody):  # parents come before their children
+        name = body_name(model, body)
+        pattern = _first_match(settings.exclude.bodies, name)
+        if pattern:
+            reasons[body] = f"excluded: body {name!r} matches {pattern!r}"
+        elif settings.exclude.movable and body in free:
+            reasons[body] = f"excluded: body {name!r} is movable (free joint)"
+        else:
+            reasons[body] = reasons[int(model.body_parentid[body])]
+    return reasons
+
+
+def _mesh_modes(
+    settings: SceneSettings, names: list[GeomNames], collides: NDArray[np.bool_], types: Any
+) -> tuple[list[MeshMode], list[str]]:
+    """As what each geom counts if it is a mesh; and patterns that match no mesh."""
+    is_mesh = np.isin(types, (MESH, SDF))
+    of_meshes = [name for geom, name in enumerate(names) if is_mesh[geom]]
+    by_pattern: Mapping[str, str] = (
+        settings.meshes if isinstance(settings.meshes, dict) else {"*": settings.meshes}
+    )
+    modes: list[MeshMode] = []
+    for geom, name in enumerate(names):
+        mode = next((by_pattern[p] for p in by_pattern if _matches_any(p, name)), "auto")
+        if mode == "auto":  # MuJoCo collides meshes by their hull, but not signed distance fields
+            mode = "hull" if collides[geom] and types[geom] == MESH else "surface"
+        modes.append("hull" if mode == "hull" else "surface")
+    if by_pattern is not settings.meshes:
+        return modes, []
+    known = [text for name in of_meshes for text in (name.geom, name.mesh, name.body)]
+    return modes, [
+        tell_unmatched("scene.meshes", pattern, known, "no mesh")
+        for pattern in by_pattern
+        if not any(_matches_any(pattern, name) for name in of_meshes)
+    ]
+
+
+def _matches_any(pattern: str, name: GeomNames) -> bool:
+    return any(fnmatchcase(text, pattern) for text in (name.geom, name.mesh, name.body) if text)
+
+
+def _first_match(patterns: Iterable[str], name: str) -> str | None:
+    return next((pattern for pattern in patterns if fnmatchcase(name, pattern)), None)
+
+
+def _unused(setting: str, patterns: Iterable[str], names: list[str]) -> list[str]:
+    return [
+        tell_unmatched(setting, pattern, names)
+        for pattern in patterns
+        if not any(fnmatchcase(name, pattern) for name in names)
+    ]

@@ -1,0 +1,156 @@
+"""How geoms extend: upright boxes round them, turned as they lie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.baker.scene.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, Shapes, Solids
+
+Float = NDArray[np.float64]
+
+# Directions of upright faces that are told apart, over a right angle
+DIRECTIONS = 180
+
+
+@dataclass(frozen=True)
+class Extents:
+    """Upright boxes round geoms, by geom id; NaN for infinite planes and what isn't counted.
+
+    Attributes:
+        center: x, y of the middles, shape (n, 2), float64 [m].
+        across: unit vectors along the shorter sides, shape (n, 2), float64.
+        thin: the shorter sides, shape (n,), float64 [m].
+        long: the longer sides, shape (n,), float64 [m].
+        low, high: heights of bottom and top, shape (n,), float64 [m].
+    """
+
+    center: Float
+    across: Float
+    thin: Float
+    long: Float
+    low: Float
+    high: Float
+
+    @property
+    def along(self) -> Float:
+        """Unit vectors along the longer sides, shape (n, 2), float64."""
+        return np.stack([-self.across[:, 1], self.across[:, 0]], axis=1)
+
+    def half_widths(self, geoms: NDArray[np.intp], way: Float) -> Float:
+        """How far geoms reach from their middles along horizontal unit vectors.
+
+        Args:
+            geoms: geom ids, shape (k,).
+            way: shape (2,) or one each, (k, 2).
+
+        Returns:
+            Shape (k,), float64 [m].
+        """
+        on_thin = np.abs((self.across[geoms] * way).sum(axis=-1))
+        on_long = np.abs((self.along[geoms] * way).sum(axis=-1))
+        reach: Float = (on_thin * self.thin[geoms] + on_long * self.long[geoms]) / 2
+        return reach
+
+
+def measure_geoms(shapes: Shapes, num_geoms: int) -> Extents:
+    """Measure the counted geoms.
+
+    A solid's box follows whichever of its own axes makes it smallest. The box of what is made
+    of triangles follows the direction that most of its upright faces look in.
+
+    Args:
+        shapes: the geometry.
+        num_geoms: how many geoms the scene has, counted or not.
+    """
+    extents = Extents(
+        np.full((num_geoms, 2), np.nan),
+        np.full((num_geoms, 2), np.nan),
+        *(np.full(num_geoms, np.nan) for _ in range(4)),
+    )
+    _measure_solids(shapes.solids, extents)
+    if len(shapes.triangles.geom):
+        _measure_triangles(shapes.triangles.geom, shapes.triangles.corners, extents)
+    return extents
+
+
+def _measure_solids(solids: Solids, out: Extents) -> None:
+    axes = solids.mat.reshape(-1, 3, 3)
+    best = np.full(len(solids.geom), np.inf)
+    for number in range(3):
+        way = axes[:, :2, number]
+        length = np.hypot(way[:, 0], way[:, 1])
+        way = np.where(length[:, None] > 1e-6, way / np.maximum(length, 1e-6)[:, None], [1.0, 0.0])
+        turned = np.stack([-way[:, 1], way[:, 0]], axis=1)
+        one, other = _support(solids, way), _support(solids, turned)
+        area = one * other
+        smaller = area < best * (1 - 1e-9)  # an axis that changes only rounding changes nothing
+        best[smaller] = area[smaller]
+        is_thin = (one <= other)[:, None]
+        geom = solids.geom[smaller]
+        out.across[geom] = np.where(is_thin, way, turned)[smaller]
+        out.thin[geom] = 2 * np.minimum(one, other)[smaller]
+        out.long[geom] = 2 * np.maximum(one, other)[smaller]
+    out.center[solids.geom] = solids.pos[:, :2]
+    out.low[solids.geom], out.high[solids.geom] = solids.bounds[:, 2], solids.bounds[:, 5]
+
+
+def _support(solids: Solids, way: Float) -> Float:
+    """How far solids reach from their centres along horizontal unit vectors [m]."""
+    on_axis = np.einsum("nij,ni->nj", solids.mat.reshape(-1, 3, 3)[:, :2], way)
+    size, reach = solids.size, np.zeros(len(way))
+    round_part = np.sqrt(np.clip(1.0 - np.square(on_axis[:, 2]), 0.0, None))
+    by_kind = {
+        SPHERE: size[:, 0],
+        CAPSULE: size[:, 0] + np.abs(on_axis[:, 2]) * size[:, 1],
+        ELLIPSOID: np.linalg.norm(on_axis * size, axis=1),
+        CYLINDER: np.abs(on_axis[:, 2]) * size[:, 1] + round_part * size[:, 0],
+        BOX: (np.abs(on_axis) * size).sum(axis=1),
+    }
+    for kind, extent in by_kind.items():
+        chosen = solids.kind == kind
+        reach[chosen] = extent[chosen]
+    return reach
+
+
+def _measure_triangles(geom: NDArray[np.int32], corners: Float, out: Extents) -> None:
+    first = np.flatnonzero(np.diff(geom, prepend=-1))
+    group = np.repeat(np.arange(len(first)), np.diff(first, append=len(geom)))
+    angle = _facing(group, corners, len(first))
+    way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    turned = np.stack([-way[:, 1], way[:, 0]], axis=1)
+    ranges = []
+    for direction in (way, turned):
+        along = np.einsum("mci,mi->mc", corners[:, :, :2], direction[group])
+        low = np.minimum.reduceat(along.min(axis=1), first)
+        high = np.maximum.reduceat(along.max(axis=1), first)
+        ranges.append((low, high))
+    (low, high), (low2, high2) = ranges
+    which = geom[first]
+    is_thin = high - low <= high2 - low2
+    out.across[which] = np.where(is_thin[:, None], way, turned)
+    out.thin[which] = np.minimum(high - low, high2 - low2)
+    out.long[which] = np.maximum(high - low, high2 - low2)
+    middle, middle2 = (low + high) / 2, (low2 + high2) / 2
+    out.center[which] = way * middle[:, None] + turned * middle2[:, None]
+    out.low[which] = np.minimum.reduceat(corners[:, :, 2].min(axis=1), first)
+    out.high[which] = np.maximum.reduceat(corners[:, :, 2].max(axis=1), first)
+
+
+def _facing(group: NDArray[np.intp], corners: Float, num: int) -> Float:
+    """The angle, modulo a right one, that most upright faces of each group look at [rad]."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    weight = np.hypot(normal[:, 0], normal[:, 1])
+    right, step = np.pi / 2, np.pi / 2 / DIRECTIONS
+    angle = np.mod(np.arctan2(normal[:, 1], normal[:, 0]), right)
+    direction = np.floor(angle / step + 0.5).astype(np.int64) % DIRECTIONS
+    votes = np.bincount(group * DIRECTIONS + direction, weight, num * DIRECTIONS)
+    chosen = votes.reshape(num, DIRECTIONS).argmax(axis=1)
+    off = np.mod(angle - chosen[group] * step + right / 2, right) - right / 2
+    near = np.where(direction == chosen[group], weight, 0.0)
+    total = np.bincount(group, near, num)
+    mean = np.bincount(group, near * off, num) / np.where(total > 0, total, 1.0)
+    facing: Float = chosen * step + mean
+    return facing

@@ -1,0 +1,203 @@
+"""Mesh files (OBJ, PLY, STL, GLB, DAE) as named parts in the world frame; the user of trimesh."""
+
+from __future__ import annotations
+
+import io
+import logging
+import re
+import warnings
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from navbake.baker.scene.meshes.gltf import check_gltf
+from navbake.baker.scene.meshes.part import MeshPart
+from navbake.baker.scene.meshes.text import check_ply, prepare_obj, prepare_ply, prepare_stl
+from navbake.errors import SceneError
+
+MESH_SUFFIXES = frozenset({".obj", ".ply", ".stl", ".glb", ".gltf", ".dae"})
+
+# A turn of y-up coordinates into the world's z-up: (x, y, z) -> (x, -z, y), nothing mirrored.
+Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+# Triangles of less than half of this have no area [m2]
+NO_AREA = 1e-14
+# MuJoCo takes no coordinates beyond (its mjMAXVAL) [m]
+MAX_COORDINATE = 1e10
+
+
+def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPart]:
+    """Read a mesh file as named parts in the world frame.
+
+    Every object, group, solid and node of the file is read. A DAE's own ``<unit meter>`` is
+    applied first, then `unit`, then `up`. What the file itself says or implies about its
+    vertical axis (a DAE's ``<up_axis>``, glTF's y up) counts for nothing: files are wrong about
+    it too often, so `up` alone decides. Triangles without area and unused vertices are dropped.
+
+    Args:
+        path: an OBJ, PLY, STL, GLB, GLTF or DAE file.
+        up: the file's vertical axis, "z" or "y".
+        unit: metres per unit of the file (of a DAE: per metre of the file), > 0.
+
+    Returns:
+        The parts that have at least one triangle, their names unique.
+
+    Raises:
+        SceneError: the file can't be read as a mesh or holds no triangle; a coordinate is no
+            number, or beyond 1e10 m.
+    """
+    suffix = path.suffix.lower()
+    try:
+        found = _read_parts(path)
+    except OSError as error:
+        raise SceneError(f"cannot read the mesh {path}: {error.strerror or error}") from error
+    scale = unit * (_dae_unit(path) if suffix == ".dae" else 1.0)
+    turn = scale * (Y_UP_TO_Z_UP if up == "y" else np.eye(3))
+    taken = {"world"}  # MuJoCo's own body
+    parts = [_clean(part, turn, path) for part in found]
+    named = [
+        MeshPart(_unique(part.name, taken), part.vertices, part.faces)
+        for part in parts
+        if len(part.faces)
+    ]
+    if not named:
+        raise SceneError(f"no triangles in {path}: expected a mesh with at least one")
+    return named
+
+
+OPTIONS: dict[str, dict[str, Any]] = {
+    ".obj": {
+        "split_objects": True,
+        "split_groups": True,
+        "group_material": False,
+        "skip_materials": True,
+    },
+    ".glb": {"skip_materials": True},
+    ".gltf": {"skip_materials": True},
+}
+PREPARE = {".obj": prepare_obj, ".stl": prepare_stl, ".ply": prepare_ply}
+
+
+def _read_parts(path: Path) -> list[MeshPart]:
+    """Read a file as trimesh has it; a part for each node and the mesh on it."""
+    suffix = path.suffix.lower()
+    if suffix in (".glb", ".gltf"):
+        check_gltf(path)
+    source: Any = io.BytesIO(PREPARE[suffix](path)) if suffix in PREPARE else path
+    options = OPTIONS.get(suffix, {})
+    try:
+        with _silence():
+            loaded = trimesh.load_scene(source, file_type=suffix[1:], process=False, **options)
+            nodes = list(loaded.graph.nodes_geometry)
+            parts = [part for node in nodes if (part := _part_of(loaded, node)) is not None]
+    except Exception as error:  # trimesh passes on whatever its parsers raise
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise SceneError(
+            f"cannot read the mesh {path}, it is broken or cut off: {reason}"
+        ) from error
+    if suffix == ".ply":
+        num_vertices = sum(len(part.vertices) for part in parts)
+        check_ply(path, num_vertices, sum(len(part.faces) for part in parts))
+    return parts
+
+
+def _part_of(loaded: Any, node: str) -> MeshPart | None:
+    """A node's mesh in the file's frame; None for lines and points, which have no surface."""
+    matrix, geometry_name = loaded.graph[node]
+    geometry = loaded.geometry[geometry_name]
+    if not isinstance(geometry, trimesh.Trimesh):
+        return None
+    faces = np.asarray(geometry.faces, dtype=np.int64)
+    vertices = np.asarray(geometry.vertices, dtype=np.float64)
+    if faces.shape[1:] != (3,) or vertices.shape[1:] != (3,):
+        raise ValueError(f"{geometry_name!r} has no vertices of three coordinates and triangles")
+    if len(faces) and not 0 <= int(faces.min()) <= int(faces.max()) < len(vertices):
+        raise ValueError(f"a face of {geometry_name!r} has vertices that are not there")
+    matrix = np.asarray(matrix, dtype=np.float64)
+    if np.linalg.det(matrix[:3, :3]) < 0:  # a mirror turns every triangle over
+        faces = faces[:, ::-1]
+    name = str(node)
+    if geometry.metadata.get("from_gltf_primitive"):  # trimesh makes such names up at random
+        name = str(loaded.graph.transforms.parents.get(node, geometry_name))
+    return MeshPart(name, vertices @ matrix[:3, :3].T + matrix[:3, 3], faces)
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keep trimesh's log and warnings off stderr: what matters is raised."""
+    logger = logging.getLogger("trimesh")
+    was_disabled, logger.disabled = logger.disabled, True
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.disabled = was_disabled
+
+
+def _dae_unit(path: Path) -> float:
+    """Metres per unit as a DAE states it; 1 where it doesn't."""
+    for event, element in ElementTree.iterparse(path, events=("start", "end")):
+        tag = element.tag.rpartition("}")[2]
+        if event == "start" and tag == "unit":
+            try:
+                meter = float(element.get("meter", "1"))
+            except ValueError:
+                meter = float("nan")
+            if not 0 < meter < float("inf"):
+                raise SceneError(
+                    f"expected a number > 0 as <unit meter> in {path}, got {element.get('meter')!r}"
+                )
+            return meter
+        if event == "end" and tag == "asset":
+            break
+    return 1.0
+
+
+def _clean(part: MeshPart, turn: NDArray[np.float64], path: Path) -> MeshPart:
+    """Turn a part into the world frame; leave out empty triangles and unused vertices."""
+    name = _own_name(part.name, path)
+    vertices, faces = _only_used(part.vertices, part.faces)
+    with np.errstate(all="ignore"):
+        vertices = vertices @ turn.T
+    if not np.isfinite(vertices).all():
+        raise SceneError(f"mesh {name!r} in {path} has coordinates that are no numbers")
+    if len(vertices) and np.abs(vertices).max() > MAX_COORDINATE:
+        raise SceneError(
+            f"mesh {name!r} in {path} reaches beyond {MAX_COORDINATE:g} m: check `scene.unit`"
+        )
+    corners = vertices[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    has_area = np.linalg.norm(cross, axis=1) > NO_AREA
+    return MeshPart(name, *_only_used(vertices, faces[has_area]))
+
+
+def _only_used(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The vertices that faces use, and the faces counted in them."""
+    is_used = np.zeros(len(vertices), dtype=np.bool_)
+    is_used[faces] = True
+    return vertices[is_used], (np.cumsum(is_used, dtype=np.int64) - 1)[faces]
+
+
+def _own_name(name: str, path: Path) -> str:
+    """A part's name, printable; the file's stem where trimesh made one up."""
+    name = "".join(char if char.isprintable() else "_" for char in name)
+    if re.fullmatch(r"geometry(_\d+)?", name):
+        return path.stem
+    return name.removeprefix(path.name).removeprefix("_") or path.stem
+
+
+def _unique(name: str, taken: set[str]) -> str:
+    candidate, count = name, 1
+    while candidate in taken:
+        count += 1
+        candidate = f"{name}#{count}"
+    taken.add(candidate)
+    return candidate

@@ -1,0 +1,298 @@
+"""Voxels of a scene: which boxes of a grid its geoms meet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navbake.baker.occupancy.occupancy import TOUCH
+from navbake.baker.scene.model import data_of_qpos, pose_model
+from navbake.baker.scene.scene import Scene, load_scene
+from navbake.baker.scene.shapes import Shapes, solid_bounds
+from navbake.baker.voxelize.kernels.fill import fill_voxels
+from navbake.baker.voxelize.kernels.tiles import (
+    CLOSED,
+    CONVEX,
+    SURFACE,
+    bin_items,
+    box_triangles,
+    move_triangles,
+)
+from navbake.baker.voxelize.segments import Labels, Segments, label_geoms
+from navbake.config.settings import BakeConfig, SceneSettings, as_config
+from navbake.errors import ConfigError, SceneError
+from navbake.navgrid.lattice import CELL_SLACK
+from navbake.voxels.grid import VoxelGrid, dtype_of
+from navbake.voxels.placement import Placement, check_memory, place_grid
+
+Config = BakeConfig | str | PathLike[str] | Mapping[str, Any]
+
+OCTREES = (".bt", ".ot")  # files whose voxels lie on whole multiples of their edge
+
+
+def create_voxel_grid(
+    scene: Config | Scene | Voxelizer,
+    position: ArrayLike | None = None,
+    ncells_x: int | None = None,
+    ncells_y: int | None = None,
+    ncells_z: int | None = None,
+    res: float = 0.1,
+    of: str | PathLike[str] | None = None,
+    *,
+    size: Sequence[float] | None = None,
+    segments: Segments | None = None,
+    ignore: Sequence[str] = (),
+    align: bool | None = None,
+) -> VoxelGrid:
+    """Make the voxel grid of a scene: True where a geom that counts meets a voxel.
+
+    Solids, hulls, height fields and closed surfaces count inside, infinite planes behind their
+    front; what only touches a voxel (reaches in by less than 0.5 µm) doesn't. Where several
+    geoms meet a voxel, the least of their IDs is its.
+
+    Args:
+        scene: settings, the path of a YAML or of a scene file, the YAML as a mapping, or a
+            scene that is loaded already.
+        position: the grid's centre, world frame [m]. With neither this nor counts nor size the
+            grid covers the scene's box.
+        ncells_x, ncells_y, ncells_z: voxels along each axis, >= 1.
+        res: edge of a voxel [m].
+        of: a file to write: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``.
+        size: what the grid covers along x, y and z [m], in place of the counts.
+        segments: voxels hold IDs of this, see `label_geoms`; None for True and False.
+        ignore: name patterns of bodies that are left out, with what hangs on them.
+        align: move the grid by half a voxel at most, onto whole multiples of `res`; None does
+            so where an octree is to be written.
+
+    Raises:
+        ConfigError: a setting or a number is wrong, or the grid needs more memory than there is.
+        SceneError: the scene cannot be read, or holds nothing that counts.
+    """
+    counts = [n for n in (ncells_x, ncells_y, ncells_z) if n is not None]
+    if len(counts) not in (0, 3):
+        raise ConfigError(f"expected 3 counts of cells, whole numbers >= 1, got {counts}")
+    if align is None:
+        align = of is not None and str(of).lower().endswith(OCTREES)
+    voxelizer = scene if isinstance(scene, Voxelizer) else Voxelizer(scene, ignore=ignore)
+    if ignore and voxelizer is scene:
+        raise ConfigError("expected `ignore` where the Voxelizer is made, not where it is used")
+    cells = counts or None
+    grid = voxelizer.create(position, cells, res=res, size=size, segments=segments, align=align)
+    if of is not None:
+        grid.save(of)
+    return grid
+
+
+class Voxelizer:
+    """A scene that stays ready for voxel grids, wherever they lie and however it is posed.
+
+    Attributes:
+        scene: the scene as it was loaded.
+        shapes: the counted geoms' geometry as it is posed now, world frame.
+    """
+
+    def __init__(self, scene: Config | Scene, *, ignore: Sequence[str] = ()) -> None:
+        """Load a scene.
+
+        Args:
+            scene: see `create_voxel_grid`.
+            ignore: name patterns of bodies that are left out, with what hangs on them.
+
+        Raises:
+            ConfigError: a setting is wrong.
+            SceneError: the scene cannot be read, or holds nothing that counts.
+        """
+        self._settings: SceneSettings | None = None
+        if isinstance(scene, Scene):
+            if ignore:
+                raise ConfigError("expected `ignore` where the scene is loaded, this one is")
+            self.scene = scene
+        else:
+            self._settings = _leave_out(as_config(scene).scene, ignore)
+            self.scene = load_scene(self._settings)
+        self.shapes = self.scene.shapes
+        self._mode = _enclosure(self.scene)
+        self._boxes = self._box_triangles()
+        self._labels: dict[Any, Labels] = {}
+
+    def create(
+        self,
+        position: ArrayLike | None = None,
+        cells: Sequence[int] | None = None,
+        *,
+        res: float,
+        size: Sequence[float] | None = None,
+        segments: Segments | None = None,
+        align: bool = False,
+    ) -> VoxelGrid:
+        """Make a voxel grid of the scene as it is posed now.
+
+        Args:
+            position: its centre, world frame [m].
+            cells: voxels along x, y and z, >= 1 each.
+            res: edge of a voxel [m].
+            size: what it covers along x, y and z [m], in place of `cells`.
+            segments: voxels hold IDs of this, see `label_geoms`; None for True and False.
+            align: move the grid by half a voxel at most, onto whole multiples of `res`.
+
+        Raises:
+            ConfigError: a number is wrong, or the grid needs more memory than there is.
+        """
+        bounds = self.shapes.bounds()
+        place = place_grid(position, cells, size, res, bounds, align=align)
+        grid = self.fill(place, segments)
+        if place.moved > CELL_SLACK * place.res:
+            grid.notes.append(
+                f"the grid was moved by {place.moved:.3g} m onto whole multiples of its edge"
+            )
+        return grid
+
+    def fill(self, place: Placement, segments: Segments | None = None) -> VoxelGrid:
+        """Make the voxel grid of a given placement.
+
+        Raises:
+            ConfigError: `segments` is wrong, or the grid needs more memory than there is.
+        """
+        labels = self._label(segments)
+        dtype = dtype_of(max(labels.names, default=1))
+        # one kernel for all IDs beyond a byte: each dtype costs seconds of compiling
+        worked = dtype if dtype == np.uint8 else np.dtype(np.uint32)
+        check_memory(place.shape, worked.itemsize + (worked != dtype) * dtype.itemsize)
+        values = np.zeros(place.shape, dtype=worked)
+        self._fill(values, place, labels.ids.astype(worked))
+        values = values.astype(dtype, copy=False)
+        x, y, z = place.origin.tolist()
+        return VoxelGrid(
+            values=values.view(np.bool_) if segments is None else values,
+            origin=(x, y, z),
+            res=place.res,
+            names=labels.names,
+            notes=list(labels.notes),
+        )
+
+    def set_pose(
+        self,
+        *,
+        joints: Mapping[str, float | list[float]] | None = None,
+        keyframe: str | int | None = None,
+        qpos: ArrayLike | None = None,
+        data: Any = None,
+    ) -> None:
+        """Move the scene's geoms; nothing is loaded.
+
+        Args:
+            joints: positions by name [m or rad], all others as the keyframe has them.
+            keyframe: a keyframe's name or index; as modelled if None.
+            qpos: or all joint positions at once, shape (nq,).
+            data: or a mujoco.MjData of this scene whose geoms are placed already.
+
+        Raises:
+            ConfigError: there is no such joint or keyframe, or not as many positions.
+            SceneError: a geom that counts would stand at no finite place.
+        """
+        model = self.scene.model
+        if (joints is not None or keyframe is not None) + (qpos is not None) + (
+            data is not None
+        ) != 1:
+            raise ConfigError("expected one of joints (with a keyframe or not), qpos and data")
+        if isinstance(keyframe, int) and keyframe < 0:
+            raise ConfigError(f"expected a keyframe's name or its index >= 0, got {keyframe}")
+        if qpos is not None:
+            data = data_of_qpos(model, qpos)
+        elif data is None:
+            if joints is not None and not isinstance(joints, Mapping):
+                raise ConfigError(f"expected joints as positions by name, got {joints!r}")
+            given = self._settings or SceneSettings(path=Path(self.scene.id))
+            update = {"joints": dict(joints or {}), "keyframe": keyframe}
+            data = pose_model(model, given.model_copy(update=update))
+        if not hasattr(data, "geom_xpos"):
+            raise ConfigError(f"expected a mujoco.MjData of this scene, got {type(data).__name__}")
+        if data.geom_xpos.shape != self.scene.data.geom_xpos.shape:
+            raise ConfigError(
+                f"expected data of this scene's {model.ngeom} geoms, got {len(data.geom_xpos)}"
+            )
+        self._move(np.array(data.geom_xpos), np.array(data.geom_xmat).reshape(-1, 3, 3))
+
+    def _move(self, pos: NDArray[np.float64], mat: NDArray[np.float64]) -> None:
+        """Place all geoms anew, always from where they were loaded: nothing adds up."""
+        data, base = self.scene.data, self.scene.shapes
+        counted = np.array([geom.counted for geom in self.scene.geoms])
+        if not (np.isfinite(pos[counted]).all() and np.isfinite(mat[counted]).all()):
+            raise SceneError(f"a geom of {self.scene.id} would stand at no finite place")
+        first_pos, first_mat = data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3)
+        moved = (pos != first_pos).any(axis=1) | (mat != first_mat).any(axis=(1, 2))
+        rotation = mat @ first_mat.transpose(0, 2, 1)
+        shift = pos - np.einsum("nij,nj->ni", rotation, first_pos)
+        corners = base.triangles.corners.copy()
+        move_triangles(base.triangles.corners, base.triangles.geom, moved, rotation, shift, corners)
+        flat = mat.reshape(-1, 9)
+        solid, plane = base.solids.geom, base.planes.geom
+        kind, size = base.solids.kind, base.solids.size
+        box = solid_bounds(kind, pos[solid], flat[solid], size)
+        self.shapes = Shapes(
+            solids=type(base.solids)(solid, kind, pos[solid], flat[solid], size, box),
+            planes=type(base.planes)(plane, pos[plane], flat[plane]),
+            triangles=type(base.triangles)(base.triangles.geom, corners),
+            closed=base.closed,
+            endless=base.endless,
+        )
+        self._boxes = self._box_triangles()
+
+    def _fill(self, values: NDArray[Any], place: Placement, ids: NDArray[Any]) -> None:
+        solids, planes, triangles = self.shapes.solids, self.shapes.planes, self.shapes.triangles
+        solid_start, solid_item = bin_items(solids.bounds, place.origin, place.res, place.shape)
+        start, item = bin_items(self._boxes, place.origin, place.res, place.shape)
+        fill_voxels(
+            (solids.kind, solids.pos, solids.mat, solids.size, solids.bounds),
+            ids[solids.geom],
+            solid_start,
+            solid_item,
+            (planes.pos, planes.mat),
+            ids[planes.geom],
+            triangles.corners,
+            triangles.geom,
+            start,
+            item,
+            self._mode,
+            ids,
+            values,
+            place.origin,
+            place.res,
+            TOUCH,
+        )
+
+    def _box_triangles(self) -> NDArray[np.float64]:
+        triangles = self.shapes.triangles
+        return np.asarray(box_triangles(triangles.corners, triangles.geom, self._mode))
+
+    def _label(self, segments: Segments | None) -> Labels:
+        if segments is None:
+            return Labels(np.ones(len(self.scene.geoms), dtype=np.uint32), {}, [])
+        key = repr(segments)
+        if key not in self._labels:
+            self._labels[key] = label_geoms(self.scene, segments)
+        return self._labels[key]
+
+
+def _leave_out(settings: SceneSettings, ignore: Sequence[str]) -> SceneSettings:
+    if not ignore:
+        return settings
+    if isinstance(ignore, str):
+        raise ConfigError(f"expected a list of name patterns to ignore, got {ignore!r}")
+    bodies = [*settings.exclude.bodies, *ignore]
+    return settings.model_copy(
+        update={"exclude": settings.exclude.model_copy(update={"bodies": bodies})}
+    )
+
+
+def _enclosure(scene: Scene) -> NDArray[np.uint8]:
+    """What the triangles of each geom enclose, by geom id."""
+    mode = np.full(len(scene.geoms), SURFACE, dtype=np.uint8)
+    mode[scene.shapes.closed > 0] = CLOSED
+    mode[[geom.id for geom in scene.geoms if geom.shape == "hull"]] = CONVEX
+    return mode

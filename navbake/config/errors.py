@@ -1,0 +1,112 @@
+"""Turns pydantic's errors into one line: what was expected, what was found, where."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from navbake.config.yaml_text import override_key
+
+EXPECTED = {
+    "model_type": "a mapping",
+    "dict_type": "a mapping",
+    "list_type": "a list",
+    "invalid_key": "text as a key",
+}
+MAX_SHOWN = 60  # characters of a value in a message
+MAX_ITEMS = 6  # of a list that is shown
+NESTED = (Mapping, list, tuple, set)
+MAX_TOLD = 3  # errors in a message
+
+
+def describe_errors(
+    error: ValidationError,
+    sections: Mapping[str, type[BaseModel]],
+    source: str,
+    overrides: Sequence[str] = (),
+) -> str:
+    """Tell the errors in one line, unknown keys first, and how many more there are than three.
+
+    Args:
+        error: what pydantic found.
+        sections: the model of each mapping whose keys are known, by its dotted key.
+        source: where the settings come from.
+        overrides: the ``a.b=value`` among them, which are named instead where they are at fault.
+    """
+    details = sorted(
+        error.errors(include_url=False), key=lambda found: found["type"] != "extra_forbidden"
+    )
+    lines = []
+    for found in details[:MAX_TOLD]:
+        # a tag like =list is no key, it tells the branch that the value was checked against
+        loc = tuple(p for p in found["loc"] if not str(p).startswith("=") and p != "[key]")
+        place = _place(loc, source, overrides)
+        lines.append(f"{_complaint(found, loc, sections)} in {place}")
+    more = f" (and {len(details) - MAX_TOLD} more)" if len(details) > MAX_TOLD else ""
+    return "; ".join(lines) + more
+
+
+def show_value(value: Any) -> str:
+    """Show a value of a YAML file on one line, shortened: ``"5cm"``, ``true``, ``[1, 2]``."""
+    if isinstance(value, Mapping):
+        return "a mapping"
+    if isinstance(value, list | tuple | set):
+        if not value or len(value) > MAX_ITEMS or any(isinstance(v, NESTED) for v in value):
+            return f"a list of {len(value)}"
+        shown = f"[{', '.join(show_value(item) for item in value)}]"
+        return shown if len(shown) <= MAX_SHOWN else f"a list of {len(value)}"
+    if value is None or isinstance(value, bool):
+        return json.dumps(value)
+    shown = json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)
+    return shown if len(shown) <= MAX_SHOWN else shown[: MAX_SHOWN - 1] + "…"
+
+
+def _complaint(
+    error: ErrorDetails, loc: tuple[int | str, ...], sections: Mapping[str, type[BaseModel]]
+) -> str:
+    kind, context = error["type"], error.get("ctx", {})
+    if kind == "extra_forbidden":
+        return _unknown_key(loc, sections)
+    if kind == "missing":
+        return f"expected a value, found none at `{_dotted(loc)}`"
+    expected = context.get("text") or EXPECTED.get(kind)
+    got = context.get("got") or show_value(error["input"])
+    where = _dotted(loc) + context.get("at", "")
+    return f"expected {expected or error['msg']}, got {got} at `{where}`"
+
+
+def _unknown_key(loc: tuple[int | str, ...], sections: Mapping[str, type[BaseModel]]) -> str:
+    """Name the nearest known key: of the same mapping first, then of all."""
+    section = ".".join(p for p in loc[:-1] if isinstance(p, str))
+    known = {key: f"{section}.{key}".lstrip(".") for key in _keys(sections[section])}
+    elsewhere = {
+        key: f"{name}.{key}".lstrip(".")
+        for name, model in reversed(list(sections.items()))
+        for key in _keys(model)
+    }
+    for keys in (known, elsewhere):
+        if near := difflib.get_close_matches(str(loc[-1]), keys, n=1):
+            return f"unknown key `{_dotted(loc)}`, the nearest known one is `{keys[near[0]]}`,"
+    return f"unknown key `{_dotted(loc)}`, known are {', '.join(known)},"
+
+
+def _keys(model: type[BaseModel]) -> list[str]:
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
+def _place(loc: tuple[int | str, ...], source: str, overrides: Sequence[str]) -> str:
+    for override in reversed(overrides):
+        key = override_key(override)
+        if key[: len(loc)] == loc[: len(key)]:
+            return f"--set {override}"
+    return source
+
+
+def _dotted(loc: Sequence[int | str]) -> str:
+    parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc)
+    return "".join(parts).lstrip(".")

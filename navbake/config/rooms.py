@@ -1,0 +1,113 @@
+"""The settings of the rooms: where they come from, in order of preference."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationInfo
+from pydantic_core import PydanticCustomError
+
+from navbake.config.fields import (
+    Name,
+    NotNegative,
+    Positive,
+    Settings,
+    check_distinct,
+    expects,
+    resolve,
+    setting,
+    to_path,
+)
+from navbake.errors import ConfigError, FormatError
+from navbake.formats.geojson import read_room_outlines
+from navbake.navgrid.polygon import find_fault
+
+RoomSource = Literal["polygons", "geoms", "sites", "auto"]
+
+DEFAULT_GEOMS = ("room|*", "room_*", "floor|*")
+DEFAULT_SITES = ("room*",)
+
+
+def _check_outline(points: list[list[float]]) -> list[list[float]]:
+    fault = find_fault(points)
+    if fault:
+        expected = {"text": "a simple outline", "got": fault}
+        raise PydanticCustomError("expected", "expected {text}", expected)
+    return points
+
+
+Point = Annotated[list[float], Field(min_length=2, max_length=2)]
+Outline = Annotated[
+    list[Point],
+    Field(min_length=3),
+    expects("3 or more corners [[x, y], …]"),
+    AfterValidator(_check_outline),
+]
+
+
+class RoomPolygon(Settings):
+    """One room as polygon."""
+
+    name: Annotated[Name | None, expects("text that is not empty, or null")] = setting(
+        None, "its name, or null"
+    )
+    level: Annotated[
+        Annotated[int, Field(ge=0)] | Name, expects("a level's number from 0, or its name")
+    ] = setting(0, "its level: a number, 0 is the lowest, or a name")
+    points: Outline = Field(description="its outline [[x, y], …], world frame [m]; no default")
+    rings: list[Outline] = setting([], "holes in it and parts apart from it, [[[x, y], …], …] [m]")
+
+
+def _read_polygons(value: Any, info: ValidationInfo) -> Any:
+    """Replace the path of a GeoJSON file by what it holds, so that settings tell all there is."""
+    if not isinstance(value, str | PathLike):
+        return value
+    try:
+        return read_room_outlines(resolve(to_path(value), info))
+    except FormatError as error:
+        raise ConfigError(f"{error}, named at `rooms.polygons`") from error
+
+
+class RoomSettings(Settings):
+    """What tells rooms apart."""
+
+    # `from` is no name in Python
+    model_config = ConfigDict(**Settings.model_config, populate_by_name=True)
+
+    sources: Annotated[
+        list[RoomSource],
+        AfterValidator(check_distinct),
+        expects("a list of some of polygons, geoms, sites, auto, each once"),
+    ] = Field(
+        default=["polygons", "geoms", "sites", "auto"],
+        alias="from",
+        description="polygons, geoms, sites, auto, the preferred first: a cell's room is that of "
+        "the first that has one for it, auto parts the rest at doors; default all four",
+    )
+    geoms: list[Name] = setting(list(DEFAULT_GEOMS), "floor geoms, by name patterns (*, ?, [...])")
+    sites: list[Name] = setting(list(DEFAULT_SITES), "sites as volumes, by name patterns")
+    polygons: Annotated[list[RoomPolygon], BeforeValidator(_read_polygons)] = setting(
+        [],
+        "outlines in metres: a GeoJSON file, relative to this file, or a list of "
+        "{name: hall, level: 0, points: [[0, 0], [4, 0], [4, 3]]}",
+    )
+    door_width: Positive = setting(1.0, "auto: the widest gap that parts rooms [m], > 0")
+    min_area: NotNegative = setting(
+        1.0, "auto, sites: what is smaller is no room of its own [m2], >= 0"
+    )
+
+
+def expand_rooms(value: Any) -> Any:
+    """Write ``auto``, ``none`` and nothing at all as the sections that they stand for."""
+    if value is None:
+        return {}
+    if value == "auto":
+        return {"from": ["auto"]}
+    if value == "none":
+        return {"from": []}
+    if not isinstance(value, Mapping | RoomSettings):
+        text = "auto, none or a mapping"
+        raise PydanticCustomError("expected", "expected {text}", {"text": text})
+    return value

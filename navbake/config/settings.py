@@ -1,0 +1,390 @@
+"""The settings of a bake, as one validated YAML file: world frame, metres unless it says so."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
+
+from navbake.config.errors import describe_errors
+from navbake.config.fields import (
+    FilePath,
+    Flag,
+    Name,
+    NotNegative,
+    Number,
+    Positive,
+    Section,
+    Settings,
+    check_distinct,
+    expects,
+    resolve,
+    setting,
+    to_path,
+)
+from navbake.config.rooms import RoomPolygon, RoomSettings, expand_rooms
+from navbake.config.yaml_text import apply_overrides, read_yaml
+from navbake.errors import ConfigError
+
+YAML_SUFFIXES = (".yaml", ".yml")
+
+
+def _check_id(value: str) -> str:
+    if value in (".", "..") or not value.isprintable() or set(value) & set("/\\"):
+        raise ValueError("no id")
+    return value
+
+
+def _check_bounds(value: list[float]) -> list[float]:
+    x_min, y_min, x_max, y_max = value
+    if x_min >= x_max or y_min >= y_max:
+        raise ValueError("empty")
+    return value
+
+
+MeshMode = Literal["auto", "hull", "surface"]
+
+ScenePath = Annotated[
+    Path,
+    BeforeValidator(to_path),
+    expects("the path of a scene file"),
+    AfterValidator(resolve),
+]
+SceneId = Annotated[
+    str,
+    Field(min_length=1),
+    AfterValidator(_check_id),
+    expects("text without / and \\ (a number needs quotes)"),
+]
+
+
+class ExcludeSettings(Settings):
+    """What is left out of the scene, by patterns as the shell has them (``*``, ``?``, ``[…]``)."""
+
+    bodies: list[Name] = setting(
+        [], "body name patterns (*, ?, [...]); what hangs on a body goes too"
+    )
+    geoms: list[Name] = setting([], "geom name patterns")
+    movable: Flag = setting(False, "true: leave out bodies with a free joint; or false")
+
+
+class SceneSettings(Settings):
+    """The scene, what of it counts, and its pose."""
+
+    id: SceneId = setting("", "the scene's id, without / and \\", "the scene file's stem")
+    path: ScenePath = Field(
+        description="MJCF, MJB, URDF, OBJ, PLY, STL, GLB or DAE, relative to this file; no default"
+    )
+    up: Annotated[Literal["z", "y"], expects("z or y")] = setting(
+        "z", "axis that points up in mesh files: z or y"
+    )
+    unit: Positive = setting(1.0, "the unit of mesh files [m], > 0")
+    geoms: Annotated[
+        Literal["auto", "collision", "visual", "all"],
+        expects("auto, collision, visual or all"),
+    ] = setting("auto", "auto (what can collide, or else all), collision, visual, all")
+    meshes: Annotated[
+        Annotated[MeshMode, expects("auto, hull, surface or {pattern: one of these}"), Tag("=one")]
+        | Annotated[
+            dict[Name, Annotated[MeshMode, expects("auto, hull or surface")]], Tag("=each")
+        ],
+        Discriminator(lambda value: "=each" if isinstance(value, dict) else "=one"),
+    ] = setting(
+        "auto",
+        "hull, surface, auto (hull if it can collide), or {name pattern: hull}",
+    )
+    exclude: Annotated[ExcludeSettings, Section] = Field(
+        default_factory=ExcludeSettings, description="what is left out, by pattern (*, ?, [...])"
+    )
+    keyframe: Annotated[
+        str | Annotated[int, Field(ge=0)] | None, expects("a keyframe's name or index, or null")
+    ] = setting(None, "pose: a keyframe's name, or index >= 0, or null")
+    joints: dict[Name, Annotated[float | list[float], expects("a number or a list of numbers")]] = (
+        setting({}, "pose on top of it: {joint name: position [m or rad], or a list}")
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _take_id_from_path(cls, data: Any) -> Any:
+        if isinstance(data, Mapping) and data.get("id") is None:
+            path = data.get("path")
+            stem = Path(path).stem if isinstance(path, str | PathLike) else ""
+            return {**data, "id": stem or "scene"}
+        return data
+
+
+class AgentSettings(Settings):
+    """The agent that must fit where it stands."""
+
+    height: Positive = setting(1.14, "height of the agent [m], > 0")
+    radius: NotNegative = setting(0.05, "radius of its footprint [m], >= 0")
+    traversable_floor_height: NotNegative = setting(
+        0.25, "highest step, lowest obstacle [m], >= 0, < height"
+    )
+    max_slope: Annotated[
+        float, Field(ge=0, le=89.9), expects("a number of degrees from 0 to 89.9")
+    ] = setting(45.0, "steepest floor [degrees], 0 to 89.9")
+
+    @field_validator("traversable_floor_height")
+    @classmethod
+    def _check_below_height(cls, value: float, info: ValidationInfo) -> float:
+        height = info.data.get("height")
+        if height is not None and value >= height:
+            text = f"a number >= 0 and < `agent.height` ({height:g})"
+            raise PydanticCustomError("expected", "expected {text}", {"text": text})
+        return value
+
+
+class GridSettings(Settings):
+    """The lattice of cells."""
+
+    cell_size: Positive = setting(0.1, "edge of a cell [m], > 0")
+    bounds: Annotated[
+        Annotated[list[float], Field(min_length=4, max_length=4), AfterValidator(_check_bounds)]
+        | None,
+        expects("[x_min, y_min, x_max, y_max] with min < max, or null"),
+    ] = setting(None, "[x_min, y_min, x_max, y_max] of a part [m], or null")
+    margin: NotNegative = setting(0.0, "what is added on each side [m], >= 0")
+    max_cells: Annotated[int, Field(ge=1), expects("a whole number >= 1")] = setting(
+        25_000_000, "refuse more cells than this, >= 1"
+    )
+
+
+class LevelSettings(Settings):
+    """One given level."""
+
+    ground: Number = Field(description="height of the level's ground, world z [m]; no default")
+    top: Annotated[float | None, expects("a number > ground, or null")] = setting(
+        None, "height where it ends [m], > ground", "the next level's ground"
+    )
+    name: Annotated[Name | None, expects("text that is not empty, or null")] = setting(
+        None, "its name, or null"
+    )
+
+    @field_validator("top")
+    @classmethod
+    def _check_above_ground(cls, value: float | None, info: ValidationInfo) -> float | None:
+        ground = info.data.get("ground")
+        if value is not None and ground is not None and value <= ground:
+            text = f"a number > `ground` ({ground:g}), or null"
+            raise PydanticCustomError("expected", "expected {text}", {"text": text})
+        return value
+
+
+class FloorSettings(Settings):
+    """Which standable sheets are floors, and not furniture."""
+
+    min_area: NotNegative = setting(1.0, "what a floor has at least, once shrunk [m2], >= 0")
+    shrink: NotNegative = setting(0.3, "how far floors are shrunk for that [m], >= 0")
+    tops: Flag = setting(
+        False, "keep large tops of what stands on a floor (beds, blocks): true or false"
+    )
+    roofs: Flag = setting(False, "keep roofs as levels: true or false")
+
+
+class NameSettings(Settings):
+    """The names of what stands in the cells."""
+
+    enabled: Flag = setting(True, "write them: true or false")
+    walls: list[Name] = setting(
+        [], "body, geom or mesh name patterns of walls", "[], which tells walls by their shape"
+    )
+
+
+def _switch_names(value: Any) -> Any:
+    """`names: false` is short for `names: {enabled: false}`."""
+    if isinstance(value, bool):
+        return {"enabled": value}
+    return {} if value is None else value
+
+
+class DoorSettings(Settings):
+    """Doors, and the state that the grid has them in."""
+
+    patterns: list[Name] = setting([], "doors, by patterns of body names (*, ?, [...])")
+    find: Flag = setting(
+        True, "find doors between rooms by their looks (one hinge or slide): true or false"
+    )
+    state: Annotated[
+        Literal["modelled", "open", "closed", "removed"],
+        expects("modelled, open, closed or removed"),
+    ] = setting("modelled", "of all doors: modelled, open, closed or removed")
+
+
+def _check_ascending(levels: list[LevelSettings]) -> list[LevelSettings]:
+    names: set[str] = set()
+    for index, level in enumerate(levels):
+        if level.name in names:
+            found = {"text": "no name twice", "got": f'"{level.name}"', "at": f"[{index}].name"}
+            raise PydanticCustomError("expected", "expected {text}", found)
+        names |= {level.name} if level.name else set()
+    for index in range(1, len(levels)):
+        below, level = levels[index - 1], levels[index]
+        if level.ground <= below.ground:
+            text = f"a ground above that of the level before ({below.ground:g})"
+            found = {"text": text, "got": f"{level.ground:g}", "at": f"[{index}].ground"}
+            raise PydanticCustomError("expected", "expected {text}", found)
+        if below.top is not None and below.top > level.ground:
+            text = f"a top up to the next level's ground ({level.ground:g})"
+            found = {"text": text, "got": f"{below.top:g}", "at": f"[{index - 1}].top"}
+            raise PydanticCustomError("expected", "expected {text}", found)
+    return levels
+
+
+class BakeConfig(Settings):
+    """All settings of a bake."""
+
+    scene: Annotated[SceneSettings, Section] = Field(
+        description="the scene, what of it counts, and its pose"
+    )
+    agent: Annotated[AgentSettings, Section] = Field(
+        default_factory=AgentSettings, description="the agent that must fit where it stands"
+    )
+    grid: Annotated[GridSettings, Section] = Field(
+        default_factory=GridSettings, description="the cells"
+    )
+    levels: Annotated[
+        Annotated[
+            Literal["auto"],
+            expects("auto or a list of {ground: …, top: …, name: …}"),
+            Tag("=auto"),
+        ]
+        | Annotated[
+            list[LevelSettings],
+            Field(min_length=1),
+            AfterValidator(_check_ascending),
+            Tag("=list"),
+        ],
+        Discriminator(lambda value: "=list" if isinstance(value, list) and value else "=auto"),
+    ] = setting(
+        "auto",
+        "the storeys: auto, or a list, lowest first, of {ground: 0.0, top: 2.7, name: first floor}"
+        " [m]; top and name may be left out",
+    )
+    floors: Annotated[FloorSettings, Section] = Field(
+        default_factory=FloorSettings, description="which surfaces are floors, and not furniture"
+    )
+    names: Annotated[NameSettings, BeforeValidator(_switch_names)] = Field(
+        default_factory=NameSettings, description="names of what stands in the cells, or false"
+    )
+    rooms: Annotated[RoomSettings, BeforeValidator(expand_rooms)] = Field(
+        default_factory=RoomSettings,
+        description="what tells rooms apart; `rooms: auto` for doors alone, none for no rooms",
+    )
+    doors: Annotated[DoorSettings, Section] = Field(
+        default_factory=DoorSettings, description="what moves between rooms"
+    )
+    attributes: Annotated[
+        list[Literal["island", "clearance"]],
+        AfterValidator(check_distinct),
+        expects("a list of some of island, clearance, each once"),
+    ] = setting([], "further layers to write: island, clearance")
+    output: FilePath | None = setting(
+        None, "file to write, relative to the current folder", "<id>.grid.json"
+    )
+
+
+def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> BakeConfig:
+    """Read the settings from a YAML file, or take the defaults for a scene file.
+
+    Args:
+        path: a file that ends in .yaml or .yml, whose `scene.path` is relative to it; anything
+            else is taken for a scene.
+        overrides: ``a.b=value`` each, laid over the file's settings.
+
+    Raises:
+        ConfigError: no such YAML file, no YAML, or a setting that is missing, unknown, of the
+            wrong type or out of its range.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in YAML_SUFFIXES:
+        return parse_config({"scene": {"path": path}}, f"the settings of {path}", overrides)
+    return parse_config(read_yaml(path), str(path), overrides, folder=path.parent)
+
+
+def parse_config(
+    data: Any,
+    source: str = "the settings",
+    overrides: Sequence[str] = (),
+    folder: str | PathLike[str] = "",
+) -> BakeConfig:
+    """Validate settings that were read already.
+
+    Args:
+        data: nested mappings, as the YAML has them.
+        source: where they come from, for messages.
+        overrides: ``a.b=value`` each, laid over the data.
+        folder: what `scene.path` is relative to.
+
+    Raises:
+        ConfigError: a setting is missing, unknown, of the wrong type or out of its range.
+    """
+    if not isinstance(data, Mapping):
+        raise ConfigError(f"expected a mapping of settings in {source}: `scene: {{path: …}}`")
+    data = {"scene": None, **apply_overrides(data, overrides)}
+    try:
+        return BakeConfig.model_validate(data, context={"folder": folder})
+    except ValidationError as error:
+        raise ConfigError(describe_errors(error, SECTIONS, source, overrides)) from error
+
+
+def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> BakeConfig:
+    """Take settings in any of their forms: themselves, a YAML or scene file, or a mapping.
+
+    Raises:
+        ConfigError: see `load_config`.
+    """
+    if isinstance(config, BakeConfig):
+        return config
+    if isinstance(config, str | PathLike):
+        return load_config(config)
+    return parse_config(config)
+
+
+def settings_digest(config: BakeConfig) -> str:
+    """Hash what influences the result: all settings but `output`, `scene.path`, `grid.max_cells`.
+
+    Returns:
+        sha256 of the settings as canonical JSON, 64 hex digits.
+    """
+    left_out: dict[str, Any] = {
+        "output": True,
+        "scene": {"path": True},
+        "grid": {"max_cells": True},
+    }
+    settings = config.model_dump(mode="json", exclude=left_out)
+    canonical = json.dumps(settings, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()
+
+
+SECTIONS: dict[str, type[BaseModel]] = {
+    "": BakeConfig,
+    "scene": SceneSettings,
+    "scene.exclude": ExcludeSettings,
+    "agent": AgentSettings,
+    "grid": GridSettings,
+    "levels": LevelSettings,
+    "floors": FloorSettings,
+    "doors": DoorSettings,
+    "rooms": RoomSettings,
+    "rooms.polygons": RoomPolygon,
+    "names": NameSettings,
+}
+"""The model of each mapping whose keys are known, by its dotted key."""

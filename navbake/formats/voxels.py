@@ -1,0 +1,100 @@
+"""Voxel files, told by their suffix, and the table of their IDs beside them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Literal
+
+from navbake.errors import FormatError
+from navbake.formats.binvox import encode_binvox, read_binvox, with_mapping
+from navbake.formats.bytes_file import write_bytes
+from navbake.formats.npz import read_npz, write_npz
+from navbake.formats.octomap import read_octomap, write_octomap
+from navbake.voxels.grid import VoxelGrid
+
+SUFFIXES = (".binvox", ".bt", ".ot", ".npz")
+RULE = "0 is empty; where several meet a voxel, the least ID is its"
+
+
+def write_voxels(
+    grid: VoxelGrid,
+    path: str | PathLike[str],
+    *,
+    free: bool = False,
+    layout: Literal["binvox", "airsim"] = "binvox",
+    mapping: Mapping[int, int] | Literal["compact"] | None = None,
+) -> None:
+    """Write a voxel file, and beside one that holds IDs the table of what they stand for.
+
+    Args:
+        grid: the voxels.
+        path: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``. The table of `a.npz` is `a.npz.names.json`.
+        free: of octrees: see `write_octomap`.
+        layout, mapping: of binvox: see `write_binvox`.
+
+    Raises:
+        FormatError: the format can't hold the grid.
+    """
+    suffix = check_suffix(path)
+    if suffix in (".bt", ".ot"):
+        write_octomap(grid, path, free=free)
+        return
+    if suffix == ".binvox":
+        grid = with_mapping(grid, mapping)
+        write_bytes(encode_binvox(grid, layout), path)
+    else:
+        write_npz(grid, path)
+    if grid.is_segmented:
+        write_bytes(_table(grid), names_path(path))
+
+
+def read_voxels(path: str | PathLike[str]) -> VoxelGrid:
+    """Read a voxel file, with the table of its IDs if that lies beside it.
+
+    Raises:
+        FormatError: the file is broken, or of no format that is known.
+    """
+    suffix = check_suffix(path)
+    if suffix == ".npz":
+        return read_npz(path)
+    if suffix == ".binvox":
+        grid = read_binvox(path)
+        beside = names_path(path)
+        if grid.is_segmented and beside.exists():
+            grid.names = _read_table(beside)
+        return grid
+    return read_octomap(path)
+
+
+def check_suffix(path: str | PathLike[str]) -> str:
+    """The suffix of a voxel file.
+
+    Raises:
+        FormatError: it is none of `SUFFIXES`.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise FormatError(f"expected a name that ends in {', '.join(SUFFIXES)}, got {path}")
+    return suffix
+
+
+def names_path(path: str | PathLike[str]) -> Path:
+    """Where the table of a file's IDs is: ``a.npz.names.json`` beside ``a.npz``."""
+    return Path(f"{path}.names.json")
+
+
+def _table(grid: VoxelGrid) -> bytes:
+    ids = {str(number): grid.names[number] for number in sorted(grid.names)}
+    text = json.dumps({"rule": RULE, "ids": ids}, indent=2, ensure_ascii=False)
+    return (text + "\n").encode()
+
+
+def _read_table(path: Path) -> dict[int, str]:
+    try:
+        ids = json.loads(path.read_text(encoding="utf-8"))["ids"]
+        return {int(number): str(name) for number, name in ids.items()}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise FormatError(f"expected a table of IDs, {path} can't be read: {error}") from error

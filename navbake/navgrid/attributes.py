@@ -1,0 +1,50 @@
+"""What a file says of the attributes that cells have."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from navbake.navgrid.grid import SceneGrid2D
+    from navbake.navgrid.grid_base import Json
+
+
+def datatype_name(stated: str) -> str:
+    """Name the datatype of an array type: "uint8" for "Uint8Array" or "Uint8ClampedArray"."""
+    name = stated.lower().removesuffix("array")
+    return "uint8" if name == "uint8clamped" else name
+
+
+def describe_attributes(metadata: Json, levels: Sequence[SceneGrid2D]) -> list[Json]:
+    """List the attributes that levels have, as ``metadata.cellAttributes`` does.
+
+    Args:
+        metadata: an entry that it has for an attribute is kept, but for a ``type`` that is not
+            that of the array.
+        levels: whose attributes; where two differ in dtype, the first counts.
+
+    Returns:
+        ``{"name", "type", "dataType", …}`` of each, in the order of the levels' attributes.
+    """
+    entries = metadata.get("cellAttributes")
+    stated = {
+        entry["name"]: entry
+        for entry in (entries if isinstance(entries, list) else [])
+        if isinstance(entry, dict) and isinstance(entry.get("name"), str)
+    }
+    described: dict[str, Json] = {}
+    for grid in levels:
+        for name, array in grid.attributes.items():
+            described.setdefault(name, _describe(name, array.dtype, stated.get(name, {})))
+    return list(described.values())
+
+
+def _describe(name: str, dtype: np.dtype[Any], stated: Json) -> Json:
+    kind = stated.get("type")
+    if not isinstance(kind, str) or datatype_name(kind) != dtype.name:
+        kind = f"{dtype.name.capitalize()}Array"
+    data_type = "continuous" if dtype.kind == "f" else "categorical"
+    return {"name": name, "type": kind, "dataType": data_type} | stated | {"type": kind}

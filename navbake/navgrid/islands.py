@@ -1,0 +1,141 @@
+"""The connected parts of a grid, and how far each cell is from what blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from hashlib import blake2b
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+
+STEP_SLACK = 1e-6  # metres that a step may be over the highest one
+DEFAULT_STEP = 0.25  # metres, where a file doesn't tell its traversableFloorHeight
+TOO_MANY = 65535  # the island that all further ones share in a file
+
+_FOUND: WeakKeyDictionary[SceneGrid2D | MultiLevelGrid, tuple[bytes, list[NDArray[np.int32]]]]
+_FOUND = WeakKeyDictionary()
+
+
+def find_islands(grid: SceneGrid2D | MultiLevelGrid) -> list[NDArray[np.int32]]:
+    """Number the connected parts of the free cells, the largest first.
+
+    Two free cells are connected where they share an edge and their floors differ by at most the
+    grid's `traversableFloorHeight` (plus 1e-6 m and what float32 rounds off), or where a link
+    joins them. A free cell without floor height is level with each of its neighbours.
+
+    Args:
+        grid: a grid of one or several levels.
+
+    Returns:
+        One array a level, shape (height, width), int32: 0 where the cell isn't free, else the
+        number of its part. Parts of equal size are numbered by their lowest (level, cell id).
+    """
+    from navbake.navgrid.kernels.islands import label_islands
+
+    levels = grid.levels
+    start = np.cumsum([0] + [level.width * level.height for level in levels], dtype=np.int64)
+    width = np.array([level.width for level in levels], dtype=np.int64)
+    free = np.concatenate([level.free.ravel() for level in levels])
+    floor = np.concatenate([level.floor_height.ravel() for level in levels])
+    links = np.asarray(grid.links, dtype=np.int64).reshape(-1, 4)
+    pairs = np.stack([start[links[:, 0]] + links[:, 1], start[links[:, 2]] + links[:, 3]], axis=1)
+    islands, _ = label_islands(start, width, free, floor, step_limit(grid), pairs)
+    return [islands[start[i] : start[i + 1]].reshape(level.shape) for i, level in enumerate(levels)]
+
+
+def islands_of(grid: SceneGrid2D | MultiLevelGrid) -> list[NDArray[np.int32]]:
+    """The islands as the file has them, or else as `find_islands` finds them, kept for next time.
+
+    Only what navbake wrote is believed, and only while nothing is blocked: in others' files
+    ``island`` may mean anything.
+
+    Args:
+        grid: a grid of one or several levels.
+
+    Returns:
+        As `find_islands`; not to be written to.
+    """
+    from navbake.runtime.blocks.block import known_changes
+
+    changes = [known_changes(level) for level in grid.levels]
+    is_blocked = any(change is not None and change.is_blocked for change in changes)
+    stored = [level.attributes.get("island") for level in grid.levels]
+    if (
+        grid.navbake
+        and not is_blocked
+        and all(s is not None and s.max(initial=0) < TOO_MANY for s in stored)
+    ):
+        return [np.asarray(s).astype(np.int32) for s in stored]
+    digest = _digest(grid)
+    known = _FOUND.get(grid)
+    if known is None or known[0] != digest:
+        known = (digest, find_islands(grid))
+        _FOUND[grid] = known
+    return known[1]
+
+
+def _digest(grid: SceneGrid2D | MultiLevelGrid) -> bytes:
+    """What the islands follow from, in short: grids can be written to."""
+    digest = blake2b(repr((step_limit(grid), grid.links.tolist())).encode())
+    for level in grid.levels:
+        digest.update(np.packbits(level.free).tobytes())
+        digest.update(np.ascontiguousarray(level.floor_height).data)
+    return digest.digest()
+
+
+def clearance(level: SceneGrid2D) -> NDArray[np.float32]:
+    """Measure the distance from each free cell to the nearest cell that is not free.
+
+    From centre to centre, less half a cell; what lies outside the grid counts as not free.
+
+    Args:
+        level: one level.
+
+    Returns:
+        Metres, shape (height, width), float32; 0 where the cell itself is not free.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    cells = distance_transform_edt(np.pad(level.free, 1))[1:-1, 1:-1]
+    metres = (cells - 0.5) * level.lattice.cell_size
+    return np.where(level.free, metres, 0.0).astype(np.float32)
+
+
+def highest_step(grid: SceneGrid2D | MultiLevelGrid) -> float:
+    """The grid's `traversableFloorHeight` [file units]."""
+    stated = grid.metadata.get("traversableFloorHeight")
+    if isinstance(stated, int | float) and stated >= 0:
+        return float(stated)
+    return DEFAULT_STEP / grid.unit
+
+
+def step_limit(grid: SceneGrid2D | MultiLevelGrid) -> float:
+    """By how much the floors of two neighbours may differ [file units].
+
+    The grid's `traversableFloorHeight`, plus 1e-6 m and what float32 rounds off at its highest
+    floor, so that a step exactly as high as allowed is one.
+    """
+    floors = [np.abs(level.floor_height) for level in grid.levels]
+    highest = max(float(np.nanmax(floor, initial=0.0)) for floor in floors)
+    return highest_step(grid) + STEP_SLACK / grid.unit + float(np.spacing(np.float32(highest)))
+
+
+def add_layers(grid: SceneGrid2D | MultiLevelGrid, names: Iterable[str]) -> None:
+    """Write further layers into a grid, anew where it has them already.
+
+    Args:
+        grid: changed in place.
+        names: some of ``island`` (uint16; what lies beyond number 65535 shares it) and
+            ``clearance`` (float32 [m]).
+    """
+    if "island" in names:
+        for level, island in zip(grid.levels, find_islands(grid), strict=True):
+            level.attributes["island"] = np.minimum(island, TOO_MANY).astype(np.uint16)
+    if "clearance" in names:
+        for level in grid.levels:
+            level.attributes["clearance"] = clearance(level)

@@ -1,0 +1,102 @@
+"""What `grid.block` takes: cells, a disc or a box."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from navbake.errors import QueryError
+from navbake.navgrid.islands import step_limit
+from navbake.runtime.blocks.block import Block
+from navbake.runtime.blocks.shape import Layers, Shape, outline_cells, outline_shape
+from navbake.runtime.inflation.inflate import check_radius
+from navbake.runtime.inflation.margins import margins_of
+from navbake.runtime.inflation.surroundings import agent_height
+from navbake.runtime.places.locate import Cell, Cells, check_cells, check_level, check_positions
+
+if TYPE_CHECKING:
+    from navbake.navgrid.grid import NavGrid
+
+
+def block(
+    grid: NavGrid,
+    *,
+    cells: Cell | Cells | None = None,
+    disc: tuple[ArrayLike, float] | None = None,
+    box: tuple[ArrayLike, ArrayLike] | None = None,
+    level: int | None = None,
+    height: float | None = None,
+    margin: float | None = None,
+) -> Block:
+    """Block cells of a grid; see `navbake.navgrid.grid_base.GridBase.block`."""
+    if sum(thing is not None for thing in (cells, disc, box)) != 1:
+        raise QueryError("expected one of cells, disc and box to block")
+    check_level(level, len(grid.levels))
+    if cells is not None:
+        return Block(grid, _given_cells(grid, cells))
+    shape = _disc(grid, disc, level, height) if disc is not None else _box(grid, box, level)
+    margins = margins_of(grid, margin)
+    step, tall = step_limit(grid) * grid.unit, agent_height(grid)
+    return Block(
+        grid,
+        [
+            outline_shape(part, shape, margins, step, tall)
+            if level is None or number == level
+            else outline_cells(np.empty(0, dtype=np.int64))
+            for number, part in enumerate(grid.levels)
+        ],
+    )
+
+
+def _given_cells(grid: NavGrid, cells: Cell | Cells) -> list[Layers]:
+    level, row, col = (np.atleast_1d(v) for v in check_cells(cells))
+    layers = []
+    known = np.zeros(level.shape, dtype=np.bool_)
+    for number, part in enumerate(grid.levels):
+        here = (level == number) & (row >= 0) & (row < part.height)
+        here &= (col >= 0) & (col < part.width)
+        layers.append(outline_cells(row[here] * part.width + col[here]))
+        known |= here
+    if not known.all():
+        first = tuple(int(v[~known].ravel()[0]) for v in (level, row, col))
+        raise QueryError(f"no cell (level, row, col) = {first} in {grid.scene_id!r} to block")
+    return layers
+
+
+def _disc(
+    grid: NavGrid, disc: tuple[ArrayLike, float], level: int | None, height: float | None
+) -> Shape:
+    """A disc that stands at a position; with x, y only, as high as the level."""
+    center, radius = _two(disc, "a disc's centre and radius")
+    p = check_positions(center, len(grid.levels), level)
+    if p.ndim != 1:
+        raise QueryError(f"expected one centre of a disc, got an array of shape {p.shape}")
+    check_radius(radius, "radius of a disc")
+    if height is not None:
+        check_radius(height, "height of a disc")
+    x, y = float(p[0]), float(p[1])
+    bottom, top = -math.inf, math.inf
+    if len(p) == 3:
+        bottom, top = float(p[2]), float(p[2]) + (agent_height(grid) if height is None else height)
+    return Shape(x, y, x, y, float(radius), bottom, top)
+
+
+def _box(grid: NavGrid, box: Any, level: int | None) -> Shape:
+    """A box between two corners; with x, y only, as high as the level."""
+    corners = _two(box, "a box's lower and upper corner")
+    low, high = (check_positions(corner, len(grid.levels), level) for corner in corners)
+    if low.ndim != 1 or low.shape != high.shape or (low > high).any():
+        raise QueryError(f"expected a box's lower and upper corner, got {low} and {high}")
+    bottom, top = (float(low[2]), float(high[2])) if len(low) == 3 else (-math.inf, math.inf)
+    return Shape(float(low[0]), float(low[1]), float(high[0]), float(high[1]), 0.0, bottom, top)
+
+
+def _two(things: Any, name: str) -> tuple[Any, Any]:
+    try:
+        one, other = things
+    except (TypeError, ValueError):
+        raise QueryError(f"expected {name}, got {things!r}") from None
+    return one, other

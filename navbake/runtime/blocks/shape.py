@@ -1,0 +1,112 @@
+"""Which cells a thing that stands somewhere takes from an agent."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from navbake.navgrid.grid import SceneGrid2D
+
+# What is taken: cells that the thing is in; where an agent can't stand; where it can't step
+# diagonally; where it can't be beside the cell's centre. Each holds the one before, but for the
+# first two.
+OCCUPIED, BLOCKED, NARROW, TIGHT = range(4)
+NUM_LAYERS = 4
+
+Layers = list[NDArray[np.int64]]
+"""Ascending cell ids for each of the four."""
+
+
+@dataclass(frozen=True)
+class Margins:
+    """How far away an agent's centre has to be from a thing [m].
+
+    Attributes:
+        blocked: to stand at a cell's centre.
+        narrow: to step diagonally from there.
+        tight: from the centre of a cell, to be anywhere in it.
+    """
+
+    blocked: float
+    narrow: float
+    tight: float
+
+
+@dataclass(frozen=True)
+class Shape:
+    """An upright thing, seen from above: a rectangle, rounded off.
+
+    Attributes:
+        x_min, y_min, x_max, y_max: the rectangle, a point for a disc, world frame [m].
+        radius: of the rounding [m], >= 0.
+        bottom, top: where it begins and ends, world z [m]; infinite if it fills the level.
+    """
+
+    x_min: float
+    y_min: float
+    x_max: float
+    y_max: float
+    radius: float
+    bottom: float = -math.inf
+    top: float = math.inf
+
+
+def outline_shape(
+    level: SceneGrid2D, shape: Shape, margins: Margins, step: float, height: float
+) -> Layers:
+    """Find the cells that a thing takes.
+
+    It takes those where an agent that stands on the floor would meet it: where it reaches into
+    the height from `step` to `height` above the floor, and meets the cell's square or the disc
+    of a margin round its centre.
+
+    Args:
+        level: one level.
+        shape: the thing.
+        margins: of the agent.
+        step: what is lower than this above the floor is in nobody's way [m].
+        height: of the agent [m].
+    """
+    lattice = level.lattice
+    size = lattice.cell_size
+    reach = shape.radius + max(margins.tight, size)
+    rows, cols = lattice.rows_cols(
+        [[shape.x_min - reach, shape.y_max + reach], [shape.x_max + reach, shape.y_min - reach]]
+    )
+    row0, row1 = max(int(rows[0]), 0), min(int(rows[1]) + 1, level.height)
+    col0, col1 = max(int(cols[0]), 0), min(int(cols[1]) + 1, level.width)
+    if row0 >= row1 or col0 >= col1:
+        return [np.empty(0, dtype=np.int64)] * NUM_LAYERS
+    x = lattice.center_x()[col0:col1]
+    y = lattice.center_y()[row0:row1, None]
+    floor = level.floor_height[row0:row1, col0:col1].astype(np.float64) * level.unit
+    floor = np.where(np.isnan(floor), level.ground, floor)
+    in_band = (shape.bottom < floor + height) & (shape.top > floor + step)
+    meets = in_band & (_distance(shape, x, y, size / 2) < shape.radius)
+    if shape.radius == 0:
+        meets = in_band & (_distance(shape, x, y, size / 2) <= 0)
+    gap = _distance(shape, x, y, 0.0)
+    ids = np.arange(row0, row1)[:, None] * level.width + np.arange(col0, col1)
+    return [
+        ids[meets | (in_band & (gap < shape.radius + margin))]
+        for margin in (0.0, margins.blocked, margins.narrow, margins.tight)
+    ]
+
+
+def outline_cells(cells: NDArray[np.int64]) -> Layers:
+    """Take cells as they are, and none around them."""
+    return [np.unique(cells)] * NUM_LAYERS
+
+
+def _distance(
+    shape: Shape, x: NDArray[np.float64], y: NDArray[np.float64], half: float
+) -> NDArray[np.float64]:
+    """From the shape's rectangle to squares round points, of half an edge."""
+    dx = np.maximum(np.maximum(shape.x_min - x, x - shape.x_max) - half, 0.0)
+    dy = np.maximum(np.maximum(shape.y_min - y, y - shape.y_max) - half, 0.0)
+    return np.asarray(np.hypot(dx, dy))

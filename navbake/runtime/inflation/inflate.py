@@ -1,0 +1,280 @@
+"""The same grid for a larger agent: cells that it can't stand on, and costs near walls.
+
+How `exact` decides, for an agent whose centre is on a cell's centre:
+
+- It must not meet the square of an occupied cell. The bake has made a cell occupied where
+  something meets its square or the disc of the baked radius round its centre, so whatever the
+  bake saw lies in an occupied square. The baked radius is no part of the new one: it is the
+  radius round free centres that the grid was good for as it was.
+- A floor that it meets may be a step higher than its own, not more: a ledge is a wall from below,
+  and so is the step after the next one to who is too large for a stair. Up to the baked radius the
+  bake has seen to that, more precisely than the squares of cells tell. Lower floors are no matter.
+- Near another level the cells of both count, each where its floor is as high as the agent's (less
+  than the body's height apart); what is under a landing is not in the way of who is on the stair.
+- Beyond the rectangle of a single level the bake saw nothing. A level of several is cut to its
+  floor, beyond which there is none, which is occupied as it is within.
+- Cells without floor that are not occupied, as others' files have them, count as in the original:
+  of the cells that the disc covers, at least 0.7 must have a floor. Here, at no smaller radius
+  either, so that a larger agent is never free where a smaller one isn't.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.errors import QueryError
+from navbake.navgrid.islands import add_layers
+from navbake.navgrid.user_data import held_user_data
+from navbake.runtime.blocks.block import own_attributes
+from navbake.runtime.inflation.discs import disc_offsets, half_widths
+from navbake.runtime.inflation.surroundings import SLAB, Surroundings, find_surroundings
+
+if TYPE_CHECKING:
+    from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+
+    AnyGrid = TypeVar("AnyGrid", SceneGrid2D, MultiLevelGrid)
+
+Bool = NDArray[np.bool_]
+
+MODES = ("exact", "minos")
+COSTS = ("step", "nav2")
+STEP_COST = 10.0
+LETHAL_COST = 252.0  # nav2's highest cost of a cell that is not blocked
+SCALING = 10.0  # [1/m], nav2's default in code
+MAX_RADIUS = 10_000.0  # [m]
+LEAST_FLOOR = 0.7
+
+
+def inflate(
+    grid: AnyGrid,
+    radius: float,
+    clearance: float | None = None,
+    mode: str = "exact",
+    *,
+    costs: str = "step",
+    scaling: float = SCALING,
+) -> AnyGrid:
+    """The same grid for an agent of another radius; see `SceneGrid2D.inflate`."""
+    check_arguments(radius, clearance, mode, costs, scaling)
+    if clearance is None:
+        falls_off = math.log(LETHAL_COST) / scaling  # how far costs reach 1
+        clearance = min(falls_off, MAX_RADIUS) if costs == "nav2" else 0.0
+    weights = []
+    for number, level in enumerate(grid.levels):
+        cell = level.lattice.cell_size
+        if mode == "minos":
+            weights.append(_refined(level, radius / cell, clearance / cell))
+            continue
+        blocked = find_blocked(grid, number, radius)
+        soft = level.weights
+        if costs == "nav2":
+            soft = np.maximum(soft, nav2_weights(level, radius, clearance, scaling))
+        elif clearance > 0:
+            near = find_blocked(grid, number, radius + clearance)
+            soft = np.where(near, np.maximum(soft, STEP_COST), soft)
+        weights.append(np.where(blocked, np.inf, soft))
+    done = {"radius": float(radius), "clearance": float(clearance), "mode": mode}
+    if clearance > 0:
+        done |= {"costs": costs, "scaling": float(scaling)} if costs == "nav2" else {"costs": costs}
+    return _with_weights(grid, weights, done)
+
+
+def find_blocked(grid: SceneGrid2D | MultiLevelGrid, number: int, radius: float) -> Bool:
+    """Find the cells of a level where an agent would meet something; see the module's head.
+
+    Args:
+        grid: the grid.
+        number: which level.
+        radius: of the agent [m], >= 0.
+
+    Returns:
+        Shape (height, width), bool, True where `exact` blocks; cells that are not free as they
+        are may be either.
+    """
+    from navbake.runtime.kernels.inflation import dilate
+
+    cells = radius / grid.levels[number].lattice.cell_size
+    around = find_surroundings(grid, number, math.ceil(cells) + 1)
+    occupied = around.occupied[around.level]
+    blocked: Bool = dilate(occupied, half_widths(cells, occupied.shape))
+    if cells > 0:
+        block_by_others(around, radius, disc_offsets(cells, occupied.shape)[0], blocked)
+        _block_by_holes(around, cells, blocked)
+    return blocked[around.rows, around.cols]
+
+
+def block_by_others(
+    around: Surroundings, radius: float, offsets: NDArray[np.int64], blocked: Bool
+) -> None:
+    """Block what other levels and higher floors block, and free what they free.
+
+    Args:
+        around: the level and its surroundings.
+        radius: of the agent, or of a circle around it [m].
+        offsets: steps from an agent's cell to those that it meets, (n, 2).
+        blocked: what the level's own occupied cells block, shape of the surroundings; changed.
+    """
+    from navbake.runtime.kernels.inflation import block_across, block_below_floors
+
+    floor, level = around.floor, around.level
+    reach = int(np.abs(offsets).max(initial=0))
+    if len(floor) > 1:
+        overlap = around.height - around.step
+        block_across(floor, around.occupied, level, offsets, overlap, reach, blocked)
+    if radius > around.baked_radius:
+        top = around.height + SLAB
+        block_below_floors(floor, level, offsets, reach, around.step, top, blocked)
+
+
+def _block_by_holes(around: Surroundings, cells: float, blocked: Bool) -> None:
+    """Block cells round which too little has a floor, by holes that are not occupied."""
+    from navbake.runtime.kernels.inflation import block_near_holes, dilate
+
+    has_floor = ~np.isnan(around.floor[around.level])
+    holes = ~has_floor & (around.occupied[around.level] == 0)
+    if not holes.any():
+        return
+    table = half_widths(cells, holes.shape, of_squares=False)
+    todo = dilate(holes.view(np.uint8), table) & has_floor
+    offsets, squares = disc_offsets(cells, holes.shape, of_squares=False)
+    block_near_holes(has_floor, todo, offsets, squares, LEAST_FLOOR, blocked)
+
+
+def _refined(level: SceneGrid2D, radius: float, clearance: float) -> NDArray[np.float64]:
+    """The weights that the original client's ``refine`` gives; radius and clearance in cells.
+
+    Source: sstk, ``NavScene.js``; the window leaves out its far row and column, as there.
+    """
+    from navbake.runtime.kernels.inflation import refine_window
+
+    occupied = np.ascontiguousarray(level.occupancy)
+    reach = math.ceil(radius + clearance - 0.5)
+    if reach <= 0:
+        return np.where(occupied != 0, np.inf, 1.0)
+    has_floor = ~np.isnan(level.floor_height)
+    weights = np.empty(level.shape)
+    reach = min(reach, max(level.shape) + 1)
+    refine_window(occupied, has_floor, radius, clearance, reach, LEAST_FLOOR, weights)
+    return weights
+
+
+def nav2_costs(
+    level: SceneGrid2D, radius: float, inflation_radius: float, scaling: float = SCALING
+) -> NDArray[np.uint8]:
+    """The costs that nav2's inflation layer gives the cells of a level.
+
+    Args:
+        level: one level.
+        radius: the inscribed radius [m].
+        inflation_radius: up to where there are costs [m], measured from the centre of the
+            nearest occupied cell.
+        scaling: how fast they fall [1/m].
+
+    Returns:
+        254 on occupied cells, 253 up to the radius, else ``floor(252 exp(-scaling (d -
+        radius)))``, 0 beyond the inflation radius; shape (height, width), uint8.
+    """
+    from navbake.runtime.kernels.inflation import squared_distances
+
+    cell = level.lattice.cell_size
+    reach = min(math.ceil(inflation_radius / cell) + 1, sum(level.shape))
+    squares = squared_distances(np.ascontiguousarray(level.occupancy), reach)
+    # few distances there are, so each is worked out once
+    known = np.sqrt(np.arange(2 * (reach + 1) ** 2 + 1)) * cell
+    known[(reach + 1) ** 2 :] = np.inf
+    slack = 1e-9 * cell
+    falling = np.floor(LETHAL_COST * np.exp(-scaling * np.maximum(known - radius, 0)) + 1e-9)
+    cost = np.where(known <= radius + slack, 253, falling)
+    cost = np.where(known > inflation_radius + slack, 0, cost)
+    cost[0] = 254
+    costs: NDArray[np.uint8] = cost.astype(np.uint8)[squares]
+    return costs
+
+
+def nav2_weights(
+    level: SceneGrid2D, radius: float, clearance: float, scaling: float
+) -> NDArray[np.float64]:
+    """nav2's costs as weights: the cost where it is over 1, else 1."""
+    costs = np.minimum(nav2_costs(level, radius, radius + clearance, scaling), LETHAL_COST)
+    return np.maximum(costs, 1.0)
+
+
+def check_radius(radius: float, name: str = "radius") -> None:
+    """Refuse what is no length, or one that no building has.
+
+    Raises:
+        QueryError: it is no number from 0 to 10,000 m.
+    """
+    is_number = isinstance(radius, int | float | np.integer | np.floating)
+    if not is_number or isinstance(radius, bool) or not 0 <= radius <= MAX_RADIUS:
+        raise QueryError(f"expected 0 to {MAX_RADIUS:,.0f} m as {name}, got {radius!r}")
+
+
+def check_arguments(
+    radius: float, clearance: float | None, mode: str, costs: str, scaling: float
+) -> None:
+    """Refuse what `inflate` can't do.
+
+    Raises:
+        QueryError: an argument is out of its range.
+    """
+    check_radius(radius)
+    if clearance is not None:
+        check_radius(clearance, "clearance")
+    for value, known, name in ((mode, MODES, "mode"), (costs, COSTS, "costs")):
+        if value not in known:
+            raise QueryError(f"expected {' or '.join(known)} as {name}, got {value!r}")
+    if mode == "minos" and costs != "step":
+        raise QueryError("mode minos has costs of its own (step): leave `costs` out")
+    is_number = isinstance(scaling, int | float | np.integer | np.floating)
+    if not is_number or not 0 < scaling < math.inf:
+        raise QueryError(f"expected a number > 0 [1/m] as scaling, got {scaling!r}")
+
+
+def _with_weights(
+    grid: AnyGrid, weights: list[NDArray[np.float64]], done: dict[str, Any]
+) -> AnyGrid:
+    """The grid with other weights, layers that follow from them, and a note in its metadata."""
+    from navbake.navgrid.grid import MultiLevelGrid
+
+    whole: Any = grid
+    metadata = _noted(whole.metadata, done)
+    levels = [
+        replace(
+            level,
+            weights=weight,
+            attributes=_baked_attributes(level),
+            user_data=held_user_data(level),
+            metadata=metadata if level.metadata is whole.metadata else _noted(level.metadata, done),
+        )
+        for level, weight in zip(grid.levels, weights, strict=True)
+    ]
+    inflated: Any = levels[0]
+    if isinstance(whole, MultiLevelGrid):
+        inflated = replace(whole, grids=levels, metadata=metadata)
+    if whole.navbake:  # in others' files these names may mean anything
+        names = {name for level in levels for name in level.attributes}
+        add_layers(inflated, names & {"island", "clearance"})
+    result: AnyGrid = inflated
+    return result
+
+
+def _baked_attributes(level: SceneGrid2D) -> dict[str, NDArray[Any]]:
+    """The level's attributes; what follows from its weights else is kept as it is without radius.
+
+    So an inflated grid knows what stands there, and can be inflated again.
+    """
+    attributes = own_attributes(level)
+    attributes.setdefault("occupancy", level.occupancy.copy())
+    attributes.setdefault("floorHeight", level.floor_height.copy())
+    return attributes
+
+
+def _noted(metadata: dict[str, Any], done: dict[str, Any]) -> dict[str, Any]:
+    earlier = metadata.get("inflation")
+    return {**metadata, "inflation": [*(earlier if isinstance(earlier, list) else []), done]}

@@ -1,0 +1,106 @@
+"""How much room an agent of a known radius needs to move, not only to stand.
+
+An inflated grid tells where an agent may stand at a cell's centre. On the way from one centre to
+the next, or anywhere else in a cell, it may be nearer to what is beside it. So diagonal steps
+need cells that would be free for a radius so much larger that the discs round both ends cover the
+way; and straight lines off the centres need cells in which any place will do.
+
+Floors are known at cells' centres: where one is a step higher than the next, the edge between
+them may be half a cell off, and so may the edges beside it. There, steps go straight from centre
+to centre, as the bake knows them.
+
+Straight steps need nothing more: a square beside such a step is straight beside one of its ends,
+and as near to it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.runtime.blocks.shape import Margins
+from navbake.runtime.inflation.inflate import check_radius, find_blocked
+
+if TYPE_CHECKING:
+    from navbake.navgrid.grid import NavGrid, SceneGrid2D
+
+STEEP = 1.001  # rise, in cells, over which neighbours are a step, not a slope
+
+
+def exact_radius(grid: NavGrid) -> float:
+    """The radius that the grid was inflated for, exactly [m]; 0 if it wasn't."""
+    done = grid.metadata.get("inflation")
+    return max(
+        (
+            float(entry["radius"])
+            for entry in (done if isinstance(done, list) else [])
+            if isinstance(entry, dict)
+            and entry.get("mode") == "exact"
+            and isinstance(entry.get("radius"), int | float)
+        ),
+        default=0.0,
+    )
+
+
+def agent_radius(grid: NavGrid) -> float:
+    """The radius that the grid is for [m]: that of its inflation, or else of its bake."""
+    stated = grid.metadata.get("agentRadius")
+    baked = float(stated) * grid.unit if isinstance(stated, int | float) and stated > 0 else 0.0
+    return exact_radius(grid) or baked
+
+
+def margins_of(grid: NavGrid, radius: float | None = None) -> Margins:
+    """How far an agent has to stay away from things that come later.
+
+    Args:
+        grid: the grid.
+        radius: of the agent [m]; the grid's if None.
+
+    Raises:
+        QueryError: the radius is no length.
+    """
+    if radius is not None:
+        check_radius(radius, "margin")
+    radius = agent_radius(grid) if radius is None else float(radius)
+    if not exact_radius(grid):
+        return Margins(radius, radius, radius)
+    return Margins(radius, *_larger(radius, max(p.lattice.cell_size for p in grid.levels)))
+
+
+def find_room(grid: NavGrid) -> tuple[NDArray[np.bool_], NDArray[np.bool_]] | None:
+    """Find the cells with room to step diagonally, and those with room all over.
+
+    Returns:
+        Two masks by flat id; free cells only count where they are free. None where no radius is
+        known, so that the cells are all that there is to go by.
+    """
+    radius = exact_radius(grid)
+    if radius == 0.0:
+        return None
+    wide: list[NDArray[np.bool_]] = []
+    roomy: list[NDArray[np.bool_]] = []
+    for number, level in enumerate(grid.levels):
+        narrow, tight = _larger(radius, level.lattice.cell_size)
+        at_edge = _at_edges(level)
+        wide.append(~(find_blocked(grid, number, narrow) | at_edge).ravel())
+        roomy.append(~(find_blocked(grid, number, tight) | at_edge).ravel())
+    return np.concatenate(wide), np.concatenate(roomy)
+
+
+def _at_edges(level: SceneGrid2D) -> NDArray[np.bool_]:
+    """Cells from which the floor of one beside is a step higher or lower, not a slope."""
+    floor = level.floor_height.astype(np.float64)
+    at_edge = np.zeros(level.shape, dtype=np.bool_)
+    for near, far in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        is_step = np.abs(floor[near] - floor[far]) > STEEP * level.cell_size  # False for NaN
+        at_edge[near] |= is_step
+        at_edge[far] |= is_step
+    return at_edge
+
+
+def _larger(radius: float, cell_size: float) -> tuple[float, float]:
+    """Radii that cover a diagonal step's way, and all places of a cell [m]."""
+    return math.sqrt(radius**2 + cell_size**2 / 2), radius + cell_size / math.sqrt(2)

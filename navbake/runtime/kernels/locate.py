@@ -1,0 +1,113 @@
+"""Which cells positions are in, and whether an agent can stand there.
+
+`place` is (start, width, height, x_min, y_max, cell_size), as in `navbake.runtime.flat_grid.Walk`.
+Positions are worked off in blocks, so that the memory is asked for many cells at a time.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+BLOCK = 512
+
+
+@njit(cache=True)
+def locate(place, ground, floor, slack, positions):
+    """Find the cells whose floors are the nearest at or below positions.
+
+    Where no level has such a floor in a position's column, the level counts whose ground is.
+
+    Args:
+        place: see the module.
+        ground: z of each level's ground [m].
+        floor: by flat id [m], NaN where there is none.
+        slack: how far above a position its floor may be [m].
+        positions: shape (n, 3), float64 [m].
+
+    Returns:
+        Flat ids, shape (n,), int64, -1 where there is none; and the first position that is not
+        finite, or -1.
+    """
+    cells = np.empty(len(positions), dtype=np.int64)
+    z = np.empty(BLOCK)
+    for begin in range(0, len(positions), BLOCK):
+        end = min(begin + BLOCK, len(positions))
+        bad = _locate_block(place, ground, floor, slack, positions[begin:end], cells[begin:end], z)
+        if bad >= 0:
+            return cells, begin + bad
+    return cells, -1
+
+
+@njit(cache=True)
+def stand_on(place, ground, floor, slack, free, max_drop, positions):
+    """Tell whether an agent can stand at positions.
+
+    Args:
+        place, ground, floor, slack, positions: see `locate`.
+        free: by flat id, bool.
+        max_drop: how far below a position its floor may be [m].
+
+    Returns:
+        Shape (n,), bool; and the first position that is not finite, or -1.
+    """
+    answers = np.zeros(len(positions), dtype=np.bool_)
+    cells, z = np.empty(BLOCK, dtype=np.int64), np.empty(BLOCK)
+    for begin in range(0, len(positions), BLOCK):
+        end = min(begin + BLOCK, len(positions))
+        bad = _locate_block(place, ground, floor, slack, positions[begin:end], cells, z)
+        if bad >= 0:
+            return answers, begin + bad
+        above = positions[begin:end, 2]
+        for i in range(end - begin):
+            is_near = above[i] - z[i] <= max_drop
+            answers[begin + i] = (cells[i] >= 0) & free[max(cells[i], 0)] & is_near
+    return answers, -1
+
+
+@njit(cache=True)
+def _locate_block(place, ground, floor, slack, positions, cells, z):
+    """`locate` for at most BLOCK positions; cells and their heights are written."""
+    at = np.empty(BLOCK, dtype=np.int64)
+    on_ground, highest_ground = np.full(BLOCK, -1, dtype=np.int64), np.full(BLOCK, -np.inf)
+    count = len(positions)
+    for i in range(count):
+        x, y, height = positions[i, 0], positions[i, 1], positions[i, 2]
+        if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(height)):
+            return i
+        cells[i], z[i] = -1, -np.inf
+    for level in range(len(place[1])):
+        locate_on(place, level, positions, at)
+        for i in range(count):  # few branches: no processor guesses where positions are
+            height, limit = floor[max(at[i], 0)], positions[i, 2] + slack
+            is_nearer = (at[i] >= 0) & (height > z[i]) & (height <= limit)
+            cells[i] = at[i] if is_nearer else cells[i]
+            z[i] = height if is_nearer else z[i]
+            if at[i] >= 0 and math.isnan(height) and highest_ground[i] < ground[level] <= limit:
+                on_ground[i], highest_ground[i] = at[i], ground[level]
+    for i in range(count):
+        if cells[i] < 0:
+            cells[i], z[i] = on_ground[i], highest_ground[i]
+    return -1
+
+
+@njit(cache=True)
+def locate_on(place, level, positions, cells):
+    """Find the cells of one level that positions are in.
+
+    Args:
+        place: see the module.
+        level: which level.
+        positions: shape (n, 2) or (n, 3), float64, finite [m].
+        cells: at least n, int64; receives flat ids, -1 beside the level.
+    """
+    start, width, height, x_min, y_max, cell_size = place
+    first, rows, cols = start[level], height[level], width[level]
+    x0, y1, size = x_min[level], y_max[level], cell_size[level]
+    for i in range(len(positions)):
+        col = np.floor((positions[i, 0] - x0) / size)
+        row = np.floor((y1 - positions[i, 1]) / size)
+        is_inside = 0 <= row < rows and 0 <= col < cols
+        cells[i] = first + np.int64(row) * cols + np.int64(col) if is_inside else -1

@@ -1,0 +1,157 @@
+"""How wide the way between two places is at its narrowest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.navgrid.user_data import held_user_data
+from navbake.runtime.blocks.block import unblocked
+from navbake.runtime.flat_grid import Walk
+from navbake.runtime.inflation.inflate import find_blocked
+from navbake.runtime.inflation.margins import exact_radius
+from navbake.runtime.paths.search import Search
+from navbake.runtime.places.island_map import map_islands
+from navbake.runtime.places.locate import split_cells
+
+if TYPE_CHECKING:
+    from navbake.navgrid.grid import NavGrid
+
+FINE = 1e-3  # metres to which a radius is found
+MAX_STOPS = 200  # cells that are looked at for the narrowest one
+
+
+@dataclass(frozen=True, eq=False)
+class Gap:
+    """The narrowest place on the widest way.
+
+    Attributes:
+        width: between what stands on both sides [m]; an agent on the centres of cells may need
+            up to a cell more.
+        position: world x, y, z of a cell there [m], shape (3,).
+    """
+
+    width: float
+    position: NDArray[np.float64]
+
+
+def find_gap(grid: NavGrid, walk: Walk, origin: int, goals: NDArray[np.int64]) -> Gap | None:
+    """Find what keeps an agent of the grid's radius from a goal that a smaller one would reach.
+
+    Args:
+        grid: an inflated grid.
+        walk: its cells.
+        origin, goals: flat ids of free cells, no two of which are joined.
+
+    Returns:
+        None if the grid isn't inflated, or no radius passes.
+    """
+    radius = exact_radius(grid)
+    plain = deflated(unblocked(grid))
+    if radius == 0.0 or not _joins(plain, walk, 0.0, origin, goals):
+        return None
+    low, high = 0.0, radius
+    while high - low > FINE:
+        middle = (low + high) / 2
+        if _joins(plain, walk, middle, origin, goals):
+            low = middle
+        else:
+            high = middle
+    free = _free_for(plain, low)
+    route = Search(_with_free(plain, free, walk)).route(origin, goals)
+    if route is None:
+        return None
+    taken = _with_flanks(walk, route)
+    stops = taken[~_free_for(plain, high)[taken]]
+    return _measure(plain, walk, stops, low) if len(stops) else None
+
+
+def _with_flanks(walk: Walk, route: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The cells of a route and, as no corners are cut, those beside its diagonal steps."""
+    level, row, col = split_cells(walk, route)
+    is_diagonal = (np.diff(level) == 0) & (np.abs(np.diff(row)) == 1) & (np.abs(np.diff(col)) == 1)
+    one, other = np.flatnonzero(is_diagonal), np.flatnonzero(is_diagonal) + 1
+    first, width = walk.start[level[one]], walk.width[level[one]]
+    flanks = [first + row[a] * width + col[b] for a, b in ((one, other), (other, one))]
+    return np.concatenate([route, *flanks])
+
+
+def _measure(grid: NavGrid, walk: Walk, stops: NDArray[np.int64], radius: float) -> Gap:
+    """The narrowest of some cells, and the width from what is nearest there to the other side."""
+    best, width, narrowest = np.inf, 2 * radius, int(stops[0])
+    for stop in stops[:MAX_STOPS].tolist():
+        here, low, high = _squares_near(grid, walk, stop, 4 * radius)
+        nearest = np.clip(here, low, high) - here
+        distance = np.linalg.norm(nearest, axis=1)
+        if not len(distance) or distance.min() >= best:
+            continue
+        k = int(np.argmin(distance))
+        best, narrowest, width = float(distance[k]), stop, 2 * radius
+        opposite = nearest @ -nearest[k] > 0.5 * distance * distance[k]
+        if opposite.any():
+            side = here + nearest[k]
+            across = np.linalg.norm(np.clip(side, low, high) - side, axis=1)[opposite]
+            width = float(across.min())
+    return Gap(width, walk.positions(np.array(narrowest)))
+
+
+def _squares_near(
+    grid: NavGrid, walk: Walk, cell: int, reach: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """A cell's centre, and the lower and upper corners of occupied cells round it, x, y [m]."""
+    number = int(walk.level_of(np.array(cell)))
+    level, size = grid.levels[number], walk.cell_size[number]
+    row, col = divmod(cell - int(walk.start[number]), level.width)
+    span = int(reach / size) + 2
+    row0, col0 = max(row - span, 0), max(col - span, 0)
+    occupied = level.occupancy[row0 : row + span + 1, col0 : col + span + 1]
+    rows, cols = np.nonzero(occupied)
+    centers = level.lattice.positions(rows + row0, cols + col0)
+    here = level.lattice.positions(row, col)
+    return here, centers - size / 2, centers + size / 2
+
+
+def deflated(grid: NavGrid) -> NavGrid:
+    """The grid as it was before it was inflated, with weights of 1; itself if it wasn't."""
+    if "inflation" not in grid.metadata:
+        return grid
+    free = np.concatenate(
+        [
+            ((p.occupancy == 0) & ~np.isnan(p.floor_height)).ravel() | p.free.ravel()
+            for p in grid.levels
+        ]
+    )
+    return _with_free(grid, free, None)
+
+
+def _with_free(grid: NavGrid, free: NDArray[np.bool_], walk: Walk | None) -> NavGrid:
+    """The grid with other free cells, by flat id, all of weight 1, and no word of inflation."""
+    from navbake.navgrid.grid import MultiLevelGrid
+
+    metadata = {key: value for key, value in grid.metadata.items() if key != "inflation"}
+    levels, first = [], 0
+    for level in grid.levels:
+        size = level.width * level.height
+        weights = np.where(free[first : first + size], 1.0, np.inf).reshape(level.shape)
+        levels.append(
+            replace(level, weights=weights, user_data=held_user_data(level), metadata=metadata)
+        )
+        first += size
+    if isinstance(grid, MultiLevelGrid):
+        return replace(grid, grids=levels, metadata=metadata)
+    return levels[0]
+
+
+def _free_for(grid: NavGrid, radius: float) -> NDArray[np.bool_]:
+    return np.concatenate(
+        [p.free.ravel() & ~find_blocked(grid, k, radius).ravel() for k, p in enumerate(grid.levels)]
+    )
+
+
+def _joins(grid: NavGrid, walk: Walk, radius: float, origin: int, goals: NDArray[np.int64]) -> bool:
+    """Whether an agent of a radius gets to a goal."""
+    islands = map_islands(replace(walk, free=_free_for(grid, radius))).number
+    return bool((islands[goals] == islands[origin]).any())

@@ -1,0 +1,78 @@
+"""Turns a route over cells into a line on the floor, straight where it can be."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.runtime.paths.search import Search
+
+SAME = 1e-9  # metres between two points that are one
+BEND = 1e-3  # metres that a line may be off the height of the floor in the middle of a cell
+
+
+def pull_route(
+    search: Search,
+    route: NDArray[np.int64],
+    *,
+    smooth: bool,
+    start: NDArray[np.float64] | None = None,
+    end: NDArray[np.float64] | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Lay a line along a route.
+
+    It runs through the cells' centres or, if smooth, straight on wherever all cells that it
+    touches are free, all steps between them small enough, the obstacles as far away as the grid
+    asks for, and the way no dearer. Over a link it runs as the route does.
+
+    Args:
+        search: the cells.
+        route: flat ids, shape (n,).
+        smooth: pull the line straight.
+        start: where in the first cell it begins, world x, y [m]; at its centre if None, or if
+            obstacles are too near there.
+        end: likewise in the last cell.
+
+    Returns:
+        World x, y, z on the floor [m], shape (m, 3), and the level of each, shape (m,).
+    """
+    from navbake.runtime.kernels.string import lay_on_floor, pull_string
+
+    walk = search.walk
+    level = walk.level_of(route)
+    points = walk.positions(route)[:, :2]
+    is_link = search.are_links(route)
+    place, space = _place(search), _space(search)
+    if start is not None and _can_join(start, points[0], level[0], search):
+        points, level = np.vstack([start, points]), np.append(level[0], level)
+        is_link = np.append(False, is_link)
+    if end is not None and _can_join(points[-1], end, level[-1], search):
+        points, level = np.vstack([points, end]), np.append(level, level[-1])
+        is_link = np.append(is_link, False)
+    if smooth:
+        kept = np.empty(len(points), dtype=np.bool_)
+        pull_string(points, level, is_link, kept, *space, walk.weight, search.same_weight, *place)
+        is_link = is_link[np.flatnonzero(kept)[:-1]]
+        points, level = points[kept], level[kept]
+    positions, levels = lay_on_floor(points, level, is_link, walk.floor, walk.ground, *place, BEND)
+    return positions, levels
+
+
+def _can_join(a: NDArray[np.float64], b: NDArray[np.float64], level: int, search: Search) -> bool:
+    """Whether two points are not the same, and a line between them stays free."""
+    from navbake.runtime.kernels.string import can_pass
+
+    if np.abs(a - b).max() <= SAME:
+        return False
+    return bool(can_pass(a, b, level, *_space(search), *_place(search)))
+
+
+def _space(search: Search) -> tuple[Any, Any]:
+    return search.moves, search.roomy
+
+
+def _place(search: Search) -> tuple[Any, Any, Any, Any, Any, Any]:
+    walk = search.walk
+    return walk.start, walk.width, walk.height, walk.x_min, walk.y_max, walk.cell_size

@@ -1,0 +1,81 @@
+"""The connected parts of a walk as it is now, and their areas."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.errors import QueryError
+
+if TYPE_CHECKING:
+    from navbake.runtime.flat_grid import Walk
+
+
+@dataclass(frozen=True, eq=False)
+class IslandMap:
+    """Islands by number, from 1, the one of the most cells.
+
+    Attributes:
+        number: of each cell, by flat id, shape (n,), int32; 0 where it isn't free.
+        areas: of each island [m²], shape (num_islands + 1,), float64; 0 for number 0.
+    """
+
+    number: NDArray[np.int32]
+    areas: NDArray[np.float64]
+
+    @property
+    def count(self) -> int:
+        """Number of islands."""
+        return len(self.areas) - 1
+
+    def check(self, island: int) -> int:
+        """Refuse the number of an island that there is not.
+
+        Raises:
+            QueryError: there is none of this number.
+        """
+        if isinstance(island, int | np.integer) and 1 <= island <= self.count:
+            return int(island)
+        there_are = f"1 to {self.count}, 1 the largest" if self.count else "none"
+        raise QueryError(f"no island {island!r}: there are {there_are}")
+
+
+def map_islands(walk: Walk, corners: NDArray[np.uint8] | None = None) -> IslandMap:
+    """Find the islands of a walk, by the rule of `navbake.navgrid.islands.find_islands`.
+
+    Args:
+        walk: the cells.
+        corners: the moves of each cell, see `navbake.runtime.kernels.moves`, where corners may be
+            cut: then diagonal ones join cells that nothing else does.
+    """
+    from navbake.navgrid.kernels.islands import label_islands
+
+    source = np.repeat(walk.link_cell, np.diff(walk.link_start))
+    links = np.stack([source, walk.link_target], axis=1)
+    if corners is not None:
+        links = np.concatenate([links, _over_corners(walk, corners)])
+    number, sizes = label_islands(
+        walk.start, walk.width, walk.free, walk.floor, walk.max_step, links
+    )
+    areas = sizes * walk.cell_size[0] ** 2
+    if len(set(walk.cell_size)) > 1:
+        areas = np.zeros(len(sizes))
+        for level, size in enumerate(walk.cell_size):
+            of_level = number[walk.start[level] : walk.start[level + 1]]
+            areas += np.bincount(of_level, minlength=len(sizes)) * size**2
+        areas[0] = 0.0
+    return IslandMap(number, areas)
+
+
+def _over_corners(walk: Walk, moves: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """The pairs of cells that a diagonal move joins, shape (n, 2)."""
+    from navbake.runtime.kernels.moves import SOUTH_EAST, SOUTH_WEST
+
+    pairs = []
+    for bit, across in ((SOUTH_WEST, -1), (SOUTH_EAST, 1)):
+        cells = np.flatnonzero(moves & bit)
+        pairs.append(np.stack([cells, cells + walk.width[walk.level_of(cells)] + across], axis=1))
+    return np.concatenate(pairs)

@@ -1,0 +1,158 @@
+"""What a grid holds at a position: one after the other, or one layer for many at once."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navbake.errors import QueryError
+from navbake.navgrid.islands import clearance, islands_of
+from navbake.runtime.places.locate import Cell, cell_at, cells_at
+
+if TYPE_CHECKING:
+    from navbake.navgrid.grid import NavGrid
+
+LAYERS = ("floor", "free", "occupancy", "weight", "room", "island", "clearance")
+
+
+@dataclass(frozen=True)
+class Place:
+    """What a grid holds in one cell.
+
+    Attributes:
+        cell: level, row and column.
+        floor: world z of the floor [m], None where there is none.
+        free: an agent can stand here.
+        occupied: something stands in the agent's way.
+        weight: cost of the cell, infinite where it isn't free.
+        room: id of the room in the grid's `rooms`, None for none.
+        grid: what was asked.
+    """
+
+    cell: Cell
+    floor: float | None
+    free: bool
+    occupied: bool
+    weight: float
+    room: str | None
+    grid: NavGrid = field(repr=False, compare=False)
+
+    @property
+    def island(self) -> int | None:
+        """Number of the connected part, from 1, the largest; None where the cell isn't free."""
+        level, row, col = self.cell
+        return int(islands_of(self.grid)[level][row, col]) if self.free else None
+
+
+def place_at(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Place | None:
+    """Tell what a grid holds at a position.
+
+    Args:
+        grid: the grid.
+        position: world x, y, z [m]; x, y will do on one level.
+        level: which level; then z does not count.
+
+    Returns:
+        None where `navbake.runtime.places.locate.cell_at` finds no cell.
+
+    Raises:
+        QueryError: there is no such level, or the position is none.
+    """
+    cell = cell_at(grid, position, level)
+    if cell is None:
+        return None
+    part, at = grid.levels[cell.level], (cell.row, cell.col)
+    floor, weight = float(part.floor_height[at]), float(part.weights[at])
+    free = math.isfinite(weight)
+    index = int(part.room_index[at])
+    return Place(
+        cell=cell,
+        floor=None if math.isnan(floor) else floor * part.unit,
+        free=free,
+        occupied=bool(part.occupancy[at]),
+        weight=weight if free else math.inf,
+        room=room_id(grid, cell.level, index) if index else None,
+        grid=grid,
+    )
+
+
+def room_id(grid: NavGrid, level: int, index: int) -> str:
+    """The id of a room by its level and its number there; ``level:number`` if no table has it."""
+    for room in grid.navbake.get("rooms") or []:
+        if (room["level"], room["index"]) == (level, index):
+            return str(room["id"])
+    return f"{level}:{index}"
+
+
+def values_at(
+    grid: NavGrid, layer: str, positions: ArrayLike, level: int | None = None
+) -> NDArray[Any]:
+    """Look up one layer at many positions.
+
+    Args:
+        grid: the grid.
+        layer: ``floor`` (world z [m], float64), ``free`` (bool), ``occupancy`` (uint8),
+            ``weight`` (float64), ``room`` (its number on its level, uint16), ``island`` (int32),
+            ``clearance`` ([m], float32, as `navbake.navgrid.islands.clearance`), or an attribute by
+            the name it has in the file, as it stands there.
+        positions: world x, y, z [m], shape (..., 3); (..., 2) will do on one level.
+        level: which level all are on; then z does not count.
+
+    Returns:
+        Shape (...). Where there is no cell: NaN, False, 1, inf, 0, 0, 0; of an attribute NaN or
+        0, as its dtype has it.
+
+    Raises:
+        QueryError: there is no such layer or level, or a position is none.
+    """
+    cells = cells_at(grid, positions, level)
+    arrays, outside = _layer(grid, layer)
+    values = np.full(cells.level.shape, outside, dtype=arrays[0].dtype)
+    for number, array in enumerate(arrays):
+        here = cells.level == number
+        values[here] = array[cells.row[here], cells.col[here]]
+    return values
+
+
+def _layer(grid: NavGrid, layer: str) -> tuple[list[NDArray[Any]], Any]:
+    """A layer of all levels, in one dtype, and its value outside."""
+    levels = grid.levels
+    if layer == "floor":
+        return [part.floor_height.astype(np.float64) * part.unit for part in levels], np.nan
+    if layer == "free":
+        return [part.free for part in levels], False
+    if layer == "occupancy":
+        return [part.occupancy for part in levels], 1
+    if layer == "weight":
+        return [part.weights.astype(np.float64) for part in levels], np.inf
+    if layer == "room":
+        return [part.room_index for part in levels], 0
+    if layer == "island":
+        return list(islands_of(grid)), 0
+    if layer == "clearance":
+        return [clearance(part) for part in levels], 0
+    return _attribute(grid, layer)
+
+
+def _attribute(grid: NavGrid, name: str) -> tuple[list[NDArray[Any]], Any]:
+    stored = [part.attributes.get(name) for part in grid.levels]
+    dtypes = [array.dtype for array in stored if array is not None]
+    if not dtypes:
+        known = [*LAYERS, *dict.fromkeys(key for part in grid.levels for key in part.attributes)]
+        near = get_close_matches(str(name), known, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise QueryError(
+            f"no layer {name!r} in {grid.scene_id!r}: {hint}there are {', '.join(known)}"
+        )
+    dtype = np.result_type(*dtypes)
+    outside = np.nan if dtype.kind == "f" else 0
+    arrays = [
+        np.full(part.shape, outside, dtype=dtype) if array is None else array.astype(dtype)
+        for part, array in zip(grid.levels, stored, strict=True)
+    ]
+    return arrays, outside

@@ -1,0 +1,106 @@
+"""Tells what a grid holds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.navgrid.doors import list_doors
+from navbake.navgrid.islands import find_islands
+
+if TYPE_CHECKING:
+    from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+
+
+MADE_BY = {
+    "version": "navbake",
+    "mujoco": "mujoco",
+    "sceneDigest": "scene_digest",
+    "settingsDigest": "settings_digest",
+}
+AGENT = {
+    "agentHeight": "height",
+    "agentRadius": "radius",
+    "traversableFloorHeight": "traversable_floor_height",
+    "maxSlope": "max_slope",
+}
+INFLATION = ("radius", "clearance", "mode")
+
+
+def describe(grid: SceneGrid2D | MultiLevelGrid) -> dict[str, Any]:
+    """Summarise a grid in values that JSON can hold.
+
+    Args:
+        grid: a grid of one or several levels.
+
+    Returns:
+        ``type``; ``scene_id``; ``cell_size`` [m]; ``agent``, ``made_by``: what the file tells of
+        the agent and of the versions and digests that made it; ``levels``, lowest first, each
+        with ``name``, ``width`` and ``height`` [cells], ``ground``, ``floor_min`` and
+        ``floor_max`` (world z [m], None without floor), ``floor_area``, ``free_area`` and
+        ``largest_island_area`` [m2], ``num_islands``, ``num_rooms``; ``num_islands`` and
+        ``num_links`` of all levels together; ``doors``, see `navbake.navgrid.doors.list_doors`;
+        ``inflated``: radius and clearance [m] and mode of each inflation since the bake.
+    """
+    islands = find_islands(grid)
+    stated = {**grid.metadata, **grid.navbake}
+    return {
+        "type": type(grid).__name__,
+        "scene_id": grid.scene_id,
+        "cell_size": grid.levels[0].lattice.cell_size,
+        "agent": {name: stated[key] for key, name in AGENT.items() if key in stated},
+        "made_by": {name: stated[key] for key, name in MADE_BY.items() if key in grid.navbake},
+        "levels": [
+            {"name": level_name(grid, index), **_describe_level(level, islands[index])}
+            for index, level in enumerate(grid.levels)
+        ],
+        "num_islands": max(int(island.max(initial=0)) for island in islands),
+        "num_links": len(grid.links),
+        "doors": list_doors(grid),
+        "inflated": _inflations(grid),
+    }
+
+
+def level_name(grid: SceneGrid2D | MultiLevelGrid, index: int) -> str:
+    """The name that the level was given, or ``level <index>``; 0 is the lowest."""
+    named = grid.navbake.get("levels")
+    if isinstance(named, list) and index < len(named) and isinstance(named[index], dict):
+        name = named[index].get("name")
+        if isinstance(name, str) and name:
+            return name
+    return f"level {index}"
+
+
+def _describe_level(level: SceneGrid2D, island: NDArray[np.int32]) -> dict[str, Any]:
+    cell_area = level.lattice.cell_size**2
+    floor = level.floor_height[np.isfinite(level.floor_height)].astype(np.float64) * level.unit
+    island_sizes = np.bincount(island.ravel())[1:]
+    return {
+        "width": level.width,
+        "height": level.height,
+        "ground": _rounded(level.ground),
+        "floor_min": _rounded(floor.min()) if floor.size else None,
+        "floor_max": _rounded(floor.max()) if floor.size else None,
+        "floor_area": _rounded(floor.size * cell_area),
+        "free_area": _rounded(np.count_nonzero(level.free) * cell_area),
+        "num_islands": int(np.count_nonzero(island_sizes)),
+        "largest_island_area": _rounded(island_sizes.max(initial=0) * cell_area),
+        "num_rooms": int(np.count_nonzero(np.unique(level.room_index))),
+    }
+
+
+def _rounded(value: float) -> float:
+    """To a millionth, finer than float32 heights are, so that 2.8 is not 2.799999952."""
+    return round(float(value), 6) + 0.0  # no -0.0
+
+
+def _inflations(grid: SceneGrid2D | MultiLevelGrid) -> list[dict[str, Any]]:
+    """What `inflate` noted; another's file may have anything there."""
+    noted = grid.metadata.get("inflation")
+    return [
+        {key: entry[key] for key in INFLATION}
+        for entry in (noted if isinstance(noted, list) else [])
+        if isinstance(entry, dict) and entry.keys() >= set(INFLATION)
+    ]

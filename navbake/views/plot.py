@@ -1,0 +1,219 @@
+"""Pictures of a grid: layers of each level, in world metres."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.errors import MissingDependencyError, NavbakeError, QueryError
+from navbake.files import write_whole
+from navbake.views.layers import Label, Panel, make_panels
+
+if TYPE_CHECKING:
+    from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+    from navbake.runtime.paths.path import Path as Route
+
+DEFAULT_LAYERS = ("occupancy", "floor")
+COLOR_MAP = "viridis"
+ROUTE = "#d6336c"  # colour of a path
+MIN_RANGE = 0.1  # metres of height that the colours span at least, so that flat floors look flat
+DPI = 150
+PANEL_INCHES = 6.0  # longer side of a panel
+MIN_PANEL_INCHES = 3.0  # shorter side of one
+MAX_FIGURE_INCHES = 300.0  # Agg draws at most 65,536 pixels a side
+FONT_SIZES = (3.0, 9.0)  # points, of names in rooms
+LETTER = 0.6  # width of a letter, by its size
+FONT = "DejaVu Sans"  # comes with matplotlib
+
+
+def plot_grid(
+    grid: SceneGrid2D | MultiLevelGrid,
+    path: str | PathLike[str],
+    *,
+    level: int | None = None,
+    layers: Sequence[str] = DEFAULT_LAYERS,
+    route: Route | None = None,
+) -> Path:
+    """Draw a grid's levels, one a row, the lowest on top, and write the picture as PNG.
+
+    Args:
+        grid: a grid of one or several levels.
+        path: the file to write; it is replaced whole or not at all.
+        level: draw only this one, 0 is the lowest.
+        layers: what to draw of each, side by side: some of occupancy, floor, rooms, clearance,
+            island, weights.
+        route: a path to draw on top, each of its parts on its level.
+
+    Returns:
+        The path that was written.
+
+    Raises:
+        QueryError: there is no such level or layer.
+        MissingDependencyError: matplotlib is not installed.
+        NavbakeError: the file cannot be written.
+    """
+    path = Path(path)
+    content = render_png(grid, level=level, layers=layers, route=route)
+    try:
+        write_whole(content, path)
+    except OSError as error:
+        raise NavbakeError(f"cannot write {path}: {error.strerror}") from error
+    return path
+
+
+def render_png(
+    grid: SceneGrid2D | MultiLevelGrid,
+    *,
+    level: int | None = None,
+    layers: Sequence[str] = DEFAULT_LAYERS,
+    route: Route | None = None,
+) -> bytes:
+    """Draw a grid's levels as `plot_grid` does; the same grid gives the same bytes.
+
+    Returns:
+        The content of a PNG file.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingDependencyError(
+            'plots need matplotlib: pip install "navbake[plot]"'
+        ) from error
+
+    chosen = _choose_levels(grid, level)
+    if not layers:
+        raise QueryError("expected at least one layer to draw, got none")
+    columns = [make_panels(grid, layer) for layer in layers]
+    x_min, y_min, x_max, y_max = _union_bounds([grid.levels[i] for i in chosen])
+    size = _figure_size(x_max - x_min, y_max - y_min, len(chosen), len(layers))
+    figure = Figure(figsize=size, dpi=DPI, layout="constrained")
+    axes = figure.subplots(len(chosen), len(layers), squeeze=False)
+    for row, index in zip(axes, chosen, strict=True):
+        for ax, panels in zip(row, columns, strict=True):
+            _draw_panel(figure, ax, panels[index], grid.levels[index])
+            ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), xlabel="x [m]", ylabel="y [m]")
+            _write_labels(ax, panels[index].labels, max(x_max - x_min, y_max - y_min))
+            if route is not None:
+                _draw_route(ax, route, index)
+    cell_size = grid.levels[0].lattice.cell_size
+    figure.suptitle(f"{grid.scene_id or 'grid'}, cells of {cell_size:g} m", parse_math=False)
+    _draw_legend(figure, [panels[index] for panels in columns for index in chosen], route)
+
+    content = io.BytesIO()
+    figure.savefig(content, format="png", metadata={"Software": None})
+    return content.getvalue()
+
+
+def _choose_levels(grid: SceneGrid2D | MultiLevelGrid, level: int | None) -> list[int]:
+    num_levels = len(grid.levels)
+    if level is None:
+        return list(range(num_levels))
+    if not 0 <= level < num_levels:
+        raise QueryError(f"expected a level from 0 to {num_levels - 1}, got {level}")
+    return [level]
+
+
+def _union_bounds(levels: Sequence[SceneGrid2D]) -> tuple[float, float, float, float]:
+    """Bounds of all levels, so that one lies over the other in the picture."""
+    bounds = np.array([level.lattice.bounds for level in levels])
+    x_min, y_min = bounds[:, :2].min(axis=0).tolist()
+    x_max, y_max = bounds[:, 2:].max(axis=0).tolist()
+    return x_min, y_min, x_max, y_max
+
+
+def _figure_size(
+    width: float, height: float, num_levels: int, num_layers: int
+) -> tuple[float, float]:
+    scale = PANEL_INCHES / max(width, height)
+    panel_width = max(width * scale, MIN_PANEL_INCHES) + 0.9  # inches for labels
+    panel_height = max(height * scale, MIN_PANEL_INCHES) + 0.8
+    total = panel_height * num_levels + 0.8
+    return num_layers * panel_width + 0.8, min(total, MAX_FIGURE_INCHES)
+
+
+def _draw_panel(figure: Any, ax: Any, panel: Panel, level: SceneGrid2D) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    x_min, y_min, x_max, y_max = level.lattice.bounds
+    rgb = panel.rgb
+    if panel.values is not None:
+        colors = ScalarMappable(Normalize(*_value_range(panel.values)), COLOR_MAP)
+        shown = np.isfinite(panel.values)
+        rgb = rgb.copy()
+        rgb[shown] = colors.to_rgba(panel.values[shown], bytes=True)[:, :3]
+        figure.colorbar(colors, ax=ax, label=panel.scale)
+    ax.imshow(rgb, extent=(x_min, x_max, y_min, y_max))  # row 0, the top one, has the largest y
+    ax.set_title(panel.title, fontsize="medium", parse_math=False)
+
+
+def _value_range(values: NDArray[np.float32]) -> tuple[float, float]:
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return 0.0, MIN_RANGE
+    low, high = float(finite.min()), float(finite.max())
+    widen = max(0.0, MIN_RANGE - (high - low)) / 2
+    return low - widen, high + widen
+
+
+def _write_labels(ax: Any, labels: Sequence[Label], longer_side: float) -> None:
+    """Write names in the middle of what they name, as large as it is wide."""
+    for label in labels:
+        font = _font_for(label.text)
+        text = label.fallback if font is None else label.text
+        points = label.room * PANEL_INCHES / longer_side * 72 / (LETTER * len(text))
+        ax.text(
+            label.x,
+            label.y,
+            text,
+            fontsize=min(max(points, FONT_SIZES[0]), FONT_SIZES[1]),
+            fontfamily=font or FONT,
+            ha="center",
+            va="center",
+            clip_on=True,
+            parse_math=False,
+        )
+
+
+def _font_for(text: str) -> str | None:
+    """An installed font that has all letters of a text, or None."""
+    from matplotlib import font_manager
+
+    wanted = {ord(letter) for letter in text if not letter.isspace()}
+    fonts = font_manager.fontManager.ttflist
+    for font in sorted(fonts, key=lambda font: (font.name != FONT, font.name, font.fname)):
+        try:
+            letters = font_manager.get_font(font.fname).get_charmap()
+        except (OSError, RuntimeError):  # listed, and no longer there
+            continue
+        if wanted <= letters.keys():
+            return str(font.name)
+    return None
+
+
+def _draw_route(ax: Any, route: Route, level: int) -> None:
+    """Draw the parts of a path that are on a level, and its ends."""
+    x, y = route.positions[:, 0], route.positions[:, 1]
+    on_level = route.levels == level
+    ax.plot(np.where(on_level, x, np.nan), np.where(on_level, y, np.nan), color=ROUTE, lw=1.5)
+    for end, marker in ((0, "o"), (-1, "X")):
+        if on_level[end]:
+            ax.plot(x[end], y[end], marker, color=ROUTE, markeredgecolor="white", markersize=8)
+
+
+def _draw_legend(figure: Any, panels: Sequence[Panel], route: Route | None) -> None:
+    from matplotlib.patches import Patch
+
+    kinds = dict(entry for panel in panels for entry in panel.legend)
+    patches = [
+        Patch(facecolor=color, edgecolor="black", label=kind) for kind, color in kinds.items()
+    ]
+    if route is not None:
+        patches.append(Patch(facecolor=ROUTE, label="path, from o to x"))
+    figure.legend(handles=patches, loc="outside lower center", ncols=len(patches))

@@ -1,0 +1,339 @@
+"""Doors: the cells that they block, found by themselves, and other states without a new bake."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import navbake
+from door_scenes import CUPBOARD, FIXED_LEAF, LEAF, ROOMS, SHELL, bake_world
+from navbake.baker import pipeline
+from navbake.baker.pipeline import run_bake
+from navbake.baker.scene.scene import load_scene
+from navbake.config.settings import load_config
+from navbake.errors import QueryError
+from navbake.navgrid.differences import first_difference
+from project_paths import CONFIGS
+
+STATES = ("modelled", "open", "closed", "removed")
+
+
+@pytest.fixture
+def bake(tmp_path: Path):
+    return lambda *parts, **settings: bake_world(tmp_path, *parts, **settings).grid
+
+
+@pytest.fixture
+def warnings(tmp_path: Path):
+    return lambda *parts, **settings: bake_world(tmp_path, *parts, **settings).warnings
+
+
+def in_gap(grid) -> np.ndarray:
+    y = np.arange(1.15, 1.9, 0.1)
+    row, col = grid.lattice.rows_cols(np.stack([np.full_like(y, 3.0), y], axis=1))
+    return grid.free[row, col]
+
+
+def assert_same(grid, other, hint: object = "") -> None:
+    """The same but for the settings that they were baked with."""
+    digest = {"settingsDigest": other.navbake["settingsDigest"]}
+    for part in (grid, *grid.levels):
+        part.metadata = {**part.metadata, "navbake": {**part.navbake, **digest}}
+    assert first_difference(grid, other) is None, hint
+
+
+def test_leaf_between_two_rooms_is_a_door(bake):
+    grid = bake(ROOMS, LEAF)
+    (door,) = grid.doors
+    assert (door["id"], door["joint"], door["state"]) == ("leaf", "leaf", "modelled")
+    assert set(door["rooms"]) == {room["id"] for room in grid.rooms}
+    assert not in_gap(grid).any()  # modelled at 0, which is closed
+    assert {n["door"] for room in grid.rooms for n in room["neighbours"]} == {"leaf"}
+
+
+@pytest.mark.parametrize("state", ["open", "removed"])
+def test_with_doors_opens_the_gap(bake, state):
+    grid = bake(ROOMS, LEAF).with_doors({"leaf": state})
+    assert in_gap(grid)[:6].all()
+    assert grid.doors[0]["state"] == state
+
+
+def test_open_leaf_blocks_where_it_stands(bake):
+    grid = bake(ROOMS, LEAF).with_doors({"leaf": "open"})
+    row, col = grid.lattice.rows_cols([2.5, 1.06])
+    assert grid.occupancy[row, col] == 1
+    assert grid.blockers(2.5, 1.06) == ["leaf"]
+
+
+def test_state_that_is_modelled_is_that_of_the_pose(bake):
+    grid = bake(ROOMS, LEAF, scene={"joints": {"leaf": 1.5707963}})
+    assert in_gap(grid)[:6].all()
+    assert not in_gap(grid.with_doors({"leaf": "closed"})).any()
+
+
+def test_with_doors_leaves_the_grid_alone(bake):
+    grid = bake(ROOMS, LEAF)
+    before = grid.occupancy.copy()
+    grid.with_doors({"leaf": "open"})
+    assert np.array_equal(grid.occupancy, before)
+    assert grid.doors[0]["state"] == "modelled"
+
+
+def test_a_leaf_that_cannot_move_is_a_wall_unless_it_is_named(bake):
+    for settings, is_wall in (({}, True), ({"doors": {"patterns": ["leaf"]}}, False)):
+        grid = bake(ROOMS, FIXED_LEAF, **settings)
+        facts = grid.describe_cell(3.01, 1.51)
+        assert facts["walls"] == (["leaf"] if is_wall else [])
+        assert (facts["room"] is None) == is_wall
+
+
+def test_unknown_door_and_state_are_named(bake):
+    grid = bake(ROOMS, LEAF)
+    with pytest.raises(QueryError, match=r"no door 'laef' .* did you mean 'leaf'"):
+        grid.with_doors({"laef": "open"})
+    with pytest.raises(QueryError, match="'ajar'"):
+        grid.with_doors({"leaf": "ajar"})
+
+
+# ---------------------------------------------------------------- names
+
+
+def test_cells_in_a_door_carry_its_name(bake):
+    grid = bake(ROOMS, LEAF, doors={"state": "open"})
+    closed = bake(ROOMS, LEAF, doors={"state": "closed"})
+    removed = bake(ROOMS, LEAF, doors={"state": "removed"})
+    in_door = np.flatnonzero((closed.occupancy == 1) & (removed.occupancy == 0))
+    assert len(in_door) >= 8
+    for cell in in_door.tolist():
+        assert grid.user_data[cell]["doors"] == ["leaf"]
+        assert closed.user_data[cell] == {"doors": ["leaf"], "objects": ["leaf"]}
+        assert removed.user_data[cell] == {"doors": ["leaf"]}
+    stands = np.flatnonzero((grid.occupancy == 1) & (removed.occupancy == 0))
+    assert len(stands) >= 8
+    for cell in stands.tolist():
+        assert grid.user_data[cell] == {"doors": ["leaf"], "objects": ["leaf"]}
+
+
+def test_what_hangs_over_a_door_does_not_block(bake):
+    lamp = '<body name="lamp" pos="3 1.5 2.2"><geom type="sphere" size="0.15"/></body>'
+    for grid in (bake(ROOMS, LEAF, lamp), bake(ROOMS, LEAF, lamp).with_doors("open")):
+        facts = grid.describe_cell(3.01, 1.51)
+        assert facts["doors"] == ["leaf"]
+        assert "lamp" in facts["objects"]
+        is_closed = not facts["free"]
+        assert facts["blockers"] == (["leaf"] if is_closed else [])
+        assert ("leaf" in facts["objects"]) == is_closed
+
+
+def test_without_names_no_state_has_any(bake):
+    grid = bake(ROOMS, LEAF, names=False)
+    assert grid.navbake["names"] is False
+    for state in STATES:
+        baked = bake(ROOMS, LEAF, names=False, doors={"state": state})
+        assert_same(grid.with_doors(state), baked, state)
+        assert baked.user_data == {}
+
+
+# ---------------------------------------------------------------- what is no door
+
+
+def test_cupboard_door_belongs_to_the_cupboard(bake):
+    grid = bake(ROOMS, LEAF, CUPBOARD)
+    assert [door["id"] for door in grid.doors] == ["leaf"]
+    facts = grid.describe_cell(5.58, 2.6)
+    assert facts["blockers"] == facts["objects"] == ["cupboard"]
+    assert facts["doors"] == []
+    assert facts["floor"] == 0.0
+
+
+STAGE = """
+<body name="stage" pos="1 1.5 0"><joint type="slide" axis="1 0 0" range="0 1"/>
+<geom type="box" pos="0.55 0 0.1" size="0.55 0.8 0.1"/>
+<geom name="backdrop" type="box" pos="-0.05 0 1.2" size="0.02 0.8 1.2"/></body>
+"""
+
+
+@pytest.mark.parametrize("things", [CUPBOARD, STAGE, CUPBOARD + STAGE])
+def test_what_is_no_door_is_as_if_nobody_looked_for_doors(bake, things):
+    grid = bake(SHELL, things)
+    assert_same(grid, bake(SHELL, things, doors={"find": False}))
+    assert grid.doors == []
+
+
+def test_a_stage_that_looked_like_a_door_carries_a_floor(bake):
+    facts = bake(SHELL, STAGE).describe_cell(1.5, 1.5)
+    assert facts["floor"] == pytest.approx(0.2)
+    assert facts["free"]
+    assert facts["objects"] == ["stage"]
+
+
+@pytest.mark.parametrize(
+    ("things", "settings", "passes"),
+    [
+        ((ROOMS, LEAF), {}, 1),
+        ((ROOMS, LEAF, CUPBOARD), {}, 2),
+        ((SHELL,), {}, 1),
+        ((ROOMS, LEAF), {"grid": {"bounds": [3.5, 0.0, 6.0, 3.0]}}, 1),  # beside them
+    ],
+)
+def test_only_what_is_no_door_costs_a_second_pass(bake, monkeypatch, things, settings, passes):
+    calls = []
+    find = pipeline.find_rooms
+    monkeypatch.setattr(pipeline, "find_rooms", lambda *args: calls.append(1) or find(*args))
+    bake(*things, **settings)
+    assert len(calls) == passes
+
+
+# ---------------------------------------------------------------- other places
+
+
+def test_a_door_upstairs(bake):
+    upper = '<body name="upper" pos="0 0 2.7">' + ROOMS.format("up_") + "</body>"
+    leaf = '<body pos="0 0 2.7">' + LEAF.format("up_") + "</body>"
+    settings = {"floors": {"roofs": True}}
+    grid = bake(ROOMS, upper, LEAF, leaf, **settings)
+    assert [level.ground for level in grid.levels] == pytest.approx([0.0, 2.7])
+    assert [door["id"] for door in grid.doors] == ["leaf", "up_leaf"]
+    assert [sorted(door["rooms"]) for door in grid.doors] == [["0:1", "0:2"], ["1:1", "1:2"]]
+    for level, other in ((0, "leaf"), (1, "up_leaf")):
+        opened = grid.with_doors({other: "open"}).levels
+        assert in_gap(opened[level])[:6].all()
+        assert not in_gap(opened[1 - level]).any()
+    for state in STATES:
+        baked = bake(ROOMS, upper, LEAF, leaf, doors={"state": state}, **settings)
+        assert_same(grid.with_doors(state), baked, state)
+
+
+@pytest.mark.parametrize(
+    "bounds", [[0.0, 0.0, 6.0, 1.5], [2.93, 0.0, 6.0, 3.0], [0.0, 1.2, 6.0, 2.6]]
+)
+def test_a_door_cut_by_the_bounds(bake, bounds):
+    settings = {"grid": {"bounds": bounds}, "doors": {"patterns": ["leaf"]}}
+    grid = bake(ROOMS, LEAF, **settings)
+    for state in STATES:
+        settings["doors"]["state"] = state
+        assert_same(grid.with_doors(state), bake(ROOMS, LEAF, **settings), state)
+    closed = grid.with_doors("closed").occupancy != grid.with_doors("removed").occupancy
+    assert closed.sum() > 0
+
+
+def test_a_door_beside_the_bounds_is_none(bake):
+    grid = bake(ROOMS, LEAF, grid={"bounds": [3.5, 0.0, 6.0, 3.0]})
+    assert grid.doors == []
+
+
+# ---------------------------------------------------------------- states that it hasn't
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_a_door_without_a_joint(bake, warnings, state):
+    settings = {"doors": {"patterns": ["leaf"], "state": state}}
+    grid = bake(ROOMS, FIXED_LEAF, **settings)
+    (door,) = grid.doors
+    assert door["joint"] is None
+    assert door["state"] == ("modelled" if state == "open" else state)
+    assert in_gap(grid).any() == (state == "removed")
+    told = [text for text in warnings(ROOMS, FIXED_LEAF, **settings) if "leaf" in text]
+    assert len(told) == (state == "open")
+    assert all("door 'leaf' can't be open" in text for text in told)
+    with pytest.raises(QueryError, match=r"'leaf' can't be open: it can be modelled, closed, rem"):
+        grid.with_doors({"leaf": "open"})
+
+
+def test_a_joint_beyond_its_range_is_told(warnings, bake):
+    scene = {"joints": {"leaf": 2.0}}
+    (told,) = warnings(ROOMS, LEAF, scene=scene)
+    assert "joint 'leaf' ranges from 0 to 1.5708 rad, got 2 at `scene.joints.leaf`" in told
+    assert warnings(ROOMS, LEAF, scene={"joints": {"leaf": 1.5708}}) == []
+    assert in_gap(bake(ROOMS, LEAF, scene=scene))[:6].all()
+
+
+# ---------------------------------------------------------------- doors that one could walk on
+
+# a floor with a pit across it, over which a plate of 1 x 1 m lies, hinged at its western edge
+PIT = """
+<geom type="box" pos="-2 0 -0.1" size="2 2 0.1"/><geom type="box" pos="3 0 -0.1" size="2 2 0.1"/>
+<body name="hatch" pos="0 0 -0.05"><joint name="hatch" axis="0 -1 0" range="0 90"/>
+<geom type="box" pos="0.5 0 0" size="0.5 0.5 0.05"/></body>
+"""
+# a gate that rolls up under a high ceiling
+ROLLING = """
+<geom type="box" pos="0 0 -0.1" size="3 3 0.1"/>
+<body name="gate" pos="0 0 2.2"><joint name="gate" axis="0 -1 0" range="0 90"/>
+<geom type="box" pos="0 0 -1.1" size="0.03 1 1.1"/></body>
+"""
+
+BEAM = '<geom type="box" pos="0.5 0 0.9" size="0.7 0.6 0.05"/>'
+MAT = '<body name="mat" pos="1.5 1.5 0.01"><geom type="box" size="1 1 0.01"/></body>'
+
+
+@pytest.mark.parametrize("angle", [0.0, 90.0])
+def test_a_door_that_carries_a_floor_is_told(warnings, angle):
+    settings = {"doors": {"patterns": ["hatch"]}, "scene": {"joints": {"hatch": np.radians(angle)}}}
+    (told,) = warnings(PIT, **settings)
+    how = "when it is closed" if angle else "as it is modelled"
+    assert f"door 'hatch' carries 1.0 m² of floor {how}" in told
+    assert warnings(PIT) == []
+
+
+@pytest.mark.parametrize(
+    ("pattern", "things"),
+    [("gate", (ROLLING,)), ("leaf", (ROOMS, LEAF)), ("hatch", (PIT, BEAM)), ("mat", (ROOMS, MAT))],
+)
+def test_a_door_that_one_cannot_walk_on_is_not_told(warnings, pattern, things):
+    assert warnings(*things, doors={"patterns": [pattern]}) == []
+
+
+# ---------------------------------------------------------------- against other bakes
+
+
+@pytest.mark.parametrize("name", ["apartment", "house", "warehouse", "terrain"])
+def test_other_states_equal_a_bake_of_them(name, tmp_path):
+    """Every state of all doors at once, from the file; layers and user data included."""
+    config = load_config(CONFIGS / f"{name}.yaml", ["attributes=[island, clearance]"])
+    run_bake(config).grid.save(tmp_path / "grid.json")
+    grid = navbake.load(tmp_path / "grid.json")
+    assert grid.doors
+    for state in STATES:
+        update = {"doors": config.doors.model_copy(update={"state": state})}
+        baked = run_bake(config.model_copy(update=update)).grid
+        assert_same(grid.with_doors(state), baked, state)
+
+
+@pytest.mark.parametrize("name", ["apartment", "house", "warehouse", "terrain"])
+def test_other_states_equal_a_bake_that_knows_of_no_doors(name):
+    """Doors are mere bodies there, posed by their joints."""
+    config = load_config(CONFIGS / f"{name}.yaml")
+    scene = load_scene(config.scene)
+    bounds = config.grid.bounds or scene.bounds[:, :2].ravel().tolist()
+    config = config.model_copy(update={"grid": config.grid.model_copy(update={"bounds": bounds})})
+    grid = run_bake(config).grid
+    ranges = {door["joint"]: scene.model.joint(door["joint"]).range for door in grid.doors}
+    for state in ("open", "closed"):
+        joints = {
+            joint: float(max(ends, key=abs)) if state == "open" else 0.0
+            for joint, ends in ranges.items()
+        }
+        posed = {
+            "scene": config.scene.model_copy(update={"joints": joints}),
+            "doors": config.doors.model_copy(update={"find": False}),
+        }
+        baked, same = run_bake(config.model_copy(update=posed)).grid, grid.with_doors(state)
+        assert baked.doors == []
+        for level, other in zip(same.levels, baked.levels, strict=True):
+            np.testing.assert_array_equal(level.occupancy, other.occupancy)
+            np.testing.assert_array_equal(level.weights, other.weights)
+
+
+def test_each_door_of_the_apartment_alone_equals_its_pose():
+    """One door at a time, against a bake with its joint moved."""
+    config = load_config(CONFIGS / "apartment.yaml")
+    grid = run_bake(config).grid
+    for door in grid.doors:
+        closed = grid.with_doors({door["id"]: "closed"})
+        scene = config.scene.model_copy(update={"joints": {door["joint"]: 0.0}})
+        posed = run_bake(config.model_copy(update={"scene": scene})).grid
+        np.testing.assert_array_equal(closed.occupancy, posed.occupancy)
+        np.testing.assert_array_equal(closed.weights, posed.weights)

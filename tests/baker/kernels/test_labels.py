@@ -1,0 +1,62 @@
+"""What labels tell, against plain oracles."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from navbake.baker.kernels.labels import (
+    cells_of_nodes,
+    find_passes,
+    first_cells,
+    label_parts,
+    measure_basins,
+    measure_slopes,
+)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 50), (50, 1), (40, 63)])
+def test_parts_are_those_of_scipy(shape):
+    rng = np.random.default_rng(4)
+    for share in (0.0, 0.4, 0.6, 0.8, 1.0):
+        mask = rng.random(shape) < share
+        expected, count = ndimage.label(mask)
+        found, parts = label_parts(mask)
+        assert parts == count
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_cells_of_nodes():
+    nodes = np.array([[0, 0, 0, 0, 0], [0, 1, 0, 0, 0], [2, 0, 0, 0, 3]], dtype=np.int32)
+    assert cells_of_nodes(nodes).tolist() == [[1, 3]]
+
+
+def test_basins_and_passes():
+    label = np.array([[1, 1, 2], [0, 1, 2]], dtype=np.int32)
+    distance = np.zeros((5, 7), dtype=np.int32)
+    distance[1, 3] = 4  # the middle of cell (0, 1)
+    distance[3, 3] = 7
+    distance[2, 4] = 9  # the corner between the four cells at the right
+    distance[3, 4] = 25  # the middle of the edge under it
+    distance[4, 6] = 49  # only at cell (1, 2)
+    cells, peaks, sums = measure_basins(label, distance, 2)
+    assert cells.tolist() == [0, 3, 2]
+    assert peaks.tolist() == [0, 25, 49]
+    assert sums.tolist() == [0, 11, 0]
+    pairs, saddles = find_passes(label, distance)
+    assert pairs.tolist() == [[1, 2], [1, 2]]
+    assert saddles.tolist() == [9, 25]
+
+
+def test_slopes():
+    label = np.array([[1, 1, 1, 1, 1, 2, 0, 2]], dtype=np.int32)
+    floor = np.array([[0.0, 0.0, 0.5, 1.0, 1.0, 1.0, np.nan, 9.0]])
+    steep, heights = measure_slopes(label, floor, 1, 0.75, 2)
+    assert steep.tolist() == [0, 1, 0]  # 0.5 m on both sides of a step, and 1 m round it
+    assert heights.tolist() == [0, 2.5, 10]
+    steep, _ = measure_slopes(label.T.copy(), floor.T.copy(), 1, 0.5, 2)
+    assert steep.tolist() == [0, 3, 0]
+
+
+def test_first_cells():
+    label = np.array([[0, 2, 2], [3, 0, 2]], dtype=np.int32)
+    assert first_cells(label, 5).tolist() == [0, 6, 1, 3, 6]

@@ -1,0 +1,46 @@
+"""Shrinking by asking neighbours, against the distance transform."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from navbake.baker.kernels.shrink import count_inner, near_offsets
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("limit", [0.5, 1.0, 1.5, 3.2, 6.5, 20.0, 21.0])
+def test_counts_what_a_distance_transform_leaves(seed, limit):
+    rng = np.random.default_rng(seed)
+    height, width = rng.integers(1, 40, 2)
+    mask = ndimage.binary_opening(rng.random((height, width)) < 0.9, iterations=int(limit > 2))
+    distance = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+    expected = np.count_nonzero(mask & (distance >= limit))
+    cells = np.flatnonzero(mask)
+    cells = np.concatenate([cells, cells[::3]])  # some of them twice
+    work, counted = (np.zeros(mask.size, dtype=bool) for _ in range(2))
+    offsets = near_offsets(limit, int(min(height, width)))
+    found = count_inner(cells, offsets, width, height, mask.size + 1, work, counted)
+    assert found == expected
+    assert not work.any() and not counted.any()
+    half = (expected + 1) // 2
+    assert count_inner(cells, offsets, width, height, half, work, counted) == half
+
+
+def test_asks_far_neighbours_first():
+    squares = (near_offsets(3.0, 10) ** 2).sum(axis=1)
+    assert list(squares) == sorted(squares, reverse=True)
+    assert squares.max() < 9 and squares.min() == 1
+
+
+def test_a_limit_beyond_the_lattice_needs_few_steps():
+    """`floors.shrink` in centimetres is a slip, and no reason to take all memory."""
+    mask = np.ones(12 * 7, dtype=bool)
+    for limit in (3.9, 4.0, 4.1, 1e7):
+        offsets = near_offsets(limit, 7)
+        assert len(offsets) < 100
+        found = count_inner(
+            np.flatnonzero(mask), offsets, 12, 7, 99, np.zeros_like(mask), np.zeros_like(mask)
+        )
+        assert found == (6 if limit <= 4.0 else 0)  # the middle of the middle row

@@ -1,0 +1,36 @@
+"""Compiling everything beforehand."""
+
+from __future__ import annotations
+
+import pytest
+
+from navbake.cli import compile_all as module
+from navbake.cli.compile_all import is_warm, warm_up
+from navbake.cli.main import main
+
+
+def test_warms_up_from_one_end_to_the_other():
+    parts = []
+    warm_up(lambda name, share: parts.append((name, share)))
+    names = ["bake", "run time", "voxels"]
+    assert parts == [(name, share) for name in names for share in (0.0, 1.0)]
+    assert is_warm()
+
+
+def test_the_command(capsys):
+    with pytest.raises(SystemExit) as done:
+        main(["warm-up"])
+    assert done.value.code == 0
+    assert capsys.readouterr().out.startswith("compiled")
+
+
+def test_a_first_bake_says_why_it_takes_long(monkeypatch, capsys):
+    from navbake.cli.warm_up import tell_if_cold
+
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    monkeypatch.setattr(module, "is_warm", lambda: False)
+    tell_if_cold()
+    assert "compiling for this machine, once" in capsys.readouterr().err
+    monkeypatch.setattr(module, "is_warm", lambda: True)
+    tell_if_cold()
+    assert capsys.readouterr().err == ""

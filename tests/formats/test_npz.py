@@ -1,0 +1,72 @@
+"""Voxels as NumPy archives: nothing is lost, and what is wrong is said."""
+
+import io
+
+import numpy as np
+import pytest
+
+from navbake.errors import FormatError
+from navbake.formats.npz import read_npz, write_npz
+from navbake.voxels.grid import VoxelGrid
+
+
+def grid_of(dtype=np.uint32):
+    values = np.zeros((3, 4, 5), dtype=dtype)
+    values[1, 2, 3], values[0, 0, 0] = np.iinfo(np.uint32).max if dtype == np.uint32 else 1, 1
+    known = np.ones((3, 4, 5), dtype=bool)
+    known[2] = False
+    return VoxelGrid(
+        values=values, origin=(0.1, -2, 3e5), res=1 / 3, names={1: "Tür", 4294967295: "x"},
+        known=known,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("dtype", [np.bool_, np.uint8, np.uint16, np.uint32])
+def test_what_is_written_is_read(tmp_path, dtype):
+    grid = grid_of(dtype)
+    write_npz(grid, tmp_path / "a.npz")
+    back = read_npz(tmp_path / "a.npz")
+    assert back.values.dtype == dtype
+    np.testing.assert_array_equal(back.values, grid.values)
+    np.testing.assert_array_equal(back.known, grid.known)
+    assert (back.origin, back.res, back.names) == (grid.origin, grid.res, grid.names)
+
+
+def test_the_same_grid_gives_the_same_bytes(tmp_path):
+    write_npz(grid_of(), tmp_path / "a.npz")
+    write_npz(grid_of(), tmp_path / "b.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_ids_are_exchanged_however_great_they_are():
+    grid = grid_of()
+    assert grid.ids() == [1, 4294967295]
+    other = grid.with_ids({1: 0, 4294967295: 9})
+    assert other.values.dtype == np.uint8 and other.ids() == [9] and other.names == {9: "x"}
+
+
+def archive(**arrays):
+    file = io.BytesIO()
+    np.savez(file, **arrays)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("data", "culprit"),
+    [
+        (b"", "can't be read"),
+        (b"PK\x03\x04 no archive", "can't be read"),
+        (archive(values=np.zeros((2, 2, 2), bool)), "no array `origin`"),
+        (archive(values=np.array([None]), origin=np.zeros(3), res=1.0), "can't be read"),
+        (archive(values=np.zeros(5), origin=np.zeros(3), res=1.0), r"shape \(nx, ny, nz\)"),
+        (archive(values=np.zeros((2, 2, 2)), origin=np.zeros(3), res=1.0), "dtype bool"),
+        (archive(values=np.zeros((2, 2, 2), bool), origin=np.zeros(2), res=1.0), "lower corner"),
+        (archive(values=np.zeros((2, 2, 2), bool), origin=np.zeros(3), res=0.0), "edge > 0"),
+        (archive(values=np.zeros((2, 2, 2), bool), origin=np.zeros(3), res=np.zeros(2)), "a.npz"),
+    ],
+)
+def test_broken_archives_say_what_is_wrong(tmp_path, data, culprit):
+    (tmp_path / "a.npz").write_bytes(data)
+    with pytest.raises(FormatError, match=culprit) as caught:
+        read_npz(tmp_path / "a.npz")
+    assert "\n" not in str(caught.value) and "a.npz" in str(caught.value)

@@ -1,0 +1,168 @@
+"""Doors of a grid: runs, states, user data, and what a file may say of them."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from navbake.errors import FormatError, QueryError
+from navbake.navgrid.doors import (
+    check_doors,
+    door_cells,
+    from_runs,
+    list_doors,
+    name_door_cells,
+    to_runs,
+)
+from navbake.navgrid.grid import SceneGrid2D
+from navbake.navgrid.user_data import SharedUserData
+
+GATE = {
+    "id": "gate",
+    "joint": "g",
+    "rooms": ["hall", None],
+    "state": "modelled",
+    "cells": {"modelled": [[0, [1, 2]]], "open": [[0, [5, 1]]], "closed": [[0, [1, 2]]]},
+}
+HATCH = {"id": "hatch", "joint": None, "rooms": [None, None], "state": "removed"}
+HATCH = {**HATCH, "cells": {"modelled": [[0, [2, 1]]], "closed": [[0, [2, 1]]]}}
+
+
+def make_grid(user_data=None, names=None, doors=(GATE, HATCH)) -> SceneGrid2D:
+    """Eight cells in a row, all free but for the doors."""
+    navbake = {"doors": copy.deepcopy(list(doors))} | ({} if names is None else {"names": names})
+    occupied = np.zeros((1, 8), dtype=np.uint8)
+    for door in doors:
+        occupied[0, door_cells(door, door["state"], 1)[0]] = 1
+    return SceneGrid2D(
+        width=8,
+        height=1,
+        cell_size=0.5,
+        min_yup=(0.0, 0.0, 0.0),
+        weights=np.where(occupied, np.inf, 1.0),
+        attributes={"occupancy": occupied},
+        user_data=user_data or {},
+        metadata={"sceneId": "yard", "navbake": navbake},
+    )
+
+
+@given(st.sets(st.integers(0, 200)))
+def test_runs_there_and_back(cells):
+    expected = np.array(sorted(cells), dtype=np.int64)
+    runs = to_runs(expected)
+    np.testing.assert_array_equal(from_runs(runs), expected)
+    assert len(runs) == 2 * sum(cell - 1 not in cells for cell in cells)
+
+
+def test_a_summary_of_the_doors():
+    assert list_doors(make_grid()) == [
+        {
+            "id": "gate",
+            "joint": "g",
+            "rooms": ["hall", None],
+            "levels": [0],
+            "state": "modelled",
+            "like": "closed",
+            "states": ["modelled", "open", "closed", "removed"],
+        },
+        {
+            "id": "hatch",
+            "joint": None,
+            "rooms": [None, None],
+            "levels": [0],
+            "state": "removed",
+            "like": None,
+            "states": ["modelled", "closed", "removed"],
+        },
+    ]
+
+
+def test_doors_that_overlap_block_until_both_are_open():
+    grid = make_grid().with_doors({"gate": "open", "hatch": "closed"})
+    assert np.flatnonzero(grid.occupancy).tolist() == [2, 5]
+    grid = grid.with_doors({"hatch": "removed"})
+    assert np.flatnonzero(grid.occupancy).tolist() == [5]
+    assert np.flatnonzero(np.isinf(grid.weights)).tolist() == [5]
+
+
+def test_names_follow_the_doors():
+    things = {
+        1: {"objects": ["lamp"]},
+        5: {"walls": ["beam"]},
+        7: {"objects": ["gate post"], "blockers": ["gate post", "ivy"]},
+    }
+    named = name_door_cells(things, [GATE, HATCH], 0, 1)
+    assert named == {
+        1: {"doors": ["gate"], "objects": ["gate", "lamp"], "blockers": ["gate"]},
+        2: {"doors": ["gate", "hatch"], "objects": ["gate"], "blockers": ["gate"]},
+        5: {"walls": ["beam"]},
+        7: things[7],
+    }
+    opened = [{**GATE, "state": "open"}, {**HATCH, "state": "closed"}]
+    expected = {
+        1: {"doors": ["gate"], "objects": ["lamp"]},
+        2: {"doors": ["gate", "hatch"], "objects": ["hatch"], "blockers": ["hatch"]},
+        5: {"doors": ["gate"], "objects": ["gate"], "walls": ["beam"], "blockers": ["gate"]},
+        7: things[7],
+    }
+    assert name_door_cells(things, opened, 0, 1) == expected
+    assert name_door_cells(named, opened, 0, 1) == expected
+    assert name_door_cells(expected, [GATE, HATCH], 0, 1) == named
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_names_follow_the_doors_where_cells_share_entries(seed):
+    """Told apart only by how they are kept, user data get the same names."""
+    rng = np.random.default_rng(seed)
+    entries = [{"objects": ["lamp"]}, {"walls": ["beam"]}, {"doors": ["gate"], "objects": ["gate"]}]
+    cells = np.sort(rng.choice(9, rng.integers(0, 10), replace=False))
+    shared = SharedUserData(cells, rng.integers(0, 3, len(cells)), entries)
+    plain = SharedUserData(cells, shared.number, entries).resolve()
+    before = copy.deepcopy(entries)
+    named = name_door_cells(shared, [GATE, HATCH], 0, 1)
+    assert not shared.is_resolved and entries == before
+    assert list(named.resolve().items()) == list(
+        name_door_cells(plain, [GATE, HATCH], 0, 1).items()
+    )
+    again = name_door_cells(shared, [GATE, HATCH], 0, 1)
+    for state in ("open", "modelled") * 3:
+        again = name_door_cells(again, [{**GATE, "state": state}, HATCH], 0, 1)
+    assert again.resolve() == named.resolve()
+    assert len(again.entries) <= len(again.cells)  # none is kept that no cell has
+
+
+@pytest.mark.parametrize("names", [None, True, False])
+def test_a_grid_without_names_gets_none(names):
+    grid = make_grid(names=names)
+    assert bool(grid.with_doors("closed").user_data) == (names is not False)
+
+
+def test_what_a_door_cannot_be():
+    with pytest.raises(QueryError, match="'hatch' can't be open: it can be modelled, closed, rem"):
+        make_grid().with_doors("open")
+
+
+@pytest.mark.parametrize(
+    ("change", "culprit"),
+    [
+        ({"id": 5}, r"an `id` and a `state` at `metadata.navbake.doors\[0\]`"),
+        ({"state": "ajar"}, "an `id` and a `state`"),
+        ({"cells": None}, "a door with `cells`"),
+        ({"joint": 3}, r"`joint` to be a name and `rooms` to be ids at .*\[0\]"),
+        ({"rooms": "hall"}, "`rooms` to be ids"),
+        ({"rooms": ["hall", 2]}, "`rooms` to be ids"),
+        ({"cells": {"ajar": []}}, "a known state at `.*cells`"),
+        ({"cells": {"open": [[1, [0, 1]]]}}, "within the grid"),
+        ({"cells": {"open": [[0, [7, 2]]]}}, "within the grid"),
+        ({"cells": {"open": [[0, [1, 2, 2, 1]]]}}, "within the grid"),
+        ({"cells": {"open": [[0, [1]]]}}, "within the grid"),
+    ],
+)
+def test_what_a_file_may_not_say(change, culprit):
+    check_doors([GATE, HATCH], [8])
+    with pytest.raises(FormatError, match=culprit):
+        check_doors([{**GATE, **change}], [8])

@@ -1,0 +1,87 @@
+"""Polygons: which cells they cover, against a plain even-odd rule, and their faults."""
+
+import re
+
+import numpy as np
+import pytest
+
+from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.polygon import cover_cells, find_fault
+
+LATTICE = Lattice(x_min=-1.03, y_max=2.1, cell_size=0.1, width=40, height=33)
+
+
+def even_odd(rings, lattice):
+    x, y = np.meshgrid(lattice.center_x(), lattice.center_y())
+    inside = np.zeros(lattice.shape, dtype=bool)
+    for ring in rings:
+        for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True):
+            crosses = (a[1] <= y) != (b[1] <= y)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                at = a[0] + (y - a[1]) * (b[0] - a[0]) / (b[1] - a[1])
+                inside ^= crosses & (at <= x)
+    return inside
+
+
+def test_covers_what_the_plain_rule_covers():
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        rings = [rng.uniform(-2, 4, (rng.integers(3, 9), 2)) for _ in range(rng.integers(1, 3))]
+        np.testing.assert_array_equal(cover_cells(rings, LATTICE), even_odd(rings, LATTICE))
+
+
+def test_holes_and_parts():
+    lattice = Lattice(0.0, 4.0, 1.0, 6, 4)
+    outline, hole = [[0, 0], [4, 0], [4, 4], [0, 4]], [[1, 1], [3, 1], [3, 3], [1, 3]]
+    part = [[5, 0], [6, 0], [6, 1], [5, 1]]
+    covered = cover_cells([outline, hole, part], lattice)
+    assert covered.astype(int).tolist() == [
+        [1, 1, 1, 1, 0, 0],
+        [1, 0, 0, 1, 0, 0],
+        [1, 0, 0, 1, 0, 0],
+        [1, 1, 1, 1, 0, 1],
+    ]
+
+
+def test_a_centre_on_a_common_side_is_in_one_polygon():
+    lattice = Lattice(0.0, 4.0, 1.0, 4, 4)
+    total = np.zeros(lattice.shape, dtype=int)
+    for x in (-1.5, 0.5, 2.5):
+        for y in (-1.5, 0.5, 2.5):
+            square = [[x, y], [x + 2, y], [x + 2, y + 2], [x, y + 2]]
+            total += cover_cells([square], lattice)
+    assert (total == 1).all()
+    # two triangles, the side between them through centres, given in opposite directions
+    one = cover_cells([[[0, 0], [4, 4], [0, 4]]], lattice)
+    other = cover_cells([[[4, 4], [0, 0], [4, 0]]], lattice)
+    assert (one ^ other).all()
+
+
+@pytest.mark.parametrize(
+    ("points", "fault"),
+    [
+        ([[0, 0], [1, 1], [1, 0], [0, 1]], r"sides that cross: \[0, 0\] to \[1, 1\] and \[1, 0\]"),
+        ([[0, 0], [1, 1], [2, 2]], "in a line"),
+        ([[0, 0], [0, 0], [0, 0]], "in a line"),
+        # the last side crosses the second
+        ([[0, 0], [2, 0], [2, 2], [1, -1]], r"\[2, 0\] to \[2, 2\]|\[0, 0\] to \[2, 0\]"),
+    ],
+)
+def test_faults(points, fault):
+    found = find_fault(points)
+    assert found is not None
+
+    assert re.search(fault, found)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        [[0, 0], [1, 0], [0, 1]],
+        [[0, 0], [1, 0], [1, 0], [1, 1], [0, 1]],  # a corner twice
+        [[0, 0], [2, 0], [2, 2], [1, 0], [0, 2]],  # a corner that touches a side
+        [[500000, 0], [500001, 0], [500001, 1e-3]],
+    ],
+)
+def test_no_fault(points):
+    assert find_fault(points) is None

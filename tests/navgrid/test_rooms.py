@@ -1,0 +1,74 @@
+"""The room table of a file, and what is told of files without one."""
+
+import numpy as np
+import pytest
+
+from navbake.errors import FormatError
+from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+from navbake.navgrid.rooms import describe_rooms
+
+ROOM = {
+    "index": 1,
+    "id": "hall",
+    "name": "hall",
+    "level": 0,
+    "area": 2.0,
+    "centroid": [1.0, 2.0, 0.0],
+    "source": "geoms",
+    "neighbours": [{"room": "0:2", "door": None, "kind": "open"}],
+}
+
+
+def make_level(index, ground=0.0, unit=1.0, **metadata):
+    index = np.array(index, dtype=np.uint16)
+    return SceneGrid2D(
+        width=index.shape[1],
+        height=index.shape[0],
+        cell_size=0.5,
+        unit=unit,
+        min_yup=(0.0, ground, -1.0),
+        weights=np.ones(index.shape),
+        attributes={"roomIndex": index},
+        metadata=metadata,
+    )
+
+
+def test_what_the_file_tells_by_level_and_index():
+    other = {**ROOM, "index": 2, "id": "0:2", "name": None, "neighbours": []}
+    grid = make_level([[1, 2]], navbake={"rooms": [other, ROOM]})
+    assert describe_rooms(grid) == [ROOM, other]
+
+
+def test_files_without_a_table():
+    low = make_level([[0, 3, 3], [0, 1, 3]], ground=-1.0, unit=2.0)
+    grid = MultiLevelGrid(grids=[low, make_level([[2]], ground=3.0)], cell_size=0.5)
+    one, three, two = describe_rooms(grid)
+    assert (one["level"], one["index"], one["id"], one["name"]) == (0, 1, "0:1", None)
+    assert one["centroid"] == [1.5, 0.5, -2.0]  # cells of 1 m, as a unit is 2 m
+    assert (three["area"], three["neighbours"], three["source"]) == (3.0, [], None)
+    assert (two["id"], two["centroid"][2]) == ("1:2", 3.0)
+
+
+def test_no_rooms():
+    assert describe_rooms(make_level([[0, 0]])) == []
+    assert describe_rooms(make_level([[1, 0]], navbake={"rooms": []})) == []
+
+
+@pytest.mark.parametrize(
+    ("rooms", "culprit"),
+    [
+        ({}, "expected a list at `metadata.navbake.rooms`, got dict"),
+        ([7], r"expected a room at `metadata.navbake.rooms\[0\]`, got int"),
+        ([{**ROOM, "index": True}], r"rooms\[0\].index"),
+        ([{**ROOM, "index": 0}], r"a level and an index that there are"),
+        ([{**ROOM, "level": 1}], r"a level and an index that there are"),
+        ([ROOM, {**ROOM, "id": None}], r"expected str at `metadata.navbake.rooms\[1\].id`"),
+        ([{**ROOM, "centroid": [1.0]}], r"rooms\[0\].centroid"),
+        ([{**ROOM, "centroid": ["x", 0, 0]}], r"rooms\[0\].centroid"),
+        ([{**ROOM, "neighbours": ["hall"]}], r"rooms\[0\].neighbours"),
+        ([{**ROOM, "area": "2"}], r"rooms\[0\].area"),
+    ],
+)
+def test_broken_tables(rooms, culprit):
+    with pytest.raises(FormatError, match=culprit):
+        describe_rooms(make_level([[1]], navbake={"rooms": rooms}))

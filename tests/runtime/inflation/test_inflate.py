@@ -1,0 +1,261 @@
+"""Inflation against the rules' words, cell by cell, on random grids and on small ones to read."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import navbake
+from level_maps import AGENT, level_of, make_level, shown, stack, stairs
+from navbake.errors import QueryError
+from navbake.formats.navgrid import dumps_navgrid
+from navbake.navgrid.differences import first_difference
+from navbake.navgrid.islands import find_islands
+from navbake.navgrid.user_data import StoredUserData, held_user_data
+from oracles import inflation
+
+# One level
+
+
+def test_a_disc_that_only_touches_a_square_is_free():
+    level = level_of("0000000", "0000000", "0000000", "000#000", "0000000", "0000000", "0000000")
+    touching = [".......", ".......", "..###..", "..###..", "..###..", ".......", "......."]
+    meeting = [".......", "...#...", "..###..", ".#####.", "..###..", "...#...", "......."]
+    assert shown(level.inflate(0.15)) == touching
+    assert shown(level.inflate(0.1501)) == meeting
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_free_is_what_meets_no_occupied_square(seed):
+    rng = np.random.default_rng(seed)
+    occupied = rng.random(rng.integers(1, 25, 2)) < rng.choice([0.01, 0.05, 0.2])
+    floor = np.where(occupied & (rng.random(occupied.shape) < 0.5), np.nan, 0.0)
+    cell = rng.choice([0.05, 0.1, 0.23])
+    level = make_level(occupied, floor, cell=cell, unit=rng.choice([1.0, 0.5]))
+    steps = level.lattice.cell_size / 2 * rng.integers(0, 12)
+    radius = float(rng.choice([steps, rng.uniform(0, 8 * cell)]))
+    np.testing.assert_array_equal(level.inflate(radius).free, inflation.exact_free(level, radius))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_larger_radius_frees_nothing(seed):
+    rng = np.random.default_rng(seed)
+    shape = rng.integers(5, 30, 2)
+    floor = np.where(rng.random(shape) < 0.1, np.nan, rng.choice([0, 0.1, 0.3, 0.9], shape))
+    lower = make_level(rng.random(shape) < 0.05, floor)
+    upper = make_level(rng.random(shape) < 0.05, rng.choice([0.8, 1.2, np.nan], shape), col=3)
+    for grid in (lower, stack(lower, upper)):
+        before = [level.free for level in grid.levels]
+        for radius in np.sort(rng.uniform(0, 1, 8)):
+            after = [level.free for level in grid.inflate(radius).levels]
+            assert all((a <= b).all() for a, b in zip(after, before, strict=True))
+            before = after
+
+
+def test_nothing_is_changed_at_radius_0():
+    level = level_of("00#", "0 9", "000")
+    assert shown(level.inflate(0)) == shown(level)
+    assert shown(level.inflate(0.0, clearance=0.2)) == shown(level)
+
+
+def test_the_grid_of_one_level_ends_at_nothing():
+    assert level_of("000", "000").inflate(5).free.all()
+
+
+def test_a_radius_beyond_the_grid_is_no_trouble():
+    assert not level_of("000000", "00000#").inflate(9999).free.any()
+
+
+def test_a_square_is_farther_at_its_corners():
+    level = level_of("00000", "0#000", "00000")
+    assert shown(level.inflate(0.06)) == [".#...", "###..", ".#..."]
+    assert shown(level.inflate(0.08)) == ["###..", "###..", "###.."]
+
+
+# Floors
+
+
+def test_a_higher_floor_is_a_wall_from_below_and_an_edge_from_above():
+    level = level_of("0000555", "0000555")
+    assert shown(level.inflate(0.2)) == ["..##...", "..##..."]
+
+
+def test_a_step_is_no_wall_but_the_next_one_is():
+    level = level_of("000222444666")
+    assert shown(level.inflate(0.2)) == ["............"]
+    assert shown(level.inflate(0.34)) == ["............"]
+    assert shown(level.inflate(0.36)) == ["..#..#......"]
+    assert shown(level.inflate(0.46)) == [".##.##......"]
+
+
+def test_the_bake_has_seen_to_steps_up_to_its_radius():
+    level = level_of("000555")
+    level.metadata["agentRadius"] = 0.12
+    assert shown(level.inflate(0.12)) == ["......"]
+    assert shown(level.inflate(0.16)) == [".##..."]
+
+
+def test_the_side_of_a_stair_is_a_wall_beside_it():
+    rows = ["0000000", "0000000", "0246800", "0246800", "0246800", "0000000"]
+    blocked = shown(level_of(*rows).inflate(0.06))
+    assert blocked == [".......", "..###..", ".....#.", ".....#.", ".....#.", "..###.."]
+
+
+def test_holes_that_are_not_occupied_count_as_in_the_original():
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        shape = rng.integers(2, 14, 2)
+        level = make_level(rng.random(shape) < 0.03, np.where(rng.random(shape) < 0.15, np.nan, 0))
+        radius = rng.uniform(0, 0.6)
+        expected = inflation.exact_free(level, radius) & inflation.enough_floor(level, radius)
+        np.testing.assert_array_equal(level.inflate(radius).free, expected)
+
+
+# Several levels
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_levels_see_each_other_as_the_rules_say(seed):
+    rng = np.random.default_rng(seed)
+    levels = []
+    for base in (0.0, rng.choice([0.4, 0.8, 1.3, 2.5])):
+        shape = rng.integers(3, 12, 2)
+        floor = base + rng.choice([0, 0.2, 0.6, np.nan], shape, p=[0.6, 0.2, 0.1, 0.1])
+        occupied = (rng.random(shape) < 0.06) | np.isnan(floor)
+        levels.append(make_level(occupied, floor, *rng.integers(-4, 5, 2)))
+    grid = stack(*levels)
+    radius = rng.uniform(0, 0.45)
+    expected = inflation.stacked_free(grid, radius, 6)
+    for level, free in zip(grid.inflate(radius).levels, expected, strict=True):
+        np.testing.assert_array_equal(level.free, free)
+
+
+def test_a_stair_leads_to_the_level_above_it():
+    lower, top = stairs(*["000000"] * 5).inflate(0.12).levels
+    assert shown(lower)[2] == "#........###"  # beyond the first column there is no floor
+    assert shown(top)[2] == ".....#"
+    assert find_islands(stairs(*["000000"] * 5).inflate(0.12))[1][2, 0] == 1
+
+
+def test_a_wall_on_the_landing_is_in_the_way_on_the_stair():
+    lower, top = stairs(*["000000"] * 2, "#00000", *["000000"] * 2).inflate(0.12).levels
+    assert shown(lower)[2] == "#.......####"
+    assert shown(top)[2] == "##...#"
+
+
+def test_what_is_under_the_landing_is_not_in_the_way_on_the_stair():
+    grid = stairs(*["000000"] * 5)
+    lower, _ = grid.inflate(0.12).levels
+    assert lower.free[2, 8]
+    alone = level_of("0" * 9 + "#" * 3).inflate(0.12)
+    assert not alone.free[0, 8]
+
+
+def test_levels_off_the_others_lattice_are_looked_at_alone():
+    grid = stack(level_of("0000", "0000"), level_of("000#", "0000", col=0.5))
+    assert shown(grid.inflate(0.06).levels[1]) == ["####", "####"]
+    assert shown(grid.inflate(0.04).levels[1]) == ["...#", "...."]
+
+
+@pytest.mark.parametrize("edge", range(12, 22))
+def test_wherever_an_edge_is_it_is_seen(edge):  # floors are compared in squares of 16 cells first
+    ledge = level_of("0" * edge + "5" * 20)
+    assert shown(ledge.inflate(0.16)) == ["." * (edge - 2) + "##" + "." * 20]
+    beside = stack(level_of(*["0" * edge] * 9), level_of(*["0#000"] * 9, col=edge))
+    seen = shown(beside.inflate(0.26).levels[0])[4]
+    assert seen == "###" + "." * (edge - 5) + "##"  # beyond the first column there is no floor
+
+
+# The result
+
+
+def test_metadata_tell_what_was_done_and_all_else_stays():
+    level = level_of("00#", "000", "000")
+    level.user_data = {2: {"walls": ["w"]}}
+    inflated = level.inflate(0.06).inflate(0.16, clearance=0.3)
+    assert inflated.metadata["inflation"] == [
+        {"radius": 0.06, "clearance": 0.0, "mode": "exact"},
+        {"radius": 0.16, "clearance": 0.3, "mode": "exact", "costs": "step"},
+    ]
+    assert "inflation" not in level.metadata
+    assert level.free.sum() == 8
+    np.testing.assert_array_equal(inflated.occupancy, level.occupancy)
+    assert inflated.user_data == level.user_data
+    again = navbake.load(dumps_navgrid(inflated))
+    assert first_difference(again, inflated) is None
+
+
+def test_levels_share_the_metadata_of_the_whole():
+    grid = stack(level_of("00", "00"), level_of("00", "00"))
+    grid.levels[1].metadata = {"sceneId": "attic", **AGENT}
+    inflated = grid.inflate(0.1)
+    assert inflated.levels[0].metadata is inflated.metadata
+    assert inflated.levels[1].metadata["sceneId"] == "attic"
+    assert inflated.levels[1].metadata["inflation"] == inflated.metadata["inflation"]
+
+
+def test_layers_follow_the_weights_where_navbake_wrote_them():
+    level = level_of("00000", "0#000", "00000")
+    layers = {"island": np.ones((3, 5), np.uint16), "clearance": np.ones((3, 5), np.float32)}
+    level.attributes |= layers
+    assert level.inflate(0.08).attributes["island"].all()  # another's, whatever it means
+    level.metadata["navbake"] = {"version": "1"}
+    inflated = level.inflate(0.08)
+    assert inflated.attributes["island"].tolist() == [[0, 0, 0, 1, 1]] * 3
+    assert inflated.attributes["clearance"][0, 3] == pytest.approx(0.05)
+    assert level.attributes["island"].all()
+
+
+def test_user_data_stay_unread():
+    class Unread(StoredUserData):
+        def resolve(self):
+            raise AssertionError
+
+    level = level_of("00", "00")
+    level.user_data = Unread()
+    assert isinstance(held_user_data(level.inflate(0.1)), Unread)
+
+
+def test_doors_are_changed_before_not_after():
+    level = level_of("00", "00")
+    door = {"id": "a", "state": "closed", "cells": {"closed": [[0, [0, 1]]], "open": []}}
+    level.metadata["navbake"] = {"doors": [door]}
+    assert level.with_doors("open").inflate(0.1)
+    with pytest.raises(QueryError, match="inflated with its doors as they were"):
+        level.inflate(0.1).with_doors("open")
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("arguments", "culprit"),
+    [
+        ({"radius": -0.1}, r"0 to 10,000 m as radius, got -0.1"),
+        ({"radius": np.nan}, "as radius, got nan"),
+        ({"radius": np.inf}, "as radius, got inf"),
+        ({"radius": 1e5}, "as radius, got 100000"),
+        ({"radius": "0.3"}, "as radius, got '0.3'"),
+        ({"radius": True}, "as radius, got True"),
+        ({"radius": 0.1, "clearance": -1}, "as clearance, got -1"),
+        ({"radius": 0.1, "clearance": np.nan}, "as clearance, got nan"),
+        ({"radius": 0.1, "mode": "nav2"}, "exact or minos as mode, got 'nav2'"),
+        ({"radius": 0.1, "costs": "minos"}, "step or nav2 as costs, got 'minos'"),
+        ({"radius": 0.1, "costs": "nav2", "scaling": 0}, "> 0 .* as scaling, got 0"),
+        ({"radius": 0.1, "costs": "nav2", "scaling": np.nan}, "as scaling, got nan"),
+        ({"radius": 0.1, "costs": "nav2", "mode": "minos"}, "costs of its own"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(arguments, culprit):
+    with pytest.raises(QueryError, match=culprit):
+        level_of("00").inflate(**arguments)
+
+
+@pytest.mark.parametrize("without", [["occupancy"], ["floorHeight"], ["occupancy", "floorHeight"]])
+def test_a_file_that_tells_less_can_be_inflated_again(without):
+    level = level_of("0000000000", "000#000000", "0000000000", "0000000000", "0000000000")
+    for name in without:
+        del level.attributes[name]
+    again = level.inflate(0.1).inflate(0.15)
+    np.testing.assert_array_equal(again.free, level.inflate(0.15).free)
+    np.testing.assert_array_equal(again.occupancy, level.occupancy)

@@ -1,0 +1,156 @@
+"""Discs at all free centres of baked scenes, against the scenes' exact geometry."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import navbake
+from navbake.navgrid.grid import MultiLevelGrid
+from navbake.navgrid.islands import find_islands
+from oracles.prisms import OCCUPIED, Prisms
+from oracles.scene import Thing, cross_part, part_meets_prisms, part_of, scene_xml
+from project_paths import ROOT
+
+FOLDER = tempfile.TemporaryDirectory()
+STEP, HEIGHT = 0.25, 1.14
+GOLDEN = ROOT / "tests" / "golden"
+
+LENGTHS = st.floats(0.03, 0.5)
+PLACES = st.tuples(st.floats(-1.4, 1.4), st.floats(-1.4, 1.4))
+FLOOR = Thing("box", (1.6, 1.6, 0.1), (0.0, 0.0, -0.1))
+
+
+@st.composite
+def things(draw) -> Thing:
+    """Something that stands, lies or hangs anywhere over the floor, turned as it likes."""
+    kind = draw(st.sampled_from(["box", "sphere", "cylinder", "capsule", "ellipsoid"]))
+    num = {"box": 3, "sphere": 1, "ellipsoid": 3}.get(kind, 2)
+    size = tuple(draw(LENGTHS) for _ in range(num))
+    quat = draw(st.tuples(*[st.floats(-1, 1)] * 4))
+    norm = float(np.linalg.norm(quat))
+    quat = tuple(q / norm for q in quat) if norm > 0.1 else (1.0, 0.0, 0.0, 0.0)
+    return Thing(kind, size, (*draw(PLACES), draw(st.floats(0.0, 1.6))), quat)
+
+
+@st.composite
+def platforms(draw) -> Thing:
+    """An upright box too high to step on, large enough to stand on."""
+    half = draw(st.floats(0.15, 0.6))
+    size = draw(st.floats(0.85, 1.2)), draw(st.floats(0.85, 1.2)), half
+    return Thing("box", size, (*draw(PLACES), half))
+
+
+def hits(scene: list[Thing], grid: navbake.SceneGrid2D | MultiLevelGrid, radius: float) -> list:
+    """The free cells at which a disc of the agent's body meets a thing."""
+    found = []
+    for level in grid.levels:
+        row, col = np.nonzero(level.free)
+        x, y = level.lattice.positions(row, col).T
+        floor = level.floor_height[row, col].astype(np.float64)
+        margin = 1e-5  # float32 floors
+        disc = Prisms(x, y, floor + STEP + margin, floor + HEIGHT - margin, radius - 1e-6, True)
+        for thing in scene:
+            part = part_of(thing)
+            state = part_meets_prisms(part, cross_part(part, x, y), disc)
+            found += [(thing, x[i], y[i], floor[i]) for i in np.flatnonzero(state == OCCUPIED)]
+    return found
+
+
+def bake(scene: list[Thing], cell: float, radius: float = 0.05):
+    path = Path(FOLDER.name) / "scene.xml"
+    path.write_text(scene_xml(scene))
+    settings = {
+        "scene": {"path": str(path)},
+        "grid": {"cell_size": cell},
+        "agent": {"radius": radius},
+        "names": {"enabled": False},
+        "floors": {"tops": True},
+    }
+    return navbake.bake(settings)
+
+
+def has_low_bumps(grid) -> bool:
+    """Whether floors lie a little over each other, so that bodies start at several heights."""
+    for level in grid.levels:
+        floor = np.unique(level.floor_height[~np.isnan(level.floor_height)])
+        if (np.diff(floor) < 2 * STEP).any() and np.ptp(floor) > 1e-4:
+            return True
+    return False
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.lists(things(), min_size=1, max_size=4),
+    st.sampled_from([0.1, 0.16]),
+    st.floats(0.02, 0.6),
+)
+def test_a_disc_on_any_free_cell_hits_nothing(scene, cell, radius):
+    scene = [FLOOR, *scene]
+    grid = bake(scene, cell)
+    if not has_low_bumps(grid):
+        inflated = grid.inflate(radius)
+        assert not hits(scene, inflated, radius)
+        if radius > 0.05:
+            native = bake(scene, cell, radius)
+            for own, other in zip(inflated.levels, native.levels, strict=True):
+                assert (own.free <= other.free).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.lists(platforms(), min_size=1, max_size=2),
+    st.sampled_from([0.16, 0.23]),
+    st.floats(0.05, 0.6),
+)
+def test_a_disc_below_a_platform_does_not_hit_its_sides(scene, cell, radius):
+    scene = [Thing("box", (2.3, 2.3, 0.1), (0.0, 0.0, -0.1)), *scene]
+    grid = bake(scene, cell)
+    if not has_low_bumps(grid):
+        assert not hits(scene, grid.inflate(radius), radius)
+
+
+@pytest.mark.parametrize("radius", [0.1, 0.2, 0.22])
+def test_the_house_stays_one_over_its_stairs(radius):
+    house = navbake.load(GOLDEN / "house.grid.json.gz")
+    inflated = house.inflate(radius)
+    below, above = find_islands(inflated)
+    assert any((below == k).sum() > 300 and (above == k).sum() > 300 for k in (1, 2, 3))
+
+
+@pytest.mark.parametrize(("name", "keyframe"), [("house", "doors_open"), ("apartment", None)])
+def test_a_body_on_free_cells_of_the_samples_touches_nothing(name, keyframe):
+    radius, step = 0.25, 0.25
+    grid = navbake.load(GOLDEN / f"{name}.grid.json.gz")
+    half = (grid.metadata["agentHeight"] - step) / 2
+    spec = mujoco.MjSpec.from_file(str(ROOT / "configs" / "scenes" / f"{name}.xml"))
+    body = spec.worldbody.add_body(name="agent", mocap=True)
+    size = [radius - 1e-4, half - 1e-4, 0]
+    body.add_geom(name="agent", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=size)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    if keyframe:
+        mujoco.mj_resetDataKeyframe(model, data, model.key(keyframe).id)
+    agent = model.geom("agent").id
+    collides = (model.geom_contype | model.geom_conaffinity) != 0
+    for level in grid.inflate(radius).levels:
+        row, col = np.nonzero(level.free)
+        floor = level.floor_height[row, col]
+        order = np.random.default_rng(0).permutation(len(row))
+        on_stairs = order[np.abs(floor - np.median(floor))[order] > 0.06]
+        for k in [*on_stairs[:150], *order[:150]]:
+            x, y = level.lattice.positions(row[k], col[k])
+            data.mocap_pos[0] = x, y, floor[k] + step + half
+            mujoco.mj_kinematics(model, data)
+            away = np.linalg.norm(data.geom_xpos - data.geom_xpos[agent], axis=1)
+            is_near = (away < model.geom_rbound + radius + half) | (model.geom_rbound == 0)
+            for geom in np.flatnonzero(collides & is_near):
+                if geom != agent:
+                    away_by = mujoco.mj_geomDistance(model, data, agent, geom, 0.01, None)
+                    assert away_by > -1e-4, (model.geom(geom).name, x, y, floor[k])
