@@ -1,8 +1,11 @@
-"""Who may import what: the run time never loads the baker, each big library has one door."""
+"""Who may import what: data goes one way, no circle of files, each big library has one door."""
+
+from __future__ import annotations
 
 import ast
 import subprocess
 import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
@@ -15,59 +18,38 @@ HEAVY = ("matplotlib", "mujoco", "numba", "pydantic", "scipy", "trimesh", "fcl")
 # module or package -> all that it may import, apart from the standard library
 ONLY = {
     "errors": (),
-    "lattice": ("numpy",),
-    "kernels": ("numpy", "numba", "llvmlite", "navbake.kernels"),
+    "types": ("numpy",),
+    "navgrid.lattice": ("numpy", "navbake.types"),
 }
+KERNELS_ONLY = ("numpy", "numba", "llvmlite", "navbake.compiled", "navbake.types")
 # library -> the modules that may import it
 DOORS = {
-    "mujoco": ("bake.model",),
-    "fcl": ("bake.contact",),
-    "trimesh": ("bake.mesh_scene",),
-    "matplotlib": ("plot",),
-    "numba": ("kernels", "bake"),
-    "typer": ("cli", "cli_files", "cli_inflate", "cli_path", "cli_voxels"),
-    "rich": ("cli_tables",),
+    "mujoco": ("baker.scene",),
+    "fcl": ("baker.occupancy",),
+    "trimesh": ("baker.scene",),
+    "matplotlib": ("views.plot",),
+    "typer": ("cli",),
+    "rich": ("cli",),
 }
-# what an agent loads at run time, and what it never loads
-RUN_TIME = (
-    "arena",
-    "attributes",
-    "differences",
-    "explored",
-    "grid",
-    "grid_base",
-    "links",
-    "lattice",
-    "formats",
-    "info",
-    "islands",
-    "errors",
-    "files",
-    "plot",
-    "layers",
-    "polygon",
-    "rooms_table",
-    "runtime",
-    "user_data",
-    "voxels.files",
-    "voxels.floor_plan",
-    "voxels.grid",
-    "voxels.io",
-    "voxels.placement",
-)
-NEVER_AT_RUN_TIME = ("mujoco", "fcl", "trimesh", "navbake.bake")
+# what may import the baker; a bake starts at `navbake.bake`, which is looked up when it is called
+BAKER_USERS = ("baker", "cli")
+LIGHT = ("navgrid", "formats", "runtime", "voxels", "arena", "views", "files", "errors", "types")
+NEVER_AT_RUN_TIME = ("mujoco", "fcl", "trimesh", "navbake.baker")
 
 
-def modules():
-    """All modules of the package, as (name without ``navbake.``, path)."""
-    for path in sorted(PACKAGE.rglob("*.py")):
-        parts = path.relative_to(PACKAGE).with_suffix("").parts
-        yield ".".join(part for part in parts if part != "__init__"), path
+def find_modules(package: Path) -> dict[str, Path]:
+    """All modules of a package by their dotted names without the package's."""
+    return {
+        ".".join(part for part in path.relative_to(package).with_suffix("").parts).removesuffix(
+            ".__init__"
+        ): path
+        for path in sorted(package.rglob("*.py"))
+    }
 
 
-def imports(path):
+def imports(path: Path) -> set[str]:
     """Names of all modules that a file imports, at the top or later, but not for types only."""
-    skipped = set()
+    skipped: set[ast.AST] = set()
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING":
@@ -78,42 +60,117 @@ def imports(path):
             found.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path} imports relatively"
+            assert node.module is not None
             found.add(node.module)
             found.update(f"{node.module}.{alias.name}" for alias in node.names)
     return found
 
 
-def belongs(name, prefixes):
+def import_graph(package: Path) -> dict[str, set[str]]:
+    """Which of a package's modules each of them imports, imports inside functions included."""
+    modules = find_modules(package)
+    known = {f"{package.name}.{name}": name for name in modules}
+    return {
+        name: {known[found] for found in imports(path) if found in known} - {name}
+        for name, path in modules.items()
+    }
+
+
+def find_circle(graph: Mapping[str, set[str]]) -> list[str] | None:
+    """One circle of modules that import each other, or None; a depth-first search."""
+    done: set[str] = set()
+
+    def visit(name: str, way: list[str]) -> list[str] | None:
+        if name in way:
+            return [*way[way.index(name) :], name]
+        if name in done:
+            return None
+        for used in sorted(graph[name]):
+            circle = visit(used, [*way, name])
+            if circle:
+                return circle
+        done.add(name)
+        return None
+
+    circles: Iterator[list[str] | None] = (visit(name, []) for name in sorted(graph))
+    return next((circle for circle in circles if circle), None)
+
+
+def belongs(name: str, prefixes: tuple[str, ...]) -> bool:
     return any(name == prefix or name.startswith(prefix + ".") for prefix in prefixes)
 
 
-MODULES = dict(modules())
+MODULES = find_modules(PACKAGE)
+
+
+@pytest.mark.xfail(strict=True, reason="the grid and what it can do import each other")
+def test_no_circle_of_files():
+    circle = find_circle(import_graph(PACKAGE))
+    assert circle is None, " -> ".join(circle or [])
+
+
+def test_a_planted_circle_is_found(tmp_path):
+    package = tmp_path / "planted"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "one.py").write_text("from planted.two import name\n")
+    (package / "two.py").write_text("def name():\n    from planted import three\n")
+    (package / "three.py").write_text("value = 1\n")
+    assert find_circle(import_graph(package)) is None
+    (package / "three.py").write_text("def value():\n    import planted.one\n")
+    assert find_circle(import_graph(package)) == ["one", "two", "three", "one"]
+    (package / "three.py").write_text(
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import planted.one\n"
+    )
+    assert find_circle(import_graph(package)) is None
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_only_the_baker_and_the_command_line_import_the_baker(name):
+    for found in imports(MODULES[name]):
+        assert not belongs(found, ("navbake.baker",)) or belongs(name, BAKER_USERS), (
+            f"{name} imports {found}"
+        )
 
 
 @pytest.mark.parametrize("name", MODULES)
 def test_each_library_has_its_doors(name):
     for library, doors in DOORS.items():
-        if any(belongs(found, [library]) for found in imports(MODULES[name])):
+        if any(belongs(found, (library,)) for found in imports(MODULES[name])):
             assert belongs(name, doors), f"{name} imports {library}, which {doors} may"
 
 
 @pytest.mark.parametrize(("area", "allowed"), ONLY.items())
 def test_imports_nothing_else(area, allowed):
     for name, path in MODULES.items():
-        if belongs(name, [area]):
+        if belongs(name, (area,)):
             for found in imports(path):
                 is_standard = found.split(".")[0] in sys.stdlib_module_names
                 assert is_standard or belongs(found, allowed), f"{name} imports {found}"
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if ".kernels." in name])
+def test_kernels_import_kernels_alone(name):
+    for found in imports(MODULES[name]):
+        is_standard = found.split(".")[0] in sys.stdlib_module_names
+        is_kernel = found.startswith("navbake.") and ".kernels." in found
+        assert is_standard or is_kernel or belongs(found, KERNELS_ONLY), f"{name} imports {found}"
 
 
 def test_errors_import_nothing_at_all():
     assert imports(MODULES["errors"]) == set()
 
 
-@pytest.mark.parametrize("name", [name for name in MODULES if belongs(name, RUN_TIME)])
+@pytest.mark.parametrize("name", [name for name in MODULES if belongs(name, LIGHT)])
 def test_run_time_leaves_the_baker_alone(name):
     for found in imports(MODULES[name]):
         assert not belongs(found, NEVER_AT_RUN_TIME), f"{name} imports {found}"
+
+
+def test_no_folder_has_more_than_16_modules():
+    for folder in {path.parent for path in MODULES.values()}:
+        count = sum(path.name != "__init__.py" for path in folder.glob("*.py"))
+        assert count <= 16, f"{folder} has {count} modules"
 
 
 def loaded_after(code):
@@ -132,9 +189,9 @@ def test_importing_navbake_loads_none_of_its_dependencies():
 def test_the_run_time_loads_no_baker():
     code = "import navbake\nnavbake.load, navbake.SceneGrid2D, navbake.MultiLevelGrid"
     code += "\nnavbake.VoxelGrid, navbake.load_voxels, navbake.ExploredMap"
-    loaded = loaded_after(code + "\nimport navbake.info, navbake.islands, navbake.plot")
-    assert "navbake.grid" in loaded
-    assert loaded.isdisjoint(["mujoco", "fcl", "trimesh", "navbake.bake.pipeline"])
+    loaded = loaded_after(code + "\nimport navbake.views.info, navbake.views.plot")
+    assert "navbake.navgrid.grid" in loaded
+    assert loaded.isdisjoint(["mujoco", "fcl", "trimesh", "navbake.baker.pipeline"])
 
 
 def test_the_run_time_starts_without_what_its_first_question_needs():
@@ -143,7 +200,9 @@ def test_the_run_time_starts_without_what_its_first_question_needs():
 
 
 def test_help_loads_no_baker():
-    code = "import navbake.cli\ntry: navbake.cli.main(['bake', '--help'])\nexcept SystemExit: pass"
+    code = (
+        "from navbake.cli.main import main\ntry: main(['bake', '--help'])\nexcept SystemExit: pass"
+    )
     assert loaded_after(code).isdisjoint(["mujoco", "fcl", "trimesh", "numba", "scipy"])
 
 
@@ -155,11 +214,6 @@ def test_all_public_names_are_there():
         _ = navbake.nonsense
 
 
-def test_bake_is_both_a_package_and_a_function():
-    code = """
-import navbake.bake.pipeline as pipeline
-import navbake
-assert navbake.bake.pipeline is pipeline
-assert callable(navbake.bake)
-"""
-    assert "navbake.bake.pipeline" in loaded_after(code)
+def test_bake_is_a_function():
+    assert loaded_after("import navbake\nassert callable(navbake.bake)")
+    assert type(navbake.bake).__name__ == "function"

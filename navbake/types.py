@@ -1,0 +1,17 @@
+"""Array types by the names that the whole package uses for them."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Bool: TypeAlias = NDArray[np.bool_]
+Float: TypeAlias = NDArray[np.float64]
+Int: TypeAlias = NDArray[np.int64]
+Int32: TypeAlias = NDArray[np.int32]
+"""int32: labels, MuJoCo's ids."""
+Json: TypeAlias = dict[str, Any]
+"""A JSON object."""
+Vector3: TypeAlias = tuple[float, float, float]
