@@ -1,6 +1,6 @@
 """Draws the pictures of the README and of docs/ from the sample scenes.
 
-    python scripts/make_pictures.py [NAME…]
+python scripts/make_pictures.py [NAME…]
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The sample scenes bake into what they always did, byte for byte; a change shows where, in text."""
+"""The sample scenes bake into what they always did, byte for byte; a change shows where."""
 
 from __future__ import annotations
 

@@ -135,7 +135,7 @@ def test_next_to_an_object(apartment):
         rows, cols = np.divmod(carriers, apartment.width)
         _, row, col = path.cells[-1]
         assert np.hypot(rows - row, cols - col).min() * 0.1 <= 1.1
-    # these are over furniture that is wider than an agent reaches
+    # all that is beside these is occupied, too
     assert out_of_reach == {"dining_lamp", "television", "wall_cabinet"}
     assert len(names) == 49
 
