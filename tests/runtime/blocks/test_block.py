@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from navbake.errors import QueryError
+from navbake.navgrid.cells import Cells
 from navbake.navgrid.islands import add_layers, clearance, find_islands, islands_of
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.paths.search import Search
-from navbake.runtime.places.locate import Cells
 from oracles.ways import make_level, random_grid, stack
 
 
