@@ -189,7 +189,8 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
     from navbake.formats.navgrid import read_navgrid
     from navbake.views.info import describe
 
-    facts = describe(read_navgrid(grid))
+    content = read_navgrid(grid)
+    facts = describe(content)
     if as_json:
         _print_json(facts)
         return
@@ -197,7 +198,7 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
 
     tables = [fact_table(facts), level_table(facts)]
     if facts["doors"]:
-        tables.append(door_table(facts["doors"], [level["name"] for level in facts["levels"]]))
+        tables.append(door_table(content.doors, [level["name"] for level in facts["levels"]]))
     print_tables(*tables)
 
 
