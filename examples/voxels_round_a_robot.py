@@ -23,7 +23,7 @@ for x, y in ((-2.0, -2.6), (0.5, 0.5), (3.0, 1.8)):
     print(f"robot at ({x}, {y}): {np.count_nonzero(near.values)} voxels, {1e3 * took:.0f} ms")
     print(f"  in reach: {', '.join(names)}")
 
-# Another pose: voxels follow, and nothing is loaded anew.
+# Another pose: voxels follow, and nothing is loaded again.
 doorway = (2.6, 1.5, 1.0)
 for angle in (0.0, 1.2):
     voxelizer.set_pose(joints={"door_kitchen": angle})
