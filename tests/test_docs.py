@@ -29,7 +29,7 @@ LINK = re.compile(r"\]\(([^)\s]+)\)")
 SPAN = re.compile(r"`([^`\n]+)`")
 NAME = re.compile(r"(?<![\w./])navbake(?:\.\w+)+")
 PROJECT_PATH = re.compile(r"(?:navbake|configs|docs|examples|scripts|tests)/[\w./-]*")
-each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 
 
 def blocks_of(page: Path, *languages: str) -> list[str]:
