@@ -29,8 +29,9 @@ def take_versions(baked, kept) -> None:
     """
     baked.timings = {}
     same_mujoco = baked.navbake["mujoco"] == kept.navbake["mujoco"]
-    for key in ("version", "mujoco", *(() if same_mujoco else ("sceneDigest",))):
-        baked.navbake[key] = kept.navbake[key]
+    keys = ("version", "mujoco") if same_mujoco else ("version", "mujoco", "sceneDigest")
+    for one in (baked, *baked.levels):
+        one.navbake.update({key: kept.navbake[key] for key in keys})
 
 
 def describe_change(kept, baked) -> str | None:
