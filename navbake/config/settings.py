@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -21,20 +22,21 @@ from pydantic import (
     field_validator,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from navbake.config.errors import describe_errors
-from navbake.config.fields import (
+from navbake.config.field_types import (
     FilePath,
     Flag,
     Name,
     NotNegative,
     Number,
+    OptionalName,
     Positive,
     Section,
     Settings,
     check_distinct,
     expects,
+    refusal,
     resolve,
     setting,
     to_path,
@@ -147,8 +149,7 @@ class AgentSettings(Settings):
     def _check_below_height(cls, value: float, info: ValidationInfo) -> float:
         height = info.data.get("height")
         if height is not None and value >= height:
-            text = f"a number >= 0 and < `agent.height` ({height:g})"
-            raise PydanticCustomError("expected", "expected {text}", {"text": text})
+            raise refusal(f"a number >= 0 and < `agent.height` ({height:g})")
         return value
 
 
@@ -174,17 +175,14 @@ class LevelSettings(Settings):
     top: Annotated[float | None, expects("a number > ground, or null")] = setting(
         None, "height where it ends [m], > ground", "the next level's ground"
     )
-    name: Annotated[Name | None, expects("text that is not empty, or null")] = setting(
-        None, "its name, or null"
-    )
+    name: OptionalName = setting(None, "its name, or null")
 
     @field_validator("top")
     @classmethod
     def _check_above_ground(cls, value: float | None, info: ValidationInfo) -> float | None:
         ground = info.data.get("ground")
         if value is not None and ground is not None and value <= ground:
-            text = f"a number > `ground` ({ground:g}), or null"
-            raise PydanticCustomError("expected", "expected {text}", {"text": text})
+            raise refusal(f"a number > `ground` ({ground:g}), or null")
         return value
 
 
@@ -232,19 +230,15 @@ def _check_ascending(levels: list[LevelSettings]) -> list[LevelSettings]:
     names: set[str] = set()
     for index, level in enumerate(levels):
         if level.name in names:
-            found = {"text": "no name twice", "got": f'"{level.name}"', "at": f"[{index}].name"}
-            raise PydanticCustomError("expected", "expected {text}", found)
+            raise refusal("no name twice", got=f'"{level.name}"', at=f"[{index}].name")
         names |= {level.name} if level.name else set()
-    for index in range(1, len(levels)):
-        below, level = levels[index - 1], levels[index]
+    for index, (below, level) in enumerate(itertools.pairwise(levels)):
         if level.ground <= below.ground:
             text = f"a ground above that of the level before ({below.ground:g})"
-            found = {"text": text, "got": f"{level.ground:g}", "at": f"[{index}].ground"}
-            raise PydanticCustomError("expected", "expected {text}", found)
+            raise refusal(text, got=f"{level.ground:g}", at=f"[{index + 1}].ground")
         if below.top is not None and below.top > level.ground:
             text = f"a top up to the next level's ground ({level.ground:g})"
-            found = {"text": text, "got": f"{below.top:g}", "at": f"[{index - 1}].top"}
-            raise PydanticCustomError("expected", "expected {text}", found)
+            raise refusal(text, got=f"{below.top:g}", at=f"[{index}].top")
     return levels
 
 
