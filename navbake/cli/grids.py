@@ -15,17 +15,18 @@ from navbake.cli.printing import print_json
 
 def info(grid: GridFile, as_json: AsJson = False) -> None:
     """Print a summary of a grid: levels, areas, doors, versions."""
-    from navbake.cli.tables import door_table, fact_table, level_table, print_tables
+    from navbake.cli.tables import door_table, level_table, print_tables, summary_table
     from navbake.formats.navgrid import read_navgrid
     from navbake.views.info import describe
 
-    facts = describe(read_navgrid(grid))
+    content = read_navgrid(grid)
+    facts = describe(content)
     if as_json:
         print_json(facts)
         return
-    tables = [fact_table(facts), level_table(facts)]
-    if facts["doors"]:
-        tables.append(door_table(facts["doors"], [level["name"] for level in facts["levels"]]))
+    tables = [summary_table(facts), level_table(facts)]
+    if content.doors:
+        tables.append(door_table(content.doors, content.level_names))
     print_tables(*tables)
 
 
@@ -33,21 +34,18 @@ def rooms(grid: GridFile, as_json: AsJson = False) -> None:
     """List the rooms of a grid, what each opens to, and the doors."""
     from navbake.cli.tables import door_table, print_tables, room_table
     from navbake.formats.navgrid import read_navgrid
-    from navbake.navgrid.doors import list_doors
-    from navbake.navgrid.rooms import describe_rooms
-    from navbake.views.info import level_name
 
     content = read_navgrid(grid)
-    described, doors = describe_rooms(content), list_doors(content)
+    found, doors = content.rooms, content.doors
     if as_json:
-        print_json({"scene_id": content.scene_id, "rooms": described, "doors": doors})
+        tables = {"rooms": [r.to_json() for r in found], "doors": [d.to_json() for d in doors]}
+        print_json({"scene_id": content.scene_id, **tables})
         return
-    names = [level_name(content, number) for number in range(len(content.levels))]
-    print_tables(room_table(described, names))
-    print(f"{len(described)} room{'' if len(described) == 1 else 's'}")
+    print_tables(room_table(found, content.level_names))
+    print(f"{len(found)} room{'' if len(found) == 1 else 's'}")
     if doors:
         print()
-        print_tables(door_table(doors, names))
+        print_tables(door_table(doors, content.level_names))
 
 
 def why(
@@ -62,7 +60,7 @@ def why(
 
     Without a LEVEL, each level that spans the position is printed.
     """
-    from navbake.cli.tables import print_tables, why_table
+    from navbake.cli.tables import cell_table, print_tables
     from navbake.formats.navgrid import read_navgrid
     from navbake.views.why import describe_cell, describe_column
 
@@ -84,7 +82,7 @@ def why(
     if as_json:
         print_json(cells)
     else:
-        print_tables(*(why_table(facts) for facts in cells))
+        print_tables(*(cell_table(facts) for facts in cells))
 
 
 def plot(

@@ -111,16 +111,9 @@ def _parse_position(grid: NavGrid, text: str, option: str) -> list[float]:
 def _to_json(found: paths.Path | None, reason: str | None) -> dict[str, Any]:
     if found is None:
         return {"path": None, "reason": reason}
-    described = {
-        "length": found.length,
-        "cost": found.cost,
-        "rooms": found.rooms,
-        "doors": found.doors,
-        "positions": found.positions.tolist(),
-        "levels": found.levels.tolist(),
-        "cells": found.cells.tolist(),
-    }
-    return {"path": described, "reason": None}
+    described = {key: getattr(found, key) for key in ("length", "cost", "rooms", "doors")}
+    arrays = {key: getattr(found, key).tolist() for key in ("positions", "levels", "cells")}
+    return {"path": described | arrays, "reason": None}
 
 
 def _print_path(found: paths.Path) -> None:

@@ -1,4 +1,7 @@
-"""The settings of a bake, as one validated YAML file: world frame, metres unless it says so."""
+"""The settings of a bake, read from YAML and validated.
+
+Lengths are in metres, positions in the world frame (z up), unless a description says otherwise.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,6 @@ from pydantic import (
     ValidationError,
     ValidationInfo,
     field_validator,
-    model_validator,
 )
 
 from navbake.config.errors import describe_errors
@@ -37,21 +39,14 @@ from navbake.config.field_types import (
     check_distinct,
     expects,
     refusal,
-    resolve,
     setting,
-    to_path,
 )
 from navbake.config.rooms import RoomPolygon, RoomSettings, expand_rooms
+from navbake.config.scene import ExcludeSettings, SceneSettings
 from navbake.config.yaml_text import apply_overrides, read_yaml
 from navbake.errors import ConfigError
 
 YAML_SUFFIXES = (".yaml", ".yml")
-
-
-def _check_id(value: str) -> str:
-    if value in (".", "..") or not value.isprintable() or set(value) & set("/\\"):
-        raise ValueError("no id")
-    return value
 
 
 def _check_bounds(value: list[float]) -> list[float]:
@@ -61,84 +56,13 @@ def _check_bounds(value: list[float]) -> list[float]:
     return value
 
 
-MeshMode = Literal["auto", "hull", "surface"]
-
-ScenePath = Annotated[
-    Path,
-    BeforeValidator(to_path),
-    expects("the path of a scene file"),
-    AfterValidator(resolve),
-]
-SceneId = Annotated[
-    str,
-    Field(min_length=1),
-    AfterValidator(_check_id),
-    expects("text without / and \\ (a number needs quotes)"),
-]
-
-
-class ExcludeSettings(Settings):
-    """What is left out of the scene, by patterns as the shell has them (``*``, ``?``, ``[…]``)."""
-
-    bodies: list[Name] = setting(
-        [], "body name patterns (*, ?, [...]); what hangs on a body goes too"
-    )
-    geoms: list[Name] = setting([], "geom name patterns")
-    movable: Flag = setting(False, "true: leave out bodies with a free joint; or false")
-
-
-class SceneSettings(Settings):
-    """The scene, what of it counts, and its pose."""
-
-    id: SceneId = setting("", "the scene's id, without / and \\", "the scene file's stem")
-    path: ScenePath = Field(
-        description="MJCF, MJB, URDF, OBJ, PLY, STL, GLB or DAE, relative to this file; no default"
-    )
-    up: Annotated[Literal["z", "y"], expects("z or y")] = setting(
-        "z", "axis that points up in mesh files: z or y"
-    )
-    unit: Positive = setting(1.0, "the unit of mesh files [m], > 0")
-    geoms: Annotated[
-        Literal["auto", "collision", "visual", "all"],
-        expects("auto, collision, visual or all"),
-    ] = setting("auto", "auto (what can collide, or else all), collision, visual, all")
-    meshes: Annotated[
-        Annotated[MeshMode, expects("auto, hull, surface or {pattern: one of these}"), Tag("=one")]
-        | Annotated[
-            dict[Name, Annotated[MeshMode, expects("auto, hull or surface")]], Tag("=each")
-        ],
-        Discriminator(lambda value: "=each" if isinstance(value, dict) else "=one"),
-    ] = setting(
-        "auto",
-        "hull, surface, auto (hull if it can collide), or {name pattern: hull}",
-    )
-    exclude: Annotated[ExcludeSettings, Section] = Field(
-        default_factory=ExcludeSettings, description="what is left out, by pattern (*, ?, [...])"
-    )
-    keyframe: Annotated[
-        str | Annotated[int, Field(ge=0)] | None, expects("a keyframe's name or index, or null")
-    ] = setting(None, "pose: a keyframe's name, or index >= 0, or null")
-    joints: dict[Name, Annotated[float | list[float], expects("a number or a list of numbers")]] = (
-        setting({}, "pose on top of it: {joint name: position [m or rad], or a list}")
-    )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _take_id_from_path(cls, data: Any) -> Any:
-        if isinstance(data, Mapping) and data.get("id") is None:
-            path = data.get("path")
-            stem = Path(path).stem if isinstance(path, str | PathLike) else ""
-            return {**data, "id": stem or "scene"}
-        return data
-
-
 class AgentSettings(Settings):
     """The agent that must fit where it stands."""
 
     height: Positive = setting(1.14, "height of the agent [m], > 0")
     radius: NotNegative = setting(0.05, "radius of its footprint [m], >= 0")
     traversable_floor_height: NotNegative = setting(
-        0.25, "highest step, lowest obstacle [m], >= 0, < height"
+        0.25, "highest step; what is lower is no obstacle [m], >= 0, < height"
     )
     max_slope: Annotated[
         float, Field(ge=0, le=89.9), expects("a number of degrees from 0 to 89.9")
@@ -162,7 +86,7 @@ class GridSettings(Settings):
         | None,
         expects("[x_min, y_min, x_max, y_max] with min < max, or null"),
     ] = setting(None, "[x_min, y_min, x_max, y_max] of a part [m], or null")
-    margin: NotNegative = setting(0.0, "what is added on each side [m], >= 0")
+    margin: NotNegative = setting(0.0, "added on each side [m], >= 0")
     max_cells: Annotated[int, Field(ge=1), expects("a whole number >= 1")] = setting(
         25_000_000, "refuse more cells than this, >= 1"
     )
@@ -187,10 +111,10 @@ class LevelSettings(Settings):
 
 
 class FloorSettings(Settings):
-    """Which standable sheets are floors, and not furniture."""
+    """Which surfaces that one can stand on are floors, and which are furniture."""
 
-    min_area: NotNegative = setting(1.0, "what a floor has at least, once shrunk [m2], >= 0")
-    shrink: NotNegative = setting(0.3, "how far floors are shrunk for that [m], >= 0")
+    min_area: NotNegative = setting(1.0, "smallest area of a floor, after shrinking [m2], >= 0")
+    shrink: NotNegative = setting(0.3, "distance to shrink floors by for that [m], >= 0")
     tops: Flag = setting(
         False, "keep large tops of what stands on a floor (beds, blocks): true or false"
     )
@@ -202,7 +126,7 @@ class NameSettings(Settings):
 
     enabled: Flag = setting(True, "write them: true or false")
     walls: list[Name] = setting(
-        [], "body, geom or mesh name patterns of walls", "[], which tells walls by their shape"
+        [], "body, geom or mesh name patterns of walls", "[], which finds walls by their shape"
     )
 
 
@@ -214,16 +138,16 @@ def _switch_names(value: Any) -> Any:
 
 
 class DoorSettings(Settings):
-    """Doors, and the state that the grid has them in."""
+    """Which bodies are doors, and the state in which they are baked."""
 
-    patterns: list[Name] = setting([], "doors, by patterns of body names (*, ?, [...])")
+    patterns: list[Name] = setting([], "body name patterns of doors (*, ?, [...])")
     find: Flag = setting(
-        True, "find doors between rooms by their looks (one hinge or slide): true or false"
+        True, "find doors between rooms by shape and joint (one hinge or slide): true or false"
     )
     state: Annotated[
         Literal["modelled", "open", "closed", "removed"],
         expects("modelled, open, closed or removed"),
-    ] = setting("modelled", "of all doors: modelled, open, closed or removed")
+    ] = setting("modelled", "state of all doors: modelled, open, closed or removed")
 
 
 def _check_ascending(levels: list[LevelSettings]) -> list[LevelSettings]:
@@ -246,7 +170,7 @@ class BakeConfig(Settings):
     """All settings of a bake."""
 
     scene: Annotated[SceneSettings, Section] = Field(
-        description="the scene, what of it counts, and its pose"
+        description="the scene, which of its geoms count, and its pose"
     )
     agent: Annotated[AgentSettings, Section] = Field(
         default_factory=AgentSettings, description="the agent that must fit where it stands"
@@ -280,10 +204,10 @@ class BakeConfig(Settings):
     )
     rooms: Annotated[RoomSettings, BeforeValidator(expand_rooms)] = Field(
         default_factory=RoomSettings,
-        description="what tells rooms apart; `rooms: auto` for doors alone, none for no rooms",
+        description="how rooms are told apart; `rooms: auto` divides at doors only, none: no rooms",
     )
     doors: Annotated[DoorSettings, Section] = Field(
-        default_factory=DoorSettings, description="what moves between rooms"
+        default_factory=DoorSettings, description="which bodies are doors, and their state"
     )
     attributes: Annotated[
         list[Literal["island", "clearance"]],
@@ -301,7 +225,7 @@ def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Bak
     Args:
         path: a file that ends in .yaml or .yml, whose `scene.path` is relative to it; anything
             else is taken for a scene.
-        overrides: ``a.b=value`` each, laid over the file's settings.
+        overrides: each ``a.b=value`` replaces the file's setting.
 
     Raises:
         ConfigError: no such YAML file, no YAML, or a setting that is missing, unknown, of the
@@ -319,12 +243,12 @@ def parse_config(
     overrides: Sequence[str] = (),
     folder: str | PathLike[str] = "",
 ) -> BakeConfig:
-    """Validate settings that were read already.
+    """Validate settings that are nested mappings already.
 
     Args:
         data: nested mappings, as the YAML has them.
         source: where they come from, for messages.
-        overrides: ``a.b=value`` each, laid over the data.
+        overrides: each ``a.b=value`` replaces a setting of the data.
         folder: what `scene.path` is relative to.
 
     Raises:
@@ -353,7 +277,7 @@ def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> B
 
 
 def settings_digest(config: BakeConfig) -> str:
-    """Hash what influences the result: all settings but `output`, `scene.path`, `grid.max_cells`.
+    """Hash the settings that change cells: all but `output`, `scene.path`, `grid.max_cells`.
 
     Returns:
         sha256 of the settings as canonical JSON, 64 hex digits.
@@ -381,4 +305,4 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "rooms.polygons": RoomPolygon,
     "names": NameSettings,
 }
-"""The model of each mapping whose keys are known, by its dotted key."""
+"""The model of each section, by its dotted key."""
