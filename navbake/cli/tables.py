@@ -155,8 +155,9 @@ def _table(
 ) -> Table:
     table = Table(box=None, pad_edge=False, padding=(0, gap, 0, 0))
     for heading in headings:
-        justify = "right" if heading in numbers else "left"
-        table.add_column(heading, justify=justify, overflow="fold")
+        table.add_column(
+            heading, justify="right" if heading in numbers else "left", overflow="fold"
+        )
     for row in rows:
         table.add_row(*row)
     return table
