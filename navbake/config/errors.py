@@ -85,6 +85,7 @@ def _unknown_key(loc: tuple[int | str, ...], sections: Mapping[str, type[BaseMod
     """Name the nearest known key: of the same section first, then of all."""
     section = ".".join(p for p in loc[:-1] if isinstance(p, str))
     known = {key: f"{section}.{key}".lstrip(".") for key in _keys(sections[section])}
+    # reversed, so that of sections with a key in common the first one is named
     elsewhere = {
         key: f"{name}.{key}".lstrip(".")
         for name, model in reversed(list(sections.items()))

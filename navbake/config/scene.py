@@ -69,6 +69,7 @@ class SceneSettings(Settings):
         Literal["auto", "collision", "visual", "all"],
         expects("auto, collision, visual or all"),
     ] = setting("auto", "auto (those that can collide, or all if none can), collision, visual, all")
+    # The tags let pydantic check one branch of the union, so that an error speaks of that one only.
     meshes: Annotated[
         Annotated[MeshMode, expects("auto, hull, surface or {pattern: one of these}"), Tag("=one")]
         | Annotated[

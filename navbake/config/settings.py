@@ -178,6 +178,7 @@ class BakeConfig(Settings):
     grid: Annotated[GridSettings, Section] = Field(
         default_factory=GridSettings, description="the cells"
     )
+    # The tags let pydantic check one branch of the union, so that an error speaks of that one only.
     levels: Annotated[
         Annotated[
             Literal["auto"],
@@ -256,6 +257,7 @@ def parse_config(
     """
     if not isinstance(data, Mapping):
         raise ConfigError(f"expected a mapping of settings in {source}: `scene: {{path: …}}`")
+    # null stands for a section's defaults: so what a file without `scene` lacks is `scene.path`
     data = {"scene": None, **apply_overrides(data, overrides)}
     try:
         return BakeConfig.model_validate(data, context={"folder": folder})
