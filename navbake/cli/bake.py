@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from navbake.baker.pipeline import BakeResult
     from navbake.config.settings import BakeConfig
 
-# Functions import the baker and the settings when they run: --help loads no MuJoCo, no pydantic.
+# Functions import the baker and the settings when they run: --help loads neither MuJoCo nor numpy.
 
 
 def bake(

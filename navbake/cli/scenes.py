@@ -10,7 +10,7 @@ from typer import Argument, Option
 from navbake.cli.options import AsJson, Overrides, SceneOrConfig
 from navbake.cli.printing import print_json, print_warnings
 
-# Functions import what reads scenes when they run: --help loads no MuJoCo, no pydantic.
+# Functions import what reads scenes when they run: --help loads neither MuJoCo nor numpy.
 
 
 def init(

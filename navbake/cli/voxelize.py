@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 # Functions import the voxelizer and the formats when they run: --help loads no MuJoCo, no numpy.
 
-Triple = tuple[float, float, float]
+Triple = tuple[float, float, float]  # navbake.types would load numpy
 OCTREES = (".bt", ".ot")
 SUFFIXES = (".binvox", *OCTREES, ".npz")
 
