@@ -58,7 +58,7 @@ def warm_up() -> None:
 
     with StageProgress(title="compiling") as progress:
         compile_all(progress)
-    print("compiled; what follows starts at once")
+    print("compiled: bakes and queries start at once from now on")
 
 
 def tell_if_cold() -> None:
