@@ -78,8 +78,8 @@ def is_warm() -> bool:
 def compile_all(progress: Callable[[str, float], None]) -> None:
     """Compile what a bake, the run time and voxel grids need, and keep it on disk.
 
-    numba keeps it beside the package, or where ``NUMBA_CACHE_DIR`` says. It is compiled anew for
-    another version of navbake or numba, and for another processor.
+    numba keeps it beside the package, or in ``NUMBA_CACHE_DIR``. It is compiled again for another
+    version of navbake or numba, and for another processor.
 
     Args:
         progress: is called with the name of each part, and 0 and 1 as it begins and ends.

@@ -125,7 +125,8 @@ def _figure_size(
     width: float, height: float, num_levels: int, num_layers: int
 ) -> tuple[float, float]:
     scale = PANEL_INCHES / max(width, height)
-    panel_width = max(width * scale, MIN_PANEL_INCHES) + 0.9  # inches for labels
+    # the constants are inches for the labels of axes, the title and the legend
+    panel_width = max(width * scale, MIN_PANEL_INCHES) + 0.9
     panel_height = max(height * scale, MIN_PANEL_INCHES) + 0.8
     total = panel_height * num_levels + 0.8
     return num_layers * panel_width + 0.8, min(total, MAX_FIGURE_INCHES)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -> Json:
-    """Tell what a grid knows of the cell at a position.
+    """Describe the cell at a position.
 
     Args:
         grid: the grid.
@@ -27,7 +27,7 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
         (world z [m], None for none), ``free``, ``occupied``, ``weight`` (None for infinite),
         ``room`` (its entry in the grid's `rooms`, else its index, None for none), ``island``
         (from 1, the largest; None where it isn't free), ``doors``, ``objects``, ``walls``: names
-        of what stands in the cell; ``blockers``: names of what blocks it, where the file tells.
+        of what stands in the cell; ``blockers``: names of what blocks it, as far as the file has them.
 
     Raises:
         QueryError: there is no such level, or the position is no number or beside the grid.
@@ -61,13 +61,13 @@ def _describe(grid: NavGrid, place: Place) -> Json:
         "room": _room(grid, number, int(level.room_index[row, col])),
         "island": place.island,
         **names,
-        # a file lists blockers where they are not all that stands in the cell
+        # a file lists blockers only where they differ from all that stands in the cell
         "blockers": [] if place.free else _names_at(entry, "blockers") or standing,
     }
 
 
 def describe_column(grid: NavGrid, x: float, y: float) -> list[Json]:
-    """Tell what a grid knows of a position on each level that spans it.
+    """Describe the cells at a position, one on each level that spans it.
 
     Args:
         grid: the grid.
