@@ -27,7 +27,8 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
         (world z [m], None for none), ``free``, ``occupied``, ``weight`` (None for infinite),
         ``room`` (its entry in the grid's `rooms`, else its index, None for none), ``island``
         (from 1, the largest; None where it isn't free), ``doors``, ``objects``, ``walls``: names
-        of what stands in the cell; ``blockers``: names of what blocks it, as far as the file has them.
+        of what stands in the cell; ``blockers``: names of what blocks it, as far as the file
+        states them.
 
     Raises:
         QueryError: there is no such level, or the position is no number or beside the grid.
