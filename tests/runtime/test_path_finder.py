@@ -222,8 +222,7 @@ def assert_paths_stay_free(finder, rng, count):
     Returns how many of the random places are joined by a path: all on one island are.
     """
     found = 0
-    walk = finder.search.walk
-    for a, b in walk.positions(rng.choice(np.flatnonzero(walk.free), (count, 2))):
+    for a, b in finder.random_point(rng, 2 * count).reshape(count, 2, 3):
         jitter = rng.uniform(-0.049, 0.049, (2, 2))
         a[:2], b[:2] = a[:2] + jitter[0], b[:2] + jitter[1]
         path = finder.find_path(a, b)
@@ -274,9 +273,8 @@ def test_paths_keep_the_radius_that_a_grid_was_inflated_for(seed, radius, smooth
     grid.attributes["occupancy"] = (~free).astype(np.uint8)
     finder = PathFinder(grid.inflate(radius))
     squares = grid.lattice.positions(*np.nonzero(~free))
-    cells = np.flatnonzero(finder.search.walk.free)
     nearest, found = np.inf, 0
-    for a, b in finder.search.walk.positions(rng.choice(cells, (40, 2))):
+    for a, b in finder.random_point(rng, 80).reshape(40, 2, 3):
         a[:2], b[:2] = a[:2] + rng.uniform(-0.04, 0.04, 2), b[:2] + rng.uniform(-0.04, 0.04, 2)
         path = finder.find_path(a, b, smooth=smooth)
         assert (path is not None) == finder.same_island(a, b)
