@@ -1,7 +1,7 @@
 """Arrays as NavGrid files hold them: JSON lists, raw or run-length encoded, one value a cell.
 
 Run-length encoding is ``[value, count, value, count, …]``. JSON has neither NaN nor Infinity;
-both are ``null`` there. `Place` words the errors of the whole format.
+both are ``null`` there. `JsonPath` words the errors of the whole format.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from navbake.formats.json_path import MISSING, Place, shown
+from navbake.formats.json_path import MISSING, JsonPath, shown
 from navbake.formats.values import whole_number
 from navbake.navgrid.attributes import datatype_name
 
@@ -63,7 +63,7 @@ class Allowance:
         )
         return cls(MAX_CELLS, MAX_CELLS, min(values, VALUES_PER_CELL * MAX_CELLS), rule)
 
-    def take_cells(self, num_cells: int, place: Place) -> None:
+    def take_cells(self, num_cells: int, place: JsonPath) -> None:
         """Count a level's cells, or refuse them."""
         if num_cells > self.cells:
             place.fail(
@@ -73,7 +73,7 @@ class Allowance:
             )
         self.cells -= num_cells
 
-    def take_values(self, num_values: int, place: Place) -> None:
+    def take_values(self, num_values: int, place: JsonPath) -> None:
         """Count an array's values, or refuse them."""
         if num_values > self.values:
             why, remedy = self.rule
@@ -83,7 +83,7 @@ class Allowance:
 
 def decode_array(
     value: object,
-    place: Place,
+    place: JsonPath,
     *,
     num_cells: int,
     allowance: Allowance,
@@ -134,7 +134,7 @@ def decode_array(
     return _cast(data, data_place, 1, dtype, null)
 
 
-def encode_array(array: NDArray[Any], place: Place) -> bytes:
+def encode_array(array: NDArray[Any], place: JsonPath) -> bytes:
     """Write an array as the JSON list of its runs.
 
     NaN and infinities become ``null``, -0.0 becomes 0, whole floats lose their ".0", and a
@@ -174,7 +174,7 @@ def _dump(array: NDArray[Any]) -> bytes:
     return orjson.dumps(array, option=orjson.OPT_SERIALIZE_NUMPY)
 
 
-def _read_datatype(value: dict[str, Any], place: Place, default: object) -> np.dtype[Any]:
+def _read_datatype(value: dict[str, Any], place: JsonPath, default: object) -> np.dtype[Any]:
     """Find the dtype: what the array states, else the metadata, else float64."""
     own = [key for key in ("datatype", "dataType") if value.get(key) is not None]
     stated = value[own[0]] if own else default
@@ -188,7 +188,7 @@ def _read_datatype(value: dict[str, Any], place: Place, default: object) -> np.d
 
 
 def _check_length(
-    value: dict[str, Any], place: Place, num_cells: int, allowance: Allowance
+    value: dict[str, Any], place: JsonPath, num_cells: int, allowance: Allowance
 ) -> None:
     if value.get("length") is not None:
         length = whole_number(value["length"], place["length"], 0)
@@ -200,7 +200,7 @@ def _check_length(
 
 
 def _decode_runs(
-    data: list[Any], place: Place, num_cells: int, dtype: np.dtype[Any], null: float
+    data: list[Any], place: JsonPath, num_cells: int, dtype: np.dtype[Any], null: float
 ) -> NDArray[Any]:
     if len(data) % 2:
         place.fail(f"expected pairs of value and count, got an odd number ({len(data)}) of entries")
@@ -216,7 +216,7 @@ def _decode_runs(
 
 
 def _refuse_cover(
-    data: list[Any], total: NDArray[np.float64], place: Place, num_cells: int
+    data: list[Any], total: NDArray[np.float64], place: JsonPath, num_cells: int
 ) -> NoReturn:
     """Say where runs end that don't end at the last cell."""
     over = total > num_cells
@@ -230,7 +230,7 @@ def _refuse_cover(
 
 
 def _cast(
-    data: list[Any], place: Place, step: int, dtype: np.dtype[Any], null: float
+    data: list[Any], place: JsonPath, step: int, dtype: np.dtype[Any], null: float
 ) -> NDArray[Any]:
     """Turn every step-th entry into the dtype; where one does not fit, say which."""
     kinds = (int, float, type(None)) if dtype.kind == "f" else (int, float)
@@ -251,7 +251,7 @@ def _cast(
 
 def _to_float64(
     entries: list[Any],
-    place: Place,
+    place: JsonPath,
     step: int,
     offset: int,
     expected: str,

@@ -36,7 +36,7 @@ def shown(value: object) -> str:
 
 
 @dataclass(frozen=True)
-class Place:
+class JsonPath:
     """A place in a file, which errors name.
 
     Attributes:
@@ -47,14 +47,14 @@ class Place:
     file: str
     path: str = ""
 
-    def __getitem__(self, key: str | int) -> Place:
+    def __getitem__(self, key: str | int) -> JsonPath:
         if isinstance(key, int):
             step = f"[{key}]"
         elif key.isidentifier():
             step = f".{key}" if self.path else key
         else:
             step = f"[{shown(key)}]"
-        return Place(self.file, self.path + step)
+        return JsonPath(self.file, self.path + step)
 
     def fail(self, what: str, remedy: str = "") -> NoReturn:
         """Raise a FormatError that says what is wrong, where, and what helps."""

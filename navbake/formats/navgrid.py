@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from navbake.errors import FormatError
 from navbake.files import write_whole
 from navbake.formats.arrays import Allowance, decode_array, encode_array
-from navbake.formats.json_path import MISSING, Place
+from navbake.formats.json_path import MISSING, JsonPath
 from navbake.formats.source import Source, path_name, read_source, reason
 from navbake.formats.user_data import encode_user_data, parse_file, read_user_data
 from navbake.formats.values import json_object, number, plain, vector, whole_number
@@ -100,7 +100,7 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
         FormatError: NaN or infinity outside of arrays, a dtype that the format has not, or
             something in the metadata, user data or extra fields that JSON has not.
     """
-    top = Place("the grid to be written")
+    top = JsonPath("the grid to be written")
     if isinstance(grid, SceneGrid2D):
         fields = _level_fields(grid, top, grid.metadata)
     else:
@@ -122,7 +122,7 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
 # Reading
 
 
-def _read_levels(content: Json, top: Place, allowance: Allowance) -> MultiLevelGrid:
+def _read_levels(content: Json, top: JsonPath, allowance: Allowance) -> MultiLevelGrid:
     grids = content.get("grids", MISSING)
     if not isinstance(grids, list) or not grids:
         top["grids"].refuse("a list of at least one level", grids)
@@ -148,7 +148,7 @@ def _read_levels(content: Json, top: Place, allowance: Allowance) -> MultiLevelG
     return grid
 
 
-def _check_own(grid: NavGrid, top: Place) -> NavGrid:
+def _check_own(grid: NavGrid, top: JsonPath) -> NavGrid:
     """Check what navbake itself adds to the metadata: links, rooms, doors."""
     try:
         _ = grid.link_array, grid.doors, grid.stated_rooms
@@ -158,7 +158,7 @@ def _check_own(grid: NavGrid, top: Place) -> NavGrid:
 
 
 def _read_level(
-    content: Json, place: Place, allowance: Allowance, inherited: Json, metadata: Json
+    content: Json, place: JsonPath, allowance: Allowance, inherited: Json, metadata: Json
 ) -> SceneGrid2D:
     own_metadata = _read_metadata(content, place) or metadata
     width = whole_number(content.get("width", MISSING), place["width"], 1)
@@ -183,14 +183,14 @@ def _read_level(
     )
 
 
-def _inherit(content: Json, key: str, inherited: Json, default: object, place: Place) -> float:
+def _inherit(content: Json, key: str, inherited: Json, default: object, place: JsonPath) -> float:
     value = content.get(key)
     if value is None:
         value = inherited.get(key, default)
     return float(number(value, place[key], positive=True))
 
 
-def _read_metadata(content: Json, place: Place) -> Json:
+def _read_metadata(content: Json, place: JsonPath) -> Json:
     metadata = _optional(content, "metadata", place)
     place = place["metadata"]
     _optional(metadata, "navbake", place)
@@ -207,7 +207,7 @@ def _read_metadata(content: Json, place: Place) -> Json:
 
 
 def _read_attributes(
-    content: Json, place: Place, width: int, height: int, allowance: Allowance, metadata: Json
+    content: Json, place: JsonPath, width: int, height: int, allowance: Allowance, metadata: Json
 ) -> dict[str, NDArray[Any]]:
     types = {entry["name"]: entry.get("type") for entry in metadata.get("cellAttributes") or []}
     stored = content.get("tileAttributes")
@@ -226,7 +226,7 @@ def _read_attributes(
 
 def _read_weights(
     content: Json,
-    place: Place,
+    place: JsonPath,
     width: int,
     height: int,
     allowance: Allowance,
@@ -250,7 +250,7 @@ def _read_weights(
     return weights
 
 
-def _read_bbox(content: Json, place: Place) -> tuple[Vector3, Vector3] | None:
+def _read_bbox(content: Json, place: JsonPath) -> tuple[Vector3, Vector3] | None:
     place = place["bbox"]
     value = content.get("bbox")
     if value is None:
@@ -262,20 +262,20 @@ def _read_bbox(content: Json, place: Place) -> tuple[Vector3, Vector3] | None:
     )
 
 
-def _optional(content: Json, key: str, place: Place) -> Json:
+def _optional(content: Json, key: str, place: JsonPath) -> Json:
     """Read an object that may be missing or null."""
     value = content.get(key)
     return {} if value is None else json_object(plain(value, place[key]), place[key])
 
 
-def _unknown(content: Json, known: tuple[str, ...], place: Place) -> Json:
+def _unknown(content: Json, known: tuple[str, ...], place: JsonPath) -> Json:
     return {key: plain(content[key], place[key]) for key in content if key not in known}
 
 
 # Writing
 
 
-def _level_fields(grid: SceneGrid2D, place: Place, metadata: Json | None) -> Json:
+def _level_fields(grid: SceneGrid2D, place: JsonPath, metadata: Json | None) -> Json:
     fields: Json = {"type": "SceneGrid2D"}
     if metadata is not None:
         fields["metadata"] = _metadata(grid, place)
@@ -303,7 +303,7 @@ def _level_fields(grid: SceneGrid2D, place: Place, metadata: Json | None) -> Jso
 
 
 def _runs(
-    grid: SceneGrid2D, array: NDArray[Any], place: Place, datatype: str | None = None
+    grid: SceneGrid2D, array: NDArray[Any], place: JsonPath, datatype: str | None = None
 ) -> Json:
     if array.shape != grid.shape:
         place.fail(f"expected shape (height, width) = {grid.shape}, got {array.shape}")
@@ -312,7 +312,7 @@ def _runs(
     return {"type": "array", **stated, "length": array.size, "encoding": "rle", "data": data}
 
 
-def _metadata(grid: NavGrid, place: Place) -> Json:
+def _metadata(grid: NavGrid, place: JsonPath) -> Json:
     """The grid's metadata with ``cellAttributes`` of the arrays that are there."""
     place = place["metadata"]
     _optional(grid.metadata, "navbake", place)
@@ -331,14 +331,14 @@ def _own_metadata(grid: MultiLevelGrid, number: int) -> Json | None:
     return None if same else level.metadata
 
 
-def _extra(extra: Json, known: tuple[str, ...], place: Place) -> Json:
+def _extra(extra: Json, known: tuple[str, ...], place: JsonPath) -> Json:
     for key in known:
         if key in extra:
             place[key].fail("extra fields can't stand in for one of the format's own")
     return {key: plain(extra[key], place[key]) for key in extra}
 
 
-def _dump(fields: Json, top: Place) -> bytes:
+def _dump(fields: Json, top: JsonPath) -> bytes:
     try:
         return orjson.dumps(fields, option=orjson.OPT_SERIALIZE_NUMPY)  # for np.float64 alone
     except orjson.JSONEncodeError as error:  # an integer of over 64 bits, half a surrogate

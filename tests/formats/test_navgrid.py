@@ -19,11 +19,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from differences import first_difference
 from navbake.errors import FormatError
 from navbake.formats import arrays
 from navbake.formats import source as file_source
 from navbake.formats.navgrid import dumps_navgrid, read_navgrid, write_navgrid
-from navbake.navgrid.differences import first_difference
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 
 INF, NAN = np.inf, np.nan

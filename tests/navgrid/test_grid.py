@@ -8,8 +8,8 @@ import re
 import numpy as np
 import pytest
 
+from differences import difference_map, first_difference
 from navbake.errors import FormatError
-from navbake.navgrid.differences import difference_map, first_difference
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 
 INF, NAN = np.inf, np.nan
