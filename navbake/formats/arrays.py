@@ -1,7 +1,7 @@
 """Arrays as NavGrid files hold them: JSON lists, raw or run-length encoded, one value a cell.
 
 Run-length encoding is ``[value, count, value, count, …]``. JSON has neither NaN nor Infinity;
-both are ``null`` there. `JsonPath` words the errors of the whole format.
+both are ``null`` there.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from navbake.formats.json_path import MISSING, JsonPath, shown
 from navbake.formats.values import whole_number
 from navbake.navgrid.attributes import datatype_name
+from navbake.types import Float, Json
 
 DATATYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
 MAX_CELLS = 100_000_000
@@ -26,7 +27,7 @@ VALUES_PER_BYTE = 256  # house-100 at 0.05 m without names has 5
 
 @dataclass
 class Allowance:
-    """What a file may still fill memory with; it shrinks as its arrays are read.
+    """A limit on the memory that reading a file takes; what is read is subtracted.
 
     Attributes:
         max_cells: how many cells all levels together may have.
@@ -42,12 +43,12 @@ class Allowance:
 
     @classmethod
     def of_file(cls, num_bytes: int, max_cells: int | None) -> Allowance:
-        """What a file may fill memory with.
+        """The limit for a file.
 
-        Runs may be as long as they like, so a short file can claim any number of values. One
-        may have `FREE_VALUES` whatever its size, and `VALUES_PER_BYTE` more for each of its
-        bytes; files that navbake bakes stay far below. A caller who sets `max_cells` has
-        thought of that: then only `VALUES_PER_CELL` times that number counts.
+        Runs have any length, so a short file can claim any number of values. A file may have
+        `FREE_VALUES`, and `VALUES_PER_BYTE` more for each of its bytes; files that navbake bakes
+        stay far below. If the caller gives `max_cells`, only `VALUES_PER_CELL` times that number
+        limits the values.
 
         Args:
             num_bytes: length of its JSON.
@@ -174,7 +175,7 @@ def _dump(array: NDArray[Any]) -> bytes:
     return orjson.dumps(array, option=orjson.OPT_SERIALIZE_NUMPY)
 
 
-def _read_datatype(value: dict[str, Any], place: JsonPath, default: object) -> np.dtype[Any]:
+def _read_datatype(value: Json, place: JsonPath, default: object) -> np.dtype[Any]:
     """Find the dtype: what the array states, else the metadata, else float64."""
     own = [key for key in ("datatype", "dataType") if value.get(key) is not None]
     stated = value[own[0]] if own else default
@@ -187,9 +188,7 @@ def _read_datatype(value: dict[str, Any], place: JsonPath, default: object) -> n
     return np.dtype(name)
 
 
-def _check_length(
-    value: dict[str, Any], place: JsonPath, num_cells: int, allowance: Allowance
-) -> None:
+def _check_length(value: Json, place: JsonPath, num_cells: int, allowance: Allowance) -> None:
     if value.get("length") is not None:
         length = whole_number(value["length"], place["length"], 0)
         if length > allowance.max_cells:
@@ -215,10 +214,8 @@ def _decode_runs(
     return np.repeat(_cast(data, place, 2, dtype, null), counts.astype(np.int64))
 
 
-def _refuse_cover(
-    data: list[Any], total: NDArray[np.float64], place: JsonPath, num_cells: int
-) -> NoReturn:
-    """Say where runs end that don't end at the last cell."""
+def _refuse_cover(data: list[Any], total: Float, place: JsonPath, num_cells: int) -> NoReturn:
+    """Raise for runs that don't end at the last cell; name the run that goes too far, if any."""
     over = total > num_cells
     if not over.any():
         covered = int(total[-1]) if total.size else 0
@@ -232,7 +229,7 @@ def _refuse_cover(
 def _cast(
     data: list[Any], place: JsonPath, step: int, dtype: np.dtype[Any], null: float
 ) -> NDArray[Any]:
-    """Turn every step-th entry into the dtype; where one does not fit, say which."""
+    """Turn every step-th entry into the dtype; raise for the first that does not fit."""
     kinds = (int, float, type(None)) if dtype.kind == "f" else (int, float)
     values = _to_float64(data[::step], place, step, 0, f"a value of {dtype}", kinds)
     if dtype.kind == "f":
@@ -256,7 +253,7 @@ def _to_float64(
     offset: int,
     expected: str,
     kinds: tuple[type, ...],
-) -> NDArray[np.float64]:
+) -> Float:
     """Turn a list of numbers and None (NaN) into an array; entry i stands at offset + i * step."""
     if not set(map(type, entries)) <= set(kinds):  # bool is no int here
         index = next(i for i, entry in enumerate(entries) if type(entry) not in kinds)

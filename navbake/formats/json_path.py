@@ -1,4 +1,4 @@
-"""Places in a file, and how errors name them and word what is there instead."""
+"""Locations in a JSON file, and how errors name them and show what is there."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MISSING = _Missing()
 
 
 def shown(value: object) -> str:
-    """Word a value for an error: on one line, short however long the value is."""
+    """Format a value for an error message: short, on one line."""
     if isinstance(value, _Missing):
         return "nothing"
     if isinstance(value, list | tuple):
@@ -37,7 +37,7 @@ def shown(value: object) -> str:
 
 @dataclass(frozen=True)
 class JsonPath:
-    """A place in a file, which errors name.
+    """A location in a file, as errors name it.
 
     Attributes:
         file: the file's name.

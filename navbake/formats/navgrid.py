@@ -17,14 +17,14 @@ import orjson
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
-from navbake.files import write_whole
 from navbake.formats.arrays import Allowance, decode_array, encode_array
+from navbake.formats.bytes_file import write_bytes
 from navbake.formats.json_path import MISSING, JsonPath
-from navbake.formats.source import Source, path_name, read_source, reason
+from navbake.formats.source import Source, read_source
 from navbake.formats.user_data import encode_user_data, parse_file, read_user_data
 from navbake.formats.values import json_object, number, plain, vector, whole_number
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
-from navbake.types import Json, Vector3
+from navbake.types import Float, Json, Vector3
 
 SCENE_FIELDS = (
     *("type", "metadata", "weights", "userData", "tileAttributes", "width", "height"),
@@ -68,8 +68,7 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
 def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
     """Write a NavGrid file, gzipped if its name ends in ``.gz``; the same grid, the same bytes.
 
-    The file is there as a whole or not at all: it is written under another name in the same
-    folder and then renamed.
+    The file is there as a whole or not at all.
 
     Raises:
         FormatError: the grid holds what the format can't, or the path can't be written.
@@ -80,13 +79,7 @@ def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
         with gzip.GzipFile("", "wb", compresslevel=6, fileobj=packed, mtime=0) as file:
             file.write(data)
         data = packed.getvalue()
-    try:
-        write_whole(data, path)
-    except (OSError, ValueError) as error:  # ValueError: a path with a NUL
-        why = reason(error)
-        if isinstance(error, FileNotFoundError):
-            why = f"there is no folder {path_name(os.path.dirname(os.path.realpath(path)))}"
-        raise FormatError(f"cannot write {path_name(path)}: {why}") from error
+    write_bytes(data, path)
 
 
 def dumps_navgrid(grid: NavGrid) -> bytes:
@@ -149,7 +142,7 @@ def _read_levels(content: Json, top: JsonPath, allowance: Allowance) -> MultiLev
 
 
 def _check_own(grid: NavGrid, top: JsonPath) -> NavGrid:
-    """Check what navbake itself adds to the metadata: links, rooms, doors."""
+    """Check navbake's part of the metadata: links, rooms, doors."""
     try:
         _ = grid.link_array, grid.doors, grid.stated_rooms
     except FormatError as error:
@@ -231,7 +224,7 @@ def _read_weights(
     height: int,
     allowance: Allowance,
     attributes: dict[str, NDArray[Any]],
-) -> NDArray[np.float64]:
+) -> Float:
     if content.get("weights") is not None:
         read = decode_array(
             content["weights"],
@@ -322,9 +315,9 @@ def _metadata(grid: NavGrid, place: JsonPath) -> Json:
 
 
 def _own_metadata(grid: MultiLevelGrid, number: int) -> Json | None:
-    """The metadata that a level can't take over from the whole, None if it can.
+    """A level's metadata, None where it takes over those of the whole when it is read.
 
-    It can't where an attribute of its own is of another dtype than on a level below.
+    It does not where one of its attributes has another dtype than on a level below.
     """
     level, described = grid.grids[number], grid.cell_attributes
     same = grid.takes_over(number, level) and all(e in described for e in level.cell_attributes)

@@ -1,7 +1,7 @@
 """OctoMap trees: voxels as octrees, ``.bt`` (occupied, free, unknown) and ``.ot`` (log-odds).
 
-A tree has depth 16; a voxel's key is ``floor(coordinate / res) + 32768`` along each axis, so a
-grid lies on whole multiples of its edge and within 32768 of them round the world's origin.
+A tree has depth 16; a voxel's key is ``floor(coordinate / res) + 32768`` along each axis. So the
+corners of voxels are multiples of `res`, at most 32768 of them from the world's origin.
 Children that are equal are pruned. Files are the same, byte for byte, as OctoMap's own.
 
 Source: OctoMap 1.9 (`AbstractOcTree.cpp`, `OccupancyOcTreeBase.hxx`): the header's lines, the
@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
-from navbake.formats.bytes_file import read_bytes, write_bytes
+from navbake.formats.bytes_file import read_bytes, read_header, write_bytes
+from navbake.types import Int, Int32
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import check_memory
 
@@ -29,7 +30,6 @@ DEPTH = 16
 CENTER = 2 ** (DEPTH - 1)  # key of the world's origin
 FIRST_LINES = {"bt": "# Octomap OcTree binary file", "ot": "# Octomap OcTree file"}
 COMMENT = "# (feel free to add / change comments, but leave the first line as it is!)\n#"
-HEADER_LIMIT = 65536  # longest header [bytes]
 OFF = 1e-3  # of a voxel: what a grid may lie off the tree's lattice
 
 # OctoMap's clamping thresholds: the log-odds of what is certainly free or occupied
@@ -79,9 +79,7 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     return header.encode() + nodes.tobytes()
 
 
-def _build_pyramid(
-    grid: VoxelGrid, first: NDArray[np.int64], free: bool
-) -> tuple[NDArray[np.uint8], ...]:
+def _build_pyramid(grid: VoxelGrid, first: Int, free: bool) -> tuple[NDArray[np.uint8], ...]:
     """The states of all nodes over the grid, from the voxels up to the root."""
     from navbake.formats.kernels.octree import join_states, state_voxels
 
@@ -98,7 +96,7 @@ def _build_pyramid(
     return tuple(levels)
 
 
-def _first_key(grid: VoxelGrid) -> NDArray[np.int64]:
+def _first_key(grid: VoxelGrid) -> Int:
     """The tree's key of the first voxel along each axis."""
     place = np.array(grid.origin) / grid.res
     whole = np.round(place)
@@ -175,7 +173,7 @@ def decode_octomap(data: bytes, source: str, *, bounds: ArrayLike | None = None)
     )
 
 
-def _read_leaves(data: bytes, header: _Header, source: str) -> tuple[NDArray[np.int32], list[str]]:
+def _read_leaves(data: bytes, header: _Header, source: str) -> tuple[Int32, list[str]]:
     from navbake.formats.kernels.octree import TOO_DEEP, read_odds, read_tree
 
     nodes = np.frombuffer(data, dtype=np.uint8, offset=header.end)
@@ -202,7 +200,7 @@ def _read_leaves(data: bytes, header: _Header, source: str) -> tuple[NDArray[np.
     return leaves, []
 
 
-def _box_leaves(leaves: NDArray[np.int32]) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
+def _box_leaves(leaves: Int32) -> tuple[Int, tuple[int, int, int]]:
     """The keys that leaves cover: the first along each axis, and how many."""
     if not len(leaves):
         return np.full(3, CENTER), (1, 1, 1)
@@ -212,7 +210,7 @@ def _box_leaves(leaves: NDArray[np.int32]) -> tuple[NDArray[np.int64], tuple[int
     return first, (nx, ny, nz)
 
 
-def _box_keys(bounds: ArrayLike, res: float) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
+def _box_keys(bounds: ArrayLike, res: float) -> tuple[Int, tuple[int, int, int]]:
     try:
         box = np.asarray(bounds, dtype=np.float64)
     except (TypeError, ValueError):
@@ -234,29 +232,15 @@ def _box_keys(bounds: ArrayLike, res: float) -> tuple[NDArray[np.int64], tuple[i
 
 
 def _read_header(data: bytes, source: str) -> _Header:
-    start, _, _ = data[:200].partition(b"\n")
-    first = start.decode("ascii", errors="replace").strip()
+    first = data[:200].partition(b"\n")[0].decode("ascii", errors="replace").strip()
     kind = next((kind for kind, line in FIRST_LINES.items() if first == line), None)
     if kind is None:
         raise FormatError(f"expected an OctoMap file (bt or ot), got {source}")
-    fields: dict[str, str] = {}
-    place = len(start) + 1
-    while True:
-        end = data.find(b"\n", place, HEADER_LIMIT)
-        if end < 0:
-            raise FormatError(f"no line `data` ends the header of {source}")
-        line = data[place:end].decode("ascii", errors="replace").strip()
-        place = end + 1
-        if line == "data":
-            break
-        if line and not line.startswith("#"):
-            name, _, value = line.partition(" ")
-            fields[name] = value.strip()
+    lines, end = read_header(data, source)
+    fields = {name: " ".join(words) for name, words in lines.items()}
     if fields.get("id") != "OcTree":
         raise FormatError(f"expected a tree of id OcTree in {source}, got {fields.get('id')!r}")
-    return _Header(
-        kind, int(_number(fields, "size", source)), _number(fields, "res", source), place
-    )
+    return _Header(kind, int(_number(fields, "size", source)), _number(fields, "res", source), end)
 
 
 def _number(fields: dict[str, str], name: str, source: str) -> float:

@@ -43,8 +43,8 @@ def path_name(path: str | os.PathLike[str]) -> str:
     return name if name.isprintable() else repr(name)
 
 
-def reason(error: Exception) -> str:
-    """What the system says about an error, without its number."""
+def os_message(error: Exception) -> str:
+    """The operating system's message of an error, without its number."""
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
@@ -58,7 +58,7 @@ def _open(source: Source) -> Iterator[tuple[BinaryIO, str]]:
             with open(source, "rb") as file:
                 yield file, os.fspath(source)
         except (OSError, ValueError) as error:  # ValueError: a path with a NUL
-            raise FormatError(f"cannot read {path_name(source)}: {reason(error)}") from error
+            raise FormatError(f"cannot read {path_name(source)}: {os_message(error)}") from error
     else:
         yield source, str(getattr(source, "name", "the stream given"))
 
@@ -85,11 +85,11 @@ def _unpack(packed: bytes, top: JsonPath) -> bytes:
             _check_head(head, top)
             return _read_rest(head, unpacked, limit, top)
     except (EOFError, OSError, zlib.error) as error:
-        raise FormatError(f"broken gzip data in {top.file}: {reason(error)}") from error
+        raise FormatError(f"broken gzip data in {top.file}: {os_message(error)}") from error
 
 
 def _check_head(head: bytes, top: JsonPath) -> None:
-    """Turn away what is no JSON object before the rest is read; a device has no end."""
+    """Refuse what does not begin like a JSON object before reading on: a device never ends."""
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")
     if not head:
         top.fail("expected a NavGrid JSON object, got nothing")

@@ -126,7 +126,7 @@ def find_spans(content: bytes) -> list[tuple[int, int]]:
     return spans
 
 
-def _separates_entries(text: NDArray[np.uint8], closing: NDArray[np.int64]) -> bool:
+def _separates_entries(text: NDArray[np.uint8], closing: Int) -> bool:
     """Whether the next entry's cell id follows on each of these brackets."""
     is_digit = text[closing + 3] - np.uint8(ord("0")) < 10  # uint8: below 0 wraps around
     follows = (text[closing + 1] == ord(",")) & (text[closing + 2] == ord('"')) & is_digit

@@ -32,7 +32,7 @@ def json_object(value: object, place: JsonPath) -> Json:
 
 
 def number(value: object, place: JsonPath, *, positive: bool = False) -> float:
-    """Check a finite number; the whole ones come back as int, as they look best in JSON."""
+    """Check a finite number; whole ones become int, so that JSON has no .0."""
     expected = "a number > 0" if positive else "a finite number"
     if isinstance(value, bool | np.bool_) or not isinstance(
         value, int | float | np.integer | np.floating

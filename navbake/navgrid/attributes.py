@@ -1,4 +1,4 @@
-"""What a file says of the attributes that cells have."""
+"""Describes the attributes of cells, as ``metadata.cellAttributes`` does."""
 
 from __future__ import annotations
 

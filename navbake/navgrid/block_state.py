@@ -1,9 +1,8 @@
-"""Who blocks the cells of a level for a while, and what was there before.
+"""The blocks of a level: how many hold each cell, and what the cells hold without them.
 
-Blocks may overlap, so each cell counts who blocks it. The level's own weights and occupancy change
-with the blocks, and its clearance if it has that layer, in the touched window only. Who keeps
-something that follows from them, as a `PathFinder` does, asks for the windows that changed since
-it last looked.
+Blocks may overlap, so they are counted. The level's own weights and occupancy change with the
+blocks, and its clearance if it has that layer, in the touched window only. A reader that keeps
+what follows from them, like a `PathFinder`, asks for the windows that changed since it last asked.
 """
 
 from __future__ import annotations
@@ -33,18 +32,18 @@ Window = tuple[int, int, int, int]
 """First and last row, first and last column, the last ones excluded."""
 
 CHANGING = {"occupancy", "clearance"}  # attributes that are changed in place
-MAX_JOURNAL = 1024  # changes that a level remembers; who missed more looks at all of it
+MAX_JOURNAL = 1024  # changes that a level remembers; a reader that missed more reads all of it
 
 
 class BlockState:
-    """Who blocks the cells of one level, and what was there before.
+    """The blocks of one level: how many hold each cell, and what the cells hold without them.
 
     Making one gives the level arrays of its own, because blocks write to them in place.
 
     Attributes:
         count: how many blocks hold a cell, by layer and cell id, uint16.
-        weights: what the cells weigh when nobody blocks them, by cell id.
-        occupancy: likewise; None if the level has no such layer of its own.
+        weights: what the cells weigh without blocks, by cell id.
+        occupancy: of the cells without blocks, by cell id; None if the level has no such layer.
         revision: how many times something changed.
     """
 
@@ -164,7 +163,7 @@ def _measure_again(level: SceneGrid2D, window: Window, farthest: float) -> None:
 
 
 def _to_blocked(free: Bool, open_edges: tuple[tuple[bool, bool], tuple[bool, bool]]) -> Float:
-    """Distances to the nearest cell that isn't free, which all beyond closed edges are."""
+    """Distances to the nearest cell that isn't free; beyond closed edges, no cell is."""
     from scipy.ndimage import distance_transform_edt  # only grids with clearance need scipy
 
     pad = [tuple(int(not is_open) for is_open in edge) for edge in open_edges]

@@ -119,7 +119,7 @@ def position_of(grid: GridBase, cells: Cell | Cells) -> Float:
 
 
 def check_cells(cells: Cell | Cells) -> Cells:
-    """Refuse what are no cells; whether the grid has them is not looked at.
+    """Check the form of cells; whether the grid has them is not checked.
 
     Args:
         cells: level, row and column, whole numbers or arrays of them.
@@ -140,7 +140,7 @@ def check_cells(cells: Cell | Cells) -> Cells:
 
 
 def check_positions(positions: ArrayLike, num_levels: int, level: int | None = None) -> Float:
-    """Refuse what are no positions.
+    """Check the form of positions.
 
     Args:
         positions: world x, y, z [m], shape (..., 3); (..., 2) on one level or a given one.
@@ -176,7 +176,7 @@ def check_positions(positions: ArrayLike, num_levels: int, level: int | None = N
 
 
 def check_level(level: int | None, num_levels: int) -> None:
-    """Refuse a level that there is not.
+    """Raise for an unknown level.
 
     Raises:
         QueryError: there is none of this number.

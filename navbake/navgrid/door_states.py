@@ -1,7 +1,7 @@
 """The same grid with its doors in other states.
 
-A file states what each door blocks in each state, and nothing else does. So another state needs no
-scene and no new bake.
+A file states for each door and state the cells that only this door blocks. So another state needs
+no scene and no new bake.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
     """The same grid with doors in other states; see `SceneGrid2D.with_doors`."""
     if "inflation" in grid.metadata:
         raise QueryError(
-            f"{grid.scene_id!r} was inflated with its doors as they were: change them on the grid "
-            "as it was baked, then inflate that"
+            f"{grid.scene_id!r} was inflated: change doors on the grid as it was baked, then "
+            "inflate the result"
         )
     if not isinstance(states, str | Mapping):
         raise QueryError(f"expected a state, or states by door, got {states!r}")
@@ -53,7 +53,7 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
 
 
 def _check_state(name: str, state: str, doors: Mapping[str, Door], scene_id: str | None) -> None:
-    """Refuse a door that there is not, and a state that it hasn't."""
+    """Raise for an unknown door, or a state that the door can't be in."""
     if name not in doors:
         near = get_close_matches(name, doors, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
@@ -125,7 +125,8 @@ def _doors_by_cell(
 ) -> tuple[dict[int, set[str]], dict[int, set[str]]]:
     """The doors that each cell is in, and those that block it.
 
-    Among the former are all cells that a door blocks in any state, as it may have been in that.
+    The former has all cells that a door blocks in any state, most with no door at all: the user
+    data may be from that state.
     """
     names: dict[int, set[str]] = {}
     standing: dict[int, set[str]] = {}
@@ -141,7 +142,7 @@ def _doors_by_cell(
 
 
 def _without_doors(entry: Json, ids: set[str]) -> Json:
-    """A cell's user data without doors; what blocks a door's cell is a door as well."""
+    """A cell's user data without doors, and without blockers: they may name a door."""
     if "doors" not in entry:
         return entry
     kept = {key: value for key, value in entry.items() if key not in ("doors", "blockers")}

@@ -144,7 +144,7 @@ class SceneGrid2D(GridBase):
         """The floor's Y [file units], shape (height, width), float32, NaN for no floor.
 
         A file without ``floorHeight`` has its floor at the ground height, where weights are
-        finite. What is not the attribute's own array is read-only.
+        finite. The array is read-only unless it is the attribute itself.
         """
         stored = self.attributes.get("floorHeight")
         if stored is None:
@@ -156,7 +156,7 @@ class SceneGrid2D(GridBase):
         """1 where something stands in the agent's way, shape (height, width), uint8.
 
         A file without ``occupancy`` is occupied where weights are infinite; one that keeps it
-        in another dtype, where it is not 0. What is not the attribute's own array is read-only.
+        in another dtype, where it is not 0. Read-only unless it is the attribute itself.
         """
         stored = self.attributes.get("occupancy")
         if stored is None:
@@ -167,8 +167,8 @@ class SceneGrid2D(GridBase):
     def room_index(self) -> NDArray[np.uint16]:
         """The room of each cell from 1, 0 for none, shape (height, width), uint16.
 
-        A file without ``roomIndex`` has no rooms; in one that keeps it in another dtype, what
-        uint16 can't hold is no room. What is not the attribute's own array is read-only.
+        A file without ``roomIndex`` has no rooms; in one that keeps it in another dtype, values
+        beyond uint16 are no room. Read-only unless it is the attribute itself.
         """
         stored = self.attributes.get("roomIndex")
         if stored is None:
@@ -224,7 +224,7 @@ class MultiLevelGrid(GridBase):
 
 
 def _derived(array: NDArray[Any]) -> NDArray[Any]:
-    """Lock an array that is no part of the grid, so that nobody writes to it in vain."""
+    """Make a computed array read-only: writing to it would not change the grid."""
     array.flags.writeable = False
     return array
 

@@ -49,8 +49,8 @@ def find_islands(grid: GridBase) -> list[Int32]:
 def islands_of(grid: GridBase) -> list[Int32]:
     """The islands as the file has them, or else as `find_islands` finds them, kept for next time.
 
-    Only what navbake wrote is believed, and only while nothing is blocked: in others' files
-    ``island`` may mean anything.
+    A stored layer ``island`` is used only in files that navbake wrote, and only while nothing is
+    blocked: in files of other programs it may mean anything.
 
     Args:
         grid: a grid of one or several levels.
@@ -74,7 +74,7 @@ def islands_of(grid: GridBase) -> list[Int32]:
 
 
 def _digest(grid: GridBase) -> bytes:
-    """What the islands follow from, in short: grids can be written to."""
+    """A hash of all that the islands depend on, because a grid's arrays can be written to."""
     digest = blake2b(repr((step_limit(grid), grid.link_array.tolist())).encode())
     for level in grid.levels:
         digest.update(np.packbits(level.free).tobytes())
@@ -113,7 +113,7 @@ def step_limit(grid: GridBase) -> float:
 
 
 def add_layers(grid: GridBase, names: Iterable[str]) -> None:
-    """Write further layers into a grid, anew where it has them already.
+    """Compute layers and store them in a grid, in place of those that it has.
 
     Args:
         grid: changed in place.

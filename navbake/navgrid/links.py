@@ -57,7 +57,7 @@ def parse_links(stated: Any, num_cells: Sequence[int]) -> Int:
         if bad.any():
             number = int(np.argmax(bad))
             raise FormatError(
-                f"expected a {name} that there is, got {stated_links[number, column]:.0f} "
+                f"expected an existing {name}, got {stated_links[number, column]:.0f} "
                 f"in link {number} {where}"
             )
     links = stated_links.astype(np.int64)

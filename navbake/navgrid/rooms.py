@@ -112,7 +112,7 @@ def _parse(entry: Any, where: str, num_levels: int) -> Room:
         if not isinstance(entry.get(key), kinds) or isinstance(entry.get(key), bool):
             raise FormatError(f"expected {kinds[0].__name__} at `{where}.{key}`")
     if not 0 <= entry["level"] < num_levels or entry["index"] < 1:
-        raise FormatError(f"expected a level and an index that there are at `{where}`")
+        raise FormatError(f"expected a level of the grid and an index >= 1 at `{where}`")
     if len(entry["centroid"]) != 3 or not all(type(v) in (int, float) for v in entry["centroid"]):
         raise FormatError(f"expected [x, y, z] at `{where}.centroid`")
     x, y, z = entry["centroid"]

@@ -1,4 +1,4 @@
-"""What a file keeps for single cells: read, or made, when somebody asks for it.
+"""User data of cells: parsed, or made, when somebody asks for them.
 
 Names of what stands in each cell make up most of a grid's file, and few who load a grid ask for
 them. Many cells share what they have, too. So `UserData` holds them as they came, unread or shared,
@@ -20,7 +20,7 @@ from navbake.types import Int, Json
 
 @contextmanager
 def collector_off() -> Iterator[None]:
-    """Keep the garbage collector from looking through all that is made, over and over."""
+    """Pause the garbage collector while many objects are made: it would scan them repeatedly."""
     was_on = gc.isenabled()
     gc.disable()
     try:
@@ -47,7 +47,7 @@ class Shared(NamedTuple):
     Attributes:
         cells: cell ids, ascending, shape (n,), int64.
         number: which entry each cell has, shape (n,), int64.
-        entries: the entries; nobody may change them.
+        entries: the entries; they must not be modified.
     """
 
     cells: Int
@@ -118,13 +118,13 @@ class UserData(MutableMapping[int, Json]):
     def __repr__(self) -> str:
         return f"UserData({self._cells!r})" if self.is_read else "UserData(<not read yet>)"
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> Json:
         return {"_source": self.source}  # a function that makes them may hold a whole bake
 
     def find(self, cells: Int) -> list[Json]:
         """The entries of some cells, shape (n,), int64; an empty one where a cell has none.
 
-        Nobody may change them, so what is shared stays so.
+        They must not be modified, because cells share them.
         """
         if not isinstance(self.source, Shared):
             return [self._cells.get(cell, {}) for cell in cells.tolist()]
@@ -140,8 +140,8 @@ class UserData(MutableMapping[int, Json]):
         """The same with other entries in some cells, by ascending cell id.
 
         Args:
-            changed: entries by cell id; nobody may change them. Cells whose entry is empty drop
-                out.
+            changed: entries by cell id; they must not be modified. Cells whose entry is empty
+                drop out.
         """
         if not isinstance(self.source, Shared):
             merged = {**self._cells, **changed}

@@ -1,4 +1,4 @@
-"""Between voxels and navigation grids: a band of heights as a plan, a level as voxels."""
+"""Converts voxels to a floor plan over a band of heights, and a level to voxels."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def plan_of(
     """A navigation grid of a level floor, from the voxels above it.
 
     A cell is blocked where a voxel reaches into the band from `step` to `height` over the floor.
-    Nothing is said of holes in the floor: voxels don't tell what one can stand on.
+    Holes in the floor are not detected, because voxels don't show where an agent can stand.
 
     Args:
         voxels: the voxels.
