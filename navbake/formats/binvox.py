@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
-from navbake.formats.bytes_file import read_bytes, read_header, write_bytes
+from navbake.formats.bytes_file import read_bytes, read_header
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import check_memory, check_three
 
@@ -56,33 +56,19 @@ class Header:
 # ---------------------------------------------------------------- writing
 
 
-def write_binvox(
-    grid: VoxelGrid,
-    path: str | PathLike[str],
-    *,
-    layout: Literal["binvox", "airsim"] = "binvox",
-    mapping: Mapping[int, int] | Literal["compact"] | None = None,
-) -> None:
-    """Write a binvox file: version 1 for voxels without IDs, version 2 for voxels with IDs.
-
-    Args:
-        grid: the voxels.
-        path: the file.
-        layout: ``airsim`` for that of AirSim's simCreateVoxelGrid. It can't say where the grid
-            is; its reader has to know.
-        mapping: what to write for each ID, 0 to 255; ``compact`` numbers the IDs that occur
-            again from 1, in their order. The result of `with_mapping` has the IDs as written.
-
-    Raises:
-        FormatError: there are IDs above 255, or the mapping isn't to 0 … 255.
-    """
-    write_bytes(encode_binvox(with_mapping(grid, mapping), layout), path)
-
-
 def with_mapping(
     grid: VoxelGrid, mapping: Mapping[int, int] | Literal["compact"] | None
 ) -> VoxelGrid:
-    """The grid with the IDs that binvox is to hold, see `write_binvox`."""
+    """The grid with the IDs that binvox is to hold.
+
+    Args:
+        grid: the voxels.
+        mapping: what to write for each ID, 0 to 255; ``compact`` numbers the IDs that occur
+            from 1, in their order.
+
+    Raises:
+        FormatError: the mapping isn't to 0 … 255, or leaves an ID out that occurs.
+    """
     if not grid.is_segmented or mapping is None:
         return grid
     present = grid.ids()
@@ -105,7 +91,16 @@ def with_mapping(
 
 
 def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox") -> bytes:
-    """A binvox file's bytes, see `write_binvox`."""
+    """Encode a binvox file: version 1 for voxels without IDs, version 2 for voxels with IDs.
+
+    Args:
+        grid: the voxels, see `with_mapping`.
+        layout: ``airsim`` for that of AirSim's simCreateVoxelGrid. It can't say where the grid
+            is; its reader has to know.
+
+    Raises:
+        FormatError: there are IDs above 255.
+    """
     from navbake.formats.kernels.runs import encode_runs
 
     values = _as_bytes(grid)
@@ -151,7 +146,7 @@ def _text(value: float) -> str:
 
 
 def read_binvox(
-    path: str | PathLike[str],
+    source: str | PathLike[str] | bytes,
     *,
     layout: Layout = "auto",
     position: ArrayLike = (0.0, 0.0, 0.0),
@@ -164,7 +159,7 @@ def read_binvox(
     segmenting simulators write it.
 
     Args:
-        path: the file.
+        source: a path, or a file's content.
         layout: how it is laid out; ``auto`` detects AirSim's by its inverted scale, and notes it
             in the grid's notes.
         position: what AirSim was asked for, world frame [m]: its files don't say. Its own frame
@@ -178,34 +173,23 @@ def read_binvox(
     """
     if layout not in LAYOUTS:
         raise FormatError(f"expected layout {', '.join(LAYOUTS)}, got {layout!r}")
-    return decode_binvox(read_bytes(path), str(path), layout=layout, position=position, res=res)
-
-
-def decode_binvox(
-    data: bytes,
-    source: str,
-    *,
-    layout: Layout = "auto",
-    position: ArrayLike = (0.0, 0.0, 0.0),
-    res: float | None = None,
-) -> VoxelGrid:
-    """Read a binvox file's bytes, see `read_binvox`; `source` names them in messages."""
-    header = _read_header(data, source)
+    data, name = read_bytes(source)
+    header = _read_header(data, name)
     nx, nz, ny = header.dim
     check_memory((nx, ny, nz), 1)
     is_airsim = layout == "airsim" or (layout == "auto" and _looks_like_airsim(header))
     values = np.zeros((nx, ny, nz), dtype=np.uint8)
     order = values[:, ::-1].transpose(1, 2, 0) if is_airsim else values.transpose(0, 2, 1)
-    _fill(order, data, header, source)
+    _fill(order, data, header, name)
     notes = []
     if header.version == 1 and values.max() > 1:
-        notes.append(f"{source} is of version 1 and has values above 1: read as IDs")
+        notes.append(f"{name}: version 1 with values above 1, read as IDs")
     elif header.version == 1:
         values = values.view(np.bool_)
     if not is_airsim:
         edge = header.scale / max(header.dim)
         return VoxelGrid(values=values, origin=header.translate, res=edge, notes=notes)
-    edge, assumed = _airsim_edge(header, res, source)
+    edge, assumed = _airsim_edge(header, res, name)
     first = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * edge  # its middle
     center = check_three(position, "the position to be x, y, z [m]")
     low = center + first - edge / 2
@@ -226,7 +210,7 @@ def _airsim_edge(header: Header, res: float | None, source: str) -> tuple[float,
     if not edge > 0:
         raise FormatError(f"expected a negative `translate` in AirSim's layout in {source}")
     assumed = (
-        f"{source} is laid out as AirSim writes it (scale {header.scale:g} is 1 / size): read as "
+        f"{source}: laid out as AirSim writes it (scale {header.scale:g} is 1 / size): read as "
         f"north, east, up, voxels of {edge:g} m"
     )
     if res is None and edges.max() > edge * (1 + NEAR):

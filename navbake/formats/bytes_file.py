@@ -13,16 +13,21 @@ from navbake.formats.source import os_message, path_name
 HEADER_LIMIT = 65536  # longest header, comments included [bytes]
 
 
-def read_bytes(path: str | PathLike[str]) -> bytes:
-    """Read a file whole.
+def read_bytes(source: str | PathLike[str] | bytes) -> tuple[bytes, str]:
+    """Read a file whole, if it isn't given already.
+
+    Returns:
+        The file's content, and its name for messages.
 
     Raises:
         FormatError: it can't be read.
     """
+    if isinstance(source, bytes):
+        return source, "the bytes given"
     try:
-        return Path(path).read_bytes()
+        return Path(source).read_bytes(), str(source)
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL
-        raise FormatError(f"cannot read {path_name(path)}: {os_message(error)}") from error
+        raise FormatError(f"cannot read {path_name(source)}: {os_message(error)}") from error
 
 
 def write_bytes(data: bytes, path: str | PathLike[str]) -> None:

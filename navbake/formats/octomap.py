@@ -14,14 +14,13 @@ import math
 from dataclasses import dataclass
 from functools import partial
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
-from navbake.formats.bytes_file import read_bytes, read_header, write_bytes
+from navbake.formats.bytes_file import read_bytes, read_header
 from navbake.types import Int, Int32
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import check_memory
@@ -39,23 +38,17 @@ FREE_ODDS, OCCUPIED_ODDS = (math.log(p / (1 - p)) for p in (0.1192, 0.971))
 # ---------------------------------------------------------------- writing
 
 
-def write_octomap(grid: VoxelGrid, path: str | PathLike[str], *, free: bool = False) -> None:
-    """Write an octree, a ``.bt`` or ``.ot`` by the path's suffix.
+def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
+    """Encode an octree.
 
     Args:
         grid: the voxels; IDs count as occupied. It must lie on whole multiples of its edge.
-        path: the file.
+        kind: ``bt`` or ``ot``.
         free: voxels that are known and not occupied are free; else they are unknown.
 
     Raises:
         FormatError: the grid doesn't lie on the tree's lattice, or reaches beyond it.
     """
-    kind = Path(path).suffix.lower().removeprefix(".")
-    write_bytes(encode_octomap(grid, kind, free=free), path)
-
-
-def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
-    """The bytes of an octree file of kind ``bt`` or ``ot``, see `write_octomap`."""
     from navbake.formats.kernels.octree import write_odds, write_tree
 
     if kind not in FIRST_LINES:
@@ -133,29 +126,27 @@ class _Header:
     end: int
 
 
-def read_octomap(path: str | PathLike[str], *, bounds: ArrayLike | None = None) -> VoxelGrid:
+def read_octomap(
+    source: str | PathLike[str] | bytes, *, bounds: ArrayLike | None = None
+) -> VoxelGrid:
     """Read an octree of class OcTree, ``.bt`` or ``.ot``.
 
     The grid covers all space that is known, occupied or free; `VoxelGrid.known` says which
     voxels are. Log-odds of 0 and more are occupied.
 
     Args:
-        path: the file.
+        source: a path, or a file's content.
         bounds: read only this box, (2, 3), lower and upper corner, world frame [m].
 
     Raises:
         FormatError: it is no such file, or broken.
         ConfigError: the grid would need more memory than there is.
     """
-    return decode_octomap(read_bytes(path), str(path), bounds=bounds)
+    from navbake.formats.kernels.octree import fill_leaves  # numba takes a while to load
 
-
-def decode_octomap(data: bytes, source: str, *, bounds: ArrayLike | None = None) -> VoxelGrid:
-    """Read an octree file's bytes, see `read_octomap`; `source` names them in messages."""
-    from navbake.formats.kernels.octree import fill_leaves
-
-    header = _read_header(data, source)
-    leaves, notes = _read_leaves(data, header, source)
+    data, name = read_bytes(source)
+    header = _read_header(data, name)
+    leaves, notes = _read_leaves(data, header, name)
     if bounds is None:
         first, shape = _box_leaves(leaves)
     else:

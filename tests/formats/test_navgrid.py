@@ -855,7 +855,7 @@ UNWRITABLE = {
     ),
     "a link": (
         make_house(metadata={"navbake": {"links": [0, 0, 0, 6]}}),
-        "cell .* got 6 in link 0",
+        "cell.* got 6 in link 0",
     ),
 }
 
