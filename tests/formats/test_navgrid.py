@@ -450,7 +450,7 @@ CULPRITS = {
     ),
     "a door's state": (with_doors(ajar=[]), r"known state at `.*doors\[0\].cells`"),
     "a door's cells": (with_doors(open=[[0, [5, 2]]]), r"within the grid at `.*cells.open`"),
-    "a link": (house(metadata={"navbake": {"links": [0, 1, 2, 0]}}), "level .* got 2 in link 0"),
+    "a link": (house(metadata={"navbake": {"links": [0, 1, 2, 0]}}), "level.* got 2 in link 0"),
 }
 
 
