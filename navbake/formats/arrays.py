@@ -6,6 +6,7 @@ both are ``null`` there.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -85,9 +86,9 @@ class Allowance:
 def decode_array(
     value: object,
     place: JsonPath,
-    *,
-    num_cells: int,
+    shape: tuple[int, int],
     allowance: Allowance,
+    *,
     default: object = None,
     null: float = np.nan,
 ) -> NDArray[Any]:
@@ -100,13 +101,13 @@ def decode_array(
         value: what the file has: ``{"datatype", "length", "encoding", "data"}``, of which only
             ``data`` must be there; ``dataType`` is taken for ``datatype``.
         place: where in the file.
-        num_cells: the length that it must have, >= 1.
+        shape: (height, width) of the level, one value a cell.
         allowance: what the file may still fill.
         default: the type that the metadata give for it; float64 if they don't either.
         null: what ``null`` stands for in floats; integers have none.
 
     Returns:
-        Shape (num_cells,), in the datatype that the file names.
+        Shape (height, width), in the datatype that the file names.
 
     Raises:
         FormatError: it has another length, or a value that its datatype does not have.
@@ -120,19 +121,19 @@ def decode_array(
         place.refuse("an array", value)
     if value.get("type") not in (None, "array"):
         place["type"].refuse("'array'", value["type"])
-    dtype = _read_datatype(value, place, default)
+    dtype, num_cells = _read_datatype(value, place, default), math.prod(shape)
     _check_length(value, place, num_cells, allowance)
     data = value.get("data", MISSING)
     if not isinstance(data, list):
         data_place.refuse("a list", data)
     encoding = value.get("encoding")
     if encoding == "rle":
-        return _decode_runs(data, data_place, num_cells, dtype, null)
+        return _decode_runs(data, data_place, num_cells, dtype, null).reshape(shape)
     if encoding not in (None, "raw"):
         place["encoding"].refuse("'rle' or 'raw'", encoding)
     if len(data) != num_cells:
         data_place.fail(f"expected {num_cells} values, one a cell, got {len(data)}")
-    return _cast(data, data_place, 1, dtype, null)
+    return _cast(data, data_place, 1, dtype, null).reshape(shape)
 
 
 def encode_array(array: NDArray[Any], place: JsonPath) -> bytes:
@@ -208,6 +209,7 @@ def _decode_runs(
     if bad.any():
         index = 2 * int(np.argmax(bad)) + 1
         place[index].refuse("a count, a whole number >= 0", data[index])
+    # checked before anything of that size is made: counts are as large as a file likes
     total = counts.cumsum()
     if total.size == 0 or total[-1] != num_cells:
         _refuse_cover(data, total, place, num_cells)
@@ -233,6 +235,7 @@ def _cast(
     kinds = (int, float, type(None)) if dtype.kind == "f" else (int, float)
     values = _to_float64(data[::step], place, step, 0, f"a value of {dtype}", kinds)
     if dtype.kind == "f":
+        # JSON has no infinity, so one comes from a number beyond the dtype
         with np.errstate(over="ignore"):
             bad = np.isinf(values.astype(dtype))
     else:

@@ -32,6 +32,9 @@ SCENE_FIELDS = (
 )
 MULTI_FIELDS = ("type", "metadata", "cellSize", "unit", "grids", "timings")
 
+Shape = tuple[int, int]
+Layers = dict[str, NDArray[Any]]
+
 
 def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
     """Read a NavGrid file, plain or gzipped (which its content tells, not its name).
@@ -130,7 +133,7 @@ def _read_levels(content: Json, top: JsonPath, allowance: Allowance) -> MultiLev
         if level.get("type", "SceneGrid2D") != "SceneGrid2D":
             place["type"].refuse("'SceneGrid2D'", level["type"])
         levels.append(_read_level(level, place, allowance, inherited, metadata))
-    grid = MultiLevelGrid(
+    return MultiLevelGrid(
         grids=levels,
         cell_size=float(inherited.get("cellSize", levels[0].cell_size)),
         unit=float(inherited.get("unit", 1)),
@@ -138,7 +141,6 @@ def _read_levels(content: Json, top: JsonPath, allowance: Allowance) -> MultiLev
         timings=_optional(content, "timings", top),
         extra=_unknown(content, MULTI_FIELDS, top),
     )
-    return grid
 
 
 def _check_own(grid: NavGrid, top: JsonPath) -> NavGrid:
@@ -159,15 +161,16 @@ def _read_level(
     allowance.take_cells(width * height, place)
     cell_size = _inherit(content, "cellSize", inherited, MISSING, place)
     unit = _inherit(content, "unit", inherited, 1, place)
-    attributes = _read_attributes(content, place, width, height, allowance, own_metadata)
+    shape = height, width
+    attributes = _read_attributes(content, place, shape, allowance, own_metadata)
     return SceneGrid2D(
         width=width,
         height=height,
         cell_size=cell_size,
         min_yup=vector(content.get("min", MISSING), place["min"]),
-        bbox_yup=_read_bbox(content, place),
+        bbox_yup=_read_bbox(content, place["bbox"]),
         unit=unit,
-        weights=_read_weights(content, place, width, height, allowance, attributes),
+        weights=_read_weights(content, place, shape, allowance, attributes),
         attributes=attributes,
         user_data=read_user_data(content.get("userData"), place["userData"], width * height),
         metadata=own_metadata,
@@ -200,42 +203,25 @@ def _read_metadata(content: Json, place: JsonPath) -> Json:
 
 
 def _read_attributes(
-    content: Json, place: JsonPath, width: int, height: int, allowance: Allowance, metadata: Json
-) -> dict[str, NDArray[Any]]:
+    content: Json, place: JsonPath, shape: Shape, allowance: Allowance, metadata: Json
+) -> Layers:
     types = {entry["name"]: entry.get("type") for entry in metadata.get("cellAttributes") or []}
-    stored = content.get("tileAttributes")
-    place = place["tileAttributes"]
+    stored, place = content.get("tileAttributes"), place["tileAttributes"]
     return {
-        name: decode_array(
-            value,
-            place[name],
-            num_cells=width * height,
-            allowance=allowance,
-            default=types.get(name),
-        ).reshape(height, width)
+        name: decode_array(value, place[name], shape, allowance, default=types.get(name))
         for name, value in json_object({} if stored is None else stored, place).items()
     }
 
 
 def _read_weights(
-    content: Json,
-    place: JsonPath,
-    width: int,
-    height: int,
-    allowance: Allowance,
-    attributes: dict[str, NDArray[Any]],
+    content: Json, place: JsonPath, shape: Shape, allowance: Allowance, attributes: Layers
 ) -> Float:
-    if content.get("weights") is not None:
-        read = decode_array(
-            content["weights"],
-            place["weights"],
-            num_cells=width * height,
-            allowance=allowance,
-            null=math.inf,
-        )
-        return read.astype(np.float64, copy=False).reshape(height, width)
-    allowance.take_values(width * height, place)
-    weights = np.ones((height, width))
+    stored, place = content.get("weights"), place["weights"]
+    if stored is not None:
+        read = decode_array(stored, place, shape, allowance, null=math.inf)
+        return read.astype(np.float64, copy=False)
+    allowance.take_values(math.prod(shape), place)
+    weights = np.ones(shape)
     if "occupancy" in attributes:
         weights[attributes["occupancy"] != 0] = np.inf
     if "floorHeight" in attributes:
@@ -244,15 +230,11 @@ def _read_weights(
 
 
 def _read_bbox(content: Json, place: JsonPath) -> tuple[Vector3, Vector3] | None:
-    place = place["bbox"]
-    value = content.get("bbox")
-    if value is None:
+    if content.get("bbox") is None:
         return None
-    box = json_object(value, place)
-    return (
-        vector(box.get("min", MISSING), place["min"]),
-        vector(box.get("max", MISSING), place["max"]),
-    )
+    box = json_object(content["bbox"], place)
+    low, high = (vector(box.get(key, MISSING), place[key]) for key in ("min", "max"))
+    return low, high
 
 
 def _optional(content: Json, key: str, place: JsonPath) -> Json:
@@ -283,16 +265,18 @@ def _level_fields(grid: SceneGrid2D, place: JsonPath, metadata: Json | None) -> 
         "width": whole_number(int(grid.width), place["width"], 1),
         "height": whole_number(int(grid.height), place["height"], 1),
         "cellSize": number(grid.cell_size, place["cellSize"], positive=True),
-        "min": [number(value, place["min"][i]) for i, value in enumerate(grid.min_yup)],
+        "min": _vector(grid.min_yup, place["min"]),
         "unit": number(grid.unit, place["unit"], positive=True),
     }
     if grid.bbox_yup is not None:
-        fields["bbox"] = {
-            key: [number(value, place["bbox"][key][i]) for i, value in enumerate(corner)]
-            for key, corner in zip(("min", "max"), grid.bbox_yup, strict=True)
-        }
+        corners = zip(("min", "max"), grid.bbox_yup, strict=True)
+        fields["bbox"] = {key: _vector(v, place["bbox"][key]) for key, v in corners}
     fields["timings"] = plain(grid.timings, place["timings"])
     return fields | _extra(grid.extra, SCENE_FIELDS, place)
+
+
+def _vector(values: Vector3, place: JsonPath) -> list[float]:
+    return [number(value, place[i]) for i, value in enumerate(values)]
 
 
 def _runs(
@@ -309,9 +293,8 @@ def _metadata(grid: NavGrid, place: JsonPath) -> Json:
     """The grid's metadata with ``cellAttributes`` of the arrays that are there."""
     place = place["metadata"]
     _optional(grid.metadata, "navbake", place)
-    return json_object(
-        plain({**grid.metadata, "cellAttributes": grid.cell_attributes}, place), place
-    )
+    metadata = {**grid.metadata, "cellAttributes": grid.cell_attributes}
+    return json_object(plain(metadata, place), place)
 
 
 def _own_metadata(grid: MultiLevelGrid, number: int) -> Json | None:

@@ -8,13 +8,12 @@ what follows from them, like a `PathFinder`, asks for the windows that changed s
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from navbake.navgrid.islands import clearance
-from navbake.types import Bool, Float, Int
+from navbake.navgrid.islands import clearance, clearance_of
+from navbake.types import Bool, Int
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import SceneGrid2D
@@ -151,25 +150,17 @@ def _measure_again(level: SceneGrid2D, window: Window, farthest: float) -> None:
         farthest: the largest clearance when nothing is blocked, in cells.
     """
     reach = math.ceil(farthest) + 2
+    # the nearest blocked cell of one at the rim of `inner` may be a whole reach further out
     outer, inner = (_grown(window, k * reach, level) for k in (2, 1))
     row0, row1, col0, col1 = outer
-    free = level.free[row0:row1, col0:col1]
-    edges = ((row0 > 0, row1 < level.height), (col0 > 0, col1 < level.width))
-    cells = _to_blocked(free, edges)
+    closed = (
+        (int(row0 == 0), int(row1 == level.height)),
+        (int(col0 == 0), int(col1 == level.width)),
+    )
+    metres = clearance_of(level.free[row0:row1, col0:col1], level.lattice.cell_size, closed)
     rows, cols = slice(inner[0], inner[1]), slice(inner[2], inner[3])
     here = np.s_[inner[0] - row0 : inner[1] - row0, inner[2] - col0 : inner[3] - col0]
-    metres = np.where(free[here], (cells[here] - 0.5) * level.lattice.cell_size, 0.0)
-    level.attributes["clearance"][rows, cols] = metres
-
-
-def _to_blocked(free: Bool, open_edges: tuple[tuple[bool, bool], tuple[bool, bool]]) -> Float:
-    """Distances to the nearest cell that isn't free; beyond closed edges, no cell is."""
-    from scipy.ndimage import distance_transform_edt  # only grids with clearance need scipy
-
-    pad = [tuple(int(not is_open) for is_open in edge) for edge in open_edges]
-    distance: NDArray[Any] = distance_transform_edt(np.pad(free, pad))
-    rows, cols = free.shape
-    return np.asarray(distance[pad[0][0] : pad[0][0] + rows, pad[1][0] : pad[1][0] + cols])
+    level.attributes["clearance"][rows, cols] = metres[here]
 
 
 def _grown(window: Window, by: int, level: SceneGrid2D) -> Window:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from hashlib import blake2b
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.types import Int32
+from navbake.types import Bool, Int32
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import SceneGrid2D
@@ -93,11 +93,26 @@ def clearance(level: SceneGrid2D) -> NDArray[np.float32]:
     Returns:
         Metres, shape (height, width), float32; 0 where the cell itself is not free.
     """
-    from scipy.ndimage import distance_transform_edt
+    return clearance_of(level.free, level.lattice.cell_size)
 
-    cells = distance_transform_edt(np.pad(level.free, 1))[1:-1, 1:-1]
-    metres = (cells - 0.5) * level.lattice.cell_size
-    return np.where(level.free, metres, 0.0).astype(np.float32)
+
+def clearance_of(
+    free: Bool, cell_size: float, closed: Sequence[tuple[int, int]] = ((1, 1), (1, 1))
+) -> NDArray[np.float32]:
+    """Measure the clearance of cells, see `clearance`.
+
+    Args:
+        free: the cells.
+        cell_size: [m].
+        closed: whether the first and the last row, and the first and the last column, are at the
+            grid's edge: 1 or 0.
+    """
+    from scipy.ndimage import distance_transform_edt  # scipy loads slowly, and few ask for this
+
+    (top, _), (left, _) = closed
+    cells = distance_transform_edt(np.pad(free, closed))
+    cells = cells[top : top + free.shape[0], left : left + free.shape[1]]
+    return np.where(free, (cells - 0.5) * cell_size, 0.0).astype(np.float32)
 
 
 def step_limit(grid: GridBase) -> float:
