@@ -80,6 +80,8 @@ def find_obstacles(level: SceneGrid2D, squares: Lattice) -> Bool:
     """
     lattice = level.lattice
     filled = np.pad(level.occupancy != 0, 1, constant_values=True)
+    # a summed-area table (Crow 1984): the sum over any rectangle from its four corners; the
+    # padding stands for what lies beside the level
     sums = np.zeros((filled.shape[0] + 1, filled.shape[1] + 1), dtype=np.int64)
     sums[1:, 1:] = filled.cumsum(axis=0).cumsum(axis=1)
     size = squares.cell_size / lattice.cell_size

@@ -183,6 +183,7 @@ class ExploredMap:
         length or more, once.
         """
         size = self.lattice.cell_size
+        # in squares from here on, columns and rows; rows run against y
         start = np.array([x - self.lattice.x_min, self.lattice.y_max - y]) / size  # cols, rows
         way = np.array([np.cos(angle), -np.sin(angle)])
         far = (length + (2 * HAIR if beyond else 0.0)) / size
@@ -194,6 +195,7 @@ class ExploredMap:
                 ends = np.sort([place, place + speed * far]).clip(-1.0, count + 1.0)
                 lines = np.arange(np.ceil(ends[0]), np.floor(ends[1]) + 1)
                 stops.append((lines - place) / speed)
+        # each piece between two crossings lies in one square: that of its middle
         t = np.unique(np.concatenate(stops).clip(0.0, far))
         t = t[np.append(True, np.diff(t) > HAIR / size / 2)]
         starts, middles = t[:-1], (t[:-1] + t[1:]) / 2

@@ -46,6 +46,7 @@ def encode(explored: ArrayLike, obstacles: ArrayLike) -> tuple[str, str]:
             f"expected explored and obstacles of one shape (rows, cols), "
             f"got {known.shape} and {filled.shape}"
         )
+    # the format goes from the bottom row up, arrays from the top row down
     squares, content = known[::-1].ravel(), filled[::-1].ravel()
     part1 = np.concatenate([PAD, squares, PAD])
     return _to_hex(part1), _to_hex(content[squares])

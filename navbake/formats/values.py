@@ -61,6 +61,7 @@ def plain(value: Any, place: JsonPath) -> Any:
         odd = [v for v in layer if type(v) not in LEAVES and type(v) not in NODES]
         if not all(map(_is_json, odd)):
             _refuse_leaf(value, place)
+        # all keys, then all children, of one depth: no Python call for each value
         objects = [v for v in layer if isinstance(v, dict)]
         if not set(map(type, chain.from_iterable(objects))) <= {str}:
             place.fail("expected strings as keys of objects, got others")

@@ -80,6 +80,7 @@ class BlockState:
         """Block cells."""
         for layer, ids in enumerate(cells):
             self.count[layer, ids] += 1
+        # what was there is read anew with the first block: others may have written to it since
         weights, taken = level.weights.reshape(-1), cells[BLOCKED]
         taken = taken[self.count[BLOCKED, taken] == 1]
         self.weights[taken] = weights[taken]
@@ -115,6 +116,7 @@ class BlockState:
         return level.with_layers(weights=weights.reshape(level.shape), attributes=attributes)
 
     def _note(self, level: SceneGrid2D, cells: Layers) -> None:
+        # one window for all layers; a reader that is that far behind copies it as a whole
         rows, cols = np.divmod(np.concatenate(cells), level.width)
         window = (int(rows.min()), int(rows.max()) + 1, int(cols.min()), int(cols.max()) + 1)
         self.revision += 1

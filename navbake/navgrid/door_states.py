@@ -75,6 +75,7 @@ def _rebuild(grid: AnyGrid, doors: Sequence[Door], occupied: list[Bool]) -> AnyG
             is_blocked = level.block_state.held(level, BLOCKED)
         was_occupied = level.occupancy.astype(np.bool_)
         weights = level.weights.copy()
+        # cells that no door changes keep their weight, whatever it is
         weights[is_occupied & ~was_occupied] = np.inf
         weights[~is_occupied & was_occupied] = 1.0
         weights[is_blocked] = np.inf
@@ -155,6 +156,7 @@ def _with_doors(entry: Json, names: set[str], standing: set[str]) -> Json:
     objects = sorted({*entry.get("objects", []), *standing})
     named = {"doors": sorted(names), **({"objects": objects} if objects else {})}
     named |= {key: value for key, value in entry.items() if key not in named}
+    # blockers are stated only where they aren't all that stands in the cell
     if standing and standing != {name for key in NAMES for name in named.get(key, [])}:
         named["blockers"] = sorted(standing)
     return named

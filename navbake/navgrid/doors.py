@@ -26,7 +26,7 @@ def to_runs(cells: Int) -> Runs:
     """Pack ascending cell ids, shape (n,), into runs."""
     if not len(cells):
         return []
-    breaks = np.flatnonzero(np.diff(cells) != 1) + 1
+    breaks = np.flatnonzero(np.diff(cells) != 1) + 1  # where a run begins, but for the first
     first = np.concatenate([[0], breaks])
     count = np.diff(np.concatenate([first, [len(cells)]]))
     return [int(v) for v in np.stack([cells[first], count], axis=1).ravel()]
@@ -155,7 +155,7 @@ def _is_entry(entry: Any, num_cells: Sequence[int]) -> bool:
         return False
     if not isinstance(runs, list) or len(runs) % 2 or any(type(v) is not int for v in runs):
         return False
-    end = 0
+    end = 0  # runs ascend and don't overlap
     for first, count in zip(runs[::2], runs[1::2], strict=True):
         if first < end or not 0 < count <= num_cells[level] - first:
             return False

@@ -42,6 +42,7 @@ def find_islands(grid: GridBase) -> list[Int32]:
     floor = np.concatenate([level.floor_height.ravel() for level in levels])
     links = grid.link_array
     pairs = np.stack([start[links[:, 0]] + links[:, 1], start[links[:, 2]] + links[:, 3]], axis=1)
+    # one row of cells for all levels, so that links join cells like edges do
     islands, _ = label_islands(start, width, free, floor, step_limit(grid), pairs)
     return [islands[start[i] : start[i + 1]].reshape(level.shape) for i, level in enumerate(levels)]
 

@@ -84,6 +84,7 @@ class Lattice:
         x0, y0, x1, y1 = bounds
         width = num_cells(x1 - x0 + 2 * margin, cell_size)
         height = num_cells(y1 - y0 + 2 * margin, cell_size)
+        # what whole cells have too much is shared by both sides
         x_mid, y_mid = (x0 + x1) / 2, (y0 + y1) / 2
         return cls(
             x_min=x_mid - width * cell_size / 2,

@@ -49,11 +49,15 @@ def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
     Returns:
         Shape (height, width), bool.
     """
+    # Each side toggles all cells of its rows right of it: marks where the toggles are, then a
+    # running sum along each row; odd sums are inside (scan conversion by edge flags, Ackland and
+    # Weste 1981).
     turns = np.zeros((lattice.height, lattice.width + 1), dtype=np.int32)
     x, y = lattice.center_x(), lattice.center_y()
     for ring in rings:
         corners = np.asarray(ring, dtype=np.float64).reshape(-1, 2)
         for one, other in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            # always upwards, so that two polygons get the same crossings from a shared side
             low, high = (one, other) if one[1] <= other[1] else (other, one)
             # y descends: rows with low <= y < high
             rows = slice(*(len(y) - np.searchsorted(y[::-1], [high[1], low[1]])))

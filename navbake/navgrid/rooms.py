@@ -155,6 +155,7 @@ def measure_rooms(level: SceneGrid2D, number: int) -> list[Room]:
     floor = level.floor_height.astype(np.float64) * level.unit
     z = np.where(np.isnan(floor), level.ground, floor)
     index = level.room_index.ravel()
+    # bincount with weights sums the coordinates of all rooms' cells in one pass
     count = np.bincount(index)
     sums = [np.bincount(index, values.ravel()) for values in (x, y, z)]
     return [

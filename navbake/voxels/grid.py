@@ -147,6 +147,7 @@ class VoxelGrid:
         """
         if not self.is_segmented:
             raise QueryError("these voxels hold no IDs")
+        # a table of those that occur: IDs go up to 2**32, too many for a table of all
         present = np.array([0, *self.ids()], dtype=np.int64)
         table = np.array([0, *(ids.get(int(old), 0) for old in present[1:])])
         values = np.empty(self.shape, dtype=dtype_of(max(ids.values(), default=0)))
