@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import navbake
+from differences import difference_map, first_difference
 from navbake.baker.pipeline import run_bake
 from navbake.config.settings import load_config
 from navbake.formats.navgrid import dumps_navgrid
-from navbake.navgrid.differences import difference_map, first_difference
 from project_paths import CONFIGS, GOLDEN
 
 SAMPLES = sorted(path.stem for path in CONFIGS.glob("*.yaml"))
