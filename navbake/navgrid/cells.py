@@ -77,7 +77,7 @@ def cells_at(grid: GridBase, positions: ArrayLike, level: int | None = None) -> 
         Level, row and column, each of shape (...), int64; -1 where there is no cell.
 
     Raises:
-        QueryError: there is no such level, or a position is none.
+        QueryError: as `cell_at`.
     """
     p = check_positions(positions, len(grid.levels), level)
     flat = p.reshape(-1, p.shape[-1])

@@ -30,7 +30,15 @@ NAMES = ("doors", "objects", "walls")
 
 
 def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
-    """The same grid with doors in other states; see `SceneGrid2D.with_doors`."""
+    """The same grid with doors in other states: equal to a bake with them in these states.
+
+    Args:
+        grid: the grid.
+        states: ``modelled``, ``open``, ``closed`` or ``removed``, by a door's id or for all.
+
+    Raises:
+        QueryError: there is no such door, or no such state, or the grid was inflated.
+    """
     if "inflation" in grid.metadata:
         raise QueryError(
             f"{grid.scene_id!r} was inflated: change doors on the grid as it was baked, then "

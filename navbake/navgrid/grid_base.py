@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from numpy.typing import ArrayLike, NDArray
 
+from navbake.navgrid import cells, door_states
 from navbake.navgrid.attributes import describe_attributes
-from navbake.navgrid.cells import Cell, Cells, cell_at, cells_at, position_of
-from navbake.navgrid.door_states import with_doors
+from navbake.navgrid.cells import Cell, Cells
 from navbake.navgrid.doors import Door, parse_doors
 from navbake.navgrid.links import Link, parse_links
 from navbake.navgrid.operations import operation
 from navbake.navgrid.rooms import Room, measure_rooms, parse_rooms
-from navbake.types import Bool, Float, Int, Int32, Json
+from navbake.types import Bool, Int, Int32, Json
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -190,17 +190,12 @@ class GridBase:
         """What the metadata say of each attribute, completed where they say nothing."""
         return describe_attributes(self.metadata, self.levels)
 
-    def cell_at(self, position: ArrayLike, level: int | None = None) -> Cell | None:
-        """The cell of a world position [m]; see `navbake.navgrid.cells.cell_at`."""
-        return cell_at(self, position, level)
-
-    def cells_at(self, positions: ArrayLike, level: int | None = None) -> Cells:
-        """The cells of world positions, shape (..., 3) [m]; -1 for none. See `cell_at`."""
-        return cells_at(self, positions, level)
-
-    def position_of(self, cells: Cell | Cells) -> Float:
-        """World x, y and floor z [m] of cells' centres, shape (..., 3), float64."""
-        return position_of(self, cells)
+    # functions of modules that a grid is built on, with their docstrings: the grid is what they
+    # take first
+    cell_at = cells.cell_at
+    cells_at = cells.cells_at
+    position_of = cells.position_of
+    with_doors = door_states.with_doors
 
     def at(self, position: ArrayLike, level: int | None = None) -> Place | None:
         """Floor, room, island, weight and occupancy at a world position [m]; None for no cell.
@@ -319,17 +314,6 @@ class GridBase:
         )
         return blocked
 
-    def with_doors(self, states: Mapping[str, str] | str) -> Self:
-        """The same grid with doors in other states: equal to a bake with them in these states.
-
-        Args:
-            states: ``modelled``, ``open``, ``closed`` or ``removed``, by a door's id or for all.
-
-        Raises:
-            QueryError: there is no such door, or no such state, or the grid was inflated.
-        """
-        return with_doors(self, states)
-
     def describe_cell(self, x: float, y: float, level: int | None = None) -> Json:
         """What the grid knows of a cell: floor, room, island, doors, and what occupies it.
 
@@ -349,12 +333,7 @@ class GridBase:
     def blockers(self, x: float, y: float, level: int | None = None) -> list[str]:
         """The names of what blocks the cell at a position, sorted; [] where nothing does.
 
-        Args:
-            x, y: world position [m].
-            level: which level, 0 is the lowest; may be left out where there is but one.
-
-        Raises:
-            QueryError: there is no such level, or the position is no number or beside the grid.
+        Takes and raises what `describe_cell` does.
         """
         blockers: list[str] = self.describe_cell(x, y, level)["blockers"]
         return blockers

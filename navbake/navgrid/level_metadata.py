@@ -43,14 +43,14 @@ def _are_objects(value: Any) -> bool:
 
 
 def _cut_rooms(rooms: list[Json], level: int) -> list[Json]:
-    elsewhere = [room.get("id") for room in rooms if room.get("level") != level]
+    elsewhere = {str(room.get("id")) for room in rooms if room.get("level") != level}
     cut = []
     for room in rooms:
         if room.get("level") == level:
             # copied before it is changed: the whole keeps its table
             room = {**room, "level": 0}
             if _are_objects(room.get("neighbours")):
-                ways = [way for way in room["neighbours"] if way.get("room") not in elsewhere]
+                ways = [way for way in room["neighbours"] if str(way.get("room")) not in elsewhere]
                 room["neighbours"] = ways
             cut.append(room)
     return cut
