@@ -139,9 +139,9 @@ def test_next_to_an_object(apartment):
 def test_fields_and_distances_agree_with_paths(house):
     finder = PathFinder(house)
     rng = np.random.default_rng(0)
-    walk = finder.search.walk
-    cells = rng.choice(np.flatnonzero(walk.free), 20)
-    positions = walk.positions(cells)
+    flat = finder.search.flat
+    cells = rng.choice(np.flatnonzero(flat.free), 20)
+    positions = flat.positions(cells)
     goal = positions[0]
     distances = finder.distances(positions, goal)
     field = np.concatenate([part.ravel() for part in finder.distance_field(goal)])
@@ -190,7 +190,7 @@ def test_rooms_below_and_above_are_joined_by_stairs(house):
     for below in (room for room in rooms if room.level == 0):
         for above in (room for room in rooms if room.level == 1):
             cells = finder.rooms.cells(below.id)
-            start = finder.search.walk.positions(cells[finder.search.walk.free[cells]][:1])[0]
+            start = finder.search.flat.positions(cells[finder.search.flat.free[cells]][:1])[0]
             path = finder.find_path(start, f"room:{above['id']}")
             assert path is not None
             assert path.rooms[-1] == above.id
@@ -213,11 +213,11 @@ def test_smooth_paths_of_the_samples_stay_free(name, request):
 
 def assert_paths_stay_free(finder, rng, count):
     """Every centimetre is in a free cell, on its floor, and no longer than the route."""
-    walk = finder.search.walk
-    free = np.flatnonzero(walk.free)
+    flat = finder.search.flat
+    free = np.flatnonzero(flat.free)
     if not len(free):
         return
-    for a, b in walk.positions(rng.choice(free, (count, 2))):
+    for a, b in flat.positions(rng.choice(free, (count, 2))):
         jitter = rng.uniform(-0.049, 0.049, (2, 2))
         a[:2], b[:2] = a[:2] + jitter[0], b[:2] + jitter[1]
         path = finder.find_path(a, b)
@@ -245,11 +245,11 @@ def test_next_to_an_object_is_on_this_side_of_the_wall():
     grid = from_map(["00000000", "########", "0##00000", "00000000"])
     grid.attributes["occupancy"] = (~grid.free).astype(np.uint8)
     grid.user_data = {17: {"objects": ["shelf"]}, 18: {"objects": ["shelf"]}}
-    found = cells_around(grid, PathFinder(grid).search.walk, "shelf")
+    found = cells_around(grid, PathFinder(grid).search.flat, "shelf")
     assert found.tolist() == [16, 19, 20, 24, 25, 26, 27]
     grid.weights[2, 3:] = grid.weights[2, 0] = np.inf  # as an inflation leaves it
     grid.weights[3, 1:4] = np.inf
-    assert cells_around(grid, PathFinder(grid).search.walk, "shelf").tolist() == [24, 28]
+    assert cells_around(grid, PathFinder(grid).search.flat, "shelf").tolist() == [24, 28]
 
 
 @pytest.mark.parametrize(
@@ -265,9 +265,9 @@ def test_paths_keep_the_radius_that_a_grid_was_inflated_for(seed, radius, smooth
     grid.attributes["occupancy"] = (~free).astype(np.uint8)
     finder = PathFinder(grid.inflate(radius))
     squares = grid.lattice.positions(*np.nonzero(~free))
-    cells = np.flatnonzero(finder.search.walk.free)
+    cells = np.flatnonzero(finder.search.flat.free)
     nearest = np.inf
-    for a, b in finder.search.walk.positions(rng.choice(cells, (40, 2))):
+    for a, b in finder.search.flat.positions(rng.choice(cells, (40, 2))):
         a[:2], b[:2] = a[:2] + rng.uniform(-0.04, 0.04, 2), b[:2] + rng.uniform(-0.04, 0.04, 2)
         path = finder.find_path(a, b, smooth=smooth)
         if path is None:

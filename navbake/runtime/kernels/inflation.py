@@ -1,4 +1,13 @@
-"""Which cells an agent can't stand on because of what is near them. All distances in cells."""
+"""Which cells an agent can't stand on because of what is near them. All distances in cells.
+
+Distances are found in two passes, as in the exact transforms of Saito and Toriwaki (1994) and
+Meijster, Roerdink and Hesselink (2000): along the columns first, then along the rows. Instead of
+their parabolas, the second pass of `dilate` unites intervals and that of `squared_distances`
+searches no farther than the best so far, which is quicker for the few cells that a radius spans.
+
+Floors of several levels are compared cell by cell, but only in tiles whose ranges of heights make
+a conflict possible: one step of a min-max pyramid.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +22,8 @@ def dilate(occupied, half_width):
     """Find the cells near an occupied one, by a shape that is as wide as a table says.
 
     First each cell's distance to the nearest occupied one of its column; then each row is the
-    union of the stretches that such distances stand for. Exact for any shape that is symmetric
-    and narrows with the distance from its middle, in a time that its size has no part in.
+    union of the intervals that such distances stand for. Exact for any shape that is symmetric
+    and narrows with the distance from its middle. The time doesn't depend on the shape's size.
 
     Args:
         occupied: shape (rows, cols), uint8, not 0 where it is.
@@ -40,6 +49,8 @@ def dilate(occupied, half_width):
             below[col] = min(below[col] + 1, above[row, col])
         for col in range(cols):
             width[col] = half_width[below[col]]
+        # The union of all intervals [col - width, col + width], swept once from each side: the
+        # farthest end so far decides, whichever interval it is of.
         end = -1
         for col in range(cols):
             if width[col] >= 0 and col + width[col] > end:
@@ -78,7 +89,7 @@ def squared_distances(occupied, reach):
     for row in range(rows):
         for col in range(cols):
             best = column[row, col] ** 2
-            step = 1
+            step = 1  # sideways; once its square is the best or more, no column can be nearer
             while step <= reach and step * step < best:
                 if col >= step:
                     best = min(best, step * step + column[row, col - step] ** 2)
@@ -147,6 +158,8 @@ def block_near_holes(has_floor, todo, offsets, squares, least, blocked):
                 continue
             within, with_floor = 0, 0
             for k in range(offsets.shape[0]):
+                # between two distances a whole disc has been counted: a smaller radius that
+                # fails blocks the larger ones, too
                 if k > 0 and squares[k] > squares[k - 1] and with_floor < least * within:
                     blocked[row, col] = True
                     break
@@ -179,6 +192,7 @@ def block_below_floors(floor, level, offsets, reach, step, top, blocked):
         for tile_row in range(low.shape[1]):
             for tile_col in range(low.shape[2]):
                 lowest, highest = _range_near(low[level], high[level], tile_row, tile_col, tiles)
+                # written so that a tile without floor, inf to -inf, is skipped
                 if not high[upper, tile_row, tile_col] - lowest > step:
                     continue
                 if not low[upper, tile_row, tile_col] - highest < limit:
@@ -305,7 +319,7 @@ def meets_runs(occupied, runs, blocked):
         blocked: (rows, cols) bool, written.
     """
     rows, cols = occupied.shape
-    before = np.zeros((rows, cols + 1), dtype=np.int32)
+    before = np.zeros((rows, cols + 1), dtype=np.int32)  # running sums: a run is one difference
     for row in range(rows):
         for col in range(cols):
             before[row, col + 1] = before[row, col] + (occupied[row, col] != 0)
@@ -313,7 +327,7 @@ def meets_runs(occupied, runs, blocked):
         first, last = runs[k, 1], runs[k, 2]
         for row in range(max(0, -runs[k, 0]), min(rows, rows - runs[k, 0])):
             line = before[row + runs[k, 0]]
-            if line[cols] == 0:
+            if line[cols] == 0:  # nothing in this row
                 continue
             for col in range(cols):
                 begin, end = max(col + first, 0), min(col + last + 1, cols)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
+from navbake.navgrid.block_state import BLOCKED
 from navbake.navgrid.cells import Cell, cell_at, cells_at
 from navbake.navgrid.islands import clearance, islands_of
 
@@ -48,6 +49,13 @@ class Place:
         level, row, col = self.cell
         return int(islands_of(self.grid)[level][row, col]) if self.free else None
 
+    @property
+    def is_blocked(self) -> bool:
+        """Whether `grid.block` blocks the cell now."""
+        level, row, col = self.cell
+        state = self.grid.levels[level].block_state
+        return state is not None and bool(state.held(self.grid.levels[level], BLOCKED)[row, col])
+
 
 def place_at(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Place | None:
     """Tell what a grid holds at a position.
@@ -58,14 +66,17 @@ def place_at(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Pl
         level: which level; then z does not count.
 
     Returns:
-        None where `navbake.runtime.places.locate.cell_at` finds no cell.
+        None where `navbake.navgrid.cells.cell_at` finds no cell.
 
     Raises:
         QueryError: there is no such level, or the position is none.
     """
     cell = cell_at(grid, position, level)
-    if cell is None:
-        return None
+    return None if cell is None else place_in(grid, cell)
+
+
+def place_in(grid: NavGrid, cell: Cell) -> Place:
+    """What a grid holds in one of its cells."""
     part, at = grid.levels[cell.level], (cell.row, cell.col)
     floor, weight = float(part.floor_height[at]), float(part.weights[at])
     free = math.isfinite(weight)

@@ -1,0 +1,45 @@
+"""Refuses what is no distance and no source of random numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from navbake.errors import QueryError
+
+REAL = int | float | np.integer | np.floating
+
+
+def check_generator(rng: object) -> np.random.Generator:
+    """Refuse what draws no numbers of its own, as a seed.
+
+    Raises:
+        QueryError: it is no `numpy.random.Generator`.
+    """
+    if isinstance(rng, np.random.Generator):
+        return rng
+    raise QueryError(
+        f"expected a numpy.random.Generator, got {rng!r}: make one with numpy.random.default_rng"
+    )
+
+
+def check_distance(distance: float, name: str = "max_distance") -> None:
+    """Refuse what is no distance.
+
+    Raises:
+        QueryError: it is no number, negative, or NaN.
+    """
+    if not (isinstance(distance, REAL) and distance >= 0):
+        raise QueryError(f"expected a {name} >= 0 m, got {distance!r}")
+
+
+def check_distances(min_distance: float, max_distance: float) -> None:
+    """Refuse distances that are none.
+
+    Raises:
+        QueryError: they are negative, not in order, or NaN.
+    """
+    numbers = isinstance(min_distance, REAL) and isinstance(max_distance, REAL)
+    if not (numbers and 0 <= min_distance <= max_distance):
+        raise QueryError(
+            f"expected 0 <= min_distance <= max_distance [m], got {min_distance} and {max_distance}"
+        )
