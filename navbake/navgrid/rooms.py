@@ -109,7 +109,7 @@ def _parse(entry: Any, where: str, num_levels: int) -> Room:
     if not isinstance(entry, dict):
         raise FormatError(f"expected a room at `{where}`, got {type(entry).__name__}")
     for key, kinds in FIELDS.items():
-        if not isinstance(entry.get(key), kinds) or isinstance(entry[key], bool):
+        if not isinstance(entry.get(key), kinds) or isinstance(entry.get(key), bool):
             raise FormatError(f"expected {kinds[0].__name__} at `{where}.{key}`")
     if not 0 <= entry["level"] < num_levels or entry["index"] < 1:
         raise FormatError(f"expected a level and an index that there are at `{where}`")
@@ -120,7 +120,7 @@ def _parse(entry: Any, where: str, num_levels: int) -> Room:
     return Room(
         index=entry["index"],
         id=entry["id"],
-        name=entry["name"],
+        name=entry.get("name"),
         level=entry["level"],
         area=entry["area"],
         centroid=(x, y, z),

@@ -191,7 +191,7 @@ def test_rooms_below_and_above_are_joined_by_stairs(house):
         for above in (room for room in rooms if room.level == 1):
             cells = finder.rooms.cells(below.id)
             start = finder.search.flat.positions(cells[finder.search.flat.free[cells]][:1])[0]
-            path = finder.find_path(start, f"room:{above['id']}")
+            path = finder.find_path(start, f"room:{above.id}")
             assert path is not None
             assert path.rooms[-1] == above.id
             assert set(path.levels) == {0, 1}

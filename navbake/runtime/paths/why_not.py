@@ -14,7 +14,6 @@ from navbake.runtime.paths.goals import Target
 from navbake.runtime.paths.search import Search
 from navbake.runtime.places.place import place_in
 from navbake.types import Float, Int
-from navbake.views.info import level_name
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -258,7 +257,7 @@ def _steps(grid: NavGrid, low: int, high: int, total: int) -> str:
 
 
 def _level(grid: NavGrid, number: int) -> str:
-    name = level_name(grid, number)
+    name = grid.level_names[number]
     return name if name == f"level {number}" else f"level {number} ({name})"
 
 

@@ -57,7 +57,7 @@ def test_leaf_between_two_rooms_is_a_door(bake):
 def test_with_doors_opens_the_gap(bake, state):
     grid = bake(ROOMS, LEAF).with_doors({"leaf": state})
     assert in_gap(grid)[:6].all()
-    assert grid.doors[0]["state"] == state
+    assert grid.doors[0].state == state
 
 
 def test_open_leaf_blocks_where_it_stands(bake):
@@ -78,7 +78,7 @@ def test_with_doors_leaves_the_grid_alone(bake):
     before = grid.occupancy.copy()
     grid.with_doors({"leaf": "open"})
     assert np.array_equal(grid.occupancy, before)
-    assert grid.doors[0]["state"] == "modelled"
+    assert grid.doors[0].state == "modelled"
 
 
 def test_a_leaf_that_cannot_move_is_a_wall_unless_it_is_named(bake):

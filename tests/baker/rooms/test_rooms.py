@@ -243,7 +243,7 @@ def test_storeys_are_linked_by_steps():
     links = [(room.id, n.room) for room in grid.rooms for n in room.neighbours if n.kind == "link"]
     assert len(links) == 4  # two stairs, both ways
     assert all((b, a) in links for a, b in links)
-    assert all(rooms[a]["level"] != rooms[b]["level"] for a, b in links)
+    assert all(rooms[a].level != rooms[b].level for a, b in links)
     # three rooms and the ground outside; a gallery round the stairs and two bedrooms
     assert [room.level for room in grid.rooms] == [0, 0, 0, 0, 1, 1, 1]
 

@@ -137,7 +137,7 @@ def test_the_stairs_of_the_house_blocked(house):
 def test_stairs_blocked_halfway_up(house):
     finder = PathFinder(house)
     start = finder.snap((0.0, 0.0, 0.0), same_level=True)
-    above = next(f"room:{room['id']}" for room in house.rooms if room.level == 1)
+    above = next(f"room:{room.id}" for room in house.rooms if room.level == 1)
     blocks = []
     for _ in range(9):
         path = finder.find_path(start, above)
@@ -173,7 +173,7 @@ def test_rooms_and_objects_without_a_free_cell(house):
     finder = PathFinder(grid)
     free = np.flatnonzero(finder.search.flat.free)
     start = finder.search.flat.positions(free[0])
-    reasons = [finder.why_not(start, f"room:{room['id']}") for room in house.rooms]
+    reasons = [finder.why_not(start, f"room:{room.id}") for room in house.rooms]
     assert any(r and "no cell of room" in r and "radius of 1 m" in r for r in reasons)
 
 
