@@ -41,9 +41,9 @@ class PathFinder:
     Goals are a position, several of them (the one that is the cheapest to reach counts),
     ``room:NAME`` with a room's id or name, or ``object:NAME`` with a name of the user data (the
     free cells next to it). Positions are world x, y, z [m], on the level of the nearest floor
-    below; x, y will do on one level or with `level`, and with `level`, z is ignored. Every method
-    raises QueryError where a position is none, or where there is no such level, room, object or
-    island.
+    below. With `level`, positions are on that level (0 is the lowest) and z is ignored. x, y will
+    do with `level`, or on a grid of one level. Every method raises QueryError where a position is
+    none, or where there is no such level, room, object or island.
 
     One object serves one thread at a time.
 
@@ -72,7 +72,6 @@ class PathFinder:
         Args:
             start: world position [m].
             goal: see `PathFinder`.
-            level: which level positions are on.
             smooth: pull the path straight where that stays free; else it runs through the
                 cells' centres. It begins and ends at the positions themselves unless they are
                 nearer to obstacles than the agent may be.
@@ -94,7 +93,6 @@ class PathFinder:
         Args:
             start: world position [m].
             goal: see `PathFinder`.
-            level: which level positions are on.
 
         Returns:
             None if there is a path.
@@ -109,7 +107,6 @@ class PathFinder:
 
         Args:
             goal: see `PathFinder`.
-            level: which level positions are on.
             weighted: count steps by their weights, as `find_path` does; else by their lengths
                 alone, so that the shortest path counts [m].
 
@@ -128,7 +125,6 @@ class PathFinder:
         Args:
             starts: world positions [m], shape (..., 3).
             goal: see `PathFinder`.
-            level: which level positions are on.
             weighted: see `distance_field`.
 
         Returns:
@@ -183,7 +179,6 @@ class PathFinder:
 
         Args:
             position: world position [m].
-            level: which level it is on.
             same_level: stay on its level. A position that is on none is snapped to the nearest
                 floor in space.
             same_room: stay in its room; None where it is in none.
@@ -233,7 +228,6 @@ class PathFinder:
             start: world x, y, z [m], where an agent can stand.
             end: world x, y, z [m]; its z is ignored.
             slide: whether to slide.
-            level: which level the start is on.
 
         Returns:
             World x, y and floor z [m] of where the way ends, shape (3,), float64.
@@ -263,7 +257,6 @@ class PathFinder:
 
         Args:
             position: world position [m], in a cell of the grid.
-            level: which level it is on.
             max_distance: farther obstacles are ignored [m], >= 0.
 
         Returns:
@@ -363,7 +356,6 @@ class PathFinder:
             min_distance: [m]; the places are in an annulus then.
             straight: measure straight.
             room: only in this room, by id or name.
-            level: which level the position is on.
             anywhere: see `random_point`.
 
         Returns:

@@ -36,7 +36,7 @@ def pull_route(
 
     flat = search.flat
     level = flat.level_of(route)
-    points = flat.positions(route)[:, :2]
+    points = np.ascontiguousarray(flat.positions(route)[:, :2])
     is_link = search.are_links(route)
     if start is not None and _can_join(start, points[0], level[0], search):
         points, level = np.vstack([start, points]), np.append(level[0], level)

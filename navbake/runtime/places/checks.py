@@ -10,11 +10,7 @@ REAL = int | float | np.integer | np.floating
 
 
 def check_generator(rng: object) -> np.random.Generator:
-    """Refuse what draws no numbers of its own, as a seed.
-
-    Raises:
-        QueryError: it is no `numpy.random.Generator`.
-    """
+    """Refuse, with a QueryError, what draws no numbers of its own, such as a seed."""
     if isinstance(rng, np.random.Generator):
         return rng
     raise QueryError(
@@ -23,21 +19,13 @@ def check_generator(rng: object) -> np.random.Generator:
 
 
 def check_distance(distance: float, name: str = "max_distance") -> None:
-    """Refuse what is no distance.
-
-    Raises:
-        QueryError: it is no number, negative, or NaN.
-    """
+    """Refuse, with a QueryError, what is no number, negative, or NaN."""
     if not (isinstance(distance, REAL) and distance >= 0):
         raise QueryError(f"expected a {name} >= 0 m, got {distance!r}")
 
 
 def check_distances(min_distance: float, max_distance: float) -> None:
-    """Refuse distances that are none.
-
-    Raises:
-        QueryError: they are negative, not in order, or NaN.
-    """
+    """Refuse, with a QueryError, what are no numbers, negative, not in order, or NaN."""
     numbers = isinstance(min_distance, REAL) and isinstance(max_distance, REAL)
     if not (numbers and 0 <= min_distance <= max_distance):
         raise QueryError(

@@ -95,7 +95,7 @@ class Sampler:
             place = self._draw(cells, rng, None, False, {"level": level})
             return Pose(place, float(rng.uniform(-math.pi, math.pi)))
         cells = self.cells_near(target, distances, True, level)
-        flat, number = self._cache.flat, self._cache.rooms.number
+        flat, number, (low, high) = self._cache.flat, self._cache.rooms.number, distances
         p = check_positions(target, flat.num_levels, level)
         home = flat.cell_at(p, level)
         assert home is not None  # or there were no cells near it
@@ -108,10 +108,7 @@ class Sampler:
             space = flat.sight_through(~self._cache.occupied)
             found = first_in_sight(space, number, home, p[0], p[1], rng.permutation(cells))
             cells = np.array([found] if found >= 0 else [], dtype=np.int64)
-        limits = {
-            "distance [m]": f"{distances[0]:g} to {distances[1]:g}",
-            "in sight": in_sight,
-        }
+        limits = {"distance [m]": f"{low:g} to {high:g}", "in sight": in_sight}
         place = self._draw(cells, rng, None, False, limits)
         return Pose(place, math.atan2(p[1] - place[1], p[0] - place[0]))
 

@@ -60,20 +60,9 @@ def nearest_on_level(
     level: int | None = None,
     max_distance: float = math.inf,
 ) -> int | None:
-    """Find the cell of a mask whose centre is the nearest on the map, on the position's level.
+    """The cell of a mask whose centre is the nearest on the map, on the position's level.
 
-    Args:
-        flat: the grid.
-        position: world x, y, z [m]; x, y will do on one level.
-        mask: by flat id, shape (n,), bool.
-        level: which level the position is on; that of the nearest floor below it unless given.
-        max_distance: farther ones don't count [m].
-
-    Returns:
-        Flat id; None for none, and for a position that is in no cell.
-
-    Raises:
-        QueryError: there is no such level, the position is none, or the distance is negative.
+    None for none, and for a position that is in no cell.
     """
     check_distance(max_distance)
     p = check_positions(position, flat.num_levels, level)
