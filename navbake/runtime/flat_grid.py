@@ -77,14 +77,14 @@ class FlatGrid:
         """The flat ids of `navbake.navgrid.cells.cells_at`, and faster; -1 where there is no cell.
 
         Args:
-            positions: world x, y, z [m], shape (..., 3); (..., 2) will do on one level.
-            level: which level all are on; then z does not count.
+            positions: world x, y, z [m], shape (..., 3); (..., 2) is enough on one level.
+            level: which level all are on; then z is ignored.
 
         Returns:
             Shape (...), int64.
 
         Raises:
-            QueryError: there is no such level, or a position is none.
+            QueryError: there is no such level, or a position is not valid.
         """
         from navbake.runtime.kernels.locate import locate, locate_on  # saves numba at start-up
 

@@ -41,9 +41,9 @@ class PathFinder:
     Goals are a position, several of them (the one that is the cheapest to reach counts),
     ``room:NAME`` with a room's id or name, or ``object:NAME`` with a name of the user data (the
     free cells next to it). Positions are world x, y, z [m], on the level of the nearest floor
-    below. With `level`, positions are on that level (0 is the lowest) and z is ignored. x, y will
-    do with `level`, or on a grid of one level. Every method raises QueryError where a position is
-    none, or where there is no such level, room, object or island.
+    below. With `level`, positions are on that level (0 is the lowest) and z is ignored. x, y are
+    enough with `level`, or on a grid of one level. Every method raises QueryError where a
+    position is not valid, or where there is no such level, room, object or island.
 
     One object serves one thread at a time.
 
@@ -173,8 +173,8 @@ class PathFinder:
     ) -> Float | None:
         """Find the nearest place where an agent can stand.
 
-        Where the position's own cell will do, and its floor is at most 0.5 m below, that is the
-        position itself, put on the floor. Else it is the centre of a cell: of the one whose
+        Where the position's own cell is allowed, and its floor is at most 0.5 m below, that is
+        the position itself, put on the floor. Else it is the centre of a cell: of the one whose
         centre is the nearest on the map on the position's level, or in space on any level.
 
         Args:
@@ -289,7 +289,7 @@ class PathFinder:
             free, blocked, no floor.
 
         Raises:
-            QueryError: there is no such level, or the pixels are none or too many.
+            QueryError: `metres_per_pixel` is not a number > 0, or the picture would be too large.
         """
         return draw_top_down(self._cache.flat, level, metres_per_pixel)
 
@@ -322,13 +322,17 @@ class PathFinder:
             World x, y and floor z [m], shape (3,) or (count, 3), float64.
 
         Raises:
-            QueryError: there is no such place, nobody can stand at the position, or the
-                generator is none.
+            QueryError: there is no such place, no agent can stand at the position, or `rng` is
+                not a generator.
         """
-        return self._sampler.places(
-            rng, count, level=level, room=room, island=island, reachable_from=reachable_from,
-            anywhere=anywhere,
-        )  # fmt: skip
+        if reachable_from is not None:
+            home = self._sampler.home_island(reachable_from)
+            if island not in (None, home):
+                raise QueryError(f"island {island} can't be reached: the position is on {home}")
+            island = home
+        cells = np.flatnonzero(self._cache.allowed(level=level, room=room, island=island))
+        limits = {"level": level, "room": room, "island": island}
+        return self._sampler.draw(cells, rng, count, anywhere, limits)
 
     def random_point_near(
         self,
@@ -362,12 +366,14 @@ class PathFinder:
             World x, y and floor z [m], shape (3,) or (count, 3), float64.
 
         Raises:
-            QueryError: see `random_point`; and if the distances are none.
+            QueryError: as `random_point`; or the distances are not 0 <= minimum <= maximum.
         """
-        return self._sampler.places_near(
-            rng, position, (min_distance, max_distance), count, straight=straight, room=room,
-            level=level, anywhere=anywhere,
-        )  # fmt: skip
+        distances = (min_distance, max_distance)
+        cells = self._sampler.cells_near(position, distances, straight, level)
+        if room is not None:
+            cells = cells[self.rooms.number[cells] == self.rooms.find(room)]
+        limits = {"room": room, "distance [m]": f"{min_distance:g} to {max_distance:g}"}
+        return self._sampler.draw(cells, rng, count, anywhere, limits)
 
     def any_free_in_annulus(
         self,

@@ -62,7 +62,7 @@ def cells_of_shape(
         level: one level.
         shape: the thing.
         margins: of the agent.
-        step: what is lower than this above the floor is in nobody's way [m].
+        step: what is lower than this above the floor can be stepped over [m].
         height: of the agent [m].
     """
     lattice = level.lattice

@@ -2,20 +2,24 @@
 
 How `exact` decides, for an agent whose centre is on a cell's centre:
 
-- It must not meet the square of an occupied cell. The bake has made a cell occupied where
+- The agent must not meet the square of an occupied cell. The bake has made a cell occupied where
   something meets its square or the disc of the baked radius round its centre, so whatever the
-  bake saw lies in an occupied square. The baked radius is no part of the new one: it is the
-  radius round free centres that the grid was good for as it was.
-- A floor that it meets may be a step higher than its own, not more: a ledge is a wall from below,
-  and so is the step after the next one to who is too large for a stair. Up to the baked radius the
-  bake has seen to that, more precisely than the squares of cells tell. Lower floors are no matter.
-- Near another level the cells of both count, each where its floor is as high as the agent's (less
-  than the body's height apart); what is under a landing is not in the way of who is on the stair.
-- Beyond the rectangle of a single level the bake saw nothing. A level of several is cut to its
-  floor, beyond which there is none, which is occupied as it is within.
-- Cells without floor that are not occupied, as others' files have them, count as in the original:
-  of the cells that the disc covers, at least 0.7 must have a floor. Here, at no smaller radius
-  either, so that a larger agent is never free where a smaller one isn't.
+  bake saw lies in an occupied square. The baked radius is replaced, not added to.
+- A floor that the agent meets may be a step higher than its own, not more: a ledge is a wall from
+  below, and so is the next tread but one, for an agent that is too large for the stair. Up to the
+  baked radius the bake has decided this, more precisely than the squares of cells can. Lower
+  floors are ignored.
+- Near another level the cells of both levels count, each where its floor is as high as the
+  agent's (less than the body's height apart). So what is under a landing does not block the
+  stair to it.
+- Beyond the rectangle of a single level the bake saw nothing, and nothing blocks. Each of several
+  levels is cut to the cells with a floor; beyond these is no floor, which counts as occupied.
+- Cells without floor that are not occupied occur in others' files. They count as in the original
+  client: of the cells that the disc covers, at least 0.7 must have a floor. Here this must hold for
+  every smaller radius too, so that a larger agent is never free where a smaller one isn't.
+
+Source: ``refine`` of the original client (sstk, ``NavScene.js``) for `minos` and the share of
+floor; the inflation layer of nav2 (``nav2_costmap_2d``) for `costs="nav2"`.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 An inflated grid tells where an agent may stand at a cell's centre. On the way from one centre to
 the next, or anywhere else in a cell, it may be nearer to what is beside it. So diagonal steps
 need cells that would be free for a radius so much larger that the discs round both ends cover the
-way; and straight lines off the centres need cells in which any place will do.
+way; and straight lines off the centres need cells in which the agent may be anywhere.
 
 Floors are known at cells' centres: where one is a step higher than the next, the edge between
 them may be half a cell off, and so may the edges beside it. There, steps go straight from centre
@@ -99,4 +99,7 @@ def _at_edges(level: SceneGrid2D) -> Bool:
 
 def _larger(radius: float, cell_size: float) -> tuple[float, float]:
     """Radii that cover a diagonal step's way, and all places of a cell [m]."""
+    # Halfway along a diagonal step, half a diagonal from both ends, a point at distance r from the
+    # way is the farthest from them: sqrt(r² + (s / sqrt 2)²). A corner of the cell is s / sqrt 2
+    # from its centre.
     return math.sqrt(radius**2 + cell_size**2 / 2), radius + cell_size / math.sqrt(2)

@@ -52,9 +52,9 @@ def make_queue(num_buckets):
 
 
 @njit(cache=True, error_model="numpy")
-def push(head, state, entry_cell, entry_next, place, cell):
+def push(head, state, entry_cell, entry_next, bucket, cell):
     """Put a cell into a bucket; there is room for it."""
-    slot = place & (head.shape[0] - 1)  # the remainder, as the number is a power of two
+    slot = bucket & (head.shape[0] - 1)  # the remainder, as the number is a power of two
     entry = state[SPARE]
     if entry >= 0:
         state[SPARE] = entry_next[entry]
@@ -67,9 +67,9 @@ def push(head, state, entry_cell, entry_next, place, cell):
 
 
 @njit(cache=True, error_model="numpy")
-def pop(head, state, entry_cell, entry_next, place):
+def pop(head, state, entry_cell, entry_next, bucket):
     """Take a cell out of a bucket; -1 if it is empty."""
-    slot = place & (head.shape[0] - 1)
+    slot = bucket & (head.shape[0] - 1)
     entry = head[slot]
     if entry < 0:
         return np.int64(-1)

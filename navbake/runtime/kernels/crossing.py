@@ -88,8 +88,8 @@ def walk_line(space, room, cell, x0, y0, x1, y1):
         if share >= 1.0:
             return cell, 1.0
         following = np.int64(-1)
-        # At a corner the line meets both edges at once. Then the cell over either edge will do:
-        # the second turn tries the other one, and the next round crosses from there.
+        # At a corner the line meets both edges at once. Then the cell over either edge is
+        # enough: the second turn tries the other one, and the next round crosses from there.
         for turn in range(2):
             over_x = (to_x <= to_y) == (turn == 0)
             if following >= 0 or (turn == 1 and to_x != to_y):

@@ -42,7 +42,7 @@ def locate(layout, floors, positions):
 
 @njit(cache=True)
 def stand_on(layout, floors, free, max_drop, positions):
-    """Tell whether an agent can stand at positions.
+    """Find out at which positions an agent can stand.
 
     Args:
         layout, floors, positions: see `locate`.

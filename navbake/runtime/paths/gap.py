@@ -50,6 +50,7 @@ def find_gap(grid: NavGrid, flat: FlatGrid, origin: int, goals: Int) -> Gap | No
     plain = deflated(grid.without_blocks())
     if radius == 0.0 or not _joins(plain, flat, 0.0, origin, goals):
         return None
+    # bisection: a radius that passes lets all smaller ones pass, as no larger one frees a cell
     low, high = 0.0, radius
     while high - low > FINE:
         middle = (low + high) / 2
@@ -61,6 +62,7 @@ def find_gap(grid: NavGrid, flat: FlatGrid, origin: int, goals: Int) -> Gap | No
     route = Search(_with_free(plain, free)).route(origin, goals)
     if route is None:
         return None
+    # of the widest way, the cells that a slightly larger agent loses: the gap is one of them
     taken = _with_flanks(flat, route)
     stops = taken[~_free_for(plain, high)[taken]]
     return _measure(plain, flat, stops, low) if len(stops) else None
@@ -87,6 +89,7 @@ def _measure(grid: NavGrid, flat: FlatGrid, stops: Int, radius: float) -> Gap:
             continue
         k = int(np.argmin(distance))
         best, narrowest, width = float(distance[k]), stop, 2 * radius
+        # the other side: what lies within 60 degrees of the opposite direction
         opposite = nearest @ -nearest[k] > 0.5 * distance * distance[k]
         if opposite.any():
             side = here + nearest[k]

@@ -61,11 +61,11 @@ def find_target(cache: GridCache, goal: Goal, level: int | None = None) -> Targe
     Args:
         cache: the grid and what follows from it.
         goal: world position, shape (3,) [m]; several, shape (n, 3); ``room:`` and the id or name
-            of a room; ``object:`` and a name of the grid's user data. x, y will do on one level.
-        level: which level positions are on; then z does not count.
+            of a room; ``object:`` and a name of the grid's user data.
+        level: which level positions are on; then z is ignored.
 
     Raises:
-        QueryError: a position is none, there is no such room or object, or nothing is asked for.
+        QueryError: a position is not valid, or there is no such room or object.
     """
     flat = cache.flat
     if isinstance(goal, str):
@@ -135,6 +135,7 @@ def _nearest_ring(level: SceneGrid2D, cells: Int, free: Bool) -> Int:
 
     reached = np.zeros(level.shape, dtype=np.bool_)
     reached.ravel()[cells] = True
+    # where nothing stands but the object itself, so that no ring grows through a wall
     passable = (level.occupancy == 0) | free | reached
     for _ in range(math.ceil(MAX_REACH / level.lattice.cell_size)):
         if (reached & free).any():

@@ -109,7 +109,7 @@ def _not_free(cache: GridCache, cell: int) -> str:
 
 
 def _parted(cache: GridCache, origin: int, goals: Int) -> tuple[str, Int | None]:
-    """Tell of the two islands; and the cells where they are nearest, if on one level."""
+    """Name the two islands, and find the cells where they are nearest, if on one level."""
     from scipy.spatial import cKDTree
 
     flat, islands = cache.flat, cache.islands
@@ -117,7 +117,9 @@ def _parted(cache: GridCache, origin: int, goals: Int) -> tuple[str, Int | None]
     away = np.unique(islands.number[goals])
     edge = flat.free & (cache.search.graph.moves != 255)
     ones, others = (np.flatnonzero(edge & np.isin(islands.number, which)) for which in (home, away))
-    reach = 10.0 * float(flat.layout.start[-1])  # a level apart: farther than anything on one
+    # One tree for all levels: as a third coordinate, each level is farther from the next than any
+    # two cells of one level can be.
+    reach = 10.0 * float(flat.layout.start[-1])
     places = [
         np.column_stack([flat.positions(c)[:, :2], flat.level_of(c) * reach])
         for c in (ones, others)
@@ -193,7 +195,7 @@ def _gap(cache: GridCache, origin: int, goals: Int) -> str | None:
 
 
 def _links(cache: GridCache, origin: int, goals: Int) -> str | None:
-    """Tell of levels that no step joins, or none any more."""
+    """Name levels that no step joins, or no step that can be taken."""
     flat = cache.flat
     home = int(flat.level_of(origin))
     away = np.unique(flat.level_of(goals))

@@ -61,6 +61,7 @@ def map_islands(flat: FlatGrid, corners: NDArray[np.uint8] | None = None) -> Isl
     number, sizes = label_islands(
         layout.start, layout.width, flat.free, floors.z, floors.max_step, links
     )
+    # one size of cells on all levels is the rule; else each level's cells count by their own area
     areas = sizes * layout.cell_size[0] ** 2
     if len(set(layout.cell_size)) > 1:
         areas = np.zeros(len(sizes))

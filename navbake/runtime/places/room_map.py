@@ -99,9 +99,9 @@ def map_rooms(grid: NavGrid) -> RoomMap:
     for number, level in enumerate(grid.levels):
         index = level.room_index
         numbers = np.zeros(int(index.max(initial=0)) + 1, dtype=np.int32)
-        for place, room in enumerate(rooms, start=1):
+        for position, room in enumerate(rooms, start=1):
             if room.level == number and room.index < len(numbers):
-                numbers[room.index] = place
+                numbers[room.index] = position
         if ((numbers[index] == 0) & (index > 0)).any():
             for room in measure_rooms(level, number):
                 if not numbers[room.index]:

@@ -32,51 +32,23 @@ class Pose(NamedTuple):
 
 
 class Sampler:
-    """Draws for `PathFinder`, whose methods `random_point` and so on say what and how."""
+    """Finds the cells that `PathFinder` draws from, and draws."""
 
     def __init__(self, cache: GridCache) -> None:
         self._cache = cache
 
-    def places(
-        self,
-        rng: np.random.Generator,
-        count: int | None,
-        *,
-        level: int | None,
-        room: str | None,
-        island: int | None,
-        reachable_from: ArrayLike | None,
-        anywhere: bool,
-    ) -> Float:
-        """`PathFinder.random_point`."""
-        if reachable_from is not None:
-            home = self._island_of(reachable_from, level=None)
-            if island not in (None, home):
-                raise QueryError(f"island {island} can't be reached: the position is on {home}")
-            island = home
-        cells = np.flatnonzero(self._cache.allowed(level=level, room=room, island=island))
-        limits = {"level": level, "room": room, "island": island}
-        return self._draw(cells, rng, count, anywhere, limits)
+    def home_island(self, position: ArrayLike, level: int | None = None) -> int:
+        """The island of a position where an agent can stand.
 
-    def places_near(
-        self,
-        rng: np.random.Generator,
-        position: ArrayLike,
-        distances: tuple[float, float],
-        count: int | None,
-        *,
-        straight: bool,
-        room: str | None,
-        level: int | None,
-        anywhere: bool,
-    ) -> Float:
-        """`PathFinder.random_point_near`."""
-        cells = self.cells_near(position, distances, straight, level)
-        if room is not None:
-            rooms = self._cache.rooms
-            cells = cells[rooms.number[cells] == rooms.find(room)]
-        limits = {"room": room, "distance [m]": f"{distances[0]:g} to {distances[1]:g}"}
-        return self._draw(cells, rng, count, anywhere, limits)
+        Raises:
+            QueryError: no agent can stand there.
+        """
+        cell = self._cache.flat.cell_at(position, level)
+        island = 0 if cell is None else int(self._cache.islands.number[cell])
+        if not island:
+            where = ", ".join(f"{v:g}" for v in np.asarray(position, dtype=np.float64))
+            raise QueryError(f"no agent can stand at {where}: snap it to the nearest place first")
+        return island
 
     def pose(
         self,
@@ -92,7 +64,7 @@ class Sampler:
         check_generator(rng)
         if target is None:
             cells = np.flatnonzero(self._cache.allowed(level=level))
-            place = self._draw(cells, rng, None, False, {"level": level})
+            place = self.draw(cells, rng, None, False, {"level": level})
             return Pose(place, float(rng.uniform(-math.pi, math.pi)))
         cells = self.cells_near(target, distances, True, level)
         flat, number, (low, high) = self._cache.flat, self._cache.rooms.number, distances
@@ -109,7 +81,7 @@ class Sampler:
             found = first_in_sight(space, number, home, p[0], p[1], rng.permutation(cells))
             cells = np.array([found] if found >= 0 else [], dtype=np.int64)
         limits = {"distance [m]": f"{low:g} to {high:g}", "in sight": in_sight}
-        place = self._draw(cells, rng, None, False, limits)
+        place = self.draw(cells, rng, None, False, limits)
         return Pose(place, math.atan2(p[1] - place[1], p[0] - place[0]))
 
     def cells_near(
@@ -131,20 +103,12 @@ class Sampler:
             raise QueryError(f"{where} is in no cell of {scene_id!r}: nothing is near")
         if straight:
             return cells_in_annulus(flat, int(flat.level_of(home)), p[:2], distances, flat.free)
-        self._island_of(position, level)
+        self.home_island(position, level)
         field = self._cache.search.field(np.array([home]), weighted=False)
         near = (field >= low) & (field <= high + 1e-9)
-        return np.flatnonzero(near & np.isfinite(field))  # none, where any distance will do
+        return np.flatnonzero(near & np.isfinite(field))  # inf <= inf: not what no path leads to
 
-    def _island_of(self, position: ArrayLike, level: int | None) -> int:
-        cell = self._cache.flat.cell_at(position, level)
-        island = 0 if cell is None else int(self._cache.islands.number[cell])
-        if not island:
-            where = ", ".join(f"{v:g}" for v in np.asarray(position, dtype=np.float64))
-            raise QueryError(f"no agent can stand at {where}: snap it to the nearest place first")
-        return island
-
-    def _draw(
+    def draw(
         self,
         cells: Int,
         rng: np.random.Generator,
@@ -152,6 +116,7 @@ class Sampler:
         anywhere: bool,
         limits: Mapping[str, object],
     ) -> Float:
+        """Draw places in some cells; where there are none, `limits` tell what was asked for."""
         check_generator(rng)
         if count is not None and (not isinstance(count, int | np.integer) or count < 0):
             raise QueryError(f"expected a count >= 0, got {count!r}")

@@ -88,7 +88,7 @@ class _Nearby:
         p: world x, y, z [m].
         allowed: by flat id, bool.
         levels: where to look.
-        max_distance: farther ones don't count [m].
+        max_distance: farther cells are ignored [m].
         on_map: whether distances are measured on the map, or in space.
     """
 
