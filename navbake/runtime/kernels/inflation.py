@@ -34,21 +34,12 @@ def dilate(occupied, half_width):
         Shape (rows, cols), bool.
     """
     rows, cols = occupied.shape
-    far = half_width.shape[0] - 1
-    above = np.empty((rows, cols), dtype=np.int32)
-    for col in range(cols):
-        above[0, col] = 0 if occupied[0, col] else far
-    for row in range(1, rows):
-        for col in range(cols):
-            above[row, col] = 0 if occupied[row, col] else min(above[row - 1, col] + 1, far)
+    column = _column_distances(occupied, half_width.shape[0] - 1)
     near = np.empty((rows, cols), dtype=np.bool_)
-    below = np.full(cols, far, dtype=np.int32)
     width = np.empty(cols, dtype=np.int32)
-    for row in range(rows - 1, -1, -1):
+    for row in range(rows):
         for col in range(cols):
-            below[col] = min(below[col] + 1, above[row, col])
-        for col in range(cols):
-            width[col] = half_width[below[col]]
+            width[col] = half_width[column[row, col]]
         # The union of all intervals [col - width, col + width], swept once from each side: the
         # farthest end so far decides, whichever interval it is of.
         end = -1
@@ -65,6 +56,21 @@ def dilate(occupied, half_width):
 
 
 @njit(cache=True)
+def _column_distances(occupied, far):
+    """Distance of each cell to the nearest occupied one of its column, at most `far`, int32."""
+    rows, cols = occupied.shape
+    column = np.empty((rows, cols), dtype=np.int32)
+    for row in range(rows):
+        for col in range(cols):
+            before = column[row - 1, col] if row > 0 else far
+            column[row, col] = 0 if occupied[row, col] else min(before + 1, far)
+    for row in range(rows - 2, -1, -1):
+        for col in range(cols):
+            column[row, col] = min(column[row, col], column[row + 1, col] + 1)
+    return column
+
+
+@njit(cache=True)
 def squared_distances(occupied, reach):
     """Measure from each cell's centre to that of the nearest occupied one.
 
@@ -76,25 +82,17 @@ def squared_distances(occupied, reach):
         Squares, shape (rows, cols), int64; more than reach² where all are farther than that.
     """
     rows, cols = occupied.shape
-    far = reach + 1
-    column = np.empty((rows, cols), dtype=np.int64)
-    for row in range(rows):
-        for col in range(cols):
-            before = column[row - 1, col] if row > 0 else far
-            column[row, col] = 0 if occupied[row, col] else min(before + 1, far)
-    for row in range(rows - 2, -1, -1):
-        for col in range(cols):
-            column[row, col] = min(column[row, col], column[row + 1, col] + 1)
+    column = _column_distances(occupied, reach + 1)
     squares = np.empty((rows, cols), dtype=np.int64)
     for row in range(rows):
         for col in range(cols):
-            best = column[row, col] ** 2
+            best = np.int64(column[row, col]) ** 2
             step = 1  # sideways; once its square is the best or more, no column can be nearer
             while step <= reach and step * step < best:
                 if col >= step:
-                    best = min(best, step * step + column[row, col - step] ** 2)
+                    best = min(best, step * step + np.int64(column[row, col - step]) ** 2)
                 if col + step < cols:
-                    best = min(best, step * step + column[row, col + step] ** 2)
+                    best = min(best, step * step + np.int64(column[row, col + step]) ** 2)
                 step += 1
             squares[row, col] = best
     return squares
