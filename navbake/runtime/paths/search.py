@@ -58,7 +58,7 @@ class Search:
             link_from=np.zeros(len(self.flat.links.cell), dtype=np.int64),
         )
         self._number = 0
-        self.make_room(FIRST_ROOM)
+        self._make_room(FIRST_ROOM)
         self.version = 0
         self._seen = [0] * self.flat.num_levels
         for number, level in enumerate(grid.levels):
@@ -136,7 +136,7 @@ class Search:
             )
             if reached != NO_ROOM:
                 break
-            self.make_room(4 * len(self._entries.cell))
+            self._make_room(4 * len(self._entries.cell))
         if reached < 0:
             return None
         cells: Int = trace_route(self.flat.layout, self.flat.links, self._visits, reached)
@@ -160,7 +160,7 @@ class Search:
             field = np.full(self.flat.num_cells, np.inf)
             if find_field(graph, goals, field, self._entries):
                 return field
-            self.make_room(4 * len(self._entries.cell))
+            self._make_room(4 * len(self._entries.cell))
 
     def lengths(self, cells: Int) -> Float:
         """The lengths of the steps of a route [m], shape (len(cells) - 1,)."""
@@ -186,8 +186,7 @@ class Search:
         first, last = links.start[slot : slot + 2]
         return float(links.length[first:last][links.target[first:last] == target][0])
 
-    def make_room(self, size: int) -> None:
-        """Make room for so many entries of the queue; searches ask for more where they need it."""
+    def _make_room(self, size: int) -> None:
         from navbake.runtime.kernels.arrays import Entries  # saves numba at start-up
 
         self._entries = Entries(np.empty(size, dtype=np.int32), np.empty(size, dtype=np.int32))
