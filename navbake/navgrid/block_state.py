@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 # What a block takes: cells that the thing is in; where an agent can't stand; where it can't step
 # diagonally; where it can't be beside the cell's centre. Each holds the one before, but for the
 # first two.
-OCCUPIED, BLOCKED, NARROW, TIGHT = range(4)
+OCCUPIED, BLOCKED, NO_DIAGONAL, NO_OFF_CENTER = range(4)
 NUM_LAYERS = 4
 
 Layers = list[Int]
