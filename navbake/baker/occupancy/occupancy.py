@@ -50,7 +50,7 @@ class Footprint:
 
 
 @dataclass(frozen=True)
-class Occupancy:
+class Answers:
     """Answers of `check_occupancy`.
 
     Attributes:
@@ -70,7 +70,7 @@ def check_occupancy(
     footprint: Footprint,
     cells: NDArray[np.int64],
     floors: NDArray[np.float64],
-) -> Occupancy:
+) -> Answers:
     """Tell for each cell and floor whether a geom meets the open volume above it.
 
     The volume stands over the cell's footprint, between the floor plus the traversable height
@@ -128,7 +128,7 @@ def check_occupancy(
     for n in undecided:
         if _ask_fcl(tiled, footprint, int(cells[n]), float(floors[n])):
             state[n] = MEETS
-    return Occupancy(occupied=state == MEETS, by_ray=int(by_line.sum()), by_fcl=len(undecided))
+    return Answers(occupied=state == MEETS, by_ray=int(by_line.sum()), by_fcl=len(undecided))
 
 
 def _ask_fcl(tiled: TiledShapes, footprint: Footprint, cell: int, floor: float) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.kernels.labels import (
     cells_of_nodes,
@@ -13,12 +12,8 @@ from navbake.baker.kernels.labels import (
     measure_slopes,
 )
 from navbake.baker.kernels.watershed import flood, squared_distances
-from navbake.baker.rooms.basins import ROUGHNESS, SLACK, Basins
-
-Bool = NDArray[np.bool_]
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
-Labels = NDArray[np.int32]
+from navbake.baker.rooms.regions import ROUGHNESS, ROUNDING, Regions
+from navbake.types import Bool, Float, Int, Int32
 
 # How far a narrow place begins behind the discs that fit beside it, in door widths
 NARROW = 0.1
@@ -34,7 +29,7 @@ def segment_rooms(
     door_width: float,
     min_area: float,
     floor: Float | None = None,
-) -> Labels:
+) -> Int32:
     """Part the open cells of a level into rooms, at gaps no wider than a door.
 
     A gap is as wide as the largest disc that passes it. Rooms grow from where a disc wider than
@@ -76,20 +71,20 @@ def segment_rooms(
     open_cells = np.ascontiguousarray(open_cells[window])
     # the door's half width, in half cells; nothing fits beside one that is as wide as the map
     width = min(door_width / cell_size, float(min(open_cells.shape) + 2))
-    least = min_area / cell_size**2 - SLACK
+    least = min_area / cell_size**2 - ROUNDING
     reach = int(width + ROUGHNESS) + 2
     distance = squared_distances(wall_nodes(open_cells), reach)
     label, num_wide = _find_seeds(open_cells, distance, width, least)
     flood(label, open_cells, np.ascontiguousarray(distance[1::2, 1::2]), (reach + 1) ** 2)
-    basins = Basins(label, distance, num_wide)
-    basins.join_rough_passes()
-    basins.join_junctions()
+    regions = Regions(label, distance, num_wide)
+    regions.join_rough_passes()
+    regions.join_junctions()
     if floor is not None:
         steps = max(1, round(REACH / cell_size))
         rise = STEEP * 2 * steps * cell_size
-        basins.join_stairs(*measure_slopes(label, floor[window], steps, rise, int(label.max())))
-    basins.join_small(least)
-    rooms[window] = number_by_place(basins.joined(least)[label])
+        regions.join_stairs(*measure_slopes(label, floor[window], steps, rise, int(label.max())))
+    regions.join_small(least)
+    rooms[window] = number_by_place(regions.wholes(least)[label])
     return rooms
 
 
@@ -114,7 +109,7 @@ def wall_nodes(open_cells: Bool) -> Bool:
     return nodes
 
 
-def number_by_place(label: Labels) -> Labels:
+def number_by_place(label: Int32) -> Int32:
     """Renumber labels from 1 by the first cell of each in reading order; 0 stays."""
     order = order_by_place(label)
     number = np.zeros(int(order.max(initial=0)) + 1, dtype=np.int32)
@@ -122,22 +117,20 @@ def number_by_place(label: Labels) -> Labels:
     return number[label]
 
 
-def order_by_place(label: Labels) -> Int:
+def order_by_place(label: Int32) -> Int:
     """The labels that are used, but 0, by their first cells in reading order."""
     first = first_cells(label, int(label.max(initial=0)) + 1)[1:]
     return 1 + np.argsort(first, kind="stable")[: np.count_nonzero(first < label.size)]
 
 
-def _find_seeds(
-    open_cells: Bool, distance: Labels, width: float, least: float
-) -> tuple[Labels, int]:
+def _find_seeds(open_cells: Bool, distance: Int32, width: float, least: float) -> tuple[Int32, int]:
     """Label where discs wider than the door fit, and the narrow places that they leave.
 
     Returns:
-        Labels of cells, those of the wide places first; the largest of each kind first, then
+        Int32 of cells, those of the wide places first; the largest of each kind first, then
         those farther from walls; and how many places are wide.
     """
-    wide, num_wide = label_parts(distance > int((width + SLACK) ** 2))
+    wide, num_wide = label_parts(distance > int((width + ROUNDING) ** 2))
     label = cells_of_nodes(wide)
     narrow, num_narrow = _find_narrow(open_cells, distance, wide > 0, width, least)
     if num_narrow:
@@ -150,8 +143,8 @@ def _find_seeds(
 
 
 def _find_narrow(
-    open_cells: Bool, distance: Labels, is_wide: Bool, width: float, least: float
-) -> tuple[Labels, int]:
+    open_cells: Bool, distance: Int32, is_wide: Bool, width: float, least: float
+) -> tuple[Int32, int]:
     """Label narrow places that go on behind the discs, and are no cracks; also tell how many.
 
     Args:
@@ -163,12 +156,12 @@ def _find_narrow(
     """
     behind = (width * (1 + 2 * NARROW)) ** 2
     to_wide = squared_distances(is_wide, int(behind**0.5) + 1, 1, 2)[:, 1::2]
-    left, num_left = label_parts(open_cells & (to_wide > width**2 + SLACK))
+    left, num_left = label_parts(open_cells & (to_wide > width**2 + ROUNDING))
     is_large = np.bincount(left.ravel(), minlength=num_left + 1) >= max(least / 2, 1)
     is_large[0] = False
     if not is_large.any():
         return left, 0
     narrow, num_narrow = label_parts(is_large[left] & (to_wide > behind))
     _, peaks, _ = measure_basins(narrow, distance, num_narrow)
-    is_crack = peaks < (width * NARROWEST) ** 2 - SLACK
+    is_crack = peaks < (width * NARROWEST) ** 2 - ROUNDING
     return np.where(is_crack[narrow], np.int32(0), narrow), num_narrow

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.scene.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, Solids
+from navbake.types import Float
 
-Float = NDArray[np.float64]
 Chords = tuple[Float, Float]
 
 

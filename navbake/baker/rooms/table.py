@@ -1,0 +1,102 @@
+"""The table of rooms: what the file tells of each one."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.baker.floors.levels import Floors
+from navbake.baker.kernels.labels import measure_rooms
+from navbake.baker.rooms.openings import Opening, RoomKey
+from navbake.navgrid.lattice import Lattice
+from navbake.types import Json
+
+# Names that can't be ids, because ids of rooms without a name of their own look like that
+ID_LIKE = re.compile(r"\d+:\d+")
+
+
+class NamedRoom(NamedTuple):
+    """A room's name, or None, and the source that it is from."""
+
+    name: str | None
+    source: str
+
+
+def describe_rooms(
+    index: Sequence[NDArray[np.uint16]],
+    rooms: Sequence[Sequence[NamedRoom]],
+    floors: Floors,
+    lattice: Lattice,
+) -> list[Json]:
+    """Describe each room but for its neighbours.
+
+    A room's id is its name where no other room has that, else ``<level>:<index>``.
+
+    Args:
+        index: the room of each cell by level, shape (height, width), 0 for none.
+        rooms: by level, its rooms from index 1 on.
+        floors: the storeys.
+        lattice: the cells.
+    """
+    names = Counter(name for level in rooms for name, _ in level)
+    table = []
+    for number, (label, level) in enumerate(zip(index, floors.levels, strict=True)):
+        count, *center = measure_rooms(
+            label, level.floor, lattice.center_x(), lattice.center_y(), len(rooms[number])
+        )
+        for k, (name, source) in enumerate(rooms[number], 1):
+            is_unique = name is not None and names[name] == 1 and not ID_LIKE.fullmatch(name)
+            table.append(
+                {
+                    "index": k,
+                    "id": name if is_unique else f"{number}:{k}",
+                    "name": name,
+                    "level": number,
+                    "area": round(float(count[k]) * lattice.cell_size**2, 6),
+                    "centroid": [round(float(c[k] / count[k]), 6) + 0.0 for c in center],
+                    "source": source,
+                }
+            )
+    return table
+
+
+def name_neighbours(
+    table: Sequence[Json],
+    openings: Sequence[Opening],
+    links: Sequence[tuple[RoomKey, RoomKey]],
+    doors: Mapping[int, Sequence[str]],
+) -> list[Json]:
+    """Name what each room opens to: without a door, through a door, by a step elsewhere.
+
+    Args:
+        table: the rooms.
+        openings: where rooms of a level meet.
+        links: pairs of rooms of two levels between which a step leads.
+        doors: by the number of an opening, the ids of the doors in it.
+    """
+    ids = {(room["level"], room["index"]): room["id"] for room in table}
+    found: dict[RoomKey, set[tuple[RoomKey, str, str]]] = {room: set() for room in ids}
+    for number, opening in enumerate(openings):
+        a, b = ((opening.level, room) for room in opening.rooms)
+        for door in doors.get(number, [""]):
+            kind = "door" if door else "open"
+            found[a].add((b, kind, door))
+            found[b].add((a, kind, door))
+    for a, b in links:
+        found[a].add((b, "link", ""))
+        found[b].add((a, "link", ""))
+    return [
+        {
+            **room,
+            "neighbours": [
+                {"room": ids[other], "door": door or None, "kind": kind}
+                for other, kind, door in sorted(found[room["level"], room["index"]])
+            ],
+        }
+        for room in table
+    ]
