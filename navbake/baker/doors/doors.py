@@ -115,22 +115,19 @@ def place_doors(scene: Scene, candidates: Sequence[DoorCandidate], around: Surro
     rejected: list[DoorCandidate] = []
     for candidate in candidates:
         blocked = _blocked_by_state(posed, candidate, around)
-        leaf = _Leaf.of(extents, candidate)
-        rooms = _rooms_beside(leaf, blocked["closed"], around)
+        leaf = largest_side(extents, candidate.geoms)
+        rooms = _rooms_beside(leaf, extents, blocked["closed"], around)
         if rooms is None and not candidate.named:
             if _is_on_lattice(candidate.only(posed["modelled"]), around):
                 rejected.append(candidate)
             continue
-        cells = {
-            state: [
-                of_level[~occupied.ravel()[of_level]]
-                for of_level, occupied in zip(per_level, around.occupied, strict=True)
-            ]
-            for state, per_level in blocked.items()
-        }
         placed.append(
             PlacedDoor(
-                candidate.id, candidate.joint, rooms or (None, None), cells, blocked["closed"]
+                id=candidate.id,
+                joint=candidate.joint,
+                rooms=rooms or (None, None),
+                cells={state: _only_free(cells, around) for state, cells in blocked.items()},
+                closed_cells=blocked["closed"],
             )
         )
     return Doors(placed, rejected)
@@ -196,6 +193,14 @@ def _blocked_by_state(
     return blocked
 
 
+def _only_free(cells: list[Int], around: Surroundings) -> list[Int]:
+    """For each level, the cells that nothing else occupies."""
+    return [
+        of_level[~occupied.ravel()[of_level]]
+        for of_level, occupied in zip(cells, around.occupied, strict=True)
+    ]
+
+
 def _is_on_lattice(shapes: Shapes, around: Surroundings) -> bool:
     bounds = shapes.bounds()
     return bounds is None or around.lattice.window(bounds, around.footprint.reach) is not None
@@ -227,58 +232,40 @@ def _blocked_cells(shapes: Shapes, around: Surroundings) -> list[Int]:
 # ---------------------------------------------------------------- what a door joins
 
 
-@dataclass(frozen=True)
-class _Leaf:
-    """A closed leaf: the largest geom of a door, seen from above."""
-
-    center: Float
-    along: Float
-    across: Float
-    width: float
-    thickness: float
-
-    @classmethod
-    def of(cls, extents: Extents, candidate: DoorCandidate) -> _Leaf:
-        largest = largest_side(extents, candidate.geoms)
-        across = extents.across[largest]
-        return cls(
-            center=extents.center[largest],
-            along=np.array([-across[1], across[0]]),
-            across=across,
-            width=float(extents.long[largest]),
-            thickness=float(extents.thin[largest]),
-        )
-
-    def lines_of_sight(self, step: float) -> Float:
-        """Points on lines away from both sides, shape (sides, lines, steps, 2) [m]."""
-        distance = self.thickness / 2 + np.arange(0.0, SIGHT, step)
-        start = self.center + self.along * np.array(LINES)[:, None] * self.width
-        side = self.across * np.array([-1.0, 1.0])[:, None, None, None]
-        points: Float = start[:, None] + side * distance[:, None]
-        return points
-
-
 def _rooms_beside(
-    leaf: _Leaf, closed_cells: Sequence[Int], around: Surroundings
+    leaf: int, extents: Extents, closed_cells: Sequence[Int], around: Surroundings
 ) -> RoomPair | None:
-    """The rooms on a closed leaf's two sides, None for outside; None if they aren't two."""
+    """The rooms on a closed leaf's two sides, None for outside; None if they aren't two.
+
+    Args:
+        leaf: the geom that is the leaf.
+        extents: of all doors, closed.
+        closed_cells: what the closed door blocks, by level.
+        around: what was found without doors.
+    """
     sizes = [len(cells) for cells in closed_cells]
-    if not any(sizes) or not np.isfinite(leaf.center).all():
+    if not any(sizes) or not np.isfinite(extents.center[leaf]).all():
         return None
     level = int(np.argmax(sizes))
-    rows, cols = around.lattice.rows_cols(leaf.lines_of_sight(around.lattice.cell_size / 2))
+    sight = _lines_of_sight(leaf, extents, around.lattice.cell_size / 2)
+    rows, cols = around.lattice.rows_cols(sight)
     one, other = (_room_in_sight(rows[side], cols[side], level, around) for side in (0, 1))
     return (one, other) if one != other else None
 
 
-def _room_in_sight(rows: Int, cols: Int, level: int, around: Surroundings) -> str | None:
-    """The room that most lines of sight from one side of a leaf end in; None for none.
+def _lines_of_sight(leaf: int, extents: Extents, step: float) -> Float:
+    """Points on lines away from both sides of a leaf, shape (sides, lines, steps, 2) [m]."""
+    across = extents.across[leaf]
+    along = np.array([-across[1], across[0]])
+    distance = extents.thin[leaf] / 2 + np.arange(0.0, SIGHT, step)
+    start = extents.center[leaf] + along * np.array(LINES)[:, None] * extents.long[leaf]
+    side = across * np.array([-1.0, 1.0])[:, None, None, None]
+    points: Float = start[:, None] + side * distance[:, None]
+    return points
 
-    Args:
-        rows, cols: the cells on the lines, shape (lines, steps), from the leaf on.
-        level: their level.
-        around: what was found without doors.
-    """
+
+def _room_in_sight(rows: Int, cols: Int, level: int, around: Surroundings) -> str | None:
+    """The room that most lines of sight, (lines, steps) cells of a level, end in; None for none."""
     lattice, floor = around.lattice, around.floors[level].floor
     votes: Counter[str | None] = Counter()
     for line in zip(rows.tolist(), cols.tolist(), strict=True):

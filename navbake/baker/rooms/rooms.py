@@ -18,9 +18,8 @@ from navbake.baker.rooms.openings import (
     find_room_links,
     match_doors,
 )
-from navbake.baker.rooms.segmentation import order_by_place, segment_rooms
-from navbake.baker.rooms.sharing import share_rest
-from navbake.baker.rooms.sources import MARKED_BY, MarkedRooms
+from navbake.baker.rooms.segmentation import order_by_place, segment_rooms, share_rest
+from navbake.baker.rooms.sources import MarkedRooms, RoomMarkers
 from navbake.baker.rooms.table import NamedRoom, describe_rooms, name_neighbours
 from navbake.baker.scene.scene import Scene
 from navbake.config.rooms import RoomSettings
@@ -106,12 +105,12 @@ def find_rooms(
     levels, lattice = floors.levels, columns.lattice
     open_cells = [~np.isnan(level.floor) & ~wall for level, wall in zip(levels, walls, strict=True)]
     assignment = _Assignment(open_cells)
+    markers = RoomMarkers(scene, columns, levels, settings, agent)
     for source in settings.sources:
         if source == "auto":
             assignment.segment([level.floor for level in levels], settings, lattice.cell_size)
         else:
-            marked = MARKED_BY[source](scene, columns, levels, settings, agent)
-            assignment.add(marked, source)
+            assignment.add(markers.mark(source), source)
     index, named = assignment.number()
     openings = find_openings(index, floors, agent.traversable_floor_height)
     links = find_room_links(index, floors)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from typing import Any
@@ -53,139 +53,120 @@ class MarkedRooms:
     warnings: list[str] = field(default_factory=list)
 
 
-Source = Callable[[Scene, Columns, Sequence[LevelFloor], RoomSettings, AgentSettings], MarkedRooms]
-"""Marks rooms.
+@dataclass(frozen=True)
+class RoomMarkers:
+    """What marks rooms in a scene.
 
-Args:
-    scene: the scene.
-    columns: all surfaces of the geoms that count.
-    levels: the storeys.
-    settings: patterns and polygons.
-    agent: its height and step.
-"""
-
-
-def mark_by_geoms(
-    scene: Scene,
-    columns: Columns,
-    levels: Sequence[LevelFloor],
-    settings: RoomSettings,
-    agent: AgentSettings,
-) -> MarkedRooms:
-    """Give each cell the room whose geom is its floor; see `Source`.
-
-    Of the geoms that match, that is the one whose surface lies highest from 5 cm below the floor
-    to 5 mm above it. So rugs cover no room, and geoms may be floors that are only drawn and
-    don't count in the bake. Of several at one height the first counts. Meshes are taken as their
-    triangles. Furniture may be named like a room: a geom is a floor when half of its upper side
-    is, or lies up to a step under one (a carpet, a podium).
+    Attributes:
+        scene: the scene.
+        columns: all surfaces of the geoms that count.
+        levels: the storeys.
+        settings: the patterns and polygons of markers.
+        agent: its height and step.
     """
-    model, lattice = scene.model, columns.lattice
-    names = [name_at(model, address) for address in model.name_geomadr]
-    chosen, warnings = _match(names, settings.geoms, DEFAULT_GEOMS, "geoms")
-    labels = _no_rooms(levels)
-    if not chosen:
-        return MarkedRooms([], labels, warnings)
-    number = np.zeros(model.ngeom + 1, dtype=np.int32)
-    number[chosen] = np.arange(1, len(chosen) + 1)
-    cell, z, geom = _surfaces_of(scene, columns, chosen)
-    lowest = -agent.traversable_floor_height - SAME
-    heights = [z - level.floor.ravel()[cell] for level in levels]  # NaN for no floor: no match
-    at_floor = np.any([(h >= lowest) & (h <= ABOVE + SAME) for h in heights], axis=0)
-    sides = np.bincount(geom, minlength=model.ngeom)
-    is_floor = np.bincount(geom[at_floor], minlength=model.ngeom) >= FLOOR_SHARE * sides
-    for label, height in zip(labels, heights, strict=True):
-        here = (height >= -BELOW - SAME) & (height <= ABOVE + SAME) & is_floor[geom]
-        highest = np.full(label.size, -np.inf)
-        np.maximum.at(highest, cell[here], z[here])
-        here &= z >= highest[cell] - SAME
-        first = np.full(label.size, model.ngeom, dtype=np.int32)
-        np.minimum.at(first, cell[here], geom[here])
-        label[:] = number[first].reshape(lattice.shape)
-    return MarkedRooms([_room_name(names[geom]) for geom in chosen], labels, warnings)
 
+    scene: Scene
+    columns: Columns
+    levels: Sequence[LevelFloor]
+    settings: RoomSettings
+    agent: AgentSettings
 
-def mark_by_sites(
-    scene: Scene,
-    columns: Columns,
-    levels: Sequence[LevelFloor],
-    settings: RoomSettings,
-    agent: AgentSettings,
-) -> MarkedRooms:
-    """Give each cell the room in whose site's volume an agent in it stands; see `Source`.
+    def mark(self, source: str) -> MarkedRooms:
+        """The rooms of geoms, sites or polygons.
 
-    Counted is the vertical line through the cell's centre, from 5 cm below its floor to the
-    agent's height over it. At least half of what the volume has of the line, or half of the
-    agent, has to be between the two. So a marker that lies on the floor, a box from floor to
-    ceiling and a sphere round the middle of a room are each as large as they look from above,
-    and none reaches into the next storey. Of volumes that overlap the first counts. A site that
-    marks less than `rooms.min_area` of floor, on all levels together, marks none.
-    """
-    model, lattice = scene.model, columns.lattice
-    names = [name_at(model, address) for address in model.name_siteadr]
-    chosen, warnings = _match(names, settings.sites, DEFAULT_SITES, "sites")
-    labels = _no_rooms(levels)
-    kept: list[str | None] = []
-    small: list[str] = []
-    for site in chosen:
-        solid = _site_solid(model, scene.data, site)
-        masks = [_stands_in(solid, level.floor, lattice, agent.height) for level in levels]
-        if sum(int(mask.sum()) for mask in masks) * lattice.cell_size**2 < settings.min_area:
-            small.append(names[site])
-            continue
-        kept.append(names[site])
-        for label, mask in zip(labels, masks, strict=True):
-            label[mask & (label == 0)] = len(kept)
-    if small:
-        warnings.append(
-            f"sites that hold less than {settings.min_area:g} m² of floor (`rooms.min_area`) are "
-            f"no rooms: {', '.join(small[:5])}{', …' if len(small) > 5 else ''}"
-        )
-    return MarkedRooms(kept, labels, warnings)
+        Raises:
+            ConfigError: a polygon's level is none of the levels.
+        """
+        by_source = {"geoms": self._geoms, "sites": self._sites, "polygons": self._polygons}
+        return by_source[source]()
 
+    def _geoms(self) -> MarkedRooms:
+        """Give each cell the room whose geom is its floor.
 
-def mark_by_polygons(
-    scene: Scene,
-    columns: Columns,
-    levels: Sequence[LevelFloor],
-    settings: RoomSettings,
-    agent: AgentSettings,
-) -> MarkedRooms:
-    """Give each cell the room in whose polygon its centre lies; of several, the first.
+        Of the geoms that match, that is the one whose surface lies highest from 5 cm below the
+        floor to 5 mm above it. So rugs cover no room, and geoms may be floors that are only drawn
+        and don't count in the bake. Of several at one height the first counts. Meshes are taken
+        as their triangles. Furniture may be named like a room: a geom is a floor when half of its
+        upper side is, or lies up to a step under one (a carpet, a podium).
+        """
+        model = self.scene.model
+        names = [name_at(model, address) for address in model.name_geomadr]
+        chosen, warnings = _match(names, self.settings.geoms, DEFAULT_GEOMS, "geoms")
+        labels = self._no_rooms()
+        if not chosen:
+            return MarkedRooms([], labels, warnings)
+        number = np.zeros(model.ngeom + 1, dtype=np.int32)
+        number[chosen] = np.arange(1, len(chosen) + 1)
+        cell, z, geom = _upward_surfaces(self.scene, self.columns, chosen)
+        lowest = -self.agent.traversable_floor_height - SAME
+        # NaN where there is no floor, which compares as False
+        heights = [z - level.floor.ravel()[cell] for level in self.levels]
+        at_floor = np.any([(h >= lowest) & (h <= ABOVE + SAME) for h in heights], axis=0)
+        sides = np.bincount(geom, minlength=model.ngeom)
+        is_floor = np.bincount(geom[at_floor], minlength=model.ngeom) >= FLOOR_SHARE * sides
+        for label, height in zip(labels, heights, strict=True):
+            here = (height >= -BELOW - SAME) & (height <= ABOVE + SAME) & is_floor[geom]
+            highest = np.full(label.size, -np.inf)
+            np.maximum.at(highest, cell[here], z[here])
+            here &= z >= highest[cell] - SAME
+            first = np.full(label.size, model.ngeom, dtype=np.int32)
+            np.minimum.at(first, cell[here], geom[here])
+            label[:] = number[first].reshape(label.shape)
+        return MarkedRooms([_room_name(names[geom]) for geom in chosen], labels, warnings)
 
-    See `Source`.
+    def _sites(self) -> MarkedRooms:
+        """Give each cell the room in whose site's volume an agent in it stands.
 
-    Raises:
-        ConfigError: a polygon's level is none of the levels.
-    """
-    lattice, polygons = columns.lattice, settings.polygons
-    labels = _no_rooms(levels)
-    warnings = []
-    for number, polygon in enumerate(polygons):
-        level = _find_level(polygon, number, levels)
-        mask = cover_cells([polygon.points, *polygon.rings], lattice)
-        if not (mask & ~np.isnan(levels[level].floor)).any():
+        Of volumes that overlap the first counts. A site that marks less than `rooms.min_area` of
+        floor, on all levels together, is no room.
+        """
+        model, lattice, least = self.scene.model, self.columns.lattice, self.settings.min_area
+        names = [name_at(model, address) for address in model.name_siteadr]
+        chosen, warnings = _match(names, self.settings.sites, DEFAULT_SITES, "sites")
+        labels = self._no_rooms()
+        kept: list[str | None] = []
+        small: list[str] = []
+        for site in chosen:
+            solid = _site_solid(model, self.scene.data, site)
+            masks = [
+                _stands_in(solid, level.floor, lattice, self.agent.height) for level in self.levels
+            ]
+            if sum(int(mask.sum()) for mask in masks) * lattice.cell_size**2 < least:
+                small.append(names[site])
+                continue
+            kept.append(names[site])
+            for label, mask in zip(labels, masks, strict=True):
+                label[mask & (label == 0)] = len(kept)
+        if small:
             warnings.append(
-                f"room {_called(polygon, number)} of `rooms.polygons` has no floor on "
-                f"{levels[level].name}, whose {_span(levels[level], lattice)}"
+                f"sites that hold less than {least:g} m² of floor (`rooms.min_area`) are no "
+                f"rooms: {', '.join(small[:5])}{', …' if len(small) > 5 else ''}"
             )
-        labels[level][mask & (labels[level] == 0)] = number + 1
-    return MarkedRooms([polygon.name for polygon in polygons], labels, warnings)
+        return MarkedRooms(kept, labels, warnings)
+
+    def _polygons(self) -> MarkedRooms:
+        """Give each cell the room in whose polygon its centre lies; of several, the first."""
+        lattice, polygons = self.columns.lattice, self.settings.polygons
+        labels = self._no_rooms()
+        warnings = []
+        for number, polygon in enumerate(polygons):
+            level = _find_level(polygon, number, self.levels)
+            mask = cover_cells([polygon.points, *polygon.rings], lattice)
+            if not (mask & ~np.isnan(self.levels[level].floor)).any():
+                warnings.append(
+                    f"room {_called(polygon, number)} of `rooms.polygons` has no floor on "
+                    f"{self.levels[level].name}, whose {_span(self.levels[level], lattice)}"
+                )
+            labels[level][mask & (labels[level] == 0)] = number + 1
+        return MarkedRooms([polygon.name for polygon in polygons], labels, warnings)
+
+    def _no_rooms(self) -> list[Int32]:
+        return [np.zeros(level.floor.shape, dtype=np.int32) for level in self.levels]
 
 
-# By what `rooms.sources` calls them
-MARKED_BY: dict[str, Source] = {
-    "geoms": mark_by_geoms,
-    "sites": mark_by_sites,
-    "polygons": mark_by_polygons,
-}
-
-
-def _no_rooms(levels: Sequence[LevelFloor]) -> list[Int32]:
-    return [np.zeros(level.floor.shape, dtype=np.int32) for level in levels]
-
-
-def _surfaces_of(scene: Scene, columns: Columns, chosen: Sequence[int]) -> tuple[Int, Float, Int32]:
+def _upward_surfaces(
+    scene: Scene, columns: Columns, chosen: Sequence[int]
+) -> tuple[Int, Float, Int32]:
     """The surfaces of geoms that face up: cells, heights, geoms.
 
     The columns have those that count already, but hulls cover more than the meshes do.
@@ -243,7 +224,14 @@ def _site_solid(model: Any, data: Any, site: int) -> Solids:
 
 
 def _stands_in(solid: Solids, floor: Float, lattice: Lattice, agent_height: float) -> Bool:
-    """The cells whose agent stands in a volume; see `mark_by_sites`."""
+    """The cells whose agent stands in a volume.
+
+    Counted is the vertical line through the cell's centre, from 5 cm below its floor to the
+    agent's height over it. At least half of what the volume has of the line, or half of the
+    agent, has to be between the two. So a marker that lies on the floor, a box from floor to
+    ceiling and a sphere round the middle of a room are each as large as they look from above,
+    and none reaches into the next storey.
+    """
     mask = np.zeros(lattice.shape, dtype=np.bool_)
     x0, y0, _, x1, y1, _ = solid.bounds[0]
     (row0, row1), (col0, col1) = lattice.rows_cols([[x0, y1], [x1, y0]])
