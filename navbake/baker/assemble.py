@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from navbake._version import __version__
-from navbake.baker.doors.doors import describe_doors
 from navbake.baker.scene.model import mujoco_version
 from navbake.baker.stages import Stages
 from navbake.config.settings import settings_digest
-from navbake.navgrid.doors import door_cells, name_door_cells
+from navbake.navgrid.door_states import name_door_cells
+from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.types import Float, Int, Json, Vector3
@@ -33,9 +34,10 @@ def build_grid(stages: Stages) -> SceneGrid2D | MultiLevelGrid:
         windows = [(slice(0, lattice.height), slice(0, lattice.width))]
     else:
         windows = [_floor_window(level.floor) for level in levels]
-    metadata = _metadata(stages, windows)
+    doors = _cut_doors(stages, windows)
+    metadata = _metadata(stages, windows, doors)
     grids = [
-        _level_grid(stages, number, window, box, metadata)
+        _level_grid(stages, number, window, box, doors, metadata)
         for number, (window, box) in enumerate(
             zip(windows, _level_boxes(stages, windows), strict=True)
         )
@@ -48,14 +50,18 @@ def build_grid(stages: Stages) -> SceneGrid2D | MultiLevelGrid:
 
 
 def _level_grid(
-    stages: Stages, number: int, window: Window, box: Box, metadata: Json
+    stages: Stages,
+    number: int,
+    window: Window,
+    box: Box,
+    doors: Sequence[Door],
+    metadata: Json,
 ) -> SceneGrid2D:
-    """One level's grid; the doors block it as they stand in the wanted state."""
+    """One level's grid, blocked by the doors in their states."""
     level, part = stages.floors.levels[number], stages.lattice.cut(*window)
-    doors = metadata["navbake"]["doors"]
     occupied = stages.occupancy.levels[number][window].copy()
     for door in doors:
-        cells = door_cells(door, door["state"], len(stages.floors.levels))
+        cells = door.cells_in(door.state, len(stages.floors.levels))
         occupied.ravel()[cells[number]] = True
     return SceneGrid2D(
         width=part.width,
@@ -74,8 +80,8 @@ def _level_grid(
     )
 
 
-def _user_data(stages: Stages, number: int, window: Window, doors: list[Json]) -> Any:
-    """The names in each cell by cell id, found when somebody first asks for them."""
+def _user_data(stages: Stages, number: int, window: Window, doors: Sequence[Door]) -> Any:
+    """The names in each cell by cell id, found on first use."""
     if not stages.config.names.enabled or stages.contents is None:
         return {}
     shared = stages.contents.user_data(number, window)
@@ -108,7 +114,7 @@ def _level_boxes(stages: Stages, windows: list[Window]) -> list[Box]:
     return boxes
 
 
-def _metadata(stages: Stages, windows: list[Window]) -> Json:
+def _metadata(stages: Stages, windows: list[Window], doors: Sequence[Door]) -> Json:
     agent = stages.config.agent
     return {
         "sceneId": stages.scene.id,
@@ -121,23 +127,19 @@ def _metadata(stages: Stages, windows: list[Window]) -> Json:
         "agentRadius": agent.radius,
         "traversableFloorHeight": agent.traversable_floor_height,
         "useCellFloorHeight": True,
-        "navbake": _own_metadata(stages, windows),
+        "navbake": _own_metadata(stages, windows, doors),
     }
 
 
-def _own_metadata(stages: Stages, windows: list[Window]) -> Json:
-    """What navbake tells beyond the format."""
-    config, scene, width = stages.config, stages.scene, stages.lattice.width
-    doors = stages.doors.placed
-    rooms = stages.rooms.with_doors({door.id: door.closed_cells for door in doors})
-
-    def cut(level: int, cells: Int) -> Int:
-        return _cut_cells(cells, windows[level], width)
-
+def _own_metadata(stages: Stages, windows: list[Window], doors: Sequence[Door]) -> Json:
+    """The part of the metadata that is not in the format, but navbake's own."""
+    config, levels = stages.config, stages.floors.levels
+    placed = stages.doors.placed
+    rooms = stages.rooms.with_doors({door.id: door.closed_cells for door in placed})
     return {
         "version": __version__,
         "mujoco": mujoco_version(),
-        "sceneDigest": scene.digest,
+        "sceneDigest": stages.scene.digest,
         "settingsDigest": settings_digest(config),
         "worldFrame": {
             "up": "z",
@@ -146,12 +148,36 @@ def _own_metadata(stages: Stages, windows: list[Window]) -> Json:
             "fileFromWorld": "(X, Y, Z) = (x, z, -y)",
         },
         "maxSlope": config.agent.max_slope,
-        "levels": [{"name": level.name, "ground": level.ground} for level in stages.floors.levels],
-        "links": _cut_links(stages.floors.links, windows, width).tolist(),
+        "levels": [{"name": level.name, "ground": level.ground} for level in levels],
+        "links": _cut_links(stages.floors.links, windows, stages.lattice.width).tolist(),
         "names": config.names.enabled,
-        "rooms": rooms.table,
-        "doors": describe_doors(doors, config.doors.state, cut),
+        "rooms": [room.to_json() for room in rooms.table],
+        "doors": [_door_entry(door) for door in doors],
     }
+
+
+def _door_entry(door: Door) -> Json:
+    """A door as the file states it; see `navbake.navgrid.doors.parse_doors`."""
+    return {
+        "id": door.id,
+        "joint": door.joint,
+        "rooms": list(door.rooms),
+        "state": door.state,
+        "cells": {
+            state: [[level, runs] for level, runs in per_level.items()]
+            for state, per_level in door.cells.items()
+        },
+    }
+
+
+def _cut_doors(stages: Stages, windows: list[Window]) -> list[Door]:
+    """The doors in the wanted state, with cells counted on each level's own rectangle."""
+
+    def cut(level: int, cells: Int) -> Int:
+        return _cut_cells(cells, windows[level], stages.lattice.width)
+
+    wanted = stages.config.doors.state
+    return [door.on_grid(wanted, cut) for door in stages.doors.placed]
 
 
 def _cut_cells(cells: Int, window: Window, width: int) -> Int:

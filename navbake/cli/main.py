@@ -189,7 +189,8 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
     from navbake.formats.navgrid import read_navgrid
     from navbake.views.info import describe
 
-    facts = describe(read_navgrid(grid))
+    content = read_navgrid(grid)
+    facts = describe(content)
     if as_json:
         _print_json(facts)
         return
@@ -197,7 +198,7 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
 
     tables = [fact_table(facts), level_table(facts)]
     if facts["doors"]:
-        tables.append(door_table(facts["doors"], [level["name"] for level in facts["levels"]]))
+        tables.append(door_table(content.doors, [level["name"] for level in facts["levels"]]))
     print_tables(*tables)
 
 
@@ -242,20 +243,19 @@ def plot(
 def rooms(grid: GridFile, as_json: AsJson = False) -> None:
     """List the rooms of a grid, what each opens to, and the doors between them."""
     from navbake.formats.navgrid import read_navgrid
-    from navbake.navgrid.doors import list_doors
-    from navbake.navgrid.rooms import describe_rooms
     from navbake.views.info import level_name
 
     content = read_navgrid(grid)
-    described, doors = describe_rooms(content), list_doors(content)
+    found, doors = content.rooms, content.doors
     if as_json:
-        _print_json({"scene_id": content.scene_id, "rooms": described, "doors": doors})
+        tables = {"rooms": [r.to_json() for r in found], "doors": [d.to_json() for d in doors]}
+        _print_json({"scene_id": content.scene_id, **tables})
         return
     from navbake.cli.tables import door_table, print_tables, room_table
 
     names = [level_name(content, number) for number in range(len(content.levels))]
-    print_tables(room_table(described, names))
-    print(f"{len(described)} room{'' if len(described) == 1 else 's'}")
+    print_tables(room_table(found, names))
+    print(f"{len(found)} room{'' if len(found) == 1 else 's'}")
     if doors:
         print()
         print_tables(door_table(doors, names))

@@ -13,6 +13,8 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from navbake.baker.scene.scene import GeomReport
+    from navbake.navgrid.doors import Door
+    from navbake.navgrid.rooms import Neighbour, Room
 
 PIPE_WIDTH = 10_000  # columns of what is no terminal: nothing is cut or wrapped there
 
@@ -121,8 +123,8 @@ def level_table(facts: dict[str, Any]) -> Table:
     return _table(tuple(columns), rows, numbers=set(columns) - {"name"}, gap=1)
 
 
-def room_table(rooms: Iterable[dict[str, Any]], levels: Sequence[str]) -> Table:
-    """One row a room, from `navbake.navgrid.rooms.describe_rooms`.
+def room_table(rooms: Iterable[Room], levels: Sequence[str]) -> Table:
+    """One row a room, see `navbake.navgrid.rooms.Room`.
 
     Args:
         rooms: the rooms.
@@ -130,14 +132,14 @@ def room_table(rooms: Iterable[dict[str, Any]], levels: Sequence[str]) -> Table:
     """
     rows = (
         (
-            room["id"],
-            room["name"] or "",
-            levels[room["level"]],
-            str(room["index"]),
-            f"{room['area']:.2f}",
-            " ".join(f"{value:.2f}" for value in room["centroid"]),
-            room.get("source") or "",
-            ", ".join(_neighbour(neighbour) for neighbour in room["neighbours"]),
+            room.id,
+            room.name or "",
+            levels[room.level],
+            str(room.index),
+            f"{room.area:.2f}",
+            " ".join(f"{value:.2f}" for value in room.centroid),
+            room.source or "",
+            ", ".join(_neighbour(neighbour) for neighbour in room.neighbours),
         )
         for room in rooms
     )
@@ -145,8 +147,8 @@ def room_table(rooms: Iterable[dict[str, Any]], levels: Sequence[str]) -> Table:
     return _table(headings, rows, numbers={"index", "m2"})
 
 
-def door_table(doors: Iterable[dict[str, Any]], levels: Sequence[str]) -> Table:
-    """One row a door, from `navbake.navgrid.doors.list_doors`.
+def door_table(doors: Iterable[Door], levels: Sequence[str]) -> Table:
+    """One row a door, see `navbake.navgrid.doors.Door`.
 
     Args:
         doors: the doors.
@@ -154,12 +156,12 @@ def door_table(doors: Iterable[dict[str, Any]], levels: Sequence[str]) -> Table:
     """
     rows = (
         (
-            door["id"],
-            door["joint"] or "none",
-            ", ".join(levels[level] for level in door["levels"]),
-            _joined(door["rooms"]),
-            f"{door['state']} ({door['like']})" if door["like"] else door["state"],
-            ", ".join(door["states"]),
+            door.id,
+            door.joint or "none",
+            ", ".join(levels[level] for level in door.levels),
+            _joined(door.rooms),
+            f"{door.state} ({door.like})" if door.like else door.state,
+            ", ".join(door.states),
         )
         for door in doors
     )
@@ -195,9 +197,9 @@ def _joined(rooms: Sequence[str | None]) -> str:
     return " - ".join(names) if any(rooms) else "nothing"
 
 
-def _neighbour(neighbour: dict[str, Any]) -> str:
-    how = neighbour.get("door") or {"link": "steps"}.get(neighbour.get("kind", ""), "")
-    return f"{neighbour['room']} ({how})" if how else str(neighbour["room"])
+def _neighbour(neighbour: Neighbour) -> str:
+    how = neighbour.door or ("steps" if neighbour.kind == "link" else "")
+    return f"{neighbour.room} ({how})" if how else neighbour.room
 
 
 def _height_range(level: dict[str, Any]) -> str:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.navgrid.doors import list_doors
 from navbake.navgrid.islands import find_islands
 
 if TYPE_CHECKING:
@@ -41,7 +40,7 @@ def describe(grid: SceneGrid2D | MultiLevelGrid) -> dict[str, Any]:
         with ``name``, ``width`` and ``height`` [cells], ``ground``, ``floor_min`` and
         ``floor_max`` (world z [m], None without floor), ``floor_area``, ``free_area`` and
         ``largest_island_area`` [m2], ``num_islands``, ``num_rooms``; ``num_islands`` and
-        ``num_links`` of all levels together; ``doors``, see `navbake.navgrid.doors.list_doors`;
+        ``num_links`` of all levels together; ``doors``, see `navbake.navgrid.doors.Door.to_json`;
         ``inflated``: radius and clearance [m] and mode of each inflation since the bake.
     """
     islands = find_islands(grid)
@@ -57,8 +56,8 @@ def describe(grid: SceneGrid2D | MultiLevelGrid) -> dict[str, Any]:
             for index, level in enumerate(grid.levels)
         ],
         "num_islands": max(int(island.max(initial=0)) for island in islands),
-        "num_links": len(grid.links),
-        "doors": list_doors(grid),
+        "num_links": len(grid.link_array),
+        "doors": [door.to_json() for door in grid.doors],
         "inflated": _inflations(grid),
     }
 

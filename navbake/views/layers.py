@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import QueryError
-from navbake.navgrid.doors import door_cells
 from navbake.navgrid.islands import clearance, islands_of
-from navbake.navgrid.rooms import describe_rooms
+from navbake.navgrid.rooms import Room
 from navbake.views.info import level_name
 
 if TYPE_CHECKING:
@@ -157,7 +156,7 @@ def _show_islands(grid: AnyGrid) -> list[Panel]:
 
 
 def _show_rooms(grid: AnyGrid) -> list[Panel]:
-    rooms = describe_rooms(grid)
+    rooms = grid.rooms
     palette = _palette(len(rooms))
     panels = []
     for number, level in enumerate(grid.levels):
@@ -166,9 +165,9 @@ def _show_rooms(grid: AnyGrid) -> list[Panel]:
         colors[0] = rgb_of(OCCUPIED)
         labels = []
         for k, room in enumerate(rooms, 1):
-            cells = index == room["index"]
-            if room["level"] == number and cells.any():
-                colors[room["index"]] = palette[k]
+            cells = index == room.index
+            if room.level == number and cells.any():
+                colors[room.index] = palette[k]
                 labels.append(_place_label(level, cells, room))
         rgb = colors[index]
         left = (index == 0) & level.free
@@ -224,13 +223,13 @@ def _door_mask(grid: AnyGrid, number: int) -> NDArray[np.bool_]:
     """The cells of a level in which a door stands, closed or as it is."""
     level = grid.levels[number]
     mask = np.zeros(level.width * level.height, dtype=np.bool_)
-    for door in grid.navbake.get("doors", []):
-        for state in ("closed", door["state"]):
-            mask[door_cells(door, state, len(grid.levels))[number]] = True
+    for door in grid.doors:
+        for state in ("closed", door.state):
+            mask[door.cells_in(state, len(grid.levels))[number]] = True
     return mask.reshape(level.shape)
 
 
-def _place_label(level: SceneGrid2D, mask: NDArray[np.bool_], room: dict[str, object]) -> Label:
+def _place_label(level: SceneGrid2D, mask: NDArray[np.bool_], room: Room) -> Label:
     """Put a room's name where there is most space around it."""
     from scipy.ndimage import distance_transform_edt
 
@@ -244,5 +243,5 @@ def _place_label(level: SceneGrid2D, mask: NDArray[np.bool_], room: dict[str, ob
     middle = (first + last) / 2 + cols.min()
     x, y = level.lattice.positions(row + rows.min(), middle)
     width = (last - first + 1) * level.lattice.cell_size
-    name = f"{room['level']}:{room['index']}"
-    return Label(str(room["name"] or name), name, float(x), float(y), width)
+    name = f"{room.level}:{room.index}"
+    return Label(room.name or name, name, float(x), float(y), width)

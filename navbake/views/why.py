@@ -7,7 +7,7 @@ from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 from navbake.errors import QueryError
-from navbake.navgrid.doors import NAMES
+from navbake.navgrid.door_states import NAMES
 from navbake.navgrid.islands import islands_of
 
 if TYPE_CHECKING:
@@ -107,8 +107,8 @@ def _cell(part: SceneGrid2D, x: float, y: float, level: int) -> tuple[int, int]:
 def _room(grid: NavGrid, level: int, index: int) -> Any:
     if index == 0:
         return None
-    entries = [r for r in grid.rooms if (r.get("level"), r.get("index")) == (level, index)]
-    return entries[0] if entries else index
+    found = [room for room in grid.rooms if (room.level, room.index) == (level, index)]
+    return found[0].to_json() if found else index
 
 
 def _blockers(entry: dict[str, Any], names: dict[str, list[str]]) -> list[str]:

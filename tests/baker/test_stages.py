@@ -57,7 +57,7 @@ def test_the_stages_of_a_crate_on_a_floor(tmp_path):
     assert (level.floor[~np.isnan(level.floor)] == 0.0).all()
     assert stages.occupancy.levels[0].sum() == 25
     assert not stages.contents.wall_cells(0).any()
-    assert [room["id"] for room in stages.rooms.table] == ["0:1"]
+    assert [room.id for room in stages.rooms.table] == ["0:1"]
     assert stages.doors == Doors([], [])
 
 
@@ -159,11 +159,11 @@ STAGE = """
 def test_what_stands_on_the_floor_again_may_leave_no_door_of_another_leaf(tmp_path):
     settings = {"rooms": {"sources": ["auto"], "min_area": 2.0}}
     only = bake_world(tmp_path, EDGE, **settings).grid
-    assert [door["id"] for door in only.doors] == ["leaf"]
+    assert [door.id for door in only.doors] == ["leaf"]
     begun = []
     progress = lambda stage, share: begun.append(stage) if share == 0.0 else None  # noqa: E731
     grid = bake_world(tmp_path, EDGE, STAGE, progress=progress, **settings).grid
-    assert grid.doors == []
+    assert not grid.doors
     assert begun.count("rooms") == 3  # without both, with the stage, with both
     other = bake_world(tmp_path, EDGE, STAGE, doors={"find": False}, **settings).grid
     digest = {"settingsDigest": other.navbake["settingsDigest"]}

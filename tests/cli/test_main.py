@@ -248,7 +248,7 @@ def test_rooms_and_their_picture(folder, run):
     status, out, _ = run("rooms", "room.grid.json", "--json")
     listed = json.loads(out)
     assert listed["scene_id"] == "room"
-    assert listed["rooms"] == navbake.load("room.grid.json").rooms
+    assert listed["rooms"] == navbake.load("room.grid.json").navbake["rooms"]
     layers = ("--layer", "rooms", "--layer", "clearance")
     status, out, _ = run("plot", "room.grid.json", "-o", "rooms.png", *layers)
     assert (status, out) == (0, "rooms.png\n")

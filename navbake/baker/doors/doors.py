@@ -20,9 +20,9 @@ from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
-from navbake.navgrid.doors import STATES, to_runs
+from navbake.navgrid.doors import STATES, Door, to_runs
 from navbake.navgrid.lattice import Lattice
-from navbake.types import Bool, Float, Int, Json
+from navbake.types import Bool, Float, Int
 
 RoomPair = tuple[str | None, str | None]
 
@@ -53,8 +53,21 @@ class PlacedDoor:
     closed_cells: list[Int]
 
     def state(self, wanted: str) -> str:
-        """The state that it is in where all doors are to be in another: that if it has it."""
+        """The wanted state if the door has it, else modelled."""
         return wanted if wanted == "removed" or wanted in self.cells else "modelled"
+
+    def on_grid(self, wanted: str, cut: Callable[[int, Int], Int]) -> Door:
+        """The door of a grid, in the wanted state if it has that, else as modelled.
+
+        Args:
+            wanted: one of `STATES`.
+            cut: turns a level and cells of the whole lattice into cells of the level's grid.
+        """
+        cells = {
+            state: {level: to_runs(cut(level, ids)) for level, ids in enumerate(levels) if len(ids)}
+            for state, levels in self.cells.items()
+        }
+        return Door(self.id, self.joint, self.rooms, self.state(wanted), cells)
 
 
 @dataclass(frozen=True)
@@ -140,35 +153,6 @@ def warn_immovable_doors(doors: Sequence[PlacedDoor], state: str) -> list[str]:
         f"modelled"
         for door in doors
         if door.state(state) != state
-    ]
-
-
-def describe_doors(
-    doors: Sequence[PlacedDoor], state: str, cut: Callable[[int, Int], Int]
-) -> list[Json]:
-    """The doors as the file has them, see `navbake.navgrid.doors`.
-
-    Args:
-        doors: the doors.
-        state: the state that the grid is written in; doors that haven't it are as modelled.
-        cut: turns cells of the whole lattice into cells of a level's own rectangle.
-    """
-    return [
-        {
-            "id": door.id,
-            "joint": door.joint,
-            "rooms": list(door.rooms),
-            "state": door.state(state),
-            "cells": {
-                name: [
-                    [level, to_runs(cut(level, cells))]
-                    for level, cells in enumerate(per_level)
-                    if len(cells)
-                ]
-                for name, per_level in door.cells.items()
-            },
-        }
-        for door in doors
     ]
 
 

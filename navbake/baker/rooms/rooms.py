@@ -26,7 +26,8 @@ from navbake.config.rooms import RoomSettings
 from navbake.config.settings import AgentSettings
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
-from navbake.types import Bool, Float, Int, Json
+from navbake.navgrid.rooms import Room
+from navbake.types import Bool, Float, Int
 
 MAX_ROOMS = np.iinfo(np.uint16).max  # of a level
 
@@ -38,10 +39,8 @@ class Rooms:
     Attributes:
         index: the room of each cell by level, shape (height, width) of the whole lattice,
             uint16, 1-based, 0 for none.
-        table: what the file tells of each room, by level and index: ``index``, ``id``, ``name``
-            (or None), ``level``, ``area`` [m²], ``centroid`` (world x, y, z [m]), ``source``
-            (polygons, geoms, sites, auto), ``neighbours``: ``room`` (its id), ``kind`` (open,
-            door, link), ``door`` (its id, or None).
+        table: the rooms by level and index; doors between neighbours are not named until
+            `with_doors`.
         openings: where rooms of a level meet.
         links: pairs of rooms of two levels between which a step leads.
         lattice: the cells.
@@ -49,7 +48,7 @@ class Rooms:
     """
 
     index: list[NDArray[np.uint16]]
-    table: list[Json]
+    table: list[Room]
     openings: list[Opening]
     links: list[tuple[RoomKey, RoomKey]]
     lattice: Lattice
@@ -62,7 +61,7 @@ class Rooms:
 
     @cached_property
     def _ids(self) -> dict[RoomKey, str]:
-        return {(room["level"], room["index"]): room["id"] for room in self.table}
+        return {(room.level, room.index): room.id for room in self.table}
 
     def with_doors(self, doors: Mapping[str, Sequence[Int]]) -> Rooms:
         """The same rooms, with the doors between neighbours named in the table.

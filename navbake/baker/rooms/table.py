@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from navbake.baker.floors.levels import Floors
 from navbake.baker.kernels.labels import measure_rooms
 from navbake.baker.rooms.openings import Opening, RoomKey
 from navbake.navgrid.lattice import Lattice
-from navbake.types import Json
+from navbake.navgrid.rooms import Neighbour, Room
 
 # Names that can't be ids, because ids of rooms without a name of their own look like that
 ID_LIKE = re.compile(r"\d+:\d+")
@@ -32,7 +33,7 @@ def describe_rooms(
     rooms: Sequence[Sequence[NamedRoom]],
     floors: Floors,
     lattice: Lattice,
-) -> list[Json]:
+) -> list[Room]:
     """Describe each room but for its neighbours.
 
     A room's id is its name where no other room has that, else ``<level>:<index>``.
@@ -50,27 +51,28 @@ def describe_rooms(
             label, level.floor, lattice.center_x(), lattice.center_y(), len(rooms[number])
         )
         for k, (name, source) in enumerate(rooms[number], 1):
-            is_unique = name is not None and names[name] == 1 and not ID_LIKE.fullmatch(name)
-            table.append(
-                {
-                    "index": k,
-                    "id": name if is_unique else f"{number}:{k}",
-                    "name": name,
-                    "level": number,
-                    "area": round(float(count[k]) * lattice.cell_size**2, 6),
-                    "centroid": [round(float(c[k] / count[k]), 6) + 0.0 for c in center],
-                    "source": source,
-                }
+            is_unique = names[name] == 1 and not ID_LIKE.fullmatch(name or "")
+            x, y, z = (round(float(c[k] / count[k]), 6) + 0.0 for c in center)  # no -0.0
+            room = Room(
+                index=k,
+                id=name if name is not None and is_unique else f"{number}:{k}",
+                name=name,
+                level=number,
+                area=round(float(count[k]) * lattice.cell_size**2, 6),
+                centroid=(x, y, z),
+                source=source,
+                neighbours=(),
             )
+            table.append(room)
     return table
 
 
 def name_neighbours(
-    table: Sequence[Json],
+    table: Sequence[Room],
     openings: Sequence[Opening],
     links: Sequence[tuple[RoomKey, RoomKey]],
     doors: Mapping[int, Sequence[str]],
-) -> list[Json]:
+) -> list[Room]:
     """Name what each room opens to: without a door, through a door, by a step elsewhere.
 
     Args:
@@ -79,7 +81,7 @@ def name_neighbours(
         links: pairs of rooms of two levels between which a step leads.
         doors: by the number of an opening, the ids of the doors in it.
     """
-    ids = {(room["level"], room["index"]): room["id"] for room in table}
+    ids = {(room.level, room.index): room.id for room in table}
     found: dict[RoomKey, set[tuple[RoomKey, str, str]]] = {room: set() for room in ids}
     for number, opening in enumerate(openings):
         a, b = ((opening.level, room) for room in opening.rooms)
@@ -91,12 +93,12 @@ def name_neighbours(
         found[a].add((b, "link", ""))
         found[b].add((a, "link", ""))
     return [
-        {
-            **room,
-            "neighbours": [
-                {"room": ids[other], "door": door or None, "kind": kind}
-                for other, kind, door in sorted(found[room["level"], room["index"]])
-            ],
-        }
+        replace(
+            room,
+            neighbours=tuple(
+                Neighbour(room=ids[other], kind=kind, door=door or None)
+                for other, kind, door in sorted(found[room.level, room.index])
+            ),
+        )
         for room in table
     ]

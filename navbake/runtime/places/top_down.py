@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import QueryError
-from navbake.runtime.places.locate import check_level
+from navbake.navgrid.cells import check_level
 from navbake.runtime.places.sample import Number
 from navbake.views.layers import FREE, NO_FLOOR, OCCUPIED, rgb_of
 
