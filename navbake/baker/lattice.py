@@ -28,7 +28,7 @@ def lay_lattice(scene: Scene, config: BakeConfig) -> Lattice:
             f"set `grid.bounds` to [x_min, y_min, x_max, y_max]"
         )
     if not np.isfinite(bounds).all():
-        raise SceneError(f"the scene {config.scene.path} has geoms at no finite place")
+        raise SceneError(f"the scene {config.scene.path} has geoms whose pose is not finite")
     sides = [bounds[2] - bounds[0], bounds[3] - bounds[1]]
     # floats, as integers could be too large to convert
     cells = 1.0

@@ -200,7 +200,7 @@ class Stages:
 
     @contextmanager
     def _errors_say_where(self) -> Iterator[None]:
-        """Add the scene's file and extent to a SceneError: units and bounds often are wrong."""
+        """Add the scene's file and extent to a SceneError: often the unit or bounds are wrong."""
         path, scene = self.config.scene.path, self.doorless
         try:
             yield

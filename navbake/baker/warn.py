@@ -1,4 +1,4 @@
-"""What the user of a bake should know, one line each."""
+"""The warnings of a bake, one line each."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def collect_warnings(stages: Stages) -> list[str]:
 
 
 def warn_missing_floors(scene: Scene, floors: Floors, config: BakeConfig) -> list[str]:
-    """Warn of what may be meant as a floor, and is none."""
+    """Warn of large surfaces that were not taken as floors."""
     warnings = []
     large = [top for top in floors.tops if top.area >= LARGE_TOP]
     if large:
         warnings.append(
-            f"no floor, because no step leads there: the top of {_describe_tops(scene, large)}; "
+            f"not a floor, because no step leads there: the top of {_describe_tops(scene, large)}; "
             "`floors.tops: true` makes it one"
         )
     if floors.roofs:
@@ -53,8 +53,8 @@ def _warn_hidden_ground(scene: Scene, floors: Floors, config: BakeConfig) -> lis
     for geom, point, normal in zip(planes.geom, planes.pos, planes.normal, strict=True):
         if normal[2] >= 1.0 - 1e-9 and point[2] < lowest - step:
             return [
-                f"{scene.geoms[geom].name!r} is endless, so the grid covers the other geoms' box, "
-                f"which hides it: `grid.margin` or `grid.bounds` shows the ground at "
+                f"{scene.geoms[geom].name!r} is endless, and the grid covers only the box of the "
+                f"other geoms, which hides it: `grid.margin` or `grid.bounds` shows the ground at "
                 f"{point[2]:.2f} m around them"
             ]
     return []

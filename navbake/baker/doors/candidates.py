@@ -1,4 +1,4 @@
-"""Door candidates: bodies that a pattern names, or that hang and look like the leaf of a door."""
+"""Door candidates: bodies that a pattern names, or with the joint and shape of a door's leaf."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ class DoorCandidate:
     Attributes:
         id: its body's name, or ``body <id>``; with the body's number where two look the same.
         joint: its joint's name, or ``joint <id>``; None where it can't move.
-        geoms: ids of the counted geoms of the body and of what hangs on it, shape (n,), int64.
+        geoms: ids of the counted geoms of the body and its descendants, shape (n,), int64.
         positions: the joint's position in each state but removed [rad or m]; empty where it
             can't move.
         joint_id: MuJoCo's id of the joint, -1 for none.
-        named: whether a pattern names it, rather than its looks.
+        named: whether a pattern names it; else it was found by its joint and shape.
     """
 
     id: str
@@ -62,14 +62,14 @@ class DoorCandidate:
 
 
 def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCandidate], list[str]]:
-    """Find the bodies that may be doors: by name, or because they hang and look like a leaf.
+    """Find the bodies that may be doors: by name, or by their joint and shape.
 
     Args:
         scene: the scene.
         settings: patterns, and whether to look for leaves.
 
     Returns:
-        The candidates, by body id, and warnings. What hangs on a candidate is part of it.
+        The candidates, by body id, and warnings. Descendants of a candidate are part of it.
     """
     if not settings.patterns and not settings.find:
         return [], []
@@ -95,7 +95,7 @@ def without_doors(scene: Scene, doors: Sequence[DoorCandidate]) -> Scene:
 
 
 def pose_doors(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Shapes:
-    """The geometry of all doors, all in one state; those that haven't it are as modelled."""
+    """The geometry of all doors in one state; doors without that state stay as modelled."""
     mask = _mark_geoms(scene.model.ngeom, doors)
     moved = {
         door.joint_id: float(position)
@@ -120,16 +120,16 @@ class _BodySearch:
         self.ends = find_subtree_ends(scene.model)
 
     def geoms(self, body: int) -> Int:
-        """The counted geoms of a body and of what hangs on it."""
+        """The counted geoms of a body and its descendants."""
         under = list_geoms(self._scene.model, body, int(self.ends[body]))
         return under[self._counted[under]]
 
     def is_candidate(self, body: int) -> bool:
-        """Whether a pattern names it, or it hangs and looks like a leaf; and it has geoms."""
+        """Whether a pattern names it, or it moves and looks like a leaf; and it has geoms."""
         if self.matches[body]:
             return len(self.geoms(body)) > 0
         joint = self._joint(body)
-        if joint < 0 or not self._settings.find or not self._hangs(joint):
+        if joint < 0 or not self._settings.find or not self._moves_like_leaf(joint):
             return False
         geoms = self.geoms(body)
         return len(geoms) > 0 and self._looks_like_leaf(geoms)
@@ -155,8 +155,8 @@ class _BodySearch:
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         return first if count == 1 and int(model.jnt_type[first]) in (HINGE, SLIDE) else -1
 
-    def _hangs(self, joint: int) -> bool:
-        """Whether it is a hinge about the vertical, or a slide along the floor."""
+    def _moves_like_leaf(self, joint: int) -> bool:
+        """Whether a joint is a hinge about the vertical, or a slide along the floor."""
         axis = self._scene.data.xaxis[joint]
         is_hinge = int(self._scene.model.jnt_type[joint]) == HINGE
         return bool(is_hinge == (abs(axis[2]) >= UPRIGHT))
@@ -183,7 +183,7 @@ class _BodySearch:
 
 
 def largest_side(extents: Extents, geoms: Int) -> int:
-    """Which of some geoms has the largest side as seen from its front; the first if none has."""
+    """The geom with the largest upright side; the first if none is finite."""
     area = (extents.long * (extents.high - extents.low))[geoms]
     return int(geoms[0] if np.isnan(area).all() else geoms[np.nanargmax(area)])
 

@@ -26,10 +26,10 @@ from navbake.types import Bool, Float, Int
 
 RoomPair = tuple[str | None, str | None]
 
-# A room is looked for up to this far from each side of a closed leaf [m]
+# How far from each side of a closed leaf a room is looked for [m]
 SIGHT = 0.6
-# The lines of sight begin here along the leaf, as shares of its width from its middle; the ends
-# are left out, as the frame is there
+# Where lines of sight begin along the leaf, as shares of its width from its middle; its ends are
+# left out, because the frame is there
 LINES = (-0.3, -0.15, 0.0, 0.15, 0.3)
 
 
@@ -109,7 +109,7 @@ class Surroundings:
 
 
 def place_doors(scene: Scene, candidates: Sequence[DoorCandidate], around: Surroundings) -> Doors:
-    """Find what each door blocks in each state, and which candidates are doors at all.
+    """Decide which candidates are doors, and find the cells that each door blocks in each state.
 
     A candidate that no pattern names is a door when it stands between two rooms, or between a
     room and the outside. One that stands beside the lattice, as modelled, is left out: it is no
@@ -147,7 +147,7 @@ def place_doors(scene: Scene, candidates: Sequence[DoorCandidate], around: Surro
 
 
 def warn_immovable_doors(doors: Sequence[PlacedDoor], state: str) -> list[str]:
-    """Warn of doors that can't be in the state that all are to be in."""
+    """Warn of doors that can't be in the state that is wanted of all."""
     return [
         f"door {door.id!r} can't be {state}, as it has no hinge or slide of its own: it stays as "
         f"modelled"

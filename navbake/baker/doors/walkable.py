@@ -28,7 +28,7 @@ def warn_walkable_doors(
     floors: Sequence[LevelFloor],
     agent: AgentSettings,
 ) -> list[str]:
-    """Warn of doors that carry half a square metre of floor or more, in any of their states.
+    """Warn of doors that carry 0.5 m² of floor or more, in any of their states.
 
     Floor is what faces up within the agent's slope and has its headroom. It has to lie no more
     than a step from a floor beside it, and not on a floor, as a mat does.
@@ -57,8 +57,9 @@ def warn_walkable_doors(
             area = _walkable_area(door.only(shapes), columns, floors, agent)
             if area >= MIN_AREA - SLACK:
                 warnings[door.id] = (
-                    f"door {door.id!r} carries {area:.1f} m² of floor {when}, which the grid "
-                    f"hasn't, as doors carry none: let `doors` leave it out if agents walk on it"
+                    f"door {door.id!r} carries {area:.1f} m² of floor {when}, which is "
+                    f"missing in the grid, because doors carry no floor: exclude it from `doors` "
+                    f"if agents walk on it"
                 )
     return [warnings[door.id] for door in doors if door.id in warnings]
 

@@ -22,13 +22,13 @@ RoomKey = tuple[int, int]
 # Where the two cells of each edge are in an array: left and right, upper and lower
 EDGES = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))
 
-# How far the cells that a door blocks may be from where the rooms meet that it joins [m]
+# A door is in an opening if they are at most this far apart [m]
 DOOR_REACH = 0.4
 
 
 @dataclass(frozen=True)
 class Opening:
-    """Where one can step from one room to another on a level.
+    """Where a step leads from one room to another on a level.
 
     Attributes:
         level: its number.
@@ -44,7 +44,7 @@ class Opening:
 def find_openings(index: Sequence[Index], floors: Floors, max_step: float) -> list[Opening]:
     """Find where neighbouring cells belong to two rooms and are no more than a step apart.
 
-    Cells that are connected, over corners too, are one opening. Furniture is ignored.
+    8-connected cells form one opening. Furniture is ignored.
 
     Args:
         index: the room of each cell by level, shape (height, width), 0 for none.

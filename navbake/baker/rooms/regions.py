@@ -1,4 +1,4 @@
-"""The regions that the watershed filled, and which of them are one room after all.
+"""The regions of the watershed, and the rules that join them into rooms.
 
 Regions that touch form a graph whose edges are passes. Two regions that are one room are
 contracted to one node, as in region merging after a watershed (Vincent and Soille, 1991, on the
@@ -16,8 +16,8 @@ from navbake.types import Float, Int, Int32
 
 # How much wider a disc fits where corridors cross than in them
 CROSSING = 2**0.5
-# What walls that don't follow the lattice make the width of one and the same corridor vary by,
-# to each side of its middle, in half cells: measured over all angles and offsets, at most this
+# Walls at an angle to the lattice make the distance from a corridor's middle to its walls vary by
+# at most this, as measured over all angles and offsets [half cells]
 ROUGHNESS = 1.0
 ROUNDING = 1e-6  # of half a cell: a gap this little over the door's width still has it
 # A region is a stair where at least this share of its cells is as steep as one
@@ -56,7 +56,7 @@ class Regions:
             self._passes[a][int(b)] = self._passes[b][int(a)] = met
 
     def join_rough_passes(self) -> None:
-        """Join regions that only the roughness of walls off the lattice parts.
+        """Join regions that only seem separate because walls are not parallel to the lattice.
 
         The pass is as wide as the smaller one of two wide regions; or as wide as both, where one
         is narrow, because a corridor that opens into a hall is as wide as its mouth.
@@ -107,7 +107,7 @@ class Regions:
                     self._join(min(a, b), max(a, b))
 
     def join_stairs(self, num_steep: Int, heights: Float) -> None:
-        """Join stairs to where they open to as wide as they are; of several, to the lowest.
+        """Join a stair to the region that it opens to over its full width; of several, the lowest.
 
         Args:
             num_steep: how many cells of each region are as steep as stairs.

@@ -18,7 +18,7 @@ from navbake.baker.rooms.openings import (
     find_room_links,
     match_doors,
 )
-from navbake.baker.rooms.segmentation import order_by_place, segment_rooms, share_rest
+from navbake.baker.rooms.segmentation import labels_in_order, segment_rooms, share_rest
 from navbake.baker.rooms.sources import MarkedRooms, RoomMarkers
 from navbake.baker.rooms.table import NamedRoom, describe_rooms, name_neighbours
 from navbake.baker.scene.scene import Scene
@@ -98,7 +98,7 @@ def find_rooms(
         agent: its height and step.
 
     Raises:
-        ConfigError: a polygon names a level that there is not.
+        ConfigError: a polygon names a level that does not exist.
         SceneError: a level has more than 65,535 rooms.
     """
     levels, lattice = floors.levels, columns.lattice
@@ -145,7 +145,7 @@ class _Assignment:
             owner += number[fresh]
 
     def segment(self, floors: Sequence[Float], settings: RoomSettings, cell_size: float) -> None:
-        """Part what is left at gaps that are no wider than a door; see `share_rest`."""
+        """Divide the remaining cells at gaps no wider than a door; see `share_rest`."""
         labels = []
         names: list[str | None] = []
         for number, open_cells in enumerate(self._open):
@@ -164,7 +164,7 @@ class _Assignment:
         """Number the rooms of each level from 1, by their first cells; also list them so."""
         index, rooms = [], []
         for level, owner in enumerate(self._owner):
-            order = order_by_place(owner)
+            order = labels_in_order(owner)
             if len(order) > MAX_ROOMS:
                 raise SceneError(
                     f"expected at most {MAX_ROOMS} rooms on a level, got {len(order)} on level "

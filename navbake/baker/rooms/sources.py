@@ -1,4 +1,4 @@
-"""Rooms that someone marked: by floor geoms, by sites, by polygons."""
+"""Rooms marked by floor geoms, by sites and by polygons."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.polygon import cover_cells
 from navbake.types import Bool, Float, Int, Int32
 
-# A room's floor lies at most this far below what one stands on (a rug), or above it (a picture
-# of a floor over the one that collides) [m]
-BELOW, ABOVE = 0.05, 0.005
+# A room's floor geom lies at most this far below the walkable floor, as under a rug [m]
+BELOW = 0.05
+# or this far above it, as a floor that is only drawn over the one that collides [m]
+ABOVE = 0.005
 # A site's volume may begin this far above the floor [m]
 OFF_FLOOR = 0.05
 # A geom is a floor where at least this share of its upper side is one
@@ -84,10 +85,11 @@ class RoomMarkers:
         """Give each cell the room whose geom is its floor.
 
         Of the geoms that match, that is the one whose surface lies highest from 5 cm below the
-        floor to 5 mm above it. So rugs cover no room, and geoms may be floors that are only drawn
-        and don't count in the bake. Of several at one height the first counts. Meshes are taken
-        as their triangles. Furniture may be named like a room: a geom is a floor when half of its
-        upper side is, or lies up to a step under one (a carpet, a podium).
+        floor to 5 mm above it. So a rug does not hide the room's floor, and a geom may be a floor
+        that is only drawn and does not count in the bake. Of several at one height the first
+        counts. Meshes are taken as their triangles. Furniture may be named like a room: so a geom
+        counts as a floor only if half of its upper side is floor, or lies up to a step under one
+        (a carpet, a podium).
         """
         model = self.scene.model
         names = [name_at(model, address) for address in model.name_geomadr]

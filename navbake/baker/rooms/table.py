@@ -1,4 +1,4 @@
-"""The table of rooms: what the file tells of each one."""
+"""The table of rooms: what the file states of each room."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from navbake.baker.rooms.openings import Opening, RoomKey
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Neighbour, Room
 
-# Names that can't be ids, because ids of rooms without a name of their own look like that
+# The ids of rooms without a unique name look like this, so that no name may
 ID_LIKE = re.compile(r"\d+:\d+")
 
 
@@ -73,7 +73,7 @@ def name_neighbours(
     links: Sequence[tuple[RoomKey, RoomKey]],
     doors: Mapping[int, Sequence[str]],
 ) -> list[Room]:
-    """Name what each room opens to: without a door, through a door, by a step elsewhere.
+    """Add to each room the rooms that it opens to: freely, through a door, or by a link.
 
     Args:
         table: the rooms.

@@ -1,4 +1,4 @@
-"""Where vertical lines run through solids: what marks a volume instead of standing in it."""
+"""Intersections of vertical lines with solids, for sites that mark a volume."""
 
 from __future__ import annotations
 
