@@ -174,6 +174,18 @@ class GridBase:
         return found
 
     @property
+    def level_names(self) -> list[str]:
+        """The levels' names, lowest first; ``level 0``, ``level 1``, … where none is stated."""
+        stated = self.navbake.get("levels")
+        entries = stated if isinstance(stated, list) else []
+        names = [entry.get("name") if isinstance(entry, dict) else None for entry in entries]
+        names += [None] * len(self.levels)
+        return [
+            name if isinstance(name, str) and name else f"level {number}"
+            for number, name in enumerate(names[: len(self.levels)])
+        ]
+
+    @property
     def cell_attributes(self) -> list[Json]:
         """What the metadata say of each attribute, completed where they say nothing."""
         return describe_attributes(self.metadata, self.levels)

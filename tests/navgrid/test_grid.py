@@ -111,6 +111,16 @@ def test_metadata_answers_without_navbakes_part():
     assert (level.scene_id, level.navbake) == ("a", {"version": "1"})
 
 
+@pytest.mark.parametrize("levels", [None, [], "x", [3], [{}], [{"name": 3}], [{"name": ""}]])
+def test_levels_without_a_name_go_by_their_number(levels):
+    assert make_level(metadata={"navbake": {"levels": levels}}).level_names == ["level 0"]
+
+
+def test_levels_have_the_names_that_the_metadata_state():
+    stated = {"navbake": {"levels": [{"name": None}, {"name": "attic"}, {"name": "too many"}]}}
+    assert make_house(metadata=stated).level_names == ["level 0", "attic"]
+
+
 def test_levels_take_over_the_metadata_of_the_whole():
     own = make_level(metadata={"sceneId": "attic"})
     house = make_house(grids=[make_level(), own])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.scene.names import GeomNames, body_name, names_of, tell_unmatched
 from navbake.baker.scene.shapes import MESH, SDF
-from navbake.config.settings import SceneSettings
+from navbake.config.scene import SceneSettings
 
 FREE = 0  # MuJoCo's number of the free joint (mjtJoint)
 DRAWN_GROUPS = 3  # MuJoCo's viewers draw the geom groups below this unless told otherwise

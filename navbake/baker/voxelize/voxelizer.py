@@ -24,7 +24,8 @@ from navbake.baker.voxelize.kernels.tiles import (
     move_triangles,
 )
 from navbake.baker.voxelize.segments import Labels, Segments, label_geoms
-from navbake.config.settings import BakeConfig, SceneSettings, as_config
+from navbake.config.scene import SceneSettings
+from navbake.config.settings import BakeConfig, as_config
 from navbake.errors import ConfigError, SceneError
 from navbake.navgrid.lattice import CELL_SLACK
 from navbake.voxels.grid import VoxelGrid, dtype_of

@@ -13,7 +13,6 @@ from navbake.runtime.paths.door_map import doors_on, map_doors
 from navbake.runtime.paths.gap import deflated, find_gap
 from navbake.runtime.paths.goals import Target
 from navbake.runtime.paths.search import Search
-from navbake.views.info import level_name
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -263,7 +262,7 @@ def _steps(grid: NavGrid, low: int, high: int, total: int) -> str:
 
 
 def _level(grid: NavGrid, number: int) -> str:
-    name = level_name(grid, number)
+    name = grid.level_names[number]
     return name if name == f"level {number}" else f"level {number} ({name})"
 
 

@@ -14,7 +14,8 @@ from navbake.baker.pipeline import run_bake
 from navbake.baker.scene.bodies import find_subtree_ends, list_geoms
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.scene import Scene, load_scene
-from navbake.config.settings import DoorSettings, SceneSettings, load_config, parse_config
+from navbake.config.scene import SceneSettings
+from navbake.config.settings import DoorSettings, load_config, parse_config
 from project_paths import CONFIGS
 
 HANDLE = '<body name="handle" pos="0 0.8 1"><geom type="sphere" size="0.03"/></body>'
