@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from navbake.baker.floors.levels import Floors, Top
+from navbake.baker.floors.levels import DroppedSheet, Floors
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
 
@@ -21,7 +21,7 @@ def remark_floors(scene: Scene, floors: Floors, config: BakeConfig) -> list[str]
     ]
 
 
-def _remark_tops(scene: Scene, tops: list[Top]) -> list[str]:
+def _remark_tops(scene: Scene, tops: list[DroppedSheet]) -> list[str]:
     large = [top for top in tops if top.area >= LARGE_TOP]
     if not large:
         return []
@@ -31,7 +31,7 @@ def _remark_tops(scene: Scene, tops: list[Top]) -> list[str]:
     ]
 
 
-def _remark_roofs(scene: Scene, roofs: list[Top]) -> list[str]:
+def _remark_roofs(scene: Scene, roofs: list[DroppedSheet]) -> list[str]:
     if not roofs:
         return []
     return [
@@ -57,7 +57,7 @@ def _remark_planes(scene: Scene, floors: Floors, config: BakeConfig) -> list[str
     return []
 
 
-def _place(scene: Scene, tops: list[Top]) -> str:
+def _place(scene: Scene, tops: list[DroppedSheet]) -> str:
     first = tops[0]
     more = f", and {len(tops) - 1} more" if tops[1:] else ""
     name = scene.geoms[first.geom].name

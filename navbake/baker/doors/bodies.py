@@ -10,11 +10,12 @@ from fnmatch import fnmatchcase
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.scene.bodies import find_subtree_ends, list_geoms
+from navbake.baker.kernels.constants import HINGE, SLIDE
+from navbake.baker.scene.bodies import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.model import data_with_joints
-from navbake.baker.scene.names import body_name, joint_name, tell_unmatched
+from navbake.baker.scene.names import body_name, joint_name, warn_unmatched
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import DoorSettings
@@ -22,7 +23,6 @@ from navbake.config.settings import DoorSettings
 Bool = NDArray[np.bool_]
 Int = NDArray[np.int64]
 
-HINGE, SLIDE = 3, 2  # MuJoCo's numbers of these joints (mjtJoint)
 QUARTER = np.pi / 2  # how far a hinge without limits opens [rad]
 UPRIGHT = 0.9  # least cosine between a hinge's axis and the vertical
 # What a leaf that is found by itself is like, and how exactly that is asked [m]
@@ -131,7 +131,7 @@ class _Candidates:
 
     def geoms(self, body: int) -> Int:
         """The counted geoms of a body and of what hangs on it."""
-        under = list_geoms(self._scene.model, body, int(self.ends[body]))
+        under = geoms_of_bodies(self._scene.model, body, int(self.ends[body]))
         return under[self._counted[under]]
 
     def is_door(self, body: int) -> bool:
@@ -169,7 +169,7 @@ class _Candidates:
         is_own = model.body_jntnum == 1
         body = np.asarray(model.jnt_bodyid)[np.isin(model.jnt_type, (HINGE, SLIDE))]
         for first in body[is_own[body]].tolist():
-            mask[list_geoms(model, first, int(self.ends[first]))] = True
+            mask[geoms_of_bodies(model, first, int(self.ends[first]))] = True
         return self._scene.shapes.only(mask)
 
 
@@ -234,13 +234,13 @@ def _tell_idle(
             continue
         bodies = [body for body, matching in enumerate(matches) if pattern in matching]
         if not bodies:
-            warnings.append(tell_unmatched("doors.patterns", pattern, names[1:], "no body"))
+            warnings.append(warn_unmatched("doors.patterns", pattern, names[1:], "no body"))
             continue
         parts = [body for body in bodies if len(candidates.geoms(body))]
         kind = "parts of other doors" if parts else "bodies without geoms that count"
         text = f"only {kind}: {_list_some([names[body] for body in parts or bodies])}"
         others = [name for body, name in enumerate(names) if body and body not in bodies]
-        warnings.append(tell_unmatched("doors.patterns", pattern, others, text))
+        warnings.append(warn_unmatched("doors.patterns", pattern, others, text))
     return warnings
 
 

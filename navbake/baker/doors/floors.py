@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from navbake.baker.columns import Columns, cast_columns, tile_shapes
 from navbake.baker.doors.bodies import DoorBody, pose_doors
 from navbake.baker.floors.levels import LevelFloor
-from navbake.baker.kernels.sheets import SLACK
+from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.extents import measure_geoms
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes

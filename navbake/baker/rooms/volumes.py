@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.scene.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, Solids
+from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from navbake.baker.scene.shapes import Solids
 
 Float = NDArray[np.float64]
 Chords = tuple[Float, Float]
