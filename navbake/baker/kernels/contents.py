@@ -273,9 +273,27 @@ def list_geoms(lattice, crossings, solids, facets, planes, tiles, footprint, pro
         _list_tile(tile, lattice, crossings, solids, facets, planes, tiles, footprint, probe, cells)
 
 
+@njit(cache=True)
+def _describe_floor(cell, floor, crossings, min_up, support):
+    support.geom[cell] = -1
+    support.gap[cell] = math.inf
+    if math.isnan(floor):
+        return
+    first, last = crossings.start[cell], crossings.start[cell + 1]
+    for i in range(first, last):
+        if crossings.z[i] == floor and crossings.normal[i, 2] >= min_up:
+            support.geom[cell] = crossings.geom[i]
+            break
+    for i in range(first, last):
+        if crossings.z[i] > floor:
+            break
+        if crossings.normal[i, 2] >= min_up and crossings.geom[i] != support.geom[cell]:
+            support.gap[cell] = floor - crossings.z[i]
+
+
 @njit(cache=True, parallel=True)
 def describe_floors(floors, crossings, min_up, support):
-    """Tell of each cell's floor which geom carries it, and how far below the next floor lies.
+    """Find which geom carries each cell's floor, and how far below the next floor lies.
 
     Args:
         floors: by cell, float64, NaN where there is none [m].
@@ -285,21 +303,7 @@ def describe_floors(floors, crossings, min_up, support):
             surface below that faces up and belongs to another geom.
     """
     for cell in prange(floors.shape[0]):
-        support.geom[cell] = -1
-        support.gap[cell] = math.inf
-        floor = floors[cell]
-        if math.isnan(floor):
-            continue
-        first, last = crossings.start[cell], crossings.start[cell + 1]
-        for i in range(first, last):
-            if crossings.z[i] == floor and crossings.normal[i, 2] >= min_up:
-                support.geom[cell] = crossings.geom[i]
-                break
-        for i in range(first, last):
-            if crossings.z[i] > floor:
-                break
-            if crossings.normal[i, 2] >= min_up and crossings.geom[i] != support.geom[cell]:
-                support.gap[cell] = floor - crossings.z[i]
+        _describe_floor(cell, floors[cell], crossings, min_up, support)
 
 
 @njit(cache=True)

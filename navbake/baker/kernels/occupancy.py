@@ -66,6 +66,20 @@ def _any_geom(tile, solids, facets, planes, tiles, prism):
     return _any_solid(tiles.solid_item[first:last], solids, prism)
 
 
+@njit(cache=True)
+def _check_cell(n, lattice, crossings, solids, facets, planes, tiles, footprint, queries):
+    cell, floor = queries.cell[n], queries.floor[n]
+    low, high = floor + footprint.low, floor + footprint.high
+    if line_is_blocked(crossings, cell, low, high):
+        queries.state[n] = MEETS
+        queries.by_line[n] = True
+        return
+    x, y = cell_center(lattice, cell)
+    prism = Prism(x, y, low, high, footprint.square, footprint.radius)
+    tile = tile_of(lattice, cell)
+    queries.state[n] = _any_geom(tile, solids, facets, planes, tiles, prism)
+
+
 @njit(cache=True, parallel=True)
 def check_cells(lattice, crossings, solids, facets, planes, tiles, footprint, queries):
     """Tell for each cell and floor whether anything is in the band above it.
@@ -78,16 +92,7 @@ def check_cells(lattice, crossings, solids, facets, planes, tiles, footprint, qu
         queries: the questions; their answers are written.
     """
     for n in prange(queries.cell.shape[0]):
-        cell, floor = queries.cell[n], queries.floor[n]
-        x, y = cell_center(lattice, cell)
-        low, high = floor + footprint.low, floor + footprint.high
-        if line_is_blocked(crossings, cell, low, high):
-            queries.state[n] = MEETS
-            queries.by_line[n] = True
-        else:
-            prism = Prism(x, y, low, high, footprint.square, footprint.radius)
-            tile = tile_of(lattice, cell)
-            queries.state[n] = _any_geom(tile, solids, facets, planes, tiles, prism)
+        _check_cell(n, lattice, crossings, solids, facets, planes, tiles, footprint, queries)
 
 
 @njit(cache=True, parallel=True)
