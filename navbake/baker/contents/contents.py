@@ -20,12 +20,7 @@ from navbake.baker.contents.cell_names import (
     name_cells,
     name_geoms,
 )
-from navbake.baker.contents.structure import (
-    Carriers,
-    FloorSupport,
-    find_carriers,
-    find_ceilings,
-)
+from navbake.baker.contents.structure import Carriers, FloorSupport, find_carriers, find_ceilings
 from navbake.baker.contents.walls import (
     BUILDING,
     OBJECT,

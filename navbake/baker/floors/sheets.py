@@ -116,11 +116,7 @@ def drop_furniture(standable: Standable, settings: FloorSettings) -> Standable:
 
 
 def drop_tops(
-    standable: Standable,
-    columns: Columns,
-    floor_like: Bool,
-    step: float,
-    settings: FloorSettings,
+    standable: Standable, columns: Columns, floor_like: Bool, step: float, settings: FloorSettings
 ) -> Standable:
     """Drop the tops of what stands on a floor: beds, blocks, walls that are metres thick.
 

@@ -1,7 +1,7 @@
 """Arrays and numbers that belong together, as kernels take them.
 
-numba passes a named tuple to a kernel whole, at no cost in its loops. Two limits hold in the body of
-a parallel loop: a tuple from outside must be flat, so such kernels take several and nest them
+numba passes a named tuple to a kernel whole, at no cost in its loops. Two limits hold in the body
+of a parallel loop: a tuple from outside must be flat, so such kernels take several and nest them
 inside; and a write into a tuple's array is taken for dead code and dropped, so the body calls a
 function that writes. Kernels also take tuples that only callers make: `Lattice`, `Solids`,
 `Planes`, `Footprint` and others.

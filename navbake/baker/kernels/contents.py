@@ -26,12 +26,7 @@ from navbake.baker.kernels.flags import (
     triangle_flags,
 )
 from navbake.baker.kernels.gjk import make_simplex
-from navbake.baker.kernels.overlap import (
-    line_is_blocked,
-    make_polygons,
-    outside,
-    plane_meets_prism,
-)
+from navbake.baker.kernels.overlap import line_is_blocked, make_polygons, outside, plane_meets_prism
 from navbake.baker.kernels.tiles import cell_center, count_tiles, tile_window
 from navbake.types import Float, Int, Int32
 

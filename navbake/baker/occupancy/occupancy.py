@@ -64,11 +64,7 @@ class Occupancy:
 
 
 def check_occupancy(
-    columns: Columns,
-    tiled: TiledShapes,
-    footprint: Footprint,
-    cells: Int,
-    floors: Float,
+    columns: Columns, tiled: TiledShapes, footprint: Footprint, cells: Int, floors: Float
 ) -> Occupancy:
     """Tell for each cell and floor whether a geom meets the open volume above it.
 
