@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from navbake.baker.floors.levels import Floors, Top
+from navbake.baker.floors.levels import DroppedSheet, Floors
 from navbake.baker.scene.scene import Scene
 from navbake.baker.stages import Stages
 from navbake.config.settings import BakeConfig
@@ -60,7 +60,7 @@ def _warn_hidden_ground(scene: Scene, floors: Floors, config: BakeConfig) -> lis
     return []
 
 
-def _describe_tops(scene: Scene, tops: list[Top]) -> str:
+def _describe_tops(scene: Scene, tops: list[DroppedSheet]) -> str:
     """The name, area and height of the first of some tops, and how many more there are."""
     first = tops[0]
     more = f", and {len(tops) - 1} more" if tops[1:] else ""

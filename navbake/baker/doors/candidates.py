@@ -10,17 +10,17 @@ from functools import cached_property
 
 import numpy as np
 
-from navbake.baker.scene.bodies import find_subtree_ends, list_geoms
+from navbake.baker.kernels.constants import HINGE, SLIDE
+from navbake.baker.scene.bodies import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.model import data_with_joints
-from navbake.baker.scene.names import body_name, joint_name, tell_unmatched
+from navbake.baker.scene.names import body_name, joint_name, warn_unmatched
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import DoorSettings
 from navbake.types import Bool, Int
 
-HINGE, SLIDE = 3, 2  # MuJoCo's numbers of these joints (mjtJoint)
 QUARTER = np.pi / 2  # how far a hinge without limits opens [rad]
 UPRIGHT = 0.9  # least cosine between a hinge's axis and the vertical
 # The size of a leaf that no pattern names, and the rounding that is allowed for [m]
@@ -121,7 +121,7 @@ class _BodySearch:
 
     def geoms(self, body: int) -> Int:
         """The counted geoms of a body and its descendants."""
-        under = list_geoms(self._scene.model, body, int(self.ends[body]))
+        under = geoms_of_bodies(self._scene.model, body, int(self.ends[body]))
         return under[self._counted[under]]
 
     def is_candidate(self, body: int) -> bool:
@@ -178,7 +178,7 @@ class _BodySearch:
         mask = np.zeros(model.ngeom, dtype=np.bool_)
         bodies = np.asarray(model.jnt_bodyid)[np.isin(model.jnt_type, (HINGE, SLIDE))]
         for body in bodies[model.body_jntnum[bodies] == 1].tolist():
-            mask[list_geoms(model, body, int(self.ends[body]))] = True
+            mask[geoms_of_bodies(model, body, int(self.ends[body]))] = True
         return measure_geoms(self._scene.shapes.only(mask), model.ngeom)
 
 
@@ -225,13 +225,13 @@ def _warn_unmatched(
             continue
         bodies = [body for body, matching in enumerate(search.matches) if pattern in matching]
         if not bodies:
-            warnings.append(tell_unmatched("doors.patterns", pattern, names[1:], "no body"))
+            warnings.append(warn_unmatched("doors.patterns", pattern, names[1:], "no body"))
             continue
         parts = [body for body in bodies if len(search.geoms(body))]
         kind = "parts of other doors" if parts else "bodies without geoms that count"
         text = f"only {kind}: {_list_some([names[body] for body in parts or bodies])}"
         others = [name for body, name in enumerate(names) if body and body not in bodies]
-        warnings.append(tell_unmatched("doors.patterns", pattern, others, text))
+        warnings.append(warn_unmatched("doors.patterns", pattern, others, text))
     return warnings
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from navbake.baker.columns import Columns, cast_columns, tile_shapes
 from navbake.baker.doors.candidates import DoorCandidate, pose_doors
 from navbake.baker.floors.levels import LevelFloor
-from navbake.baker.kernels.sheets import SLACK
+from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.extents import measure_geoms
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes

@@ -1,9 +1,16 @@
-"""What labels of cells tell: their parts, places, sizes, slopes and borders."""
+"""Masks into labelled parts, and labels into numbers: places, sizes, slopes and borders.
+
+Parts are found by two-pass connected-component labelling over runs in rows (Rosenfeld and Pfaltz,
+1966): the first pass gives each run a label and notes which touch, the second writes the number
+of each run's part.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
+
+from navbake.navgrid.kernels.union_find import find_root, unite
 
 
 @njit(cache=True)
@@ -19,7 +26,18 @@ def label_parts(mask):
     """
     rows, cols = mask.shape
     label = np.zeros((rows, cols), dtype=np.int32)
-    parent = np.empty(rows * ((cols + 1) // 2) + 1, dtype=np.int32)  # of runs in a row, from 1
+    parent = np.empty(rows * ((cols + 1) // 2) + 1, dtype=np.int32)  # of runs, from 1
+    number, parts = _number_parts(parent, _label_runs(mask, label, parent))
+    for row in range(rows):
+        for col in range(cols):
+            label[row, col] = number[label[row, col]]
+    return label, parts
+
+
+@njit(cache=True)
+def _label_runs(mask, label, parent):
+    """Label the runs of each row, and join those that touch; returns how many runs there are."""
+    rows, cols = mask.shape
     count = 0
     for row in range(rows):
         col = 0
@@ -35,30 +53,24 @@ def label_parts(mask):
                 if row > 0 and label[row - 1, col] != above:
                     above = label[row - 1, col]
                     if above > 0:
-                        one, other = _root(parent, count), _root(parent, above)
-                        parent[max(one, other)] = min(one, other)
+                        unite(parent, count, above)
                 col += 1
+    return count
+
+
+@njit(cache=True)
+def _number_parts(parent, count):
+    """The number of each run's part: a root is its first run, so it is met first."""
     number = np.zeros(count + 1, dtype=np.int32)
     parts = 0
     for run in range(1, count + 1):
-        root = _root(parent, run)
+        root = find_root(parent, run)
         if root == run:
             parts += 1
             number[run] = parts
         else:
             number[run] = number[root]
-    for row in range(rows):
-        for col in range(cols):
-            label[row, col] = number[label[row, col]]
-    return label, parts
-
-
-@njit(cache=True)
-def _root(parent, item):
-    while parent[item] != item:
-        parent[item] = parent[parent[item]]
-        item = parent[item]
-    return item
+    return number, parts
 
 
 @njit(cache=True)

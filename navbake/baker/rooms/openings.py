@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from navbake.baker.floors.levels import Floors
-from navbake.baker.kernels.sheets import SLACK
+from navbake.baker.kernels.constants import SLACK
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Float, Int
 

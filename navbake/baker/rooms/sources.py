@@ -11,11 +11,11 @@ import numpy as np
 
 from navbake.baker.columns import Columns, cast_columns, tile_shapes
 from navbake.baker.floors.levels import LevelFloor
-from navbake.baker.kernels.sheets import SAME
+from navbake.baker.kernels.constants import SAME
 from navbake.baker.rooms.volumes import vertical_chords
 from navbake.baker.scene.choice import Choice
 from navbake.baker.scene.collect import collect_shapes
-from navbake.baker.scene.names import name_at, tell_unmatched
+from navbake.baker.scene.names import name_at, warn_unmatched
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Solids, solid_bounds
 from navbake.config.rooms import DEFAULT_GEOMS, DEFAULT_SITES, RoomPolygon, RoomSettings
@@ -203,7 +203,7 @@ def _match(
         found = [k for k, name in enumerate(names) if name and fnmatchcase(name, pattern)]
         chosen.update(found)
         if not found and pattern not in defaults:
-            warnings.append(tell_unmatched(f"rooms.{setting}", pattern, names))
+            warnings.append(warn_unmatched(f"rooms.{setting}", pattern, names))
     return sorted(chosen), warnings
 
 

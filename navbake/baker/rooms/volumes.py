@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from navbake.baker.scene.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, Solids
+from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from navbake.baker.scene.shapes import Solids
 from navbake.types import Float
 
 Chords = tuple[Float, Float]

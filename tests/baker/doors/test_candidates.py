@@ -11,7 +11,7 @@ import pytest
 from door_scenes import CUPBOARD, LEAF, ROOMS, bake_world, world
 from navbake.baker.doors.candidates import find_candidates, pose_doors, without_doors
 from navbake.baker.pipeline import run_bake
-from navbake.baker.scene.bodies import find_subtree_ends, list_geoms
+from navbake.baker.scene.bodies import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.scene import SceneSettings
@@ -170,7 +170,7 @@ def test_subtrees_against_a_walk_up_the_parents():
         ends = find_subtree_ends(model)
         for body in range(model.nbody):
             expected = [geom for geom in range(model.ngeom) if _hangs_on(model, geom, body)]
-            assert list_geoms(model, body, int(ends[body])).tolist() == expected
+            assert geoms_of_bodies(model, body, int(ends[body])).tolist() == expected
 
 
 def _hangs_on(model, geom: int, body: int) -> bool:

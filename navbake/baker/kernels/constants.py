@@ -1,0 +1,22 @@
+"""Numbers that the kernels and those who call them share: MuJoCo's enums, states, tolerances."""
+
+from __future__ import annotations
+
+# MuJoCo's geom types (mjtGeom); sites have the same
+PLANE, HFIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH, SDF = range(9)
+# MuJoCo's joint types (mjtJoint)
+FREE, BALL, SLIDE, HINGE = range(4)
+
+# What a geom encloses (`Shapes.closed`). Inside of all but the first counts as occupied. A closed
+# surface is a mesh's own triangles; primitives, height fields and hulls are solid by nature.
+OPEN_SURFACE, CLOSED_SURFACE, SOLID, CONVEX_SOLID = range(4)
+
+# Whether a geom meets a prism; UNDECIDED where rounding leaves no proof either way
+APART, MEETS, UNDECIDED = range(3)
+
+# Surfaces of one column this close together are at one height [m]
+SAME = 1e-5
+# How far a height may exceed a limit and still keep it [m]
+SLACK = 1e-6
+# What reaches less than this into a volume only touches it [m]
+TOUCH = 5e-7
