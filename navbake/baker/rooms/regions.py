@@ -11,7 +11,7 @@ import heapq
 
 import numpy as np
 
-from navbake.baker.kernels.labels import find_passes, measure_basins
+from navbake.baker.kernels.labels import find_passes, measure_regions
 from navbake.types import Float, Int, Int32
 
 # How much wider a disc fits where corridors cross than in them
@@ -35,7 +35,7 @@ class Regions:
 
     def __init__(self, label: Int32, distance: Int32, num_wide: int) -> None:
         num = int(label.max(initial=0))
-        cells, peaks, _ = measure_basins(label, distance, num)
+        cells, peaks, _ = measure_regions(label, distance, num)
         self._cells: list[int] = cells.tolist()
         # distance to the walls at the region's widest place [half cells]
         self._peak: list[float] = np.sqrt(peaks).tolist()

@@ -14,7 +14,7 @@ from navbake.baker.kernels.labels import (
     cells_of_nodes,
     first_cells,
     label_parts,
-    measure_basins,
+    measure_regions,
     measure_slopes,
 )
 from navbake.baker.kernels.watershed import flood, squared_distances
@@ -177,7 +177,7 @@ def _find_seeds(open_cells: Bool, distance: Int32, width: float, least: float) -
     narrow, num_narrow = _find_narrow(open_cells, distance, wide > 0, width, least)
     if num_narrow:
         label = np.where(narrow > 0, narrow + np.int32(num_wide), label)
-    cells, _, space = measure_basins(label, distance, num_wide + num_narrow)
+    cells, _, space = measure_regions(label, distance, num_wide + num_narrow)
     is_narrow = np.arange(1, len(cells)) > num_wide
     rank = np.zeros(len(cells), dtype=np.int32)
     rank[1 + np.lexsort((-space[1:], -cells[1:], is_narrow))] = np.arange(1, len(cells))
@@ -204,7 +204,7 @@ def _find_narrow(
     if not is_large.any():
         return left, 0
     narrow, num_narrow = label_parts(is_large[left] & (to_wide > behind))
-    _, peaks, _ = measure_basins(narrow, distance, num_narrow)
+    _, peaks, _ = measure_regions(narrow, distance, num_narrow)
     is_crack = peaks < (width * CRACK_WIDTH) ** 2 - ROUNDING
     return np.where(is_crack[narrow], np.int32(0), narrow), num_narrow
 
