@@ -59,10 +59,14 @@ def _level_grid(
 ) -> SceneGrid2D:
     """One level's grid, blocked by the doors in their states."""
     level, part = stages.floors.levels[number], stages.lattice.cut(*window)
+    num_levels = len(stages.floors.levels)
     occupied = stages.occupancy.levels[number][window].copy()
     for door in doors:
-        cells = door.cells_in(door.state, len(stages.floors.levels))
-        occupied.ravel()[cells[number]] = True
+        occupied.ravel()[door.cells_in(door.state, num_levels)[number]] = True
+    user_data: Any = {}
+    if stages.config.names.enabled and stages.contents is not None:
+        contents = stages.contents.user_data(number, window)  # read on first use
+        user_data = name_door_cells(contents, doors, number, num_levels)
     return SceneGrid2D(
         width=part.width,
         height=part.height,
@@ -75,17 +79,9 @@ def _level_grid(
             "roomIndex": np.ascontiguousarray(stages.rooms.index[number][window]),
             "occupancy": occupied.astype(np.uint8),
         },
-        user_data=_user_data(stages, number, window, doors),
+        user_data=user_data,
         metadata=metadata,
     )
-
-
-def _user_data(stages: Stages, number: int, window: Window, doors: Sequence[Door]) -> Any:
-    """The names in each cell by cell id, found on first use."""
-    if not stages.config.names.enabled or stages.contents is None:
-        return {}
-    shared = stages.contents.user_data(number, window)
-    return name_door_cells(shared, doors, number, len(stages.floors.levels))
 
 
 def _floor_window(floor: Float) -> Window:

@@ -78,8 +78,7 @@ def run_bake(
     """
     clock = StageClock(progress)
     with limit_threads(threads):
-        first = take_first_look(config, clock)
-        stages = settle_doors(first)
+        stages = settle_doors(take_first_look(config, clock))
         with clock.stage("grid"):
             grid = build_grid(stages)
     grid.timings = clock.to_json()

@@ -84,7 +84,7 @@ def settle_doors(stages: Stages) -> Stages:
     return stages
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Stages:
     """What each stage of a bake finds, where some bodies are taken for doors.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pytest
 
@@ -172,8 +173,6 @@ def test_what_stands_on_the_floor_again_may_leave_no_door_of_another_leaf(tmp_pa
 
 
 def test_threads_are_given_back(tmp_path):
-    import numba
-
     before = numba.get_num_threads()
     (tmp_path / "scene.xml").write_text(door_world(SHELL))
     navbake.bake(tmp_path / "scene.xml", threads=1)

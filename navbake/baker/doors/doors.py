@@ -219,14 +219,7 @@ def _blocked_cells(shapes: Shapes, around: Surroundings) -> list[Int]:
 def _rooms_beside(
     leaf: int, extents: Extents, closed_cells: Sequence[Int], around: Surroundings
 ) -> RoomPair | None:
-    """The rooms on a closed leaf's two sides, None for outside; None if they aren't two.
-
-    Args:
-        leaf: the geom that is the leaf.
-        extents: of all doors, closed.
-        closed_cells: what the closed door blocks, by level.
-        around: what was found without doors.
-    """
+    """The rooms on a closed leaf's two sides, None for outside; None if they aren't two."""
     sizes = [len(cells) for cells in closed_cells]
     if not any(sizes) or not np.isfinite(extents.center[leaf]).all():
         return None
