@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import navbake
+from differences import difference_map, first_difference
 from navbake.baker.pipeline import run_bake
 from navbake.config.settings import load_config
-from navbake.navgrid.differences import difference_map, first_difference
 from project_paths import ROOT
 
 SAMPLES = sorted(path.stem for path in (ROOT / "configs").glob("*.yaml"))
@@ -18,18 +18,20 @@ def golden(name: str):
     return navbake.load(ROOT / "tests" / "golden" / f"{name}.grid.json.gz")
 
 
-def forget_versions(grid) -> None:
-    for key in ("version", "mujoco"):
-        grid.navbake.pop(key, None)
+def forget(grid, *keys: str) -> None:
+    """Leave out what navbake's metadata state under some keys, levels' own included."""
+    for one in (grid, *grid.levels):
+        for key in keys:
+            one.navbake.pop(key, None)
 
 
 def describe_change(kept, baked) -> str | None:
     """None if two grids are the same but for versions and timings, else what differs, where."""
     if kept.navbake["mujoco"] != baked.navbake["mujoco"]:  # it rounds poses in its own way
-        for grid in (kept, baked):
-            grid.navbake.pop("sceneDigest")
-    forget_versions(kept)
-    forget_versions(baked)
+        forget(kept, "sceneDigest")
+        forget(baked, "sceneDigest")
+    forget(kept, "version", "mujoco")
+    forget(baked, "version", "mujoco")
     difference = first_difference(kept, baked)
     if difference is None:
         return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from navbake.navgrid.door_states import name_door_cells
 from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
+from navbake.navgrid.user_data import UserData
 from navbake.types import Float, Int, Json, Vector3
 
 Window = tuple[slice, slice]
@@ -63,7 +63,7 @@ def _level_grid(
     occupied = stages.occupancy.levels[number][window].copy()
     for door in doors:
         occupied.ravel()[door.cells_in(door.state, num_levels)[number]] = True
-    user_data: Any = {}
+    user_data = UserData()
     if stages.config.names.enabled and stages.contents is not None:
         contents = stages.contents.user_data(number, window)  # read on first use
         user_data = name_door_cells(contents, doors, number, num_levels)

@@ -8,8 +8,8 @@ import re
 import numpy as np
 import pytest
 
+from differences import difference_map, first_difference
 from navbake.errors import FormatError
-from navbake.navgrid.differences import difference_map, first_difference
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 
 INF, NAN = np.inf, np.nan
@@ -142,11 +142,11 @@ def test_no_links_is_an_answer():
 @pytest.mark.parametrize(
     ("links", "culprit"),
     [
-        ([[0, 6, 2, 7]], "a level that there is, got 2 in link 0"),
-        ([[0, 6, 1, 7], [-1, 6, 1, 7]], "a level that there is, got -1 in link 1"),
-        ([[0, 6, 1, 20]], "a cell that there is, got 20 in link 0"),
-        ([[0, -1, 1, 2]], "a cell that there is, got -1 in link 0"),
-        ([[0, 10**30, 1, 2]], "a cell that there is"),
+        ([[0, 6, 2, 7]], "an existing level, got 2 in link 0"),
+        ([[0, 6, 1, 7], [-1, 6, 1, 7]], "an existing level, got -1 in link 1"),
+        ([[0, 6, 1, 20]], "an existing cell, got 20 in link 0"),
+        ([[0, -1, 1, 2]], "an existing cell, got -1 in link 0"),
+        ([[0, 10**30, 1, 2]], "an existing cell"),
         ([[0, 6, 1]], "links of 4 numbers"),
         ([0, 6, 1], "4 a link"),
         ([0, 6, 1, True], "whole numbers"),

@@ -7,10 +7,10 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.errors import QueryError
 from navbake.navgrid.rooms import Room, measure_rooms
+from navbake.types import Int, Int32
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -32,7 +32,7 @@ class RoomMap:
 
     scene_id: str | None
     rooms: list[Room]
-    number: NDArray[np.int32]
+    number: Int32
 
     def find(self, name: str) -> int:
         """The number of a room.
@@ -60,7 +60,7 @@ class RoomMap:
         """The id of a room by its number; None for 0."""
         return self.rooms[number - 1].id if number else None
 
-    def cells(self, name: str) -> NDArray[np.int64]:
+    def cells(self, name: str) -> Int:
         """Flat ids of the cells of a room, those that something stands in included.
 
         Args:
