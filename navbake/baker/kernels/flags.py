@@ -10,7 +10,7 @@ from typing import NamedTuple
 from numba import njit
 
 from navbake.baker.kernels.arrays import Prism
-from navbake.baker.kernels.constants import APART, INNER, MEETS, UNDECIDED
+from navbake.baker.kernels.constants import APART, INLINED, MEETS, UNDECIDED
 from navbake.baker.kernels.gjk import SQUARE
 from navbake.baker.kernels.overlap import outside, plane_meets_prism, triangle_meets_prism
 from navbake.baker.kernels.solids import disc_too, part_of_solid
@@ -34,7 +34,7 @@ class Volumes(NamedTuple):
     probed: Prism
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _line_meets(crossings, cell, geom, prism):
     """Whether a cell's line proves that one geom is between two heights; as `line_is_blocked`."""
     inside = 0
@@ -50,7 +50,7 @@ def _line_meets(crossings, cell, geom, prism):
     return inside > 0
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def line_flags(crossings, cell, geom, volumes, wanted):
     """The flags that a cell's line alone proves of a geom, of those that are wanted."""
     flags = 0
@@ -63,7 +63,7 @@ def line_flags(crossings, cell, geom, volumes, wanted):
     return flags
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def plane_flags(planes, p, volumes, is_taken, flags):
     """Add what the half-space behind a plane meets; `is_taken` tells if anything may block."""
     if plane_meets_prism(planes, p, volumes.stands):
@@ -73,7 +73,7 @@ def plane_flags(planes, p, volumes, is_taken, flags):
     return flags
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def triangle_flags(items, facets, volumes, flags, wanted, polygons):
     """Add what a geom's triangles meet, until all wanted flags are set."""
     for t in items:
@@ -91,7 +91,7 @@ def triangle_flags(items, facets, volumes, flags, wanted, polygons):
     return flags
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def solid_flags(solids, s, volumes, flags, wanted, simplex):
     """Add what a solid meets of the wanted flags."""
     if wanted & ~flags & BLOCKS and not outside(solids.bounds, s, volumes.blocks):

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit, prange
 
 from navbake.baker.kernels.arrays import Prism
-from navbake.baker.kernels.constants import APART, INNER, MEETS, UNDECIDED
+from navbake.baker.kernels.constants import APART, INLINED, MEETS, UNDECIDED
 from navbake.baker.kernels.gjk import SQUARE, make_simplex
 from navbake.baker.kernels.overlap import (
     line_is_blocked,
@@ -23,7 +23,7 @@ from navbake.baker.kernels.solids import disc_too, part_of_solid
 from navbake.baker.kernels.tiles import cell_center, tile_of
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _any_triangle(items, facets, prism):
     if items.shape[0] == 0:
         return False
@@ -36,7 +36,7 @@ def _any_triangle(items, facets, prism):
     return False
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _any_solid(items, solids, prism):
     """MEETS where any solid does; else UNDECIDED where that of any is open; else APART."""
     if items.shape[0] == 0:
@@ -54,7 +54,7 @@ def _any_solid(items, solids, prism):
     return answer
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _any_geom(tile, solids, facets, planes, tiles, prism):
     """Whether any geom over a tile meets a prism."""
     for p in range(planes.geom.shape[0]):
@@ -67,7 +67,7 @@ def _any_geom(tile, solids, facets, planes, tiles, prism):
     return _any_solid(tiles.solid_item[first:last], solids, prism)
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _check_cell(n, lattice, crossings, solids, facets, planes, tiles, footprint, queries):
     cell, floor = queries.cell[n], queries.floor[n]
     low, high = floor + footprint.low, floor + footprint.high

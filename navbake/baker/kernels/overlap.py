@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from navbake.baker.kernels.constants import INNER
+from navbake.baker.kernels.constants import INLINED, INNER
 from navbake.types import Float
 
 # A triangle has at most nine corners when six planes have clipped it
@@ -35,7 +35,7 @@ def make_polygons():
     return Polygons(np.empty((MOST_CORNERS, 3)), np.empty((MOST_CORNERS, 3)))
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def outside(boxes, i, prism):
     """Whether a box is beside a prism; touching is beside it."""
     reach = max(prism.square, prism.radius)
@@ -146,7 +146,7 @@ def plane_meets_prism(planes, p, prism):
     return depth - reach < 0.0
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def line_is_blocked(crossings, cell, low, high):
     """Whether a cell's line proves that something is between two heights.
 

@@ -19,7 +19,7 @@ import numpy as np
 from llvmlite import binding
 from numba import njit, prange, types
 
-from navbake.baker.kernels.constants import INNER, PLANE, SAME
+from navbake.baker.kernels.constants import INLINED, PLANE, SAME
 from navbake.baker.kernels.tiles import cell_center, count_tiles, tile_window
 from navbake.types import Bool, Float, Int32
 
@@ -67,7 +67,7 @@ def load_mujoco_library(path: str) -> None:
     binding.load_library_permanently(path)
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _cast(pos, mat, size, kind, point, ray):
     """The distance to a geom along a ray from a point, or -1; its normal there into the ray."""
     return _ray_geom(
@@ -81,7 +81,7 @@ def _cast(pos, mat, size, kind, point, ray):
     )
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _cast_at_rim(solids, s, ray):
     """A ray that, where it misses a rim by at most RIM, is moved onto the geom."""
     pos, mat, size, kind = solids.pos[s], solids.mat[s], solids.size[s], solids.kind[s]
@@ -102,7 +102,7 @@ def _cast_at_rim(solids, s, ray):
     return -1.0
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _cross_triangle(corners, x, y):
     """Where the line at (x, y) crosses a triangle.
 
@@ -133,7 +133,7 @@ def _cross_triangle(corners, x, y):
     return (2 if nearest <= RIM else 1), z
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _is_less(column, i, z, geom, faces_up):
     """Whether a crossing comes before the i-th: by height, then geom, undersides first."""
     if z != column.z[i]:
@@ -143,7 +143,7 @@ def _is_less(column, i, z, geom, faces_up):
     return faces_up < (column.normal[i, 2] > 0.0)
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _copy(column, source, target):
     column.z[target] = column.z[source]
     for axis in range(3):
@@ -151,7 +151,7 @@ def _copy(column, source, target):
     column.geom[target] = column.geom[source]
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _insert(column, count, z, normal, geom, is_edge):
     """Insert a crossing into a column of a number of them; normal is (x, y, z)."""
     i = count
@@ -166,7 +166,7 @@ def _insert(column, count, z, normal, geom, is_edge):
     return count + 1
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _drop_doubles(column, count):
     """Drop crossings that two neighbouring triangles of a geom report at their shared edge."""
     kept = 0
@@ -186,12 +186,12 @@ def _drop_doubles(column, count):
     return kept
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _is_beside(box, x, y):
     return x < box[0] - RIM or x > box[3] + RIM or y < box[1] - RIM or y > box[4] + RIM
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _cross_solids(x, y, items, solids, column, ray):
     """Write the crossings of one line with solids; returns their number."""
     count = np.int64(0)
@@ -213,7 +213,7 @@ def _cross_solids(x, y, items, solids, column, ray):
     return count
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _cross_planes(planes, heights, column, count, ray):
     """Add the crossings of the ray's line with infinite planes, from their front only."""
     for p in range(planes.geom.shape[0]):
@@ -229,7 +229,7 @@ def _cross_planes(planes, heights, column, count, ray):
     return count
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _cross_triangles(x, y, items, facets, column, count):
     """Add the crossings of one line with triangles."""
     for t in items:
@@ -244,7 +244,7 @@ def _cross_triangles(x, y, items, facets, column, count):
     return count
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _write(column, count, crossings, first):
     for i in range(count):
         crossings.z[first + i] = column.z[i]
@@ -253,7 +253,7 @@ def _write(column, count, crossings, first):
             crossings.normal[first + i, axis] = column.normal[i, axis]
 
 
-@njit(**INNER)
+@njit(**INLINED)
 def _cast_tile(tile, lattice, solids, facets, planes, tiles, heights, crossings):
     """Cross the lines of one tile with what lies over it."""
     nearby = tiles.solid_item[tiles.solid_start[tile] : tiles.solid_start[tile + 1]]
