@@ -6,7 +6,6 @@ none of its dependencies; each name below loads what it needs when it is first u
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from navbake._version import __version__
@@ -18,6 +17,7 @@ from navbake.errors import (
     QueryError,
     SceneError,
 )
+from navbake.navgrid.operations import register, resolve
 
 if TYPE_CHECKING:
     from navbake.arena.explored import ExploredMap
@@ -52,26 +52,39 @@ __all__ = [
     "load_voxels",
 ]
 
+# where each public name is that loads dependencies
 _LAZY = {
-    "bake": ("navbake.baker.pipeline", "bake"),
-    "BakeConfig": ("navbake.config.settings", "BakeConfig"),
-    "ExploredMap": ("navbake.arena.explored", "ExploredMap"),
-    "MultiLevelGrid": ("navbake.navgrid.grid", "MultiLevelGrid"),
-    "PathFinder": ("navbake.runtime.path_finder", "PathFinder"),
-    "SceneGrid2D": ("navbake.navgrid.grid", "SceneGrid2D"),
-    "VoxelGrid": ("navbake.voxels.grid", "VoxelGrid"),
-    "Voxelizer": ("navbake.baker.voxelize.voxelizer", "Voxelizer"),
-    "create_voxel_grid": ("navbake.baker.voxelize.voxelizer", "create_voxel_grid"),
-    "load": ("navbake.formats.navgrid", "read_navgrid"),
-    "load_voxels": ("navbake.formats.voxels", "read_voxels"),
+    "bake": "navbake.baker.pipeline:bake",
+    "BakeConfig": "navbake.config.settings:BakeConfig",
+    "ExploredMap": "navbake.arena.explored:ExploredMap",
+    "MultiLevelGrid": "navbake.navgrid.grid:MultiLevelGrid",
+    "PathFinder": "navbake.runtime.path_finder:PathFinder",
+    "SceneGrid2D": "navbake.navgrid.grid:SceneGrid2D",
+    "VoxelGrid": "navbake.voxels.grid:VoxelGrid",
+    "Voxelizer": "navbake.baker.voxelize.voxelizer:Voxelizer",
+    "create_voxel_grid": "navbake.baker.voxelize.voxelizer:create_voxel_grid",
+    "load": "navbake.formats.navgrid:read_navgrid",
+    "load_voxels": "navbake.formats.voxels:read_voxels",
 }
+
+register(
+    {
+        "grid.at": "navbake.runtime.places.place:place_at",
+        "grid.block": "navbake.runtime.blocks.blocking:block",
+        "grid.describe_cell": "navbake.views.why:describe_cell",
+        "grid.inflate": "navbake.runtime.inflation.inflate:inflate",
+        "grid.inflate_footprint": "navbake.runtime.inflation.footprint:inflate_footprint",
+        "grid.save": "navbake.formats.navgrid:write_navgrid",
+        "grid.values_at": "navbake.runtime.places.place:values_at",
+        "voxels.save": "navbake.formats.voxels:write_voxels",
+    }
+)
 
 
 def __getattr__(name: str) -> Any:
     if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, attribute = _LAZY[name]
-    value = getattr(import_module(module), attribute)
+    value = resolve(_LAZY[name])
     globals()[name] = value
     return value
 

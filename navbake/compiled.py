@@ -1,9 +1,9 @@
-"""Keeps compiled kernels from outliving their sources.
+"""Drops compiled kernels whose sources have changed.
 
-numba's cache on disk looks at the file that a kernel stands in alone. A kernel that calls one of
-another file would keep that one's old code, after an edit and, as the cache stays when a package
-is replaced, after an upgrade. So the caches of all modules that use a changed one are dropped.
-Each package of kernels calls `drop_stale_caches` before its first kernel is loaded.
+numba's cache on disk checks only the file that defines a kernel. A kernel that calls one of
+another file would keep that one's old code: after an edit, and after an upgrade, which leaves the
+cache in place. So the caches of all modules that use a changed one are dropped. Each folder of
+kernels calls `drop_stale_caches` before its first kernel is loaded.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ STAMP = "navbake-kernels.json"
 
 
 def drop_stale_caches(cached: Callable[..., Any]) -> None:
-    """Drop what was compiled from other sources than there are now.
+    """Drop what was compiled from sources that have changed since.
 
     Args:
-        cached: a function of the kernels' folder, made by ``numba.njit(cache=True)``; it tells
-            where numba keeps what is compiled there.
+        cached: any function of the kernels' folder made by ``numba.njit(cache=True)``; it
+            knows where numba keeps the folder's compiled code.
     """
     place = cached.stats.cache_path  # type: ignore[attr-defined]
     if place is None:
@@ -49,13 +49,13 @@ def drop_stale_caches(cached: Callable[..., Any]) -> None:
 
 
 def digest_modules(package: Path) -> dict[str, str]:
-    """Hash each module of kernels together with all others that it uses, directly or not.
+    """Hash each module of kernels together with all modules of kernels that it uses.
 
     Args:
-        package: navbake's folder; kernels are in its folders of that name.
+        package: the package's folder; modules of kernels are in its folders ``kernels``.
 
     Returns:
-        By the modules' dotted names.
+        Digests by the modules' dotted names.
     """
     sources = {
         ".".join((package.name, *path.relative_to(package).with_suffix("").parts)): path
@@ -66,6 +66,7 @@ def digest_modules(package: Path) -> dict[str, str]:
     uses = {name: set(IMPORT.findall(text.decode())) for name, text in texts.items()}
     digests = {}
     for name in texts:
+        # all modules that can be reached over imports, the module itself included
         found, left = {name}, [name]
         while left:
             new = uses.get(left.pop(), set()) - found
@@ -85,7 +86,7 @@ def _read(stamp: Path) -> dict[str, str]:
 
 
 def _write(stamp: Path, digests: dict[str, str]) -> None:
-    """Write beside and rename; a folder that can't be written to holds no caches of ours."""
+    """Write beside and rename. Where that fails, numba has not cached anything there either."""
     beside = stamp.with_suffix(f".{os.getpid()}")
     try:
         stamp.parent.mkdir(parents=True, exist_ok=True)

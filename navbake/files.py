@@ -10,12 +10,12 @@ from pathlib import Path
 
 
 def write_whole(data: bytes, path: str | PathLike[str]) -> None:
-    """Write a file under another name in the same folder, then give it its own.
+    """Write a file under another name in the same folder, then rename it.
 
-    A link stays, what it points to is replaced. A device or a pipe is written to as it is.
+    Of a link, the file that it points to is replaced. A device or a pipe is written to directly.
 
     Raises:
-        OSError: the path can't be written; what was there before is still there.
+        OSError: the path can't be written; a file that was there is unchanged.
     """
     if not _is_replaceable(path):
         Path(path).write_bytes(data)

@@ -17,7 +17,9 @@ from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.scene.model import mujoco_version
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig, settings_digest
-from navbake.navgrid.doors import door_cells, name_door_cells
+from navbake.navgrid.door_states import name_door_cells
+from navbake.navgrid.doors import Door as StatedDoor
+from navbake.navgrid.doors import parse_doors
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.lattice import Lattice
@@ -63,8 +65,10 @@ def build_grid(baked: Baked, config: BakeConfig) -> SceneGrid2D | MultiLevelGrid
     else:
         windows = [_window(level.floor) for level in levels]
     metadata = _metadata(baked, config, windows)
+    sizes = [(rows.stop - rows.start) * (cols.stop - cols.start) for rows, cols in windows]
+    doors = parse_doors(metadata["navbake"]["doors"], sizes)
     grids = [
-        _level_grid(baked, config, number, window, box, metadata)
+        _level_grid(baked, config, number, window, box, doors, metadata)
         for number, (window, box) in enumerate(
             zip(windows, _level_boxes(baked, config, windows), strict=True)
         )
@@ -82,14 +86,14 @@ def _level_grid(
     number: int,
     window: Window,
     box: Box,
+    doors: Sequence[StatedDoor],
     metadata: dict[str, Any],
 ) -> SceneGrid2D:
     level, part = baked.floors.levels[number], baked.lattice.cut(*window)
     num_levels = len(baked.floors.levels)
-    doors = metadata["navbake"]["doors"]
     occupied = baked.occupied[number][window].copy()
     for door in doors:
-        occupied.ravel()[door_cells(door, door["state"], num_levels)[number]] = True
+        occupied.ravel()[door.cells_in(door.state, num_levels)[number]] = True
     return SceneGrid2D(
         width=part.width,
         height=part.height,
@@ -108,7 +112,7 @@ def _level_grid(
 
 
 def _user_data(
-    baked: Baked, config: BakeConfig, number: int, window: Window, doors: list[dict[str, Any]]
+    baked: Baked, config: BakeConfig, number: int, window: Window, doors: Sequence[StatedDoor]
 ) -> Any:
     """A dictionary by cell id, or what becomes one when somebody asks for it."""
     if not config.names.enabled or baked.contents is None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Option
 
-from navbake.cli.files import GridFile, check_writable
+from navbake.cli.options import GridFile, check_output
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -15,33 +15,40 @@ if TYPE_CHECKING:
 
 def inflate(
     grid: GridFile,
-    radius: Annotated[float, typer.Option(metavar="R", help="Radius of the agent [m].")],
+    radius: Annotated[float, Option(metavar="R", help="Radius of the agent [m].")],
     output: Annotated[
         Path,
-        typer.Option("-o", "--output", metavar="OUT", help="File to write; GRID itself will do."),
+        Option("-o", "--output", metavar="OUT", help="File to write; it may be GRID itself."),
     ],
     clearance: Annotated[
         float | None,
-        typer.Option(
+        Option(
             metavar="C",
-            help="How far beyond the radius cells cost more [m].  "
-            "[default: 0; with nav2, as far as the cost reaches 1]",
+            help="Distance beyond the radius within which cells cost more [m].  "
+            "[default: 0; with nav2 costs, up to where the cost falls to 1]",
         ),
     ] = None,
     mode: Annotated[
-        str, typer.Option(help="exact: no disc meets an occupied square; minos: as the original.")
+        str,
+        Option(
+            help="exact (the agent's disc meets no occupied cell) or minos (the original "
+            "client's rule)."
+        ),
     ] = "exact",
     costs: Annotated[
-        str, typer.Option(help="What cells within the clearance cost: step (10), or nav2.")
+        str, Option(help="Cost of cells within the clearance: step (10), or nav2 (exponential).")
     ] = "step",
-    scaling: Annotated[float, typer.Option(help="How fast nav2's costs fall [1/m].")] = 10.0,
+    scaling: Annotated[
+        float, Option(help="How fast nav2 costs fall, its cost_scaling_factor [1/m].")
+    ] = 10.0,
 ) -> None:
-    """Make a grid good for a larger agent."""
+    """Inflate the obstacles of a grid for an agent of another radius."""
+    # Imported here, so that --help loads no numpy.
     from navbake.formats.navgrid import read_navgrid
     from navbake.runtime.inflation.inflate import check_arguments
 
     check_arguments(radius, clearance, mode, costs, scaling)
-    check_writable(output)
+    check_output(output)
     before = read_navgrid(grid)
     after = before.inflate(radius, clearance, mode, costs=costs, scaling=scaling)
     after.save(output)

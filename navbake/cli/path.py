@@ -2,68 +2,71 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import BadParameter, Exit, Option
 
-from navbake.cli.files import GridFile, check_writable
+from navbake.cli.options import AsJson, GridFile, check_output
+from navbake.cli.printing import print_json
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
     from navbake.runtime.paths import path as paths
 
-PLACE = "X,Y[,Z|,LEVEL]"
+POSITION = "X,Y[,Z|,LEVEL]"
 
 
 def path(
     grid: GridFile,
     start: Annotated[
         str,
-        typer.Option(
-            "--from", metavar=PLACE, help="World position [m]; a level as L0, the lowest, or L1."
+        Option(
+            "--from",
+            metavar=POSITION,
+            help="Start: world position [m]. In place of z, a level: L0 is the lowest.",
         ),
     ],
     goals: Annotated[
         list[str],
-        typer.Option(
+        Option(
             "--to",
-            metavar=f"{PLACE}|room:NAME|object:NAME",
-            help="Where to: a position, a room or next to an object. Of several positions, the "
-            "one that is the cheapest to reach.",
+            metavar=f"{POSITION}|room:NAME|object:NAME",
+            help="Goal: a position, a room, or an object to stop beside. Repeat it with several "
+            "positions to reach the cheapest of them.",
         ),
     ],
     radius: Annotated[
-        float | None,
-        typer.Option(metavar="R", help="Inflate the grid for this radius first [m]."),
+        float | None, Option(metavar="R", help="Inflate the grid for this agent radius first [m].")
     ] = None,
     smooth: Annotated[
-        bool, typer.Option(help="Pull the path straight, or keep to the cells' centres.")
+        bool, Option(help="Straighten the path, or follow the cells' centres.")
     ] = True,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="PNG", help="Draw the path.")
+        Path | None, Option("-o", "--output", metavar="PNG", help="Draw the path.")
     ] = None,
 ) -> None:
-    """Plan a path, or say why there is none, with exit status 1."""
+    """Plan a path through a grid, or say why there is none.
+
+    The exit status is 1 if there is none.
+    """
+    # Imported here, so that --help loads neither numpy nor matplotlib.
     from navbake.formats.navgrid import read_navgrid
     from navbake.runtime.path_finder import PathFinder
 
     if output is not None:
-        if output.suffix.lower() != ".png":
-            raise typer.BadParameter(f"expected a name in .png, got {output}", param_hint="-o")
-        check_writable(output)
+        check_output(output, ".png")
     content = read_navgrid(grid)
     if radius is not None:
         content = content.inflate(radius)
     finder = PathFinder(content)
-    origin = _parse_place(content, start, "--from")
+    origin = _parse_position(content, start, "--from")
     goal = _parse_goals(content, goals)
     found = finder.find_path(origin, goal, smooth=smooth)
     reason = None if found else finder.why_not(origin, goal)
     if as_json:
-        print(json.dumps(_to_json(found, reason), indent=2, ensure_ascii=False))
+        print_json(_to_json(found, reason))
     elif found:
         _print_path(found)
     else:
@@ -73,18 +76,18 @@ def path(
 
         plot_grid(content, output, layers=("occupancy",), route=found)
     if not found:
-        raise typer.Exit(1)
+        raise Exit(1)
 
 
 def _parse_goals(grid: NavGrid, texts: list[str]) -> Any:
     named = [text for text in texts if text.startswith(("room:", "object:"))]
     if named and len(texts) > 1:
-        raise typer.BadParameter("several goals have to be positions", param_hint="--to")
-    return texts[0] if named else [_parse_place(grid, text, "--to") for text in texts]
+        raise BadParameter("several goals have to be positions", param_hint="--to")
+    return texts[0] if named else [_parse_position(grid, text, "--to") for text in texts]
 
 
-def _parse_place(grid: NavGrid, text: str, option: str) -> list[float]:
-    """World x, y and z, if it is told or follows from the level."""
+def _parse_position(grid: NavGrid, text: str, option: str) -> list[float]:
+    """World x, y and, where the text gives z or a level, z."""
     parts = text.split(",")
     try:
         if len(parts) not in (2, 3):
@@ -93,31 +96,24 @@ def _parse_place(grid: NavGrid, text: str, option: str) -> list[float]:
             return [float(part) for part in parts]
         x, y, level = float(parts[0]), float(parts[1]), int(parts[2].strip()[1:])
     except ValueError:
-        raise typer.BadParameter(
-            f"expected {PLACE} as in 1.5,-2 or 1.5,-2,0.3 or 1.5,-2,L1, got {text}",
+        raise BadParameter(
+            f"expected {POSITION} as in 1.5,-2 or 1.5,-2,0.3 or 1.5,-2,L1, got {text}",
             param_hint=option,
         ) from None
     cell = grid.cell_at((x, y), level)
     z = grid.levels[level].ground if cell is None else float(grid.position_of(cell)[2])
     found = grid.cell_at((x, y, z))
     if found is not None and found.level != level:  # where the level is open to the one below
-        raise typer.BadParameter(f"level {level} has no floor at {x:g}, {y:g}", param_hint=option)
+        raise BadParameter(f"level {level} has no floor at {x:g}, {y:g}", param_hint=option)
     return [x, y, z]
 
 
 def _to_json(found: paths.Path | None, reason: str | None) -> dict[str, Any]:
     if found is None:
         return {"path": None, "reason": reason}
-    described = {
-        "length": found.length,
-        "cost": found.cost,
-        "rooms": found.rooms,
-        "doors": found.doors,
-        "positions": found.positions.tolist(),
-        "levels": found.levels.tolist(),
-        "cells": found.cells.tolist(),
-    }
-    return {"path": described, "reason": None}
+    described = {key: getattr(found, key) for key in ("length", "cost", "rooms", "doors")}
+    arrays = {key: getattr(found, key).tolist() for key in ("positions", "levels", "cells")}
+    return {"path": described | arrays, "reason": None}
 
 
 def _print_path(found: paths.Path) -> None:

@@ -1,4 +1,4 @@
-"""Turns pydantic's errors into one line: what was expected, what was found, where."""
+"""Words pydantic's errors as one line: what was expected, what was found, where."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ EXPECTED = {
 MAX_SHOWN = 60  # characters of a value in a message
 MAX_ITEMS = 6  # of a list that is shown
 NESTED = (Mapping, list, tuple, set)
-MAX_TOLD = 3  # errors in a message
+MAX_ERRORS = 3  # errors in a message
 
 
 def describe_errors(
@@ -30,24 +30,25 @@ def describe_errors(
     source: str,
     overrides: Sequence[str] = (),
 ) -> str:
-    """Tell the errors in one line, unknown keys first, and how many more there are than three.
+    """Word the first three errors as one line, unknown keys first, and count the others.
 
     Args:
         error: what pydantic found.
-        sections: the model of each mapping whose keys are known, by its dotted key.
+        sections: the model of each section, by its dotted key.
         source: where the settings come from.
-        overrides: the ``a.b=value`` among them, which are named instead where they are at fault.
+        overrides: each ``a.b=value`` of the command line; named in place of the source where it
+            is at fault.
     """
     details = sorted(
         error.errors(include_url=False), key=lambda found: found["type"] != "extra_forbidden"
     )
     lines = []
-    for found in details[:MAX_TOLD]:
-        # a tag like =list is no key, it tells the branch that the value was checked against
+    for found in details[:MAX_ERRORS]:
+        # pydantic adds the tag of a union's branch, here =list and the like, and [key]
         loc = tuple(p for p in found["loc"] if not str(p).startswith("=") and p != "[key]")
-        place = _place(loc, source, overrides)
-        lines.append(f"{_complaint(found, loc, sections)} in {place}")
-    more = f" (and {len(details) - MAX_TOLD} more)" if len(details) > MAX_TOLD else ""
+        origin = _origin(loc, source, overrides)
+        lines.append(f"{_complaint(found, loc, sections)} in {origin}")
+    more = f" (and {len(details) - MAX_ERRORS} more)" if len(details) > MAX_ERRORS else ""
     return "; ".join(lines) + more
 
 
@@ -81,9 +82,10 @@ def _complaint(
 
 
 def _unknown_key(loc: tuple[int | str, ...], sections: Mapping[str, type[BaseModel]]) -> str:
-    """Name the nearest known key: of the same mapping first, then of all."""
+    """Name the nearest known key: of the same section first, then of all."""
     section = ".".join(p for p in loc[:-1] if isinstance(p, str))
     known = {key: f"{section}.{key}".lstrip(".") for key in _keys(sections[section])}
+    # reversed, so that of sections with a key in common the first one is named
     elsewhere = {
         key: f"{name}.{key}".lstrip(".")
         for name, model in reversed(list(sections.items()))
@@ -99,7 +101,7 @@ def _keys(model: type[BaseModel]) -> list[str]:
     return [field.alias or name for name, field in model.model_fields.items()]
 
 
-def _place(loc: tuple[int | str, ...], source: str, overrides: Sequence[str]) -> str:
+def _origin(loc: tuple[int | str, ...], source: str, overrides: Sequence[str]) -> str:
     for override in reversed(overrides):
         key = override_key(override)
         if key[: len(loc)] == loc[: len(key)]:

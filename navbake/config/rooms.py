@@ -1,4 +1,4 @@
-"""The settings of the rooms: where they come from, in order of preference."""
+"""The settings of the rooms: which sources divide the floor into rooms, in which order."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ from os import PathLike
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationInfo
-from pydantic_core import PydanticCustomError
 
-from navbake.config.fields import (
+from navbake.config.field_types import (
     Name,
     NotNegative,
+    OptionalName,
     Positive,
     Settings,
     check_distinct,
     expects,
+    refusal,
     resolve,
     setting,
     to_path,
@@ -31,10 +32,8 @@ DEFAULT_SITES = ("room*",)
 
 
 def _check_outline(points: list[list[float]]) -> list[list[float]]:
-    fault = find_fault(points)
-    if fault:
-        expected = {"text": "a simple outline", "got": fault}
-        raise PydanticCustomError("expected", "expected {text}", expected)
+    if fault := find_fault(points):
+        raise refusal("a simple outline", got=fault)
     return points
 
 
@@ -48,11 +47,9 @@ Outline = Annotated[
 
 
 class RoomPolygon(Settings):
-    """One room as polygon."""
+    """A room that is given by its outline."""
 
-    name: Annotated[Name | None, expects("text that is not empty, or null")] = setting(
-        None, "its name, or null"
-    )
+    name: OptionalName = setting(None, "its name, or null")
     level: Annotated[
         Annotated[int, Field(ge=0)] | Name, expects("a level's number from 0, or its name")
     ] = setting(0, "its level: a number, 0 is the lowest, or a name")
@@ -61,7 +58,7 @@ class RoomPolygon(Settings):
 
 
 def _read_polygons(value: Any, info: ValidationInfo) -> Any:
-    """Replace the path of a GeoJSON file by what it holds, so that settings tell all there is."""
+    """Replace the path of a GeoJSON file by its polygons, so that the digest covers them."""
     if not isinstance(value, str | PathLike):
         return value
     try:
@@ -71,9 +68,9 @@ def _read_polygons(value: Any, info: ValidationInfo) -> Any:
 
 
 class RoomSettings(Settings):
-    """What tells rooms apart."""
+    """How the floor is divided into rooms."""
 
-    # `from` is no name in Python
+    # The key is `from`, a keyword of Python; so the field is `sources`, with that alias.
     model_config = ConfigDict(**Settings.model_config, populate_by_name=True)
 
     sources: Annotated[
@@ -83,8 +80,8 @@ class RoomSettings(Settings):
     ] = Field(
         default=["polygons", "geoms", "sites", "auto"],
         alias="from",
-        description="polygons, geoms, sites, auto, the preferred first: a cell's room is that of "
-        "the first that has one for it, auto parts the rest at doors; default all four",
+        description="polygons, geoms, sites, auto, in order of preference: a cell gets its room "
+        "from the first that covers it, auto divides the rest at doors; default all four",
     )
     geoms: list[Name] = setting(list(DEFAULT_GEOMS), "floor geoms, by name patterns (*, ?, [...])")
     sites: list[Name] = setting(list(DEFAULT_SITES), "sites as volumes, by name patterns")
@@ -93,14 +90,12 @@ class RoomSettings(Settings):
         "outlines in metres: a GeoJSON file, relative to this file, or a list of "
         "{name: hall, level: 0, points: [[0, 0], [4, 0], [4, 3]]}",
     )
-    door_width: Positive = setting(1.0, "auto: the widest gap that parts rooms [m], > 0")
-    min_area: NotNegative = setting(
-        1.0, "auto, sites: what is smaller is no room of its own [m2], >= 0"
-    )
+    door_width: Positive = setting(1.0, "auto: the widest gap that separates rooms [m], > 0")
+    min_area: NotNegative = setting(1.0, "auto, sites: smallest area of a room [m2], >= 0")
 
 
 def expand_rooms(value: Any) -> Any:
-    """Write ``auto``, ``none`` and nothing at all as the sections that they stand for."""
+    """Expand the short forms ``auto``, ``none`` and null to the sections that they stand for."""
     if value is None:
         return {}
     if value == "auto":
@@ -108,6 +103,5 @@ def expand_rooms(value: Any) -> Any:
     if value == "none":
         return {"from": []}
     if not isinstance(value, Mapping | RoomSettings):
-        text = "auto, none or a mapping"
-        raise PydanticCustomError("expected", "expected {text}", {"text": text})
+        raise refusal("auto, none or a mapping")
     return value

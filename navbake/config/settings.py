@@ -1,8 +1,12 @@
-"""The settings of a bake, as one validated YAML file: world frame, metres unless it says so."""
+"""The settings of a bake, read from YAML and validated.
+
+Lengths are in metres, positions in the world frame (z up), unless a description says otherwise.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -19,37 +23,30 @@ from pydantic import (
     ValidationError,
     ValidationInfo,
     field_validator,
-    model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from navbake.config.errors import describe_errors
-from navbake.config.fields import (
+from navbake.config.field_types import (
     FilePath,
     Flag,
     Name,
     NotNegative,
     Number,
+    OptionalName,
     Positive,
     Section,
     Settings,
     check_distinct,
     expects,
-    resolve,
+    refusal,
     setting,
-    to_path,
 )
 from navbake.config.rooms import RoomPolygon, RoomSettings, expand_rooms
+from navbake.config.scene import ExcludeSettings, SceneSettings
 from navbake.config.yaml_text import apply_overrides, read_yaml
 from navbake.errors import ConfigError
 
 YAML_SUFFIXES = (".yaml", ".yml")
-
-
-def _check_id(value: str) -> str:
-    if value in (".", "..") or not value.isprintable() or set(value) & set("/\\"):
-        raise ValueError("no id")
-    return value
 
 
 def _check_bounds(value: list[float]) -> list[float]:
@@ -59,84 +56,13 @@ def _check_bounds(value: list[float]) -> list[float]:
     return value
 
 
-MeshMode = Literal["auto", "hull", "surface"]
-
-ScenePath = Annotated[
-    Path,
-    BeforeValidator(to_path),
-    expects("the path of a scene file"),
-    AfterValidator(resolve),
-]
-SceneId = Annotated[
-    str,
-    Field(min_length=1),
-    AfterValidator(_check_id),
-    expects("text without / and \\ (a number needs quotes)"),
-]
-
-
-class ExcludeSettings(Settings):
-    """What is left out of the scene, by patterns as the shell has them (``*``, ``?``, ``[…]``)."""
-
-    bodies: list[Name] = setting(
-        [], "body name patterns (*, ?, [...]); what hangs on a body goes too"
-    )
-    geoms: list[Name] = setting([], "geom name patterns")
-    movable: Flag = setting(False, "true: leave out bodies with a free joint; or false")
-
-
-class SceneSettings(Settings):
-    """The scene, what of it counts, and its pose."""
-
-    id: SceneId = setting("", "the scene's id, without / and \\", "the scene file's stem")
-    path: ScenePath = Field(
-        description="MJCF, MJB, URDF, OBJ, PLY, STL, GLB or DAE, relative to this file; no default"
-    )
-    up: Annotated[Literal["z", "y"], expects("z or y")] = setting(
-        "z", "axis that points up in mesh files: z or y"
-    )
-    unit: Positive = setting(1.0, "the unit of mesh files [m], > 0")
-    geoms: Annotated[
-        Literal["auto", "collision", "visual", "all"],
-        expects("auto, collision, visual or all"),
-    ] = setting("auto", "auto (what can collide, or else all), collision, visual, all")
-    meshes: Annotated[
-        Annotated[MeshMode, expects("auto, hull, surface or {pattern: one of these}"), Tag("=one")]
-        | Annotated[
-            dict[Name, Annotated[MeshMode, expects("auto, hull or surface")]], Tag("=each")
-        ],
-        Discriminator(lambda value: "=each" if isinstance(value, dict) else "=one"),
-    ] = setting(
-        "auto",
-        "hull, surface, auto (hull if it can collide), or {name pattern: hull}",
-    )
-    exclude: Annotated[ExcludeSettings, Section] = Field(
-        default_factory=ExcludeSettings, description="what is left out, by pattern (*, ?, [...])"
-    )
-    keyframe: Annotated[
-        str | Annotated[int, Field(ge=0)] | None, expects("a keyframe's name or index, or null")
-    ] = setting(None, "pose: a keyframe's name, or index >= 0, or null")
-    joints: dict[Name, Annotated[float | list[float], expects("a number or a list of numbers")]] = (
-        setting({}, "pose on top of it: {joint name: position [m or rad], or a list}")
-    )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _take_id_from_path(cls, data: Any) -> Any:
-        if isinstance(data, Mapping) and data.get("id") is None:
-            path = data.get("path")
-            stem = Path(path).stem if isinstance(path, str | PathLike) else ""
-            return {**data, "id": stem or "scene"}
-        return data
-
-
 class AgentSettings(Settings):
     """The agent that must fit where it stands."""
 
     height: Positive = setting(1.14, "height of the agent [m], > 0")
     radius: NotNegative = setting(0.05, "radius of its footprint [m], >= 0")
     traversable_floor_height: NotNegative = setting(
-        0.25, "highest step, lowest obstacle [m], >= 0, < height"
+        0.25, "highest step; what is lower is no obstacle [m], >= 0, < height"
     )
     max_slope: Annotated[
         float, Field(ge=0, le=89.9), expects("a number of degrees from 0 to 89.9")
@@ -147,8 +73,7 @@ class AgentSettings(Settings):
     def _check_below_height(cls, value: float, info: ValidationInfo) -> float:
         height = info.data.get("height")
         if height is not None and value >= height:
-            text = f"a number >= 0 and < `agent.height` ({height:g})"
-            raise PydanticCustomError("expected", "expected {text}", {"text": text})
+            raise refusal(f"a number >= 0 and < `agent.height` ({height:g})")
         return value
 
 
@@ -161,7 +86,7 @@ class GridSettings(Settings):
         | None,
         expects("[x_min, y_min, x_max, y_max] with min < max, or null"),
     ] = setting(None, "[x_min, y_min, x_max, y_max] of a part [m], or null")
-    margin: NotNegative = setting(0.0, "what is added on each side [m], >= 0")
+    margin: NotNegative = setting(0.0, "added on each side [m], >= 0")
     max_cells: Annotated[int, Field(ge=1), expects("a whole number >= 1")] = setting(
         25_000_000, "refuse more cells than this, >= 1"
     )
@@ -174,25 +99,22 @@ class LevelSettings(Settings):
     top: Annotated[float | None, expects("a number > ground, or null")] = setting(
         None, "height where it ends [m], > ground", "the next level's ground"
     )
-    name: Annotated[Name | None, expects("text that is not empty, or null")] = setting(
-        None, "its name, or null"
-    )
+    name: OptionalName = setting(None, "its name, or null")
 
     @field_validator("top")
     @classmethod
     def _check_above_ground(cls, value: float | None, info: ValidationInfo) -> float | None:
         ground = info.data.get("ground")
         if value is not None and ground is not None and value <= ground:
-            text = f"a number > `ground` ({ground:g}), or null"
-            raise PydanticCustomError("expected", "expected {text}", {"text": text})
+            raise refusal(f"a number > `ground` ({ground:g}), or null")
         return value
 
 
 class FloorSettings(Settings):
-    """Which standable sheets are floors, and not furniture."""
+    """Which surfaces that one can stand on are floors, and which are furniture."""
 
-    min_area: NotNegative = setting(1.0, "what a floor has at least, once shrunk [m2], >= 0")
-    shrink: NotNegative = setting(0.3, "how far floors are shrunk for that [m], >= 0")
+    min_area: NotNegative = setting(1.0, "smallest area of a floor, after shrinking [m2], >= 0")
+    shrink: NotNegative = setting(0.3, "distance to shrink floors by for that [m], >= 0")
     tops: Flag = setting(
         False, "keep large tops of what stands on a floor (beds, blocks): true or false"
     )
@@ -204,7 +126,7 @@ class NameSettings(Settings):
 
     enabled: Flag = setting(True, "write them: true or false")
     walls: list[Name] = setting(
-        [], "body, geom or mesh name patterns of walls", "[], which tells walls by their shape"
+        [], "body, geom or mesh name patterns of walls", "[], which finds walls by their shape"
     )
 
 
@@ -216,35 +138,31 @@ def _switch_names(value: Any) -> Any:
 
 
 class DoorSettings(Settings):
-    """Doors, and the state that the grid has them in."""
+    """Which bodies are doors, and the state in which they are baked."""
 
-    patterns: list[Name] = setting([], "doors, by patterns of body names (*, ?, [...])")
+    patterns: list[Name] = setting([], "body name patterns of doors (*, ?, [...])")
     find: Flag = setting(
-        True, "find doors between rooms by their looks (one hinge or slide): true or false"
+        True, "find doors between rooms by shape and joint (one hinge or slide): true or false"
     )
     state: Annotated[
         Literal["modelled", "open", "closed", "removed"],
         expects("modelled, open, closed or removed"),
-    ] = setting("modelled", "of all doors: modelled, open, closed or removed")
+    ] = setting("modelled", "state of all doors: modelled, open, closed or removed")
 
 
 def _check_ascending(levels: list[LevelSettings]) -> list[LevelSettings]:
     names: set[str] = set()
     for index, level in enumerate(levels):
         if level.name in names:
-            found = {"text": "no name twice", "got": f'"{level.name}"', "at": f"[{index}].name"}
-            raise PydanticCustomError("expected", "expected {text}", found)
+            raise refusal("no name twice", got=f'"{level.name}"', at=f"[{index}].name")
         names |= {level.name} if level.name else set()
-    for index in range(1, len(levels)):
-        below, level = levels[index - 1], levels[index]
+    for index, (below, level) in enumerate(itertools.pairwise(levels)):
         if level.ground <= below.ground:
             text = f"a ground above that of the level before ({below.ground:g})"
-            found = {"text": text, "got": f"{level.ground:g}", "at": f"[{index}].ground"}
-            raise PydanticCustomError("expected", "expected {text}", found)
+            raise refusal(text, got=f"{level.ground:g}", at=f"[{index + 1}].ground")
         if below.top is not None and below.top > level.ground:
             text = f"a top up to the next level's ground ({level.ground:g})"
-            found = {"text": text, "got": f"{below.top:g}", "at": f"[{index - 1}].top"}
-            raise PydanticCustomError("expected", "expected {text}", found)
+            raise refusal(text, got=f"{below.top:g}", at=f"[{index}].top")
     return levels
 
 
@@ -252,7 +170,7 @@ class BakeConfig(Settings):
     """All settings of a bake."""
 
     scene: Annotated[SceneSettings, Section] = Field(
-        description="the scene, what of it counts, and its pose"
+        description="the scene, which of its geoms count, and its pose"
     )
     agent: Annotated[AgentSettings, Section] = Field(
         default_factory=AgentSettings, description="the agent that must fit where it stands"
@@ -260,6 +178,7 @@ class BakeConfig(Settings):
     grid: Annotated[GridSettings, Section] = Field(
         default_factory=GridSettings, description="the cells"
     )
+    # The tags let pydantic check one branch of the union, so that an error speaks of that one only.
     levels: Annotated[
         Annotated[
             Literal["auto"],
@@ -286,10 +205,10 @@ class BakeConfig(Settings):
     )
     rooms: Annotated[RoomSettings, BeforeValidator(expand_rooms)] = Field(
         default_factory=RoomSettings,
-        description="what tells rooms apart; `rooms: auto` for doors alone, none for no rooms",
+        description="how rooms are told apart; `rooms: auto` divides at doors only, none: no rooms",
     )
     doors: Annotated[DoorSettings, Section] = Field(
-        default_factory=DoorSettings, description="what moves between rooms"
+        default_factory=DoorSettings, description="which bodies are doors, and their state"
     )
     attributes: Annotated[
         list[Literal["island", "clearance"]],
@@ -307,7 +226,7 @@ def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Bak
     Args:
         path: a file that ends in .yaml or .yml, whose `scene.path` is relative to it; anything
             else is taken for a scene.
-        overrides: ``a.b=value`` each, laid over the file's settings.
+        overrides: each ``a.b=value`` replaces the file's setting.
 
     Raises:
         ConfigError: no such YAML file, no YAML, or a setting that is missing, unknown, of the
@@ -325,12 +244,12 @@ def parse_config(
     overrides: Sequence[str] = (),
     folder: str | PathLike[str] = "",
 ) -> BakeConfig:
-    """Validate settings that were read already.
+    """Validate settings that are nested mappings already.
 
     Args:
         data: nested mappings, as the YAML has them.
         source: where they come from, for messages.
-        overrides: ``a.b=value`` each, laid over the data.
+        overrides: each ``a.b=value`` replaces a setting of the data.
         folder: what `scene.path` is relative to.
 
     Raises:
@@ -338,6 +257,7 @@ def parse_config(
     """
     if not isinstance(data, Mapping):
         raise ConfigError(f"expected a mapping of settings in {source}: `scene: {{path: …}}`")
+    # null stands for a section's defaults: so what a file without `scene` lacks is `scene.path`
     data = {"scene": None, **apply_overrides(data, overrides)}
     try:
         return BakeConfig.model_validate(data, context={"folder": folder})
@@ -359,7 +279,7 @@ def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> B
 
 
 def settings_digest(config: BakeConfig) -> str:
-    """Hash what influences the result: all settings but `output`, `scene.path`, `grid.max_cells`.
+    """Hash the settings that change cells: all but `output`, `scene.path`, `grid.max_cells`.
 
     Returns:
         sha256 of the settings as canonical JSON, 64 hex digits.
@@ -387,4 +307,4 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "rooms.polygons": RoomPolygon,
     "names": NameSettings,
 }
-"""The model of each mapping whose keys are known, by its dotted key."""
+"""The model of each section, by its dotted key."""

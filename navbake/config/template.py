@@ -1,4 +1,4 @@
-"""Writes the YAML that people start from: every setting with its meaning, unit, range, default."""
+"""Writes YAML to start from: every setting with its meaning, unit, range and default."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COMMENT_COLUMN = 34
 
 
 def render_template(config: BakeConfig) -> str:
-    """Write settings as a commented YAML document, which holds exactly these settings.
+    """Write settings as a commented YAML document, which reads back as the same settings.
 
     Args:
         config: the settings; its `scene.path` is written as it stands.
@@ -66,7 +66,8 @@ def write_template(
     if path.exists() and not force:
         raise ConfigError(f"{path} exists; --force overwrites it")
     text = render_template(_relative_to(config, path.parent))
-    parse_config(parse_yaml(text, str(path)), str(path))  # names of files can be strange
+    # Names of files can be anything: make sure that the text reads back.
+    parse_config(parse_yaml(text, str(path)), str(path))
     try:
         write_whole(text.encode(), path)
     except OSError as error:
@@ -76,7 +77,7 @@ def write_template(
 
 def _relative_to(config: BakeConfig, folder: Path) -> BakeConfig:
     path = config.scene.path.resolve()
-    with contextlib.suppress(ValueError):  # on another drive
+    with contextlib.suppress(ValueError):  # Windows has no relative path to another drive
         path = Path(os.path.relpath(path, folder.resolve()))
     return config.model_copy(update={"scene": config.scene.model_copy(update={"path": path})})
 
@@ -98,7 +99,7 @@ def _setting_lines(name: str, value: Any, description: str, indent: str) -> list
 
 
 def _flow(value: Any) -> str:
-    """A value in YAML's flow style, which JSON is; words without quotes where they stay text."""
+    """A value as JSON, which is YAML's flow style; without quotes where YAML reads it as text."""
     value = value.as_posix() if isinstance(value, Path) else value
     is_word = isinstance(value, str) and re.fullmatch(r"[A-Za-z_.][\w./-]*", value, re.ASCII)
     if is_word and parse_yaml(value, "a word") == value:

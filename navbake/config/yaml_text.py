@@ -1,4 +1,4 @@
-"""Reads YAML that people wrote by hand: YAML 1.2's plain scalars, no key twice, no surprises."""
+"""Reads YAML that people write by hand: plain scalars as in YAML 1.2, and no key twice."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ import yaml
 
 from navbake.errors import ConfigError
 
-MAX_BYTES = 1_000_000  # of a YAML file: settings take a few thousand
+MAX_BYTES = 1_000_000  # of a YAML file; settings take a few thousand
 MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))  # their keys may hold dots
 
 
 class _Loader(yaml.SafeLoader):
     """SafeLoader, but ``1e-3`` is a number, ``on`` and ``2026-01-01`` are text, ``010`` is 10."""
 
-    # YAML 1.2's core schema, and 1_000_000
+    # An empty table in place of YAML 1.1's; the loop below fills it with YAML 1.2's core schema,
+    # plus numbers like 1_000_000.
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
@@ -103,12 +104,12 @@ def parse_yaml(text: str, source: str) -> Any:
 
 
 def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """Lay ``a.b=value`` over nested mappings, which stay as they are.
+    """Set ``a.b=value`` in a copy of nested mappings.
 
     Args:
         data: the settings as read.
-        overrides: dotted key and YAML value each, the later one wins. What follows
-            ``scene.joints.`` or ``scene.meshes.`` is one name, dots and all.
+        overrides: dotted key and YAML value; the last one for a key counts. What follows
+            ``scene.joints.`` or ``scene.meshes.`` is one name, even with dots in it.
 
     Raises:
         ConfigError: no ``=``, no YAML value, or a key below something that has no keys.

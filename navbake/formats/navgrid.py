@@ -23,10 +23,8 @@ from navbake.formats.json_path import MISSING, Place
 from navbake.formats.source import Source, path_name, read_source, reason
 from navbake.formats.user_data import encode_user_data, parse_file, read_user_data
 from navbake.formats.values import json_object, number, plain, vector, whole_number
-from navbake.navgrid.doors import check_doors
-from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D, Vector3
-from navbake.navgrid.grid_base import Json
-from navbake.navgrid.rooms import describe_rooms
+from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
+from navbake.types import Json, Vector3
 
 SCENE_FIELDS = (
     *("type", "metadata", "weights", "userData", "tileAttributes", "width", "height"),
@@ -106,14 +104,14 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
     if isinstance(grid, SceneGrid2D):
         fields = _level_fields(grid, top, grid.metadata)
     else:
-        _ = grid.links  # checks them
+        _ = grid.link_array  # checks them
         fields = {
             "type": "MultiLevelGrid",
             "metadata": _metadata(grid, top),
             "cellSize": number(grid.cell_size, top["cellSize"], positive=True),
             "unit": number(grid.unit, top["unit"], positive=True),
             "grids": [
-                _level_fields(level, top["grids"][i], _own_metadata(level, grid))
+                _level_fields(level, top["grids"][i], _own_metadata(grid, i))
                 for i, level in enumerate(grid.grids)
             ],
             "timings": plain(grid.timings, top["timings"]),
@@ -153,10 +151,7 @@ def _read_levels(content: Json, top: Place, allowance: Allowance) -> MultiLevelG
 def _check_own(grid: NavGrid, top: Place) -> NavGrid:
     """Check what navbake itself adds to the metadata: links, rooms, doors."""
     try:
-        _ = grid.links
-        check_doors(grid.navbake.get("doors", []), [level.weights.size for level in grid.levels])
-        if "rooms" in grid.navbake:
-            describe_rooms(grid)
+        _ = grid.link_array, grid.doors, grid.stated_rooms
     except FormatError as error:
         raise FormatError(f"{error} in {top.file}") from None
     return grid
@@ -326,13 +321,13 @@ def _metadata(grid: NavGrid, place: Place) -> Json:
     )
 
 
-def _own_metadata(level: SceneGrid2D, grid: MultiLevelGrid) -> Json | None:
+def _own_metadata(grid: MultiLevelGrid, number: int) -> Json | None:
     """The metadata that a level can't take over from the whole, None if it can.
 
     It can't where an attribute of its own is of another dtype than on a level below.
     """
-    described = grid.cell_attributes
-    same = level.metadata == grid.metadata and all(e in described for e in level.cell_attributes)
+    level, described = grid.grids[number], grid.cell_attributes
+    same = grid.takes_over(number, level) and all(e in described for e in level.cell_attributes)
     return None if same else level.metadata
 
 

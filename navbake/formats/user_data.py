@@ -18,8 +18,8 @@ from navbake.errors import FormatError
 from navbake.formats.json_path import Place, shown
 from navbake.formats.values import json_object, plain
 from navbake.navgrid.grid import SceneGrid2D
-from navbake.navgrid.grid_base import Json
 from navbake.navgrid.user_data import SharedUserData, StoredUserData, collector_off, held_user_data
+from navbake.types import Json
 
 DEFER_BYTES = 1 << 16
 KEY = b'"userData":'

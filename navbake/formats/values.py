@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from navbake.formats.json_path import Place
-from navbake.navgrid.grid import Vector3
-from navbake.navgrid.grid_base import Json
+from navbake.types import Json, Vector3
 
 MAX_DEPTH = 64  # of metadata, userData, timings and unknown fields
 LEAVES = {str, int, bool, type(None)}  # what JSON holds as it is

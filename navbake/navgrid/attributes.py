@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from navbake.types import Json
+
 if TYPE_CHECKING:
     from navbake.navgrid.grid import SceneGrid2D
-    from navbake.navgrid.grid_base import Json
 
 
 def datatype_name(stated: str) -> str:

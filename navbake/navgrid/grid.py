@@ -8,19 +8,24 @@ metres; `SceneGrid2D.lattice` is the bridge.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
-from navbake.navgrid.grid_base import GridBase, Json
+from navbake.navgrid.block_state import CHANGING, BlockState
+from navbake.navgrid.grid_base import GridBase
 from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.links import read_links
-from navbake.navgrid.user_data import UserDataField
+from navbake.navgrid.level_metadata import cut_metadata
+from navbake.navgrid.links import parse_links
+from navbake.navgrid.user_data import UserDataField, held_user_data
+from navbake.types import Bool, Int, Json, Vector3
 
-Vector3: TypeAlias = tuple[float, float, float]
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 @dataclass(eq=False, kw_only=True)
@@ -30,11 +35,9 @@ class SceneGrid2D(GridBase):
     Attributes:
         width: number of columns, >= 1.
         height: number of rows, >= 1.
-        cell_size: edge of a cell [file units], > 0.
         min_yup: lower corner of cell 0, file frame [file units]; Y is the level's ground.
         bbox_yup: lower and upper corner of what the level covers, file frame [file units], or
             None where the file says nothing.
-        unit: metres per file unit, > 0.
         weights: shape (height, width), float32 or float64: the cost of a cell, inf where an
             agent can't stand.
         attributes: further values of each cell under the names they have in the file
@@ -42,23 +45,18 @@ class SceneGrid2D(GridBase):
             and of its own dtype.
         user_data: what a file keeps for single cells, by cell id (col + row * width); in a large
             file it is read and checked when it is first asked for.
-        metadata: as in the file.
-        timings: as in the file; two grids that differ in it only are the same grid.
-        extra: fields of the file that are not the format's own; they are written back.
+        block_state: who blocks its cells, None until somebody does.
+        cell_size, unit, metadata, timings, extra: see `GridBase`.
     """
 
     width: int
     height: int
-    cell_size: float
     min_yup: Vector3
     bbox_yup: tuple[Vector3, Vector3] | None = None
-    unit: float = 1.0
     weights: NDArray[Any] = field(repr=False)
     attributes: dict[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     user_data: dict[int, Json] = field(default_factory=dict, repr=False)
-    metadata: Json = field(default_factory=dict, repr=False)
-    timings: Json = field(default_factory=dict, repr=False)
-    extra: Json = field(default_factory=dict, repr=False)
+    block_state: BlockState | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name, array in {"weights": self.weights, **self.attributes}.items():
@@ -77,10 +75,48 @@ class SceneGrid2D(GridBase):
         """The levels, lowest first: this one."""
         return [self]
 
+    def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
+        """The one level given, with other metadata if there are any."""
+        (level,) = levels
+        derived: Any = level if metadata is None else level.with_layers(metadata=metadata)
+        own: Self = derived
+        return own
+
+    def with_layers(
+        self,
+        *,
+        weights: NDArray[Any] | None = None,
+        attributes: Mapping[str, NDArray[Any]] | None = None,
+        user_data: Any = None,
+        metadata: Json | None = None,
+    ) -> Self:
+        """The same level with other layers; what isn't given is as it is now.
+
+        The new level shares arrays with this one, but for those that `block` changes in place
+        once it was called here.
+
+        Args:
+            weights: shape (height, width).
+            attributes: layers to add or to replace.
+            user_data: by cell id.
+            metadata: of the new level.
+        """
+        kept = dict(self.attributes)
+        if self.block_state is not None:
+            kept |= {name: kept[name].copy() for name in CHANGING & kept.keys()}
+            weights = self.weights.copy() if weights is None else weights
+        return replace(
+            self,
+            weights=self.weights if weights is None else weights,
+            attributes={**kept, **(attributes or {})},
+            user_data=held_user_data(self) if user_data is None else user_data,
+            metadata=self.metadata if metadata is None else metadata,
+        )
+
     @property
-    def links(self) -> NDArray[np.int64]:
+    def link_array(self) -> Int:
         """Steps from level to level, shape (0, 4): one level has none."""
-        return np.zeros((0, 4), dtype=np.int64)
+        return parse_links(None, [])
 
     @property
     def lattice(self) -> Lattice:
@@ -99,7 +135,7 @@ class SceneGrid2D(GridBase):
         return self.min_yup[1] * self.unit
 
     @property
-    def free(self) -> NDArray[np.bool_]:
+    def free(self) -> Bool:
         """Where an agent can stand: the weight is finite. Shape (height, width), bool."""
         return np.asarray(np.isfinite(self.weights))
 
@@ -150,48 +186,45 @@ setattr(SceneGrid2D, "user_data", UserDataField())  # noqa: B010
 class MultiLevelGrid(GridBase):
     """The navigation grids of a scene with several levels.
 
-    A level without metadata of its own takes over those of the whole.
+    A level without metadata of its own takes over those of the whole when the grid is made, as
+    far as they are about it (see `navbake.navgrid.level_metadata`). So each level is a grid by
+    itself.
 
     Attributes:
         grids: the levels, lowest first, at least one.
-        cell_size: edge of a cell [file units], > 0.
-        unit: metres per file unit, > 0.
-        metadata: as in the file.
-        timings: as in the file; two grids that differ in it only are the same grid.
-        extra: fields of the file that are not the format's own; they are written back.
+        cell_size, unit, metadata, timings, extra: see `GridBase`.
     """
 
     grids: list[SceneGrid2D]
-    cell_size: float
-    unit: float = 1.0
-    metadata: Json = field(default_factory=dict, repr=False)
-    timings: Json = field(default_factory=dict, repr=False)
-    extra: Json = field(default_factory=dict, repr=False)
+    _handed_down: list[Json] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not self.grids:
             raise FormatError("a MultiLevelGrid has at least one level, got none")
-        for grid in self.grids:
-            if not grid.metadata:
-                grid.metadata = self.metadata
+        for number, grid in enumerate(self.grids):
+            if not grid.metadata or grid.metadata == self.metadata:
+                grid.metadata = cut_metadata(self.metadata, number)
+            # to be compared with what a level has later: metadata can be written to
+            self._handed_down.append(cut_metadata(self.metadata, number))
 
     @property
     def levels(self) -> list[SceneGrid2D]:
         """The levels, lowest first."""
         return self.grids
 
-    @property
-    def links(self) -> NDArray[np.int64]:
-        """Where a step leads from one level to another.
+    def takes_over(self, number: int, level: SceneGrid2D) -> bool:
+        """Whether a level still has the metadata that level `number` of this grid took over."""
+        return level.metadata == self._handed_down[number]
 
-        Returns:
-            Shape (n, 4), int64: level, cell id on it, other level, cell id on that.
-
-        Raises:
-            FormatError: the metadata names a level or a cell that there is not.
-        """
-        num_cells = [grid.width * grid.height for grid in self.grids]
-        return read_links(self.navbake.get("links"), num_cells)
+    def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
+        """The same grid with other levels; see `GridBase.with_levels`."""
+        following = [
+            level.with_layers(metadata={}) if self.takes_over(number, level) else level
+            for number, level in enumerate(levels)
+        ]
+        return replace(
+            self, grids=following, metadata=self.metadata if metadata is None else metadata
+        )
 
 
 def _derived(array: NDArray[Any]) -> NDArray[Any]:

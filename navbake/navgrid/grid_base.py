@@ -3,38 +3,86 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.navgrid.attributes import describe_attributes
+from navbake.navgrid.cells import Cell, Cells, cell_at, cells_at, position_of
+from navbake.navgrid.door_states import with_doors
+from navbake.navgrid.doors import Door, parse_doors
+from navbake.navgrid.links import Link, parse_links
+from navbake.navgrid.operations import operation
+from navbake.navgrid.rooms import Room, measure_rooms, parse_rooms
+from navbake.types import Bool, Float, Int, Int32, Json
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-    from navbake.navgrid.grid import NavGrid, SceneGrid2D
+    from navbake.navgrid.grid import SceneGrid2D
     from navbake.runtime.blocks.block import Block
-    from navbake.runtime.places.locate import Cell, Cells
     from navbake.runtime.places.place import Place
 
-Json: TypeAlias = dict[str, Any]
+Table = TypeVar("Table")
+
+DEFAULT_HEIGHT = 1.14  # of an agent [m], where a file doesn't tell its agentHeight
+DEFAULT_STEP = 0.25  # [m], where a file doesn't tell its traversableFloorHeight
 
 
+@dataclass(eq=False, kw_only=True)
 class GridBase:
-    """What one level and several share: what the metadata say, and what one may ask of either."""
+    """What one level and several share: what the metadata say, and what one may ask of either.
 
-    metadata: Json
+    Attributes:
+        cell_size: edge of a cell [file units], > 0.
+        unit: metres per file unit, > 0.
+        metadata: as in the file.
+        timings: as in the file; two grids that differ in it only are the same grid.
+        extra: fields of the file that are not the format's own; they are written back.
+        found_islands: what `navbake.navgrid.islands.islands_of` found last, and a digest of what
+            it follows from.
+    """
+
+    cell_size: float
+    unit: float = 1.0
+    metadata: Json = field(default_factory=dict, repr=False)
+    timings: Json = field(default_factory=dict, repr=False)
+    extra: Json = field(default_factory=dict, repr=False)
+    found_islands: tuple[bytes, list[Int32]] | None = field(default=None, init=False, repr=False)
+    _tables: dict[str, tuple[Any, Any]] = field(default_factory=dict, init=False, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """A copy or a pickle takes along neither what was found nor who blocks cells."""
+        return {**self.__dict__, "found_islands": None, "_tables": {}, "block_state": None}
 
     @property
     def levels(self) -> list[SceneGrid2D]:
         """The levels, lowest first."""
         raise NotImplementedError
 
-    @property
-    def _itself(self) -> NavGrid:
-        return cast("NavGrid", self)  # nothing else derives from this class
+    def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
+        """The same grid with other levels.
+
+        Args:
+            levels: as many as it has; see `SceneGrid2D.with_layers`.
+            metadata: of the new grid; as they are if None. Levels that had taken theirs over from
+                the grid take over these.
+        """
+        raise NotImplementedError
+
+    def without_blocks(self) -> Self:
+        """The grid as it is when nothing is blocked; itself if nothing is."""
+        states = [level.block_state for level in self.levels]
+        if not any(state is not None and state.is_blocked for state in states):
+            return self
+        return self.with_levels(
+            [
+                level if state is None else state.without_blocks(level)
+                for level, state in zip(self.levels, states, strict=True)
+            ]
+        )
 
     @property
     def scene_id(self) -> str | None:
@@ -43,64 +91,132 @@ class GridBase:
         return name if isinstance(name, str) else None
 
     @property
+    def agent_height(self) -> float:
+        """Height of the agent that the grid is for [m]; 1.14 where the file doesn't tell."""
+        stated = _number(self.metadata.get("agentHeight"))
+        return stated * self.unit if stated > 0 else DEFAULT_HEIGHT
+
+    @property
+    def agent_radius(self) -> float:
+        """Radius of the agent that the grid was baked for [m]; 0 where the file doesn't tell."""
+        stated = _number(self.metadata.get("agentRadius"))
+        return stated * self.unit if stated > 0 else 0.0
+
+    @property
+    def max_step(self) -> float:
+        """The highest step that the agent takes [m]; 0.25 where the file doesn't tell."""
+        stated = _number(self.metadata.get("traversableFloorHeight"))
+        return stated * self.unit if stated >= 0 else DEFAULT_STEP
+
+    @property
     def navbake(self) -> Json:
         """What navbake wrote into the metadata: versions, digests, frame; {} in others' files."""
         own = self.metadata.get("navbake")
         return own if isinstance(own, dict) else {}
 
     @property
-    def rooms(self) -> list[Json]:
-        """The table of the rooms, see `navbake.navgrid.rooms.describe_rooms`."""
-        from navbake.navgrid.rooms import describe_rooms
+    def rooms(self) -> tuple[Room, ...]:
+        """The rooms by level and index.
 
-        return describe_rooms(self._itself)
+        Of a file without a room table, what `room_index` tells.
+
+        Raises:
+            FormatError: the file's room table is broken.
+        """
+        stated = self.stated_rooms
+        if stated is not None:
+            return stated
+        rooms = (measure_rooms(level, number) for number, level in enumerate(self.levels))
+        return tuple(room for of_level in rooms for room in of_level)
 
     @property
-    def doors(self) -> list[Json]:
-        """The doors: id, joint, rooms, state, and the cells that each blocks; [] if none."""
-        doors = self.navbake.get("doors", [])
-        return doors if isinstance(doors, list) else []
+    def stated_rooms(self) -> tuple[Room, ...] | None:
+        """The rooms as the file's table has them, None where it has no table."""
+        if self.navbake.get("rooms") is None:
+            return None
+        return self._table("rooms", lambda stated: parse_rooms(stated, len(self.levels)))
+
+    @property
+    def doors(self) -> tuple[Door, ...]:
+        """The doors, as the file lists them.
+
+        Raises:
+            FormatError: the file's table of doors is broken.
+        """
+        if "doors" not in self.navbake:
+            return ()
+        return self._table("doors", lambda stated: parse_doors(stated, self._num_cells))
+
+    @property
+    def links(self) -> tuple[Link, ...]:
+        """The steps from level to level.
+
+        Raises:
+            FormatError: the metadata name a level or a cell that there is not.
+        """
+        return tuple(Link(*row) for row in self.link_array.tolist())
+
+    @property
+    def link_array(self) -> Int:
+        """`links` as an array, shape (n, 4), int64: level, cell, other level, other cell."""
+        return self._table("links", lambda stated: parse_links(stated, self._num_cells))
+
+    @property
+    def _num_cells(self) -> list[int]:
+        return [level.width * level.height for level in self.levels]
+
+    def _table(self, name: str, parse: Callable[[Any], Table]) -> Table:
+        """A table of navbake's metadata, parsed once for each object that stands there."""
+        stated = self.navbake.get(name)
+        if name not in self._tables or self._tables[name][0] is not stated:
+            self._tables[name] = (stated, parse(stated))
+        found: Table = self._tables[name][1]
+        return found
+
+    @property
+    def level_names(self) -> list[str]:
+        """The levels' names, lowest first; ``level 0``, ``level 1``, … where none is stated."""
+        stated = self.navbake.get("levels")
+        entries = stated if isinstance(stated, list) else []
+        names = [entry.get("name") if isinstance(entry, dict) else None for entry in entries]
+        names += [None] * len(self.levels)
+        return [
+            name if isinstance(name, str) and name else f"level {number}"
+            for number, name in enumerate(names[: len(self.levels)])
+        ]
 
     @property
     def cell_attributes(self) -> list[Json]:
-        """What the metadata says of each attribute, completed where it says nothing."""
+        """What the metadata say of each attribute, completed where they say nothing."""
         return describe_attributes(self.metadata, self.levels)
 
     def cell_at(self, position: ArrayLike, level: int | None = None) -> Cell | None:
-        """The cell of a world position [m]; see `navbake.runtime.places.locate.cell_at`."""
-        from navbake.runtime.places.locate import cell_at
-
-        return cell_at(self._itself, position, level)
+        """The cell of a world position [m]; see `navbake.navgrid.cells.cell_at`."""
+        return cell_at(self, position, level)
 
     def cells_at(self, positions: ArrayLike, level: int | None = None) -> Cells:
         """The cells of world positions, shape (..., 3) [m]; -1 for none. See `cell_at`."""
-        from navbake.runtime.places.locate import cells_at
+        return cells_at(self, positions, level)
 
-        return cells_at(self._itself, positions, level)
-
-    def position_of(self, cells: Cell | Cells) -> NDArray[np.float64]:
+    def position_of(self, cells: Cell | Cells) -> Float:
         """World x, y and floor z [m] of cells' centres, shape (..., 3), float64."""
-        from navbake.runtime.places.locate import position_of
-
-        return position_of(self._itself, cells)
+        return position_of(self, cells)
 
     def at(self, position: ArrayLike, level: int | None = None) -> Place | None:
         """Floor, room, island, weight and occupancy at a world position [m]; None for no cell.
 
         See `navbake.runtime.places.place.place_at`.
         """
-        from navbake.runtime.places.place import place_at
-
-        return place_at(self._itself, position, level)
+        found: Place | None = operation("grid.at")(self, position, level)
+        return found
 
     def values_at(self, layer: str, positions: ArrayLike, level: int | None = None) -> NDArray[Any]:
         """One layer at world positions, shape (..., 3) [m], by its name: ``floor``, ``room``, ….
 
         See `navbake.runtime.places.place.values_at`.
         """
-        from navbake.runtime.places.place import values_at
-
-        return values_at(self._itself, layer, positions, level)
+        values: NDArray[Any] = operation("grid.values_at")(self, layer, positions, level)
+        return values
 
     def inflate(
         self,
@@ -139,15 +255,12 @@ class GridBase:
         Raises:
             QueryError: an argument is out of its range.
         """
-        from navbake.runtime.inflation.inflate import inflate
-
-        whole: Any = self
-        inflated: Self = inflate(whole, radius, clearance, mode, costs=costs, scaling=scaling)
+        inflated: Self = operation("grid.inflate")(
+            self, radius, clearance, mode, costs=costs, scaling=scaling
+        )
         return inflated
 
-    def inflate_footprint(
-        self, polygon: ArrayLike, num_headings: int = 16
-    ) -> list[NDArray[np.bool_]]:
+    def inflate_footprint(self, polygon: ArrayLike, num_headings: int = 16) -> list[Bool]:
         """Where an agent that isn't round can stand, heading by heading.
 
         Args:
@@ -164,9 +277,8 @@ class GridBase:
         Raises:
             QueryError: the polygon is none, or there is no heading.
         """
-        from navbake.runtime.inflation.footprint import inflate_footprint
-
-        return inflate_footprint(self._itself, polygon, num_headings)
+        masks: list[Bool] = operation("grid.inflate_footprint")(self, polygon, num_headings)
+        return masks
 
     def block(
         self,
@@ -202,17 +314,10 @@ class GridBase:
         Raises:
             QueryError: not one of cells, disc and box is given, or it is none.
         """
-        from navbake.runtime.blocks.blocking import block
-
-        return block(
-            self._itself,
-            cells=cells,
-            disc=disc,
-            box=box,
-            level=level,
-            height=height,
-            margin=margin,
+        blocked: Block = operation("grid.block")(
+            self, cells=cells, disc=disc, box=box, level=level, height=height, margin=margin
         )
+        return blocked
 
     def with_doors(self, states: Mapping[str, str] | str) -> Self:
         """The same grid with doors in other states, as a bake in these states would have it.
@@ -223,11 +328,7 @@ class GridBase:
         Raises:
             QueryError: there is no such door, or no such state, or the grid was inflated.
         """
-        from navbake.navgrid.doors import with_doors
-
-        whole: Any = self
-        changed: Self = with_doors(whole, states)
-        return changed
+        return with_doors(self, states)
 
     def describe_cell(self, x: float, y: float, level: int | None = None) -> Json:
         """What the grid knows of a place: floor, room, island, doors, and what occupies it.
@@ -242,9 +343,8 @@ class GridBase:
         Raises:
             QueryError: there is no such level, or the position is no number or beside the grid.
         """
-        from navbake.views.why import describe_cell
-
-        return describe_cell(self._itself, x, y, level)
+        told: Json = operation("grid.describe_cell")(self, x, y, level)
+        return told
 
     def blockers(self, x: float, y: float, level: int | None = None) -> list[str]:
         """The names of what blocks the cell at a place, sorted; [] where nothing does.
@@ -261,6 +361,9 @@ class GridBase:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a NavGrid file, gzipped if its name ends in ``.gz``."""
-        from navbake.formats.navgrid import write_navgrid
+        operation("grid.save")(self, path)
 
-        write_navgrid(self._itself, path)
+
+def _number(value: Any) -> float:
+    """A number of a file; -1 for what is none."""
+    return float(value) if isinstance(value, int | float) else -1.0

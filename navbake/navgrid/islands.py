@@ -5,23 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterable
 from hashlib import blake2b
 from typing import TYPE_CHECKING
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.types import Int32
+
 if TYPE_CHECKING:
-    from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+    from navbake.navgrid.grid import SceneGrid2D
+    from navbake.navgrid.grid_base import GridBase
 
 STEP_SLACK = 1e-6  # metres that a step may be over the highest one
-DEFAULT_STEP = 0.25  # metres, where a file doesn't tell its traversableFloorHeight
 TOO_MANY = 65535  # the island that all further ones share in a file
 
-_FOUND: WeakKeyDictionary[SceneGrid2D | MultiLevelGrid, tuple[bytes, list[NDArray[np.int32]]]]
-_FOUND = WeakKeyDictionary()
 
-
-def find_islands(grid: SceneGrid2D | MultiLevelGrid) -> list[NDArray[np.int32]]:
+def find_islands(grid: GridBase) -> list[Int32]:
     """Number the connected parts of the free cells, the largest first.
 
     Two free cells are connected where they share an edge and their floors differ by at most the
@@ -42,13 +40,13 @@ def find_islands(grid: SceneGrid2D | MultiLevelGrid) -> list[NDArray[np.int32]]:
     width = np.array([level.width for level in levels], dtype=np.int64)
     free = np.concatenate([level.free.ravel() for level in levels])
     floor = np.concatenate([level.floor_height.ravel() for level in levels])
-    links = np.asarray(grid.links, dtype=np.int64).reshape(-1, 4)
+    links = grid.link_array
     pairs = np.stack([start[links[:, 0]] + links[:, 1], start[links[:, 2]] + links[:, 3]], axis=1)
     islands, _ = label_islands(start, width, free, floor, step_limit(grid), pairs)
     return [islands[start[i] : start[i + 1]].reshape(level.shape) for i, level in enumerate(levels)]
 
 
-def islands_of(grid: SceneGrid2D | MultiLevelGrid) -> list[NDArray[np.int32]]:
+def islands_of(grid: GridBase) -> list[Int32]:
     """The islands as the file has them, or else as `find_islands` finds them, kept for next time.
 
     Only what navbake wrote is believed, and only while nothing is blocked: in others' files
@@ -60,10 +58,8 @@ def islands_of(grid: SceneGrid2D | MultiLevelGrid) -> list[NDArray[np.int32]]:
     Returns:
         As `find_islands`; not to be written to.
     """
-    from navbake.runtime.blocks.block import known_changes
-
-    changes = [known_changes(level) for level in grid.levels]
-    is_blocked = any(change is not None and change.is_blocked for change in changes)
+    states = [level.block_state for level in grid.levels]
+    is_blocked = any(state is not None and state.is_blocked for state in states)
     stored = [level.attributes.get("island") for level in grid.levels]
     if (
         grid.navbake
@@ -72,16 +68,14 @@ def islands_of(grid: SceneGrid2D | MultiLevelGrid) -> list[NDArray[np.int32]]:
     ):
         return [np.asarray(s).astype(np.int32) for s in stored]
     digest = _digest(grid)
-    known = _FOUND.get(grid)
-    if known is None or known[0] != digest:
-        known = (digest, find_islands(grid))
-        _FOUND[grid] = known
-    return known[1]
+    if grid.found_islands is None or grid.found_islands[0] != digest:
+        grid.found_islands = (digest, find_islands(grid))
+    return grid.found_islands[1]
 
 
-def _digest(grid: SceneGrid2D | MultiLevelGrid) -> bytes:
+def _digest(grid: GridBase) -> bytes:
     """What the islands follow from, in short: grids can be written to."""
-    digest = blake2b(repr((step_limit(grid), grid.links.tolist())).encode())
+    digest = blake2b(repr((step_limit(grid), grid.link_array.tolist())).encode())
     for level in grid.levels:
         digest.update(np.packbits(level.free).tobytes())
         digest.update(np.ascontiguousarray(level.floor_height).data)
@@ -106,15 +100,7 @@ def clearance(level: SceneGrid2D) -> NDArray[np.float32]:
     return np.where(level.free, metres, 0.0).astype(np.float32)
 
 
-def highest_step(grid: SceneGrid2D | MultiLevelGrid) -> float:
-    """The grid's `traversableFloorHeight` [file units]."""
-    stated = grid.metadata.get("traversableFloorHeight")
-    if isinstance(stated, int | float) and stated >= 0:
-        return float(stated)
-    return DEFAULT_STEP / grid.unit
-
-
-def step_limit(grid: SceneGrid2D | MultiLevelGrid) -> float:
+def step_limit(grid: GridBase) -> float:
     """By how much the floors of two neighbours may differ [file units].
 
     The grid's `traversableFloorHeight`, plus 1e-6 m and what float32 rounds off at its highest
@@ -122,10 +108,11 @@ def step_limit(grid: SceneGrid2D | MultiLevelGrid) -> float:
     """
     floors = [np.abs(level.floor_height) for level in grid.levels]
     highest = max(float(np.nanmax(floor, initial=0.0)) for floor in floors)
-    return highest_step(grid) + STEP_SLACK / grid.unit + float(np.spacing(np.float32(highest)))
+    rounding = float(np.spacing(np.float32(highest)))
+    return grid.max_step / grid.unit + STEP_SLACK / grid.unit + rounding
 
 
-def add_layers(grid: SceneGrid2D | MultiLevelGrid, names: Iterable[str]) -> None:
+def add_layers(grid: GridBase, names: Iterable[str]) -> None:
     """Write further layers into a grid, anew where it has them already.
 
     Args:

@@ -3,23 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.errors import FormatError
+from navbake.types import Int
 
 
-def read_links(stated: Any, num_cells: Sequence[int]) -> NDArray[np.int64]:
-    """Check links: a flat list of whole numbers, four a link, or a list of lists of four.
+@dataclass(frozen=True)
+class Link:
+    """A step from a cell of one level to a cell of another, taken either way.
+
+    Attributes:
+        level, cell: a level and the id of a cell on it (col + row * width).
+        other_level, other_cell: where the step leads.
+    """
+
+    level: int
+    cell: int
+    other_level: int
+    other_cell: int
+
+
+def parse_links(stated: Any, num_cells: Sequence[int]) -> Int:
+    """Read links: a flat list of whole numbers, four a link, or a list of lists of four.
 
     Args:
         stated: what stands at ``metadata.navbake.links``, None for nothing.
         num_cells: number of cells of each level.
 
     Returns:
-        Shape (n, 4), int64: level, cell id on it, other level, cell id on that.
+        Shape (n, 4), int64, read-only: the fields of a `Link` in each row.
 
     Raises:
         FormatError: they are no links, or lead to a level or a cell that there is not.
@@ -32,18 +48,18 @@ def read_links(stated: Any, num_cells: Sequence[int]) -> NDArray[np.int64]:
         numbers = [number for link in numbers for number in link]
     if not isinstance(numbers, list) or len(numbers) % 4 or not set(map(type, numbers)) <= {int}:
         raise FormatError(f"expected a list of whole numbers, 4 a link, {where}")
-    links = np.array(numbers, dtype=np.float64).reshape(-1, 4)  # float64: nothing overflows
+    stated_links = np.array(numbers, dtype=np.float64).reshape(-1, 4)  # float64: no overflow
     for column, name in ((0, "level"), (2, "level"), (1, "cell"), (3, "cell")):
-        limit = len(num_cells) if name == "level" else _pick(num_cells, links[:, column - 1])
-        bad = (links[:, column] < 0) | (links[:, column] >= limit)
+        limit: Any = len(num_cells)
+        if name == "cell":  # the levels were checked before
+            limit = np.array(num_cells, dtype=np.int64)[stated_links[:, column - 1].astype(int)]
+        bad = (stated_links[:, column] < 0) | (stated_links[:, column] >= limit)
         if bad.any():
             number = int(np.argmax(bad))
             raise FormatError(
-                f"expected a {name} that there is, got {links[number, column]:.0f} "
+                f"expected a {name} that there is, got {stated_links[number, column]:.0f} "
                 f"in link {number} {where}"
             )
-    return links.astype(np.int64)
-
-
-def _pick(num_cells: Sequence[int], levels: NDArray[np.float64]) -> NDArray[np.int64]:
-    return np.array(num_cells, dtype=np.int64)[levels.astype(np.int64)]
+    links = stated_links.astype(np.int64)
+    links.flags.writeable = False
+    return links

@@ -1,89 +1,178 @@
-"""The rooms that a grid tells of."""
+"""The rooms of a grid: read from a file's table, or measured where there is none."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from navbake.errors import FormatError
+from navbake.types import Json, Vector3
 
 if TYPE_CHECKING:
-    from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+    from navbake.navgrid.grid import SceneGrid2D
 
 WHERE = "metadata.navbake.rooms"
 
 
-def describe_rooms(grid: SceneGrid2D | MultiLevelGrid) -> list[dict[str, Any]]:
-    """List a grid's rooms, by level and index.
+@dataclass(frozen=True)
+class Neighbour:
+    """A room that another one opens to.
 
-    Of files without a room table, what `roomIndex` tells.
+    Attributes:
+        room: its id.
+        kind: ``open`` (no door between), ``door`` or ``link`` (a step to another level).
+        door: the door's id, None unless the kind is ``door``.
+    """
+
+    room: str
+    kind: str
+    door: str | None
+
+    def to_json(self) -> Json:
+        """The neighbour as a file has it."""
+        return {"room": self.room, "door": self.door, "kind": self.kind}
+
+
+@dataclass(frozen=True)
+class Room:
+    """A room of a grid.
+
+    Attributes:
+        index: its number on its level, from 1, as in `SceneGrid2D.room_index`.
+        id: unique in the grid.
+        name: as the scene or the settings name it, None for none.
+        level: its level, 0 is the lowest.
+        area: [m²].
+        centroid: mean of its cells' centres on their floors, world x, y, z [m].
+        source: what it was found from: ``geoms``, ``sites``, ``polygons``, ``auto``, …; None
+            where nothing says so.
+        neighbours: the rooms that it opens to.
+    """
+
+    index: int
+    id: str
+    name: str | None
+    level: int
+    area: float
+    centroid: Vector3
+    source: str | None
+    neighbours: tuple[Neighbour, ...]
+
+    def to_json(self) -> Json:
+        """The room as a file has it."""
+        return {
+            "index": self.index,
+            "id": self.id,
+            "name": self.name,
+            "level": self.level,
+            "area": self.area,
+            "centroid": list(self.centroid),
+            "source": self.source,
+            "neighbours": [neighbour.to_json() for neighbour in self.neighbours],
+        }
+
+
+# what a field of a room's entry may be; `source` may be missing as well
+FIELDS: dict[str, tuple[type, ...]] = {
+    "index": (int,),
+    "id": (str,),
+    "name": (str, type(None)),
+    "level": (int,),
+    "area": (int, float),
+    "centroid": (list, tuple),
+    "neighbours": (list, tuple),
+}
+
+
+def parse_rooms(stated: Any, num_levels: int) -> tuple[Room, ...]:
+    """Read a file's table of rooms.
 
     Args:
-        grid: a grid of one or several levels.
+        stated: what stands at ``metadata.navbake.rooms``.
+        num_levels: how many levels the grid has.
 
     Returns:
-        ``index`` (in `room_index`), ``id`` (unique in the file), ``name`` (or None), ``level``,
-        ``area`` [m²], ``centroid`` (world x, y, z [m]), ``source`` (or None) and ``neighbours``
-        of each; of these, ``room`` (its id), ``kind`` (open, door, link), ``door`` (or None).
+        The rooms by level and index.
 
     Raises:
-        FormatError: the file's room table is broken.
+        FormatError: the table is broken.
     """
-    stated = grid.navbake.get("rooms")
-    if stated is None:
-        return [
-            room for number, level in enumerate(grid.levels) for room in _measure(level, number)
-        ]
-    if not isinstance(stated, list):
+    if not isinstance(stated, list | tuple):
         raise FormatError(f"expected a list at `{WHERE}`, got {type(stated).__name__}")
-    for number, room in enumerate(stated):
-        _check(room, f"{WHERE}[{number}]", len(grid.levels))
-    return sorted(stated, key=lambda room: (room["level"], room["index"]))
+    rooms = [_parse(entry, f"{WHERE}[{i}]", num_levels) for i, entry in enumerate(stated)]
+    return tuple(sorted(rooms, key=lambda room: (room.level, room.index)))
 
 
-def _measure(level: SceneGrid2D, number: int) -> list[dict[str, Any]]:
+def _parse(entry: Any, where: str, num_levels: int) -> Room:
+    if not isinstance(entry, dict):
+        raise FormatError(f"expected a room at `{where}`, got {type(entry).__name__}")
+    for key, kinds in FIELDS.items():
+        if not isinstance(entry.get(key), kinds) or isinstance(entry.get(key), bool):
+            raise FormatError(f"expected {kinds[0].__name__} at `{where}.{key}`")
+    if not 0 <= entry["level"] < num_levels or entry["index"] < 1:
+        raise FormatError(f"expected a level and an index that there are at `{where}`")
+    if len(entry["centroid"]) != 3 or not all(type(v) in (int, float) for v in entry["centroid"]):
+        raise FormatError(f"expected [x, y, z] at `{where}.centroid`")
+    x, y, z = entry["centroid"]
+    source = entry.get("source")
+    return Room(
+        index=entry["index"],
+        id=entry["id"],
+        name=entry.get("name"),
+        level=entry["level"],
+        area=entry["area"],
+        centroid=(x, y, z),
+        source=source if isinstance(source, str) else None,
+        neighbours=tuple(_parse_neighbour(n, where) for n in entry["neighbours"]),
+    )
+
+
+def _parse_neighbour(entry: Any, where: str) -> Neighbour:
+    if not isinstance(entry, dict) or not isinstance(entry.get("room"), str):
+        raise FormatError(f"expected neighbours with a `room` at `{where}.neighbours`")
+    kind, door = entry.get("kind"), entry.get("door")
+    is_named = isinstance(door, str) and door != ""
+    return Neighbour(
+        room=entry["room"],
+        kind=kind if isinstance(kind, str) else "door" if is_named else "open",
+        door=door if is_named else None,
+    )
+
+
+def measure_rooms(level: SceneGrid2D, number: int) -> list[Room]:
+    """Describe the rooms of a level from its `room_index` alone.
+
+    Args:
+        level: one level.
+        number: which level of its grid it is.
+
+    Returns:
+        The rooms by index, with the id ``level:index``, and neither name nor neighbours.
+    """
     x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
     floor = level.floor_height.astype(np.float64) * level.unit
     z = np.where(np.isnan(floor), level.ground, floor)
-    index = level.room_index
-    count = np.bincount(index.ravel())
-    sums = [np.bincount(index.ravel(), values.ravel()) for values in (x, y, z)]
+    index = level.room_index.ravel()
+    count = np.bincount(index)
+    sums = [np.bincount(index, values.ravel()) for values in (x, y, z)]
     return [
-        {
-            "index": int(room),
-            "id": f"{number}:{room}",
-            "name": None,
-            "level": number,
-            "area": round(float(count[room]) * level.lattice.cell_size**2, 6),
-            "centroid": [round(float(total[room] / count[room]), 6) + 0.0 for total in sums],
-            "source": None,
-            "neighbours": [],
-        }
+        Room(
+            index=int(room),
+            id=f"{number}:{room}",
+            name=None,
+            level=number,
+            area=round(float(count[room]) * level.lattice.cell_size**2, 6),
+            centroid=_rounded(*(total[room] / count[room] for total in sums)),
+            source=None,
+            neighbours=(),
+        )
         for room in np.flatnonzero(count)
         if room
     ]
 
 
-def _check(room: Any, where: str, num_levels: int) -> None:
-    if not isinstance(room, dict):
-        raise FormatError(f"expected a room at `{where}`, got {type(room).__name__}")
-    kinds: dict[str, tuple[type, ...]] = {
-        "index": (int,),
-        "id": (str,),
-        "name": (str, type(None)),
-        "level": (int,),
-        "area": (int, float),
-        "centroid": (list,),
-        "neighbours": (list,),
-    }
-    for key, kind in kinds.items():
-        if not isinstance(room.get(key), kind) or isinstance(room[key], bool):
-            raise FormatError(f"expected {kind[0].__name__} at `{where}.{key}`")
-    if not 0 <= room["level"] < num_levels or room["index"] < 1:
-        raise FormatError(f"expected a level and an index that there are at `{where}`")
-    if len(room["centroid"]) != 3 or not all(type(v) in (int, float) for v in room["centroid"]):
-        raise FormatError(f"expected [x, y, z] at `{where}.centroid`")
-    for neighbour in room["neighbours"]:
-        if not isinstance(neighbour, dict) or not isinstance(neighbour.get("room"), str):
-            raise FormatError(f"expected neighbours with a `room` at `{where}.neighbours`")
+def _rounded(x: float, y: float, z: float) -> Vector3:
+    """To a micrometre, and without -0.0."""
+    return round(float(x), 6) + 0.0, round(float(y), 6) + 0.0, round(float(z), 6) + 0.0

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.types import Json
+
 if TYPE_CHECKING:
     from navbake.navgrid.grid import SceneGrid2D
-
-Json = dict[str, Any]
 
 
 @contextmanager

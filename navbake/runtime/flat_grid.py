@@ -122,7 +122,7 @@ def make_walk(grid: NavGrid) -> Walk:
         floor=np.concatenate(floors),
         weight=weight,
         max_step=step_limit(grid) * grid.unit,
-        **_link_lists(grid.links, start),
+        **_link_lists(grid.link_array, start),
     )
 
 

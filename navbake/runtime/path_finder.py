@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
+from navbake.navgrid.cells import check_positions
 from navbake.runtime.paths.door_map import DoorMap, doors_on, map_doors
 from navbake.runtime.paths.goals import Goal, Target, find_target
 from navbake.runtime.paths.path import Path, path_length
 from navbake.runtime.paths.string_pulling import pull_route
 from navbake.runtime.place_sampler import PlaceSampler
-from navbake.runtime.places.locate import check_positions, flat_cells
+from navbake.runtime.places.locate import flat_cells
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid

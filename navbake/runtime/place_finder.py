@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
-from navbake.runtime.inflation.surroundings import agent_height
+from navbake.navgrid.cells import Cell, check_level
 from navbake.runtime.paths.search import Search
 from navbake.runtime.places.island_map import IslandMap, map_islands
-from navbake.runtime.places.locate import Cell, check_level, flat_cell, split_cell
+from navbake.runtime.places.locate import flat_cell, split_cell
 from navbake.runtime.places.navigable import MAX_DROP, is_navigable
 from navbake.runtime.places.obstacle import Obstacle, nearest_obstacle
 from navbake.runtime.places.room_map import RoomMap, map_rooms
@@ -177,7 +177,7 @@ class PlaceFinder:
             self.search.walk,
             self.occupied,
             position,
-            agent_height(self.grid),
+            self.grid.agent_height,
             level=level,
             max_distance=max_distance,
         )

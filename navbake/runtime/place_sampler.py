@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
+from navbake.navgrid.cells import check_positions
 from navbake.runtime.place_finder import PlaceFinder
-from navbake.runtime.places.locate import check_positions, flat_cell, links_of, place_of
+from navbake.runtime.places.locate import flat_cell, links_of, place_of
 from navbake.runtime.places.sample import (
     cells_in_annulus,
     check_distances,

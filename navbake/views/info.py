@@ -1,18 +1,16 @@
-"""Tells what a grid holds."""
+"""Summarises what a grid holds: levels, areas, doors, and what made it."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from navbake.navgrid.doors import list_doors
 from navbake.navgrid.islands import find_islands
+from navbake.types import Int32, Json
 
 if TYPE_CHECKING:
-    from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
-
+    from navbake.navgrid.grid import NavGrid, SceneGrid2D
 
 MADE_BY = {
     "version": "navbake",
@@ -29,19 +27,19 @@ AGENT = {
 INFLATION = ("radius", "clearance", "mode")
 
 
-def describe(grid: SceneGrid2D | MultiLevelGrid) -> dict[str, Any]:
+def describe(grid: NavGrid) -> Json:
     """Summarise a grid in values that JSON can hold.
 
     Args:
         grid: a grid of one or several levels.
 
     Returns:
-        ``type``; ``scene_id``; ``cell_size`` [m]; ``agent``, ``made_by``: what the file tells of
-        the agent and of the versions and digests that made it; ``levels``, lowest first, each
+        ``type``; ``scene_id``; ``cell_size`` [m]; ``agent``, ``made_by``: the agent's settings,
+        and the versions and digests, as far as the file has them; ``levels``, lowest first, each
         with ``name``, ``width`` and ``height`` [cells], ``ground``, ``floor_min`` and
         ``floor_max`` (world z [m], None without floor), ``floor_area``, ``free_area`` and
         ``largest_island_area`` [m2], ``num_islands``, ``num_rooms``; ``num_islands`` and
-        ``num_links`` of all levels together; ``doors``, see `navbake.navgrid.doors.list_doors`;
+        ``num_links`` of all levels together; ``doors``, see `navbake.navgrid.doors.Door.to_json`;
         ``inflated``: radius and clearance [m] and mode of each inflation since the bake.
     """
     islands = find_islands(grid)
@@ -53,27 +51,17 @@ def describe(grid: SceneGrid2D | MultiLevelGrid) -> dict[str, Any]:
         "agent": {name: stated[key] for key, name in AGENT.items() if key in stated},
         "made_by": {name: stated[key] for key, name in MADE_BY.items() if key in grid.navbake},
         "levels": [
-            {"name": level_name(grid, index), **_describe_level(level, islands[index])}
-            for index, level in enumerate(grid.levels)
+            {"name": name, **_describe_level(level, island)}
+            for name, level, island in zip(grid.level_names, grid.levels, islands, strict=True)
         ],
         "num_islands": max(int(island.max(initial=0)) for island in islands),
-        "num_links": len(grid.links),
-        "doors": list_doors(grid),
+        "num_links": len(grid.link_array),
+        "doors": [door.to_json() for door in grid.doors],
         "inflated": _inflations(grid),
     }
 
 
-def level_name(grid: SceneGrid2D | MultiLevelGrid, index: int) -> str:
-    """The name that the level was given, or ``level <index>``; 0 is the lowest."""
-    named = grid.navbake.get("levels")
-    if isinstance(named, list) and index < len(named) and isinstance(named[index], dict):
-        name = named[index].get("name")
-        if isinstance(name, str) and name:
-            return name
-    return f"level {index}"
-
-
-def _describe_level(level: SceneGrid2D, island: NDArray[np.int32]) -> dict[str, Any]:
+def _describe_level(level: SceneGrid2D, island: Int32) -> Json:
     cell_area = level.lattice.cell_size**2
     floor = level.floor_height[np.isfinite(level.floor_height)].astype(np.float64) * level.unit
     island_sizes = np.bincount(island.ravel())[1:]
@@ -93,11 +81,11 @@ def _describe_level(level: SceneGrid2D, island: NDArray[np.int32]) -> dict[str, 
 
 def _rounded(value: float) -> float:
     """To a millionth, finer than float32 heights are, so that 2.8 is not 2.799999952."""
-    return round(float(value), 6) + 0.0  # no -0.0
+    return round(float(value), 6) + 0.0  # + 0.0 turns -0.0 into 0.0
 
 
-def _inflations(grid: SceneGrid2D | MultiLevelGrid) -> list[dict[str, Any]]:
-    """What `inflate` noted; another's file may have anything there."""
+def _inflations(grid: NavGrid) -> list[Json]:
+    """What `inflate` noted; a file of another program may have anything there."""
     noted = grid.metadata.get("inflation")
     return [
         {key: entry[key] for key in INFLATION}

@@ -13,16 +13,19 @@ from numpy.typing import NDArray
 
 from navbake.errors import MissingDependencyError, NavbakeError, QueryError
 from navbake.files import write_whole
+from navbake.navgrid.cells import check_level
+from navbake.views.colors import ROUTE
 from navbake.views.layers import Label, Panel, make_panels
 
 if TYPE_CHECKING:
-    from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+    from navbake.navgrid.grid import NavGrid, SceneGrid2D
     from navbake.runtime.paths.path import Path as Route
+
+# Functions import matplotlib when they draw: it is an extra, and takes half a second to load.
 
 DEFAULT_LAYERS = ("occupancy", "floor")
 COLOR_MAP = "viridis"
-ROUTE = "#d6336c"  # colour of a path
-MIN_RANGE = 0.1  # metres of height that the colours span at least, so that flat floors look flat
+MIN_RANGE = 0.1  # least span of a colour scale, so that flat floors look flat [m]
 DPI = 150
 PANEL_INCHES = 6.0  # longer side of a panel
 MIN_PANEL_INCHES = 3.0  # shorter side of one
@@ -33,21 +36,20 @@ FONT = "DejaVu Sans"  # comes with matplotlib
 
 
 def plot_grid(
-    grid: SceneGrid2D | MultiLevelGrid,
+    grid: NavGrid,
     path: str | PathLike[str],
     *,
     level: int | None = None,
     layers: Sequence[str] = DEFAULT_LAYERS,
     route: Route | None = None,
 ) -> Path:
-    """Draw a grid's levels, one a row, the lowest on top, and write the picture as PNG.
+    """Draw a grid's levels and write the picture as PNG: a row for each level, lowest on top.
 
     Args:
         grid: a grid of one or several levels.
-        path: the file to write; it is replaced whole or not at all.
+        path: the file to write; it is replaced as a whole or not at all.
         level: draw only this one, 0 is the lowest.
-        layers: what to draw of each, side by side: some of occupancy, floor, rooms, clearance,
-            island, weights.
+        layers: what to draw, a column each: occupancy, floor, rooms, clearance, island, weights.
         route: a path to draw on top, each of its parts on its level.
 
     Returns:
@@ -68,7 +70,7 @@ def plot_grid(
 
 
 def render_png(
-    grid: SceneGrid2D | MultiLevelGrid,
+    grid: NavGrid,
     *,
     level: int | None = None,
     layers: Sequence[str] = DEFAULT_LAYERS,
@@ -86,7 +88,8 @@ def render_png(
             'plots need matplotlib: pip install "navbake[plot]"'
         ) from error
 
-    chosen = _choose_levels(grid, level)
+    check_level(level, len(grid.levels))
+    chosen = range(len(grid.levels)) if level is None else [level]
     if not layers:
         raise QueryError("expected at least one layer to draw, got none")
     columns = [make_panels(grid, layer) for layer in layers]
@@ -110,17 +113,8 @@ def render_png(
     return content.getvalue()
 
 
-def _choose_levels(grid: SceneGrid2D | MultiLevelGrid, level: int | None) -> list[int]:
-    num_levels = len(grid.levels)
-    if level is None:
-        return list(range(num_levels))
-    if not 0 <= level < num_levels:
-        raise QueryError(f"expected a level from 0 to {num_levels - 1}, got {level}")
-    return [level]
-
-
 def _union_bounds(levels: Sequence[SceneGrid2D]) -> tuple[float, float, float, float]:
-    """Bounds of all levels, so that one lies over the other in the picture."""
+    """Bounds of all levels: all panels span them, so that a place is in line on all levels."""
     bounds = np.array([level.lattice.bounds for level in levels])
     x_min, y_min = bounds[:, :2].min(axis=0).tolist()
     x_max, y_max = bounds[:, 2:].max(axis=0).tolist()
@@ -131,7 +125,8 @@ def _figure_size(
     width: float, height: float, num_levels: int, num_layers: int
 ) -> tuple[float, float]:
     scale = PANEL_INCHES / max(width, height)
-    panel_width = max(width * scale, MIN_PANEL_INCHES) + 0.9  # inches for labels
+    # the constants are inches for the labels of axes, the title and the legend
+    panel_width = max(width * scale, MIN_PANEL_INCHES) + 0.9
     panel_height = max(height * scale, MIN_PANEL_INCHES) + 0.8
     total = panel_height * num_levels + 0.8
     return num_layers * panel_width + 0.8, min(total, MAX_FIGURE_INCHES)
@@ -163,22 +158,14 @@ def _value_range(values: NDArray[np.float32]) -> tuple[float, float]:
 
 
 def _write_labels(ax: Any, labels: Sequence[Label], longer_side: float) -> None:
-    """Write names in the middle of what they name, as large as it is wide."""
+    """Write names in the middle of their rooms, in a size that fits the room's width."""
     for label in labels:
         font = _font_for(label.text)
         text = label.fallback if font is None else label.text
-        points = label.room * PANEL_INCHES / longer_side * 72 / (LETTER * len(text))
-        ax.text(
-            label.x,
-            label.y,
-            text,
-            fontsize=min(max(points, FONT_SIZES[0]), FONT_SIZES[1]),
-            fontfamily=font or FONT,
-            ha="center",
-            va="center",
-            clip_on=True,
-            parse_math=False,
-        )
+        points = label.width * PANEL_INCHES / longer_side * 72 / (LETTER * len(text))
+        style = {"fontfamily": font or FONT, "fontsize": float(np.clip(points, *FONT_SIZES))}
+        centred = {"ha": "center", "va": "center"}
+        ax.text(label.x, label.y, text, **style, **centred, clip_on=True, parse_math=False)
 
 
 def _font_for(text: str) -> str | None:
@@ -190,7 +177,7 @@ def _font_for(text: str) -> str | None:
     for font in sorted(fonts, key=lambda font: (font.name != FONT, font.name, font.fname)):
         try:
             letters = font_manager.get_font(font.fname).get_charmap()
-        except (OSError, RuntimeError):  # listed, and no longer there
+        except (OSError, RuntimeError):  # matplotlib's list names a font that was removed
             continue
         if wanted <= letters.keys():
             return str(font.name)

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError, QueryError
-
-Vector3 = tuple[float, float, float]
+from navbake.navgrid.operations import operation
+from navbake.types import Vector3
 
 # What voxels may be, and the greatest ID that each integer holds
 DTYPES = {"bool": 1, "uint8": 2**8 - 1, "uint16": 2**16 - 1, "uint32": 2**32 - 1}
@@ -157,9 +157,7 @@ class VoxelGrid:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write a file: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``, see `navbake.formats.voxels`."""
-        from navbake.formats.voxels import write_voxels
-
-        write_voxels(self, path)
+        operation("voxels.save")(self, path)
 
 
 def dtype_of(most: int) -> np.dtype[Any]:

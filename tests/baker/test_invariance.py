@@ -106,12 +106,12 @@ def check_same(first, second, move=(0.0, 0.0), quarters: int = 0) -> None:
         corners = np.array([x.min(), y.min(), x.max(), y.max()])
         corners += np.array([*move, *move])
         np.testing.assert_allclose(b.lattice.bounds, corners, atol=1e-9)
-    links = first.links.copy()
+    links = first.link_array.copy()
     for k, level in enumerate(first.levels):
         for side in (0, 2):
-            here = first.links[:, side] == k
+            here = first.link_array[:, side] == k
             links[here, side + 1] = turned_ids(links[here, side + 1], level, quarters)
-    assert sorted(map(tuple, links)) == sorted(map(tuple, second.links))
+    assert sorted(map(tuple, links)) == sorted(map(tuple, second.link_array))
 
 
 def saved(grid) -> bytes:

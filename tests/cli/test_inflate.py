@@ -1,6 +1,7 @@
 """The command `navbake inflate`."""
 
 import shutil
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,6 @@ import pytest
 
 import navbake
 from navbake import files
-from navbake.cli.main import main
 from navbake.navgrid.differences import first_difference
 from project_paths import GOLDEN
 
@@ -16,18 +16,11 @@ HOUSE = GOLDEN / "house.grid.json.gz"
 
 
 @pytest.fixture
-def run(capsys, tmp_path, monkeypatch):
-    """Returns a function that runs a command in a folder with a house: status, stdout, stderr."""
+def run(run, tmp_path, monkeypatch):
+    """Returns a function that runs the command in a folder with a house: status, stdout, stderr."""
     shutil.copy(HOUSE, tmp_path / "house.json.gz")
     monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        with pytest.raises(SystemExit) as caught:
-            main(["inflate", *(str(argument) for argument in arguments)])
-        out, err = capsys.readouterr()
-        return caught.value.code or 0, out, err
-
-    return call
+    return partial(run, "inflate")
 
 
 def test_writes_the_grid_that_inflate_gives(run):

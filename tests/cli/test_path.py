@@ -1,27 +1,20 @@
 """The command `navbake path`."""
 
 import json
+from functools import partial
 
 import pytest
 
 import navbake
-from navbake.cli.main import main
 from project_paths import GOLDEN
 
 HOUSE, APARTMENT = (str(GOLDEN / f"{name}.grid.json.gz") for name in ("house", "apartment"))
 
 
 @pytest.fixture
-def run(capsys):
+def run(run):
     """Returns a function that runs the command: status, stdout, stderr."""
-
-    def call(*arguments):
-        with pytest.raises(SystemExit) as caught:
-            main(["path", *(str(argument) for argument in arguments)])
-        out, err = capsys.readouterr()
-        return caught.value.code or 0, out, err
-
-    return call
+    return partial(run, "path")
 
 
 def test_prints_the_path_that_the_finder_finds(run):

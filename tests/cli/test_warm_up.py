@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from navbake.cli import compile_all as module
-from navbake.cli.compile_all import is_warm, warm_up
+from navbake.cli import warm_up as module
 from navbake.cli.main import main
+from navbake.cli.warm_up import compile_all, is_warm, tell_if_cold
 
 
 def test_warms_up_from_one_end_to_the_other():
     parts = []
-    warm_up(lambda name, share: parts.append((name, share)))
+    compile_all(lambda name, share: parts.append((name, share)))
     names = ["bake", "run time", "voxels"]
     assert parts == [(name, share) for name in names for share in (0.0, 1.0)]
     assert is_warm()
@@ -25,8 +25,6 @@ def test_the_command(capsys):
 
 
 def test_a_first_bake_says_why_it_takes_long(monkeypatch, capsys):
-    from navbake.cli.warm_up import tell_if_cold
-
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     monkeypatch.setattr(module, "is_warm", lambda: False)
     tell_if_cold()

@@ -245,7 +245,7 @@ def test_levels_take_over_what_they_lack():
     assert [level.cell_size for level in grid.levels] == [0.5, 0.5]
     assert [level.unit for level in grid.levels] == [0.5, 2]
     assert [level.scene_id for level in grid.levels] == ["house", "attic"]
-    assert grid.links.tolist() == [[0, 1, 1, 2]]
+    assert grid.link_array.tolist() == [[0, 1, 1, 2]]
 
 
 def test_the_cell_size_of_the_whole_may_be_missing():
@@ -304,7 +304,7 @@ def with_doors(*doors, **cells) -> dict:
 
 def test_doors_are_read():
     content = with_doors("b", closed=[[0, [0, 2, 4, 1]], [1, [3, 3]]], open=[])
-    assert [door["id"] for door in read(content).doors] == ["a", "b"]
+    assert [door.id for door in read(content).doors] == ["a", "b"]
 
 
 BAD_FILES = {
@@ -733,7 +733,7 @@ def test_write_then_read_is_the_identity(grid):
     assert first_difference(grid, again) is None
     assert first_difference(again, grid) is None
     assert again.timings == grid.timings
-    assert again.links.tolist() == grid.links.tolist()
+    assert again.link_array.tolist() == grid.link_array.tolist()
     assert dumps_navgrid(again) == data
 
 

@@ -10,14 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from navbake.errors import FormatError, QueryError
-from navbake.navgrid.doors import (
-    check_doors,
-    door_cells,
-    from_runs,
-    list_doors,
-    name_door_cells,
-    to_runs,
-)
+from navbake.navgrid.door_states import name_door_cells
+from navbake.navgrid.doors import from_runs, parse_doors, to_runs
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.user_data import SharedUserData
 
@@ -37,7 +31,8 @@ def make_grid(user_data=None, names=None, doors=(GATE, HATCH)) -> SceneGrid2D:
     navbake = {"doors": copy.deepcopy(list(doors))} | ({} if names is None else {"names": names})
     occupied = np.zeros((1, 8), dtype=np.uint8)
     for door in doors:
-        occupied[0, door_cells(door, door["state"], 1)[0]] = 1
+        for _, runs in door["cells"].get(door["state"], []):
+            occupied[0, from_runs(runs)] = 1
     return SceneGrid2D(
         width=8,
         height=1,
@@ -59,7 +54,7 @@ def test_runs_there_and_back(cells):
 
 
 def test_a_summary_of_the_doors():
-    assert list_doors(make_grid()) == [
+    assert [door.to_json() for door in make_grid().doors] == [
         {
             "id": "gate",
             "joint": "g",
@@ -95,14 +90,14 @@ def test_names_follow_the_doors():
         5: {"walls": ["beam"]},
         7: {"objects": ["gate post"], "blockers": ["gate post", "ivy"]},
     }
-    named = name_door_cells(things, [GATE, HATCH], 0, 1)
+    named = name_door_cells(things, parse_doors([GATE, HATCH], [8]), 0, 1)
     assert named == {
         1: {"doors": ["gate"], "objects": ["gate", "lamp"], "blockers": ["gate"]},
         2: {"doors": ["gate", "hatch"], "objects": ["gate"], "blockers": ["gate"]},
         5: {"walls": ["beam"]},
         7: things[7],
     }
-    opened = [{**GATE, "state": "open"}, {**HATCH, "state": "closed"}]
+    opened = parse_doors([{**GATE, "state": "open"}, {**HATCH, "state": "closed"}], [8])
     expected = {
         1: {"doors": ["gate"], "objects": ["lamp"]},
         2: {"doors": ["gate", "hatch"], "objects": ["hatch"], "blockers": ["hatch"]},
@@ -111,7 +106,7 @@ def test_names_follow_the_doors():
     }
     assert name_door_cells(things, opened, 0, 1) == expected
     assert name_door_cells(named, opened, 0, 1) == expected
-    assert name_door_cells(expected, [GATE, HATCH], 0, 1) == named
+    assert name_door_cells(expected, parse_doors([GATE, HATCH], [8]), 0, 1) == named
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -123,14 +118,14 @@ def test_names_follow_the_doors_where_cells_share_entries(seed):
     shared = SharedUserData(cells, rng.integers(0, 3, len(cells)), entries)
     plain = SharedUserData(cells, shared.number, entries).resolve()
     before = copy.deepcopy(entries)
-    named = name_door_cells(shared, [GATE, HATCH], 0, 1)
+    doors = parse_doors([GATE, HATCH], [8])
+    named = name_door_cells(shared, doors, 0, 1)
     assert not shared.is_resolved and entries == before
-    assert list(named.resolve().items()) == list(
-        name_door_cells(plain, [GATE, HATCH], 0, 1).items()
-    )
-    again = name_door_cells(shared, [GATE, HATCH], 0, 1)
+    assert list(named.resolve().items()) == list(name_door_cells(plain, doors, 0, 1).items())
+    again = name_door_cells(shared, doors, 0, 1)
     for state in ("open", "modelled") * 3:
-        again = name_door_cells(again, [{**GATE, "state": state}, HATCH], 0, 1)
+        changed = parse_doors([{**GATE, "state": state}, HATCH], [8])
+        again = name_door_cells(again, changed, 0, 1)
     assert again.resolve() == named.resolve()
     assert len(again.entries) <= len(again.cells)  # none is kept that no cell has
 
@@ -163,6 +158,6 @@ def test_what_a_door_cannot_be():
     ],
 )
 def test_what_a_file_may_not_say(change, culprit):
-    check_doors([GATE, HATCH], [8])
+    parse_doors([GATE, HATCH], [8])
     with pytest.raises(FormatError, match=culprit):
-        check_doors([{**GATE, **change}], [8])
+        parse_doors([{**GATE, **change}], [8])

@@ -67,7 +67,7 @@ def test_named_layers_are_the_attributes_themselves():
     assert level.room_index is level.attributes["roomIndex"]
     np.testing.assert_array_equal(level.free, level.weights == 1)
     assert level.levels == [level]
-    assert level.links.shape == (0, 4)
+    assert level.link_array.shape == (0, 4)
 
 
 def test_missing_layers_follow_from_the_weights():
@@ -111,6 +111,16 @@ def test_metadata_answers_without_navbakes_part():
     assert (level.scene_id, level.navbake) == ("a", {"version": "1"})
 
 
+@pytest.mark.parametrize("levels", [None, [], "x", [3], [{}], [{"name": 3}], [{"name": ""}]])
+def test_levels_without_a_name_go_by_their_number(levels):
+    assert make_level(metadata={"navbake": {"levels": levels}}).level_names == ["level 0"]
+
+
+def test_levels_have_the_names_that_the_metadata_state():
+    stated = {"navbake": {"levels": [{"name": None}, {"name": "attic"}, {"name": "too many"}]}}
+    assert make_house(metadata=stated).level_names == ["level 0", "attic"]
+
+
 def test_levels_take_over_the_metadata_of_the_whole():
     own = make_level(metadata={"sceneId": "attic"})
     house = make_house(grids=[make_level(), own])
@@ -120,13 +130,13 @@ def test_levels_take_over_the_metadata_of_the_whole():
 
 @pytest.mark.parametrize("links", [[0, 6, 1, 7, 1, 0, 0, 19], [[0, 6, 1, 7], [1, 0, 0, 19]]])
 def test_links_are_read_flat_or_nested(links):
-    found = make_house(metadata={"navbake": {"links": links}}).links
+    found = make_house(metadata={"navbake": {"links": links}}).link_array
     assert found.dtype == np.int64
     assert found.tolist() == [[0, 6, 1, 7], [1, 0, 0, 19]]
 
 
 def test_no_links_is_an_answer():
-    assert make_house(metadata={}).links.shape == (0, 4)
+    assert make_house(metadata={}).link_array.shape == (0, 4)
 
 
 @pytest.mark.parametrize(
@@ -234,8 +244,8 @@ def test_a_difference_is_named(make, change, expected):
     found = first_difference(make(), changed)
     assert found is not None
     assert "\n" not in found
-    number = 0 if "metadata" in expected else 1  # which both levels share
-    start = f"level {number}: " if make is make_house else ""
+    is_of_level = make is make_house and "metadata" not in expected
+    start = "level 1: " if is_of_level else ""
     assert re.match(re.escape(start) + expected, found), found
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from navbake.errors import FormatError
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
-from navbake.navgrid.rooms import describe_rooms
+from navbake.navgrid.rooms import Neighbour, Room, parse_rooms
 
 ROOM = {
     "index": 1,
@@ -36,22 +36,48 @@ def make_level(index, ground=0.0, unit=1.0, **metadata):
 def test_what_the_file_tells_by_level_and_index():
     other = {**ROOM, "index": 2, "id": "0:2", "name": None, "neighbours": []}
     grid = make_level([[1, 2]], navbake={"rooms": [other, ROOM]})
-    assert describe_rooms(grid) == [ROOM, other]
+    assert [room.to_json() for room in grid.rooms] == [ROOM, other]
+    assert grid.rooms[0] == Room(
+        index=1,
+        id="hall",
+        name="hall",
+        level=0,
+        area=2.0,
+        centroid=(1.0, 2.0, 0.0),
+        source="geoms",
+        neighbours=(Neighbour("0:2", "open", None),),
+    )
+    assert grid.rooms is grid.rooms  # parsed once
+
+
+def test_another_table_is_parsed_anew():
+    grid = make_level([[1, 2]], navbake={"rooms": [ROOM]})
+    assert [room.id for room in grid.rooms] == ["hall"]
+    grid.metadata["navbake"] = {"rooms": [{**ROOM, "id": "den"}]}
+    assert [room.id for room in grid.rooms] == ["den"]
+
+
+def test_what_entries_may_leave_out():
+    ways = [{"room": "0:2"}, {"room": "0:3", "door": "gate"}]
+    stated = {key: value for key, value in ROOM.items() if key != "source"}
+    (room,) = parse_rooms([{**stated, "neighbours": ways}], 1)
+    assert room.source is None
+    assert room.neighbours == (Neighbour("0:2", "open", None), Neighbour("0:3", "door", "gate"))
 
 
 def test_files_without_a_table():
     low = make_level([[0, 3, 3], [0, 1, 3]], ground=-1.0, unit=2.0)
     grid = MultiLevelGrid(grids=[low, make_level([[2]], ground=3.0)], cell_size=0.5)
-    one, three, two = describe_rooms(grid)
-    assert (one["level"], one["index"], one["id"], one["name"]) == (0, 1, "0:1", None)
-    assert one["centroid"] == [1.5, 0.5, -2.0]  # cells of 1 m, as a unit is 2 m
-    assert (three["area"], three["neighbours"], three["source"]) == (3.0, [], None)
-    assert (two["id"], two["centroid"][2]) == ("1:2", 3.0)
+    one, three, two = grid.rooms
+    assert (one.level, one.index, one.id, one.name) == (0, 1, "0:1", None)
+    assert one.centroid == (1.5, 0.5, -2.0)  # cells of 1 m, as a unit is 2 m
+    assert (three.area, three.neighbours, three.source) == (3.0, (), None)
+    assert (two.id, two.centroid[2]) == ("1:2", 3.0)
 
 
 def test_no_rooms():
-    assert describe_rooms(make_level([[0, 0]])) == []
-    assert describe_rooms(make_level([[1, 0]], navbake={"rooms": []})) == []
+    assert make_level([[0, 0]]).rooms == ()
+    assert make_level([[1, 0]], navbake={"rooms": []}).rooms == ()
 
 
 @pytest.mark.parametrize(
@@ -71,4 +97,4 @@ def test_no_rooms():
 )
 def test_broken_tables(rooms, culprit):
     with pytest.raises(FormatError, match=culprit):
-        describe_rooms(make_level([[1]], navbake={"rooms": rooms}))
+        _ = make_level([[1]], navbake={"rooms": rooms}).rooms

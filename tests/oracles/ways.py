@@ -77,7 +77,7 @@ def step_graph(grid, *, cut_corners=False):
                         length = level.cell_size * math.hypot(r - row, c - col)
                         a, b = (start[k] + y * level.width + x for y, x in ((row, col), (r, c)))
                         add(steps, a, b, length * level.weights[r, c])
-    for a, cell_a, b, cell_b in grid.links.tolist():
+    for a, cell_a, b, cell_b in grid.link_array.tolist():
         for (i, one), (j, other) in (((a, cell_a), (b, cell_b)), ((b, cell_b), (a, cell_a))):
             levels = grid.levels[i], grid.levels[j]
             places = [

@@ -112,7 +112,7 @@ def test_levels_are_crossed_by_links():
 
 def test_rooms_and_doors_on_the_way(apartment):
     finder = PathFinder(apartment)
-    center = {room["id"]: room["centroid"] for room in apartment.rooms}
+    center = {room.id: room.centroid for room in apartment.rooms}
     path = finder.find_path(center["kitchen"], "room:bedroom")
     assert path.rooms[0] == "kitchen"
     assert path.rooms[-1] == "bedroom"
@@ -123,7 +123,7 @@ def test_rooms_and_doors_on_the_way(apartment):
 def test_next_to_an_object(apartment):
     finder = PathFinder(apartment)
     names = {n for e in apartment.user_data.values() for n in e.get("objects", ())}
-    start = next(room["centroid"] for room in apartment.rooms if room["id"] == "hall")
+    start = next(room.centroid for room in apartment.rooms if room.id == "hall")
     for name in sorted(names):
         path = finder.find_path(start, f"object:{name}")
         if path is None:
@@ -187,13 +187,13 @@ def test_unknown_rooms_are_refused_with_the_nearest(apartment):
 def test_rooms_below_and_above_are_joined_by_stairs(house):
     finder = PathFinder(house)
     rooms = house.rooms
-    for below in (room for room in rooms if room["level"] == 0):
-        for above in (room for room in rooms if room["level"] == 1):
-            cells = finder.rooms.cells(below["id"])
+    for below in (room for room in rooms if room.level == 0):
+        for above in (room for room in rooms if room.level == 1):
+            cells = finder.rooms.cells(below.id)
             start = finder.search.walk.positions(cells[finder.search.walk.free[cells]][:1])[0]
-            path = finder.find_path(start, f"room:{above['id']}")
+            path = finder.find_path(start, f"room:{above.id}")
             assert path is not None
-            assert path.rooms[-1] == above["id"]
+            assert path.rooms[-1] == above.id
             assert set(path.levels) == {0, 1}
 
 

@@ -10,12 +10,13 @@ import pytest
 import navbake
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
+from navbake.navgrid.cells import Cell
 from navbake.navgrid.grid import MultiLevelGrid
 from navbake.navgrid.islands import find_islands
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.place_finder import PlaceFinder
 from navbake.runtime.place_sampler import PlaceSampler
-from navbake.runtime.places.locate import Cell, flat_cells
+from navbake.runtime.places.locate import flat_cells
 from project_paths import GOLDEN
 
 
@@ -61,11 +62,11 @@ def house():
 def test_rooms_of_the_sample_house(house):
     rng = np.random.default_rng(0)
     for room in house.rooms.rooms:
-        points = house.random_point(rng, 20, room=room["id"])
-        assert {house.room_at(p) for p in points} == {room["id"]}
-        assert {house.cell_at(p).level for p in points} == {room["level"]}
+        points = house.random_point(rng, 20, room=room.id)
+        assert {house.room_at(p) for p in points} == {room.id}
+        assert {house.cell_at(p).level for p in points} == {room.level}
         assert house.same_room(points[0], points[1])
-        assert house.room_near(points[0], 0.0) == room["id"]
+        assert house.room_near(points[0], 0.0) == room.id
         assert not house.same_room(points[0], (99.0, 0.0, 0.0))
 
 
@@ -93,7 +94,7 @@ def test_room_of_an_object(house):
     assert names
     for name in list(names)[:20]:
         room = house.room_of(name)
-        assert room is None or room in {entry["id"] for entry in house.rooms.rooms}
+        assert room is None or room in {entry.id for entry in house.rooms.rooms}
     with pytest.raises(QueryError, match="no object 'no such thing'"):
         house.room_of("no such thing")
 

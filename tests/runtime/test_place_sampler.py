@@ -12,9 +12,10 @@ from scipy.stats import chisquare
 
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
+from navbake.navgrid.cells import Cell
 from navbake.navgrid.grid import MultiLevelGrid
 from navbake.runtime.place_sampler import PlaceSampler
-from navbake.runtime.places.locate import Cell, flat_cells
+from navbake.runtime.places.locate import flat_cells
 
 
 def make_rng(seed=0):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
-from navbake.views.info import describe, level_name
+from navbake.views.info import describe
 
 
 def make_level(free, floor, ground=0.0, rooms=None, metadata=None, unit=1.0):
@@ -129,9 +129,3 @@ def test_lengths_are_in_metres_whatever_the_unit():
     level = describe(make_level([[1, 1]], [[100.0, 110.0]], ground=100.0, unit=0.01))["levels"][0]
     assert (level["ground"], level["floor_min"], level["floor_max"]) == (1.0, 1.0, 1.1)
     assert level["free_area"] == pytest.approx(2 * 0.005**2)
-
-
-@pytest.mark.parametrize("levels", [None, [], "x", [3], [{}], [{"name": 3}], [{"name": ""}]])
-def test_levels_without_a_name_go_by_their_number(levels):
-    grid = make_level([[1]], [[0.0]], metadata={"navbake": {"levels": levels}})
-    assert level_name(grid, 0) == "level 0"

@@ -5,7 +5,8 @@ import pytest
 
 from navbake.errors import QueryError
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
-from navbake.views.layers import DOOR, FREE, LAYERS, NO_FLOOR, OCCUPIED, make_panels, rgb_of
+from navbake.views.colors import DOOR, FREE, NO_FLOOR, OCCUPIED, rgb_of
+from navbake.views.layers import LAYERS, make_panels
 from navbake.views.plot import render_png
 
 ROOMS = """
@@ -86,7 +87,7 @@ def test_names_stand_in_their_rooms():
     (panel,) = make_panels(make_level(), "rooms")
     one, other = panel.labels
     assert (one.x, one.y) == pytest.approx((1.25, 1.25))
-    assert one.room == pytest.approx(1.5)
+    assert one.width == pytest.approx(1.5)
     assert (other.text, other.fallback) == ("küche", "0:2")
     assert 2.0 <= other.x <= 4.0
 

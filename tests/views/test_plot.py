@@ -8,7 +8,7 @@ import pytest
 
 from navbake.errors import MissingDependencyError, NavbakeError, QueryError
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
-from navbake.views.layers import FREE, NO_FLOOR, OCCUPIED
+from navbake.views.colors import FREE, NO_FLOOR, OCCUPIED
 from navbake.views.plot import plot_grid, render_png
 
 pytest.importorskip("matplotlib")
@@ -73,7 +73,7 @@ def test_a_row_for_each_level(house):
 
 @pytest.mark.parametrize("level", [-1, 2])
 def test_refuses_a_level_that_there_is_not(house, level):
-    with pytest.raises(QueryError, match=f"expected a level from 0 to 1, got {level}"):
+    with pytest.raises(QueryError, match=f"no level {level}: expected 0 to 1"):
         render_png(house, level=level)
 
 

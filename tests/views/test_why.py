@@ -71,7 +71,7 @@ def test_every_occupied_cell_with_a_floor_says_what_blocks_it(grid):
     [
         ((99.0, 0.0), "99, 0 lies beside level 0: it spans x -5 to 5, y -4 to 4"),
         ((float("nan"), 0.0), "finite numbers, got nan"),
-        ((0.0, 0.0, 3), "no level 3 in 'apartment'"),
+        ((0.0, 0.0, 3), "no level 3: expected 0 to 0"),
     ],
 )
 def test_wrong_questions_are_refused(grid, arguments, message):
@@ -103,7 +103,7 @@ def test_command_tells_of_each_level_unless_one_is_given(capsys):
 
 
 def test_no_level_is_guessed_where_there_are_several():
-    with pytest.raises(QueryError, match="expected a level of 'house', 0 to 1"):
+    with pytest.raises(QueryError, match="or a level, got x, y: the grid has 2 levels, 0 to 1"):
         navbake.load(HOUSE).blockers(1, 1)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from navbake.baker.kernels.constants import FREE, MESH, SDF
 from navbake.baker.scene.names import GeomNames, body_name, names_of, warn_unmatched
-from navbake.config.settings import SceneSettings
+from navbake.config.scene import SceneSettings
 from navbake.types import Bool, Float
 
 DRAWN_GROUPS = 3  # MuJoCo's viewers draw the geom groups below this unless told otherwise

@@ -20,7 +20,7 @@ from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, read_mesh_parts
 from navbake.baker.scene.meshes.part import MeshPart
 from navbake.baker.scene.names import name_at
 from navbake.baker.scene.urdf import read_urdf
-from navbake.config.settings import SceneSettings
+from navbake.config.scene import SceneSettings
 from navbake.errors import ConfigError, SceneError
 
 XML_SUFFIXES = frozenset({".xml", ".mjcf", ".urdf"})

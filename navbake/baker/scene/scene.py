@@ -20,7 +20,7 @@ from navbake.baker.scene.model import mujoco_library as mujoco_library
 from navbake.baker.scene.model import mujoco_version as mujoco_version
 from navbake.baker.scene.names import name_at, names_of
 from navbake.baker.scene.shapes import Shapes
-from navbake.config.settings import SceneSettings
+from navbake.config.scene import SceneSettings
 from navbake.errors import SceneError
 
 # Files whose format says that y is up

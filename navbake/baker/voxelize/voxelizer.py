@@ -19,7 +19,8 @@ from navbake.baker.scene.shapes import solid_bounds
 from navbake.baker.voxelize.kernels.fill import Voxels, fill_voxels
 from navbake.baker.voxelize.kernels.tiles import bin_items, box_triangles, move_triangles
 from navbake.baker.voxelize.segments import Labels, Segments, label_geoms
-from navbake.config.settings import BakeConfig, SceneSettings, as_config
+from navbake.config.scene import SceneSettings
+from navbake.config.settings import BakeConfig, as_config
 from navbake.errors import ConfigError, SceneError
 from navbake.navgrid.lattice import CELL_SLACK
 from navbake.types import Float

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
+from navbake.navgrid.block_state import Layers
+from navbake.navgrid.cells import Cell, Cells, check_cells, check_level, check_positions
 from navbake.navgrid.islands import step_limit
 from navbake.runtime.blocks.block import Block
-from navbake.runtime.blocks.shape import Layers, Shape, outline_cells, outline_shape
+from navbake.runtime.blocks.shape import Shape, outline_cells, outline_shape
 from navbake.runtime.inflation.inflate import check_radius
 from navbake.runtime.inflation.margins import margins_of
-from navbake.runtime.inflation.surroundings import agent_height
-from navbake.runtime.places.locate import Cell, Cells, check_cells, check_level, check_positions
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -39,7 +39,7 @@ def block(
         return Block(grid, _given_cells(grid, cells))
     shape = _disc(grid, disc, level, height) if disc is not None else _box(grid, box, level)
     margins = margins_of(grid, margin)
-    step, tall = step_limit(grid) * grid.unit, agent_height(grid)
+    step, tall = step_limit(grid) * grid.unit, grid.agent_height
     return Block(
         grid,
         [
@@ -80,7 +80,7 @@ def _disc(
     x, y = float(p[0]), float(p[1])
     bottom, top = -math.inf, math.inf
     if len(p) == 3:
-        bottom, top = float(p[2]), float(p[2]) + (agent_height(grid) if height is None else height)
+        bottom, top = float(p[2]), float(p[2]) + (grid.agent_height if height is None else height)
     return Shape(x, y, x, y, float(radius), bottom, top)
 
 

@@ -9,17 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.navgrid.block_state import NUM_LAYERS, Layers
+
 if TYPE_CHECKING:
     from navbake.navgrid.grid import SceneGrid2D
-
-# What is taken: cells that the thing is in; where an agent can't stand; where it can't step
-# diagonally; where it can't be beside the cell's centre. Each holds the one before, but for the
-# first two.
-OCCUPIED, BLOCKED, NARROW, TIGHT = range(4)
-NUM_LAYERS = 4
-
-Layers = list[NDArray[np.int64]]
-"""Ascending cell ids for each of the four."""
 
 
 @dataclass(frozen=True)

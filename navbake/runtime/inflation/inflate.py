@@ -21,7 +21,6 @@ How `exact` decides, for an agent whose centre is on a cell's centre:
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -29,8 +28,6 @@ from numpy.typing import NDArray
 
 from navbake.errors import QueryError
 from navbake.navgrid.islands import add_layers
-from navbake.navgrid.user_data import held_user_data
-from navbake.runtime.blocks.block import own_attributes
 from navbake.runtime.inflation.discs import disc_offsets, half_widths
 from navbake.runtime.inflation.surroundings import SLAB, Surroundings, find_surroundings
 
@@ -240,39 +237,22 @@ def _with_weights(
     grid: AnyGrid, weights: list[NDArray[np.float64]], done: dict[str, Any]
 ) -> AnyGrid:
     """The grid with other weights, layers that follow from them, and a note in its metadata."""
-    from navbake.navgrid.grid import MultiLevelGrid
-
-    whole: Any = grid
-    metadata = _noted(whole.metadata, done)
-    levels = [
-        replace(
-            level,
-            weights=weight,
-            attributes=_baked_attributes(level),
-            user_data=held_user_data(level),
-            metadata=metadata if level.metadata is whole.metadata else _noted(level.metadata, done),
-        )
-        for level, weight in zip(grid.levels, weights, strict=True)
-    ]
-    inflated: Any = levels[0]
-    if isinstance(whole, MultiLevelGrid):
-        inflated = replace(whole, grids=levels, metadata=metadata)
-    if whole.navbake:  # in others' files these names may mean anything
+    levels = []
+    for level, weight in zip(grid.levels, weights, strict=True):
+        # what would else follow from the weights is kept as the bake had it, so that an inflated
+        # grid knows what stands there and can be inflated again
+        baked: dict[str, NDArray[Any]] = {
+            "occupancy": level.occupancy,
+            "floorHeight": level.floor_height,
+        }
+        kept = {key: v.copy() for key, v in baked.items() if key not in level.attributes}
+        noted = _noted(level.metadata, done)
+        levels.append(level.with_layers(weights=weight, attributes=kept, metadata=noted))
+    inflated = grid.with_levels(levels, _noted(grid.metadata, done))
+    if grid.navbake:  # in others' files these names may mean anything
         names = {name for level in levels for name in level.attributes}
         add_layers(inflated, names & {"island", "clearance"})
-    result: AnyGrid = inflated
-    return result
-
-
-def _baked_attributes(level: SceneGrid2D) -> dict[str, NDArray[Any]]:
-    """The level's attributes; what follows from its weights else is kept as it is without radius.
-
-    So an inflated grid knows what stands there, and can be inflated again.
-    """
-    attributes = own_attributes(level)
-    attributes.setdefault("occupancy", level.occupancy.copy())
-    attributes.setdefault("floorHeight", level.floor_height.copy())
-    return attributes
+    return inflated
 
 
 def _noted(metadata: dict[str, Any], done: dict[str, Any]) -> dict[str, Any]:

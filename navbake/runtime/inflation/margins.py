@@ -47,9 +47,7 @@ def exact_radius(grid: NavGrid) -> float:
 
 def agent_radius(grid: NavGrid) -> float:
     """The radius that the grid is for [m]: that of its inflation, or else of its bake."""
-    stated = grid.metadata.get("agentRadius")
-    baked = float(stated) * grid.unit if isinstance(stated, int | float) and stated > 0 else 0.0
-    return exact_radius(grid) or baked
+    return exact_radius(grid) or grid.agent_radius
 
 
 def margins_of(grid: NavGrid, radius: float | None = None) -> Margins:

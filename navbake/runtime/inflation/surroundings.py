@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid, SceneGrid2D
     from navbake.navgrid.lattice import Lattice
 
-DEFAULT_HEIGHT = 1.14  # [m] of the agent, where a file doesn't tell its agentHeight
 SLAB = 0.3  # [m] how thick the floor of a level above may be
 ALIGNED = 1e-3  # of a cell: levels this little off each other's cells share one lattice
 
@@ -59,7 +58,7 @@ def find_surroundings(grid: NavGrid, number: int, reach: int) -> Surroundings:
         With an only level, its own arrays.
     """
     level = grid.levels[number]
-    agent = step_limit(grid) * grid.unit, agent_height(grid), baked_radius(grid)
+    agent = step_limit(grid) * grid.unit, grid.agent_height, grid.agent_radius
     if len(grid.levels) == 1:
         inside = slice(0, level.height), slice(0, level.width)
         floor, occupied = _floor(level)[None], np.ascontiguousarray(level.occupancy)[None]
@@ -79,22 +78,6 @@ def find_surroundings(grid: NavGrid, number: int, reach: int) -> Surroundings:
         _paste(occupied[i], part.occupancy, row - top, col - left)
     rows, cols = slice(-top, level.height - top), slice(-left, level.width - left)
     return Surroundings(together.index(number), rows, cols, floor, occupied, *agent)
-
-
-def agent_height(grid: NavGrid) -> float:
-    """The grid's `agentHeight` [m]."""
-    stated = grid.metadata.get("agentHeight")
-    if isinstance(stated, int | float) and stated > 0:
-        return float(stated) * grid.unit
-    return DEFAULT_HEIGHT
-
-
-def baked_radius(grid: NavGrid) -> float:
-    """The grid's `agentRadius` [m], 0 where it isn't told."""
-    stated = grid.metadata.get("agentRadius")
-    if isinstance(stated, int | float) and stated > 0:
-        return float(stated) * grid.unit
-    return 0.0
 
 
 def _floor(level: SceneGrid2D) -> NDArray[np.float32]:

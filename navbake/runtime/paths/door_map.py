@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.navgrid.doors import door_cells
 from navbake.runtime.flat_grid import Walk
 
 if TYPE_CHECKING:
@@ -26,11 +25,11 @@ def map_doors(grid: NavGrid, walk: Walk) -> DoorMap:
     found: DoorMap = {}
     for door in grid.doors:
         cells: set[int] = set()
-        for state in ("closed", door["state"]):
-            for level, ids in enumerate(door_cells(door, state, walk.num_levels)):
+        for state in ("closed", door.state):
+            for level, ids in enumerate(door.cells_in(state, walk.num_levels)):
                 cells.update((ids + walk.start[level]).tolist())
         for cell in sorted(cells):
-            found.setdefault(cell, []).append(door["id"])
+            found.setdefault(cell, []).append(door.id)
     if not grid.doors and not grid.navbake:
         for level, part in enumerate(grid.levels):
             for cell, entry in part.user_data.items():

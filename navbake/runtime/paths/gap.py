@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.navgrid.user_data import held_user_data
-from navbake.runtime.blocks.block import unblocked
 from navbake.runtime.flat_grid import Walk
 from navbake.runtime.inflation.inflate import find_blocked
 from navbake.runtime.inflation.margins import exact_radius
@@ -50,7 +48,7 @@ def find_gap(grid: NavGrid, walk: Walk, origin: int, goals: NDArray[np.int64]) -
         None if the grid isn't inflated, or no radius passes.
     """
     radius = exact_radius(grid)
-    plain = deflated(unblocked(grid))
+    plain = deflated(grid.without_blocks())
     if radius == 0.0 or not _joins(plain, walk, 0.0, origin, goals):
         return None
     low, high = 0.0, radius
@@ -61,7 +59,7 @@ def find_gap(grid: NavGrid, walk: Walk, origin: int, goals: NDArray[np.int64]) -
         else:
             high = middle
     free = _free_for(plain, low)
-    route = Search(_with_free(plain, free, walk)).route(origin, goals)
+    route = Search(_with_free(plain, free)).route(origin, goals)
     if route is None:
         return None
     taken = _with_flanks(walk, route)
@@ -124,25 +122,19 @@ def deflated(grid: NavGrid) -> NavGrid:
             for p in grid.levels
         ]
     )
-    return _with_free(grid, free, None)
+    return _with_free(grid, free)
 
 
-def _with_free(grid: NavGrid, free: NDArray[np.bool_], walk: Walk | None) -> NavGrid:
+def _with_free(grid: NavGrid, free: NDArray[np.bool_]) -> NavGrid:
     """The grid with other free cells, by flat id, all of weight 1, and no word of inflation."""
-    from navbake.navgrid.grid import MultiLevelGrid
-
     metadata = {key: value for key, value in grid.metadata.items() if key != "inflation"}
     levels, first = [], 0
     for level in grid.levels:
         size = level.width * level.height
         weights = np.where(free[first : first + size], 1.0, np.inf).reshape(level.shape)
-        levels.append(
-            replace(level, weights=weights, user_data=held_user_data(level), metadata=metadata)
-        )
+        levels.append(level.with_layers(weights=weights))
         first += size
-    if isinstance(grid, MultiLevelGrid):
-        return replace(grid, grids=levels, metadata=metadata)
-    return levels[0]
+    return grid.with_levels(levels, metadata)
 
 
 def _free_for(grid: NavGrid, radius: float) -> NDArray[np.bool_]:

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
+from navbake.navgrid.cells import check_positions
 from navbake.runtime.flat_grid import Walk
-from navbake.runtime.places.locate import check_positions, flat_cells
+from navbake.runtime.places.locate import flat_cells
 from navbake.runtime.places.room_map import RoomMap
 
 if TYPE_CHECKING:

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import QueryError
-from navbake.runtime.blocks.block import LevelChanges, Window, known_changes, unblocked
-from navbake.runtime.blocks.shape import NARROW, TIGHT
+from navbake.navgrid.block_state import NARROW, TIGHT, BlockState, Window
 from navbake.runtime.flat_grid import Walk, make_walk
 from navbake.runtime.inflation.margins import find_room
 from navbake.runtime.places.locate import split_cells
@@ -43,7 +42,7 @@ class Search:
 
     def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
         self.grid = grid
-        clean = unblocked(grid)
+        clean = grid.without_blocks()
         self.walk: Walk = make_walk(clean)
         self.cut_corners = cut_corners
         self._room = find_room(clean)
@@ -66,7 +65,7 @@ class Search:
     def update(self) -> None:
         """Catch up with what was blocked and freed."""
         for number, level in enumerate(self.grid.levels):
-            changes = known_changes(level)
+            changes = level.block_state
             if changes is None or changes.revision == self._seen[number]:
                 continue
             windows = changes.windows_since(self._seen[number])
@@ -78,7 +77,7 @@ class Search:
             self.version += 1
 
     def _copy_changes(
-        self, number: int, level: SceneGrid2D, changes: LevelChanges, window: Window
+        self, number: int, level: SceneGrid2D, changes: BlockState, window: Window
     ) -> None:
         """Copy a window of a level that changed, and find the moves in and round it anew."""
         row0, row1, col0, col1 = window

@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.runtime.blocks.block import known_changes, unblocked
-from navbake.runtime.blocks.shape import BLOCKED
+from navbake.navgrid.block_state import BLOCKED
 from navbake.runtime.inflation.margins import agent_radius, exact_radius
 from navbake.runtime.paths.door_map import doors_on, map_doors
 from navbake.runtime.paths.gap import deflated, find_gap
 from navbake.runtime.paths.goals import Target
 from navbake.runtime.paths.search import Search
-from navbake.views.info import level_name
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -104,7 +102,7 @@ def _not_free(finder: PathFinder, cell: int) -> str:
     level = int(walk.level_of(np.array(cell)))
     part, at = grid.levels[level], cell - int(walk.start[level])
     row, col = divmod(at, part.width)
-    changes = known_changes(part)
+    changes = part.block_state
     if changes is not None and changes.count[BLOCKED, at]:
         return "is blocked for now"
     if np.isnan(part.floor_height[row, col]):
@@ -146,7 +144,7 @@ def _parted(finder: PathFinder, origin: int, goals: Ints) -> tuple[str, Ints | N
 def _blocked_for_now(finder: PathFinder, origin: int, goals: Ints) -> str | None:
     """What `grid.block` blocks on the way there would be."""
     grid, walk = finder.grid, finder.search.walk
-    clean = unblocked(grid)
+    clean = grid.without_blocks()
     if clean is grid:
         return None
     route = Search(clean, cut_corners=finder.search.cut_corners).route(origin, goals)
@@ -172,7 +170,7 @@ def _doors(finder: PathFinder, origin: int, goals: Ints) -> str | None:
     if not grid.doors:
         return None
     radius = exact_radius(grid)
-    without = deflated(unblocked(grid)).with_doors("removed")
+    without = deflated(grid.without_blocks()).with_doors("removed")
     if radius:
         without = without.inflate(radius)
     route = Search(without, cut_corners=finder.search.cut_corners).route(origin, goals)
@@ -182,7 +180,7 @@ def _doors(finder: PathFinder, origin: int, goals: Ints) -> str | None:
     names = list(dict.fromkeys(passed))
     if not names:
         return None
-    states = {door["id"]: door["state"] for door in grid.doors}
+    states = {door.id: door.state for door in grid.doors}
     states |= {name: "as modelled" for name, state in states.items() if state == "modelled"}
     listed = " and ".join(f"{name!r} ({states[name]})" for name in names)
     return f"doors {listed} are in the way" if len(names) > 1 else f"door {listed} is in the way"
@@ -264,7 +262,7 @@ def _steps(grid: NavGrid, low: int, high: int, total: int) -> str:
 
 
 def _level(grid: NavGrid, number: int) -> str:
-    name = level_name(grid, number)
+    name = grid.level_names[number]
     return name if name == f"level {number}" else f"level {number} ({name})"
 
 

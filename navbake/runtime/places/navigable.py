@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.runtime.places.locate import check_positions, flat_cells, place_of
+from navbake.navgrid.cells import check_positions
+from navbake.runtime.places.locate import flat_cells, place_of
 from navbake.runtime.places.sample import check_distance
 
 if TYPE_CHECKING:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
-from navbake.runtime.places.locate import check_positions, flat_cell, place_of
+from navbake.navgrid.cells import check_positions
+from navbake.runtime.places.locate import flat_cell, place_of
 from navbake.runtime.places.sample import check_distance
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
+from navbake.navgrid.cells import Cell, cell_at, cells_at
 from navbake.navgrid.islands import clearance, islands_of
-from navbake.runtime.places.locate import Cell, cell_at, cells_at
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -83,9 +83,9 @@ def place_at(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Pl
 
 def room_id(grid: NavGrid, level: int, index: int) -> str:
     """The id of a room by its level and its number there; ``level:number`` if no table has it."""
-    for room in grid.navbake.get("rooms") or []:
-        if (room["level"], room["index"]) == (level, index):
-            return str(room["id"])
+    for room in grid.stated_rooms or ():
+        if (room.level, room.index) == (level, index):
+            return room.id
     return f"{level}:{index}"
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import QueryError
+from navbake.navgrid.rooms import Room, measure_rooms
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -30,7 +31,7 @@ class RoomMap:
     """
 
     scene_id: str | None
-    rooms: list[dict[str, Any]]
+    rooms: list[Room]
     number: NDArray[np.int32]
 
     def find(self, name: str) -> int:
@@ -42,12 +43,12 @@ class RoomMap:
         Raises:
             QueryError: there is none, or several rooms have the name.
         """
-        by_id = {room["id"]: number for number, room in enumerate(self.rooms, start=1)}
+        by_id = {room.id: number for number, room in enumerate(self.rooms, start=1)}
         if isinstance(name, str) and name in by_id:
-            return int(by_id[name])
-        named = [room["id"] for room in self.rooms if room["name"] and room["name"] == name]
+            return by_id[name]
+        named = [room.id for room in self.rooms if room.name and room.name == name]
         if len(named) == 1:
-            return int(by_id[named[0]])
+            return by_id[named[0]]
         if named:
             raise QueryError(
                 f"{len(named)} rooms in {self.scene_id!r} have the name {name!r}: expected one of "
@@ -57,7 +58,7 @@ class RoomMap:
 
     def id_of(self, number: int) -> str | None:
         """The id of a room by its number; None for 0."""
-        return str(self.rooms[number - 1]["id"]) if number else None
+        return self.rooms[number - 1].id if number else None
 
     def cells(self, name: str) -> NDArray[np.int64]:
         """Flat ids of the cells of a room, those that something stands in included.
@@ -74,8 +75,8 @@ class RoomMap:
         return np.flatnonzero(self.number == self.find(name))
 
     def _known(self, name: object) -> str:
-        names = [room["id"] for room in self.rooms]
-        names += [room["name"] for room in self.rooms if room["name"]]
+        names = [room.id for room in self.rooms]
+        names += [room.name for room in self.rooms if room.name]
         near = get_close_matches(str(name), names, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         listed = list(dict.fromkeys(names))
@@ -99,15 +100,12 @@ def map_rooms(grid: NavGrid) -> RoomMap:
         index = level.room_index
         numbers = np.zeros(int(index.max(initial=0)) + 1, dtype=np.int32)
         for place, room in enumerate(rooms, start=1):
-            if room["level"] == number and room["index"] < len(numbers):
-                numbers[room["index"]] = place
-        for missing in np.unique(index[(numbers[index] == 0) & (index > 0)]):
-            rooms.append(_entry(number, int(missing)))
-            numbers[missing] = len(rooms)
+            if room.level == number and room.index < len(numbers):
+                numbers[room.index] = place
+        if ((numbers[index] == 0) & (index > 0)).any():
+            for room in measure_rooms(level, number):
+                if not numbers[room.index]:
+                    rooms.append(room)
+                    numbers[room.index] = len(rooms)
         parts.append(numbers[index].ravel())
     return RoomMap(grid.scene_id, rooms, np.concatenate(parts))
-
-
-def _entry(level: int, index: int) -> dict[str, Any]:
-    """An entry for a room that the file's table leaves out."""
-    return {"level": level, "index": index, "id": f"{level}:{index}", "name": None}

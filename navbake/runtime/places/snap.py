@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.runtime.places.locate import check_positions, flat_cell, links_of, place_of
+from navbake.navgrid.cells import check_positions
+from navbake.runtime.places.locate import flat_cell, links_of, place_of
 from navbake.runtime.places.navigable import MAX_DROP
 from navbake.runtime.places.sample import cells_in_annulus, check_distance
 

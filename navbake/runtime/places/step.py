@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
-from navbake.runtime.places.locate import check_positions, flat_cell, links_of, place_of
+from navbake.navgrid.cells import check_positions
+from navbake.runtime.places.locate import flat_cell, links_of, place_of
 
 if TYPE_CHECKING:
     from navbake.runtime.flat_grid import Walk

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import QueryError
-from navbake.runtime.places.locate import check_level
+from navbake.navgrid.cells import check_level
 from navbake.runtime.places.sample import Number
-from navbake.views.layers import FREE, NO_FLOOR, OCCUPIED, rgb_of
+from navbake.views.colors import FREE, NO_FLOOR, OCCUPIED, rgb_of
 
 if TYPE_CHECKING:
     from navbake.runtime.flat_grid import Walk

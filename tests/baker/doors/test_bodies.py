@@ -14,7 +14,8 @@ from navbake.baker.pipeline import run_bake
 from navbake.baker.scene.bodies import find_subtree_ends, list_geoms
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.scene import Scene, load_scene
-from navbake.config.settings import DoorSettings, SceneSettings, load_config, parse_config
+from navbake.config.scene import SceneSettings
+from navbake.config.settings import DoorSettings, load_config, parse_config
 from project_paths import CONFIGS
 
 HANDLE = '<body name="handle" pos="0 0.8 1"><geom type="sphere" size="0.03"/></body>'
@@ -36,11 +37,11 @@ def load(tmp_path: Path):
 def test_pattern_makes_a_door_of_anything(tmp_path):
     settings = {"doors": {"patterns": ["cupboard_d*"]}}
     grid = bake_world(tmp_path, ROOMS, LEAF, CUPBOARD, **settings).grid
-    assert [door["id"] for door in grid.doors] == ["leaf", "cupboard_door"]
+    assert [door.id for door in grid.doors] == ["leaf", "cupboard_door"]
 
 
 def test_nothing_is_found_when_nobody_looks(tmp_path):
-    assert bake_world(tmp_path, ROOMS, LEAF, doors={"find": False}).grid.doors == []
+    assert bake_world(tmp_path, ROOMS, LEAF, doors={"find": False}).grid.doors == ()
 
 
 @pytest.mark.parametrize(
@@ -128,12 +129,12 @@ def test_names_that_are_not_utf_8(tmp_path, suffix):
     }
     result = run_bake(parse_config({"scene": {"path": path}, **settings}))
     grid = result.grid
-    assert [door["id"] for door in grid.doors] == [
+    assert [door.id for door in grid.doors] == [
         "port\ufffd (body 1)",
         "port\ufffd (body 2)",
     ]
-    assert {door["joint"] for door in grid.doors} == {"p\ufffd"}
-    assert "\ufffdcran" in {room["name"] for room in grid.rooms}
+    assert {door.joint for door in grid.doors} == {"p\ufffd"}
+    assert "\ufffdcran" in {room.name for room in grid.rooms}
     assert grid.blockers(5.0, 2.0) == ["arm\ufffd"]
     assert grid.blockers(3.0, 1.5) == ["port\ufffd (body 1)"]
     assert grid.with_doors({"port\ufffd (body 1)": "open"}).blockers(3.0, 1.65) == []

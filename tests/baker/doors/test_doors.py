@@ -47,17 +47,17 @@ def assert_same(grid, other, hint: object = "") -> None:
 def test_leaf_between_two_rooms_is_a_door(bake):
     grid = bake(ROOMS, LEAF)
     (door,) = grid.doors
-    assert (door["id"], door["joint"], door["state"]) == ("leaf", "leaf", "modelled")
-    assert set(door["rooms"]) == {room["id"] for room in grid.rooms}
+    assert (door.id, door.joint, door.state) == ("leaf", "leaf", "modelled")
+    assert set(door.rooms) == {room.id for room in grid.rooms}
     assert not in_gap(grid).any()  # modelled at 0, which is closed
-    assert {n["door"] for room in grid.rooms for n in room["neighbours"]} == {"leaf"}
+    assert {n.door for room in grid.rooms for n in room.neighbours} == {"leaf"}
 
 
 @pytest.mark.parametrize("state", ["open", "removed"])
 def test_with_doors_opens_the_gap(bake, state):
     grid = bake(ROOMS, LEAF).with_doors({"leaf": state})
     assert in_gap(grid)[:6].all()
-    assert grid.doors[0]["state"] == state
+    assert grid.doors[0].state == state
 
 
 def test_open_leaf_blocks_where_it_stands(bake):
@@ -78,7 +78,7 @@ def test_with_doors_leaves_the_grid_alone(bake):
     before = grid.occupancy.copy()
     grid.with_doors({"leaf": "open"})
     assert np.array_equal(grid.occupancy, before)
-    assert grid.doors[0]["state"] == "modelled"
+    assert grid.doors[0].state == "modelled"
 
 
 def test_a_leaf_that_cannot_move_is_a_wall_unless_it_is_named(bake):
@@ -141,7 +141,7 @@ def test_without_names_no_state_has_any(bake):
 
 def test_cupboard_door_belongs_to_the_cupboard(bake):
     grid = bake(ROOMS, LEAF, CUPBOARD)
-    assert [door["id"] for door in grid.doors] == ["leaf"]
+    assert [door.id for door in grid.doors] == ["leaf"]
     facts = grid.describe_cell(5.58, 2.6)
     assert facts["blockers"] == facts["objects"] == ["cupboard"]
     assert facts["doors"] == []
@@ -159,7 +159,7 @@ STAGE = """
 def test_what_is_no_door_is_as_if_nobody_looked_for_doors(bake, things):
     grid = bake(SHELL, things)
     assert_same(grid, bake(SHELL, things, doors={"find": False}))
-    assert grid.doors == []
+    assert grid.doors == ()
 
 
 def test_a_stage_that_looked_like_a_door_carries_a_floor(bake):
@@ -195,8 +195,8 @@ def test_a_door_upstairs(bake):
     settings = {"floors": {"roofs": True}}
     grid = bake(ROOMS, upper, LEAF, leaf, **settings)
     assert [level.ground for level in grid.levels] == pytest.approx([0.0, 2.7])
-    assert [door["id"] for door in grid.doors] == ["leaf", "up_leaf"]
-    assert [sorted(door["rooms"]) for door in grid.doors] == [["0:1", "0:2"], ["1:1", "1:2"]]
+    assert [door.id for door in grid.doors] == ["leaf", "up_leaf"]
+    assert [sorted(door.rooms) for door in grid.doors] == [["0:1", "0:2"], ["1:1", "1:2"]]
     for level, other in ((0, "leaf"), (1, "up_leaf")):
         opened = grid.with_doors({other: "open"}).levels
         assert in_gap(opened[level])[:6].all()
@@ -221,7 +221,7 @@ def test_a_door_cut_by_the_bounds(bake, bounds):
 
 def test_a_door_beside_the_bounds_is_none(bake):
     grid = bake(ROOMS, LEAF, grid={"bounds": [3.5, 0.0, 6.0, 3.0]})
-    assert grid.doors == []
+    assert grid.doors == ()
 
 
 # ---------------------------------------------------------------- states that it hasn't
@@ -232,8 +232,8 @@ def test_a_door_without_a_joint(bake, warnings, state):
     settings = {"doors": {"patterns": ["leaf"], "state": state}}
     grid = bake(ROOMS, FIXED_LEAF, **settings)
     (door,) = grid.doors
-    assert door["joint"] is None
-    assert door["state"] == ("modelled" if state == "open" else state)
+    assert door.joint is None
+    assert door.state == ("modelled" if state == "open" else state)
     assert in_gap(grid).any() == (state == "removed")
     told = [text for text in warnings(ROOMS, FIXED_LEAF, **settings) if "leaf" in text]
     assert len(told) == (state == "open")
@@ -310,7 +310,7 @@ def test_other_states_equal_a_bake_that_knows_of_no_doors(name):
     bounds = config.grid.bounds or scene.bounds[:, :2].ravel().tolist()
     config = config.model_copy(update={"grid": config.grid.model_copy(update={"bounds": bounds})})
     grid = run_bake(config).grid
-    ranges = {door["joint"]: scene.model.joint(door["joint"]).range for door in grid.doors}
+    ranges = {door.joint: scene.model.joint(door.joint).range for door in grid.doors}
     for state in ("open", "closed"):
         joints = {
             joint: float(max(ends, key=abs)) if state == "open" else 0.0
@@ -321,7 +321,7 @@ def test_other_states_equal_a_bake_that_knows_of_no_doors(name):
             "doors": config.doors.model_copy(update={"find": False}),
         }
         baked, same = run_bake(config.model_copy(update=posed)).grid, grid.with_doors(state)
-        assert baked.doors == []
+        assert baked.doors == ()
         for level, other in zip(same.levels, baked.levels, strict=True):
             np.testing.assert_array_equal(level.occupancy, other.occupancy)
             np.testing.assert_array_equal(level.weights, other.weights)
@@ -332,8 +332,8 @@ def test_each_door_of_the_apartment_alone_equals_its_pose():
     config = load_config(CONFIGS / "apartment.yaml")
     grid = run_bake(config).grid
     for door in grid.doors:
-        closed = grid.with_doors({door["id"]: "closed"})
-        scene = config.scene.model_copy(update={"joints": {door["joint"]: 0.0}})
+        closed = grid.with_doors({door.id: "closed"})
+        scene = config.scene.model_copy(update={"joints": {door.joint: 0.0}})
         posed = run_bake(config.model_copy(update={"scene": scene})).grid
         np.testing.assert_array_equal(closed.occupancy, posed.occupancy)
         np.testing.assert_array_equal(closed.weights, posed.weights)

@@ -237,7 +237,7 @@ def test_tread_over_a_floor_goes_up_into_the_stairwell(bake):
 def test_links_join_neighbours_a_step_apart(bake):
     grid = bake(storeys_with_stair(closed=False))
     step = 0.25 + 1e-6
-    for level_a, cell_a, level_b, cell_b in grid.links.tolist():
+    for level_a, cell_a, level_b, cell_b in grid.link_array.tolist():
         assert level_a < level_b
         a, b = grid.levels[level_a], grid.levels[level_b]
         spot_a = a.lattice.positions(*divmod(cell_a, a.width))

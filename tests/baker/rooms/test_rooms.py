@@ -14,6 +14,7 @@ from navbake.baker.rooms.openings import Opening, match_doors
 from navbake.baker.rooms.rooms import share_rest
 from navbake.config.settings import load_config, parse_config
 from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.rooms import Neighbour
 from project_paths import ROOT
 
 APARTMENT = ROOT / "configs" / "apartment.yaml"
@@ -27,7 +28,7 @@ def bake_apartment(*overrides):
 
 def masks(grid, level=0):
     index = grid.levels[level].room_index
-    return [index == room["index"] for room in grid.rooms if room["level"] == level]
+    return [index == room.index for room in grid.rooms if room.level == level]
 
 
 def check_iou(found, expected, at_least=0.95):
@@ -48,11 +49,11 @@ def check_iou(found, expected, at_least=0.95):
 def test_annotated_and_automatic_rooms_agree(cell_size):
     size = f"grid.cell_size={cell_size}"
     marked, auto = bake_apartment(size), bake_apartment(size, "rooms=auto")
-    assert [room["name"] for room in marked.rooms] == [
+    assert [room.name for room in marked.rooms] == [
         "bedroom", "bathroom", "kitchen", "hall", "living_room",
     ]  # fmt: skip
-    assert {room["source"] for room in marked.rooms} == {"geoms"}
-    assert {room["source"] for room in auto.rooms} == {"auto"}
+    assert {room.source for room in marked.rooms} == {"geoms"}
+    assert {room.source for room in auto.rooms} == {"auto"}
     check_iou(masks(auto), masks(marked))
 
 
@@ -84,29 +85,29 @@ def test_turned_rooms_are_the_same(quarters, tmp_path):
 
 
 def test_a_way_through_rooms_and_doors_can_be_read_off_the_table():
-    rooms = {room["id"]: room for room in bake_apartment().rooms}
+    rooms = {room.id: room for room in bake_apartment().rooms}
     for start in rooms:
         came_by = {start: []}
         queue = deque([start])
         while queue:
             room = queue.popleft()
-            for neighbour in rooms[room]["neighbours"]:
-                back = {"room": room, "door": neighbour["door"], "kind": "door"}
-                assert back in rooms[neighbour["room"]]["neighbours"]
-                if neighbour["room"] not in came_by:
-                    came_by[neighbour["room"]] = [*came_by[room], neighbour["door"]]
-                    queue.append(neighbour["room"])
+            for neighbour in rooms[room].neighbours:
+                back = Neighbour(room, "door", neighbour.door)
+                assert back in rooms[neighbour.room].neighbours
+                if neighbour.room not in came_by:
+                    came_by[neighbour.room] = [*came_by[room], neighbour.door]
+                    queue.append(neighbour.room)
         assert came_by.keys() == rooms.keys()
         assert all(door.startswith("door_") for way in came_by.values() for door in way)
-    assert {n["room"] for n in rooms["kitchen"]["neighbours"]} == {"hall"}
+    assert {n.room for n in rooms["kitchen"].neighbours} == {"hall"}
 
 
 def test_area_and_centroid():
     grid = bake_apartment()
     x, y = np.meshgrid(grid.lattice.center_x(), grid.lattice.center_y())
     for room, mask in zip(grid.rooms, masks(grid), strict=True):
-        assert room["area"] == pytest.approx(mask.sum() * 0.01)
-        assert room["centroid"][:2] == pytest.approx([x[mask].mean(), y[mask].mean()], abs=1e-5)
+        assert room.area == pytest.approx(mask.sum() * 0.01)
+        assert room.centroid[:2] == pytest.approx([x[mask].mean(), y[mask].mean()], abs=1e-5)
     assert not np.any(grid.room_index[np.isnan(grid.floor_height)])
 
 
@@ -166,13 +167,13 @@ def bake_text(tmp_path, body, **settings):
 
 def test_numbers_go_row_by_row(tmp_path):
     grid = bake_text(tmp_path, make_plan(2, 3), rooms="auto").grid
-    centers = [room["centroid"][:2] for room in grid.rooms]
+    centers = [room.centroid[:2] for room in grid.rooms]
     expected = [[1.5, 4.5], [4.5, 4.5], [7.5, 4.5], [1.5, 1.5], [4.5, 1.5], [7.5, 1.5]]
     np.testing.assert_allclose(centers, expected, atol=0.05)
-    assert [room["id"] for room in grid.rooms] == [f"0:{k}" for k in range(1, 7)]
-    assert [room["name"] for room in grid.rooms] == [None] * 6
-    assert [n["room"] for n in grid.rooms[0]["neighbours"]] == ["0:2", "0:4"]
-    assert {n["kind"] for room in grid.rooms for n in room["neighbours"]} == {"open"}
+    assert [room.id for room in grid.rooms] == [f"0:{k}" for k in range(1, 7)]
+    assert [room.name for room in grid.rooms] == [None] * 6
+    assert [n.room for n in grid.rooms[0].neighbours] == ["0:2", "0:4"]
+    assert {n.kind for room in grid.rooms for n in room.neighbours} == {"open"}
 
 
 def test_more_rooms_than_a_byte_holds(tmp_path):
@@ -199,14 +200,14 @@ def test_names_in_any_script_and_ids_that_are_unique(tmp_path):
     names = ["floor|客厅", "floor|Küche", "floor|0:1", "floor_客厅"]
     grid = bake_text(tmp_path, make_plan(2, 2, names=names), rooms={"geoms": ["floor*"]}).grid
     # the second row is the upper one
-    assert [room["name"] for room in grid.rooms] == ["0:1", "客厅", "客厅", "Küche"]
-    assert [room["id"] for room in grid.rooms] == ["0:1", "0:2", "0:3", "Küche"]
+    assert [room.name for room in grid.rooms] == ["0:1", "客厅", "客厅", "Küche"]
+    assert [room.id for room in grid.rooms] == ["0:1", "0:2", "0:3", "Küche"]
 
 
 def test_none(tmp_path):
     grid = bake_text(tmp_path, make_plan(1, 2), rooms="none").grid
     assert not grid.room_index.any()
-    assert grid.rooms == []
+    assert grid.rooms == ()
 
 
 def test_gaps_between_marked_floors_go_to_the_rooms_they_touch(tmp_path):
@@ -216,7 +217,7 @@ def test_gaps_between_marked_floors_go_to_the_rooms_they_touch(tmp_path):
     ground = '<geom type="box" pos="3 3 -.103" size="3 3 .1"/>'
     body = re.sub(r'(<geom name="floor[^>]* size=")1.5 1.5', r"\g<1>1.4 1.4", body)
     grid = bake_text(tmp_path, ground + body, grid={"cell_size": 0.05}).grid
-    found = {(room["name"], room["source"]): room["area"] for room in grid.rooms}
+    found = {(room.name, room.source): room.area for room in grid.rooms}
     assert found.keys() == {("a", "geoms"), ("b", "geoms"), ("c", "geoms"), (None, "auto")}
     assert max(found.values()) - min(found.values()) < 0.15
     plan = bake_text(tmp_path, ground + body, grid={"cell_size": 0.05}, rooms="auto").grid
@@ -238,18 +239,13 @@ def test_share_rest():
 def test_storeys_are_linked_by_steps():
     config = ROOT / "configs" / "house.yaml"
     grid = run_bake(load_config(config)).grid
-    rooms = {room["id"]: room for room in grid.rooms}
-    links = [
-        (room["id"], n["room"])
-        for room in grid.rooms
-        for n in room["neighbours"]
-        if n["kind"] == "link"
-    ]
+    rooms = {room.id: room for room in grid.rooms}
+    links = [(room.id, n.room) for room in grid.rooms for n in room.neighbours if n.kind == "link"]
     assert len(links) == 4  # two stairs, both ways
     assert all((b, a) in links for a, b in links)
-    assert all(rooms[a]["level"] != rooms[b]["level"] for a, b in links)
+    assert all(rooms[a].level != rooms[b].level for a, b in links)
     # three rooms and the ground outside; a gallery round the stairs and two bedrooms
-    assert [room["level"] for room in grid.rooms] == [0, 0, 0, 0, 1, 1, 1]
+    assert [room.level for room in grid.rooms] == [0, 0, 0, 0, 1, 1, 1]
 
 
 def test_doors_go_to_the_opening_they_are_in():
@@ -328,7 +324,7 @@ def test_labmaze(seed, tmp_path):
     cells = letter_of_cells(letters, first, step, marked.lattice)
     is_room = marked.free & (cells != ".")
     assert is_room.any()
-    names = np.array([".", *(room["name"] for room in marked.rooms)])
+    names = np.array([".", *(room.name for room in marked.rooms)])
     np.testing.assert_array_equal(names[marked.room_index][marked.free], cells[marked.free])
     for letter in sorted(set(letters.ravel()) - {"."}):
         found = auto.room_index[(cells == letter) & auto.free]

@@ -13,7 +13,7 @@ from PIL import Image
 
 from navbake.baker.scene.mesh_scene import read_mesh_parts
 from navbake.baker.scene.scene import load_scene
-from navbake.config.settings import SceneSettings
+from navbake.config.scene import SceneSettings
 from navbake.errors import SceneError
 from scene_files import WEDGE, write_dae
 

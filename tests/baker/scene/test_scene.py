@@ -14,7 +14,7 @@ import trimesh
 
 from navbake.baker.scene.model import mujoco_library
 from navbake.baker.scene.scene import load_scene
-from navbake.config.settings import SceneSettings
+from navbake.config.scene import SceneSettings
 from navbake.errors import ConfigError, SceneError
 from oracles.rays import first_hit
 from scene_files import WEDGE

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from navbake.errors import QueryError
+from navbake.navgrid.cells import Cells
 from navbake.navgrid.islands import add_layers, clearance, find_islands, islands_of
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.paths.search import Search
-from navbake.runtime.places.locate import Cells
 from oracles.ways import make_level, random_grid, stack
 
 
@@ -209,7 +209,7 @@ def test_islands_follow_although_the_file_tells_of_them():
 
 
 def test_who_missed_too_much_looks_at_all(monkeypatch):
-    monkeypatch.setattr("navbake.runtime.blocks.block.MAX_JOURNAL", 2)
+    monkeypatch.setattr("navbake.navgrid.block_state.MAX_JOURNAL", 2)
     grid = open_level(6)
     finder = PathFinder(grid)
     for k in range(5):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import navbake
+from navbake.navgrid.cells import Cells
 from navbake.runtime.path_finder import PathFinder
-from navbake.runtime.places.locate import Cells
 from oracles.ways import make_level, stack
 from project_paths import GOLDEN
 
@@ -111,16 +111,16 @@ def test_steps_that_cannot_be_taken():
 
 
 def link_cells(grid):
-    links = grid.links[:, :2]
+    links = grid.link_array[:, :2]
     widths = np.array([level.width for level in grid.levels])[links[:, 0]]
     return Cells(links[:, 0], *np.divmod(links[:, 1], widths))
 
 
 def test_the_stairs_of_the_house_blocked(house):
     finder = PathFinder(house)
-    start = next(room["centroid"] for room in house.rooms if room["level"] == 0)
-    start = finder.snap(start, room=next(r["id"] for r in house.rooms if r["level"] == 0))
-    above = [room["id"] for room in house.rooms if room["level"] == 1]
+    start = next(room.centroid for room in house.rooms if room.level == 0)
+    start = finder.snap(start, room=next(r.id for r in house.rooms if r.level == 0))
+    above = [room.id for room in house.rooms if room.level == 1]
     assert all(finder.find_path(start, f"room:{room}") for room in above)
     with house.block(cells=link_cells(house)):
         for room in above:
@@ -137,7 +137,7 @@ def test_the_stairs_of_the_house_blocked(house):
 def test_stairs_blocked_halfway_up(house):
     finder = PathFinder(house)
     start = finder.snap((0.0, 0.0, 0.0), same_level=True)
-    above = next(f"room:{room['id']}" for room in house.rooms if room["level"] == 1)
+    above = next(f"room:{room.id}" for room in house.rooms if room.level == 1)
     blocks = []
     for _ in range(9):
         path = finder.find_path(start, above)
@@ -157,7 +157,7 @@ def test_closed_doors_are_named(house):
     closed = house.with_doors("closed")
     finder = PathFinder(closed)
     start = finder.snap((0.0, -3.5, 0.0))
-    rooms = [room["id"] for room in house.rooms]
+    rooms = [room.id for room in house.rooms]
     reasons = [finder.why_not(start, f"room:{room}") for room in rooms]
     told = [reason for reason in reasons if reason]
     assert told
@@ -173,7 +173,7 @@ def test_rooms_and_objects_without_a_free_cell(house):
     finder = PathFinder(grid)
     free = np.flatnonzero(finder.search.walk.free)
     start = finder.search.walk.positions(free[0])
-    reasons = [finder.why_not(start, f"room:{room['id']}") for room in house.rooms]
+    reasons = [finder.why_not(start, f"room:{room.id}") for room in house.rooms]
     assert any(r and "no cell of room" in r and "radius of 1 m" in r for r in reasons)
 
 

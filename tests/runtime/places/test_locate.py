@@ -6,19 +6,10 @@ import numpy as np
 import pytest
 
 from navbake.errors import QueryError
+from navbake.navgrid.cells import Cell, Cells, cell_at, cells_at, position_of
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.runtime.flat_grid import make_walk
-from navbake.runtime.places.locate import (
-    Cell,
-    Cells,
-    cell_at,
-    cells_at,
-    flat_cell,
-    flat_cells,
-    position_of,
-    split_cell,
-    split_cells,
-)
+from navbake.runtime.places.locate import flat_cell, flat_cells, split_cell, split_cells
 
 
 def make_level(floor, x=0.0, y_max=0.0, ground=0.0, cell_size=0.5, stated=True, **fields):

@@ -7,8 +7,8 @@ import pytest
 
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
+from navbake.navgrid.cells import Cell, cell_at
 from navbake.runtime.place_finder import PlaceFinder
-from navbake.runtime.places.locate import Cell, cell_at
 
 
 @pytest.mark.parametrize("seed", range(6))

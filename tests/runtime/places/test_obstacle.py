@@ -10,8 +10,8 @@ import pytest
 import navbake
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
+from navbake.navgrid.cells import Cell
 from navbake.runtime.place_finder import PlaceFinder
-from navbake.runtime.places.locate import Cell
 from project_paths import GOLDEN
 
 

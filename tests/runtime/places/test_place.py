@@ -32,10 +32,11 @@ def make_level(ground, unit=1.0):
 
 
 def make_house():
+    room = {"level": 1, "index": 1, "id": "x", "area": 2.0, "centroid": [1, 1, 3], "neighbours": []}
     grid = MultiLevelGrid(
         grids=[make_level(0.0), make_level(3.0)],
         cell_size=1.0,
-        metadata={"sceneId": "house", "navbake": {"rooms": [{"level": 1, "index": 1, "id": "x"}]}},
+        metadata={"sceneId": "house", "navbake": {"rooms": [room]}},
     )
     grid.levels[1].attributes["heat"] = np.full((2, 3), 7, dtype=np.int16)
     return grid

@@ -70,7 +70,7 @@ def test_without_a_table_rooms_go_by_level_and_index():
     house = make_house(TABLE)
     del house.metadata["navbake"]
     rooms = map_rooms(house)
-    assert [entry["id"] for entry in rooms.rooms] == ["0:1", "0:2", "1:1"]
+    assert [entry.id for entry in rooms.rooms] == ["0:1", "0:2", "1:1"]
     assert rooms.find("1:1") == 3
 
 

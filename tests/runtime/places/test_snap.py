@@ -10,8 +10,8 @@ import pytest
 import navbake.runtime.places.snap
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
+from navbake.navgrid.cells import Cells
 from navbake.runtime.place_finder import PlaceFinder
-from navbake.runtime.places.locate import Cells
 
 
 def random_finder(seed, **options):

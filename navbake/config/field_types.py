@@ -1,4 +1,8 @@
-"""What the models of the settings are made of: kinds of values, and what errors call them."""
+"""Types of the settings' fields: each checks its value and words the error message.
+
+A message reads ``expected <text>, got <value> at `<key>` in <file>``: the types here give its first
+part, `navbake.config.errors` the rest.
+"""
 
 from __future__ import annotations
 
@@ -20,33 +24,44 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 
+def refusal(text: str, **details: str) -> PydanticCustomError:
+    """The error to raise for a value: ``expected <text>, got …``.
+
+    Args:
+        text: what was expected.
+        details: ``got`` and ``at``, where the value's own text and key are not the ones to show.
+    """
+    return PydanticCustomError("expected", "expected {text}", {"text": text, **details})
+
+
 def expects(text: str) -> WrapValidator:
-    """Say one thing for all that can be wrong with a value: ``expected <text>, got …``."""
+    """Give every error of a value one message: ``expected <text>, got …``."""
 
     def check(value: Any, validate: Callable[[Any], Any]) -> Any:
         try:
             return validate(value)
         except (ValidationError, ValueError):
-            raise PydanticCustomError("expected", "expected {text}", {"text": text}) from None
+            raise refusal(text) from None
 
     return WrapValidator(check)
 
 
 def setting(default: Any, text: str, default_text: str | None = None) -> Any:
-    """A field whose description is `text` (meaning, [unit], range) and its default."""
+    """A field with a default, described by `text` (meaning, [unit], range) and that default."""
     if default_text is None:
         default_text = default if isinstance(default, str) else json.dumps(default)
     return Field(default=default, description=f"{text}; default {default_text}")
 
 
-def to_path(value: Any) -> Any:
+def to_path(value: Any) -> Path:
+    """Take text or a path for a path; anything else is refused."""
     if isinstance(value, str | PathLike) and str(value) and "\0" not in str(value):
         return Path(value)
     raise ValueError("no path")
 
 
 def resolve(path: Path, info: ValidationInfo) -> Path:
-    """Make a path relative to the file that names it, where the context tells its folder."""
+    """Take a path relative to the file that names it, whose folder is in pydantic's context."""
     return Path((info.context or {}).get("folder", "")) / path
 
 
@@ -61,13 +76,14 @@ Positive = Annotated[float, Field(gt=0), expects("a number > 0")]
 NotNegative = Annotated[float, Field(ge=0), expects("a number >= 0")]
 Flag = Annotated[bool, expects("true or false")]
 Name = Annotated[str, Field(min_length=1), expects("text that is not empty")]
+OptionalName = Annotated[Name | None, expects("text that is not empty, or null")]
 FilePath = Annotated[Path, BeforeValidator(to_path), expects("a path")]
-# an omitted section may stand there with nothing under it
+# `grid:` with nothing under it is null in YAML, and means the section's defaults
 Section = BeforeValidator(lambda value: {} if value is None else value)
 
 
 class Settings(BaseModel):
-    """Strict: text is no number, a number no flag, nan and inf nothing, unknown keys refused."""
+    """Base of all sections: types are strict, unknown keys, NaN and infinity are refused."""
 
     model_config = ConfigDict(
         strict=True, extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True

@@ -1,0 +1,107 @@
+"""The command `navbake mdf`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+from typer import Argument, BadParameter, Option
+
+from navbake.cli.options import AsJson
+from navbake.cli.printing import print_json
+from navbake.errors import ConfigError, FormatError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+# Functions import grids and formats when they run: --help loads no numpy.
+
+
+class Squares(NamedTuple):
+    """Options that lay the descriptor's squares over a level."""
+
+    level: Annotated[int, Option(min=0, help="Which level; 0 is the lowest.")] = 0
+    corner: Annotated[
+        tuple[float, float] | None,
+        Option(metavar="X Y", help="Lower left corner [m].  [default: the level's]"),
+    ] = None
+    rows: Annotated[
+        int | None, Option(min=1, help="Squares up.  [default: the whole level; decoding: 20]")
+    ] = None
+    cols: Annotated[
+        int | None, Option(min=1, help="Squares across.  [default: the whole level; decoding: 15]")
+    ] = None
+    square: Annotated[float, Option(help="Edge of a square [m].")] = 0.1
+
+    @property
+    def shape(self) -> tuple[int, int] | None:
+        return None if self.rows is None or self.cols is None else (self.rows, self.cols)
+
+
+def mdf(
+    squares: Squares,
+    grid: Annotated[Path | None, Argument(metavar="GRID", help="A NavGrid file.")] = None,
+    decode: Annotated[
+        tuple[str, str] | None,
+        Option("--decode", metavar="P1 P2", help="Draw this descriptor in place of a GRID."),
+    ] = None,
+    explored: Annotated[
+        Path | None,
+        Option(
+            metavar="NPY",
+            help="Which squares are explored: an array [row, col], row 0 at the top.  "
+            "[default: all]",
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write a level as a map descriptor (two hex strings) and draw it."""
+    if (grid is None) == (decode is None):
+        raise BadParameter("expected a GRID, or --decode P1 P2", param_hint="GRID")
+    if (squares.rows is None) != (squares.cols is None):
+        raise BadParameter("expected both or none of them", param_hint="--rows, --cols")
+    from navbake.arena import map_descriptor
+
+    if decode is not None:
+        part1, part2 = decode
+        known, filled = map_descriptor.decode(part1, part2, squares.shape or map_descriptor.ARENA)
+    else:
+        assert grid is not None
+        known, filled = _read_squares(grid, squares, explored)
+        part1, part2 = map_descriptor.encode(known, filled)
+    drawing = map_descriptor.draw(known, filled)
+    if as_json:
+        facts = {"rows": known.shape[0], "cols": known.shape[1], "part1": part1, "part2": part2}
+        print_json({**facts, "map": drawing.split("\n")})
+        return
+    if decode is None:
+        print(f"{part1}\n{part2}")
+    print(drawing)
+
+
+def _read_squares(
+    path: Path, squares: Squares, explored: Path | None
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Which squares of a level are explored, and which hold an obstacle."""
+    import numpy as np
+
+    from navbake.arena.arena import find_obstacles, place_squares
+    from navbake.formats.navgrid import read_navgrid
+
+    levels = read_navgrid(path).levels
+    if squares.level >= len(levels):
+        raise ConfigError(
+            f"no level {squares.level} in {path}: it has {len(levels)}, counted from 0"
+        )
+    level = levels[squares.level]
+    placed = place_squares(level, square=squares.square, corner=squares.corner, shape=squares.shape)
+    filled = find_obstacles(level, placed)
+    if explored is None:
+        return np.ones_like(filled), filled
+    try:
+        known = np.load(explored, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise FormatError(f"expected an array (.npy), {explored} can't be read: {error}") from error
+    if not isinstance(known, np.ndarray):
+        raise FormatError(f"expected one array (.npy), got several in {explored}")
+    return known, filled

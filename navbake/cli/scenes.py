@@ -1,0 +1,53 @@
+"""The commands before a bake: `navbake init` and `navbake geoms`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument, Option
+
+from navbake.cli.options import AsJson, Overrides, SceneOrConfig
+from navbake.cli.printing import print_json, print_warnings
+
+# Functions import what reads scenes when they run: --help loads neither MuJoCo nor numpy.
+
+
+def init(
+    scene: Annotated[
+        Path, Argument(metavar="SCENE", help="Scene file: MJCF, MJB, URDF or a mesh.")
+    ],
+    output: Annotated[
+        Path | None,
+        Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="YAML to write.  [default: <id>.yaml in the current folder]",
+        ),
+    ] = None,
+    force: Annotated[bool, Option("--force", help="Overwrite FILE if it exists.")] = False,
+) -> None:
+    """Write a YAML file with all settings, commented, for a scene."""
+    from navbake.config.template import write_template
+
+    path = write_template(scene, output, force=force)
+    print(f"{path}: the default settings; `navbake bake {path}` bakes the scene with them")
+
+
+def geoms(config: SceneOrConfig, as_json: AsJson = False, overrides: Overrides = None) -> None:
+    """List the geoms of a scene: which count, as what, and why."""
+    from navbake.baker.scene.scene import load_scene
+    from navbake.cli.tables import geom_table, print_tables
+    from navbake.config.settings import load_config
+
+    scene = load_scene(load_config(config, overrides or []).scene)
+    print_warnings(scene.warnings)
+    if as_json:
+        keys = ("id", "name", "body", "type", "counted", "shape", "reason")
+        rows = [{key: getattr(geom, key) for key in keys} for geom in scene.geoms]
+        print_json({"scene_id": scene.id, "geoms": rows, "warnings": list(scene.warnings)})
+        return
+    num_counted = sum(geom.counted for geom in scene.geoms)
+    print_tables(geom_table(scene.geoms))
+    print(f"{num_counted} geoms counted, {len(scene.geoms) - num_counted} left out")

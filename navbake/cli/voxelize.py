@@ -1,0 +1,163 @@
+"""The command `navbake voxelize`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+
+from typer import BadParameter, Option
+
+from navbake.cli.options import Overrides, SceneOrConfig, check_output
+from navbake.cli.printing import print_warnings
+
+if TYPE_CHECKING:
+    from navbake.voxels.grid import VoxelGrid
+
+# Functions import the voxelizer and the formats when they run: --help loads no MuJoCo, no numpy.
+
+Triple = tuple[float, float, float]  # navbake.types would load numpy
+OCTREES = (".bt", ".ot")
+SUFFIXES = (".binvox", *OCTREES, ".npz")
+
+
+class Box(NamedTuple):
+    """Options that place the grid."""
+
+    res: Annotated[float, Option(help="Edge of a voxel [m].")] = 0.1
+    center: Annotated[
+        Triple | None,
+        Option(metavar="X Y Z", help="Centre of the grid [m].  [default: of the scene's box]"),
+    ] = None
+    cells: Annotated[
+        tuple[int, int, int] | None,
+        Option(metavar="NX NY NZ", help="Number of voxels along each axis."),
+    ] = None
+    size: Annotated[
+        Triple | None, Option(metavar="X Y Z", help="Size of the grid [m], in place of --cells.")
+    ] = None
+    align: Annotated[
+        bool,
+        Option(
+            "--align",
+            help="Move the grid so that voxels begin at multiples of --res. Octrees always do.",
+        ),
+    ] = False
+
+
+class Layout(NamedTuple):
+    """Options that say how the files are written."""
+
+    compact: Annotated[
+        bool, Option("--compact", help=".binvox: renumber the IDs that occur, from 1.")
+    ] = False
+    twin: Annotated[
+        bool,
+        Option("--twin", help=".binvox with IDs: write NAME.occupied.binvox without IDs, too."),
+    ] = False
+    airsim: Annotated[bool, Option("--airsim", help=".binvox: use AirSim's layout.")] = False
+    free: Annotated[
+        bool, Option("--free", help="Octrees: mark voxels that are not occupied as free.")
+    ] = False
+
+
+def voxelize(
+    config: SceneOrConfig,
+    outputs: Annotated[
+        list[Path],
+        Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="File to write: .binvox, .bt, .ot or .npz. May be repeated.",
+        ),
+    ],
+    box: Box,
+    layout: Layout,
+    segments: Annotated[
+        list[str] | None,
+        Option(
+            "--segment",
+            metavar="WHAT",
+            help="Give voxels the IDs of what fills them: geom, body, top (top-most body), or "
+            "PATTERN=ID, which may be repeated.",
+        ),
+    ] = None,
+    ignore: Annotated[
+        list[str] | None,
+        Option(metavar="PATTERN", help="Leave out these bodies. May be repeated."),
+    ] = None,
+    overrides: Overrides = None,
+) -> None:
+    """Voxelize a scene: write which voxels are occupied."""
+    for output in outputs:
+        check_output(output, *SUFFIXES)
+    has_octree = [output.suffix.lower() in OCTREES for output in outputs]
+    if segments and all(has_octree):
+        raise BadParameter(
+            "octrees hold no IDs: write a .npz or a .binvox, too", param_hint="--segment"
+        )
+    from navbake.baker.voxelize.voxelizer import Voxelizer
+    from navbake.config.settings import load_config
+
+    voxelizer = Voxelizer(load_config(config, overrides or []), ignore=ignore or [])
+    print_warnings(voxelizer.scene.warnings)
+    grid = voxelizer.create(
+        box.center,
+        box.cells,
+        res=box.res,
+        size=box.size,
+        segments=_parse_segments(segments),
+        align=box.align or any(has_octree),
+    )
+    print_warnings(grid.notes)
+    for output in outputs:
+        _write(grid, output, layout)
+    _print_summary(grid)
+
+
+def _write(grid: VoxelGrid, output: Path, layout: Layout) -> None:
+    from navbake.formats.voxels import names_path, write_voxels
+
+    is_binvox = output.suffix.lower() == ".binvox"
+    form: Literal["airsim", "binvox"] = "airsim" if layout.airsim else "binvox"
+    mapping: Literal["compact"] | None = "compact" if layout.compact and is_binvox else None
+    write_voxels(grid, output, free=layout.free, layout=form, mapping=mapping)
+    print(output)
+    if grid.is_segmented and output.suffix.lower() in (".binvox", ".npz"):
+        print(names_path(output))
+    if layout.twin and grid.is_segmented and is_binvox:
+        beside = output.with_suffix(".occupied.binvox")
+        write_voxels(grid.without_ids(), beside, layout=form)
+        print(beside)
+
+
+def _print_summary(grid: VoxelGrid) -> None:
+    import numpy as np
+
+    low, high = grid.bounds
+    box = " to ".join(f"({', '.join(f'{c:.6g}' for c in corner)})" for corner in (low, high))
+    count = int(np.count_nonzero(grid.values))
+    ids = f", {len(grid.names)} IDs" if grid.is_segmented else ""
+    print(
+        f"{' × '.join(map(str, grid.shape))} voxels of {grid.res:g} m, {box} m: "
+        f"{count} occupied{ids}"
+    )
+
+
+def _parse_segments(words: list[str] | None) -> Any:
+    """``geom``, ``body`` or ``top`` alone, or patterns, with IDs or counted from 1."""
+    if not words:
+        return None
+    if words in (["geom"], ["body"], ["top"]):
+        return words[0]
+    patterns: dict[str, int] = {}
+    for number, word in enumerate(words, 1):
+        pattern, is_given, value = word.rpartition("=")
+        if not is_given:
+            pattern, value = word, str(number)
+        if not value.isdecimal() or not pattern:
+            raise BadParameter(
+                f"expected geom, body, top or PATTERN=ID, got {word}", param_hint="--segment"
+            )
+        patterns[pattern] = int(value)
+    return patterns

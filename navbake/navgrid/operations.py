@@ -1,0 +1,36 @@
+"""What grids can do through code that is built on them, by name.
+
+A grid has methods like `inflate`, `block` and `save` for convenience, and the run time, the views
+and the formats import the grid. So the grid may not import them. It calls them by name instead:
+`navbake/__init__.py` registers for each operation where its function is, and the function is
+imported when it is first called.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any
+
+OPERATIONS: dict[str, str] = {}
+"""Where the function of each operation is: ``module:function`` by ``Class.method``."""
+
+_found: dict[str, Callable[..., Any]] = {}
+
+
+def register(operations: Mapping[str, str]) -> None:
+    """Register where functions of operations are; nothing is imported yet."""
+    OPERATIONS.update(operations)
+
+
+def resolve(where: str) -> Any:
+    """Import what stands at ``module:name``."""
+    module, _, name = where.partition(":")
+    return getattr(import_module(module), name)
+
+
+def operation(name: str) -> Callable[..., Any]:
+    """The function of an operation, which takes the object itself first."""
+    if name not in _found:
+        _found[name] = resolve(OPERATIONS[name])
+    return _found[name]
