@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit, prange
 
 from navbake.baker.kernels.arrays import Prism
-from navbake.baker.kernels.constants import SAME, TOUCH
+from navbake.baker.kernels.constants import INLINED, SAME, TOUCH
 from navbake.baker.kernels.flags import (
     BLOCKS,
     PROBED,
@@ -59,7 +59,7 @@ class CellQuestion(NamedTuple):
     known: int
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _group_triangles(items, facets):
     """Group a tile's triangles, which are sorted by geom."""
     geom, num = facets.geom, 0
@@ -82,7 +82,7 @@ def _group_triangles(items, facets):
     return Groups(items, start, box)
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _tile_items(tile, tiles, facets):
     """The solids and the triangles over a tile."""
     solids = tiles.solid_item[tiles.solid_start[tile] : tiles.solid_start[tile + 1]]
@@ -90,14 +90,14 @@ def _tile_items(tile, tiles, facets):
     return solids, _group_triangles(tiles.triangle_item[first:last], facets)
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _column(lattice, cell, cells, reach):
     """All of a cell's column; NaN heights where there is no floor."""
     x, y = cell_center(lattice, cell)
     return Prism(x, y, cells.floor[cell], cells.ceiling[cell], reach, reach)
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _count_tile(tile, lattice, solids, facets, planes, tiles, reach, cells):
     nearby, groups = _tile_items(tile, tiles, facets)
     row0, row1, col0, col1 = tile_window(lattice, tile)
@@ -131,10 +131,10 @@ def count_candidates(lattice, solids, facets, planes, tiles, reach, cells):
         cells: the storey's; ``slot[cell + 1]`` receives the number where there is a floor.
     """
     for tile in prange(count_tiles(lattice)):
-        _count_tile(tile, lattice, solids, facets, planes, tiles, reach, cells)
+        _count_tile(np.int64(tile), lattice, solids, facets, planes, tiles, reach, cells)
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _add(cells, cell, count, geom, flags):
     """Insert an entry into a cell's list, which is sorted by geom; the list's new length."""
     if not flags & STANDS:
@@ -150,7 +150,7 @@ def _add(cells, cell, count, geom, flags):
     return count + 1
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _ask(lattice, cell, crossings, footprint, probe, cells):
     """Put together what is asked about a cell."""
     half = lattice.cell_size / 2 - TOUCH
@@ -171,7 +171,7 @@ def _ask(lattice, cell, crossings, footprint, probe, cells):
     return CellQuestion(cell, column, volumes, is_taken, by_line, known)
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _wanted(question, geom, probe):
     """The flags that a geom may have in a cell, and those of them that a line may prove."""
     wanted = STANDS | (PROBED if probe.geoms[geom] else 0)
@@ -179,9 +179,9 @@ def _wanted(question, geom, probe):
     return wanted | (BLOCKS if question.is_taken else 0), by_line
 
 
-@njit(cache=True)
-def _list_planes(question, planes, crossings, cells, count):
-    cell, volumes = question.cell, question.volumes
+@njit(**INLINED)
+def _list_planes(question, planes, crossings, cells):
+    count, cell, volumes = np.int64(0), question.cell, question.volumes
     by_line = STANDS | (BLOCKS if question.by_line else 0)
     for p in range(planes.geom.shape[0]):
         if not plane_meets_prism(planes, p, question.column):
@@ -193,7 +193,7 @@ def _list_planes(question, planes, crossings, cells, count):
     return count
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _list_triangles(question, groups, facets, crossings, probe, cells, count, polygons):
     cell, volumes = question.cell, question.volumes
     for g in range(groups.box.shape[0]):
@@ -210,7 +210,7 @@ def _list_triangles(question, groups, facets, crossings, probe, cells, count, po
     return count
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _list_solids(question, nearby, solids, crossings, probe, cells, count, simplex):
     cell, volumes = question.cell, question.volumes
     for s in nearby:
@@ -227,7 +227,7 @@ def _list_solids(question, nearby, solids, crossings, probe, cells, count, simpl
     return count
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _list_tile(
     tile, lattice, crossings, solids, facets, planes, tiles, footprint, probe, cells
 ):  # fmt: skip
@@ -240,7 +240,7 @@ def _list_tile(
             if math.isnan(cells.floor[cell]) or cells.slot[cell + 1] == cells.slot[cell]:
                 continue
             question = _ask(lattice, cell, crossings, footprint, probe, cells)
-            count = _list_planes(question, planes, crossings, cells, 0)
+            count = _list_planes(question, planes, crossings, cells)
             count = _list_triangles(
                 question, groups, facets, crossings, probe, cells, count, polygons
             )
@@ -265,10 +265,21 @@ def list_geoms(lattice, crossings, solids, facets, planes, tiles, footprint, pro
         cells: the storey's cells; their lists are written.
     """
     for tile in prange(count_tiles(lattice)):
-        _list_tile(tile, lattice, crossings, solids, facets, planes, tiles, footprint, probe, cells)
+        _list_tile(
+            np.int64(tile),
+            lattice,
+            crossings,
+            solids,
+            facets,
+            planes,
+            tiles,
+            footprint,
+            probe,
+            cells,
+        )
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _describe_floor(cell, floor, crossings, min_up, support):
     support.geom[cell] = -1
     support.gap[cell] = math.inf
@@ -298,7 +309,7 @@ def describe_floors(floors, crossings, min_up, support):
             surface below that faces up and belongs to another geom.
     """
     for cell in prange(floors.shape[0]):
-        _describe_floor(cell, floors[cell], crossings, min_up, support)
+        _describe_floor(np.int64(cell), floors[cell], crossings, min_up, support)
 
 
 @njit(cache=True)

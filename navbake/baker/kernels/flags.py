@@ -10,7 +10,8 @@ from typing import NamedTuple
 from numba import njit
 
 from navbake.baker.kernels.arrays import Prism
-from navbake.baker.kernels.constants import APART, MEETS, UNDECIDED
+from navbake.baker.kernels.constants import APART, INLINED, MEETS, UNDECIDED
+from navbake.baker.kernels.gjk import SQUARE
 from navbake.baker.kernels.overlap import outside, plane_meets_prism, triangle_meets_prism
 from navbake.baker.kernels.solids import disc_too, part_of_solid
 
@@ -33,7 +34,7 @@ class Volumes(NamedTuple):
     probed: Prism
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _line_meets(crossings, cell, geom, prism):
     """Whether a cell's line proves that one geom is between two heights; as `line_is_blocked`."""
     inside = 0
@@ -49,7 +50,7 @@ def _line_meets(crossings, cell, geom, prism):
     return inside > 0
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def line_flags(crossings, cell, geom, volumes, wanted):
     """The flags that a cell's line alone proves of a geom, of those that are wanted."""
     flags = 0
@@ -62,7 +63,7 @@ def line_flags(crossings, cell, geom, volumes, wanted):
     return flags
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def plane_flags(planes, p, volumes, is_taken, flags):
     """Add what the half-space behind a plane meets; `is_taken` tells if anything may block."""
     if plane_meets_prism(planes, p, volumes.stands):
@@ -72,7 +73,7 @@ def plane_flags(planes, p, volumes, is_taken, flags):
     return flags
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def triangle_flags(items, facets, volumes, flags, wanted, polygons):
     """Add what a geom's triangles meet, until all wanted flags are set."""
     for t in items:
@@ -90,11 +91,11 @@ def triangle_flags(items, facets, volumes, flags, wanted, polygons):
     return flags
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def solid_flags(solids, s, volumes, flags, wanted, simplex):
     """Add what a solid meets of the wanted flags."""
     if wanted & ~flags & BLOCKS and not outside(solids.bounds, s, volumes.blocks):
-        part = part_of_solid(solids, s, volumes.blocks, False, simplex)
+        part = part_of_solid(solids, s, volumes.blocks, SQUARE, simplex)
         if part != APART:
             flags |= STANDS  # the cell's square is the footprint's
         part = disc_too(solids, s, volumes.blocks, part, simplex)
@@ -105,6 +106,6 @@ def solid_flags(solids, s, volumes, flags, wanted, simplex):
     for flag, prism in ((STANDS, volumes.stands), (PROBED, volumes.probed)):
         if not wanted & ~flags & flag or outside(solids.bounds, s, prism):
             continue
-        if part_of_solid(solids, s, prism, False, simplex) != APART:
+        if part_of_solid(solids, s, prism, SQUARE, simplex) != APART:
             flags |= flag
     return flags

@@ -28,6 +28,7 @@ from navbake.baker.kernels.constants import (
     CAPSULE,
     CYLINDER,
     ELLIPSOID,
+    INNER,
     MEETS,
     UNDECIDED,
 )
@@ -35,6 +36,8 @@ from navbake.types import Bool, Float
 
 MOST_STEPS = 128
 ROUNDING = 1e-3  # by how much of itself a distance may seem to grow while it shrinks
+# The two parts of a prism; plain False and True would compile all that takes them twice
+SQUARE, DISC = np.bool_(False), np.bool_(True)
 NEAR = 1e-7  # the two meet when they are proved to be this near, less than TOUCH, to each other [m]
 
 
@@ -123,7 +126,7 @@ def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _nearest_on_segment(a, b, keep, v):
     """Nearest point of a segment to the origin into v; keep says which ends it needs."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -141,7 +144,7 @@ def _nearest_on_segment(a, b, keep, v):
         keep[0], keep[1] = True, True
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _nearest_on_triangle(a, b, c, keep, v):
     """Nearest point of a triangle to the origin into v (Voronoi regions of its features)."""
     keep[0], keep[1], keep[2] = False, False, False
@@ -196,7 +199,7 @@ def _nearest_on_triangle(a, b, c, keep, v):
     keep[0], keep[1], keep[2] = True, True, True
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _origin_outside(a, b, c, d):
     """Whether the origin lies beyond the face a, b, c of a tetrahedron, or d in its plane."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -215,7 +218,7 @@ def _origin_outside(a, b, c, d):
 FACES = np.array([[0, 1, 2, 3], [0, 1, 3, 2], [0, 2, 3, 1], [1, 2, 3, 0]])
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _nearest_on_tetrahedron(simplex):
     """Nearest point of a tetrahedron to the origin into v, by the faces that it lies beyond.
 
@@ -242,7 +245,7 @@ def _nearest_on_tetrahedron(simplex):
     return outside
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _reduce(simplex, num):
     """Reduce a simplex to the part that is nearest to the origin, and put that point into v.
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from navbake.baker.kernels.constants import INNER
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 
@@ -34,7 +35,7 @@ def label_parts(mask):
     return label, parts
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _label_runs(mask, label, parent):
     """Label the runs of each row, and join those that touch; returns how many runs there are."""
     rows, cols = mask.shape
@@ -58,7 +59,7 @@ def _label_runs(mask, label, parent):
     return count
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _number_parts(parent, count):
     """The number of each run's part: a root is its first run, so it is met first."""
     number = np.zeros(count + 1, dtype=np.int32)

@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from navbake.baker.kernels.constants import INNER
+
 
 @njit(cache=True)
 def number_lists(start, value, number):
@@ -45,7 +47,7 @@ def number_lists(start, value, number):
     return first[:count].copy()
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _are_equal(start, value, a, b):
     if start[a + 1] - start[a] != start[b + 1] - start[b]:
         return False

@@ -6,11 +6,12 @@ the first proof that something is in the way ends the search.
 
 from __future__ import annotations
 
+import numpy as np
 from numba import njit, prange
 
 from navbake.baker.kernels.arrays import Prism
-from navbake.baker.kernels.constants import APART, MEETS, UNDECIDED
-from navbake.baker.kernels.gjk import make_simplex
+from navbake.baker.kernels.constants import APART, INLINED, MEETS, UNDECIDED
+from navbake.baker.kernels.gjk import SQUARE, make_simplex
 from navbake.baker.kernels.overlap import (
     line_is_blocked,
     make_polygons,
@@ -22,7 +23,7 @@ from navbake.baker.kernels.solids import disc_too, part_of_solid
 from navbake.baker.kernels.tiles import cell_center, tile_of
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _any_triangle(items, facets, prism):
     if items.shape[0] == 0:
         return False
@@ -35,7 +36,7 @@ def _any_triangle(items, facets, prism):
     return False
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _any_solid(items, solids, prism):
     """MEETS where any solid does; else UNDECIDED where that of any is open; else APART."""
     if items.shape[0] == 0:
@@ -44,7 +45,7 @@ def _any_solid(items, solids, prism):
     for s in items:
         if outside(solids.bounds, s, prism):
             continue
-        part = part_of_solid(solids, s, prism, False, simplex)
+        part = part_of_solid(solids, s, prism, SQUARE, simplex)
         part = disc_too(solids, s, prism, part, simplex)
         if part == MEETS:
             return MEETS
@@ -53,7 +54,7 @@ def _any_solid(items, solids, prism):
     return answer
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _any_geom(tile, solids, facets, planes, tiles, prism):
     """Whether any geom over a tile meets a prism."""
     for p in range(planes.geom.shape[0]):
@@ -66,7 +67,7 @@ def _any_geom(tile, solids, facets, planes, tiles, prism):
     return _any_solid(tiles.solid_item[first:last], solids, prism)
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _check_cell(n, lattice, crossings, solids, facets, planes, tiles, footprint, queries):
     cell, floor = queries.cell[n], queries.floor[n]
     low, high = floor + footprint.low, floor + footprint.high
@@ -92,7 +93,9 @@ def check_cells(lattice, crossings, solids, facets, planes, tiles, footprint, qu
         queries: the questions; their answers are written.
     """
     for n in prange(queries.cell.shape[0]):
-        _check_cell(n, lattice, crossings, solids, facets, planes, tiles, footprint, queries)
+        _check_cell(
+            np.int64(n), lattice, crossings, solids, facets, planes, tiles, footprint, queries
+        )
 
 
 @njit(cache=True, parallel=True)

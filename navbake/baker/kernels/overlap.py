@@ -13,10 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from navbake.baker.kernels.constants import INLINED, INNER
 from navbake.types import Float
 
 # A triangle has at most nine corners when six planes have clipped it
 MOST_CORNERS = 12
+# Axes; plain integers would compile what takes them once for each
+X, Y, Z = np.int64(0), np.int64(1), np.int64(2)
 
 
 class Polygons(NamedTuple):
@@ -32,7 +35,7 @@ def make_polygons():
     return Polygons(np.empty((MOST_CORNERS, 3)), np.empty((MOST_CORNERS, 3)))
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def outside(boxes, i, prism):
     """Whether a box is beside a prism; touching is beside it."""
     reach = max(prism.square, prism.radius)
@@ -46,7 +49,7 @@ def outside(boxes, i, prism):
     )
 
 
-@njit(cache=True)
+@njit(**INNER)
 def clip(points, num, out, axis, limit, sign):
     """Keep the part of a polygon where ``sign * (coordinate - limit) >= 0``.
 
@@ -79,14 +82,14 @@ def clip(points, num, out, axis, limit, sign):
     return kept
 
 
-@njit(cache=True)
+@njit(**INNER)
 def clip_between(points, num, spare, axis, band, out):
     """Keep the part of a polygon between two limits of a coordinate; `out` may be `points`."""
     num = clip(points, num, spare, axis, band[0], 1.0)
     return clip(spare, num, out, axis, band[1], -1.0)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _disc_meets_polygon(points, num, prism):
     """Whether a polygon, seen from above, comes nearer to the disc's middle than its radius."""
     left, right = False, False
@@ -118,18 +121,15 @@ def triangle_meets_prism(corners, prism, polygons):
         polygons: scratch.
     """
     one, other = polygons.one, polygons.other
-    for i in range(3):
-        for k in range(3):
-            one[i, k] = corners[i, k]
-    num = clip_between(one, 3, other, 2, (prism.low, prism.high), one)
+    num = clip_between(corners, corners.shape[0], other, Z, (prism.low, prism.high), one)
     if num == 0:
         return False
     if prism.radius > 0.0 and _disc_meets_polygon(one, num, prism):
         return True
     if prism.square > 0.0:
         x, y, half = prism.x, prism.y, prism.square
-        num = clip_between(one, num, other, 0, (x - half, x + half), one)
-        return clip_between(one, num, other, 1, (y - half, y + half), one) > 0
+        num = clip_between(one, num, other, X, (x - half, x + half), one)
+        return clip_between(one, num, other, Y, (y - half, y + half), one) > 0
     return False
 
 
@@ -146,7 +146,7 @@ def plane_meets_prism(planes, p, prism):
     return depth - reach < 0.0
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def line_is_blocked(crossings, cell, low, high):
     """Whether a cell's line proves that something is between two heights.
 

@@ -19,7 +19,7 @@ import numpy as np
 from llvmlite import binding
 from numba import njit, prange, types
 
-from navbake.baker.kernels.constants import PLANE, SAME
+from navbake.baker.kernels.constants import INLINED, PLANE, SAME
 from navbake.baker.kernels.tiles import cell_center, count_tiles, tile_window
 from navbake.types import Bool, Float, Int32
 
@@ -27,6 +27,8 @@ from navbake.types import Bool, Float, Int32
 RIM = 1e-7
 # An eighth of a turn [rad]
 EIGHTH = 0.7853981633974483
+# What is no crossing at an edge; a plain False would compile what takes it once more
+INSIDE = np.bool_(False)
 
 _ray_geom = types.ExternalFunction(
     "mju_rayGeom",
@@ -65,7 +67,7 @@ def load_mujoco_library(path: str) -> None:
     binding.load_library_permanently(path)
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _cast(pos, mat, size, kind, point, ray):
     """The distance to a geom along a ray from a point, or -1; its normal there into the ray."""
     return _ray_geom(
@@ -79,7 +81,7 @@ def _cast(pos, mat, size, kind, point, ray):
     )
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _cast_at_rim(solids, s, ray):
     """A ray that, where it misses a rim by at most RIM, is moved onto the geom."""
     pos, mat, size, kind = solids.pos[s], solids.mat[s], solids.size[s], solids.kind[s]
@@ -100,7 +102,7 @@ def _cast_at_rim(solids, s, ray):
     return -1.0
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _cross_triangle(corners, x, y):
     """Where the line at (x, y) crosses a triangle.
 
@@ -131,7 +133,7 @@ def _cross_triangle(corners, x, y):
     return (2 if nearest <= RIM else 1), z
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _is_less(column, i, z, geom, faces_up):
     """Whether a crossing comes before the i-th: by height, then geom, undersides first."""
     if z != column.z[i]:
@@ -141,7 +143,7 @@ def _is_less(column, i, z, geom, faces_up):
     return faces_up < (column.normal[i, 2] > 0.0)
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _copy(column, source, target):
     column.z[target] = column.z[source]
     for axis in range(3):
@@ -149,7 +151,7 @@ def _copy(column, source, target):
     column.geom[target] = column.geom[source]
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _insert(column, count, z, normal, geom, is_edge):
     """Insert a crossing into a column of a number of them; normal is (x, y, z)."""
     i = count
@@ -164,7 +166,7 @@ def _insert(column, count, z, normal, geom, is_edge):
     return count + 1
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _drop_doubles(column, count):
     """Drop crossings that two neighbouring triangles of a geom report at their shared edge."""
     kept = 0
@@ -184,15 +186,15 @@ def _drop_doubles(column, count):
     return kept
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _is_beside(box, x, y):
     return x < box[0] - RIM or x > box[3] + RIM or y < box[1] - RIM or y > box[4] + RIM
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _cross_solids(x, y, items, solids, column, ray):
     """Write the crossings of one line with solids; returns their number."""
-    count = 0
+    count = np.int64(0)
     ray.point[0], ray.point[1] = x, y
     for s in items:
         box = solids.bounds[s]
@@ -207,11 +209,11 @@ def _cross_solids(x, y, items, solids, column, ray):
                 nx, ny, nz = ray.normal[0], ray.normal[1], ray.normal[2]
                 # a grazed side has no up or down of its own: the ray's way tells
                 nz = max(nz, 1e-12) if way == 0 else min(nz, -1e-12)
-                count = _insert(column, count, z, (nx, ny, nz), solids.geom[s], False)
+                count = _insert(column, count, z, (nx, ny, nz), solids.geom[s], INSIDE)
     return count
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _cross_planes(planes, heights, column, count, ray):
     """Add the crossings of the ray's line with infinite planes, from their front only."""
     for p in range(planes.geom.shape[0]):
@@ -223,11 +225,11 @@ def _cross_planes(planes, heights, column, count, ray):
             if distance >= 0.0:
                 z = ray.point[2] + ray.direction[2] * distance
                 normal = (ray.normal[0], ray.normal[1], ray.normal[2])
-                count = _insert(column, count, z, normal, planes.geom[p], False)
+                count = _insert(column, count, z, normal, planes.geom[p], INSIDE)
     return count
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _cross_triangles(x, y, items, facets, column, count):
     """Add the crossings of one line with triangles."""
     for t in items:
@@ -242,7 +244,7 @@ def _cross_triangles(x, y, items, facets, column, count):
     return count
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _write(column, count, crossings, first):
     for i in range(count):
         crossings.z[first + i] = column.z[i]
@@ -251,7 +253,7 @@ def _write(column, count, crossings, first):
             crossings.normal[first + i, axis] = column.normal[i, axis]
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _cast_tile(tile, lattice, solids, facets, planes, tiles, heights, crossings):
     """Cross the lines of one tile with what lies over it."""
     nearby = tiles.solid_item[tiles.solid_start[tile] : tiles.solid_start[tile + 1]]
@@ -291,4 +293,4 @@ def cast_lines(lattice, solids, facets, planes, tiles, heights, crossings):
             the others receive the crossings.
     """
     for tile in prange(count_tiles(lattice)):
-        _cast_tile(tile, lattice, solids, facets, planes, tiles, heights, crossings)
+        _cast_tile(np.int64(tile), lattice, solids, facets, planes, tiles, heights, crossings)

@@ -12,12 +12,12 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from navbake.baker.kernels.constants import CLOSED_SURFACE, SAME, SLACK
+from navbake.baker.kernels.constants import CLOSED_SURFACE, INLINED, SAME, SLACK
 from navbake.baker.kernels.tiles import cell_center
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _count_planes_over(planes, x, y, z):
     """How many infinite planes have a point behind them."""
     count = 0
@@ -32,7 +32,7 @@ def _count_planes_over(planes, x, y, z):
     return count
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _look_up(crossings, first, i, last):
     """How many geoms of a column hold the i-th surface, and the height of the next one above.
 
@@ -75,7 +75,7 @@ def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable):
         floor_like, standable: (n,) bool, receive the answers.
     """
     for cell in prange(crossings.start.shape[0] - 1):
-        x, y = cell_center(lattice, cell)
+        x, y = cell_center(lattice, np.int64(cell))
         first, last = crossings.start[cell], crossings.start[cell + 1]
         previous, gentle = -math.inf, -math.inf
         for i in range(first, last):
@@ -95,7 +95,7 @@ def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable):
                 previous = z
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def neighbour(lattice, cell, way):
     """The next cell east (0), south (1), west (2) or north (3), or -1."""
     width, col = lattice.width, cell % lattice.width
@@ -253,7 +253,7 @@ def grow_floor(lattice, crossings, candidate, floor, lowest, highest, step):
     num = floor.shape[0]
     queue, queued = np.empty(num, np.int64), np.zeros(num, np.bool_)
     value = np.empty(num, np.float64)
-    end = 0
+    end = np.int64(0)
     for cell in range(num):
         if not math.isnan(floor[cell]):
             end = _queue_around(lattice, cell, floor, queue, queued, end)
@@ -265,7 +265,7 @@ def grow_floor(lattice, crossings, candidate, floor, lowest, highest, step):
         for q in range(end):
             queued[queue[q]] = False
             floor[queue[q]] = value[q]
-        following, num_following = np.empty(4 * end, np.int64), 0
+        following, num_following = np.empty(4 * end, np.int64), np.int64(0)
         for q in range(end):
             if not math.isnan(value[q]):
                 num_following = _queue_around(
@@ -275,7 +275,7 @@ def grow_floor(lattice, crossings, candidate, floor, lowest, highest, step):
         queue[:end] = following[:end]
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _queue_around(lattice, cell, floor, queue, queued, end):
     """Queue the neighbours of a cell that have no floor; returns the queue's new end."""
     for way in range(4):
@@ -287,7 +287,7 @@ def _queue_around(lattice, cell, floor, queue, queued, end):
     return end
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _nearest_candidate(lattice, cell, crossings, candidate, floor, lowest, highest, step):
     """The height at which a floor goes on in a cell, or NaN."""
     best, best_gap = math.nan, step + SLACK

@@ -12,13 +12,13 @@ import math
 
 from numba import njit
 
-from navbake.baker.kernels.constants import APART, BOX, CAPSULE, CYLINDER, MEETS, SPHERE
-from navbake.baker.kernels.gjk import solid_meets_prism
+from navbake.baker.kernels.constants import APART, BOX, CAPSULE, CYLINDER, INNER, MEETS, SPHERE
+from navbake.baker.kernels.gjk import DISC, SQUARE, solid_meets_prism
 
 SURE = 1e-9  # a gap or an overlap of more than this is no rounding [m]
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _point_gap(dx, dy, half, is_round):
     """How far a point is from a square or a disc round the origin of the plane, >= 0."""
     if is_round:
@@ -26,7 +26,7 @@ def _point_gap(dx, dy, half, is_round):
     return math.hypot(max(abs(dx) - half, 0.0), max(abs(dy) - half, 0.0))
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _plan_gap(solids, s, upright, dx, dy, half, is_round):
     """How far a box or cylinder is from a column, seen from above; negative where they overlap.
 
@@ -39,7 +39,7 @@ def _plan_gap(solids, s, upright, dx, dy, half, is_round):
     if solids.kind[s] == CYLINDER:
         if is_round:
             return math.hypot(dx, dy) - size[0] - half
-        return _point_gap(dx, dy, half, False) - size[0]
+        return _point_gap(dx, dy, half, SQUARE) - size[0]
     a, b = (upright + 1) % 3, (upright + 2) % 3
     ax, ay, bx, by = mat[a], mat[3 + a], mat[b], mat[3 + b]
     on_a, on_b = abs(dx * ax + dy * ay) - size[a], abs(dx * bx + dy * by) - size[b]
@@ -51,7 +51,7 @@ def _plan_gap(solids, s, upright, dx, dy, half, is_round):
     return max(gap, abs(dy) - half - abs(ay) * size[a] - abs(by) * size[b])
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _axis_gap(solids, s, prism, half, is_round):
     """A lower bound for leaning capsules and cylinders; negative only where they do overlap."""
     pos, mat, radius, length = solids.pos[s], solids.mat[s], solids.size[s, 0], solids.size[s, 1]
@@ -70,7 +70,7 @@ def _axis_gap(solids, s, prism, half, is_round):
     return max(math.hypot(px, py) - reach, 0.0)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _gap(solids, s, prism, half, is_round):
     """How far a solid is from a prism, or less; negative where they overlap; 0 for unknown."""
     kind, pos = solids.kind[s], solids.pos[s]
@@ -88,7 +88,7 @@ def _gap(solids, s, prism, half, is_round):
     return 0.0
 
 
-@njit(cache=True)
+@njit(**INNER)
 def part_of_solid(solids, s, prism, is_round, simplex):
     """Whether a solid meets a prism's disc (`is_round`) or its square; APART where it has none.
 
@@ -104,10 +104,10 @@ def part_of_solid(solids, s, prism, is_round, simplex):
     return solid_meets_prism(solids, s, prism, is_round, simplex)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def disc_too(solids, s, prism, by_square, simplex):
     """The answer for a whole prism, given that for its square."""
     if by_square == MEETS:
         return MEETS
-    by_disc = part_of_solid(solids, s, prism, True, simplex)
+    by_disc = part_of_solid(solids, s, prism, DISC, simplex)
     return MEETS if by_disc == MEETS else max(by_square, by_disc)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
+from navbake.baker.kernels.constants import INLINED
 from navbake.types import Bool, Int32
 
 # Columns that one thread sweeps at a time
@@ -23,7 +24,7 @@ STRIP = 256
 
 
 @njit(cache=True, parallel=True)
-def squared_distances(target, reach, first=0, step=1):
+def squared_distances(target, reach, first, step):
     """Squared distance of each node to the nearest target, exact up to `reach`.
 
     Args:
@@ -54,7 +55,7 @@ def squared_distances(target, reach, first=0, step=1):
     return answer
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _sweep(target, along, far):
     """Distances within the columns, at most `far`."""
     rows, cols = target.shape
@@ -69,7 +70,7 @@ def _sweep(target, along, far):
             along[row, col] = min(along[row, col], along[row + 1, col] + np.int16(1))
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _take_lower(lowest, values, add):
     for i in range(lowest.shape[0]):
         lowest[i] = min(lowest[i], np.int32(values[i] + add))
@@ -136,7 +137,7 @@ def flood(label, fillable, height, highest):
             begin, end = end, count
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _take_bucket(buckets, level, wave):
     """Write the cells that wait at a height into a wave; returns how many they are."""
     count = 0
@@ -148,7 +149,7 @@ def _take_bucket(buckets, level, wave):
     return count
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _queue_around(cell, rows, cols, heights, level, buckets, wave, count, near):
     """Queue the cells round one: in the next wave from a height on, lower ones in their bucket.
 
@@ -169,7 +170,7 @@ def _queue_around(cell, rows, cols, heights, level, buckets, wave, count, near):
     return count
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _nearest_origin(cell, near, labels, source, cols):
     """The seed's cell that is nearest, of those that labelled neighbours come from.
 
@@ -192,7 +193,7 @@ def _nearest_origin(cell, near, labels, source, cols):
     return best
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _neighbours(cell, rows, cols, near):
     """Write the cells that share an edge with a cell; returns how many they are."""
     count = 0

@@ -85,7 +85,7 @@ def segment_rooms(
     width = min(door_width / cell_size, float(min(open_cells.shape) + 2))
     least = min_area / cell_size**2 - ROUNDING
     reach = int(width + ROUGHNESS) + 2
-    distance = squared_distances(wall_nodes(open_cells), reach)
+    distance = squared_distances(wall_nodes(open_cells), reach, 0, 1)
     label, num_wide = _find_seeds(open_cells, distance, width, least)
     flood(label, open_cells, np.ascontiguousarray(distance[1::2, 1::2]), (reach + 1) ** 2)
     regions = Regions(label, distance, num_wide)

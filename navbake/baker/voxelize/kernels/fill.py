@@ -22,8 +22,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from navbake.baker.kernels.constants import CONVEX_SOLID, OPEN_SURFACE
-from navbake.baker.kernels.overlap import Polygons, clip_between, make_polygons
+from navbake.baker.kernels.constants import CONVEX_SOLID, INNER, OPEN_SURFACE
+from navbake.baker.kernels.overlap import Polygons, X, Y, clip_between, make_polygons
 from navbake.baker.kernels.tiles import TILE
 from navbake.baker.voxelize.kernels.spans import Square, plane_span, polygon_span, solid_span
 from navbake.baker.voxelize.kernels.tiles import touched
@@ -77,7 +77,7 @@ class Scratch(NamedTuple):
     strip: Float
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _label(voxels, i, j, first, last, label):
     """Label the voxels of a column from first to before last; the least label stays."""
     values = voxels.values
@@ -86,7 +86,7 @@ def _label(voxels, i, j, first, last, label):
             values[i, j, k] = label
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _fill_span(voxels, i, j, span, label):
     """Label the voxels of a column that a span of heights meets."""
     num, bottom = voxels.values.shape[2], voxels.origin[2]
@@ -98,7 +98,7 @@ def _fill_span(voxels, i, j, span, label):
         _label(voxels, i, j, first, last, label)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _square(voxels, i, j):
     """The cross-section of a column, narrowed."""
     x, y = voxels.origin[0] + i * voxels.res, voxels.origin[1] + j * voxels.res
@@ -106,7 +106,7 @@ def _square(voxels, i, j):
     return Square(x + touch, x + res - touch, y + touch, y + res - touch)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _columns_under(voxels, tile, low_x, high_x, low_y, high_y):
     """The columns of a tile under a rectangle."""
     origin, res = voxels.origin, voxels.res
@@ -115,7 +115,7 @@ def _columns_under(voxels, tile, low_x, high_x, low_y, high_y):
     return Patch(tile.i0 + i0, tile.i0 + i1 + 1, tile.j0 + j0, tile.j0 + j1 + 1)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _fill_solid(voxels, tile, solids, s, label, polygons):
     box = solids.bounds[s]
     patch = _columns_under(voxels, tile, box[0], box[3], box[1], box[4])
@@ -125,14 +125,14 @@ def _fill_solid(voxels, tile, solids, s, label, polygons):
             _fill_span(voxels, i, j, span, label)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _fill_plane(voxels, tile, planes, p, label):
     for i in range(tile.i0, tile.i1):
         for j in range(tile.j0, tile.j1):
             _fill_span(voxels, i, j, plane_span(planes, p, _square(voxels, i, j)), label)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _side(ax, ay, bx, by, px, py):
     """On which side of the line from a to b a point is: 1 left, -1 right, 0 where a is b.
 
@@ -161,7 +161,7 @@ def _crossing(c, x, y):
     return side if side == _side(c[2, 0], c[2, 1], c[0, 0], c[0, 1], x, y) else 0
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _height_at(c, x, y):
     """The height of a triangle at (x, y) inside of it."""
     ax, ay = c[0, 0] - x, c[0, 1] - y
@@ -175,7 +175,7 @@ def _height_at(c, x, y):
     return min(max((u * c[0, 2] + v * c[1, 2] + w * c[2, 2]) / total, low), high)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _note_crossing(voxels, c, x, y, winding, reach):
     """Add a triangle's crossing of a column's line at the first voxel with its middle above.
 
@@ -190,7 +190,7 @@ def _note_crossing(voxels, c, x, y, winding, reach):
         reach[0], reach[1] = min(reach[0], k), max(reach[1], k)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _columns_in_strip(voxels, tile, square, strip, num):
     """The columns that a polygon in a strip of one x may lie over."""
     low, high = strip[0, 1], strip[0, 1]
@@ -200,7 +200,7 @@ def _columns_in_strip(voxels, tile, square, strip, num):
     return _columns_under(voxels, tile, square.x0, square.x1, low - margin, high + margin)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _add_triangle(voxels, tile, c, closed, label, scratch):
     """Fill what one triangle meets, and note what its geom needs to be filled.
 
@@ -212,14 +212,14 @@ def _add_triangle(voxels, tile, c, closed, label, scratch):
     patch = _columns_under(voxels, tile, x_low, x_high, y_low, y_high)
     for i in range(patch.i0, patch.i1):
         square = _square(voxels, i, 0)
-        num = clip_between(c, 3, other, 0, (square.x0, square.x1), strip)
+        num = clip_between(c, c.shape[0], other, X, (square.x0, square.x1), strip)
         if num == 0:
             continue
         part = _columns_in_strip(voxels, tile, square, strip, num)
         for j in range(part.j0, part.j1):
             a, b = i - tile.i0, j - tile.j0
             square = _square(voxels, i, j)
-            left = clip_between(strip, num, other, 1, (square.y0, square.y1), one)
+            left = clip_between(strip, num, other, Y, (square.y0, square.y1), one)
             if left > 0:
                 low, high = polygon_span(one, left)
                 if closed == CONVEX_SOLID:
@@ -233,7 +233,7 @@ def _add_triangle(voxels, tile, c, closed, label, scratch):
                 _note_crossing(voxels, c, x, y, scratch.winding[a, b], scratch.reaches[a, b])
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _close_column(voxels, items, corners, x, y, winding, reach):
     """See to it that a column's crossings add up to 0, on another line if one was lost."""
     for attempt in range(1, ASIDE.shape[0]):
@@ -249,7 +249,7 @@ def _close_column(voxels, items, corners, x, y, winding, reach):
             _note_crossing(voxels, corners[t], aside_x, aside_y, winding, reach)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _fill_inside(voxels, tile, items, corners, label, scratch):
     """Fill the inside of a closed surface from its crossings, column by column; clear them."""
     num = voxels.values.shape[2]
@@ -269,7 +269,7 @@ def _fill_inside(voxels, tile, items, corners, label, scratch):
             reach[0], reach[1] = num, -1
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _fill_triangles(voxels, tile, items, corners, closed, label, scratch):
     """Fill what the triangles of one geom meet and enclose within a tile."""
     scratch.spans[:, :, 0], scratch.spans[:, :, 1] = math.inf, -math.inf
@@ -285,7 +285,7 @@ def _fill_triangles(voxels, tile, items, corners, closed, label, scratch):
         _fill_inside(voxels, tile, items, corners, label, scratch)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _fill_geoms(voxels, tile, items, triangles, closed, labels, polygons):
     """Label what a tile's triangles meet and enclose, geom by geom."""
     num = voxels.values.shape[2]
@@ -308,7 +308,7 @@ def _fill_geoms(voxels, tile, items, triangles, closed, labels, polygons):
         first = last
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _fill_tile(voxels, number, tile, solids, planes, triangles, tiles, closed, labels):
     """Label the voxels of one tile."""
     polygons = make_polygons()
@@ -338,7 +338,7 @@ def fill_voxels(voxels, solids, planes, triangles, tiles, closed, labels):
     # neighbours are alike: with every second tile in each half, threads have as much to do
     half = (num_tiles + 1) // 2
     for turn in prange(num_tiles):
-        number = 2 * turn if turn < half else 2 * (turn - half) + 1
+        number = np.int64(2 * turn if turn < half else 2 * (turn - half) + 1)
         i, j = number // tiles_y * TILE, number % tiles_y * TILE
         num_x, num_y, _ = voxels.values.shape
         tile = Patch(i, min(i + TILE, num_x), j, min(j + TILE, num_y))
