@@ -8,6 +8,7 @@ import pytest
 
 import navbake
 from box_worlds import FLOOR, box, stages_of_xml, world
+from differences import first_difference
 from door_scenes import CUPBOARD, LEAF, ROOMS, SHELL, bake_world
 from door_scenes import world as door_world
 from navbake.baker.clock import StageClock
@@ -22,7 +23,6 @@ from navbake.baker.scene.scene import Scene
 from navbake.baker.stages import STAGES, bake_stages, settle_doors, take_first_look
 from navbake.config.settings import load_config
 from navbake.errors import SceneError
-from navbake.navgrid.differences import first_difference
 from project_paths import CONFIGS
 
 TYPES = {

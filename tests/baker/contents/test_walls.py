@@ -218,7 +218,7 @@ def test_a_pattern_that_matches_nothing_is_told_with_near_names(tmp_path):
 
 def user_data(stages: Stages, level: int = 0) -> dict[int, Any]:
     height, width = stages.lattice.shape
-    return stages.contents.user_data(level, (slice(0, height), slice(0, width))).resolve()
+    return dict(stages.contents.user_data(level, (slice(0, height), slice(0, width))))
 
 
 # ---------------------------------------------------------------- meshes that hold a building
