@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from navbake.runtime.flat_grid import Walk
-from navbake.types import Int
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -40,7 +42,7 @@ def map_doors(grid: NavGrid, walk: Walk) -> DoorMap:
     return found
 
 
-def doors_on(doors: DoorMap, cells: Int) -> list[str]:
+def doors_on(doors: DoorMap, cells: NDArray[np.int64]) -> list[str]:
     """The doors that a route goes through, in order; one that is entered again is there again."""
     passed: list[str] = []
     current: Iterable[str] = ()
