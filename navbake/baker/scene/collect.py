@@ -43,9 +43,7 @@ from navbake.types import Float
 
 SOLIDS = (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)
 TYPE_NAMES = dict(
-    enumerate(
-        ["plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh", "sdf"]
-    )
+    enumerate("plane hfield sphere capsule ellipsoid cylinder box mesh sdf".split())  # noqa: SIM905
 )
 ENCLOSES = {"hull": CONVEX_SOLID, "closed surface": CLOSED_SURFACE, "surface": OPEN_SURFACE}
 
