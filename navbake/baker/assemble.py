@@ -23,6 +23,7 @@ from navbake.navgrid.doors import parse_doors
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.user_data import UserData
 
 Int = NDArray[np.int64]
 Window = tuple[slice, slice]
@@ -113,10 +114,9 @@ def _level_grid(
 
 def _user_data(
     baked: Baked, config: BakeConfig, number: int, window: Window, doors: Sequence[StatedDoor]
-) -> Any:
-    """A dictionary by cell id, or what becomes one when somebody asks for it."""
+) -> UserData:
     if not config.names.enabled or baked.contents is None:
-        return {}
+        return UserData()
     shared = baked.contents.user_data(number, window)
     return name_door_cells(shared, doors, number, len(baked.floors.levels))
 

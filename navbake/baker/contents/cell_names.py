@@ -58,7 +58,7 @@ def name_cells(
     Returns:
         Cell ids on the window, ascending; which entry each has; and the entries: sorted names
         under each key that has any, and ``blockers`` where they aren't all the other names. See
-        `SharedUserData`.
+        `navbake.navgrid.user_data.Shared`.
     """
     cell, name, bits = _merge(cell, _number_names(names)[geom], bits, len(names))
     token = name * ALL_BITS + bits

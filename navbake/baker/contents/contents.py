@@ -15,7 +15,6 @@ from navbake.baker.contents.cell_names import (
     BLOCKERS,
     OBJECTS,
     WALLS,
-    Names,
     Window,
     name_cells,
     name_geoms,
@@ -50,7 +49,7 @@ from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings, NameSettings
 from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.user_data import SharedUserData
+from navbake.navgrid.user_data import Shared, UserData
 from navbake.types import Bool, Float, Int, Int32
 
 
@@ -113,14 +112,14 @@ class Contents:
         cells[listed.cell[chosen]] = True
         return cells.reshape(listed.lattice.shape)
 
-    def user_data(self, level: int, window: Window) -> SharedUserData:
+    def user_data(self, level: int, window: Window) -> UserData:
         """Name what stands in a storey's cells, as the original client does.
 
         `objects` are all things but walls and the building's own floors, ceilings and stairs;
         `walls` are the walls; `blockers` are the names of all that blocks the cell, where that
         isn't the same as all of the former. Of what carries a floor, only things are named
         where one stands on them (rugs, pallets). Doors are no part of the contents: see
-        `navbake.navgrid.doors.name_door_cells`.
+        `navbake.navgrid.door_states.name_door_cells`.
 
         Args:
             level: its number.
@@ -130,9 +129,9 @@ class Contents:
             By cell id on the window: sorted names under each key that has any.
         """
         # it takes a while, and who only plans or plots needs none of it
-        return SharedUserData.later(partial(self._name_cells, level, window))
+        return UserData(partial(self._name_cells, level, window))
 
-    def _name_cells(self, level: int, window: Window) -> tuple[Int, Int, list[Names]]:
+    def _name_cells(self, level: int, window: Window) -> Shared:
         listed = self.levels[level]
         kind = self.kinds[listed.geom]
         bits = np.where(listed.blocks, BLOCKERS, 0)
@@ -144,7 +143,7 @@ class Contents:
         cell = np.concatenate([listed.cell, below])
         geom = np.concatenate([listed.geom, carrier[below]])
         bits = np.concatenate([bits, np.full(len(below), OBJECTS)])
-        return name_cells(cell, geom, bits, self.names, listed.lattice, window)
+        return Shared(*name_cells(cell, geom, bits, self.names, listed.lattice, window))
 
     def _is_wall(self, listed: LevelContents) -> Bool:
         kind = self.kinds[listed.geom]

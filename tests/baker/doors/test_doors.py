@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import navbake
+from differences import first_difference
 from door_scenes import CUPBOARD, FIXED_LEAF, LEAF, ROOMS, SHELL, bake_world
 from navbake.baker import pipeline
 from navbake.baker.pipeline import run_bake
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import load_config
 from navbake.errors import QueryError
-from navbake.navgrid.differences import first_difference
 from project_paths import CONFIGS
 
 STATES = ("modelled", "open", "closed", "removed")

@@ -28,7 +28,7 @@ from navbake.baker.kernels.gjk import make_simplex, solid_meets_prism
 from navbake.baker.kernels.overlap import make_polygons, plane_meets_prism, triangle_meets_prism
 from navbake.baker.scene.shapes import Planes, Solids, solid_bounds
 from oracles.prisms import Prisms
-from oracles.surfaces import _disc_meets, _square_meets
+from oracles.surfaces import disc_meets, square_meets
 
 PAIRS = int(os.environ.get("NAVBAKE_EXAMPLES", "1500"))
 KINDS = {
@@ -211,7 +211,7 @@ def test_triangles(is_round: bool) -> None:
         x, y, z = center
         low, high = z - half_z, z + half_z
         prism = Prisms(*(np.array([v]) for v in (x, y, low, high)), half, is_round)
-        test = _disc_meets if is_round else _square_meets
+        test = disc_meets if is_round else square_meets
         inner, outer = (bool(test(corners, prism.shrunk(m))[0]) for m in (1e-9, -1e-9))
         if inner != outer:
             continue
