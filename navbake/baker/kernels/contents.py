@@ -26,7 +26,13 @@ from navbake.baker.kernels.flags import (
     triangle_flags,
 )
 from navbake.baker.kernels.gjk import make_simplex
-from navbake.baker.kernels.overlap import line_is_blocked, make_polygons, outside, plane_meets_prism
+from navbake.baker.kernels.overlap import (
+    ANY_GEOM,
+    line_is_blocked,
+    make_polygons,
+    outside,
+    plane_meets_prism,
+)
 from navbake.baker.kernels.tiles import cell_center, count_tiles, tile_window
 from navbake.types import Float, Int, Int32
 
@@ -167,7 +173,7 @@ def _ask(lattice, cell, crossings, footprint, probe, cells):
         # nothing else can be what blocks it; within the square alone it stands there, too
         known = BLOCKS if footprint.radius > 0.0 else BLOCKS | STANDS
     elif is_taken:
-        by_line = line_is_blocked(crossings, cell, low, high)
+        by_line = line_is_blocked(crossings, cell, volumes.blocks, ANY_GEOM)
     return CellQuestion(cell, column, volumes, is_taken, by_line, known)
 
 

@@ -10,9 +10,14 @@ from typing import NamedTuple
 from numba import njit
 
 from navbake.baker.kernels.arrays import Prism
-from navbake.baker.kernels.constants import APART, INLINED, MEETS, UNDECIDED
+from navbake.baker.kernels.constants import APART, INNER, MEETS, UNDECIDED
 from navbake.baker.kernels.gjk import SQUARE
-from navbake.baker.kernels.overlap import outside, plane_meets_prism, triangle_meets_prism
+from navbake.baker.kernels.overlap import (
+    line_is_blocked,
+    outside,
+    plane_meets_prism,
+    triangle_meets_prism,
+)
 from navbake.baker.kernels.solids import disc_too, part_of_solid
 
 # It stands in the cell, it meets the occupancy's volume, it meets the square in the probed band,
@@ -34,36 +39,20 @@ class Volumes(NamedTuple):
     probed: Prism
 
 
-@njit(**INLINED)
-def _line_meets(crossings, cell, geom, prism):
-    """Whether a cell's line proves that one geom is between two heights; as `line_is_blocked`."""
-    inside = 0
-    for i in range(crossings.start[cell + 1] - 1, crossings.start[cell] - 1, -1):
-        if crossings.z[i] <= prism.low:
-            break
-        if crossings.geom[i] != geom:
-            continue
-        if crossings.z[i] < prism.high:
-            return True
-        if crossings.closed[geom]:
-            inside += 1 if crossings.normal[i, 2] > 0.0 else -1
-    return inside > 0
-
-
-@njit(**INLINED)
+@njit(**INNER)
 def line_flags(crossings, cell, geom, volumes, wanted):
     """The flags that a cell's line alone proves of a geom, of those that are wanted."""
     flags = 0
-    if wanted & STANDS and _line_meets(crossings, cell, geom, volumes.stands):
+    if wanted & STANDS and line_is_blocked(crossings, cell, volumes.stands, geom):
         flags |= STANDS
-    if wanted & BLOCKS and _line_meets(crossings, cell, geom, volumes.blocks):
+    if wanted & BLOCKS and line_is_blocked(crossings, cell, volumes.blocks, geom):
         flags |= BLOCKS
-    if wanted & PROBED and _line_meets(crossings, cell, geom, volumes.probed):
+    if wanted & PROBED and line_is_blocked(crossings, cell, volumes.probed, geom):
         flags |= PROBED
     return flags
 
 
-@njit(**INLINED)
+@njit(**INNER)
 def plane_flags(planes, p, volumes, is_taken, flags):
     """Add what the half-space behind a plane meets; `is_taken` tells if anything may block."""
     if plane_meets_prism(planes, p, volumes.stands):
@@ -73,7 +62,7 @@ def plane_flags(planes, p, volumes, is_taken, flags):
     return flags
 
 
-@njit(**INLINED)
+@njit(**INNER)
 def triangle_flags(items, facets, volumes, flags, wanted, polygons):
     """Add what a geom's triangles meet, until all wanted flags are set."""
     for t in items:
@@ -91,7 +80,7 @@ def triangle_flags(items, facets, volumes, flags, wanted, polygons):
     return flags
 
 
-@njit(**INLINED)
+@njit(**INNER)
 def solid_flags(solids, s, volumes, flags, wanted, simplex):
     """Add what a solid meets of the wanted flags."""
     if wanted & ~flags & BLOCKS and not outside(solids.bounds, s, volumes.blocks):

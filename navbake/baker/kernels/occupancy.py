@@ -9,10 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from navbake.baker.kernels.arrays import Prism
+from navbake.baker.kernels.arrays import Band, Prism
 from navbake.baker.kernels.constants import APART, INLINED, MEETS, UNDECIDED
 from navbake.baker.kernels.gjk import SQUARE, make_simplex
 from navbake.baker.kernels.overlap import (
+    ANY_GEOM,
     line_is_blocked,
     make_polygons,
     outside,
@@ -71,12 +72,12 @@ def _any_geom(tile, solids, facets, planes, tiles, prism):
 def _check_cell(n, lattice, crossings, solids, facets, planes, tiles, footprint, queries):
     cell, floor = queries.cell[n], queries.floor[n]
     low, high = floor + footprint.low, floor + footprint.high
-    if line_is_blocked(crossings, cell, low, high):
+    x, y = cell_center(lattice, cell)
+    prism = Prism(x, y, low, high, footprint.square, footprint.radius)
+    if line_is_blocked(crossings, cell, prism, ANY_GEOM):
         queries.state[n] = MEETS
         queries.by_line[n] = True
         return
-    x, y = cell_center(lattice, cell)
-    prism = Prism(x, y, low, high, footprint.square, footprint.radius)
     tile = tile_of(lattice, cell)
     queries.state[n] = _any_geom(tile, solids, facets, planes, tiles, prism)
 
@@ -109,4 +110,4 @@ def lines_blocked(cells, low, high, crossings, out):
         out: (n,) bool, receives the answers.
     """
     for n in prange(cells.shape[0]):
-        out[n] = line_is_blocked(crossings, cells[n], low[n], high[n])
+        out[n] = line_is_blocked(crossings, cells[n], Band(low[n], high[n]), ANY_GEOM)

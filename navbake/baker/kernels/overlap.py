@@ -20,6 +20,7 @@ from navbake.types import Float
 MOST_CORNERS = 12
 # Axes; plain integers would compile what takes them once for each
 X, Y, Z = np.int64(0), np.int64(1), np.int64(2)
+ANY_GEOM = np.int32(-1)
 
 
 class Polygons(NamedTuple):
@@ -147,7 +148,7 @@ def plane_meets_prism(planes, p, prism):
 
 
 @njit(**INLINED)
-def line_is_blocked(crossings, cell, low, high):
+def line_is_blocked(crossings, cell, band, only):
     """Whether a cell's line proves that something is between two heights.
 
     It does where it crosses a geom there, or runs inside a closed one all along: seen from
@@ -156,14 +157,18 @@ def line_is_blocked(crossings, cell, low, high):
     Args:
         crossings: all columns' crossings.
         cell: which column.
-        low, high: the heights [m].
+        band: what has the heights `low` and `high` [m].
+        only: the geom that is asked about, ANY_GEOM for all.
     """
     inside = 0
     for i in range(crossings.start[cell + 1] - 1, crossings.start[cell] - 1, -1):
-        if crossings.z[i] <= low:
+        if crossings.z[i] <= band.low:
             break
-        if crossings.z[i] < high:
+        geom = crossings.geom[i]
+        if only != ANY_GEOM and geom != only:
+            continue
+        if crossings.z[i] < band.high:
             return True
-        if crossings.closed[crossings.geom[i]]:
+        if crossings.closed[geom]:
             inside += 1 if crossings.normal[i, 2] > 0.0 else -1
     return inside > 0

@@ -88,7 +88,7 @@ def _gap(solids, s, prism, half, is_round):
     return 0.0
 
 
-@njit(**INNER)
+@njit(cache=True)
 def part_of_solid(solids, s, prism, is_round, simplex):
     """Whether a solid meets a prism's disc (`is_round`) or its square; APART where it has none.
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from navbake.baker.kernels.constants import INLINED
+from navbake.baker.kernels.constants import INNER
 
 TILE = 8  # cells along a tile's edge
 
 
-@njit(**INLINED)
+@njit(**INNER)
 def count_tiles(lattice):
     """How many tiles a lattice has."""
     return ((lattice.width + TILE - 1) // TILE) * ((lattice.height + TILE - 1) // TILE)
@@ -27,7 +27,7 @@ def tile_of(lattice, cell):
     return row // TILE * ((lattice.width + TILE - 1) // TILE) + col // TILE
 
 
-@njit(**INLINED)
+@njit(**INNER)
 def tile_window(lattice, tile):
     """The rows and columns of a tile: the first row, past the last, and so with the columns."""
     tiles_x = (lattice.width + TILE - 1) // TILE
@@ -35,7 +35,7 @@ def tile_window(lattice, tile):
     return row, min(row + TILE, lattice.height), col, min(col + TILE, lattice.width)
 
 
-@njit(**INLINED)
+@njit(**INNER)
 def cell_center(lattice, cell):
     """World x and y of a cell's centre [m]."""
     row, col = cell // lattice.width, cell % lattice.width
@@ -43,7 +43,7 @@ def cell_center(lattice, cell):
     return x, lattice.y_max - (row + 0.5) * lattice.cell_size
 
 
-@njit(**INLINED)
+@njit(**INNER)
 def _tile_range(low, high, num_tiles, tile_size):
     first = int(np.floor(max(low, 0.0) / tile_size))
     last = int(np.floor(min(high, num_tiles * tile_size) / tile_size))
@@ -79,7 +79,7 @@ def bin_boxes(bounds, grow, lattice):
     return list_by_tile(ranges, tiles_y * tiles_x, tiles_x)
 
 
-@njit(**INLINED)
+@njit(**INNER)
 def list_by_tile(ranges, num_tiles, stride):
     """List, for each tile, the items over it.
 

@@ -42,17 +42,9 @@ from navbake.errors import SceneError
 from navbake.types import Float
 
 SOLIDS = (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)
-TYPE_NAMES = {
-    PLANE: "plane",
-    HFIELD: "hfield",
-    SPHERE: "sphere",
-    CAPSULE: "capsule",
-    ELLIPSOID: "ellipsoid",
-    CYLINDER: "cylinder",
-    BOX: "box",
-    MESH: "mesh",
-    SDF: "sdf",
-}
+TYPE_NAMES = dict(
+    enumerate("plane hfield sphere capsule ellipsoid cylinder box mesh sdf".split())  # noqa: SIM905
+)
 ENCLOSES = {"hull": CONVEX_SOLID, "closed surface": CLOSED_SURFACE, "surface": OPEN_SURFACE}
 
 

@@ -44,7 +44,6 @@ def create_voxel_grid(
     size: Sequence[float] | None = None,
     segments: Segments | None = None,
     ignore: Sequence[str] = (),
-    align: bool | None = None,
 ) -> VoxelGrid:
     """Make the voxel grid of a scene: True where a geom that counts meets a voxel.
 
@@ -59,12 +58,12 @@ def create_voxel_grid(
             grid covers the scene's box.
         ncells_x, ncells_y, ncells_z: voxels along each axis, >= 1.
         res: edge of a voxel [m].
-        of: a file to write: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``.
+        of: a file to write: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``. For an octree the grid
+            is moved by half a voxel at most, onto whole multiples of `res`; see
+            `Voxelizer.create` to do so for others.
         size: what the grid covers along x, y and z [m], in place of the counts.
         segments: voxels hold IDs of this, see `label_geoms`; None for True and False.
         ignore: name patterns of bodies that are left out, with what hangs on them.
-        align: move the grid by half a voxel at most, onto whole multiples of `res`; None does
-            so where an octree is to be written.
 
     Raises:
         ConfigError: a setting or a number is wrong, or the grid needs more memory than there is.
@@ -73,8 +72,7 @@ def create_voxel_grid(
     counts = [n for n in (ncells_x, ncells_y, ncells_z) if n is not None]
     if len(counts) not in (0, 3):
         raise ConfigError(f"expected 3 counts of cells, whole numbers >= 1, got {counts}")
-    if align is None:
-        align = of is not None and str(of).lower().endswith(OCTREES)
+    align = of is not None and str(of).lower().endswith(OCTREES)
     voxelizer = scene if isinstance(scene, Voxelizer) else Voxelizer(scene, ignore=ignore)
     if ignore and voxelizer is scene:
         raise ConfigError("expected `ignore` where the Voxelizer is made, not where it is used")
