@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 from typer import Argument, Option
 
+from navbake.cli import tables
 from navbake.cli.options import AsJson, Overrides, SceneOrConfig
 from navbake.cli.printing import print_json, print_warnings
 
@@ -14,19 +14,15 @@ from navbake.cli.printing import print_json, print_warnings
 
 
 def init(
-    scene: Annotated[
-        Path, Argument(metavar="SCENE", help="Scene file: MJCF, MJB, URDF or a mesh.")
-    ],
-    output: Annotated[
-        Path | None,
-        Option(
-            "-o",
-            "--output",
-            metavar="FILE",
-            help="YAML to write.  [default: <id>.yaml in the current folder]",
-        ),
-    ] = None,
-    force: Annotated[bool, Option("--force", help="Overwrite FILE if it exists.")] = False,
+    scene: Path = Argument(..., metavar="SCENE", help="Scene file: MJCF, MJB, URDF or a mesh."),
+    output: Path | None = Option(
+        None,
+        "-o",
+        "--output",
+        metavar="FILE",
+        help="YAML to write.  [default: <id>.yaml in the current folder]",
+    ),
+    force: bool = Option(False, "--force", help="Overwrite FILE if it exists."),
 ) -> None:
     """Write a YAML file with all settings, commented, for a scene."""
     from navbake.config.template import write_template
@@ -38,7 +34,6 @@ def init(
 def geoms(config: SceneOrConfig, as_json: AsJson = False, overrides: Overrides = None) -> None:
     """List the geoms of a scene: which count, as what, and why."""
     from navbake.baker.scene.scene import load_scene
-    from navbake.cli.tables import geom_table, print_tables
     from navbake.config.settings import load_config
 
     scene = load_scene(load_config(config, overrides or []).scene)
@@ -49,5 +44,5 @@ def geoms(config: SceneOrConfig, as_json: AsJson = False, overrides: Overrides =
         print_json({"scene_id": scene.id, "geoms": rows, "warnings": list(scene.warnings)})
         return
     num_counted = sum(geom.counted for geom in scene.geoms)
-    print_tables(geom_table(scene.geoms))
+    tables.print_tables(tables.geom_table(scene.geoms))
     print(f"{num_counted} geoms counted, {len(scene.geoms) - num_counted} left out")

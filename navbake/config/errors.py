@@ -32,16 +32,11 @@ def describe_errors(
 ) -> str:
     """Word the first three errors as one line, unknown keys first, and count the others.
 
-    Args:
-        error: what pydantic found.
-        sections: the model of each section, by its dotted key.
-        source: where the settings come from.
-        overrides: each ``a.b=value`` of the command line; named in place of the source where it
-            is at fault.
+    `sections` has the model of each section by its dotted key. An override that is at fault is
+    named in place of the source.
     """
-    details = sorted(
-        error.errors(include_url=False), key=lambda found: found["type"] != "extra_forbidden"
-    )
+    # an unknown key is often the reason for other errors; sorting keeps these in order
+    details = sorted(error.errors(), key=lambda found: found["type"] != "extra_forbidden")
     lines = []
     for found in details[:MAX_ERRORS]:
         # pydantic adds the tag of a union's branch, here =list and the like, and [key]
@@ -76,6 +71,8 @@ def _complaint(
     if kind == "missing":
         return f"expected a value, found none at `{_dotted(loc)}`"
     expected = context.get("text") or EXPECTED.get(kind)
+    if kind == "literal_error":
+        expected = context["expected"].replace("'", "")
     got = context.get("got") or show_value(error["input"])
     where = _dotted(loc) + context.get("at", "")
     return f"expected {expected or error['msg']}, got {got} at `{where}`"
@@ -84,21 +81,21 @@ def _complaint(
 def _unknown_key(loc: tuple[int | str, ...], sections: Mapping[str, type[BaseModel]]) -> str:
     """Name the nearest known key: of the same section first, then of all."""
     section = ".".join(p for p in loc[:-1] if isinstance(p, str))
-    known = {key: f"{section}.{key}".lstrip(".") for key in _keys(sections[section])}
     # reversed, so that of sections with a key in common the first one is named
-    elsewhere = {
-        key: f"{name}.{key}".lstrip(".")
-        for name, model in reversed(list(sections.items()))
-        for key in _keys(model)
-    }
+    elsewhere: dict[str, str] = {}
+    for name in reversed(list(sections)):
+        elsewhere |= _keys(sections, name)
+    known = _keys(sections, section)
     for keys in (known, elsewhere):
         if near := difflib.get_close_matches(str(loc[-1]), keys, n=1):
             return f"unknown key `{_dotted(loc)}`, the nearest known one is `{keys[near[0]]}`,"
     return f"unknown key `{_dotted(loc)}`, known are {', '.join(known)},"
 
 
-def _keys(model: type[BaseModel]) -> list[str]:
-    return [field.alias or name for name, field in model.model_fields.items()]
+def _keys(sections: Mapping[str, type[BaseModel]], section: str) -> dict[str, str]:
+    """The dotted keys of a section by their last parts."""
+    keys = [field.alias or name for name, field in sections[section].model_fields.items()]
+    return {key: f"{section}.{key}".lstrip(".") for key in keys}
 
 
 def _origin(loc: tuple[int | str, ...], source: str, overrides: Sequence[str]) -> str:

@@ -23,11 +23,7 @@ COMMENT_COLUMN = 34
 
 
 def render_template(config: BakeConfig) -> str:
-    """Write settings as a commented YAML document, which reads back as the same settings.
-
-    Args:
-        config: the settings; its `scene.path` is written as it stands.
-    """
+    """Write settings as a commented YAML document, which reads back as the same settings."""
     lines = [
         "# Settings of a navbake bake: metres, world frame with z up.",
         "# Every key but scene.path may be left out.",
@@ -40,15 +36,9 @@ def render_template(config: BakeConfig) -> str:
 def write_template(
     scene: str | PathLike[str], path: str | PathLike[str] | None = None, *, force: bool = False
 ) -> Path:
-    """Write the commented default settings for a scene.
+    """Write the commented default settings for a scene, and return the path that was written.
 
-    Args:
-        scene: the scene's file, which must exist.
-        path: the YAML to write; ``<scene id>.yaml`` in the current folder if None.
-        force: overwrite a file that is there.
-
-    Returns:
-        The path that was written.
+    The path is ``<scene id>.yaml`` in the current folder if None; `force` overwrites a file.
 
     Raises:
         SceneError: there is no such scene.
