@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 
 from typer import Argument, BadParameter, Exit, Option
 
-from navbake.cli import tables
 from navbake.cli.options import Overrides, check_output
-from navbake.cli.printing import print_error, print_warnings
+from navbake.cli.printing import level_table, print_error, print_tables, print_warnings
 from navbake.cli.warm_up import tell_if_cold
 from navbake.errors import ConfigError, NavbakeError
 
@@ -91,12 +90,12 @@ def _is_folder(output: str) -> bool:
 
 def _bake_one(config: BakeConfig, target: Path, threads: int | None, quiet: bool) -> None:
     from navbake.baker.pipeline import run_bake
-    from navbake.cli.progress import StageProgress
+    from navbake.cli.progress import stage_progress
     from navbake.views.info import describe
 
     if not quiet:
         tell_if_cold()
-    with StageProgress(title=config.scene.id, hidden=quiet) as progress:
+    with stage_progress(title=config.scene.id, hidden=quiet) as progress:
         result = run_bake(config, threads=threads, progress=progress)
     begin = time.perf_counter()
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -106,7 +105,7 @@ def _bake_one(config: BakeConfig, target: Path, threads: int | None, quiet: bool
         print_warnings(result.warnings)
         return
     print(target)
-    tables.print_tables(tables.level_table(describe(result.grid)))
+    print_tables(level_table(describe(result.grid)))
     for warning in result.warnings:
         print(f"warning: {warning}")
     stages = ", ".join(f"{stage} {seconds:.2f}" for stage, seconds in result.timings.items())

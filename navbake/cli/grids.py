@@ -7,9 +7,8 @@ from pathlib import Path
 from typer import BadParameter, Option
 
 import navbake
-from navbake.cli import tables
+from navbake.cli import printing
 from navbake.cli.options import AsJson, GridFile, check_output
-from navbake.cli.printing import print_json
 
 # Functions import views when they run: --help loads no numpy, no matplotlib.
 
@@ -21,12 +20,12 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
     content = navbake.load(grid)
     facts = describe(content)
     if as_json:
-        print_json(facts)
+        printing.print_json(facts)
         return
-    shown = [tables.summary_table(facts), tables.level_table(facts)]
+    shown = [printing.summary_table(facts), printing.level_table(facts)]
     if content.doors:
-        shown.append(tables.door_table(content.doors, content.level_names))
-    tables.print_tables(*shown)
+        shown.append(printing.door_table(content.doors, content.level_names))
+    printing.print_tables(*shown)
 
 
 def rooms(grid: GridFile, as_json: AsJson = False) -> None:
@@ -35,13 +34,13 @@ def rooms(grid: GridFile, as_json: AsJson = False) -> None:
     found, doors = content.rooms, content.doors
     if as_json:
         lists = {"rooms": [r.to_json() for r in found], "doors": [d.to_json() for d in doors]}
-        print_json({"scene_id": content.scene_id, **lists})
+        printing.print_json({"scene_id": content.scene_id, **lists})
         return
-    tables.print_tables(tables.room_table(found, content.level_names))
+    printing.print_tables(printing.room_table(found, content.level_names))
     print(f"{len(found)} room{'' if len(found) == 1 else 's'}")
     if doors:
         print()
-        tables.print_tables(tables.door_table(doors, content.level_names))
+        printing.print_tables(printing.door_table(doors, content.level_names))
 
 
 def why(
@@ -70,9 +69,9 @@ def why(
     else:
         cells = describe_column(content, *position)
     if as_json:
-        print_json(cells)
+        printing.print_json(cells)
     else:
-        tables.print_tables(*map(tables.cell_table, cells))
+        printing.print_tables(*map(printing.cell_table, cells))
 
 
 def plot(

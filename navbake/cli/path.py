@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from navbake.runtime.paths import path as paths
 
 POSITION = "X,Y[,Z|,LEVEL]"
+NAMED = ("room:", "object:")
 
 
 def path(
@@ -46,12 +47,16 @@ def path(
     """
     if output is not None:
         check_output(output, ".png")
+    if len(goals) > 1 and any(goal.startswith(NAMED) for goal in goals):
+        raise BadParameter("several goals have to be positions", param_hint="--to")
     content = navbake.load(grid)
     if radius is not None:
         content = content.inflate(radius)
     finder = navbake.PathFinder(content)
     origin = _parse_position(content, start, "--from")
-    goal = _parse_goals(content, goals)
+    goal: Any = goals[0]
+    if not goal.startswith(NAMED):
+        goal = [_parse_position(content, text, "--to") for text in goals]
     found = finder.find_path(origin, goal, smooth=smooth)
     reason = None if found else finder.why_not(origin, goal)
     if as_json:
@@ -66,13 +71,6 @@ def path(
         plot_grid(content, output, layers=("occupancy",), route=found)
     if not found:
         raise Exit(1)
-
-
-def _parse_goals(grid: NavGrid, texts: list[str]) -> Any:
-    named = [text for text in texts if text.startswith(("room:", "object:"))]
-    if named and len(texts) > 1:
-        raise BadParameter("several goals have to be positions", param_hint="--to")
-    return texts[0] if named else [_parse_position(grid, text, "--to") for text in texts]
 
 
 def _parse_position(grid: NavGrid, text: str, option: str) -> list[float]:

@@ -6,9 +6,8 @@ from pathlib import Path
 
 from typer import Argument, Option
 
-from navbake.cli import tables
 from navbake.cli.options import AsJson, Overrides, SceneOrConfig
-from navbake.cli.printing import print_json, print_warnings
+from navbake.cli.printing import geom_table, print_json, print_tables, print_warnings
 
 # Functions import what reads scenes when they run: --help loads neither MuJoCo nor numpy.
 
@@ -44,5 +43,5 @@ def geoms(config: SceneOrConfig, as_json: AsJson = False, overrides: Overrides =
         print_json({"scene_id": scene.id, "geoms": rows, "warnings": list(scene.warnings)})
         return
     num_counted = sum(geom.counted for geom in scene.geoms)
-    tables.print_tables(tables.geom_table(scene.geoms))
+    print_tables(geom_table(scene.geoms))
     print(f"{num_counted} geoms counted, {len(scene.geoms) - num_counted} left out")

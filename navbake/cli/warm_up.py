@@ -26,7 +26,9 @@ SCENE = """<mujoco model="warm-up">
   <geom type="plane" size="0 0 1" pos="0 0 -.2"/>
   <geom type="box" size="4 3 .1" pos="0 0 -.1"/>
   <geom type="box" size="1.5 3 .1" pos="-2.5 0 1.9"/>
-  {stairs}
+  <replicate count="9" offset="-.3 0 .2">
+    <geom type="box" size=".15 .6 .1" pos=".9 0 .1"/>
+  </replicate>
   <geom type="box" size=".05 1.2 1.2" pos="2.4 1.8 1.2"/>
   <geom type="box" size=".05 1.2 1.2" pos="2.4 -1.8 1.2"/>
   <geom type="sphere" size=".3" pos="1.5 2 .3"/>
@@ -41,10 +43,6 @@ SCENE = """<mujoco model="warm-up">
     <geom type="box" size=".02 .55 1" pos="0 .6 0"/>
   </body>
 </worldbody></mujoco>"""
-STAIRS = "\n".join(
-    f'<geom type="box" size=".15 .6 {0.1 * k}" pos="{1.2 - 0.3 * k} 0 {0.1 * k}"/>'
-    for k in range(1, 10)
-)
 
 
 def warm_up() -> None:
@@ -53,9 +51,9 @@ def warm_up() -> None:
     It takes a minute or two. Without it, the first bake and the first query compile what they
     use.
     """
-    from navbake.cli.progress import StageProgress  # loads rich
+    from navbake.cli.progress import stage_progress  # loads rich
 
-    with StageProgress(title="compiling") as progress:
+    with stage_progress(title="compiling") as progress:
         compile_all(progress)
     print("compiled: bakes and queries start at once from now on")
 
@@ -83,7 +81,7 @@ def compile_all(progress: Callable[[str, float], None]) -> None:
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "warm-up.xml"
-        path.write_text(SCENE.format(stairs=STAIRS), encoding="utf-8")
+        path.write_text(SCENE, encoding="utf-8")
         settings = {"scene": {"path": path, "geoms": "all"}, "attributes": ["island", "clearance"]}
         progress("bake", 0.0)
         grid = navbake.bake(settings)

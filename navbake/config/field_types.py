@@ -74,10 +74,8 @@ def check_distinct(value: list[str]) -> list[str]:
     return value
 
 
-Number = Annotated[float, expects("a number")]
 Positive = Annotated[float, Field(gt=0), expects("a number > 0")]
 NotNegative = Annotated[float, Field(ge=0), expects("a number >= 0")]
-Flag = Annotated[bool, expects("true or false")]
 Name = Annotated[str, Field(min_length=1), expects("text that is not empty")]
 OptionalName = Annotated[Name | None, expects("text that is not empty, or null")]
 FilePath = Annotated[Path, BeforeValidator(to_path), expects("a path")]

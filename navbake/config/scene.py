@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from navbake.config.field_types import (
-    Flag,
     Name,
     Positive,
     Section,
@@ -52,7 +51,7 @@ class ExcludeSettings(Settings):
         [], "body name patterns (*, ?, [...]); child bodies are left out too"
     )
     geoms: list[Name] = setting([], "geom name patterns")
-    movable: Flag = setting(False, "true: leave out bodies with a free joint; or false")
+    movable: bool = setting(False, "true: leave out bodies with a free joint; or false")
 
 
 class SceneSettings(Settings):

@@ -22,16 +22,13 @@ from pydantic import (
     Tag,
     ValidationError,
     ValidationInfo,
-    field_validator,
 )
 
 from navbake.config.errors import describe_errors
 from navbake.config.field_types import (
     FilePath,
-    Flag,
     Name,
     NotNegative,
-    Number,
     OptionalName,
     Positive,
     Section,
@@ -57,25 +54,31 @@ def _check_bounds(value: list[float]) -> list[float]:
     return value
 
 
+def _check_below_height(value: float, info: ValidationInfo) -> float:
+    height = info.data.get("height")
+    if height is not None and value >= height:
+        raise refusal(f"a number >= 0 and < `agent.height` ({height:g})")
+    return value
+
+
+def _check_above_ground(value: float | None, info: ValidationInfo) -> float | None:
+    ground = info.data.get("ground")
+    if value is not None and ground is not None and value <= ground:
+        raise refusal(f"a number > `ground` ({ground:g}), or null")
+    return value
+
+
 class AgentSettings(Settings):
     """The agent that must fit where it stands."""
 
     height: Positive = setting(1.14, "height of the agent [m], > 0")
     radius: NotNegative = setting(0.05, "radius of its footprint [m], >= 0")
-    traversable_floor_height: NotNegative = setting(
+    traversable_floor_height: Annotated[NotNegative, AfterValidator(_check_below_height)] = setting(
         0.25, "highest step; what is lower is no obstacle [m], >= 0, < height"
     )
     max_slope: Annotated[
         float, Field(ge=0, le=89.9), expects("a number of degrees from 0 to 89.9")
     ] = setting(45.0, "steepest floor [degrees], 0 to 89.9")
-
-    @field_validator("traversable_floor_height")
-    @classmethod
-    def _check_below_height(cls, value: float, info: ValidationInfo) -> float:
-        height = info.data.get("height")
-        if height is not None and value >= height:
-            raise refusal(f"a number >= 0 and < `agent.height` ({height:g})")
-        return value
 
 
 class GridSettings(Settings):
@@ -96,19 +99,11 @@ class GridSettings(Settings):
 class LevelSettings(Settings):
     """One given level."""
 
-    ground: Number = Field(description="height of the level's ground, world z [m]; no default")
-    top: Annotated[float | None, expects("a number > ground, or null")] = setting(
-        None, "height where it ends [m], > ground", "the next level's ground"
-    )
+    ground: float = Field(description="height of the level's ground, world z [m]; no default")
+    top: Annotated[
+        float | None, expects("a number > ground, or null"), AfterValidator(_check_above_ground)
+    ] = setting(None, "height where it ends [m], > ground", "the next level's ground")
     name: OptionalName = setting(None, "its name, or null")
-
-    @field_validator("top")
-    @classmethod
-    def _check_above_ground(cls, value: float | None, info: ValidationInfo) -> float | None:
-        ground = info.data.get("ground")
-        if value is not None and ground is not None and value <= ground:
-            raise refusal(f"a number > `ground` ({ground:g}), or null")
-        return value
 
 
 class FloorSettings(Settings):
@@ -116,33 +111,26 @@ class FloorSettings(Settings):
 
     min_area: NotNegative = setting(1.0, "smallest area of a floor, after shrinking [m2], >= 0")
     shrink: NotNegative = setting(0.3, "distance to shrink floors by for that [m], >= 0")
-    tops: Flag = setting(
+    tops: bool = setting(
         False, "keep large tops of what stands on a floor (beds, blocks): true or false"
     )
-    roofs: Flag = setting(False, "keep roofs as levels: true or false")
+    roofs: bool = setting(False, "keep roofs as levels: true or false")
 
 
 class NameSettings(Settings):
     """The names of what stands in the cells."""
 
-    enabled: Flag = setting(True, "write them: true or false")
+    enabled: bool = setting(True, "write them: true or false")
     walls: list[Name] = setting(
         [], "body, geom or mesh name patterns of walls", "[], which finds walls by their shape"
     )
-
-
-def _switch_names(value: Any) -> Any:
-    """`names: false` is short for `names: {enabled: false}`."""
-    if isinstance(value, bool):
-        return {"enabled": value}
-    return {} if value is None else value
 
 
 class DoorSettings(Settings):
     """Which bodies are doors, and the state in which they are baked."""
 
     patterns: list[Name] = setting([], "body name patterns of doors (*, ?, [...])")
-    find: Flag = setting(
+    find: bool = setting(
         True, "find doors between rooms by shape and joint (one hinge or slide): true or false"
     )
     state: Literal["modelled", "open", "closed", "removed"] = setting(
@@ -196,9 +184,10 @@ class BakeConfig(Settings):
     floors: Section[FloorSettings] = section(
         FloorSettings, "which surfaces are floors, and not furniture"
     )
-    names: Annotated[NameSettings, BeforeValidator(_switch_names)] = section(
-        NameSettings, "names of what stands in the cells, or false"
-    )
+    names: Annotated[
+        Section[NameSettings],  # `names: false` is short for `names: {enabled: false}`
+        BeforeValidator(lambda value: {"enabled": value} if isinstance(value, bool) else value),
+    ] = section(NameSettings, "names of what stands in the cells, or false")
     rooms: Annotated[RoomSettings, BeforeValidator(expand_rooms)] = section(
         RoomSettings,
         "how rooms are told apart; `rooms: auto` divides at doors only, none: no rooms",
