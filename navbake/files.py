@@ -34,7 +34,7 @@ def write_whole(data: bytes, path: str | PathLike[str]) -> None:
 
 
 def check_writable(path: str | PathLike[str]) -> None:
-    """Raise an OSError for a path that `write_whole` could not write, before work is done for it."""
+    """Raise an OSError for a path that `write_whole` could not write, before any work is done."""
     if _is_replaceable(path):
         with tempfile.TemporaryFile(dir=os.path.dirname(os.path.realpath(path))):
             pass

@@ -77,7 +77,7 @@ def _read_squares(
     path: Path, squares: Squares, explored: Path | None
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Which squares of a level are explored, and which hold an obstacle."""
-    import numpy as np
+    import numpy as np  # --help does without it
 
     from navbake.arena.arena import find_obstacles, place_squares
 
@@ -92,7 +92,7 @@ def _read_squares(
     if explored is None:
         return np.ones_like(filled), filled
     try:
-        known = np.load(explored, allow_pickle=False)
+        known = np.load(explored, allow_pickle=False)  # a pickle could run code
     except (OSError, ValueError, EOFError) as error:
         raise FormatError(f"expected an array (.npy), {explored} can't be read: {error}") from error
     if not isinstance(known, np.ndarray):

@@ -23,8 +23,11 @@ class Box(NamedTuple):
     """Options that place the grid."""
 
     res: float = Option(0.1, help="Edge of a voxel [m].")
-    center: Triple | None = Option(
-        None, metavar="X Y Z", help="Centre of the grid [m].  [default: of the scene's box]"
+    position: Triple | None = Option(
+        None,
+        "--center",
+        metavar="X Y Z",
+        help="Centre of the grid [m].  [default: of the scene's box]",
     )
     cells: tuple[int, int, int] | None = Option(
         None, metavar="NX NY NZ", help="Number of voxels along each axis."
@@ -87,14 +90,9 @@ def voxelize(
 
     voxelizer = navbake.Voxelizer(load_config(config, overrides or []), ignore=ignore or [])
     print_warnings(voxelizer.scene.warnings)
-    grid = voxelizer.create(
-        box.center,
-        box.cells,
-        res=box.res,
-        size=box.size,
-        segments=_parse_segments(segments),
-        align=box.align or any(has_octree),
-    )
+    # an octree's voxels begin at multiples of their edge, and all files are to hold the same ones
+    box = box._replace(align=box.align or any(has_octree))
+    grid = voxelizer.create(segments=_parse_segments(segments), **box._asdict())
     print_warnings(grid.notes)
     for output in outputs:
         _write(grid, output, layout)

@@ -1,6 +1,6 @@
 """The command `navbake warm-up`: compiles the kernels, so that no first bake or query waits.
 
-It bakes a small scene and uses the result, so it stands here, above the baker and the run time.
+It bakes a small scene and uses the grid: the command line is above the baker and the run time.
 """
 
 from __future__ import annotations

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.errors import MissingDependencyError, NavbakeError, QueryError
 from navbake.files import write_whole
@@ -121,22 +120,16 @@ def _draw_panel(figure: Any, ax: Any, panel: Panel, level: SceneGrid2D) -> None:
     x_min, y_min, x_max, y_max = level.lattice.bounds
     rgb = panel.rgb
     if panel.values is not None:
-        colors = ScalarMappable(Normalize(*_value_range(panel.values)), COLOR_MAP)
         shown = np.isfinite(panel.values)
+        values = panel.values[shown]
+        low, high = (float(values.min()), float(values.max())) if values.size else (0.0, MIN_RANGE)
+        widen = max(0.0, MIN_RANGE - (high - low)) / 2
+        colors = ScalarMappable(Normalize(low - widen, high + widen), COLOR_MAP)
         rgb = rgb.copy()
-        rgb[shown] = colors.to_rgba(panel.values[shown], bytes=True)[:, :3]
+        rgb[shown] = colors.to_rgba(values, bytes=True)[:, :3]
         figure.colorbar(colors, ax=ax, label=panel.scale)
     ax.imshow(rgb, extent=(x_min, x_max, y_min, y_max))  # row 0, the top one, has the largest y
     ax.set_title(panel.title, fontsize="medium", parse_math=False)
-
-
-def _value_range(values: NDArray[np.float32]) -> tuple[float, float]:
-    finite = values[np.isfinite(values)]
-    if not finite.size:
-        return 0.0, MIN_RANGE
-    low, high = float(finite.min()), float(finite.max())
-    widen = max(0.0, MIN_RANGE - (high - low)) / 2
-    return low - widen, high + widen
 
 
 def _write_labels(ax: Any, labels: Sequence[Label], longer_side: float) -> None:
