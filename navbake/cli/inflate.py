@@ -23,9 +23,7 @@ def inflate(
         "[default: 0; with nav2 costs, up to where the cost falls to 1]",
     ),
     mode: str = Option(
-        "exact",
-        help="exact (the agent's disc meets no occupied cell) or minos (the original "
-        "client's rule).",
+        "exact", help="exact (its disc meets no occupied cell) or minos (the original client's)."
     ),
     costs: str = Option(
         "step", help="Cost of cells within the clearance: step (10), or nav2 (exponential)."

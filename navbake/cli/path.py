@@ -22,10 +22,7 @@ NAMED = ("room:", "object:")
 def path(
     grid: GridFile,
     start: str = Option(
-        ...,
-        "--from",
-        metavar=POSITION,
-        help="Start: world position [m]. In place of z, a level: L0 is the lowest.",
+        ..., "--from", metavar=POSITION, help="Start [m]; in place of z a level, L0 is the lowest."
     ),
     goals: list[str] = Option(
         ...,

@@ -70,7 +70,8 @@ def geom_table(geoms: Iterable[GeomReport]) -> Table:
 
 def summary_table(facts: Json) -> Table:
     """A row for each fact about the whole grid, from `navbake.views.info.describe`."""
-    return _facts_table(
+    return _table(
+        ("", ""),
         [
             ("type", facts["type"]),
             ("scene", facts["scene_id"] or "not named"),
@@ -84,7 +85,7 @@ def summary_table(facts: Json) -> Table:
             ("links", facts["num_links"]),
             ("doors", len(facts["doors"])),
             *((name.replace("_", " "), value) for name, value in facts["made_by"].items()),
-        ]
+        ],
     )
 
 
@@ -140,7 +141,8 @@ def cell_table(facts: Json) -> Table:
     """A row for each fact about a cell, from `navbake.views.why.describe_cell`."""
     room, weight, floor = facts["room"], facts["weight"], facts["floor"]
     blocked = "no floor here" if floor is None else "blocked"
-    return _facts_table(
+    return _table(
+        ("", ""),
         [
             ("verdict", "an agent can stand here" if facts["free"] else blocked),
             ("blocked by", ", ".join(facts["blockers"]) or "-"),
@@ -152,14 +154,8 @@ def cell_table(facts: Json) -> Table:
             ("room", room["id"] if isinstance(room, dict) else room or "none"),
             ("island", facts["island"] or "none"),
             *((key, ", ".join(facts[key]) or "-") for key in ("doors", "objects", "walls")),
-        ]
+        ],
     )
-
-
-def _facts_table(rows: Iterable[Sequence[Any]]) -> Table:
-    table = _table(("", ""), rows)
-    table.show_header = False
-    return table
 
 
 def _table(
@@ -170,7 +166,7 @@ def _table(
 ) -> Table:
     from rich.table import Table
 
-    table = Table(box=None, pad_edge=False, padding=(0, gap, 0, 0))
+    table = Table(box=None, pad_edge=False, padding=(0, gap, 0, 0), show_header=any(headings))
     for name in headings:
         table.add_column(name, justify="right" if name in numbers else "left", overflow="fold")
     for row in rows:

@@ -15,11 +15,7 @@ from navbake.cli.printing import geom_table, print_json, print_tables, print_war
 def init(
     scene: Path = Argument(..., metavar="SCENE", help="Scene file: MJCF, MJB, URDF or a mesh."),
     output: Path | None = Option(
-        None,
-        "-o",
-        "--output",
-        metavar="FILE",
-        help="YAML to write.  [default: <id>.yaml in the current folder]",
+        None, "-o", "--output", metavar="FILE", help="YAML to write.  [default: ./<id>.yaml]"
     ),
     force: bool = Option(False, "--force", help="Overwrite FILE if it exists."),
 ) -> None:

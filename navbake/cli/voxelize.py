@@ -24,10 +24,7 @@ class Box(NamedTuple):
 
     res: float = Option(0.1, help="Edge of a voxel [m].")
     position: Triple | None = Option(
-        None,
-        "--center",
-        metavar="X Y Z",
-        help="Centre of the grid [m].  [default: of the scene's box]",
+        None, "--center", metavar="X Y Z", help="Centre [m].  [default: of the scene's box]"
     )
     cells: tuple[int, int, int] | None = Option(
         None, metavar="NX NY NZ", help="Number of voxels along each axis."
@@ -36,9 +33,7 @@ class Box(NamedTuple):
         None, metavar="X Y Z", help="Size of the grid [m], in place of --cells."
     )
     align: bool = Option(
-        False,
-        "--align",
-        help="Move the grid so that voxels begin at multiples of --res. Octrees always do.",
+        False, "--align", help="Begin voxels at multiples of --res, as octrees always do."
     )
 
 
