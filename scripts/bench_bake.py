@@ -34,7 +34,7 @@ SIZES = (4, 25, 100, 400)
 LIMITS = "at most 6 s and 2048 MiB on 2 cores"
 RATIO_LIMIT = 1.3
 SHARE_LIMIT = 0.3
-SHORT = 0.5  # what is measured goes on for at least so long [s]
+SHORT = 0.5  # bakes are repeated for at least this long [s]
 DOORS_LIMIT = 1.0  # on all doors of the main house [s]
 
 

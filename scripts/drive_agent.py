@@ -45,7 +45,7 @@ class Drive:
         num_paths: how many paths were driven.
         num_steps: physics steps.
         length: of all paths [m].
-        touched: in how many steps each geom was touched, by name; but for floor.
+        touched: in how many steps each geom was touched, by name; floor is not counted.
         num_on_floor: in how many steps its underside touched something no steeper than floor is.
         off: the farthest that the agent was from where it should have been [m].
     """

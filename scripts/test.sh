@@ -4,7 +4,22 @@ set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/venv.sh"
 use_venv test
 
+# what some tests need and not every machine has; these tests are skipped without it
+missing=$(python - <<'EOF'
+from importlib.util import find_spec
+from shutil import which
+
+packages = ("dm_control", "gymnasium_robotics", "labmaze", "matplotlib", "octomap", "ogbench")
+missing = [name for name in packages if find_spec(name) is None]
+missing += [name for name in ("binvox2bt",) if which(name) is None]
+print(", ".join(missing))
+EOF
+)
+
 ruff check
 ruff format --check
 mypy
-python -m pytest "$@"
+python -m pytest -rs "$@" # -rs lists what was skipped, and why
+if [ -n "$missing" ]; then
+    echo "$0: skipped the tests that need $missing" >&2
+fi

@@ -139,11 +139,12 @@ def test_ogbench(tmp_path, monkeypatch):
     env = gymnasium.make("pointmaze-giant-v0")
     try:
         inner: Any = env.unwrapped
-        unit = inner._maze_unit
+        first, (second, _) = inner.ij_to_xy((0, 0)), inner.ij_to_xy((0, 1))
+        unit = second - first[0]
         maze = Maze(
             model=inner.model,
             walls=np.array(inner.maze_map) == 1,
-            first=(-inner._offset_x, -inner._offset_y),  # row 0 has the smallest y
+            first=first,  # row 0 has the smallest y
             step=(unit, unit),
             robot="torso",
         )

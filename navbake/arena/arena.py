@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navbake.arena.map_descriptor import MOST, SQUARE
 from navbake.errors import QueryError
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.lattice import CELL_SLACK, Lattice, num_cells
+from navbake.types import Bool, Int
 
 
 def place_squares(
@@ -64,8 +65,8 @@ def place_squares(
     return squares
 
 
-def find_obstacles(level: SceneGrid2D, squares: Lattice) -> NDArray[np.bool_]:
-    """Tell which squares hold an obstacle: anywhere in the square fills it.
+def find_obstacles(level: SceneGrid2D, squares: Lattice) -> Bool:
+    """Mark the squares that hold an obstacle in any part.
 
     Obstacles are occupied cells, and what lies beside the level. A cell that only touches a
     square isn't in it.
@@ -79,6 +80,8 @@ def find_obstacles(level: SceneGrid2D, squares: Lattice) -> NDArray[np.bool_]:
     """
     lattice = level.lattice
     filled = np.pad(level.occupancy != 0, 1, constant_values=True)
+    # a summed-area table (Crow 1984): the sum over any rectangle from its four corners; the
+    # padding stands for what lies beside the level
     sums = np.zeros((filled.shape[0] + 1, filled.shape[1] + 1), dtype=np.int64)
     sums[1:, 1:] = filled.cumsum(axis=0).cumsum(axis=1)
     size = squares.cell_size / lattice.cell_size
@@ -87,15 +90,11 @@ def find_obstacles(level: SceneGrid2D, squares: Lattice) -> NDArray[np.bool_]:
     row0, row1 = _spans(top, size, squares.height, lattice.height)
     col0, col1 = _spans(left, size, squares.width, lattice.width)
     row0, row1 = row0[:, None], row1[:, None]
-    inside: NDArray[np.int64] = (
-        sums[row1, col1] - sums[row0, col1] - sums[row1, col0] + sums[row0, col0]
-    )
+    inside: Int = sums[row1, col1] - sums[row0, col1] - sums[row1, col0] + sums[row0, col0]
     return inside > 0
 
 
-def _spans(
-    first: float, size: float, count: int, limit: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _spans(first: float, size: float, count: int, limit: int) -> tuple[Int, Int]:
     """The cells under each square along an axis, from and to, in an array padded by one."""
     edges = first + np.arange(count + 1) * size
     start = np.floor(edges[:-1] + CELL_SLACK).astype(np.int64) + 1

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navbake.arena.map_descriptor import ARENA, SQUARE, check_shape, decode, draw, encode
 from navbake.errors import QueryError
 from navbake.navgrid.lattice import Lattice
+from navbake.types import Float, Int
 
 HAIR = 1e-6  # a range that ends this little before a face was measured to it [m]
 
@@ -94,7 +95,7 @@ class ExploredMap:
 
         Each ray explores the squares that it passes, and they are free. A range below
         `max_range` ends in an obstacle: the square that holds the ray's end, or that begins
-        there. What lies behind it stays as it was, as does all beside the arena.
+        there. Squares behind it, and all outside the arena, don't change.
 
         Args:
             x, y: where the sensors are, world position [m].
@@ -128,7 +129,7 @@ class ExploredMap:
 
     def look(
         self, truth: ArrayLike, x: float, y: float, angles: ArrayLike, max_range: float
-    ) -> NDArray[np.float64]:
+    ) -> Float:
         """See what sensors at a place would see in an arena that is known.
 
         Args:
@@ -143,7 +144,7 @@ class ExploredMap:
         """
         filled = np.asarray(truth) != 0
         if filled.shape != self.explored.shape:
-            raise QueryError(f"expected a truth of shape {self.explored.shape}, got {filled.shape}")
+            raise QueryError(f"expected `truth` of shape {self.explored.shape}, got {filled.shape}")
         self._square_at(x, y)
         ranges = []
         ways = _check_rays(angles, max_range)
@@ -175,13 +176,14 @@ class ExploredMap:
 
     def _trace(
         self, x: float, y: float, angle: float, length: float, beyond: bool
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    ) -> tuple[Int, Int, Float]:
         """The squares of the arena along a ray, nearest first, and where it enters each [m].
 
         With `beyond`, the square that holds or follows the ray's end comes with the ray's
         length or more, once.
         """
         size = self.lattice.cell_size
+        # in squares from here on, columns and rows; rows run against y
         start = np.array([x - self.lattice.x_min, self.lattice.y_max - y]) / size  # cols, rows
         way = np.array([np.cos(angle), -np.sin(angle)])
         far = (length + (2 * HAIR if beyond else 0.0)) / size
@@ -189,10 +191,11 @@ class ExploredMap:
         counts = self.lattice.width, self.lattice.height
         for place, speed, count in zip(start, way, counts, strict=True):
             if abs(speed) > 1e-12:
-                # the arena's own lines; a ray that left it doesn't come back
+                # the arena's own grid lines only: a ray that leaves it never returns
                 ends = np.sort([place, place + speed * far]).clip(-1.0, count + 1.0)
                 lines = np.arange(np.ceil(ends[0]), np.floor(ends[1]) + 1)
                 stops.append((lines - place) / speed)
+        # each piece between two crossings lies in one square: that of its middle
         t = np.unique(np.concatenate(stops).clip(0.0, far))
         t = t[np.append(True, np.diff(t) > HAIR / size / 2)]
         starts, middles = t[:-1], (t[:-1] + t[1:]) / 2
@@ -207,7 +210,7 @@ class ExploredMap:
         return rows[inside], cols[inside], starts[inside]
 
 
-def _check_rays(angles: ArrayLike, max_range: float) -> NDArray[np.float64]:
+def _check_rays(angles: ArrayLike, max_range: float) -> Float:
     """The directions of rays, shape (n,) [rad]."""
     ways = _numbers(angles, "angles [rad]")
     if not np.isfinite(ways).all():
@@ -217,7 +220,7 @@ def _check_rays(angles: ArrayLike, max_range: float) -> NDArray[np.float64]:
     return ways
 
 
-def _numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
+def _numbers(values: ArrayLike, what: str) -> Float:
     try:
         numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
     except (TypeError, ValueError):

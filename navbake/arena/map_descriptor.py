@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
+from navbake.types import Bool
 
 ARENA = (20, 15)  # rows and columns of the arena that the format is for
 SQUARE = 0.1  # edge of its squares [m]
@@ -45,14 +46,13 @@ def encode(explored: ArrayLike, obstacles: ArrayLike) -> tuple[str, str]:
             f"expected explored and obstacles of one shape (rows, cols), "
             f"got {known.shape} and {filled.shape}"
         )
+    # the format goes from the bottom row up, arrays from the top row down
     squares, content = known[::-1].ravel(), filled[::-1].ravel()
     part1 = np.concatenate([PAD, squares, PAD])
     return _to_hex(part1), _to_hex(content[squares])
 
 
-def decode(
-    part1: str, part2: str, shape: Sequence[int] = ARENA
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, Bool]:
     """Decode a map; the inverse of `encode`.
 
     Small letters, and a part 2 that is filled up to a digit instead of a byte, are read too.
@@ -97,7 +97,7 @@ def draw(explored: ArrayLike, obstacles: ArrayLike) -> str:
     return "\n".join("".join(row) for row in marks)
 
 
-def _read_part2(part2: str, count: int) -> NDArray[np.bool_]:
+def _read_part2(part2: str, count: int) -> Bool:
     bits = _from_hex(part2, "part 2")
     digits, whole = -(-count // 4), 2 * -(-count // 8)
     got = len(part2.strip())
@@ -116,7 +116,7 @@ def _read_part2(part2: str, count: int) -> NDArray[np.bool_]:
     return bits[:count].astype(np.bool_)
 
 
-def _flags(values: ArrayLike, name: str) -> NDArray[np.bool_]:
+def _flags(values: ArrayLike, name: str) -> Bool:
     try:
         flags = np.asarray(values)
     except ValueError:  # rows of several lengths

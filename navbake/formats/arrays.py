@@ -1,11 +1,12 @@
 """Arrays as NavGrid files hold them: JSON lists, raw or run-length encoded, one value a cell.
 
 Run-length encoding is ``[value, count, value, count, …]``. JSON has neither NaN nor Infinity;
-both are ``null`` there. `Place` words the errors of the whole format.
+both are ``null`` there.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -13,9 +14,10 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from navbake.formats.json_path import MISSING, Place, shown
+from navbake.formats.json_path import MISSING, JsonPath, shown
 from navbake.formats.values import whole_number
 from navbake.navgrid.attributes import datatype_name
+from navbake.types import Float, Json
 
 DATATYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
 MAX_CELLS = 100_000_000
@@ -26,7 +28,7 @@ VALUES_PER_BYTE = 256  # house-100 at 0.05 m without names has 5
 
 @dataclass
 class Allowance:
-    """What a file may still fill memory with; it shrinks as its arrays are read.
+    """A limit on the memory that reading a file takes; what is read is subtracted.
 
     Attributes:
         max_cells: how many cells all levels together may have.
@@ -42,12 +44,12 @@ class Allowance:
 
     @classmethod
     def of_file(cls, num_bytes: int, max_cells: int | None) -> Allowance:
-        """What a file may fill memory with.
+        """The limit for a file.
 
-        Runs may be as long as they like, so a short file can claim any number of values. One
-        may have `FREE_VALUES` whatever its size, and `VALUES_PER_BYTE` more for each of its
-        bytes; files that navbake bakes stay far below. A caller who sets `max_cells` has
-        thought of that: then only `VALUES_PER_CELL` times that number counts.
+        Runs have any length, so a short file can claim any number of values. A file may have
+        `FREE_VALUES`, and `VALUES_PER_BYTE` more for each of its bytes; files that navbake bakes
+        stay far below. If the caller gives `max_cells`, only `VALUES_PER_CELL` times that number
+        limits the values.
 
         Args:
             num_bytes: length of its JSON.
@@ -63,7 +65,7 @@ class Allowance:
         )
         return cls(MAX_CELLS, MAX_CELLS, min(values, VALUES_PER_CELL * MAX_CELLS), rule)
 
-    def take_cells(self, num_cells: int, place: Place) -> None:
+    def take_cells(self, num_cells: int, place: JsonPath) -> None:
         """Count a level's cells, or refuse them."""
         if num_cells > self.cells:
             place.fail(
@@ -73,7 +75,7 @@ class Allowance:
             )
         self.cells -= num_cells
 
-    def take_values(self, num_values: int, place: Place) -> None:
+    def take_values(self, num_values: int, place: JsonPath) -> None:
         """Count an array's values, or refuse them."""
         if num_values > self.values:
             why, remedy = self.rule
@@ -83,10 +85,10 @@ class Allowance:
 
 def decode_array(
     value: object,
-    place: Place,
-    *,
-    num_cells: int,
+    place: JsonPath,
+    shape: tuple[int, int],
     allowance: Allowance,
+    *,
     default: object = None,
     null: float = np.nan,
 ) -> NDArray[Any]:
@@ -99,13 +101,13 @@ def decode_array(
         value: what the file has: ``{"datatype", "length", "encoding", "data"}``, of which only
             ``data`` must be there; ``dataType`` is taken for ``datatype``.
         place: where in the file.
-        num_cells: the length that it must have, >= 1.
+        shape: (height, width) of the level, one value a cell.
         allowance: what the file may still fill.
         default: the type that the metadata give for it; float64 if they don't either.
         null: what ``null`` stands for in floats; integers have none.
 
     Returns:
-        Shape (num_cells,), in the datatype that the file names.
+        Shape (height, width), in the datatype that the file names.
 
     Raises:
         FormatError: it has another length, or a value that its datatype does not have.
@@ -119,22 +121,22 @@ def decode_array(
         place.refuse("an array", value)
     if value.get("type") not in (None, "array"):
         place["type"].refuse("'array'", value["type"])
-    dtype = _read_datatype(value, place, default)
+    dtype, num_cells = _read_datatype(value, place, default), math.prod(shape)
     _check_length(value, place, num_cells, allowance)
     data = value.get("data", MISSING)
     if not isinstance(data, list):
         data_place.refuse("a list", data)
     encoding = value.get("encoding")
     if encoding == "rle":
-        return _decode_runs(data, data_place, num_cells, dtype, null)
+        return _decode_runs(data, data_place, num_cells, dtype, null).reshape(shape)
     if encoding not in (None, "raw"):
         place["encoding"].refuse("'rle' or 'raw'", encoding)
     if len(data) != num_cells:
         data_place.fail(f"expected {num_cells} values, one a cell, got {len(data)}")
-    return _cast(data, data_place, 1, dtype, null)
+    return _cast(data, data_place, 1, dtype, null).reshape(shape)
 
 
-def encode_array(array: NDArray[Any], place: Place) -> bytes:
+def encode_array(array: NDArray[Any], place: JsonPath) -> bytes:
     """Write an array as the JSON list of its runs.
 
     NaN and infinities become ``null``, -0.0 becomes 0, whole floats lose their ".0", and a
@@ -174,7 +176,7 @@ def _dump(array: NDArray[Any]) -> bytes:
     return orjson.dumps(array, option=orjson.OPT_SERIALIZE_NUMPY)
 
 
-def _read_datatype(value: dict[str, Any], place: Place, default: object) -> np.dtype[Any]:
+def _read_datatype(value: Json, place: JsonPath, default: object) -> np.dtype[Any]:
     """Find the dtype: what the array states, else the metadata, else float64."""
     own = [key for key in ("datatype", "dataType") if value.get(key) is not None]
     stated = value[own[0]] if own else default
@@ -187,9 +189,7 @@ def _read_datatype(value: dict[str, Any], place: Place, default: object) -> np.d
     return np.dtype(name)
 
 
-def _check_length(
-    value: dict[str, Any], place: Place, num_cells: int, allowance: Allowance
-) -> None:
+def _check_length(value: Json, place: JsonPath, num_cells: int, allowance: Allowance) -> None:
     if value.get("length") is not None:
         length = whole_number(value["length"], place["length"], 0)
         if length > allowance.max_cells:
@@ -200,7 +200,7 @@ def _check_length(
 
 
 def _decode_runs(
-    data: list[Any], place: Place, num_cells: int, dtype: np.dtype[Any], null: float
+    data: list[Any], place: JsonPath, num_cells: int, dtype: np.dtype[Any], null: float
 ) -> NDArray[Any]:
     if len(data) % 2:
         place.fail(f"expected pairs of value and count, got an odd number ({len(data)}) of entries")
@@ -209,16 +209,15 @@ def _decode_runs(
     if bad.any():
         index = 2 * int(np.argmax(bad)) + 1
         place[index].refuse("a count, a whole number >= 0", data[index])
+    # checked before anything of that size is made: counts are as large as a file likes
     total = counts.cumsum()
     if total.size == 0 or total[-1] != num_cells:
         _refuse_cover(data, total, place, num_cells)
     return np.repeat(_cast(data, place, 2, dtype, null), counts.astype(np.int64))
 
 
-def _refuse_cover(
-    data: list[Any], total: NDArray[np.float64], place: Place, num_cells: int
-) -> NoReturn:
-    """Say where runs end that don't end at the last cell."""
+def _refuse_cover(data: list[Any], total: Float, place: JsonPath, num_cells: int) -> NoReturn:
+    """Raise for runs that don't end at the last cell; name the run that goes too far, if any."""
     over = total > num_cells
     if not over.any():
         covered = int(total[-1]) if total.size else 0
@@ -230,12 +229,13 @@ def _refuse_cover(
 
 
 def _cast(
-    data: list[Any], place: Place, step: int, dtype: np.dtype[Any], null: float
+    data: list[Any], place: JsonPath, step: int, dtype: np.dtype[Any], null: float
 ) -> NDArray[Any]:
-    """Turn every step-th entry into the dtype; where one does not fit, say which."""
+    """Turn every step-th entry into the dtype; raise for the first that does not fit."""
     kinds = (int, float, type(None)) if dtype.kind == "f" else (int, float)
     values = _to_float64(data[::step], place, step, 0, f"a value of {dtype}", kinds)
     if dtype.kind == "f":
+        # JSON has no infinity, so one comes from a number beyond the dtype
         with np.errstate(over="ignore"):
             bad = np.isinf(values.astype(dtype))
     else:
@@ -251,12 +251,12 @@ def _cast(
 
 def _to_float64(
     entries: list[Any],
-    place: Place,
+    place: JsonPath,
     step: int,
     offset: int,
     expected: str,
     kinds: tuple[type, ...],
-) -> NDArray[np.float64]:
+) -> Float:
     """Turn a list of numbers and None (NaN) into an array; entry i stands at offset + i * step."""
     if not set(map(type, entries)) <= set(kinds):  # bool is no int here
         index = next(i for i, entry in enumerate(entries) if type(entry) not in kinds)

@@ -1,4 +1,4 @@
-"""binvox: voxels as runs of bytes behind a text header, read and written.
+"""binvox: run-length encoded voxels after a text header, read and written.
 
 A voxel grid ``g[x, y, z]`` of the world, z up, is written by the rules of the format:
 ``dim nx nz ny``, y fastest, then z, then x; ``translate`` is the lower corner of the first voxel,
@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
-from navbake.formats.bytes_file import read_bytes, write_bytes
+from navbake.formats.bytes_file import read_bytes, read_header
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import check_memory, check_three
 
@@ -31,7 +31,6 @@ Layout = Literal["auto", "binvox", "airsim"]
 LAYOUTS = ("auto", "binvox", "airsim")
 VERSIONS = (1, 2)
 MOST = 255  # greatest value of a voxel
-HEADER_LIMIT = 65536  # longest header, comments included [bytes]
 NEAR = 1e-4  # relative; AirSim writes six digits
 
 
@@ -57,33 +56,19 @@ class Header:
 # ---------------------------------------------------------------- writing
 
 
-def write_binvox(
-    grid: VoxelGrid,
-    path: str | PathLike[str],
-    *,
-    layout: Literal["binvox", "airsim"] = "binvox",
-    mapping: Mapping[int, int] | Literal["compact"] | None = None,
-) -> None:
-    """Write a binvox file: version 1 for voxels without IDs, version 2 for voxels with IDs.
-
-    Args:
-        grid: the voxels.
-        path: the file.
-        layout: ``airsim`` for that of AirSim's simCreateVoxelGrid. It can't say where the grid
-            is; its reader has to know.
-        mapping: what to write for each ID, 0 to 255; ``compact`` numbers the IDs that occur
-            anew from 1, in their order. `with_mapping` tells which IDs were written.
-
-    Raises:
-        FormatError: there are IDs above 255, or the mapping isn't to 0 … 255.
-    """
-    write_bytes(encode_binvox(with_mapping(grid, mapping), layout), path)
-
-
 def with_mapping(
     grid: VoxelGrid, mapping: Mapping[int, int] | Literal["compact"] | None
 ) -> VoxelGrid:
-    """The grid with the IDs that binvox is to hold, see `write_binvox`."""
+    """The grid with the IDs that binvox is to hold.
+
+    Args:
+        grid: the voxels.
+        mapping: what to write for each ID, 0 to 255; ``compact`` numbers the IDs that occur
+            from 1, in their order.
+
+    Raises:
+        FormatError: the mapping isn't to 0 … 255, or leaves an ID out that occurs.
+    """
     if not grid.is_segmented or mapping is None:
         return grid
     present = grid.ids()
@@ -106,13 +91,22 @@ def with_mapping(
 
 
 def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox") -> bytes:
-    """A binvox file's bytes, see `write_binvox`."""
+    """Encode a binvox file: version 1 for voxels without IDs, version 2 for voxels with IDs.
+
+    Args:
+        grid: the voxels, see `with_mapping`.
+        layout: ``airsim`` for that of AirSim's simCreateVoxelGrid. It can't say where the grid
+            is; its reader has to know.
+
+    Raises:
+        FormatError: there are IDs above 255.
+    """
     from navbake.formats.kernels.runs import encode_runs
 
     values = _as_bytes(grid)
     sizes = [n * grid.res for n in grid.shape]
     if layout == "airsim":
-        order = values[:, ::-1].transpose(1, 2, 0)  # east, up, north
+        order = values[:, ::-1].transpose(1, 2, 0)  # east, up, north; east is -y
         translate, scale = [-size / 2 for size in sizes], 1.0 / sizes[0]
     elif layout == "binvox":
         order = values.transpose(0, 2, 1)
@@ -137,13 +131,13 @@ def _as_bytes(grid: VoxelGrid) -> NDArray[np.uint8]:
         raise FormatError(
             f"binvox holds IDs up to {MOST}, and these voxels have IDs up to {most}: write .npz, "
             f"or give a mapping ('compact', --compact, numbers the {len(grid.ids())} IDs "
-            f"that occur anew)"
+            f"that occur from 1)"
         )
     return np.asarray(grid.values.astype(np.uint8, copy=False))
 
 
 def _text(value: float) -> str:
-    """A number as short as it can be read back; `translate` may be a hair off a whole multiple."""
+    """A number to 12 decimals, so that a multiple of the edge is written without its rounding."""
     rounded = round(value, 12)
     return repr(rounded + 0.0) if rounded else "0.0"
 
@@ -152,7 +146,7 @@ def _text(value: float) -> str:
 
 
 def read_binvox(
-    path: str | PathLike[str],
+    source: str | PathLike[str] | bytes,
     *,
     layout: Layout = "auto",
     position: ArrayLike = (0.0, 0.0, 0.0),
@@ -160,13 +154,13 @@ def read_binvox(
 ) -> VoxelGrid:
     """Read a binvox file, versions 1 and 2.
 
-    Runs of no length are passed over, comment lines in the header too. Version 1 gives True
+    Empty runs, and comment lines in the header, are skipped. Version 1 gives True
     and False, version 2 IDs as uint8, and so does a version 1 with other values than 0 and 1, as
     segmenting simulators write it.
 
     Args:
-        path: the file.
-        layout: how it is laid out; ``auto`` tells AirSim's by its inverted scale, and says so
+        source: a path, or a file's content.
+        layout: how it is laid out; ``auto`` detects AirSim's by its inverted scale, and notes it
             in the grid's notes.
         position: what AirSim was asked for, world frame [m]: its files don't say. Its own frame
             is north, east, down; (n, e, d) is (n, -e, -d) here.
@@ -179,34 +173,24 @@ def read_binvox(
     """
     if layout not in LAYOUTS:
         raise FormatError(f"expected layout {', '.join(LAYOUTS)}, got {layout!r}")
-    return decode_binvox(read_bytes(path), str(path), layout=layout, position=position, res=res)
-
-
-def decode_binvox(
-    data: bytes,
-    source: str,
-    *,
-    layout: Layout = "auto",
-    position: ArrayLike = (0.0, 0.0, 0.0),
-    res: float | None = None,
-) -> VoxelGrid:
-    """Read a binvox file's bytes, see `read_binvox`; `source` names them in messages."""
-    header = _read_header(data, source)
+    data, name = read_bytes(source)
+    header = _read_header(data, name)
     nx, nz, ny = header.dim
     check_memory((nx, ny, nz), 1)
     is_airsim = layout == "airsim" or (layout == "auto" and _looks_like_airsim(header))
     values = np.zeros((nx, ny, nz), dtype=np.uint8)
+    # a view in the file's order, so that filling it writes to the world's
     order = values[:, ::-1].transpose(1, 2, 0) if is_airsim else values.transpose(0, 2, 1)
-    _fill(order, data, header, source)
+    _fill(order, data, header, name)
     notes = []
     if header.version == 1 and values.max() > 1:
-        notes.append(f"{source} is of version 1 and has values above 1: read as IDs")
+        notes.append(f"{name}: version 1 with values above 1, read as IDs")
     elif header.version == 1:
         values = values.view(np.bool_)
     if not is_airsim:
         edge = header.scale / max(header.dim)
         return VoxelGrid(values=values, origin=header.translate, res=edge, notes=notes)
-    edge, assumed = _airsim_edge(header, res, source)
+    edge, assumed = _airsim_edge(header, res, name)
     first = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * edge  # its middle
     center = check_three(position, "the position to be x, y, z [m]")
     low = center + first - edge / 2
@@ -219,14 +203,15 @@ def decode_binvox(
 def _airsim_edge(header: Header, res: float | None, source: str) -> tuple[float, str]:
     """The edge of AirSim's voxels, and what is assumed with it."""
     nx, nz, ny = header.dim
-    edges = -2 * np.array(header.translate) / (nx, ny, nz)  # at most: counts are cut, not rounded
+    # AirSim cuts counts, it does not round them, so the true edge is the least of these or less
+    edges = -2 * np.array(header.translate) / (nx, ny, nz)
     edge = float(edges.min()) if res is None else float(res)
     if res is not None and not (math.isfinite(edge) and edge > 0):
         raise FormatError(f"expected `res`, the edge of AirSim's voxels, to be > 0 m, got {res}")
     if not edge > 0:
         raise FormatError(f"expected a negative `translate` in AirSim's layout in {source}")
     assumed = (
-        f"{source} is laid out as AirSim writes it (scale {header.scale:g} is 1 / size): read as "
+        f"{source}: laid out as AirSim writes it (scale {header.scale:g} is 1 / size): read as "
         f"north, east, up, voxels of {edge:g} m"
     )
     if res is None and edges.max() > edge * (1 + NEAR):
@@ -235,9 +220,10 @@ def _airsim_edge(header: Header, res: float | None, source: str) -> tuple[float,
 
 
 def _looks_like_airsim(header: Header) -> bool:
-    """Whether the scale is one over the size along x, and can't be the longest side.
+    """Whether a header is AirSim's: the scale is 1 / size along x, and not the longest side.
 
-    All of `translate` is half of the size, too: one edge makes these counts of all sizes.
+    In AirSim's layout, `translate` is minus half of the size. So sizes and counts have to agree:
+    there is an edge for which ``count = floor(size / edge)`` along all three axes.
     """
     nx, nz, ny = header.dim
     sizes, counts = -2 * np.array(header.translate), np.array((nx, ny, nz), dtype=np.float64)
@@ -266,51 +252,32 @@ def _fill(order: NDArray[np.uint8], data: bytes, header: Header, source: str) ->
 def _read_header(data: bytes, source: str) -> Header:
     if not data.startswith(b"#binvox"):
         raise FormatError(f"expected a binvox file that begins with #binvox, got {source}")
-    fields: dict[str, list[str]] = {}
-    place = 0
-    while True:
-        end = data.find(b"\n", place, HEADER_LIMIT)
-        if end < 0:
-            raise FormatError(f"no line `data` ends the binvox header of {source}")
-        words = data[place:end].decode("ascii", errors="replace").split()
-        place = end + 1
-        if not words:
-            continue
-        if words[0] == "data":
-            break
-        if words[0] == "#binvox":
-            fields["version"] = words[1:]
-        elif not words[0].startswith("#"):
-            fields[words[0]] = words[1:]
-    unknown = sorted(set(fields) - {"version", "dim", "translate", "scale"})
+    lines, end = read_header(data, source)
+    lines["version"] = lines.pop("#binvox", [])
+    known = {"version", "dim", "translate", "scale", ""}
+    unknown = sorted(name for name in lines if name not in known and not name.startswith("#"))
     if unknown:
-        raise FormatError(f"unknown line {unknown[0][:40]!r} in the binvox header of {source}")
-    (version,) = _numbers(fields, "version", 1, int, source)
+        raise FormatError(f"unknown line {unknown[0][:40]!r} in the header of {source}")
+    (version,) = _numbers(lines, "version", 1, int, source)
     if version not in VERSIONS:
         raise FormatError(f"expected binvox version 1 or 2, got {version} in {source}")
-    dim = _numbers(fields, "dim", 3, int, source)
-    if min(dim) < 1:
-        raise FormatError(f"expected `dim` of numbers >= 1, got {dim} in {source}")
-    translate = _numbers(fields, "translate", 3, float, source, default=[0.0, 0.0, 0.0])
-    (scale,) = _numbers(fields, "scale", 1, float, source, default=[1.0])
+    nx, nz, ny = _numbers(lines, "dim", 3, int, source)
+    if min(nx, nz, ny) < 1:
+        raise FormatError(f"expected `dim` of numbers >= 1, got {[nx, nz, ny]} in {source}")
+    x, y, z = _numbers({"translate": ["0"] * 3} | lines, "translate", 3, float, source)
+    (scale,) = _numbers({"scale": ["1"]} | lines, "scale", 1, float, source)
     if not scale > 0:
         raise FormatError(f"expected `scale` > 0, got {scale:g} in {source}")
-    return Header(version, (dim[0], dim[1], dim[2]), tuple(translate), scale, place)
+    return Header(version, (nx, nz, ny), (x, y, z), scale, end)
 
 
 def _numbers(
-    fields: Mapping[str, list[str]],
-    name: str,
-    count: int,
-    kind: type,
-    source: str,
-    default: list[Any] | None = None,
+    lines: Mapping[str, list[str]], name: str, count: int, kind: type, source: str
 ) -> list[Any]:
-    if name not in fields:
-        if default is not None:
-            return default
-        raise FormatError(f"no line `{name}` in the binvox header of {source}")
-    words = fields[name]
+    """The numbers of a line of the header."""
+    if name not in lines:
+        raise FormatError(f"no line `{name}` in the header of {source}")
+    words = lines[name]
     try:
         numbers = [kind(word) for word in words]
         finite = all(math.isfinite(number) for number in numbers)
@@ -319,7 +286,7 @@ def _numbers(
     if not finite or len(numbers) != count:
         what = "whole number" if kind is int else "number"
         raise FormatError(
-            f"expected {count} {what}{'s' if count > 1 else ''} at `{name}` in the binvox header "
-            f"of {source}, got {' '.join(words)[:60]!r}"
+            f"expected {count} {what}{'s' if count > 1 else ''} at `{name}` in the header of "
+            f"{source}, got {' '.join(words)[:60]!r}"
         )
     return numbers

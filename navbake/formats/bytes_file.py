@@ -1,4 +1,4 @@
-"""Bytes of voxel files, from and to the disk, with errors of navbake's own."""
+"""Reads and writes files whole, with the system's errors as FormatErrors; reads text headers."""
 
 from __future__ import annotations
 
@@ -8,31 +8,65 @@ from pathlib import Path
 
 from navbake.errors import FormatError
 from navbake.files import write_whole
-from navbake.formats.source import path_name, reason
+from navbake.formats.source import os_message, path_name
+
+HEADER_LIMIT = 65536  # longest header, comments included [bytes]
 
 
-def read_bytes(path: str | PathLike[str]) -> bytes:
-    """Read a file whole.
+def read_bytes(source: str | PathLike[str] | bytes) -> tuple[bytes, str]:
+    """Read a file whole, if it isn't given already.
+
+    Returns:
+        The file's content, and its name for messages.
 
     Raises:
         FormatError: it can't be read.
     """
+    if isinstance(source, bytes):
+        return source, "the bytes given"
     try:
-        return Path(path).read_bytes()
+        return Path(source).read_bytes(), str(source)
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL
-        raise FormatError(f"cannot read {path_name(path)}: {reason(error)}") from error
+        raise FormatError(f"cannot read {path_name(source)}: {os_message(error)}") from error
 
 
 def write_bytes(data: bytes, path: str | PathLike[str]) -> None:
-    """Write a file as a whole or not at all.
+    """Write a file as a whole or not at all: under another name first, which is then changed.
 
     Raises:
         FormatError: it can't be written.
     """
     try:
         write_whole(data, path)
-    except (OSError, ValueError) as error:
-        why = reason(error)
+    except (OSError, ValueError) as error:  # ValueError: a path with a NUL
+        why = os_message(error)
         if isinstance(error, FileNotFoundError):
             why = f"there is no folder {path_name(os.path.dirname(os.path.realpath(path)))}"
         raise FormatError(f"cannot write {path_name(path)}: {why}") from error
+
+
+def read_header(data: bytes, source: str) -> tuple[dict[str, list[str]], int]:
+    """Read the lines of text that stand before the data of a voxel file.
+
+    Args:
+        data: the file.
+        source: its name, for messages.
+
+    Returns:
+        The further words of each line by its first word, comments (``#``) included; and where the
+        data begin, after the line ``data``.
+
+    Raises:
+        FormatError: no line ``data`` ends the header.
+    """
+    lines: dict[str, list[str]] = {}
+    start = 0
+    while True:
+        end = data.find(b"\n", start, HEADER_LIMIT)
+        if end < 0:
+            raise FormatError(f"no line `data` ends the header of {source}")
+        first, *words = data[start:end].decode("ascii", errors="replace").split() or [""]
+        start = end + 1
+        if first == "data":
+            return lines, start
+        lines[first] = words

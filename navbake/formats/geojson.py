@@ -11,13 +11,14 @@ import orjson
 
 from navbake.errors import FormatError
 from navbake.navgrid.polygon import find_fault
+from navbake.types import Json
 
 MAX_BYTES = 64 << 20
 
 Ring = list[list[float]]
 
 
-def read_room_outlines(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
+def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
     """Read the polygons of a GeoJSON file: a FeatureCollection, or a single Feature.
 
     Coordinates are world x, y in metres; a third one is left out. Of the properties, ``name``
@@ -56,7 +57,7 @@ def _parse(path: Path) -> Any:
         raise FormatError(f"{path} is no JSON: {error}") from error
 
 
-def _read_feature(feature: Any, number: int, path: str | os.PathLike[str]) -> dict[str, Any]:
+def _read_feature(feature: Any, number: int, path: str | os.PathLike[str]) -> Json:
     where = f"feature {number} of {path}"
     if not isinstance(feature, dict) or feature.get("type") != "Feature":
         raise FormatError(f"expected a Feature, got {_shown(feature)} as {where}")
@@ -80,7 +81,7 @@ def _read_feature(feature: Any, number: int, path: str | os.PathLike[str]) -> di
     return {"name": name, "level": level, "points": rings[0], "rings": rings[1:]}
 
 
-def _polygons(feature: dict[str, Any], where: str) -> list[list[Any]]:
+def _polygons(feature: Json, where: str) -> list[list[Any]]:
     geometry = feature.get("geometry")
     kind = geometry.get("type") if isinstance(geometry, dict) else None
     coordinates = geometry.get("coordinates") if isinstance(geometry, dict) else None

@@ -1,4 +1,4 @@
-"""Places in a file, and how errors name them and word what is there instead."""
+"""Locations in a JSON file, and how errors name them and show what is there."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MISSING = _Missing()
 
 
 def shown(value: object) -> str:
-    """Word a value for an error: on one line, short however long the value is."""
+    """Format a value for an error message: short, on one line."""
     if isinstance(value, _Missing):
         return "nothing"
     if isinstance(value, list | tuple):
@@ -36,8 +36,8 @@ def shown(value: object) -> str:
 
 
 @dataclass(frozen=True)
-class Place:
-    """A place in a file, which errors name.
+class JsonPath:
+    """A location in a file, as errors name it.
 
     Attributes:
         file: the file's name.
@@ -47,14 +47,14 @@ class Place:
     file: str
     path: str = ""
 
-    def __getitem__(self, key: str | int) -> Place:
+    def __getitem__(self, key: str | int) -> JsonPath:
         if isinstance(key, int):
             step = f"[{key}]"
         elif key.isidentifier():
             step = f".{key}" if self.path else key
         else:
             step = f"[{shown(key)}]"
-        return Place(self.file, self.path + step)
+        return JsonPath(self.file, self.path + step)
 
     def fail(self, what: str, remedy: str = "") -> NoReturn:
         """Raise a FormatError that says what is wrong, where, and what helps."""

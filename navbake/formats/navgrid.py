@@ -17,20 +17,23 @@ import orjson
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
-from navbake.files import write_whole
 from navbake.formats.arrays import Allowance, decode_array, encode_array
-from navbake.formats.json_path import MISSING, Place
-from navbake.formats.source import Source, path_name, read_source, reason
+from navbake.formats.bytes_file import write_bytes
+from navbake.formats.json_path import MISSING, JsonPath
+from navbake.formats.source import Source, read_source
 from navbake.formats.user_data import encode_user_data, parse_file, read_user_data
 from navbake.formats.values import json_object, number, plain, vector, whole_number
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
-from navbake.types import Json, Vector3
+from navbake.types import Float, Json, Vector3
 
 SCENE_FIELDS = (
     *("type", "metadata", "weights", "userData", "tileAttributes", "width", "height"),
     *("cellSize", "min", "unit", "bbox", "timings"),
 )
 MULTI_FIELDS = ("type", "metadata", "cellSize", "unit", "grids", "timings")
+
+Shape = tuple[int, int]
+Layers = dict[str, NDArray[Any]]
 
 
 def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
@@ -68,8 +71,7 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
 def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
     """Write a NavGrid file, gzipped if its name ends in ``.gz``; the same grid, the same bytes.
 
-    The file is there as a whole or not at all: it is written under another name in the same
-    folder and then renamed.
+    The file is there as a whole or not at all.
 
     Raises:
         FormatError: the grid holds what the format can't, or the path can't be written.
@@ -80,13 +82,7 @@ def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
         with gzip.GzipFile("", "wb", compresslevel=6, fileobj=packed, mtime=0) as file:
             file.write(data)
         data = packed.getvalue()
-    try:
-        write_whole(data, path)
-    except (OSError, ValueError) as error:  # ValueError: a path with a NUL
-        why = reason(error)
-        if isinstance(error, FileNotFoundError):
-            why = f"there is no folder {path_name(os.path.dirname(os.path.realpath(path)))}"
-        raise FormatError(f"cannot write {path_name(path)}: {why}") from error
+    write_bytes(data, path)
 
 
 def dumps_navgrid(grid: NavGrid) -> bytes:
@@ -100,7 +96,7 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
         FormatError: NaN or infinity outside of arrays, a dtype that the format has not, or
             something in the metadata, user data or extra fields that JSON has not.
     """
-    top = Place("the grid to be written")
+    top = JsonPath("the grid to be written")
     if isinstance(grid, SceneGrid2D):
         fields = _level_fields(grid, top, grid.metadata)
     else:
@@ -122,7 +118,7 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
 # Reading
 
 
-def _read_levels(content: Json, top: Place, allowance: Allowance) -> MultiLevelGrid:
+def _read_levels(content: Json, top: JsonPath, allowance: Allowance) -> MultiLevelGrid:
     grids = content.get("grids", MISSING)
     if not isinstance(grids, list) or not grids:
         top["grids"].refuse("a list of at least one level", grids)
@@ -137,7 +133,7 @@ def _read_levels(content: Json, top: Place, allowance: Allowance) -> MultiLevelG
         if level.get("type", "SceneGrid2D") != "SceneGrid2D":
             place["type"].refuse("'SceneGrid2D'", level["type"])
         levels.append(_read_level(level, place, allowance, inherited, metadata))
-    grid = MultiLevelGrid(
+    return MultiLevelGrid(
         grids=levels,
         cell_size=float(inherited.get("cellSize", levels[0].cell_size)),
         unit=float(inherited.get("unit", 1)),
@@ -145,11 +141,10 @@ def _read_levels(content: Json, top: Place, allowance: Allowance) -> MultiLevelG
         timings=_optional(content, "timings", top),
         extra=_unknown(content, MULTI_FIELDS, top),
     )
-    return grid
 
 
-def _check_own(grid: NavGrid, top: Place) -> NavGrid:
-    """Check what navbake itself adds to the metadata: links, rooms, doors."""
+def _check_own(grid: NavGrid, top: JsonPath) -> NavGrid:
+    """Check navbake's part of the metadata: links, rooms, doors."""
     try:
         _ = grid.link_array, grid.doors, grid.stated_rooms
     except FormatError as error:
@@ -158,7 +153,7 @@ def _check_own(grid: NavGrid, top: Place) -> NavGrid:
 
 
 def _read_level(
-    content: Json, place: Place, allowance: Allowance, inherited: Json, metadata: Json
+    content: Json, place: JsonPath, allowance: Allowance, inherited: Json, metadata: Json
 ) -> SceneGrid2D:
     own_metadata = _read_metadata(content, place) or metadata
     width = whole_number(content.get("width", MISSING), place["width"], 1)
@@ -166,15 +161,16 @@ def _read_level(
     allowance.take_cells(width * height, place)
     cell_size = _inherit(content, "cellSize", inherited, MISSING, place)
     unit = _inherit(content, "unit", inherited, 1, place)
-    attributes = _read_attributes(content, place, width, height, allowance, own_metadata)
+    shape = height, width
+    attributes = _read_attributes(content, place, shape, allowance, own_metadata)
     return SceneGrid2D(
         width=width,
         height=height,
         cell_size=cell_size,
         min_yup=vector(content.get("min", MISSING), place["min"]),
-        bbox_yup=_read_bbox(content, place),
+        bbox_yup=_read_bbox(content, place["bbox"]),
         unit=unit,
-        weights=_read_weights(content, place, width, height, allowance, attributes),
+        weights=_read_weights(content, place, shape, allowance, attributes),
         attributes=attributes,
         user_data=read_user_data(content.get("userData"), place["userData"], width * height),
         metadata=own_metadata,
@@ -183,14 +179,14 @@ def _read_level(
     )
 
 
-def _inherit(content: Json, key: str, inherited: Json, default: object, place: Place) -> float:
+def _inherit(content: Json, key: str, inherited: Json, default: object, place: JsonPath) -> float:
     value = content.get(key)
     if value is None:
         value = inherited.get(key, default)
     return float(number(value, place[key], positive=True))
 
 
-def _read_metadata(content: Json, place: Place) -> Json:
+def _read_metadata(content: Json, place: JsonPath) -> Json:
     metadata = _optional(content, "metadata", place)
     place = place["metadata"]
     _optional(metadata, "navbake", place)
@@ -207,42 +203,25 @@ def _read_metadata(content: Json, place: Place) -> Json:
 
 
 def _read_attributes(
-    content: Json, place: Place, width: int, height: int, allowance: Allowance, metadata: Json
-) -> dict[str, NDArray[Any]]:
+    content: Json, place: JsonPath, shape: Shape, allowance: Allowance, metadata: Json
+) -> Layers:
     types = {entry["name"]: entry.get("type") for entry in metadata.get("cellAttributes") or []}
-    stored = content.get("tileAttributes")
-    place = place["tileAttributes"]
+    stored, place = content.get("tileAttributes"), place["tileAttributes"]
     return {
-        name: decode_array(
-            value,
-            place[name],
-            num_cells=width * height,
-            allowance=allowance,
-            default=types.get(name),
-        ).reshape(height, width)
+        name: decode_array(value, place[name], shape, allowance, default=types.get(name))
         for name, value in json_object({} if stored is None else stored, place).items()
     }
 
 
 def _read_weights(
-    content: Json,
-    place: Place,
-    width: int,
-    height: int,
-    allowance: Allowance,
-    attributes: dict[str, NDArray[Any]],
-) -> NDArray[np.float64]:
-    if content.get("weights") is not None:
-        read = decode_array(
-            content["weights"],
-            place["weights"],
-            num_cells=width * height,
-            allowance=allowance,
-            null=math.inf,
-        )
-        return read.astype(np.float64, copy=False).reshape(height, width)
-    allowance.take_values(width * height, place)
-    weights = np.ones((height, width))
+    content: Json, place: JsonPath, shape: Shape, allowance: Allowance, attributes: Layers
+) -> Float:
+    stored, place = content.get("weights"), place["weights"]
+    if stored is not None:
+        read = decode_array(stored, place, shape, allowance, null=math.inf)
+        return read.astype(np.float64, copy=False)
+    allowance.take_values(math.prod(shape), place)
+    weights = np.ones(shape)
     if "occupancy" in attributes:
         weights[attributes["occupancy"] != 0] = np.inf
     if "floorHeight" in attributes:
@@ -250,32 +229,28 @@ def _read_weights(
     return weights
 
 
-def _read_bbox(content: Json, place: Place) -> tuple[Vector3, Vector3] | None:
-    place = place["bbox"]
-    value = content.get("bbox")
-    if value is None:
+def _read_bbox(content: Json, place: JsonPath) -> tuple[Vector3, Vector3] | None:
+    if content.get("bbox") is None:
         return None
-    box = json_object(value, place)
-    return (
-        vector(box.get("min", MISSING), place["min"]),
-        vector(box.get("max", MISSING), place["max"]),
-    )
+    box = json_object(content["bbox"], place)
+    low, high = (vector(box.get(key, MISSING), place[key]) for key in ("min", "max"))
+    return low, high
 
 
-def _optional(content: Json, key: str, place: Place) -> Json:
+def _optional(content: Json, key: str, place: JsonPath) -> Json:
     """Read an object that may be missing or null."""
     value = content.get(key)
     return {} if value is None else json_object(plain(value, place[key]), place[key])
 
 
-def _unknown(content: Json, known: tuple[str, ...], place: Place) -> Json:
+def _unknown(content: Json, known: tuple[str, ...], place: JsonPath) -> Json:
     return {key: plain(content[key], place[key]) for key in content if key not in known}
 
 
 # Writing
 
 
-def _level_fields(grid: SceneGrid2D, place: Place, metadata: Json | None) -> Json:
+def _level_fields(grid: SceneGrid2D, place: JsonPath, metadata: Json | None) -> Json:
     fields: Json = {"type": "SceneGrid2D"}
     if metadata is not None:
         fields["metadata"] = _metadata(grid, place)
@@ -290,20 +265,22 @@ def _level_fields(grid: SceneGrid2D, place: Place, metadata: Json | None) -> Jso
         "width": whole_number(int(grid.width), place["width"], 1),
         "height": whole_number(int(grid.height), place["height"], 1),
         "cellSize": number(grid.cell_size, place["cellSize"], positive=True),
-        "min": [number(value, place["min"][i]) for i, value in enumerate(grid.min_yup)],
+        "min": _vector(grid.min_yup, place["min"]),
         "unit": number(grid.unit, place["unit"], positive=True),
     }
     if grid.bbox_yup is not None:
-        fields["bbox"] = {
-            key: [number(value, place["bbox"][key][i]) for i, value in enumerate(corner)]
-            for key, corner in zip(("min", "max"), grid.bbox_yup, strict=True)
-        }
+        corners = zip(("min", "max"), grid.bbox_yup, strict=True)
+        fields["bbox"] = {key: _vector(v, place["bbox"][key]) for key, v in corners}
     fields["timings"] = plain(grid.timings, place["timings"])
     return fields | _extra(grid.extra, SCENE_FIELDS, place)
 
 
+def _vector(values: Vector3, place: JsonPath) -> list[float]:
+    return [number(value, place[i]) for i, value in enumerate(values)]
+
+
 def _runs(
-    grid: SceneGrid2D, array: NDArray[Any], place: Place, datatype: str | None = None
+    grid: SceneGrid2D, array: NDArray[Any], place: JsonPath, datatype: str | None = None
 ) -> Json:
     if array.shape != grid.shape:
         place.fail(f"expected shape (height, width) = {grid.shape}, got {array.shape}")
@@ -312,33 +289,32 @@ def _runs(
     return {"type": "array", **stated, "length": array.size, "encoding": "rle", "data": data}
 
 
-def _metadata(grid: NavGrid, place: Place) -> Json:
+def _metadata(grid: NavGrid, place: JsonPath) -> Json:
     """The grid's metadata with ``cellAttributes`` of the arrays that are there."""
     place = place["metadata"]
     _optional(grid.metadata, "navbake", place)
-    return json_object(
-        plain({**grid.metadata, "cellAttributes": grid.cell_attributes}, place), place
-    )
+    metadata = {**grid.metadata, "cellAttributes": grid.cell_attributes}
+    return json_object(plain(metadata, place), place)
 
 
 def _own_metadata(grid: MultiLevelGrid, number: int) -> Json | None:
-    """The metadata that a level can't take over from the whole, None if it can.
+    """A level's metadata, None where it takes over those of the whole when it is read.
 
-    It can't where an attribute of its own is of another dtype than on a level below.
+    It does not where one of its attributes has another dtype than on a level below.
     """
     level, described = grid.grids[number], grid.cell_attributes
     same = grid.takes_over(number, level) and all(e in described for e in level.cell_attributes)
     return None if same else level.metadata
 
 
-def _extra(extra: Json, known: tuple[str, ...], place: Place) -> Json:
+def _extra(extra: Json, known: tuple[str, ...], place: JsonPath) -> Json:
     for key in known:
         if key in extra:
             place[key].fail("extra fields can't stand in for one of the format's own")
     return {key: plain(extra[key], place[key]) for key in extra}
 
 
-def _dump(fields: Json, top: Place) -> bytes:
+def _dump(fields: Json, top: JsonPath) -> bytes:
     try:
         return orjson.dumps(fields, option=orjson.OPT_SERIALIZE_NUMPY)  # for np.float64 alone
     except orjson.JSONEncodeError as error:  # an integer of over 64 bits, half a surrogate

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import io
 from os import PathLike
-from typing import Any
 
 import numpy as np
 
 from navbake.errors import FormatError
-from navbake.formats.bytes_file import read_bytes, write_bytes
+from navbake.formats.bytes_file import read_bytes
+from navbake.types import Json
 from navbake.voxels.grid import VoxelGrid
 
 VERSION = 1
 
 
-def write_npz(grid: VoxelGrid, path: str | PathLike[str]) -> None:
-    """Write voxels as ``.npz``: nothing of them is lost but the notes.
+def encode_npz(grid: VoxelGrid) -> bytes:
+    """Encode voxels as ``.npz``: everything but the notes is kept.
 
     It holds ``values`` (nx, ny, nz), ``origin`` (3,) [m], ``res`` [m], ``ids`` and ``names``,
     and ``known`` where not all is.
     """
     ids = sorted(grid.names)
-    arrays: dict[str, Any] = {
+    arrays: Json = {
         "version": np.int64(VERSION),
         "values": grid.values,
         "origin": np.array(grid.origin),
@@ -34,16 +34,16 @@ def write_npz(grid: VoxelGrid, path: str | PathLike[str]) -> None:
         arrays["known"] = grid.known
     file = io.BytesIO()
     np.savez_compressed(file, **arrays)
-    write_bytes(file.getvalue(), path)
+    return file.getvalue()
 
 
 def read_npz(path: str | PathLike[str]) -> VoxelGrid:
-    """Read voxels from a ``.npz`` that `write_npz` made.
+    """Read voxels from a ``.npz`` that `encode_npz` made.
 
     Raises:
         FormatError: it is no such archive, or broken.
     """
-    data = read_bytes(path)
+    data, _ = read_bytes(path)
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}

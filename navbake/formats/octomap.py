@@ -1,7 +1,7 @@
 """OctoMap trees: voxels as octrees, ``.bt`` (occupied, free, unknown) and ``.ot`` (log-odds).
 
-A tree has depth 16; a voxel's key is ``floor(coordinate / res) + 32768`` along each axis, so a
-grid lies on whole multiples of its edge and within 32768 of them round the world's origin.
+A tree has depth 16; a voxel's key is ``floor(coordinate / res) + 32768`` along each axis. So the
+corners of voxels are multiples of `res`, at most 32768 of them from the world's origin.
 Children that are equal are pruned. Files are the same, byte for byte, as OctoMap's own.
 
 Source: OctoMap 1.9 (`AbstractOcTree.cpp`, `OccupancyOcTreeBase.hxx`): the header's lines, the
@@ -14,14 +14,14 @@ import math
 from dataclasses import dataclass
 from functools import partial
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
-from navbake.formats.bytes_file import read_bytes, write_bytes
+from navbake.formats.bytes_file import read_bytes, read_header
+from navbake.types import Int, Int32
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import check_memory
 
@@ -29,7 +29,6 @@ DEPTH = 16
 CENTER = 2 ** (DEPTH - 1)  # key of the world's origin
 FIRST_LINES = {"bt": "# Octomap OcTree binary file", "ot": "# Octomap OcTree file"}
 COMMENT = "# (feel free to add / change comments, but leave the first line as it is!)\n#"
-HEADER_LIMIT = 65536  # longest header [bytes]
 OFF = 1e-3  # of a voxel: what a grid may lie off the tree's lattice
 
 # OctoMap's clamping thresholds: the log-odds of what is certainly free or occupied
@@ -39,23 +38,17 @@ FREE_ODDS, OCCUPIED_ODDS = (math.log(p / (1 - p)) for p in (0.1192, 0.971))
 # ---------------------------------------------------------------- writing
 
 
-def write_octomap(grid: VoxelGrid, path: str | PathLike[str], *, free: bool = False) -> None:
-    """Write an octree, a ``.bt`` or ``.ot`` by the path's suffix.
+def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
+    """Encode an octree.
 
     Args:
         grid: the voxels; IDs count as occupied. It must lie on whole multiples of its edge.
-        path: the file.
+        kind: ``bt`` or ``ot``.
         free: voxels that are known and not occupied are free; else they are unknown.
 
     Raises:
         FormatError: the grid doesn't lie on the tree's lattice, or reaches beyond it.
     """
-    kind = Path(path).suffix.lower().removeprefix(".")
-    write_bytes(encode_octomap(grid, kind, free=free), path)
-
-
-def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
-    """The bytes of an octree file of kind ``bt`` or ``ot``, see `write_octomap`."""
     from navbake.formats.kernels.octree import write_odds, write_tree
 
     if kind not in FIRST_LINES:
@@ -79,9 +72,7 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     return header.encode() + nodes.tobytes()
 
 
-def _build_pyramid(
-    grid: VoxelGrid, first: NDArray[np.int64], free: bool
-) -> tuple[NDArray[np.uint8], ...]:
+def _build_pyramid(grid: VoxelGrid, first: Int, free: bool) -> tuple[NDArray[np.uint8], ...]:
     """The states of all nodes over the grid, from the voxels up to the root."""
     from navbake.formats.kernels.octree import join_states, state_voxels
 
@@ -89,6 +80,7 @@ def _build_pyramid(
     states = np.empty(grid.shape, np.uint8)
     state_voxels(grid.occupied, known, free, states)
     levels: list[NDArray[np.uint8]] = [states]
+    # level k has the nodes from `first >> k` to `last >> k`, whole multiples of 2**k voxels
     last = first + np.array(grid.shape) - 1
     for level in range(1, DEPTH + 1):
         shape = (last >> level) - (first >> level) + 1
@@ -98,7 +90,7 @@ def _build_pyramid(
     return tuple(levels)
 
 
-def _first_key(grid: VoxelGrid) -> NDArray[np.int64]:
+def _first_key(grid: VoxelGrid) -> Int:
     """The tree's key of the first voxel along each axis."""
     place = np.array(grid.origin) / grid.res
     whole = np.round(place)
@@ -135,29 +127,27 @@ class _Header:
     end: int
 
 
-def read_octomap(path: str | PathLike[str], *, bounds: ArrayLike | None = None) -> VoxelGrid:
+def read_octomap(
+    source: str | PathLike[str] | bytes, *, bounds: ArrayLike | None = None
+) -> VoxelGrid:
     """Read an octree of class OcTree, ``.bt`` or ``.ot``.
 
     The grid covers all space that is known, occupied or free; `VoxelGrid.known` says which
     voxels are. Log-odds of 0 and more are occupied.
 
     Args:
-        path: the file.
+        source: a path, or a file's content.
         bounds: read only this box, (2, 3), lower and upper corner, world frame [m].
 
     Raises:
         FormatError: it is no such file, or broken.
         ConfigError: the grid would need more memory than there is.
     """
-    return decode_octomap(read_bytes(path), str(path), bounds=bounds)
+    from navbake.formats.kernels.octree import fill_leaves  # numba takes a while to load
 
-
-def decode_octomap(data: bytes, source: str, *, bounds: ArrayLike | None = None) -> VoxelGrid:
-    """Read an octree file's bytes, see `read_octomap`; `source` names them in messages."""
-    from navbake.formats.kernels.octree import fill_leaves
-
-    header = _read_header(data, source)
-    leaves, notes = _read_leaves(data, header, source)
+    data, name = read_bytes(source)
+    header = _read_header(data, name)
+    leaves, notes = _read_leaves(data, header, name)
     if bounds is None:
         first, shape = _box_leaves(leaves)
     else:
@@ -175,7 +165,7 @@ def decode_octomap(data: bytes, source: str, *, bounds: ArrayLike | None = None)
     )
 
 
-def _read_leaves(data: bytes, header: _Header, source: str) -> tuple[NDArray[np.int32], list[str]]:
+def _read_leaves(data: bytes, header: _Header, source: str) -> tuple[Int32, list[str]]:
     from navbake.formats.kernels.octree import TOO_DEEP, read_odds, read_tree
 
     nodes = np.frombuffer(data, dtype=np.uint8, offset=header.end)
@@ -187,6 +177,7 @@ def _read_leaves(data: bytes, header: _Header, source: str) -> tuple[NDArray[np.
         whole = nodes[: len(nodes) // 5 * 5].reshape(-1, 5)
         odds = np.ascontiguousarray(whole[:, :4]).view("<f4").ravel()
         read = partial(read_odds, odds)
+    # counted first: what the header says may be wrong
     num_leaves, num_bytes, num_nodes = read(nodes, empty)
     if num_leaves < 0:
         what = "a tree deeper than 16" if num_leaves == TOO_DEEP else "an end within the tree"
@@ -202,7 +193,7 @@ def _read_leaves(data: bytes, header: _Header, source: str) -> tuple[NDArray[np.
     return leaves, []
 
 
-def _box_leaves(leaves: NDArray[np.int32]) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
+def _box_leaves(leaves: Int32) -> tuple[Int, tuple[int, int, int]]:
     """The keys that leaves cover: the first along each axis, and how many."""
     if not len(leaves):
         return np.full(3, CENTER), (1, 1, 1)
@@ -212,7 +203,7 @@ def _box_leaves(leaves: NDArray[np.int32]) -> tuple[NDArray[np.int64], tuple[int
     return first, (nx, ny, nz)
 
 
-def _box_keys(bounds: ArrayLike, res: float) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
+def _box_keys(bounds: ArrayLike, res: float) -> tuple[Int, tuple[int, int, int]]:
     try:
         box = np.asarray(bounds, dtype=np.float64)
     except (TypeError, ValueError):
@@ -234,29 +225,15 @@ def _box_keys(bounds: ArrayLike, res: float) -> tuple[NDArray[np.int64], tuple[i
 
 
 def _read_header(data: bytes, source: str) -> _Header:
-    start, _, _ = data[:200].partition(b"\n")
-    first = start.decode("ascii", errors="replace").strip()
+    first = data[:200].partition(b"\n")[0].decode("ascii", errors="replace").strip()
     kind = next((kind for kind, line in FIRST_LINES.items() if first == line), None)
     if kind is None:
         raise FormatError(f"expected an OctoMap file (bt or ot), got {source}")
-    fields: dict[str, str] = {}
-    place = len(start) + 1
-    while True:
-        end = data.find(b"\n", place, HEADER_LIMIT)
-        if end < 0:
-            raise FormatError(f"no line `data` ends the header of {source}")
-        line = data[place:end].decode("ascii", errors="replace").strip()
-        place = end + 1
-        if line == "data":
-            break
-        if line and not line.startswith("#"):
-            name, _, value = line.partition(" ")
-            fields[name] = value.strip()
+    lines, end = read_header(data, source)
+    fields = {name: " ".join(words) for name, words in lines.items()}
     if fields.get("id") != "OcTree":
         raise FormatError(f"expected a tree of id OcTree in {source}, got {fields.get('id')!r}")
-    return _Header(
-        kind, int(_number(fields, "size", source)), _number(fields, "res", source), place
-    )
+    return _Header(kind, int(_number(fields, "size", source)), _number(fields, "res", source), end)
 
 
 def _number(fields: dict[str, str], name: str, source: str) -> float:

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from typing import BinaryIO, TypeAlias
 
 from navbake.errors import FormatError
-from navbake.formats.json_path import Place, shown
+from navbake.formats.json_path import JsonPath, shown
 
 Source: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO
 """A path, a file's content, or a file opened in binary mode."""
@@ -23,7 +23,7 @@ UNPACKED_RATIO = 200
 CHUNK = 1 << 20
 
 
-def read_source(source: Source) -> tuple[bytes, Place]:
+def read_source(source: Source) -> tuple[bytes, JsonPath]:
     """Read a JSON file whole, and unpack it if it is gzipped (which its content tells).
 
     Returns:
@@ -33,7 +33,7 @@ def read_source(source: Source) -> tuple[bytes, Place]:
         FormatError: it can't be read, is longer than such a file may be, or is no JSON object.
     """
     with _open(source) as (stream, name):
-        top = Place(name)
+        top = JsonPath(name)
         return _read_bytes(stream, top).removeprefix(b"\xef\xbb\xbf"), top
 
 
@@ -43,8 +43,8 @@ def path_name(path: str | os.PathLike[str]) -> str:
     return name if name.isprintable() else repr(name)
 
 
-def reason(error: Exception) -> str:
-    """What the system says about an error, without its number."""
+def os_message(error: Exception) -> str:
+    """The operating system's message of an error, without its number."""
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
@@ -58,12 +58,12 @@ def _open(source: Source) -> Iterator[tuple[BinaryIO, str]]:
             with open(source, "rb") as file:
                 yield file, os.fspath(source)
         except (OSError, ValueError) as error:  # ValueError: a path with a NUL
-            raise FormatError(f"cannot read {path_name(source)}: {reason(error)}") from error
+            raise FormatError(f"cannot read {path_name(source)}: {os_message(error)}") from error
     else:
         yield source, str(getattr(source, "name", "the stream given"))
 
 
-def _read_bytes(stream: BinaryIO, top: Place) -> bytes:
+def _read_bytes(stream: BinaryIO, top: JsonPath) -> bytes:
     """Read and unpack a file, up to what such a file may hold."""
     is_buffered = isinstance(stream, io.BufferedReader)
     head = stream.peek(1) if is_buffered else stream.read(CHUNK)  # type: ignore[attr-defined]
@@ -77,7 +77,8 @@ def _read_bytes(stream: BinaryIO, top: Place) -> bytes:
     return _unpack(content, top)
 
 
-def _unpack(packed: bytes, top: Place) -> bytes:
+def _unpack(packed: bytes, top: JsonPath) -> bytes:
+    # a small file that unpacks to gigabytes is an attack or an accident
     limit = min(MAX_BYTES, max(UNPACKED_BYTES, UNPACKED_RATIO * len(packed)))
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(packed)) as unpacked:
@@ -85,11 +86,11 @@ def _unpack(packed: bytes, top: Place) -> bytes:
             _check_head(head, top)
             return _read_rest(head, unpacked, limit, top)
     except (EOFError, OSError, zlib.error) as error:
-        raise FormatError(f"broken gzip data in {top.file}: {reason(error)}") from error
+        raise FormatError(f"broken gzip data in {top.file}: {os_message(error)}") from error
 
 
-def _check_head(head: bytes, top: Place) -> None:
-    """Turn away what is no JSON object before the rest is read; a device has no end."""
+def _check_head(head: bytes, top: JsonPath) -> None:
+    """Refuse what does not begin like a JSON object before reading on: a device never ends."""
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")
     if not head:
         top.fail("expected a NavGrid JSON object, got nothing")
@@ -97,7 +98,7 @@ def _check_head(head: bytes, top: Place) -> None:
         top.fail(f"expected a NavGrid JSON object, got {shown(text[:8])[1:]}…")
 
 
-def _read_rest(head: bytes, stream: BinaryIO | gzip.GzipFile, limit: int, top: Place) -> bytes:
+def _read_rest(head: bytes, stream: BinaryIO | gzip.GzipFile, limit: int, top: JsonPath) -> bytes:
     pieces, size = [head] if head else [], len(head)  # one piece alone is not copied
     step = max(CHUNK, _bytes_left(stream))  # all that is left of a file at once
     while chunk := stream.read(min(step, limit + 1)):  # not more at once, it would be reserved

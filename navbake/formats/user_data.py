@@ -1,4 +1,4 @@
-"""The ``userData`` of a level: cut out of the file unread where they are long, read when needed.
+"""The ``userData`` of a level: left unread in the file where they are long, read when needed.
 
 They are read and checked with the rest of the file up to `DEFER_BYTES`, and when first used, or
 written, beyond.
@@ -6,8 +6,8 @@ written, beyond.
 
 from __future__ import annotations
 
-import os
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,80 +15,69 @@ import orjson
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
-from navbake.formats.json_path import Place, shown
+from navbake.formats.json_path import JsonPath, shown
 from navbake.formats.values import json_object, plain
 from navbake.navgrid.grid import SceneGrid2D
-from navbake.navgrid.user_data import SharedUserData, StoredUserData, collector_off, held_user_data
-from navbake.types import Json
+from navbake.navgrid.user_data import Shared, UserData, collector_off
+from navbake.types import Int, Json
 
 DEFER_BYTES = 1 << 16
 KEY = b'"userData":'
 
 
 @dataclass(frozen=True)
-class Span:
-    """A piece of a file's JSON that was not parsed.
+class UnreadPiece:
+    """The user data of a level as a piece of a file's JSON that was not parsed.
 
     Attributes:
         text: the piece, one whole value; a view, as a copy of so much takes its time.
         line: where it starts, from 1.
         column: likewise.
+        place: where in the file it stands.
+        num_cells: of its level.
     """
 
     text: bytes | memoryview
     line: int
     column: int
+    place: JsonPath
+    num_cells: int = 0
 
-    def __reduce__(self) -> tuple[type[Span], tuple[bytes, int, int]]:
-        return Span, (bytes(self.text), self.line, self.column)  # views can't be pickled
+    def __reduce__(self) -> tuple[type[UnreadPiece], tuple[Any, ...]]:
+        own = bytes(self.text), self.line, self.column, self.place, self.num_cells
+        return UnreadPiece, own  # views can't be pickled
 
-
-class SpanUserData(StoredUserData):
-    """User data as the piece of a file that holds them."""
-
-    def __init__(self, span: Span, place: Place, num_cells: int) -> None:
-        self._span = span
-        self._place = place
-        self._num_cells = num_cells
-        self._resolved: dict[int, Json] | None = None
-
-    def resolve(self) -> dict[int, Json]:
-        """Read and check them; the same dictionary each time."""
-        if self._resolved is None:
-            with collector_off():
-                self._resolved = check_user_data(self._parse(), self._place, self._num_cells)
-        return self._resolved
+    def read(self) -> dict[int, Json]:
+        """Read and check them."""
+        return check_user_data(self._parse(), self.place, self.num_cells)
 
     def encode(self, num_cells: int) -> bytes | None:
-        """The piece itself, if it is what would be written for a level of so many cells.
-
-        Returns:
-            None if it isn't, or if somebody may have changed what was read from it.
+        """The piece itself, None if it isn't what would be written for a level of so many cells.
 
         Raises:
             FormatError: it doesn't follow the format.
         """
-        if self._resolved is not None or num_cells != self._num_cells:
+        if num_cells != self.num_cells:
             return None
         with collector_off():
             parsed = self._parse()
-            ids = np.fromiter(check_user_data(parsed, self._place, num_cells), dtype=np.int64)
-            is_own = (ids[1:] > ids[:-1]).all() and orjson.dumps(parsed) == self._span.text
-        return bytes(self._span.text) if is_own else None
+            ids = np.fromiter(check_user_data(parsed, self.place, num_cells), dtype=np.int64)
+            is_own = (ids[1:] > ids[:-1]).all() and orjson.dumps(parsed) == self.text
+        return bytes(self.text) if is_own else None
 
     def _parse(self) -> Json:
-        parsed = parse_json(self._span.text, self._place, self._span.line, self._span.column)
-        return json_object(plain(parsed, self._place), self._place)
+        parsed = parse_json(self.text, self.place, self.line, self.column)
+        return json_object(plain(parsed, self.place), self.place)
 
 
-def parse_file(content: bytes, top: Place) -> Json:
-    """Parse a NavGrid file, with a `Span` in the place of each long ``userData`` of a level."""
+def parse_file(content: bytes, top: JsonPath) -> Json:
+    """Parse a NavGrid file, with an `UnreadPiece` in the place of each long ``userData``."""
     spans = find_spans(content)
-    parsed = _parse_around(content, spans) if spans else None
+    parsed = _parse_around(content, spans, top) if spans else None
     return json_object(parse_json(content, top), top) if parsed is None else parsed
 
 
-def parse_json(content: bytes | memoryview, place: Place, line: int = 1, column: int = 1) -> Any:
+def parse_json(content: bytes | memoryview, place: JsonPath, line: int = 1, column: int = 1) -> Any:
     """Parse JSON that starts at a line and column of the place's file."""
     try:
         return orjson.loads(content)
@@ -114,6 +103,7 @@ def find_spans(content: bytes) -> list[tuple[int, int]]:
     start = content.find(KEY + b'{"')
     if start < 0 or len(content) - start < DEFER_BYTES:
         return []
+    # all closing brackets at once; numpy is ten times as fast here as one search after another
     text = np.frombuffer(content, dtype=np.uint8)
     closing = start + np.flatnonzero(text[start:] == ord("}"))
     double = np.flatnonzero(closing[1:] - closing[:-1] == 1)
@@ -127,6 +117,7 @@ def find_spans(content: bytes) -> list[tuple[int, int]]:
         last = int(double[pair])
         end = int(closing[last]) + 2
         if end - start >= DEFER_BYTES:
+            # a backslash may hide a quote, so that a bracket is within a string
             if (
                 not _separates_entries(text, closing[first:last])
                 or content.find(b"\\", start, end) >= 0
@@ -137,38 +128,46 @@ def find_spans(content: bytes) -> list[tuple[int, int]]:
     return spans
 
 
-def _separates_entries(text: NDArray[np.uint8], closing: NDArray[np.int64]) -> bool:
+def _separates_entries(text: NDArray[np.uint8], closing: Int) -> bool:
     """Whether the next entry's cell id follows on each of these brackets."""
     is_digit = text[closing + 3] - np.uint8(ord("0")) < 10  # uint8: below 0 wraps around
     follows = (text[closing + 1] == ord(",")) & (text[closing + 2] == ord('"')) & is_digit
     return bool(follows.all())
 
 
-def _parse_around(content: bytes, spans: list[tuple[int, int]]) -> Json | None:
-    """Parse a file with marks for the spans, and put the spans where the marks are.
+def _parse_around(content: bytes, spans: list[tuple[int, int]], top: JsonPath) -> Json | None:
+    """Parse a file with ``null`` for the spans, and put unread pieces there.
+
+    In JSON, the quoted word ``"userData"`` is a key, or a string that says it. Where there are as
+    many of these words as levels, and each level has the key, each word is the key of one level,
+    in their order. So it is known whose each span is.
 
     Returns:
-        None where the rest is no JSON, or a mark is not where a level has its user data.
+        None where the rest is no JSON, or it is not known whose the spans are.
     """
-    mark = f"span {os.urandom(16).hex()} "  # nobody can have written this into the file
-    edges = [0, *(edge for span in spans for edge in span), len(content)]
-    pieces = [content[edges[i] : edges[i + 1]] for i in range(0, len(edges), 2)]
-    marked = pieces[0] + b"".join(
-        b'"%b%d"%b' % (mark.encode(), i, piece) for i, piece in enumerate(pieces[1:])
-    )
+    rest, pieces = bytearray(), {}
+    end = 0
+    for start, next_end in spans:
+        rest += content[end:start]
+        line = content.count(b"\n", 0, start) + 1
+        before = content[content.rfind(b"\n", 0, start) + 1 : start]
+        text = memoryview(content)[start:next_end]
+        number = rest.count(KEY[:-1]) - 1
+        pieces[number] = UnreadPiece(text, line, len(before.decode(errors="replace")) + 1, top)
+        rest += b"null"
+        end = next_end
+    rest += content[end:]
+    if b"\\u" in rest:  # the key may be spelt with escapes
+        return None
     try:
-        parsed = orjson.loads(marked)
+        parsed = orjson.loads(rest)
     except orjson.JSONDecodeError:
         return None
     levels = _levels(parsed)
-    marks = {level["userData"]: level for level in levels if _is_mark(level, mark)}
-    if len(marks) != len(spans):
+    if len(levels) != rest.count(KEY[:-1]) or any("userData" not in level for level in levels):
         return None
-    for i, (start, end) in enumerate(spans):
-        line = content.count(b"\n", 0, start) + 1
-        before = content[content.rfind(b"\n", 0, start) + 1 : start]
-        column = len(before.decode(errors="replace")) + 1
-        marks[f"{mark}{i}"]["userData"] = Span(memoryview(content)[start:end], line, column)
+    for number, piece in pieces.items():
+        levels[number]["userData"] = piece
     return parsed if isinstance(parsed, dict) else None
 
 
@@ -182,12 +181,7 @@ def _levels(parsed: Any) -> list[Json]:
     return [level for level in levels if isinstance(level, dict)] if levels else []
 
 
-def _is_mark(level: Json, mark: str) -> bool:
-    value = level.get("userData")
-    return isinstance(value, str) and value.startswith(mark)
-
-
-def read_user_data(value: Any, place: Place, num_cells: int) -> Any:
+def read_user_data(value: Any, place: JsonPath, num_cells: int) -> UserData:
     """Read user data, or keep them for later.
 
     Args:
@@ -195,19 +189,16 @@ def read_user_data(value: Any, place: Place, num_cells: int) -> Any:
         place: where in the file.
         num_cells: of the level.
 
-    Returns:
-        A dictionary by cell id, or a `StoredUserData`.
-
     Raises:
         FormatError: they don't follow the format.
     """
-    if isinstance(value, Span):
-        return SpanUserData(value, place, num_cells)
+    if isinstance(value, UnreadPiece):
+        return UserData(replace(value, place=place, num_cells=num_cells))
     stored = {} if value is None else json_object(plain(value, place), place)
-    return check_user_data(stored, place, num_cells)
+    return UserData(check_user_data(stored, place, num_cells))
 
 
-def check_user_data(stored: Json, place: Place, num_cells: int) -> dict[int, Json]:
+def check_user_data(stored: Json, place: JsonPath, num_cells: int) -> dict[int, Json]:
     """Turn the keys of user data into cell ids.
 
     Raises:
@@ -224,39 +215,43 @@ def check_user_data(stored: Json, place: Place, num_cells: int) -> dict[int, Jso
     return user_data
 
 
-def encode_user_data(grid: SceneGrid2D, place: Place) -> orjson.Fragment:
+def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> orjson.Fragment:
     """User data by ascending cell id; entries that cells share are checked and encoded once."""
     num_cells = grid.width * grid.height
-    held = held_user_data(grid)
-    if isinstance(held, SpanUserData):
-        text = held.encode(num_cells)
+    user_data = UserData.of(grid.user_data)
+    source = user_data.source
+    if isinstance(source, UnreadPiece):
+        text = source.encode(num_cells)
         if text is not None:
             return orjson.Fragment(text)
-    if isinstance(held, SharedUserData) and not held.is_resolved:
-        return _encode_shared(held, num_cells, place)
-    user_data: dict[int, Json] = held.resolve() if isinstance(held, StoredUserData) else held
-    distinct: dict[int, tuple[int, Json]] = {}
+    if isinstance(source, Shared):
+        shared = source
+        plain(list(shared.entries), place)
+    else:
+        shared = _share(user_data, num_cells, place)
+    cells = shared.cells
+    if len(cells) and not 0 <= cells[0] <= cells[-1] < num_cells:
+        place.fail(f"expected cell ids from 0 to {num_cells - 1}, got {cells[[0, -1]]}")
+    encoded = [orjson.dumps(entry) for entry in shared.entries]
+    entries = map(
+        b'"%d":%b'.__mod__,
+        zip(cells.tolist(), map(encoded.__getitem__, shared.number.tolist()), strict=True),
+    )
+    return orjson.Fragment(b"{%b}" % b",".join(entries))
+
+
+def _share(user_data: Mapping[int, Json], num_cells: int, place: JsonPath) -> Shared:
+    """Number the distinct entries; a caller's user data may hold anything, so they are checked."""
+    distinct: dict[int, tuple[int, int, Json]] = {}
     for cell_id, value in user_data.items():
         if not isinstance(cell_id, int | np.integer) or not 0 <= cell_id < num_cells:
             place.fail(f"expected cell ids from 0 to {num_cells - 1}, got {shown(cell_id)}")
         if not isinstance(value, dict):
             place[int(cell_id)].refuse("an object", value)
-        distinct.setdefault(id(value), (int(cell_id), value))
-    plain({str(cell_id): value for cell_id, value in distinct.values()}, place)
-    encoded = {key: orjson.dumps(value) for key, (_, value) in distinct.items()}
-    entries = [
-        b'"%d":%b' % (cell_id, encoded[id(user_data[cell_id])]) for cell_id in sorted(user_data)
-    ]
-    return orjson.Fragment(b"{%b}" % b",".join(entries))
-
-
-def _encode_shared(held: SharedUserData, num_cells: int, place: Place) -> orjson.Fragment:
-    if len(held.cells) and not 0 <= held.cells[0] <= held.cells[-1] < num_cells:
-        place.fail(f"expected cell ids from 0 to {num_cells - 1}, got {held.cells[[0, -1]]}")
-    plain(list(held.entries), place)
-    encoded = [orjson.dumps(entry) for entry in held.entries]
-    entries = map(
-        b'"%d":%b'.__mod__,
-        zip(held.cells.tolist(), map(encoded.__getitem__, held.number.tolist()), strict=True),
+        distinct.setdefault(id(value), (len(distinct), int(cell_id), value))
+    plain({str(cell_id): value for _, cell_id, value in distinct.values()}, place)
+    cells: Int = np.array(sorted(user_data), dtype=np.int64)
+    number = [distinct[id(user_data[cell])][0] for cell in cells.tolist()]
+    return Shared(
+        cells, np.array(number, dtype=np.int64), [value for _, _, value in distinct.values()]
     )
-    return orjson.Fragment(b"{%b}" % b",".join(entries))

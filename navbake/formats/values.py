@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from navbake.formats.json_path import Place
+from navbake.formats.json_path import JsonPath
 from navbake.types import Json, Vector3
 
 MAX_DEPTH = 64  # of metadata, userData, timings and unknown fields
@@ -16,7 +16,7 @@ LEAVES = {str, int, bool, type(None)}  # what JSON holds as it is
 NODES = {dict, list, tuple}
 
 
-def whole_number(value: object, place: Place, minimum: int) -> int:
+def whole_number(value: object, place: JsonPath, minimum: int) -> int:
     """Read an integer; 59.0 is one, true is none."""
     integral = type(value) is int or (isinstance(value, float) and value.is_integer())
     if not integral or int(value) < minimum:  # type: ignore[call-overload]
@@ -24,15 +24,15 @@ def whole_number(value: object, place: Place, minimum: int) -> int:
     return int(value)  # type: ignore[call-overload,no-any-return]
 
 
-def json_object(value: object, place: Place) -> Json:
+def json_object(value: object, place: JsonPath) -> Json:
     """Check that a value is an object."""
     if not isinstance(value, dict):
         place.refuse("an object", value)
     return value
 
 
-def number(value: object, place: Place, *, positive: bool = False) -> float:
-    """Check a finite number; the whole ones come back as int, as they look best in JSON."""
+def number(value: object, place: JsonPath, *, positive: bool = False) -> float:
+    """Check a finite number; whole ones become int, so that JSON has no .0."""
     expected = "a number > 0" if positive else "a finite number"
     if isinstance(value, bool | np.bool_) or not isinstance(
         value, int | float | np.integer | np.floating
@@ -44,7 +44,7 @@ def number(value: object, place: Place, *, positive: bool = False) -> float:
     return int(checked) if checked.is_integer() and abs(checked) < 2**53 else checked
 
 
-def vector(value: object, place: Place) -> Vector3:
+def vector(value: object, place: JsonPath) -> Vector3:
     """Check three finite numbers."""
     if not isinstance(value, list | tuple) or len(value) != 3:
         place.refuse("three numbers", value)
@@ -52,7 +52,7 @@ def vector(value: object, place: Place) -> Vector3:
     return x, y, z
 
 
-def plain(value: Any, place: Place) -> Any:
+def plain(value: Any, place: JsonPath) -> Any:
     """Check that a value is JSON and not too deep; layer by layer, which is fast."""
     layer = [value]
     for _ in range(MAX_DEPTH):
@@ -61,6 +61,7 @@ def plain(value: Any, place: Place) -> Any:
         odd = [v for v in layer if type(v) not in LEAVES and type(v) not in NODES]
         if not all(map(_is_json, odd)):
             _refuse_leaf(value, place)
+        # all keys, then all children, of one depth: no Python call for each value
         objects = [v for v in layer if isinstance(v, dict)]
         if not set(map(type, chain.from_iterable(objects))) <= {str}:
             place.fail("expected strings as keys of objects, got others")
@@ -75,7 +76,7 @@ def _is_json(value: object) -> bool:
     return value is None or isinstance(value, str | int | dict | list | tuple)
 
 
-def _refuse_leaf(value: Any, place: Place) -> None:
+def _refuse_leaf(value: Any, place: JsonPath) -> None:
     """Find the first value that is not JSON, and name it."""
     if isinstance(value, dict):
         for key in value:

@@ -11,8 +11,8 @@ from typing import Literal
 from navbake.errors import FormatError
 from navbake.formats.binvox import encode_binvox, read_binvox, with_mapping
 from navbake.formats.bytes_file import write_bytes
-from navbake.formats.npz import read_npz, write_npz
-from navbake.formats.octomap import read_octomap, write_octomap
+from navbake.formats.npz import encode_npz, read_npz
+from navbake.formats.octomap import encode_octomap, read_octomap
 from navbake.voxels.grid import VoxelGrid
 
 SUFFIXES = (".binvox", ".bt", ".ot", ".npz")
@@ -32,21 +32,21 @@ def write_voxels(
     Args:
         grid: the voxels.
         path: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``. The table of `a.npz` is `a.npz.names.json`.
-        free: of octrees: see `write_octomap`.
-        layout, mapping: of binvox: see `write_binvox`.
+        free: of octrees: see `encode_octomap`.
+        layout, mapping: of binvox: see `encode_binvox` and `with_mapping`.
 
     Raises:
         FormatError: the format can't hold the grid.
     """
     suffix = check_suffix(path)
     if suffix in (".bt", ".ot"):
-        write_octomap(grid, path, free=free)
+        write_bytes(encode_octomap(grid, suffix[1:], free=free), path)
         return
     if suffix == ".binvox":
         grid = with_mapping(grid, mapping)
         write_bytes(encode_binvox(grid, layout), path)
     else:
-        write_npz(grid, path)
+        write_bytes(encode_npz(grid), path)
     if grid.is_segmented:
         write_bytes(_table(grid), names_path(path))
 

@@ -1,4 +1,4 @@
-"""What a file says of the attributes that cells have."""
+"""Describes the attributes of cells, as ``metadata.cellAttributes`` does."""
 
 from __future__ import annotations
 
@@ -44,6 +44,7 @@ def describe_attributes(metadata: Json, levels: Sequence[SceneGrid2D]) -> list[J
 
 
 def _describe(name: str, dtype: np.dtype[Any], stated: Json) -> Json:
+    # the array decides; what the file states is kept where it says the same in other words
     kind = stated.get("type")
     if not isinstance(kind, str) or datatype_name(kind) != dtype.name:
         kind = f"{dtype.name.capitalize()}Array"

@@ -1,21 +1,19 @@
-"""Who blocks the cells of a level for a while, and what was there before.
+"""The blocks of a level: how many hold each cell, and what the cells hold without them.
 
-Blocks may overlap, so each cell counts who blocks it. The level's own weights and occupancy change
-with the blocks, and its clearance if it has that layer, in the touched window only. Who keeps
-something that follows from them, as a `PathFinder` does, asks for the windows that changed since
-it last looked.
+Blocks may overlap, so they are counted. The level's own weights and occupancy change with the
+blocks, and its clearance if it has that layer, in the touched window only. A reader that keeps
+what follows from them, like a `PathFinder`, asks for the windows that changed since it last asked.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from navbake.navgrid.islands import clearance
-from navbake.types import Bool, Float, Int
+from navbake.navgrid.islands import clearance, clearance_of
+from navbake.types import Bool, Int
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import SceneGrid2D
@@ -23,7 +21,7 @@ if TYPE_CHECKING:
 # What a block takes: cells that the thing is in; where an agent can't stand; where it can't step
 # diagonally; where it can't be beside the cell's centre. Each holds the one before, but for the
 # first two.
-OCCUPIED, BLOCKED, NARROW, TIGHT = range(4)
+OCCUPIED, BLOCKED, NO_DIAGONAL, NO_OFF_CENTER = range(4)
 NUM_LAYERS = 4
 
 Layers = list[Int]
@@ -33,18 +31,18 @@ Window = tuple[int, int, int, int]
 """First and last row, first and last column, the last ones excluded."""
 
 CHANGING = {"occupancy", "clearance"}  # attributes that are changed in place
-MAX_JOURNAL = 1024  # changes that a level remembers; who missed more looks at all of it
+MAX_JOURNAL = 1024  # changes that a level remembers; a reader that missed more reads all of it
 
 
 class BlockState:
-    """Who blocks the cells of one level, and what was there before.
+    """The blocks of one level: how many hold each cell, and what the cells hold without them.
 
     Making one gives the level arrays of its own, because blocks write to them in place.
 
     Attributes:
         count: how many blocks hold a cell, by layer and cell id, uint16.
-        weights: what the cells weigh when nobody blocks them, by cell id.
-        occupancy: likewise; None if the level has no such layer of its own.
+        weights: what the cells weigh without blocks, by cell id.
+        occupancy: of the cells without blocks, by cell id; None if the level has no such layer.
         revision: how many times something changed.
     """
 
@@ -82,6 +80,7 @@ class BlockState:
         """Block cells."""
         for layer, ids in enumerate(cells):
             self.count[layer, ids] += 1
+        # what was there is read anew with the first block: others may have written to it since
         weights, taken = level.weights.reshape(-1), cells[BLOCKED]
         taken = taken[self.count[BLOCKED, taken] == 1]
         self.weights[taken] = weights[taken]
@@ -117,6 +116,7 @@ class BlockState:
         return level.with_layers(weights=weights.reshape(level.shape), attributes=attributes)
 
     def _note(self, level: SceneGrid2D, cells: Layers) -> None:
+        # one window for all layers; a reader that is that far behind copies it as a whole
         rows, cols = np.divmod(np.concatenate(cells), level.width)
         window = (int(rows.min()), int(rows.max()) + 1, int(cols.min()), int(cols.max()) + 1)
         self.revision += 1
@@ -152,25 +152,17 @@ def _measure_again(level: SceneGrid2D, window: Window, farthest: float) -> None:
         farthest: the largest clearance when nothing is blocked, in cells.
     """
     reach = math.ceil(farthest) + 2
+    # the nearest blocked cell of one at the rim of `inner` may be a whole reach further out
     outer, inner = (_grown(window, k * reach, level) for k in (2, 1))
     row0, row1, col0, col1 = outer
-    free = level.free[row0:row1, col0:col1]
-    edges = ((row0 > 0, row1 < level.height), (col0 > 0, col1 < level.width))
-    cells = _to_blocked(free, edges)
+    closed = (
+        (int(row0 == 0), int(row1 == level.height)),
+        (int(col0 == 0), int(col1 == level.width)),
+    )
+    metres = clearance_of(level.free[row0:row1, col0:col1], level.lattice.cell_size, closed)
     rows, cols = slice(inner[0], inner[1]), slice(inner[2], inner[3])
     here = np.s_[inner[0] - row0 : inner[1] - row0, inner[2] - col0 : inner[3] - col0]
-    metres = np.where(free[here], (cells[here] - 0.5) * level.lattice.cell_size, 0.0)
-    level.attributes["clearance"][rows, cols] = metres
-
-
-def _to_blocked(free: Bool, open_edges: tuple[tuple[bool, bool], tuple[bool, bool]]) -> Float:
-    """Distances to the nearest cell that isn't free, which all beyond closed edges are."""
-    from scipy.ndimage import distance_transform_edt  # only grids with clearance need scipy
-
-    pad = [tuple(int(not is_open) for is_open in edge) for edge in open_edges]
-    distance: NDArray[Any] = distance_transform_edt(np.pad(free, pad))
-    rows, cols = free.shape
-    return np.asarray(distance[pad[0][0] : pad[0][0] + rows, pad[1][0] : pad[1][0] + cols])
+    level.attributes["clearance"][rows, cols] = metres[here]
 
 
 def _grown(window: Window, by: int, level: SceneGrid2D) -> Window:

@@ -77,7 +77,7 @@ def cells_at(grid: GridBase, positions: ArrayLike, level: int | None = None) -> 
         Level, row and column, each of shape (...), int64; -1 where there is no cell.
 
     Raises:
-        QueryError: there is no such level, or a position is none.
+        QueryError: as `cell_at`.
     """
     p = check_positions(positions, len(grid.levels), level)
     flat = p.reshape(-1, p.shape[-1])
@@ -119,7 +119,7 @@ def position_of(grid: GridBase, cells: Cell | Cells) -> Float:
 
 
 def check_cells(cells: Cell | Cells) -> Cells:
-    """Refuse what are no cells; whether the grid has them is not looked at.
+    """Check the form of cells; whether the grid has them is not checked.
 
     Args:
         cells: level, row and column, whole numbers or arrays of them.
@@ -140,7 +140,7 @@ def check_cells(cells: Cell | Cells) -> Cells:
 
 
 def check_positions(positions: ArrayLike, num_levels: int, level: int | None = None) -> Float:
-    """Refuse what are no positions.
+    """Check the form of positions.
 
     Args:
         positions: world x, y, z [m], shape (..., 3); (..., 2) on one level or a given one.
@@ -176,7 +176,7 @@ def check_positions(positions: ArrayLike, num_levels: int, level: int | None = N
 
 
 def check_level(level: int | None, num_levels: int) -> None:
-    """Refuse a level that there is not.
+    """Raise for an unknown level.
 
     Raises:
         QueryError: there is none of this number.
@@ -188,9 +188,12 @@ def check_level(level: int | None, num_levels: int) -> None:
 def _cells_under(grid: GridBase, p: Float) -> Cells:
     """The cells of the nearest floors at or below positions, shape (n, 3)."""
     z = p[:, 2]
+    # float32 moved the floors, in proportion to their height
     limit = z + grid.max_step + STEP_SLACK + np.abs(z) * ROUNDING
     found, on_ground = _no_cells(len(p)), _no_cells(len(p))
     highest, highest_ground = np.full(len(p), -np.inf), np.full(len(p), -np.inf)
+    # of each position the highest floor so far that is not above the limit; grounds count only
+    # where no level has such a floor
     for number, part in enumerate(grid.levels):
         inside, rows, cols = _cells_of_level(part, p)
         floor = np.full(len(p), np.nan)
@@ -210,6 +213,7 @@ def _cells_of_level(part: SceneGrid2D, p: Float) -> tuple[Bool, Int, Int]:
     lattice = part.lattice
     row = np.floor((lattice.y_max - p[..., 1]) / lattice.cell_size)
     col = np.floor((p[..., 0] - lattice.x_min) / lattice.cell_size)
+    # compared as floats: int64 could not hold what is far away
     inside = (row >= 0) & (row < part.height) & (col >= 0) & (col < part.width)
     rows, cols = (np.where(inside, v, 0.0).astype(np.int64) for v in (row, col))
     return np.asarray(inside), rows, cols
@@ -227,13 +231,7 @@ def _no_cells(count: int) -> Cells:
     return Cells(*(np.full(count, -1, dtype=np.int64) for _ in range(3)))
 
 
-def _keep(
-    found: Cells,
-    level: int,
-    mask: Bool,
-    rows: Int,
-    cols: Int,
-) -> None:
+def _keep(found: Cells, level: int, mask: Bool, rows: Int, cols: Int) -> None:
     found.level[mask] = level
     found.row[mask] = rows[mask]
     found.col[mask] = cols[mask]

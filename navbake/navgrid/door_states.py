@@ -1,7 +1,7 @@
 """The same grid with its doors in other states.
 
-A file states what each door blocks in each state, and nothing else does. So another state needs no
-scene and no new bake.
+A file states for each door and state the cells that only this door blocks. So another state needs
+no scene and no new bake.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -17,27 +17,32 @@ from navbake.errors import QueryError
 from navbake.navgrid.block_state import BLOCKED, OCCUPIED
 from navbake.navgrid.doors import STATES, Door
 from navbake.navgrid.islands import add_layers
-from navbake.navgrid.user_data import SharedUserData, held_user_data
-from navbake.types import Bool
+from navbake.navgrid.user_data import UserData
+from navbake.types import Bool, Json
 
 if TYPE_CHECKING:
-    from navbake.navgrid.grid import SceneGrid2D
     from navbake.navgrid.grid_base import GridBase
 
 AnyGrid = TypeVar("AnyGrid", bound="GridBase")
-
-UserData = TypeVar("UserData", dict[int, dict[str, Any]], SharedUserData)
 
 NAMES = ("doors", "objects", "walls")
 """Keys of a cell's user data that list what stands in it."""
 
 
 def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
-    """The same grid with doors in other states; see `SceneGrid2D.with_doors`."""
+    """The same grid with doors in other states: equal to a bake with them in these states.
+
+    Args:
+        grid: the grid.
+        states: ``modelled``, ``open``, ``closed`` or ``removed``, by a door's id or for all.
+
+    Raises:
+        QueryError: there is no such door, or no such state, or the grid was inflated.
+    """
     if "inflation" in grid.metadata:
         raise QueryError(
-            f"{grid.scene_id!r} was inflated with its doors as they were: change them on the grid "
-            "as it was baked, then inflate that"
+            f"{grid.scene_id!r} was inflated: change doors on the grid as it was baked, then "
+            "inflate the result"
         )
     if not isinstance(states, str | Mapping):
         raise QueryError(f"expected a state, or states by door, got {states!r}")
@@ -56,7 +61,7 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
 
 
 def _check_state(name: str, state: str, doors: Mapping[str, Door], scene_id: str | None) -> None:
-    """Refuse a door that there is not, and a state that it hasn't."""
+    """Raise for an unknown door, or a state that the door can't be in."""
     if name not in doors:
         near = get_close_matches(name, doors, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
@@ -78,12 +83,13 @@ def _rebuild(grid: AnyGrid, doors: Sequence[Door], occupied: list[Bool]) -> AnyG
             is_blocked = level.block_state.held(level, BLOCKED)
         was_occupied = level.occupancy.astype(np.bool_)
         weights = level.weights.copy()
+        # cells that no door changes keep their weight, whatever it is
         weights[is_occupied & ~was_occupied] = np.inf
         weights[~is_occupied & was_occupied] = 1.0
         weights[is_blocked] = np.inf
         named = None
         if grid.navbake.get("names", True):
-            named = name_door_cells(_known(level), doors, number, len(occupied))
+            named = name_door_cells(UserData.of(level.user_data), doors, number, len(occupied))
         attributes = {"occupancy": is_occupied.astype(np.uint8)}
         levels.append(level.with_layers(weights=weights, attributes=attributes, user_data=named))
     stated = zip(grid.navbake.get("doors", []), doors, strict=True)
@@ -109,25 +115,18 @@ def name_door_cells(
         num_levels: how many the grid has.
 
     Returns:
-        User data of the same kind with `doors` where a cell is in one, by ascending cell id.
+        User data with `doors` where a cell is in one, by ascending cell id.
     """
     if not doors:
         return user_data
     names, standing = _doors_by_cell(doors, level, num_levels)
     ids = {door.id for door in doors}
-    if isinstance(user_data, SharedUserData):
-        known = user_data.find(np.fromiter(names, dtype=np.int64, count=len(names)))
-    else:
-        known = [user_data.get(cell, {}) for cell in names]
-    changed: dict[int, dict[str, Any]] = {}
+    known = user_data.find(np.fromiter(names, dtype=np.int64, count=len(names)))
+    changed: dict[int, Json] = {}
     for (cell, found), before in zip(names.items(), known, strict=True):
         entry = _without_doors(before, ids)
         changed[cell] = _with_doors(entry, found, standing.get(cell, set())) if found else entry
-    if isinstance(user_data, SharedUserData):
-        replaced: Any = user_data.replaced(changed)
-        return replaced  # type: ignore[no-any-return]
-    merged = {**user_data, **changed}
-    return {cell: merged[cell] for cell in sorted(merged) if cell not in changed or changed[cell]}
+    return user_data.replaced(changed)
 
 
 def _doors_by_cell(
@@ -135,7 +134,8 @@ def _doors_by_cell(
 ) -> tuple[dict[int, set[str]], dict[int, set[str]]]:
     """The doors that each cell is in, and those that block it.
 
-    Among the former are all cells that a door blocks in any state, as it may have been in that.
+    The former has all cells that a door blocks in any state, most with no door at all: the user
+    data may be from that state.
     """
     names: dict[int, set[str]] = {}
     standing: dict[int, set[str]] = {}
@@ -150,8 +150,8 @@ def _doors_by_cell(
     return names, standing
 
 
-def _without_doors(entry: dict[str, Any], ids: set[str]) -> dict[str, Any]:
-    """A cell's user data without doors; what blocks a door's cell is a door as well."""
+def _without_doors(entry: Json, ids: set[str]) -> Json:
+    """A cell's user data without doors, and without blockers: they may name a door."""
     if "doors" not in entry:
         return entry
     kept = {key: value for key, value in entry.items() if key not in ("doors", "blockers")}
@@ -159,18 +159,12 @@ def _without_doors(entry: dict[str, Any], ids: set[str]) -> dict[str, Any]:
     return {key: value for key, value in kept.items() if key != "objects" or value}
 
 
-def _with_doors(entry: dict[str, Any], names: set[str], standing: set[str]) -> dict[str, Any]:
+def _with_doors(entry: Json, names: set[str], standing: set[str]) -> Json:
     """A cell's user data with the doors that it is in, and those of them that block it."""
     objects = sorted({*entry.get("objects", []), *standing})
     named = {"doors": sorted(names), **({"objects": objects} if objects else {})}
     named |= {key: value for key, value in entry.items() if key not in named}
+    # blockers are stated only where they aren't all that stands in the cell
     if standing and standing != {name for key in NAMES for name in named.get(key, [])}:
         named["blockers"] = sorted(standing)
     return named
-
-
-def _known(level: SceneGrid2D) -> Any:
-    """A level's user data: as a dictionary, unless nobody can have changed what cells share."""
-    held = held_user_data(level)
-    is_shared = isinstance(held, SharedUserData) and not held.is_resolved
-    return held if is_shared else level.user_data

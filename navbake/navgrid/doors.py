@@ -1,7 +1,7 @@
 """The doors of a grid, as a file states them: the cells that each blocks, by state and level.
 
-The file carries, for each door and state, the cells that the door blocks and nothing else does.
-So another state needs no scene and no new bake, see `navbake.navgrid.door_states`.
+The file carries, for each door and state, the cells that only this door blocks. So
+another state needs no scene and no new bake, see `navbake.navgrid.door_states`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def to_runs(cells: Int) -> Runs:
     """Pack ascending cell ids, shape (n,), into runs."""
     if not len(cells):
         return []
-    breaks = np.flatnonzero(np.diff(cells) != 1) + 1
+    breaks = np.flatnonzero(np.diff(cells) != 1) + 1  # where a run begins, but for the first
     first = np.concatenate([[0], breaks])
     count = np.diff(np.concatenate([first, [len(cells)]]))
     return [int(v) for v in np.stack([cells[first], count], axis=1).ravel()]
@@ -76,7 +76,7 @@ class Door:
         return next((s for s in ("closed", "open") if self.cells.get(s) == as_modelled), None)
 
     def cells_in(self, state: str, num_levels: int) -> list[Int]:
-        """The cells that it blocks in a state, and nothing else does: ascending ids by level."""
+        """The cells that only this door blocks in a state: ascending ids by level."""
         per_level = self.cells.get(state, {})
         return [from_runs(per_level.get(level, ())) for level in range(num_levels)]
 
@@ -111,7 +111,7 @@ def parse_doors(stated: Any, num_cells: Sequence[int]) -> tuple[Door, ...]:
         here = f"{WHERE}[{number}]"
         door = _parse(entry, num_cells, here)
         if door.id in doors:
-            raise FormatError(f"expected an id of its own, got {door.id!r} again at `{here}.id`")
+            raise FormatError(f"expected unique ids, got {door.id!r} twice at `{here}.id`")
         doors[door.id] = door
     return tuple(doors.values())
 
@@ -142,7 +142,7 @@ def _parse_cells(entries: list[Any], num_cells: Sequence[int], where: str) -> di
             )
         level, runs = entry
         if level in per_level:
-            raise FormatError(f"expected one entry a level, got level {level} again at {where}")
+            raise FormatError(f"expected one entry a level, got level {level} twice at {where}")
         per_level[level] = runs
     return per_level
 
@@ -155,7 +155,7 @@ def _is_entry(entry: Any, num_cells: Sequence[int]) -> bool:
         return False
     if not isinstance(runs, list) or len(runs) % 2 or any(type(v) is not int for v in runs):
         return False
-    end = 0
+    end = 0  # runs ascend and don't overlap
     for first, count in zip(runs[::2], runs[1::2], strict=True):
         if first < end or not 0 < count <= num_cells[level] - first:
             return False

@@ -8,7 +8,7 @@ metres; `SceneGrid2D.lattice` is the bridge.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -21,7 +21,7 @@ from navbake.navgrid.grid_base import GridBase
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.level_metadata import cut_metadata
 from navbake.navgrid.links import parse_links
-from navbake.navgrid.user_data import UserDataField, held_user_data
+from navbake.navgrid.user_data import UserData
 from navbake.types import Bool, Int, Json, Vector3
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class SceneGrid2D(GridBase):
     bbox_yup: tuple[Vector3, Vector3] | None = None
     weights: NDArray[Any] = field(repr=False)
     attributes: dict[str, NDArray[Any]] = field(default_factory=dict, repr=False)
-    user_data: dict[int, Json] = field(default_factory=dict, repr=False)
+    user_data: MutableMapping[int, Json] = field(default_factory=UserData, repr=False)
     block_state: BlockState | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -87,7 +87,7 @@ class SceneGrid2D(GridBase):
         *,
         weights: NDArray[Any] | None = None,
         attributes: Mapping[str, NDArray[Any]] | None = None,
-        user_data: Any = None,
+        user_data: MutableMapping[int, Json] | None = None,
         metadata: Json | None = None,
     ) -> Self:
         """The same level with other layers; what isn't given is as it is now.
@@ -109,7 +109,7 @@ class SceneGrid2D(GridBase):
             self,
             weights=self.weights if weights is None else weights,
             attributes={**kept, **(attributes or {})},
-            user_data=held_user_data(self) if user_data is None else user_data,
+            user_data=self.user_data if user_data is None else user_data,
             metadata=self.metadata if metadata is None else metadata,
         )
 
@@ -144,7 +144,7 @@ class SceneGrid2D(GridBase):
         """The floor's Y [file units], shape (height, width), float32, NaN for no floor.
 
         A file without ``floorHeight`` has its floor at the ground height, where weights are
-        finite. What is not the attribute's own array is read-only.
+        finite. The array is read-only unless it is the attribute itself.
         """
         stored = self.attributes.get("floorHeight")
         if stored is None:
@@ -156,7 +156,7 @@ class SceneGrid2D(GridBase):
         """1 where something stands in the agent's way, shape (height, width), uint8.
 
         A file without ``occupancy`` is occupied where weights are infinite; one that keeps it
-        in another dtype, where it is not 0. What is not the attribute's own array is read-only.
+        in another dtype, where it is not 0. Read-only unless it is the attribute itself.
         """
         stored = self.attributes.get("occupancy")
         if stored is None:
@@ -167,8 +167,8 @@ class SceneGrid2D(GridBase):
     def room_index(self) -> NDArray[np.uint16]:
         """The room of each cell from 1, 0 for none, shape (height, width), uint16.
 
-        A file without ``roomIndex`` has no rooms; in one that keeps it in another dtype, what
-        uint16 can't hold is no room. What is not the attribute's own array is read-only.
+        A file without ``roomIndex`` has no rooms; in one that keeps it in another dtype, values
+        beyond uint16 are no room. Read-only unless it is the attribute itself.
         """
         stored = self.attributes.get("roomIndex")
         if stored is None:
@@ -176,10 +176,6 @@ class SceneGrid2D(GridBase):
         if stored.dtype == np.uint16:
             return stored
         return _derived(np.where((stored >= 0) & (stored < 65536), stored, 0).astype(np.uint16))
-
-
-# after the fact: a descriptor in the class's body would be the field's default
-setattr(SceneGrid2D, "user_data", UserDataField())  # noqa: B010
 
 
 @dataclass(eq=False, kw_only=True)
@@ -228,7 +224,7 @@ class MultiLevelGrid(GridBase):
 
 
 def _derived(array: NDArray[Any]) -> NDArray[Any]:
-    """Lock an array that is no part of the grid, so that nobody writes to it in vain."""
+    """Make a computed array read-only: writing to it would not change the grid."""
     array.flags.writeable = False
     return array
 

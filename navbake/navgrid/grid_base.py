@@ -1,22 +1,22 @@
-"""What one may ask of a grid, whether it has one level or several."""
+"""What grids of one level and of several have in common."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from numpy.typing import ArrayLike, NDArray
 
+from navbake.navgrid import cells, door_states
 from navbake.navgrid.attributes import describe_attributes
-from navbake.navgrid.cells import Cell, Cells, cell_at, cells_at, position_of
-from navbake.navgrid.door_states import with_doors
+from navbake.navgrid.cells import Cell, Cells
 from navbake.navgrid.doors import Door, parse_doors
 from navbake.navgrid.links import Link, parse_links
 from navbake.navgrid.operations import operation
 from navbake.navgrid.rooms import Room, measure_rooms, parse_rooms
-from navbake.types import Bool, Float, Int, Int32, Json
+from navbake.types import Bool, Int, Int32, Json
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -33,7 +33,7 @@ DEFAULT_STEP = 0.25  # [m], where a file doesn't tell its traversableFloorHeight
 
 @dataclass(eq=False, kw_only=True)
 class GridBase:
-    """What one level and several share: what the metadata say, and what one may ask of either.
+    """What grids of one level and of several have in common.
 
     Attributes:
         cell_size: edge of a cell [file units], > 0.
@@ -53,8 +53,8 @@ class GridBase:
     found_islands: tuple[bytes, list[Int32]] | None = field(default=None, init=False, repr=False)
     _tables: dict[str, tuple[Any, Any]] = field(default_factory=dict, init=False, repr=False)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """A copy or a pickle takes along neither what was found nor who blocks cells."""
+    def __getstate__(self) -> Json:
+        """Copies and pickles have neither caches nor blocks of their own."""
         return {**self.__dict__, "found_islands": None, "_tables": {}, "block_state": None}
 
     @property
@@ -110,7 +110,7 @@ class GridBase:
 
     @property
     def navbake(self) -> Json:
-        """What navbake wrote into the metadata: versions, digests, frame; {} in others' files."""
+        """What navbake wrote into the metadata; {} in files of other programs."""
         own = self.metadata.get("navbake")
         return own if isinstance(own, dict) else {}
 
@@ -190,17 +190,12 @@ class GridBase:
         """What the metadata say of each attribute, completed where they say nothing."""
         return describe_attributes(self.metadata, self.levels)
 
-    def cell_at(self, position: ArrayLike, level: int | None = None) -> Cell | None:
-        """The cell of a world position [m]; see `navbake.navgrid.cells.cell_at`."""
-        return cell_at(self, position, level)
-
-    def cells_at(self, positions: ArrayLike, level: int | None = None) -> Cells:
-        """The cells of world positions, shape (..., 3) [m]; -1 for none. See `cell_at`."""
-        return cells_at(self, positions, level)
-
-    def position_of(self, cells: Cell | Cells) -> Float:
-        """World x, y and floor z [m] of cells' centres, shape (..., 3), float64."""
-        return position_of(self, cells)
+    # functions of modules that a grid is built on, with their docstrings: the grid is what they
+    # take first
+    cell_at = cells.cell_at
+    cells_at = cells.cells_at
+    position_of = cells.position_of
+    with_doors = door_states.with_doors
 
     def at(self, position: ArrayLike, level: int | None = None) -> Place | None:
         """Floor, room, island, weight and occupancy at a world position [m]; None for no cell.
@@ -230,14 +225,14 @@ class GridBase:
         """The same grid for an agent of another radius.
 
         ``exact``: a cell stays free if the open disc of the radius round its centre meets no
-        occupied cell's square. So nothing that the bake saw is ever hit, whatever the radius; the
-        baked radius needs no adding or taking away. See `navbake.runtime.inflation.inflate` for
-        steps, other levels, the edges of the grid and cells without floor. ``minos``: the weights
-        that the original client's ``refine`` gives, cell for cell.
+        occupied cell's square. So no baked geometry is ever hit, and the radius replaces the baked
+        one. See `navbake.runtime.inflation.inflate` for steps, other levels, the edges of the grid
+        and cells without floor. ``minos``: the weights that the original client's ``refine`` gives,
+        cell for cell.
 
-        A cell that isn't free stays so (but for what ``refine`` does at radius 0 with a
-        clearance). Occupancy stays as baked, so a grid can be inflated again; a file that tells
-        none, or no floors, gets those layers, as they followed from its weights.
+        A cell that isn't free stays so (except in ``refine`` at radius 0 with a clearance).
+        Occupancy stays as baked, so a grid can be inflated again; a grid without layers for
+        occupancy or floors gets them, as they followed from its weights.
 
         Args:
             radius: of the agent [m], 0 to 10,000.
@@ -319,19 +314,8 @@ class GridBase:
         )
         return blocked
 
-    def with_doors(self, states: Mapping[str, str] | str) -> Self:
-        """The same grid with doors in other states, as a bake in these states would have it.
-
-        Args:
-            states: ``modelled``, ``open``, ``closed`` or ``removed``, by a door's id or for all.
-
-        Raises:
-            QueryError: there is no such door, or no such state, or the grid was inflated.
-        """
-        return with_doors(self, states)
-
     def describe_cell(self, x: float, y: float, level: int | None = None) -> Json:
-        """What the grid knows of a place: floor, room, island, doors, and what occupies it.
+        """What the grid knows of a cell: floor, room, island, doors, and what occupies it.
 
         Args:
             x, y: world position [m].
@@ -347,14 +331,9 @@ class GridBase:
         return told
 
     def blockers(self, x: float, y: float, level: int | None = None) -> list[str]:
-        """The names of what blocks the cell at a place, sorted; [] where nothing does.
+        """The names of what blocks the cell at a position, sorted; [] where nothing does.
 
-        Args:
-            x, y: world position [m].
-            level: which level, 0 is the lowest; may be left out where there is but one.
-
-        Raises:
-            QueryError: there is no such level, or the position is no number or beside the grid.
+        Takes and raises what `describe_cell` does.
         """
         blockers: list[str] = self.describe_cell(x, y, level)["blockers"]
         return blockers

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from hashlib import blake2b
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.types import Int32
+from navbake.types import Bool, Int32
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import SceneGrid2D
@@ -42,6 +42,7 @@ def find_islands(grid: GridBase) -> list[Int32]:
     floor = np.concatenate([level.floor_height.ravel() for level in levels])
     links = grid.link_array
     pairs = np.stack([start[links[:, 0]] + links[:, 1], start[links[:, 2]] + links[:, 3]], axis=1)
+    # one row of cells for all levels, so that links join cells like edges do
     islands, _ = label_islands(start, width, free, floor, step_limit(grid), pairs)
     return [islands[start[i] : start[i + 1]].reshape(level.shape) for i, level in enumerate(levels)]
 
@@ -49,8 +50,8 @@ def find_islands(grid: GridBase) -> list[Int32]:
 def islands_of(grid: GridBase) -> list[Int32]:
     """The islands as the file has them, or else as `find_islands` finds them, kept for next time.
 
-    Only what navbake wrote is believed, and only while nothing is blocked: in others' files
-    ``island`` may mean anything.
+    A stored layer ``island`` is used only in files that navbake wrote, and only while nothing is
+    blocked: in files of other programs it may mean anything.
 
     Args:
         grid: a grid of one or several levels.
@@ -74,7 +75,7 @@ def islands_of(grid: GridBase) -> list[Int32]:
 
 
 def _digest(grid: GridBase) -> bytes:
-    """What the islands follow from, in short: grids can be written to."""
+    """A hash of all that the islands depend on, because a grid's arrays can be written to."""
     digest = blake2b(repr((step_limit(grid), grid.link_array.tolist())).encode())
     for level in grid.levels:
         digest.update(np.packbits(level.free).tobytes())
@@ -93,11 +94,26 @@ def clearance(level: SceneGrid2D) -> NDArray[np.float32]:
     Returns:
         Metres, shape (height, width), float32; 0 where the cell itself is not free.
     """
-    from scipy.ndimage import distance_transform_edt
+    return clearance_of(level.free, level.lattice.cell_size)
 
-    cells = distance_transform_edt(np.pad(level.free, 1))[1:-1, 1:-1]
-    metres = (cells - 0.5) * level.lattice.cell_size
-    return np.where(level.free, metres, 0.0).astype(np.float32)
+
+def clearance_of(
+    free: Bool, cell_size: float, closed: Sequence[tuple[int, int]] = ((1, 1), (1, 1))
+) -> NDArray[np.float32]:
+    """Measure the clearance of cells, see `clearance`.
+
+    Args:
+        free: the cells.
+        cell_size: [m].
+        closed: whether the first and the last row, and the first and the last column, are at the
+            grid's edge: 1 or 0.
+    """
+    from scipy.ndimage import distance_transform_edt  # scipy loads slowly, and few ask for this
+
+    (top, _), (left, _) = closed
+    cells = distance_transform_edt(np.pad(free, closed))
+    cells = cells[top : top + free.shape[0], left : left + free.shape[1]]
+    return np.where(free, (cells - 0.5) * cell_size, 0.0).astype(np.float32)
 
 
 def step_limit(grid: GridBase) -> float:
@@ -113,7 +129,7 @@ def step_limit(grid: GridBase) -> float:
 
 
 def add_layers(grid: GridBase, names: Iterable[str]) -> None:
-    """Write further layers into a grid, anew where it has them already.
+    """Compute layers and store them in a grid, in place of those that it has.
 
     Args:
         grid: changed in place.

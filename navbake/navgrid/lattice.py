@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from navbake.types import Float, Int
 
 CELL_SLACK = 1e-6  # of a cell: an extent this little over n cells still makes n cells
 
 
-def world_to_yup(xyz: ArrayLike) -> NDArray[np.float64]:
+def world_to_yup(xyz: ArrayLike) -> Float:
     """Turn world positions into file coordinates.
 
     Args:
@@ -30,7 +32,7 @@ def world_to_yup(xyz: ArrayLike) -> NDArray[np.float64]:
     return np.stack([p[..., 0], p[..., 2], 0.0 - p[..., 1]], axis=-1)
 
 
-def yup_to_world(xyz: ArrayLike) -> NDArray[np.float64]:
+def yup_to_world(xyz: ArrayLike) -> Float:
     """Turn file coordinates into world positions; the inverse of `world_to_yup`.
 
     Args:
@@ -52,9 +54,8 @@ def num_cells(extent: float, cell_size: float) -> int:
     return max(1, math.ceil(extent / cell_size - CELL_SLACK))
 
 
-@dataclass(frozen=True)
-class Lattice:
-    """A rectangle of square cells in the world's horizontal plane.
+class Lattice(NamedTuple):
+    """A rectangle of square cells in the world's horizontal plane; kernels take it whole.
 
     Attributes:
         x_min: world x of the outer edge of column 0 [m].
@@ -82,6 +83,7 @@ class Lattice:
         x0, y0, x1, y1 = bounds
         width = num_cells(x1 - x0 + 2 * margin, cell_size)
         height = num_cells(y1 - y0 + 2 * margin, cell_size)
+        # what whole cells have too much is shared by both sides
         x_mid, y_mid = (x0 + x1) / 2, (y0 + y1) / 2
         return cls(
             x_min=x_mid - width * cell_size / 2,
@@ -106,16 +108,16 @@ class Lattice:
             self.y_max,
         )
 
-    def center_x(self) -> NDArray[np.float64]:
+    def center_x(self) -> Float:
         """World x of the centre of each column [m], shape (width,), float64."""
         return self.x_min + (np.arange(self.width, dtype=np.float64) + 0.5) * self.cell_size
 
-    def center_y(self) -> NDArray[np.float64]:
+    def center_y(self) -> Float:
         """World y of the centre of each row [m], shape (height,), float64, descending."""
         return self.y_max - (np.arange(self.height, dtype=np.float64) + 0.5) * self.cell_size
 
-    def rows_cols(self, xy: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Find the cells that hold positions; outside the lattice they run on.
+    def rows_cols(self, xy: ArrayLike) -> tuple[Int, Int]:
+        """Find the cells that hold positions; outside the lattice, indices are extrapolated.
 
         Args:
             xy: positions, shape (..., 2) or (..., 3), world frame [m]; finite.
@@ -128,13 +130,13 @@ class Lattice:
         cols = np.floor((p[..., 0] - self.x_min) / self.cell_size).astype(np.int64)
         return rows, cols
 
-    def positions(self, rows: ArrayLike, cols: ArrayLike) -> NDArray[np.float64]:
+    def positions(self, rows: ArrayLike, cols: ArrayLike) -> Float:
         """World x, y of cells' centres [m], shape (..., 2), float64."""
         x = self.x_min + (np.asarray(cols) + 0.5) * self.cell_size
         y = self.y_max - (np.asarray(rows) + 0.5) * self.cell_size
         return np.stack(np.broadcast_arrays(x, y), axis=-1)
 
-    def window(self, bounds: NDArray[np.float64], reach: float = 0.0) -> tuple[slice, slice] | None:
+    def window(self, bounds: Float, reach: float = 0.0) -> tuple[slice, slice] | None:
         """Find the rows and columns whose cells are near a box, one more on each side.
 
         Args:

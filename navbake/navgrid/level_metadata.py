@@ -43,13 +43,14 @@ def _are_objects(value: Any) -> bool:
 
 
 def _cut_rooms(rooms: list[Json], level: int) -> list[Json]:
-    elsewhere = [room.get("id") for room in rooms if room.get("level") != level]
+    elsewhere = {str(room.get("id")) for room in rooms if room.get("level") != level}
     cut = []
     for room in rooms:
         if room.get("level") == level:
+            # copied before it is changed: the whole keeps its table
             room = {**room, "level": 0}
             if _are_objects(room.get("neighbours")):
-                ways = [way for way in room["neighbours"] if way.get("room") not in elsewhere]
+                ways = [way for way in room["neighbours"] if str(way.get("room")) not in elsewhere]
                 room["neighbours"] = ways
             cut.append(room)
     return cut
@@ -60,6 +61,7 @@ def _cut_doors(doors: list[Json], level: int) -> list[Json]:
     for door in doors:
         cells = door.get("cells")
         if isinstance(cells, dict) and all(isinstance(entry, list) for entry in cells.values()):
+            # a door on two levels (beside a stair) is on both, with the cells of each
             here = {
                 state: [[0, *entry[1:]] for entry in entries if _is_on(entry, level)]
                 for state, entries in cells.items()

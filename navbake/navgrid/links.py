@@ -42,6 +42,7 @@ def parse_links(stated: Any, num_cells: Sequence[int]) -> Int:
     """
     where = "at `metadata.navbake.links`"
     numbers = [] if stated is None else stated
+    # navbake writes a list of lists; both forms become one flat list
     if isinstance(numbers, list) and any(isinstance(link, list | tuple) for link in numbers):
         if any(not isinstance(link, list | tuple) or len(link) != 4 for link in numbers):
             raise FormatError(f"expected links of 4 numbers each {where}")
@@ -57,7 +58,7 @@ def parse_links(stated: Any, num_cells: Sequence[int]) -> Int:
         if bad.any():
             number = int(np.argmax(bad))
             raise FormatError(
-                f"expected a {name} that there is, got {stated_links[number, column]:.0f} "
+                f"expected an existing {name}, got {stated_links[number, column]:.0f} "
                 f"in link {number} {where}"
             )
     links = stated_links.astype(np.int64)

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navbake.navgrid.lattice import Lattice
-
-Float = NDArray[np.float64]
+from navbake.types import Bool, Float
 
 
 def find_fault(points: ArrayLike) -> str | None:
-    """Tell what is wrong with an outline: no area, or two sides that cross each other.
+    """Find what is wrong with an outline: no area, or two sides that cross each other.
 
     Sides may touch; a repeated corner is no fault.
 
@@ -37,7 +36,7 @@ def find_fault(points: ArrayLike) -> str | None:
     return None
 
 
-def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> NDArray[np.bool_]:
+def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
     """Mark the cells whose centres lie in a polygon, by the even-odd rule.
 
     A centre on a lower or left side is inside, one on an upper or right side isn't; so of two
@@ -50,23 +49,27 @@ def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> NDArray[np.bool
     Returns:
         Shape (height, width), bool.
     """
+    # Each side toggles all cells of its rows right of it: marks where the toggles are, then a
+    # running sum along each row; odd sums are inside (scan conversion by edge flags, Ackland and
+    # Weste 1981).
     turns = np.zeros((lattice.height, lattice.width + 1), dtype=np.int32)
     x, y = lattice.center_x(), lattice.center_y()
     for ring in rings:
         corners = np.asarray(ring, dtype=np.float64).reshape(-1, 2)
         for one, other in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            # always upwards, so that two polygons get the same crossings from a shared side
             low, high = (one, other) if one[1] <= other[1] else (other, one)
             # y descends: rows with low <= y < high
             rows = slice(*(len(y) - np.searchsorted(y[::-1], [high[1], low[1]])))
             slope = (high[0] - low[0]) / (high[1] - low[1]) if high[1] > low[1] else 0.0
             cols = np.searchsorted(x, low[0] + (y[rows] - low[1]) * slope)
             np.add.at(turns, (np.arange(rows.start, rows.stop), cols), 1)
-    inside: NDArray[np.bool_] = np.cumsum(turns[:, :-1], axis=1) % 2 == 1
+    inside: Bool = np.cumsum(turns[:, :-1], axis=1) % 2 == 1
     return inside
 
 
-def _crosses(start: Float, end: Float, starts: Float, ends: Float) -> NDArray[np.bool_]:
-    """Which segments a segment crosses, so that each has the other's ends to its two sides."""
+def _crosses(start: Float, end: Float, starts: Float, ends: Float) -> Bool:
+    """Which segments a segment crosses: each has the other's end points on different sides."""
 
     def side(a: Float, b: Float, p: Float) -> Float:
         turned: Float = (b[..., 0] - a[..., 0]) * (p[..., 1] - a[..., 1]) - (
@@ -75,7 +78,7 @@ def _crosses(start: Float, end: Float, starts: Float, ends: Float) -> NDArray[np
         return np.sign(turned)
 
     apart = side(start, end, starts) * side(start, end, ends) < 0
-    crossed: NDArray[np.bool_] = apart & (side(starts, ends, start) * side(starts, ends, end) < 0)
+    crossed: Bool = apart & (side(starts, ends, start) * side(starts, ends, end) < 0)
     return crossed
 
 

@@ -112,7 +112,7 @@ def _parse(entry: Any, where: str, num_levels: int) -> Room:
         if not isinstance(entry.get(key), kinds) or isinstance(entry.get(key), bool):
             raise FormatError(f"expected {kinds[0].__name__} at `{where}.{key}`")
     if not 0 <= entry["level"] < num_levels or entry["index"] < 1:
-        raise FormatError(f"expected a level and an index that there are at `{where}`")
+        raise FormatError(f"expected a level of the grid and an index >= 1 at `{where}`")
     if len(entry["centroid"]) != 3 or not all(type(v) in (int, float) for v in entry["centroid"]):
         raise FormatError(f"expected [x, y, z] at `{where}.centroid`")
     x, y, z = entry["centroid"]
@@ -155,6 +155,7 @@ def measure_rooms(level: SceneGrid2D, number: int) -> list[Room]:
     floor = level.floor_height.astype(np.float64) * level.unit
     z = np.where(np.isnan(floor), level.ground, floor)
     index = level.room_index.ravel()
+    # bincount with weights sums the coordinates of all rooms' cells in one pass
     count = np.bincount(index)
     sums = [np.bincount(index, values.ravel()) for values in (x, y, z)]
     return [

@@ -1,29 +1,26 @@
-"""What a file keeps for single cells, read when it is first asked for.
+"""User data of cells: parsed, or made, when somebody asks for them.
 
 Names of what stands in each cell make up most of a grid's file, and few who load a grid ask for
-them. So the reader may leave a `StoredUserData` in the place of the dictionary.
+them. Many cells share what they have, too. So `UserData` holds them as they came, unread or shared,
+until somebody looks at single cells: those can be written to, and what was written is saved.
 """
 
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import contextmanager
 from itertools import compress
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from navbake.types import Json
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import SceneGrid2D
+from navbake.types import Int, Json
 
 
 @contextmanager
 def collector_off() -> Iterator[None]:
-    """Keep the garbage collector from looking through all that is made, over and over."""
+    """Pause the garbage collector while many objects are made: it would scan them repeatedly."""
     was_on = gc.isenabled()
     gc.disable()
     try:
@@ -33,135 +30,139 @@ def collector_off() -> Iterator[None]:
             gc.enable()
 
 
-class StoredUserData:
-    """User data that are still in the form in which they were stored."""
+class Unread(Protocol):
+    """User data in the form in which they were stored."""
 
-    def resolve(self) -> dict[int, Json]:
-        """Read them; the same dictionary each time.
+    def read(self) -> dict[int, Json]:
+        """Read them.
 
         Raises:
             FormatError: they don't follow the format.
         """
-        raise NotImplementedError
 
 
-Parts = tuple[NDArray[np.int64], NDArray[np.int64], Sequence[Json]]
-
-
-class SharedUserData(StoredUserData):
+class Shared(NamedTuple):
     """User data of which many cells have the same.
 
-    Args:
+    Attributes:
         cells: cell ids, ascending, shape (n,), int64.
         number: which entry each cell has, shape (n,), int64.
-        entries: the entries; nobody may change them.
+        entries: the entries; they must not be modified.
+    """
+
+    cells: Int
+    number: Int
+    entries: Sequence[Json]
+
+    def read(self) -> dict[int, Json]:
+        """Make them a dictionary; each cell gets an entry of its own, as from a file."""
+        entries = [_copy_json(self.entries[k]) for k in self.number.tolist()]
+        return dict(zip(self.cells.tolist(), entries, strict=True))
+
+
+class UserData(MutableMapping[int, Json]):
+    """What is kept for single cells, by cell id (col + row * width).
+
+    Args:
+        source: a dictionary, which is written to; or what becomes one when somebody looks at
+            single cells: `Unread` or `Shared` data, or a function that makes `Shared` ones.
     """
 
     def __init__(
-        self, cells: NDArray[np.int64], number: NDArray[np.int64], entries: Sequence[Json]
+        self, source: MutableMapping[int, Json] | Unread | Callable[[], Shared] | None = None
     ) -> None:
-        self._parts: Parts | Callable[[], Parts] = (cells, number, entries)
-        self._resolved: dict[int, Json] | None = None
+        self._source: Any = {} if source is None else source
 
     @classmethod
-    def later(cls, make: Callable[[], Parts]) -> SharedUserData:
-        """User data whose cells, numbers and entries are made when they are first needed."""
-        shared = cls(np.empty(0, np.int64), np.empty(0, np.int64), [])
-        shared._parts = make
-        return shared
-
-    def __reduce__(self) -> tuple[type[SharedUserData], Parts]:
-        return SharedUserData, self.parts
+    def of(cls, user_data: MutableMapping[int, Json]) -> UserData:
+        """User data from any mapping; itself if it is one."""
+        return user_data if isinstance(user_data, UserData) else cls(user_data)
 
     @property
-    def parts(self) -> Parts:
-        """Cells, numbers and entries."""
-        if callable(self._parts):
-            self._parts = self._parts()
-        return self._parts
+    def is_read(self) -> bool:
+        """Whether somebody looked at single cells, and so may have changed them."""
+        return isinstance(self._source, MutableMapping)
 
     @property
-    def cells(self) -> NDArray[np.int64]:
-        """Cell ids, ascending, shape (n,), int64."""
-        return self.parts[0]
+    def source(self) -> MutableMapping[int, Json] | Unread:
+        """The dictionary if they were read, else what they are read from."""
+        if callable(self._source):
+            self._source = self._source()
+        source: MutableMapping[int, Json] | Unread = self._source
+        return source
 
     @property
-    def number(self) -> NDArray[np.int64]:
-        """Which entry each cell has, shape (n,), int64."""
-        return self.parts[1]
-
-    @property
-    def entries(self) -> Sequence[Json]:
-        """The entries that cells share; nobody may change them."""
-        return self.parts[2]
-
-    @property
-    def is_resolved(self) -> bool:
-        """Whether somebody has the dictionary, and so may have changed it."""
-        return self._resolved is not None
-
-    def resolve(self) -> dict[int, Json]:
-        """Make them a dictionary; each cell gets an entry of its own, as from a file."""
-        if self._resolved is None:
-            shared = self.entries
+    def _cells(self) -> MutableMapping[int, Json]:
+        """The dictionary; read now if it wasn't."""
+        if not self.is_read:
             with collector_off():
-                entries = [_copy_json(shared[k]) for k in self.number.tolist()]
-            self._resolved = dict(zip(self.cells.tolist(), entries, strict=True))
-        return self._resolved
+                self._source = self.source.read()  # type: ignore[union-attr]
+        cells: MutableMapping[int, Json] = self._source
+        return cells
 
-    def find(self, cells: NDArray[np.int64]) -> list[Json]:
-        """The entries of some cells, shape (n,), int64; an empty one where a cell has none."""
-        if not len(self.cells):
+    def __getitem__(self, cell: int) -> Json:
+        return self._cells[cell]
+
+    def __setitem__(self, cell: int, entry: Json) -> None:
+        self._cells[cell] = entry
+
+    def __delitem__(self, cell: int) -> None:
+        del self._cells[cell]
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._cells)
+
+    def __len__(self) -> int:
+        return len(self._cells)
+
+    def __repr__(self) -> str:
+        return f"UserData({self._cells!r})" if self.is_read else "UserData(<not read yet>)"
+
+    def __getstate__(self) -> Json:
+        return {"_source": self.source}  # a function that makes them may hold a whole bake
+
+    def find(self, cells: Int) -> list[Json]:
+        """The entries of some cells, shape (n,), int64; an empty one where a cell has none.
+
+        They must not be modified, because cells share them.
+        """
+        if not isinstance(self.source, Shared):
+            return [self._cells.get(cell, {}) for cell in cells.tolist()]
+        known, number, entries = self.source
+        if not len(known):
             return [{}] * len(cells)
-        place = np.minimum(np.searchsorted(self.cells, cells), len(self.cells) - 1)
-        is_known = (self.cells[place] == cells).tolist()
-        number, entries = self.number[place].tolist(), self.entries
-        return [entries[k] if known else {} for k, known in zip(number, is_known, strict=True)]
+        place = np.minimum(np.searchsorted(known, cells), len(known) - 1)
+        is_known = (known[place] == cells).tolist()
+        numbers = number[place].tolist()
+        return [entries[k] if here else {} for k, here in zip(numbers, is_known, strict=True)]
 
-    def replaced(self, changed: Mapping[int, Json]) -> SharedUserData:
-        """The same with other entries in some cells; those whose entry is empty drop out.
+    def replaced(self, changed: Mapping[int, Json]) -> UserData:
+        """The same with other entries in some cells, by ascending cell id.
 
         Args:
-            changed: entries by cell id; nobody may change them.
+            changed: entries by cell id; they must not be modified. Cells whose entry is empty
+                drop out.
         """
-        kept = ~np.isin(self.cells, np.fromiter(changed, dtype=np.int64, count=len(changed)))
+        if not isinstance(self.source, Shared):
+            merged = {**self._cells, **changed}
+            kept = (cell for cell in sorted(merged) if cell not in changed or changed[cell])
+            return UserData({cell: merged[cell] for cell in kept})
+        cells, number, known = self.source
+        kept_cells = ~np.isin(cells, np.fromiter(changed, dtype=np.int64, count=len(changed)))
         added = {cell: entry for cell, entry in changed.items() if entry}
         own = np.fromiter(added, dtype=np.int64, count=len(added))
-        known = self.entries
+        # entries that no cell has any more are left out, or they would pile up
         is_used = np.zeros(len(known), dtype=np.bool_)
-        is_used[self.number[kept]] = True
-        entries = list(compress(known, is_used))  # or they pile up, change by change
-        number = (np.cumsum(is_used) - 1)[self.number[kept]]
-        cells = np.concatenate([self.cells[kept], own])
+        is_used[number[kept_cells]] = True
+        entries = list(compress(known, is_used))
+        number = (np.cumsum(is_used) - 1)[number[kept_cells]]
         number = np.concatenate([number, len(entries) + np.arange(len(own))])
+        cells = np.concatenate([cells[kept_cells], own])
         order = np.argsort(cells)
-        return SharedUserData(cells[order], number[order], [*entries, *added.values()])
+        return UserData(Shared(cells[order], number[order], [*entries, *added.values()]))
 
 
 def _copy_json(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _copy_json(part) for key, part in value.items()}
     return [_copy_json(part) for part in value] if isinstance(value, list) else value
-
-
-class UserDataField:
-    """The attribute `user_data` of a level: a dictionary, whatever was put there."""
-
-    def __get__(self, level: SceneGrid2D | None, owner: type) -> Any:
-        if level is None:
-            return self
-        held = held_user_data(level)
-        if isinstance(held, StoredUserData):
-            held = level.__dict__["user_data"] = held.resolve()
-        return held
-
-    def __set__(self, level: SceneGrid2D, value: dict[int, Json] | StoredUserData) -> None:
-        level.__dict__["user_data"] = value
-
-
-def held_user_data(level: SceneGrid2D) -> Any:
-    """The user data as a level holds them: a dictionary, or a `StoredUserData` not read yet.
-
-    It can be handed on to another level as it is.
-    """
-    return level.__dict__["user_data"]

@@ -1,4 +1,4 @@
-"""Between voxels and navigation grids: a band of heights as a plan, a level as voxels."""
+"""Converts voxels to a floor plan over a band of heights, and a level to voxels."""
 
 from __future__ import annotations
 
@@ -58,7 +58,8 @@ def cut_band(
         first, last = np.floor(start + CELL_SLACK), np.ceil(end - CELL_SLACK)
     first, last = (np.nan_to_num(bound).clip(0, nz) for bound in (first, last))
     occupied = np.isnan(base)
-    filled = voxels.occupied.transpose(1, 0, 2)[::-1]
+    filled = voxels.occupied.transpose(1, 0, 2)[::-1]  # [x, y, z] as [row, col, z]
+    # layer by layer, which takes no memory for a mask of all voxels
     for k in range(int(first.min()), int(last.max())):
         occupied |= filled[:, :, k] & (first <= k) & (k < last)
     return occupied.astype(np.uint8)
@@ -70,7 +71,7 @@ def plan_of(
     """A navigation grid of a level floor, from the voxels above it.
 
     A cell is blocked where a voxel reaches into the band from `step` to `height` over the floor.
-    Nothing is said of holes in the floor: voxels don't tell what one can stand on.
+    Holes in the floor are not detected, because voxels don't show where an agent can stand.
 
     Args:
         voxels: the voxels.
@@ -120,6 +121,7 @@ def voxels_of(level: SceneGrid2D, *, step: float = 0.25, height: float = 1.14) -
     lattice, res = level.lattice, level.lattice.cell_size
     floor = level.floor_height.astype(np.float64) * level.unit
     floor = np.where(np.isnan(floor), level.ground, floor)
+    # the lowest voxel begins whole voxels below the ground's band, under the lowest floor's
     below = math.ceil(max(level.ground - floor.min(), 0.0) / res - CELL_SLACK)
     bottom = level.ground + step - below * res
     start = np.floor((floor + step - bottom) / res + CELL_SLACK)

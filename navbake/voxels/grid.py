@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError, QueryError
 from navbake.navgrid.operations import operation
-from navbake.types import Vector3
+from navbake.types import Bool, Float, Int, Vector3
 
 # What voxels may be, and the greatest ID that each integer holds
 DTYPES = {"bool": 1, "uint8": 2**8 - 1, "uint16": 2**16 - 1, "uint32": 2**32 - 1}
@@ -39,7 +39,7 @@ class VoxelGrid:
     origin: Vector3
     res: float
     names: dict[int, str] = field(default_factory=dict, repr=False)
-    known: NDArray[np.bool_] | None = field(default=None, repr=False)
+    known: Bool | None = field(default=None, repr=False)
     notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -72,23 +72,23 @@ class VoxelGrid:
         return self.values.dtype != np.bool_
 
     @property
-    def occupied(self) -> NDArray[np.bool_]:
+    def occupied(self) -> Bool:
         """True where something is, shape (nx, ny, nz), bool; `values` itself if it is that."""
         return self.values if not self.is_segmented else self.values != 0
 
     @property
-    def bounds(self) -> NDArray[np.float64]:
+    def bounds(self) -> Float:
         """Lower and upper corner, shape (2, 3), float64, world frame [m]."""
         low = np.array(self.origin)
         return np.stack([low, low + np.array(self.shape) * self.res])
 
-    def centers(self) -> NDArray[np.float64]:
+    def centers(self) -> Float:
         """The middles of the occupied voxels, shape (n, 3), float64, world frame [m]."""
         middles = (np.argwhere(self.values) + 0.5) * self.res + np.array(self.origin)
         return np.asarray(middles, dtype=np.float64)
 
-    def indices(self, xyz: ArrayLike) -> NDArray[np.int64]:
-        """The voxels that hold positions; beside the grid they run on.
+    def indices(self, xyz: ArrayLike) -> Int:
+        """The voxels that hold positions; outside the grid, indices are extrapolated.
 
         Args:
             xyz: shape (..., 3), world frame [m].
@@ -146,7 +146,8 @@ class VoxelGrid:
             QueryError: the voxels hold no IDs.
         """
         if not self.is_segmented:
-            raise QueryError("these voxels hold no IDs that could be exchanged")
+            raise QueryError("these voxels hold no IDs")
+        # a table of those that occur: IDs go up to 2**32, too many for a table of all
         present = np.array([0, *self.ids()], dtype=np.int64)
         table = np.array([0, *(ids.get(int(old), 0) for old in present[1:])])
         values = np.empty(self.shape, dtype=dtype_of(max(ids.values(), default=0)))
@@ -173,5 +174,5 @@ def _check_origin(origin: ArrayLike) -> Vector3:
     return float(corner[0]), float(corner[1]), float(corner[2])
 
 
-def _text(xyz: NDArray[np.float64]) -> str:
+def _text(xyz: Float) -> str:
     return ", ".join(f"{value:.6g}" for value in xyz)

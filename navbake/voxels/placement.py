@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navbake.errors import ConfigError
 from navbake.navgrid.lattice import CELL_SLACK, num_cells
+from navbake.types import Float
 
 MANY = 2**200  # more than any memory, and still a float
 FINEST = 1e-5  # least edge of a voxel, well above what counts as touching [m]
@@ -29,7 +30,7 @@ class Placement:
         moved: how far it lies from where it was asked for [m].
     """
 
-    origin: NDArray[np.float64]
+    origin: Float
     res: float
     shape: tuple[int, int, int]
     moved: float = 0.0
@@ -40,7 +41,7 @@ def place_grid(
     cells: Sequence[int] | None,
     size: Sequence[float] | None,
     res: float,
-    bounds: NDArray[np.float64] | None,
+    bounds: Float | None,
     *,
     align: bool = False,
 ) -> Placement:
@@ -82,7 +83,7 @@ def place_grid(
 
 
 def check_memory(shape: Sequence[int], itemsize: int) -> None:
-    """Refuse a grid that this machine has no memory for.
+    """Raise for a grid that does not fit into free memory.
 
     Raises:
         ConfigError: it needs more than there is.
@@ -100,7 +101,7 @@ def _short(count: int) -> str:
     return str(count) if count < 10**15 else f"{min(count, MANY):.3g}"
 
 
-def _cover(bounds: NDArray[np.float64], res: float) -> Placement:
+def _cover(bounds: Float, res: float) -> Placement:
     first = np.floor(bounds[0] / res + CELL_SLACK)
     last = np.maximum(np.ceil(bounds[1] / res - CELL_SLACK), first + 1)
     nx, ny, nz = (int(n) for n in last - first)
@@ -136,11 +137,11 @@ def _count_cells(size: ArrayLike | None, res: float) -> tuple[int, int, int]:
     return nx, ny, nz
 
 
-def check_three(value: ArrayLike | None, expected: str) -> NDArray[np.float64]:
+def check_three(value: ArrayLike | None, expected: str) -> Float:
     """Three finite numbers, shape (3,), float64.
 
     Raises:
-        ConfigError: they are none; the message says what was `expected`.
+        ConfigError: they are not; the message says what was `expected`.
     """
     try:
         numbers = np.asarray(value, dtype=np.float64)
@@ -151,19 +152,21 @@ def check_three(value: ArrayLike | None, expected: str) -> NDArray[np.float64]:
     return numbers
 
 
-def _check_bounds(bounds: NDArray[np.float64] | None) -> NDArray[np.float64]:
+def _check_bounds(bounds: Float | None) -> Float:
     if bounds is None:
         raise ConfigError(
             "only infinite planes count in the scene, so its box has no end: "
             "give a centre, and counts of cells or a size"
         )
     if not np.isfinite(bounds).all():
-        raise ConfigError("the scene has geoms at no finite place: give a centre and a size")
+        raise ConfigError(
+            "the scene has geoms with a pose that is not finite: give a centre and a size"
+        )
     return bounds
 
 
 def _free_memory() -> int:
-    """Memory that can be had without swapping [bytes]; a great number where nothing tells."""
+    """Memory that can be had without swapping [bytes]; 2**62 where the system does not say."""
     free = 2**62
     try:
         with open("/sys/fs/cgroup/memory.max", encoding="ascii") as file:  # a container's

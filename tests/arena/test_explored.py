@@ -182,7 +182,7 @@ def test_says_what_is_wrong():
         own.look(free, 0.5, 0.5, [0], np.inf)
     with pytest.raises(QueryError, match=r"angles \[rad\] of shape \(n,\)"):
         own.look(free, 0.5, 0.5, [[0, 1]], 1)
-    with pytest.raises(QueryError, match=r"truth of shape \(20, 15\), got \(2, 2\)"):
+    with pytest.raises(QueryError, match=r"`truth` of shape \(20, 15\), got \(2, 2\)"):
         own.look(np.zeros((2, 2)), 0.5, 0.5, [0], 1)
     for shape in ((0, 5), (2.5, 5), 20, (1, 2, 3)):
         with pytest.raises(FormatError, match=r"shape \(rows, cols\), each >= 1"):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import navbake
+from differences import first_difference
 from navbake import files
-from navbake.navgrid.differences import first_difference
 from project_paths import GOLDEN
 
 HOUSE = GOLDEN / "house.grid.json.gz"

@@ -19,11 +19,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from differences import first_difference
 from navbake.errors import FormatError
 from navbake.formats import arrays
 from navbake.formats import source as file_source
 from navbake.formats.navgrid import dumps_navgrid, read_navgrid, write_navgrid
-from navbake.navgrid.differences import first_difference
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 
 INF, NAN = np.inf, np.nan
@@ -443,14 +443,14 @@ CULPRITS = {
     "a grid of grids": (house(grids=[house()]), r"got 'MultiLevelGrid' at `grids\[0\].type`"),
     "a level's array": (house(grids=[small(), attribute([300, 6])]), r"`grids\[1\].tile.*\[0\]`"),
     "the house's unit": (house(unit=-1), "got -1 at `unit`"),
-    "two doors of one id": (with_doors("a", "b", "a"), r"got 'a' again at `.*doors\[2\].id`"),
+    "two doors of one id": (with_doors("a", "b", "a"), r"got 'a' twice at `.*doors\[2\].id`"),
     "a door's level twice": (
         with_doors(closed=[[1, [0, 1]], [0, [1, 1]], [1, [2, 1]]]),
-        r"one entry a level, got level 1 again at `.*doors\[0\].cells.closed`",
+        r"one entry a level, got level 1 twice at `.*doors\[0\].cells.closed`",
     ),
     "a door's state": (with_doors(ajar=[]), r"known state at `.*doors\[0\].cells`"),
     "a door's cells": (with_doors(open=[[0, [5, 2]]]), r"within the grid at `.*cells.open`"),
-    "a link": (house(metadata={"navbake": {"links": [0, 1, 2, 0]}}), "level .* got 2 in link 0"),
+    "a link": (house(metadata={"navbake": {"links": [0, 1, 2, 0]}}), "level.* got 2 in link 0"),
 }
 
 
@@ -855,7 +855,7 @@ UNWRITABLE = {
     ),
     "a link": (
         make_house(metadata={"navbake": {"links": [0, 0, 0, 6]}}),
-        "cell .* got 6 in link 0",
+        "cell.* got 6 in link 0",
     ),
 }
 

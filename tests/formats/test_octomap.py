@@ -14,8 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from navbake.errors import ConfigError, FormatError, NavbakeError
-from navbake.formats.binvox import read_binvox, write_binvox
-from navbake.formats.octomap import decode_octomap, encode_octomap, read_octomap, write_octomap
+from navbake.formats.binvox import read_binvox
+from navbake.formats.octomap import encode_octomap, read_octomap
+from navbake.formats.voxels import write_voxels
 from navbake.voxels.grid import VoxelGrid
 
 try:
@@ -83,7 +84,7 @@ def grids(draw):
 @settings(deadline=None, max_examples=60)
 @given(grids(), st.sampled_from(["bt", "ot"]), st.booleans())
 def test_what_is_written_is_read(grid, kind, free):
-    back = decode_octomap(encode_octomap(grid, kind, free=free), "x")
+    back = read_octomap(encode_octomap(grid, kind, free=free))
     assert keys_of(back) == keys_of(grid)
     assert back.res == pytest.approx(grid.res, rel=1e-12)
     seen = (
@@ -101,24 +102,24 @@ def grid_like(grid, values):
 def test_only_a_box_is_read_when_asked():
     grid = GRIDS["off-centre"]
     low, high = grid.bounds
-    part = decode_octomap(
-        encode_octomap(grid, "bt"), "x", bounds=(low + 0.5, np.array(high) - [1.3, 0.8, 0.1])
+    part = read_octomap(
+        encode_octomap(grid, "bt"), bounds=(low + 0.5, np.array(high) - [1.3, 0.8, 0.1])
     )
     assert part.shape == (15, 7, 5)
     np.testing.assert_array_equal(part.values, grid.values[5:20, 5:12, 5:10])
     for bounds in ((high, low), "here", None):
         with pytest.raises(FormatError, match="expected bounds as"):
-            decode_octomap(encode_octomap(grid, "bt"), "x", bounds=bounds or [[0, 0, 0]])
+            read_octomap(encode_octomap(grid, "bt"), bounds=bounds or [[0, 0, 0]])
 
 
 def test_a_box_reaches_as_far_as_the_tree_and_not_beside_it():
     data = encode_octomap(grid_of(np.ones((2, 2, 2), dtype=bool), (32766, 0, 0), 0.1), "bt")
-    part = decode_octomap(data, "x", bounds=((3276.6, 0, 0), (1e300, 0.1, 0.1)))
+    part = read_octomap(data, bounds=((3276.6, 0, 0), (1e300, 0.1, 0.1)))
     assert part.shape == (2, 1, 1) and part.values.all()
     assert part.origin == pytest.approx((3276.6, 0, 0))
     for low, high in ((4000, 5000), (-5000, -4000), (1e299, 1e300)):
         with pytest.raises(FormatError, match=r"within 3276\.8 m of the origin"):
-            decode_octomap(data, "x", bounds=((low, 0, 0), (high, 1, 1)))
+            read_octomap(data, bounds=((low, 0, 0), (high, 1, 1)))
 
 
 def test_ids_count_as_occupied():
@@ -133,12 +134,12 @@ def test_ids_count_as_occupied():
 @each_grid
 @pytest.mark.parametrize("free", [False, True], ids=["unknown", "free"])
 def test_bt_is_byte_for_byte_that_of_binvox2bt(grid, free, tmp_path):
-    write_binvox(grid, tmp_path / "a.binvox")
+    write_voxels(grid, tmp_path / "a.binvox")
     half = repr(grid.res / 2)
     mark = ["--mark-free"] if free else []
     command = ["binvox2bt", *mark, "--offset", half, half, half, "-o", "b.bt", "a.binvox"]
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
-    write_octomap(grid, tmp_path / "a.bt", free=free)
+    write_voxels(grid, tmp_path / "a.bt", free=free)
     assert (tmp_path / "a.bt").read_bytes() == (tmp_path / "b.bt").read_bytes()
 
 
@@ -148,7 +149,7 @@ def test_more_than_2_to_the_24_voxels_have_no_holes(tmp_path):
     values = noise((52, 52, 52), 0.3).repeat(5, axis=0).repeat(5, axis=1).repeat(5, axis=2)
     assert values.size > 2**24
     grid = grid_of(values, (-100, 3, -7))
-    write_binvox(grid, tmp_path / "a.binvox")
+    write_voxels(grid, tmp_path / "a.binvox")
     np.testing.assert_array_equal(read_binvox(tmp_path / "a.binvox").values, values)
     command = ["binvox2bt", "--offset", ".05", ".05", ".05", "-o", "b.bt", "a.binvox"]
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
@@ -158,7 +159,7 @@ def test_more_than_2_to_the_24_voxels_have_no_holes(tmp_path):
 @needs_tools
 def test_binvox2bt_reads_a_twin_of_labelled_voxels(tmp_path):
     labels = ASYMMETRIC * np.arange(1, 4, dtype=np.uint8)
-    write_binvox(grid_of(labels).without_ids(), tmp_path / "a.binvox")
+    write_voxels(grid_of(labels).without_ids(), tmp_path / "a.binvox")
     command = ["binvox2bt", "--offset", ".05", ".05", ".05", "-o", "b.bt", "a.binvox"]
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
     assert keys_of(read_octomap(tmp_path / "b.bt")) == keys_of(grid_of(ASYMMETRIC))
@@ -202,7 +203,7 @@ def test_a_tree_that_octomap_built_is_read():
     tree.updateNodes(hit, True)
     tree.updateNodes(np.array([[1.1, -2.2, 3.6]]), False)
     for data in (tree.write(), tree.writeBinary()):
-        back = decode_octomap(data, "x")
+        back = read_octomap(data)
         assert keys_of(back) == {tuple(n) for n in np.floor(hit / 0.25).astype(int)}
         assert back.known is not None and np.count_nonzero(back.known) == 3
 
@@ -245,7 +246,7 @@ OT = encode_octomap(grid_of(ASYMMETRIC), "ot")
 )
 def test_broken_files_say_what_is_wrong(data, culprit):
     with pytest.raises(FormatError, match=culprit) as caught:
-        decode_octomap(data, "a.bt")
+        read_octomap(data)
     assert "\n" not in str(caught.value)
 
 
@@ -259,13 +260,13 @@ def test_any_other_bytes_are_a_grid_or_an_error_of_ours(data, changes):
     for place, value in changes:
         changed[place % len(changed)] = value
     with suppress(NavbakeError):
-        assert decode_octomap(bytes(changed), "x", bounds=((-1, -1, -1), (1, 1, 1))).values.size
+        assert read_octomap(bytes(changed), bounds=((-1, -1, -1), (1, 1, 1))).values.size
 
 
 def test_a_leaf_too_large_for_memory_is_refused():
     header = BT.split(b"data\n")[0] + b"data\n"
     with pytest.raises(ConfigError, match="GiB of memory are free"):
-        decode_octomap(header + b"\x02\x00", "a.bt")  # an eighth of all space is occupied
-    small = decode_octomap(header + b"\x02\x00", "a.bt", bounds=((-1, -1, -1), (0, 0, 0.5)))
+        read_octomap(header + b"\x02\x00")  # an eighth of all space is occupied
+    small = read_octomap(header + b"\x02\x00", bounds=((-1, -1, -1), (0, 0, 0.5)))
     assert small.shape == (10, 10, 15) and small.values[:, :, :10].all()
     assert small.values.sum() == 1000 and "says" in small.notes[0]

@@ -14,13 +14,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from differences import first_difference
 from navbake.errors import FormatError
 from navbake.formats import user_data as reader
+from navbake.formats.json_path import JsonPath
 from navbake.formats.navgrid import dumps_navgrid, read_navgrid
-from navbake.formats.user_data import Span, find_spans, parse_file
-from navbake.navgrid.differences import first_difference
+from navbake.formats.user_data import UnreadPiece, find_spans, parse_file
 from navbake.navgrid.grid import SceneGrid2D
-from navbake.navgrid.user_data import SharedUserData, StoredUserData, held_user_data
+from navbake.navgrid.user_data import Shared, UserData
 
 WALLS = {"walls": ["wall_x_0", "wall_y_0"], "doors": ["d"]}
 
@@ -53,12 +54,13 @@ def compact(content) -> bytes:
 
 
 def is_deferred(grid: SceneGrid2D) -> bool:
-    return isinstance(held_user_data(grid), StoredUserData)
+    return not grid.user_data.is_read
 
 
 def test_user_data_are_read_when_asked_for():
     grid = read_navgrid(compact(level())).levels[0]
     assert is_deferred(grid)
+    assert "not read" in repr(grid.user_data)
     assert grid.user_data == {0: WALLS, 3: {"objects": ["a{b"]}}
     assert not is_deferred(grid)
     assert grid.user_data is grid.user_data
@@ -97,7 +99,7 @@ NOT_DEFERRED = {
 @pytest.mark.parametrize("name", NOT_DEFERRED)
 def test_the_unusual_is_read_at_once_and_as_it_is(name):
     data = NOT_DEFERRED[name]
-    assert parse_file(data, reader.Place("a")) == orjson.loads(data)
+    assert parse_file(data, JsonPath("a")) == orjson.loads(data)
     grid = read_navgrid(data)
     assert not is_deferred(grid.levels[0])
     own = {} if "userData" in grid.extra else json.loads(data)["userData"]
@@ -122,7 +124,7 @@ def test_wrong_user_data_are_refused_when_first_used_or_written(name, tmp_path):
     broken = next(one for one in reversed(grid.levels) if is_deferred(one))
     for _ in range(2):
         with pytest.raises(FormatError, match=culprit + ".* in .*house.json"):
-            _ = broken.user_data
+            _ = broken.user_data.get(0)
     with pytest.raises(FormatError, match=culprit):
         grid.save(tmp_path / "b.json")
     assert not (tmp_path / "b.json").exists()
@@ -134,17 +136,16 @@ def test_broken_json_is_named_with_its_place_in_the_file():
     data = data[:at] + b"," + data[at + 1 :]
     grid = read_navgrid(data)
     with pytest.raises(FormatError) as caught:
-        _ = grid.levels[0].user_data
+        _ = len(grid.levels[0].user_data)
     column = len(data[2:at].decode()) + 1
     assert f"broken JSON in the bytes given, line 3, column {column}: " in str(caught.value)
 
 
-def test_untouched_user_data_are_written_as_they_were(monkeypatch):
+def test_untouched_user_data_are_written_as_they_were():
     data = dumps_navgrid(read_navgrid(compact(level())))
     grid = read_navgrid(data)
-    monkeypatch.setattr(reader, "sorted", None, raising=False)  # what encodes them anew
     assert dumps_navgrid(grid) == data
-    assert is_deferred(grid.levels[0])
+    assert is_deferred(grid.levels[0])  # encoding them anew would have read them
 
 
 def test_what_would_be_written_otherwise_is_encoded_anew():
@@ -155,9 +156,9 @@ def test_what_would_be_written_otherwise_is_encoded_anew():
 
 def test_changed_user_data_are_written():
     grid = read_navgrid(compact(level())).levels[0]
-    twin = replace(grid, user_data=held_user_data(grid))
+    twin = replace(grid, unit=2.0)
     grid.user_data[5] = {"doors": ["new"]}
-    for one in (grid, twin):  # they share the dictionary, as after any `replace`
+    for one in (grid, twin):  # they share the user data, as after any `replace`
         assert read_navgrid(dumps_navgrid(one)).levels[0].user_data[5] == {"doors": ["new"]}
     grid.user_data = {}
     assert grid.user_data == {}
@@ -189,7 +190,9 @@ def _outcome(data: bytes, defer: int) -> list | str:
     reader.DEFER_BYTES, before = defer, reader.DEFER_BYTES
     try:
         grid = read_navgrid(data, max_cells=1000)
-        return [(one.user_data, one.extra, one.metadata) for one in grid.levels] + [grid.extra]
+        return [(dict(one.user_data), one.extra, one.metadata) for one in grid.levels] + [
+            grid.extra
+        ]
     except FormatError:
         return "refused"
     finally:
@@ -242,8 +245,8 @@ def test_any_user_data_are_read_as_without_deferring(first, second, more, with_s
 def test_spans_are_what_they_should_be():  # and the damage above is done to deferred ones
     spans = find_spans(RICH)
     assert [RICH[a:b] for a, b in spans][2:] == [compact({"3": {"x": "ö"}})]
-    parsed = parse_file(compact(house(level(), level())), reader.Place("a"))
-    assert all(isinstance(one["userData"], Span) for one in parsed["grids"])
+    parsed = parse_file(compact(house(level(), level())), JsonPath("a"))
+    assert all(isinstance(one["userData"], UnreadPiece) for one in parsed["grids"])
     assert parsed["grids"][1]["userData"].text == compact(level()["userData"])
 
 
@@ -251,8 +254,8 @@ def test_shared_entries_are_written_as_the_same_dictionary():
     rng = np.random.default_rng(0)
     entries = [{"objects": [f"thing {k}", 'ﬁn"\\']} for k in range(5)]
     cells = np.sort(rng.choice(200, 80, replace=False))
-    shared = SharedUserData(cells, rng.integers(0, 5, 80), entries)
-    plain_one = SharedUserData(cells, shared.number, entries).resolve()
+    shared = UserData(Shared(cells, rng.integers(0, 5, 80), entries))
+    plain_one = shared.source.read()
 
     def grid(user_data):
         return SceneGrid2D(
@@ -261,7 +264,7 @@ def test_shared_entries_are_written_as_the_same_dictionary():
         )  # fmt: skip
 
     text = dumps_navgrid(grid(shared))
-    assert not shared.is_resolved
+    assert not shared.is_read
     assert text == dumps_navgrid(grid(plain_one))
     level = grid(shared)
     level.user_data[int(cells[0])] = {"objects": ["mine"]}
@@ -271,15 +274,13 @@ def test_shared_entries_are_written_as_the_same_dictionary():
 def test_a_change_in_one_cell_is_none_in_those_that_share_its_entry():
     entries = [{"objects": ["lamp"], "walls": ["beam"], "more": {"deep": [1]}}]
     entries[0]["walls"] = entries[0]["objects"]  # as the bake has them where all names are both
-    shared = SharedUserData(np.arange(3), np.zeros(3, dtype=np.int64), entries)
-    user_data = shared.resolve()
+    user_data = UserData(Shared(np.arange(3), np.zeros(3, dtype=np.int64), entries))
     user_data[1]["note"] = "mine"
     user_data[1]["objects"].append("chair")
     user_data[1]["more"]["deep"].append(2)
     same = {"objects": ["lamp"], "walls": ["lamp"], "more": {"deep": [1]}}
     assert user_data[0] == user_data[2] == entries[0] == same
     assert user_data[1]["walls"] == ["lamp"]
-    assert shared.resolve() is user_data
 
 
 def test_what_is_made_later_is_made_once_and_can_be_copied():
@@ -287,11 +288,67 @@ def test_what_is_made_later_is_made_once_and_can_be_copied():
 
     def make():
         made.append(1)
-        return np.array([1, 4]), np.array([0, 0]), [{"objects": ["a"]}]
+        return Shared(np.array([1, 4]), np.array([0, 0]), [{"objects": ["a"]}])
 
-    shared = SharedUserData.later(make)
+    shared = UserData(make)
     assert not made
     for other in (copy.deepcopy(shared), pickle.loads(pickle.dumps(shared))):
-        assert other.resolve() == {1: {"objects": ["a"]}, 4: {"objects": ["a"]}}
-    assert shared.resolve()[1] is not shared.resolve()[4]
+        assert not other.is_read
+        assert other == {1: {"objects": ["a"]}, 4: {"objects": ["a"]}}
+    assert shared[1] is not shared[4]
     assert made == [1]
+
+
+ODD_KEYS = {
+    "a string that says it": compact(level(note="userData")),
+    "an escaped key of the level": compact(
+        level(mine={"userData": {"1": {"a": 1}}, "x": {"y": {}}})
+    ).replace(b'"userData"', b'"user\\u0044ata"', 1),
+    "null, and another's": compact(
+        {**level({}), "userData": None, "mine": {"userData": {"1": {"a": 1}}}}
+    ),
+    "levels twice": compact(house(level({"1": {"a": 1}}))).replace(
+        b'"timings":{}}', b'"grids":[' + compact(level({})) + b'],"timings":{}}'
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ODD_KEYS)
+def test_only_a_level_s_own_user_data_are_left_unread(name):
+    data = ODD_KEYS[name]
+    parsed = orjson.loads(data)
+    assert parse_file(data, JsonPath("a")) == parsed
+    own = parsed.get("grids", [parsed])
+    for grid, stated in zip(read_navgrid(data).levels, own, strict=True):
+        assert grid.user_data == {int(k): v for k, v in (stated["userData"] or {}).items()}
+
+
+def test_user_data_are_a_mapping():
+    user_data = UserData({3: {"a": 1}})
+    assert user_data == {3: {"a": 1}} == UserData({3: {"a": 1}})
+    assert user_data != {3: {"a": 2}}
+    assert (len(user_data), list(user_data), 3 in user_data, 4 in user_data) == (
+        1,
+        [3],
+        True,
+        False,
+    )
+    user_data[4] = {}
+    del user_data[3]
+    assert repr(user_data) == "UserData({4: {}})"
+    assert user_data.get(3) is None and user_data.pop(4) == {}
+    assert UserData.of(user_data) is user_data
+    own = {1: {"a": 1}}
+    UserData.of(own)[2] = {"b": 2}
+    assert own == {1: {"a": 1}, 2: {"b": 2}}
+
+
+def test_edits_of_shared_user_data_are_kept_on_save(tmp_path):
+    grid = read_navgrid(compact(level({}))).levels[0]
+    grid.user_data = UserData(Shared(np.array([1, 2]), np.array([0, 0]), [{"walls": ["w"]}]))
+    grid.user_data[2]["walls"].append("x")
+    grid.save(tmp_path / "a.json")
+    assert read_navgrid(tmp_path / "a.json").user_data == {
+        1: {"walls": ["w"]},
+        2: {"walls": ["w", "x"]},
+    }

@@ -13,7 +13,7 @@ from navbake.errors import FormatError, QueryError
 from navbake.navgrid.door_states import name_door_cells
 from navbake.navgrid.doors import from_runs, parse_doors, to_runs
 from navbake.navgrid.grid import SceneGrid2D
-from navbake.navgrid.user_data import SharedUserData
+from navbake.navgrid.user_data import Shared, UserData
 
 GATE = {
     "id": "gate",
@@ -90,6 +90,7 @@ def test_names_follow_the_doors():
         5: {"walls": ["beam"]},
         7: {"objects": ["gate post"], "blockers": ["gate post", "ivy"]},
     }
+    things = UserData(things)
     named = name_door_cells(things, parse_doors([GATE, HATCH], [8]), 0, 1)
     assert named == {
         1: {"doors": ["gate"], "objects": ["gate", "lamp"], "blockers": ["gate"]},
@@ -106,7 +107,7 @@ def test_names_follow_the_doors():
     }
     assert name_door_cells(things, opened, 0, 1) == expected
     assert name_door_cells(named, opened, 0, 1) == expected
-    assert name_door_cells(expected, parse_doors([GATE, HATCH], [8]), 0, 1) == named
+    assert name_door_cells(UserData(expected), parse_doors([GATE, HATCH], [8]), 0, 1) == named
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -115,19 +116,19 @@ def test_names_follow_the_doors_where_cells_share_entries(seed):
     rng = np.random.default_rng(seed)
     entries = [{"objects": ["lamp"]}, {"walls": ["beam"]}, {"doors": ["gate"], "objects": ["gate"]}]
     cells = np.sort(rng.choice(9, rng.integers(0, 10), replace=False))
-    shared = SharedUserData(cells, rng.integers(0, 3, len(cells)), entries)
-    plain = SharedUserData(cells, shared.number, entries).resolve()
+    shared = UserData(Shared(cells, rng.integers(0, 3, len(cells)), entries))
+    plain = UserData(shared.source.read())
     before = copy.deepcopy(entries)
     doors = parse_doors([GATE, HATCH], [8])
     named = name_door_cells(shared, doors, 0, 1)
-    assert not shared.is_resolved and entries == before
-    assert list(named.resolve().items()) == list(name_door_cells(plain, doors, 0, 1).items())
+    assert not shared.is_read and entries == before
+    assert list(named.source.read().items()) == list(name_door_cells(plain, doors, 0, 1).items())
     again = name_door_cells(shared, doors, 0, 1)
     for state in ("open", "modelled") * 3:
         changed = parse_doors([{**GATE, "state": state}, HATCH], [8])
         again = name_door_cells(again, changed, 0, 1)
-    assert again.resolve() == named.resolve()
-    assert len(again.entries) <= len(again.cells)  # none is kept that no cell has
+    assert len(again.source.entries) <= len(again.source.cells)  # none is kept that no cell has
+    assert again == named
 
 
 @pytest.mark.parametrize("names", [None, True, False])

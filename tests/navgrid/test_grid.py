@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import copy
+import pickle
 import re
 
 import numpy as np
 import pytest
 
+from differences import difference_map, first_difference
 from navbake.errors import FormatError
-from navbake.navgrid.differences import difference_map, first_difference
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 
 INF, NAN = np.inf, np.nan
@@ -142,11 +143,11 @@ def test_no_links_is_an_answer():
 @pytest.mark.parametrize(
     ("links", "culprit"),
     [
-        ([[0, 6, 2, 7]], "a level that there is, got 2 in link 0"),
-        ([[0, 6, 1, 7], [-1, 6, 1, 7]], "a level that there is, got -1 in link 1"),
-        ([[0, 6, 1, 20]], "a cell that there is, got 20 in link 0"),
-        ([[0, -1, 1, 2]], "a cell that there is, got -1 in link 0"),
-        ([[0, 10**30, 1, 2]], "a cell that there is"),
+        ([[0, 6, 2, 7]], "an existing level, got 2 in link 0"),
+        ([[0, 6, 1, 7], [-1, 6, 1, 7]], "an existing level, got -1 in link 1"),
+        ([[0, 6, 1, 20]], "an existing cell, got 20 in link 0"),
+        ([[0, -1, 1, 2]], "an existing cell, got -1 in link 0"),
+        ([[0, 10**30, 1, 2]], "an existing cell"),
         ([[0, 6, 1]], "links of 4 numbers"),
         ([0, 6, 1], "4 a link"),
         ([0, 6, 1, True], "whole numbers"),
@@ -302,3 +303,60 @@ def test_a_copy_is_the_same_grid():
     house = make_house()
     assert first_difference(house, copy.deepcopy(house)) is None
     assert "weights" not in repr(house)
+
+
+@pytest.mark.parametrize(
+    ("stated", "expected"),
+    [
+        ({}, (1.14, 0.0, 0.25)),
+        (
+            {"agentHeight": 180, "agentRadius": 30, "traversableFloorHeight": 10},
+            (1.8, 0.3, 0.1),
+        ),
+        ({"agentHeight": 0, "agentRadius": -1, "traversableFloorHeight": 0}, (1.14, 0.0, 0.0)),
+        (
+            {"agentHeight": "tall", "agentRadius": None, "traversableFloorHeight": -1},
+            (1.14, 0.0, 0.25),
+        ),
+    ],
+)
+def test_settings_of_the_agent_are_in_metres(stated, expected):
+    level = make_level(unit=0.01, metadata=stated)
+    assert (level.agent_height, level.agent_radius, level.max_step) == pytest.approx(expected)
+
+
+def test_a_level_with_other_layers():
+    level = make_level(metadata={"sceneId": "a"}, extra={"note": 1})
+    heat = np.ones(level.shape)
+    other = level.with_layers(attributes={"heat": heat}, metadata={"sceneId": "b"})
+    assert list(other.attributes) == [*level.attributes, "heat"]
+    assert "heat" not in level.attributes
+    assert (level.scene_id, other.scene_id, other.extra) == ("a", "b", {"note": 1})
+    assert other.weights is level.weights and other.user_data is level.user_data
+    free = level.with_layers(weights=np.ones(level.shape), user_data={3: {}})
+    assert (free.free.all(), free.user_data, level.user_data) == (True, {3: {}}, {})
+    assert level.with_levels([other]) is other
+    assert level.with_levels([other], {"sceneId": "c"}).scene_id == "c"
+
+
+def test_a_grid_with_other_levels_keeps_the_rest():
+    house = make_house(extra={"note": 1}, timings={"a": 2})
+    opened = house.with_levels(
+        [level.with_layers(weights=level.weights + 1) for level in house.levels]
+    )
+    assert (opened.extra, opened.timings, opened.links) == (house.extra, house.timings, house.links)
+    assert opened.metadata is house.metadata
+    assert opened.levels[0].weights[1, 1] == 2 and house.levels[0].weights[1, 1] == 1
+
+
+def test_blocks_and_caches_stay_with_their_grid():
+    level = make_level()
+    with level.block(cells=(0, 1, 1)):
+        twins = [copy.copy(level), copy.deepcopy(level), pickle.loads(pickle.dumps(level))]
+        twins.append(level.with_layers())
+        assert level.block_state is not None and level.block_state.is_blocked
+        assert all(twin.block_state is None and not twin.free[1, 1] for twin in twins)
+        assert level.without_blocks().free[1, 1]
+    assert level.free[1, 1]
+    assert level.without_blocks() is level
+    assert not twins[-1].free[1, 1]  # a derived grid keeps what was blocked when it was made

@@ -53,7 +53,7 @@ def surface_meets_prisms(surface: Surface, prisms: Prisms) -> NDArray[np.int64]:
         near = np.flatnonzero(_boxes_meet(corners, outer) & (state != OCCUPIED))
         if not len(near):
             continue
-        meets = _disc_meets if prisms.is_round else _square_meets
+        meets = disc_meets if prisms.is_round else square_meets
         state[near[meets(corners, outer.only(near))]] = UNKNOWN
         near = near[meets(corners, inner.only(near))]
         state[near] = OCCUPIED
@@ -68,7 +68,7 @@ def _boxes_meet(corners: Float, prisms: Prisms) -> NDArray[np.bool_]:
     return met
 
 
-def _square_meets(corners: Float, prisms: Prisms) -> NDArray[np.bool_]:
+def square_meets(corners: Float, prisms: Prisms) -> NDArray[np.bool_]:
     """No one of the thirteen axes separates the triangle from the box."""
     local = corners[None] - prisms.center()[:, None]
     half = np.stack(
@@ -88,7 +88,7 @@ def _square_meets(corners: Float, prisms: Prisms) -> NDArray[np.bool_]:
     return met
 
 
-def _disc_meets(corners: Float, prisms: Prisms) -> NDArray[np.bool_]:
+def disc_meets(corners: Float, prisms: Prisms) -> NDArray[np.bool_]:
     """The part of the triangle between the heights comes near enough to the axis.
 
     The nearest point of that part is above or below the axis itself, on an edge, or where the

@@ -11,8 +11,8 @@ from navbake.baker.kernels.lists import number_lists
 from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene
 from navbake.navgrid.lattice import Lattice
+from navbake.types import Int
 
-Int = NDArray[np.int64]
 Window = tuple[slice, slice]
 Names = dict[str, list[str]]
 
@@ -58,7 +58,7 @@ def name_cells(
     Returns:
         Cell ids on the window, ascending; which entry each has; and the entries: sorted names
         under each key that has any, and ``blockers`` where they aren't all the other names. See
-        `SharedUserData`.
+        `navbake.navgrid.user_data.Shared`.
     """
     cell, name, bits = _merge(cell, _number_names(names)[geom], bits, len(names))
     token = name * ALL_BITS + bits

@@ -1,7 +1,11 @@
 """Octrees of depth 16 out of dense voxels, and back.
 
-A pyramid holds the state of every node over the grid, level by level: 0 are the voxels, 16 the
-root. Arrays of a level begin at its own first node, ``first key >> level``.
+Built bottom up: a pyramid holds the state of every node over the grid, level by level, 0 the
+voxels, 16 the root. Arrays of a level begin at its own first node, ``first key >> level``. Trees
+are written and read depth first, in OctoMap's order (child 0 first; child number x + 2 y + 4 z),
+with a stack of our own: 8 children wait at each of 17 levels at most.
+
+Source: OctoMap 1.9, `OcTreeBaseImpl::pruneRecurs`, `OccupancyOcTreeBase::writeBinaryNode`.
 """
 
 from __future__ import annotations
@@ -48,6 +52,7 @@ def join_states(below, first, above):
     for i in prange(above.shape[0]):
         for j in range(above.shape[1]):
             for k in range(above.shape[2]):
+                # the first child's index below, which is -1 where a node begins before the grid
                 x = 2 * (first[0] // 2 + i) - first[0]
                 y = 2 * (first[1] // 2 + j) - first[1]
                 z = 2 * (first[2] // 2 + k) - first[2]
@@ -62,6 +67,7 @@ def join_states(below, first, above):
                     same = same and state == one and state < MIXED_FREE
                     if state in (OCCUPIED, MIXED):
                         most = OCCUPIED
+                # eight equal leaves are pruned: their parent is a leaf of that state
                 if same:
                     above[i, j, k] = one
                 else:
@@ -75,6 +81,25 @@ def _state(levels, first, level, x, y, z):
     if 0 <= i < nodes.shape[0] and 0 <= j < nodes.shape[1] and 0 <= k < nodes.shape[2]:
         return int(nodes[i, j, k])
     return UNKNOWN
+
+
+@njit(cache=True)
+def _child(x, y, z, child):
+    return 2 * x + (child & 1), 2 * y + (child >> 1 & 1), 2 * z + (child >> 2)
+
+
+@njit(cache=True)
+def _push(stack, depth, level, x, y, z):
+    stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3] = level, x, y, z
+    return depth + 1
+
+
+@njit(cache=True)
+def _put_leaf(leaves, num, level, x, y, z, state):
+    if leaves.shape[0] > 0:
+        leaves[num, 0], leaves[num, 1], leaves[num, 2] = x << level, y << level, z << level
+        leaves[num, 3], leaves[num, 4] = level, state
+    return num + 1
 
 
 @njit(cache=True)
@@ -92,23 +117,20 @@ def write_tree(levels, first, out):
     stack = np.empty((8 * (DEPTH + 1), 4), np.int64)
     depth, num_bytes, num_nodes = 0, 0, 0
     if _state(levels, first, DEPTH, 0, 0, 0) != UNKNOWN:
-        stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = DEPTH, 0, 0, 0
-        depth = 1
-        num_nodes = 1
+        depth = num_nodes = _push(stack, 0, DEPTH, 0, 0, 0)
     while depth > 0:
         depth -= 1
-        level, x, y, z = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
+        level, x, y, z = stack[depth]
         bits = 0
+        # from the last child to the first, so that the first is taken from the stack next
         for child in range(7, -1, -1):
-            cx, cy, cz = 2 * x + (child & 1), 2 * y + (child >> 1 & 1), 2 * z + (child >> 2)
+            cx, cy, cz = _child(x, y, z, child)
             state = _state(levels, first, level - 1, cx, cy, cz)
-            bits |= min(state, 3) << (2 * child)
+            bits |= min(state, 3) << (2 * child)  # 3: it has children of its own
             if state != UNKNOWN:
                 num_nodes += 1
             if state >= MIXED_FREE:
-                stack[depth, 0], stack[depth, 1] = level - 1, cx
-                stack[depth, 2], stack[depth, 3] = cy, cz
-                depth += 1
+                depth = _push(stack, depth, level - 1, cx, cy, cz)
         if out.shape[0] > 0:
             out[num_bytes], out[num_bytes + 1] = bits & 255, bits >> 8
         num_bytes += 2
@@ -133,21 +155,18 @@ def write_odds(levels, first, odds, out):
     stack = np.empty((8 * (DEPTH + 1), 4), np.int64)
     depth, num_nodes = 0, 0
     if _state(levels, first, DEPTH, 0, 0, 0) != UNKNOWN:
-        stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = DEPTH, 0, 0, 0
-        depth = 1
+        depth = _push(stack, 0, DEPTH, 0, 0, 0)
     while depth > 0:
         depth -= 1
-        level, x, y, z = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
+        level, x, y, z = stack[depth]
         state = _state(levels, first, level, x, y, z)
         children = 0
         if state >= MIXED_FREE:
             for child in range(7, -1, -1):
-                cx, cy, cz = 2 * x + (child & 1), 2 * y + (child >> 1 & 1), 2 * z + (child >> 2)
+                cx, cy, cz = _child(x, y, z, child)
                 if _state(levels, first, level - 1, cx, cy, cz) != UNKNOWN:
                     children |= 1 << child
-                    stack[depth, 0], stack[depth, 1] = level - 1, cx
-                    stack[depth, 2], stack[depth, 3] = cy, cz
-                    depth += 1
+                    depth = _push(stack, depth, level - 1, cx, cy, cz)
         if out.shape[0] > 0:
             value = OCCUPIED if state in (OCCUPIED, MIXED) else FREE
             for k in range(4):
@@ -171,11 +190,11 @@ def read_tree(data, leaves):
         the data are wrong.
     """
     stack = np.empty((8 * (DEPTH + 1), 4), np.int64)
-    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = DEPTH, 0, 0, 0
-    depth, place, num_leaves, num_nodes = 1, 0, 0, 1
+    depth = _push(stack, 0, DEPTH, 0, 0, 0)
+    place, num_leaves, num_nodes = 0, 0, 1
     while depth > 0:
         depth -= 1
-        level, x, y, z = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
+        level, x, y, z = stack[depth]
         if place + 2 > data.shape[0]:
             return OVERRUN, place, num_nodes
         bits = np.int64(data[place]) | (np.int64(data[place + 1]) << 8)
@@ -185,20 +204,13 @@ def read_tree(data, leaves):
             if state == UNKNOWN:
                 continue
             num_nodes += 1
-            cx, cy, cz = 2 * x + (child & 1), 2 * y + (child >> 1 & 1), 2 * z + (child >> 2)
+            cx, cy, cz = _child(x, y, z, child)
             if state == 3:
                 if level == 1:
                     return TOO_DEEP, place, num_nodes
-                stack[depth, 0], stack[depth, 1] = level - 1, cx
-                stack[depth, 2], stack[depth, 3] = cy, cz
-                depth += 1
+                depth = _push(stack, depth, level - 1, cx, cy, cz)
                 continue
-            if leaves.shape[0] > 0:
-                size = level - 1
-                leaves[num_leaves, 0], leaves[num_leaves, 1] = cx << size, cy << size
-                leaves[num_leaves, 2], leaves[num_leaves, 3] = cz << size, size
-                leaves[num_leaves, 4] = state
-            num_leaves += 1
+            num_leaves = _put_leaf(leaves, num_leaves, level - 1, cx, cy, cz, state)
     return num_leaves, place, num_nodes
 
 
@@ -215,30 +227,25 @@ def read_odds(odds, data, leaves):
         See `read_tree`.
     """
     stack = np.empty((8 * (DEPTH + 1), 4), np.int64)
-    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = DEPTH, 0, 0, 0
-    depth, num_leaves, num_nodes = 1, 0, 0
+    depth = _push(stack, 0, DEPTH, 0, 0, 0)
+    num_leaves, num_nodes = 0, 0
     while depth > 0:
         depth -= 1
-        level, x, y, z = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
+        level, x, y, z = stack[depth]
         if 5 * num_nodes + 5 > data.shape[0]:
             return OVERRUN, 5 * num_nodes, num_nodes
         children = data[5 * num_nodes + 4]
         state = OCCUPIED if odds[num_nodes] >= 0.0 else FREE
         num_nodes += 1
         if children == 0:
-            if leaves.shape[0] > 0:
-                leaves[num_leaves, 0], leaves[num_leaves, 1] = x << level, y << level
-                leaves[num_leaves, 2], leaves[num_leaves, 3] = z << level, level
-                leaves[num_leaves, 4] = state
-            num_leaves += 1
+            num_leaves = _put_leaf(leaves, num_leaves, level, x, y, z, state)
             continue
         if level == 0:
             return TOO_DEEP, 5 * num_nodes, num_nodes
         for child in range(7, -1, -1):
             if children >> child & 1:
-                stack[depth, 0], stack[depth, 1] = level - 1, 2 * x + (child & 1)
-                stack[depth, 2], stack[depth, 3] = 2 * y + (child >> 1 & 1), 2 * z + (child >> 2)
-                depth += 1
+                cx, cy, cz = _child(x, y, z, child)
+                depth = _push(stack, depth, level - 1, cx, cy, cz)
     return num_leaves, 5 * num_nodes, num_nodes
 
 

@@ -25,6 +25,7 @@ def encode_runs(values, out):
     for i in range(values.shape[0]):
         for j in range(values.shape[1]):
             for k in range(values.shape[2]):
+                # a count fills one byte, so a longer run is written as several
                 if values[i, j, k] == value and count < LONGEST:
                     count += 1
                     continue
@@ -39,7 +40,7 @@ def encode_runs(values, out):
 
 @njit(cache=True)
 def decode_runs(pairs, values):
-    """Fill a 3-D array from runs, its last index first; runs of no length are passed over.
+    """Fill a 3-D array from runs, its last index first; empty runs are skipped.
 
     Args:
         pairs: uint8, value and count in turn.
@@ -53,7 +54,7 @@ def decode_runs(pairs, values):
     done = np.int64(0)
     for n in range(0, pairs.shape[0] - 1, 2):
         value, count = pairs[n], np.int64(pairs[n + 1])
-        if value != 0:
+        if value != 0:  # the array holds zeros already
             for place in range(done, min(done + count, size)):
                 rest = place // cols
                 values[rest // rows, rest % rows, place % cols] = value

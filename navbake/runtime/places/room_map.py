@@ -1,4 +1,4 @@
-"""The rooms of a grid by name, and the room of each cell of a walk."""
+"""The rooms of a grid by name, and the room of each cell."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.errors import QueryError
 from navbake.navgrid.rooms import Room, measure_rooms
+from navbake.types import Int, Int32
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -27,12 +27,12 @@ class RoomMap:
     Attributes:
         scene_id: the grid's, for messages.
         rooms: entries of the grid's `rooms`; number n is ``rooms[n - 1]``.
-        number: of each cell, by flat id (see `navbake.runtime.flat_grid.Walk`), shape (n,), int32.
+        number: of each cell, by flat id, shape (n,), int32.
     """
 
     scene_id: str | None
     rooms: list[Room]
-    number: NDArray[np.int32]
+    number: Int32
 
     def find(self, name: str) -> int:
         """The number of a room.
@@ -60,7 +60,7 @@ class RoomMap:
         """The id of a room by its number; None for 0."""
         return self.rooms[number - 1].id if number else None
 
-    def cells(self, name: str) -> NDArray[np.int64]:
+    def cells(self, name: str) -> Int:
         """Flat ids of the cells of a room, those that something stands in included.
 
         Args:
@@ -99,9 +99,9 @@ def map_rooms(grid: NavGrid) -> RoomMap:
     for number, level in enumerate(grid.levels):
         index = level.room_index
         numbers = np.zeros(int(index.max(initial=0)) + 1, dtype=np.int32)
-        for place, room in enumerate(rooms, start=1):
+        for position, room in enumerate(rooms, start=1):
             if room.level == number and room.index < len(numbers):
-                numbers[room.index] = place
+                numbers[room.index] = position
         if ((numbers[index] == 0) & (index > 0)).any():
             for room in measure_rooms(level, number):
                 if not numbers[room.index]:

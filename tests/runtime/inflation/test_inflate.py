@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import navbake
+from differences import first_difference
 from level_maps import AGENT, level_of, make_level, shown, stack, stairs
 from navbake.errors import QueryError
 from navbake.formats.navgrid import dumps_navgrid
-from navbake.navgrid.differences import first_difference
 from navbake.navgrid.islands import find_islands
-from navbake.navgrid.user_data import StoredUserData, held_user_data
+from navbake.navgrid.user_data import UserData
 from oracles import inflation
 
 # One level
@@ -208,13 +208,12 @@ def test_layers_follow_the_weights_where_navbake_wrote_them():
 
 
 def test_user_data_stay_unread():
-    class Unread(StoredUserData):
-        def resolve(self):
-            raise AssertionError
+    def read():
+        raise AssertionError
 
     level = level_of("00", "00")
-    level.user_data = Unread()
-    assert isinstance(held_user_data(level.inflate(0.1)), Unread)
+    level.user_data = UserData(read)
+    assert not level.inflate(0.1).user_data.is_read
 
 
 def test_doors_are_changed_before_not_after():
@@ -222,7 +221,7 @@ def test_doors_are_changed_before_not_after():
     door = {"id": "a", "state": "closed", "cells": {"closed": [[0, [0, 1]]], "open": []}}
     level.metadata["navbake"] = {"doors": [door]}
     assert level.with_doors("open").inflate(0.1)
-    with pytest.raises(QueryError, match="inflated with its doors as they were"):
+    with pytest.raises(QueryError, match="was inflated: change doors on the grid as it was baked"):
         level.inflate(0.1).with_doors("open")
 
 

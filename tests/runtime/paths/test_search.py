@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse.csgraph import dijkstra
 
 from navbake.errors import QueryError
-from navbake.runtime.paths.search import Search
+from navbake.runtime.paths.search import FIRST_ROOM, Search
 from oracles.ways import make_level, random_grid, stack, step_graph
 
 
@@ -19,7 +19,7 @@ def assert_is_route(route, origin, goals, graph):
 
 
 def cost_of(route, search):
-    return float((search.lengths(route) * search.walk.weight[route[1:]]).sum())
+    return float((search.lengths(route) * search.flat.weight[route[1:]]).sum())
 
 
 @pytest.mark.parametrize("cut_corners", [False, True])
@@ -28,7 +28,7 @@ def test_routes_and_fields_equal_scipy(seed, cut_corners):
     rng = np.random.default_rng(seed)
     grid = random_grid(rng, weighted=seed % 4 > 0)
     search = Search(grid, cut_corners=cut_corners)
-    free = np.flatnonzero(search.walk.free)
+    free = np.flatnonzero(search.flat.free)
     if not len(free):
         return
     graph = step_graph(grid, cut_corners=cut_corners)
@@ -43,7 +43,7 @@ def test_routes_and_fields_equal_scipy(seed, cut_corners):
             assert_is_route(route, origin, goals, graph)
             assert cost_of(route, search) == pytest.approx(expected, rel=1e-8, abs=1e-12)
     field = search.field(goals)
-    assert np.isinf(field[~search.walk.free]).all()
+    assert np.isinf(field[~search.flat.free]).all()
     np.testing.assert_allclose(field[free], exact[:, goals].min(axis=1), rtol=1e-8, atol=1e-12)
 
 
@@ -52,7 +52,7 @@ def test_fields_of_lengths_leave_weights_out(seed):
     rng = np.random.default_rng(seed)
     grid = random_grid(rng)
     search = Search(grid)
-    free = np.flatnonzero(search.walk.free)
+    free = np.flatnonzero(search.flat.free)
     for level in grid.levels:
         level.weights[level.free] = 1.0
     goals = rng.choice(free, 1)
@@ -74,13 +74,26 @@ def test_weights_far_apart_stay_exact():
         assert cost_of(route, search) == pytest.approx(exact[origin, 77], rel=1e-8)
 
 
-def test_more_open_cells_than_there_is_room_for():
-    grid = make_level(np.ones((40, 40)), np.zeros((40, 40)))
-    search = Search(grid)
-    search._make_room(4)
-    assert len(search.route(0, np.array([1599]))) == 40
-    search._make_room(4)
-    assert np.isfinite(search.field(np.array([1599]))).all()
+def test_a_field_of_more_goals_than_there_is_room_for_at_first():
+    free = np.ones((300, 300), dtype=bool)
+    free[::2, 1::2] = False
+    search = Search(make_level(free, np.zeros(free.shape)))
+    goals = np.flatnonzero(free)
+    assert len(goals) > FIRST_ROOM
+    field = search.field(goals)
+    assert not field[goals].any()
+    assert np.isinf(field[np.flatnonzero(~free)]).all()
+
+
+def test_a_route_that_opens_more_cells_than_there_is_room_for_at_first():
+    """Weights as far apart as these open most of the grid before the goal is reached."""
+    rng = np.random.default_rng(0)
+    shape = (700, 700)
+    weights = 10.0 ** rng.uniform(0, 4, shape)
+    search = Search(make_level(np.ones(shape), np.zeros(shape), weights))
+    goal = np.array([weights.size - 1])
+    route = search.route(0, goal)
+    assert cost_of(route, search) == pytest.approx(search.field(goal)[0], rel=1e-8)
 
 
 def test_searches_may_be_counted_from_one_again(monkeypatch):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -74,8 +75,8 @@ def _differing(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
 def _json_difference(a: Any, b: Any, path: str) -> str | None:
     if a == b:
         return None
-    if isinstance(a, dict) and isinstance(b, dict):
-        for key in a | b:
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        for key in {**a, **b}:
             inner = f"{path}[{key}]" if isinstance(key, int) else f"{path}.{key}"
             if key not in a or key not in b:
                 return f"{inner}: only in the {'first' if key in a else 'second'}"

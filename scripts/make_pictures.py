@@ -1,0 +1,117 @@
+"""Draws the pictures of the README and of docs/ from the sample scenes.
+
+python scripts/make_pictures.py [NAME…]
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from PIL import Image
+
+import navbake
+from navbake.navgrid.grid import NavGrid
+from navbake.views.plot import render_png
+
+ROOT = Path(__file__).resolve().parents[1]
+PICTURES = ROOT / "docs" / "pictures"
+SIZE = (1000, 1000)  # pixels; what is larger is scaled down
+COLORS = 256  # of the palette that a picture is reduced to
+START, GOAL = (0.0, -4.8, 0.0), (-2.2, -3.2, 3.0)  # [m], from the garden to a room upstairs
+
+
+def bake(name: str) -> NavGrid:
+    """Bake a sample scene."""
+    return navbake.bake(ROOT / "configs" / f"{name}.yaml")
+
+
+def draw_house() -> bytes:
+    """Rooms and floors of both storeys: the picture of the README."""
+    return render_png(bake("house"), layers=("rooms", "floor"))
+
+
+def draw_apartment() -> bytes:
+    """Rooms and floor heights of one storey."""
+    return render_png(bake("apartment"), layers=("rooms", "floor"))
+
+
+def draw_floors() -> bytes:
+    """A ramp, a dock and stairs are floors of the level that they rise from."""
+    return render_png(bake("warehouse"), layers=("occupancy", "floor"))
+
+
+def draw_islands() -> bytes:
+    """Connected parts, and the distance to the nearest obstacle."""
+    return render_png(bake("terrain"), level=0, layers=("island", "clearance"))
+
+
+def draw_inflated() -> bytes:
+    """Costs near walls for an agent of 0.2 m."""
+    grid = bake("apartment").inflate(0.2, costs="nav2", scaling=3.0)
+    return render_png(grid, layers=("occupancy", "weights"))
+
+
+def draw_path() -> bytes:
+    """A path over the stairs."""
+    grid = bake("house")
+    path = navbake.PathFinder(grid).find_path(START, GOAL)
+    return render_png(grid, layers=("occupancy",), route=path)
+
+
+def draw_voxels() -> bytes:
+    """Two layers of voxels, each thing in a colour of its own."""
+    voxelizer = navbake.Voxelizer(ROOT / "configs" / "apartment.yaml")
+    grid = voxelizer.create(res=0.05, segments="top")
+    figure = Figure(figsize=(11, 5), layout="constrained")
+    (x0, y0, _), (x1, y1, _) = grid.bounds
+    hues = np.random.default_rng(4).permutation(max(grid.names) + 1)
+    for ax, z in zip(figure.subplots(1, 2), (0.4, 1.2), strict=True):
+        layer = grid.values[:, :, int(grid.indices((x0, y0, z))[2])].T
+        shown = np.ma.masked_equal(np.where(layer > 0, hues[layer] + 1, 0), 0)
+        ax.imshow(shown, origin="lower", extent=(x0, x1, y0, y1), cmap="nipy_spectral")
+        ax.set(title=f"voxels at z = {z:g} m", xlabel="x [m]", ylabel="y [m]")
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=100)
+    return content.getvalue()
+
+
+PICTURE_MAKERS: dict[str, Callable[[], bytes]] = {
+    "house": draw_house,
+    "apartment": draw_apartment,
+    "floors": draw_floors,
+    "islands": draw_islands,
+    "inflated": draw_inflated,
+    "path": draw_path,
+    "voxels": draw_voxels,
+}
+
+
+def shrink(png: bytes) -> Image.Image:
+    """Scale a picture to `SIZE` and reduce it to a palette, so that a clone stays small."""
+    image = Image.open(io.BytesIO(png)).convert("RGB")
+    image.thumbnail(SIZE, Image.Resampling.LANCZOS)
+    return image.quantize(COLORS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+
+
+def main() -> None:
+    """Draw the pictures asked for."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("names", nargs="*", help=f"some of {', '.join(PICTURE_MAKERS)}; all")
+    names = parser.parse_args().names or list(PICTURE_MAKERS)
+    unknown = [name for name in names if name not in PICTURE_MAKERS]
+    if unknown:
+        parser.error(f"no picture {', '.join(unknown)}: there are {', '.join(PICTURE_MAKERS)}")
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        path = PICTURES / f"{name}.png"
+        shrink(PICTURE_MAKERS[name]()).save(path, optimize=True)
+        print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,232 @@
+"""What the README and docs/ say is so: code runs, commands parse, links lead somewhere."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shlex
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import typer
+import yaml
+
+import navbake
+from navbake.cli.main import app
+from navbake.config.settings import SECTIONS, parse_config
+from project_paths import ROOT
+
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PICTURES = sorted((ROOT / "docs" / "pictures").glob("*.png"))
+MAX_README_WORDS = 700
+MAX_PICTURE_BYTES = 150_000
+COMMANDS: Any = typer.main.get_command(app)
+UsageError = typer.BadParameter.__base__  # click may be a part of typer, or not
+
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+SPAN = re.compile(r"`([^`\n]+)`")
+NAME = re.compile(r"(?<![\w./])navbake(?:\.\w+)+")
+PROJECT_PATH = re.compile(r"(?:navbake|configs|docs|examples|scripts|tests)/[\w./-]*")
+each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+
+
+def blocks_of(page: Path, *languages: str) -> list[str]:
+    return [text for language, text in BLOCK.findall(page.read_text()) if language in languages]
+
+
+def anchors_of(page: Path) -> set[str]:
+    """The anchors that GitHub gives the headings of a page."""
+    headings = re.findall(r"^#+ (.+)$", BLOCK.sub("", page.read_text()), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-") for text in headings}
+
+
+def shell_lines(page: Path) -> list[list[str]]:
+    lines = "".join(blocks_of(page, "sh")).splitlines()
+    return [words for line in lines if (words := shlex.split(line, comments=True))]
+
+
+def commands_of(page: Path) -> list[list[str]]:
+    """The words that follow `navbake` in each command line of a page."""
+    return [words[1:] for words in shell_lines(page) if words[0] == "navbake"]
+
+
+@each_page
+def test_python_runs(page, tmp_path, monkeypatch, capsys):
+    (tmp_path / "configs").symlink_to(ROOT / "configs")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {"__name__": "docs"}
+    for number, text in enumerate(blocks_of(page, "python")):
+        exec(compile(text, f"{page.name}, block {number}", "exec"), names)
+
+
+@each_page
+def test_commands_parse(page):
+    for words in commands_of(page):
+        command = COMMANDS.commands.get(words[0])
+        assert command is not None, f"{page.name}: no command {words[0]}"
+        try:
+            command.make_context(words[0], words[1:])
+        except UsageError as error:
+            pytest.fail(f"{page.name}: navbake {shlex.join(words)}: {error.format_message()}")
+
+
+def test_commands_that_are_wrong_do_not_parse():
+    for words in (["bake", "a.yaml", "--colour"], ["plot"], ["path", "a.json", "--from", "0,0"]):
+        with pytest.raises(UsageError):
+            COMMANDS.commands[words[0]].make_context(words[0], words[1:])
+
+
+def test_every_command_is_shown():
+    shown = {words[0] for page in PAGES for words in commands_of(page)}
+    assert shown == set(COMMANDS.commands)
+
+
+@each_page
+def test_options_in_the_text_are_there(page):
+    known = {
+        option
+        for command in COMMANDS.commands.values()
+        for parameter in command.params
+        for option in (*parameter.opts, *parameter.secondary_opts)
+    }
+    spans = SPAN.findall(BLOCK.sub("", page.read_text()))
+    options = {
+        word.split("=")[0]
+        for span in spans
+        if span.startswith(("-", "navbake "))
+        for word in span.split()
+        if word.startswith("-")
+    }
+    assert options <= known
+    for span in spans:
+        words = span.split()
+        if words[0] == "navbake" and len(words) > 1:
+            assert words[1] in COMMANDS.commands, f"{page.name}: {span}"
+
+
+@each_page
+def test_names_are_there(page):
+    for name in NAME.findall(page.read_text()):
+        assert resolves(name), f"{page.name}: no {name}"
+
+
+def test_names_that_are_not_there_are_found():
+    assert resolves("navbake.PathFinder.find_path")
+    assert not resolves("navbake.PathFinder.find_way")
+    assert not resolves("navbake.no_module")
+
+
+def resolves(name: str) -> bool:
+    """Whether a dotted name is a module, or what one holds."""
+    found: Any = navbake
+    path = "navbake"
+    for part in name.split(".")[1:]:
+        path = f"{path}.{part}"
+        if not hasattr(found, part):
+            try:
+                importlib.import_module(path)
+            except ImportError:
+                return False
+        found = getattr(found, part)
+    return True
+
+
+@each_page
+def test_links_lead_somewhere(page):
+    for target in LINK.findall(BLOCK.sub("", page.read_text())):
+        if target.startswith("https://"):
+            continue
+        path, _, anchor = target.partition("#")
+        found = (page.parent / path).resolve() if path else page
+        assert found.exists(), f"{page.name}: {target}"
+        assert not anchor or anchor in anchors_of(found), f"{page.name}: {target}"
+
+
+@each_page
+def test_paths_are_there(page):
+    text = page.read_text()
+    spans = [span for span in SPAN.findall(BLOCK.sub("", text)) if PROJECT_PATH.fullmatch(span)]
+    words = [word for line in shell_lines(page) for word in line if PROJECT_PATH.fullmatch(word)]
+    for path in (*spans, *words):
+        assert (ROOT / path).exists(), f"{page.name}: {path}"
+
+
+@each_page
+def test_settings_in_yaml_are_valid(page):
+    for text in blocks_of(page, "yaml"):
+        parse_config({"scene": {"path": "scene.xml"}, **yaml.safe_load(text)}, page.name)
+
+
+# ---------------------------------------------------------------- single pages
+
+
+def test_readme_is_short():
+    assert len((ROOT / "README.md").read_text().split()) <= MAX_README_WORDS
+
+
+def test_all_pages_are_listed():
+    linked = set(LINK.findall((ROOT / "docs" / "README.md").read_text()))
+    assert {page.name for page in PAGES[2:]} - {"README.md"} <= linked
+
+
+@pytest.mark.parametrize("picture", PICTURES, ids=lambda picture: picture.stem)
+def test_pictures_are_small_and_shown(picture):
+    assert picture.stat().st_size < MAX_PICTURE_BYTES
+    assert any(f"pictures/{picture.name})" in page.read_text() for page in PAGES)
+
+
+def test_citation_is_of_this_version():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == navbake.__version__
+    assert citation["cff-version"] == "1.2.0"
+    assert citation["license"] == "MIT"
+
+
+class Row(NamedTuple):
+    """A key in a table of docs/settings.md."""
+
+    default: str
+    limits: str
+
+
+def setting_rows() -> dict[str, Row]:
+    rows = {}
+    for line in (ROOT / "docs" / "settings.md").read_text().splitlines():
+        if line.startswith("| `"):
+            key, default, limits, _ = (
+                cell.strip() for cell in re.split(r"(?<!\\)\|", line.strip("|"))
+            )
+            rows[key.strip("`")] = Row(default.strip("`").replace("\\|", "|"), limits)
+    return rows
+
+
+def setting_fields() -> dict[str, Any]:
+    """Each setting by its dotted key, sections left out."""
+    fields = {}
+    for section, model in SECTIONS.items():
+        for name, field in model.model_fields.items():
+            is_section = field.default_factory is not None or name == "scene"
+            if not is_section:
+                key = ".".join(part for part in (section, field.alias or name) if part)
+                fields[key] = field
+    return fields
+
+
+def test_settings_are_all_described():
+    assert set(setting_rows()) == set(setting_fields())
+
+
+@pytest.mark.parametrize("key", sorted(setting_fields()))
+def test_setting_has_the_default_and_the_limits_of_the_table(key):
+    row, field = setting_rows()[key], setting_fields()[key]
+    if field.is_required():
+        assert row.default == "required"
+    elif key in ("scene.id", "output", "levels.top"):
+        assert row.default in ("the file's stem", "<id>.grid.json", "the next level's ground")
+    else:
+        assert yaml.safe_load(row.default) == field.default
+    description = re.sub(r"; default .*", "", field.description)
+    for fact in re.findall(r"\[(?:m|m2|degrees)\]|[<>]=? [\d.]+|\d+ to [\d.]+", description):
+        assert fact in row.limits

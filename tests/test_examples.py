@@ -1,0 +1,38 @@
+"""Each example runs as it stands, and prints what it is for."""
+
+from __future__ import annotations
+
+import runpy
+
+import pytest
+
+from project_paths import ROOT
+
+EXAMPLES = ROOT / "examples"
+PRINTED = {
+    "bake_and_look": ["level 1: 100 x 81 cells, ground 3.00 m", "['dining_table']"],
+    "doors": ["door: joint hinge, modelled", "door 'door' (closed) is in the way", "open: 4.00 m"],
+    "larger_robot": ["radius 0.30 m: 16.2 m2 free, path of", "is 0.70 m wide, the agent 0.80 m"],
+    "spawn_and_plan": ["start at ", " m to room 1:1 through", "(50.00, 0.00, 0.00) lies beside"],
+    "voxels_round_a_robot": ["in reach: beanbag, ", "apartment.bt: (200, 160, 52) voxels"],
+}
+
+
+def test_all_examples_are_here():
+    assert sorted(PRINTED) == sorted(path.stem for path in EXAMPLES.glob("*.py"))
+
+
+@pytest.mark.parametrize("name", PRINTED)
+def test_example_runs(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+    printed = capsys.readouterr().out
+    for text in PRINTED[name]:
+        assert text in printed
+
+
+@pytest.mark.parametrize("name", PRINTED)
+def test_example_is_short_and_says_how_to_run_it(name):
+    source = (EXAMPLES / f"{name}.py").read_text()
+    assert len(source.splitlines()) <= 50
+    assert f"python examples/{name}.py" in source
