@@ -170,7 +170,7 @@ def field_row(house: House) -> Row:
     """The whole distance field of one goal, without what is kept of the last."""
     finder = navbake.PathFinder(house.grid)
     goal = finder.random_point(np.random.default_rng(0), island=1)
-    cells = finder.search.walk.free.nonzero()[0]
+    cells = finder.search.flat.free.nonzero()[0]
     level = house.grid.levels[0]
     row, col = (int(v) for v in level.lattice.rows_cols(goal))
     source = row * level.width + col
@@ -226,15 +226,15 @@ def random_pairs(finder: navbake.PathFinder, count: int) -> list[np.ndarray]:
 
 def step_graph(finder: navbake.PathFinder) -> Any:
     """All steps of a grid of one level as scipy wants them: lengths times weights."""
-    walk, moves = finder.search.walk, finder.search.moves
-    width, size = int(walk.width[0]), float(walk.cell_size[0])
+    flat, moves = finder.search.flat, finder.search.graph.moves
+    width, size = int(flat.layout.width[0]), float(flat.layout.cell_size[0])
     steps = [1, -width, -1, width, 1 - width, -1 - width, width - 1, width + 1]
     sources = [np.flatnonzero(moves >> way & 1) for way in range(8)]
     targets = [source + step for source, step in zip(sources, steps, strict=True)]
     lengths = np.repeat([size] * 4 + [size * 2**0.5] * 4, [len(source) for source in sources])
     source, target = np.concatenate(sources), np.concatenate(targets)
-    shape = (walk.num_cells, walk.num_cells)
-    return sparse.csr_array((lengths * walk.weight[target], (source, target)), shape=shape)
+    shape = (flat.num_cells, flat.num_cells)
+    return sparse.csr_array((lengths * flat.weight[target], (source, target)), shape=shape)
 
 
 def _against_distance(house: House, job: Job, limit: str = "nothing asked") -> Row:

@@ -1,81 +1,110 @@
-"""The flat view of a grid that kernels walk on: the cells of all levels, one after the other."""
+"""The flat view of a grid that kernels work on: the cells of all levels, one after the other."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
+from navbake.errors import QueryError
+from navbake.navgrid.cells import Cell, Cells, check_positions
 from navbake.navgrid.islands import step_limit
+from navbake.types import Bool, Float, Int
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid, SceneGrid2D
+    from navbake.runtime.kernels.arrays import Floors, Layout, Links, Space
 
 
 @dataclass(frozen=True, eq=False)
-class Walk:
+class FlatGrid:
     """All levels of a grid as one row of cells, and where steps lead from level to level.
 
     The flat id of a cell is ``start[level] + row * width[level] + col``. Two neighbours on one
-    level are a step apart where both are free and their floors differ by at most `max_step`; a
-    cell without floor height is level with each of its neighbours. Where a link leads, the floor
-    is the baker's business: it joins two cells, both ways, whenever both are free.
+    level are a step apart where both are free and their floors differ by at most `max_step`.
+    Where a link leads, the baker has decided about the floor: it joins two cells, both ways,
+    whenever both are free.
 
     Attributes:
-        start: first flat id of each level, and one past the last, shape (num_levels + 1,), int64.
-        width: number of columns of each level, shape (num_levels,), int64.
-        height: number of rows of each level, shape (num_levels,), int64.
-        x_min: world x of the outer edge of column 0 of each level [m], float64.
-        y_max: world y of the outer edge of row 0 of each level [m], float64; rows run towards
-            smaller y.
-        cell_size: edge of a cell of each level [m], float64; the same on all in what navbake
-            bakes.
-        ground: world z of each level's ground [m], float64: the floor of free cells that have
-            none of their own.
-        free: shape (n,), bool.
-        floor: world z of the floor [m], shape (n,), float64, NaN where there is none; the ground
-            on a level whose file tells no floors.
+        layout: where the cells of each level lie.
+        links: steps between cells that are not neighbours on one level.
+        floors: heights of the cells' floors [m], and `max_step`.
+        free: by flat id, shape (n,), bool.
         weight: cost of a cell, shape (n,), float64, inf where it isn't free.
-        max_step: by how much the floors of neighbours may differ [m], slack included; see
-            `navbake.navgrid.islands.step_limit`.
-        link_cell: cells that links lead from, shape (m,), ascending, each once, int64.
-        link_start: shape (m + 1,), int64: from ``link_cell[i]`` links lead to
-            ``link_target[link_start[i]:link_start[i + 1]]``.
-        link_target: flat ids, ascending for each cell, int64; each link is there both ways.
     """
 
-    start: NDArray[np.int64]
-    width: NDArray[np.int64]
-    height: NDArray[np.int64]
-    x_min: NDArray[np.float64]
-    y_max: NDArray[np.float64]
-    cell_size: NDArray[np.float64]
-    ground: NDArray[np.float64]
-    free: NDArray[np.bool_]
-    floor: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    max_step: float
-    link_cell: NDArray[np.int64]
-    link_start: NDArray[np.int64]
-    link_target: NDArray[np.int64]
+    layout: Layout
+    links: Links
+    floors: Floors
+    free: Bool
+    weight: Float
 
     @property
     def num_levels(self) -> int:
         """Number of levels, at least 1."""
-        return len(self.width)
+        return len(self.layout.width)
 
     @property
     def num_cells(self) -> int:
         """Number of cells of all levels."""
-        return int(self.start[-1])
+        return int(self.layout.start[-1])
 
-    def level_of(self, cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    def cells_of(self, level: int) -> slice:
+        """Where the cells of a level are among the flat ids."""
+        return slice(int(self.layout.start[level]), int(self.layout.start[level + 1]))
+
+    def level_of(self, cells: Int | int) -> Int:
         """The levels of cells, by flat id, same shape."""
-        return np.searchsorted(self.start, cells, side="right") - 1
+        return np.searchsorted(self.layout.start, cells, side="right") - 1
 
-    def positions(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
+    def split(self, cells: Int | int) -> Cells:
+        """Level, row and column of cells by their flat ids, of the same shape; -1 stays -1."""
+        cells = np.asarray(cells, dtype=np.int64)
+        level = self.level_of(cells)
+        row, col = np.divmod(cells - self.layout.start[level], self.layout.width[level])
+        if (level < 0).any():
+            row, col = (np.where(level < 0, -1, v) for v in (row, col))
+        return Cells(level, row, col)
+
+    def cell(self, cell: int) -> Cell:
+        """Level, row and column of one cell by its flat id."""
+        return Cell(*(int(v) for v in self.split(cell)))
+
+    def cells_at(self, positions: ArrayLike, level: int | None = None) -> Int:
+        """The flat ids of `navbake.navgrid.cells.cells_at`, and faster; -1 where there is no cell.
+
+        Args:
+            positions: world x, y, z [m], shape (..., 3); (..., 2) is enough on one level.
+            level: which level all are on; then z is ignored.
+
+        Returns:
+            Shape (...), int64.
+
+        Raises:
+            QueryError: there is no such level, or a position is not valid.
+        """
+        from navbake.runtime.kernels.locate import locate, locate_on  # saves numba at start-up
+
+        p = check_positions(positions, self.num_levels, level)
+        points = np.ascontiguousarray(p.reshape(-1, p.shape[-1]))
+        if level is not None or p.shape[-1] == 2:
+            cells = np.empty(len(points), dtype=np.int64)
+            locate_on(self.layout, level or 0, points, cells)
+        else:
+            cells, _ = locate(self.layout, self.floors, points)
+        return cells.reshape(p.shape[:-1])
+
+    def cell_at(self, position: ArrayLike, level: int | None = None) -> int | None:
+        """The flat id of the cell that one position is in; None for none. See `cells_at`."""
+        cells = self.cells_at(position, level)
+        if cells.ndim:
+            raise QueryError(f"expected one position, got an array of shape {np.shape(position)}")
+        return int(cells) if cells >= 0 else None
+
+    def positions(self, cells: Int | int) -> Float:
         """World positions of cells' centres on the floor [m].
 
         Args:
@@ -85,16 +114,26 @@ class Walk:
             Shape (..., 3), float64; where there is no floor height, at the level's ground.
         """
         level = self.level_of(cells)
-        row, col = np.divmod(cells - self.start[level], self.width[level])
-        size = self.cell_size[level]
-        x = self.x_min[level] + (col + 0.5) * size
-        y = self.y_max[level] - (row + 0.5) * size
-        floor = self.floor[cells]
-        z = np.where(np.isnan(floor), self.ground[level], floor)
+        row, col = np.divmod(cells - self.layout.start[level], self.layout.width[level])
+        size = self.layout.cell_size[level]
+        x = self.layout.x_min[level] + (col + 0.5) * size
+        y = self.layout.y_max[level] - (row + 0.5) * size
+        floor = self.floors.z[cells]
+        z = np.where(np.isnan(floor), self.floors.ground[level], floor)
         return np.stack([x, y, z], axis=-1)
 
+    def link_ends(self) -> tuple[Int, Int]:
+        """The cells that each link leads from and to, by flat id; each link is there both ways."""
+        return np.repeat(self.links.cell, np.diff(self.links.start)), self.links.target
 
-def make_walk(grid: NavGrid) -> Walk:
+    def sight_through(self, clear: Bool) -> Space:
+        """What a line of sight may run through: cells of a mask, whatever their floors' heights."""
+        from navbake.runtime.kernels.arrays import Space  # saves numba at start-up
+
+        return Space(self.layout, self.links, self.floors._replace(max_step=math.inf), clear)
+
+
+def flatten(grid: NavGrid) -> FlatGrid:
     """Lay the levels of a grid out as one row of cells.
 
     Args:
@@ -103,44 +142,57 @@ def make_walk(grid: NavGrid) -> Walk:
     Returns:
         Copies: what happens to the grid later does not reach them.
     """
+    from navbake.runtime.kernels.arrays import Floors, Layout, Links  # saves numba at start-up
+
     levels = grid.levels
     lattices = [level.lattice for level in levels]
-    start = np.cumsum([0] + [level.width * level.height for level in levels], dtype=np.int64)
-    weight = np.concatenate([level.weights.ravel().astype(np.float64) for level in levels])
-    floors = [_flat_floor(level) for level in levels]
-    free = np.isfinite(weight)
-    weight[~free] = np.inf
-    return Walk(
-        start=start,
+    layout = Layout(
+        start=np.cumsum([0] + [level.width * level.height for level in levels], dtype=np.int64),
         width=np.array([lattice.width for lattice in lattices], dtype=np.int64),
         height=np.array([lattice.height for lattice in lattices], dtype=np.int64),
         x_min=np.array([lattice.x_min for lattice in lattices], dtype=np.float64),
         y_max=np.array([lattice.y_max for lattice in lattices], dtype=np.float64),
         cell_size=np.array([lattice.cell_size for lattice in lattices], dtype=np.float64),
-        ground=np.array([level.ground for level in levels], dtype=np.float64),
-        free=free,
-        floor=np.concatenate(floors),
-        weight=weight,
-        max_step=step_limit(grid) * grid.unit,
-        **_link_lists(grid.link_array, start),
     )
+    floors = Floors(
+        z=np.concatenate([_flat_floor(level) for level in levels]),
+        ground=np.array([level.ground for level in levels], dtype=np.float64),
+        max_step=step_limit(grid) * grid.unit,
+    )
+    weight = np.concatenate([level.weights.ravel().astype(np.float64) for level in levels])
+    free = np.isfinite(weight)
+    weight[~free] = np.inf
+    cell, start, target = _link_lists(grid.link_array, layout.start)
+    links = Links(cell, start, target, np.empty(0))
+    flat = FlatGrid(layout, links, floors, free, weight)
+    return replace(flat, links=links._replace(length=_link_lengths(flat)))
 
 
-def _flat_floor(level: SceneGrid2D) -> NDArray[np.float64]:
+def _flat_floor(level: SceneGrid2D) -> Float:
     if "floorHeight" not in level.attributes:
         return np.full(level.width * level.height, level.ground)
     return level.floor_height.ravel().astype(np.float64) * level.unit
 
 
-def _link_lists(links: NDArray[np.int64], start: NDArray[np.int64]) -> dict[str, NDArray[np.int64]]:
+def _link_lists(links: Int, start: Int) -> tuple[Int, Int, Int]:
     """Links as lists by cell, each link both ways and once."""
     a = start[links[:, 0]] + links[:, 1]
     b = start[links[:, 2]] + links[:, 3]
     pairs = np.stack([np.concatenate([a, b]), np.concatenate([b, a])], axis=1)
     pairs = np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
     cell, first = np.unique(pairs[:, 0], return_index=True)
-    return {
-        "link_cell": cell,
-        "link_start": np.append(first, len(pairs)).astype(np.int64),
-        "link_target": np.ascontiguousarray(pairs[:, 1]),
-    }
+    return cell, np.append(first, len(pairs)), np.ascontiguousarray(pairs[:, 1])
+
+
+def _link_lengths(flat: FlatGrid) -> Float:
+    """How long each link is [m].
+
+    It is the octile distance between the centres of its cells, seen from above, and at least a
+    cell: between neighbours on one lattice, as navbake links them, exactly a cell.
+    """
+    source, target = flat.link_ends()
+    one, other = flat.positions(source), flat.positions(target)
+    across, along = np.sort(np.abs(one - other)[:, :2], axis=1).T
+    size = flat.layout.cell_size
+    least = np.minimum(size[flat.level_of(source)], size[flat.level_of(target)])
+    return np.asarray(np.maximum(along + (math.sqrt(2.0) - 1.0) * across, least))

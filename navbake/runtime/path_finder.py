@@ -1,29 +1,37 @@
-"""Plans paths on a grid, over all its levels."""
+"""Plans paths on a grid, and answers questions about places on it."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
-from navbake.navgrid.cells import check_positions
-from navbake.runtime.paths.door_map import DoorMap, doors_on, map_doors
-from navbake.runtime.paths.goals import Goal, Target, find_target
-from navbake.runtime.paths.path import Path, path_length
-from navbake.runtime.paths.string_pulling import pull_route
-from navbake.runtime.place_sampler import PlaceSampler
-from navbake.runtime.places.locate import flat_cells
+from navbake.navgrid.cells import Cell
+from navbake.runtime.grid_cache import GridCache
+from navbake.runtime.paths.goals import Goal, cells_named
+from navbake.runtime.paths.path import Path
+from navbake.runtime.paths.planner import Planner
+from navbake.runtime.paths.search import Search
+from navbake.runtime.paths.why_not import why_not
+from navbake.runtime.places.island_map import IslandMap
+from navbake.runtime.places.navigable import MAX_DROP, is_navigable
+from navbake.runtime.places.obstacle import Obstacle, nearest_obstacle
+from navbake.runtime.places.room_map import RoomMap
+from navbake.runtime.places.sampler import Pose, Sampler
+from navbake.runtime.places.sight import Sight, line_of_sight
+from navbake.runtime.places.snap import nearest_on_level, snap_to
+from navbake.runtime.places.step import try_step
+from navbake.runtime.places.top_down import draw_top_down
+from navbake.types import Bool, Float
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
 
 
-MAX_FIELDS = 8  # distance fields that are kept
-
-
-class PathFinder(PlaceSampler):
+class PathFinder:
     """Answers an agent's questions about ways through a grid, and about places on it.
 
     A path steps over the edges and corners of free cells and over links between levels. Floors of
@@ -33,7 +41,9 @@ class PathFinder(PlaceSampler):
     Goals are a position, several of them (the one that is the cheapest to reach counts),
     ``room:NAME`` with a room's id or name, or ``object:NAME`` with a name of the user data (the
     free cells next to it). Positions are world x, y, z [m], on the level of the nearest floor
-    below; x, y will do on one level or with `level`.
+    below. With `level`, positions are on that level (0 is the lowest) and z is ignored. x, y are
+    enough with `level`, or on a grid of one level. Every method raises QueryError where a
+    position is not valid, or where there is no such level, room, object or island.
 
     One object serves one thread at a time.
 
@@ -47,9 +57,12 @@ class PathFinder(PlaceSampler):
     """
 
     def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
-        super().__init__(grid, cut_corners=cut_corners)
-        self._fields: dict[tuple[int, bool, bytes], NDArray[np.float64]] = {}
-        self._doors: DoorMap | None = None
+        self.grid = grid
+        self._cache = GridCache(grid, cut_corners=cut_corners)
+        self._planner = Planner(self._cache)
+        self._sampler = Sampler(self._cache)
+
+    # --- paths -----------------------------------------------------------------------------
 
     def find_path(
         self, start: ArrayLike, goal: Goal, *, level: int | None = None, smooth: bool = True
@@ -59,143 +72,427 @@ class PathFinder(PlaceSampler):
         Args:
             start: world position [m].
             goal: see `PathFinder`.
-            level: which level positions are on; then z does not count.
             smooth: pull the path straight where that stays free; else it runs through the
                 cells' centres. It begins and ends at the positions themselves unless they are
                 nearer to obstacles than the agent may be.
 
         Returns:
             None where there is no path: `why_not` tells the reason.
-
-        Raises:
-            QueryError: a position is none, or there is no such room, object or level.
         """
-        search = self.search
-        origin, target = self._ends(start, goal, level)
-        goals = target.free_cells(search.walk)
-        if origin < 0 or not search.walk.free[origin] or not len(goals):
-            return None
-        route = search.route(origin, goals)
-        if route is None:
-            return None
-        return self._make_path(route, np.asarray(start, dtype=np.float64), target, smooth)
+        return self._planner.find_path(start, goal, level, smooth=smooth)
 
     def why_not(self, start: ArrayLike, goal: Goal, *, level: int | None = None) -> str | None:
         """Say why there is no path: in one sentence, with positions and figures.
 
-        It tells of a start or goal that isn't free and of the nearest cell that is; or of the
-        islands that they are in and how near these come; then of what is between: cells that are
-        blocked for now, doors, a gap that is too narrow for the agent (known of grids that were
-        inflated), steps between levels that can't be taken, or the names of what stands there.
+        The sentence names a start or goal that isn't free and the nearest cell that is; or the
+        islands that they are in and how near these come, and then what is between: cells that
+        are blocked for now, doors, a gap that is too narrow for the agent (known of grids that
+        were inflated), steps between levels that can't be taken, or the names of what stands
+        there.
 
         Args:
             start: world position [m].
             goal: see `PathFinder`.
-            level: which level positions are on; then z does not count.
 
         Returns:
             None if there is a path.
-
-        Raises:
-            QueryError: see `find_path`.
         """
-        from navbake.runtime.paths.why_not import explain
-
-        origin, target = self._ends(start, goal, level)
-        return explain(self, np.asarray(start, dtype=np.float64), origin, target)
+        origin, target = self._planner.find_ends(start, goal, level)
+        return why_not(self._cache, np.asarray(start, dtype=np.float64), origin, target)
 
     def distance_field(
         self, goal: Goal, *, level: int | None = None, weighted: bool = True
-    ) -> list[NDArray[np.float64]]:
+    ) -> list[Float]:
         """Find what the cheapest path from every cell to the goal costs.
 
         Args:
             goal: see `PathFinder`.
-            level: which level positions are on; then z does not count.
             weighted: count steps by their weights, as `find_path` does; else by their lengths
                 alone, so that the shortest path counts [m].
 
         Returns:
             One array a level, shape (height, width), float64, inf where no path leads to the
             goal; read-only. The last few goals' fields are kept, so asking again costs nothing.
-
-        Raises:
-            QueryError: see `find_path`.
         """
-        field, start = self._field(goal, level, weighted), self.search.walk.start
-        return [
-            field[start[k] : start[k + 1]].reshape(part.shape)
-            for k, part in enumerate(self.grid.levels)
-        ]
+        field, flat = self._planner.field(goal, level, weighted=weighted), self._cache.flat
+        return [field[flat.cells_of(k)].reshape(v.shape) for k, v in enumerate(self.grid.levels)]
 
     def distances(
-        self,
-        starts: ArrayLike,
-        goal: Goal,
-        *,
-        level: int | None = None,
-        weighted: bool = True,
-    ) -> NDArray[np.float64]:
+        self, starts: ArrayLike, goal: Goal, *, level: int | None = None, weighted: bool = True
+    ) -> Float:
         """Find what the cheapest paths from many starts to the goal cost.
 
         Args:
             starts: world positions [m], shape (..., 3).
             goal: see `PathFinder`.
-            level: which level positions are on; then z does not count.
             weighted: see `distance_field`.
 
         Returns:
             Shape (...), float64; inf where there is no path.
-
-        Raises:
-            QueryError: see `find_path`.
         """
-        cells = flat_cells(self.search.walk, starts, level)
-        field = self._field(goal, level, weighted)
+        cells = self._cache.flat.cells_at(starts, level)
+        field = self._planner.field(goal, level, weighted=weighted)
         return np.where(cells >= 0, field[cells], np.inf)
 
-    def _field(self, goal: Goal, level: int | None, weighted: bool) -> NDArray[np.float64]:
-        """The field of a goal by flat id; the last few are kept."""
-        search = self.search
-        target = find_target(self.grid, search.walk, lambda: self.rooms, goal, level)
-        goals = target.free_cells(search.walk)
-        key = (search.version, weighted, goals.tobytes())
-        field = self._fields.pop(key, None)
-        if field is None:
-            field = search.field(goals, weighted=weighted)
-            field.flags.writeable = False
-        self._fields[key] = field  # last in the row
-        for old in list(self._fields)[:-MAX_FIELDS]:
-            del self._fields[old]
-        return field
+    # --- places ----------------------------------------------------------------------------
 
-    def _ends(self, start: ArrayLike, goal: Goal, level: int | None) -> tuple[int, Target]:
-        walk = self.search.walk
-        p = check_positions(start, walk.num_levels, level)
-        if p.ndim != 1:
-            raise QueryError(f"expected one start, got an array of shape {p.shape}")
-        target = find_target(self.grid, walk, lambda: self.rooms, goal, level)
-        return int(flat_cells(walk, p, level)), target
+    def is_navigable(
+        self, position: ArrayLike, *, level: int | None = None, max_drop: float = MAX_DROP
+    ) -> bool:
+        """Whether an agent can stand at a position.
 
-    def _make_path(
-        self, route: NDArray[np.int64], start: NDArray[np.float64], target: Target, smooth: bool
-    ) -> Path:
-        search, walk = self._search, self._search.walk
-        positions, levels = pull_route(
-            search, route, smooth=smooth, start=start[:2], end=target.position_in(route[-1])
+        It can where the cell is free and its floor is at most `max_drop` below the position [m].
+        """
+        found = is_navigable(self._cache.flat, position, level, max_drop)
+        if found.ndim:
+            raise QueryError("expected one position: ask are_navigable for many")
+        return bool(found)
+
+    def are_navigable(
+        self, positions: ArrayLike, *, level: int | None = None, max_drop: float = MAX_DROP
+    ) -> Bool:
+        """`is_navigable` of each of many positions, shape (..., 3); shape (...), bool."""
+        return is_navigable(self._cache.flat, positions, level, max_drop)
+
+    def cell_at(self, position: ArrayLike, *, level: int | None = None) -> Cell | None:
+        """The cell that a position is in; see `navbake.navgrid.cells.cell_at`."""
+        cell = self._cache.flat.cell_at(position, level)
+        return None if cell is None else self._cache.flat.cell(cell)
+
+    def snap(
+        self,
+        position: ArrayLike,
+        *,
+        level: int | None = None,
+        same_level: bool = True,
+        same_room: bool = False,
+        room: str | None = None,
+        island: int | None = None,
+        in_sight: bool = False,
+        max_distance: float = math.inf,
+    ) -> Float | None:
+        """Find the nearest place where an agent can stand.
+
+        Where the position's own cell is allowed, and its floor is at most 0.5 m below, that is
+        the position itself, put on the floor. Else it is the centre of a cell: of the one whose
+        centre is the nearest on the map on the position's level, or in space on any level.
+
+        Args:
+            position: world position [m].
+            same_level: stay on its level. A position that is on none is snapped to the nearest
+                floor in space.
+            same_room: stay in its room; None where it is in none.
+            room: go to this room, by id or name.
+            island: go to this island, by its number.
+            in_sight: nothing may stand between, such as a wall. The position may be in something:
+                then the line has to come out of it without leaving its room.
+            max_distance: go no farther [m].
+
+        Returns:
+            World x, y and floor z [m], shape (3,); None where there is no such place.
+        """
+        if same_room:
+            here = self.room_at(position, level=level)
+            if here is None or (
+                room is not None and self.rooms.find(room) != self.rooms.find(here)
+            ):
+                return None
+            room = here
+        return snap_to(
+            self._cache.flat,
+            position,
+            self._cache.allowed(room=room, island=island),
+            level=level,
+            same_level=same_level,
+            sight=Sight(~self.occupied, self.rooms.number) if in_sight else None,
+            max_distance=max_distance,
         )
-        level = walk.level_of(route)
-        row, col = np.divmod(route - walk.start[level], walk.width[level])
-        if self._doors is None:
-            self._doors = map_doors(self.grid, walk)
-        numbers = self.rooms.number[route]
-        entered = numbers[np.append(True, numbers[1:] != numbers[:-1])]
-        return Path(
-            positions=positions,
-            levels=levels,
-            cells=np.stack([level, row, col], axis=1),
-            length=path_length(positions),
-            cost=float((search.lengths(route) * walk.weight[route[1:]]).sum()),
-            rooms=[str(self.rooms.id_of(int(n))) for n in entered if n],
-            doors=doors_on(self._doors, route),
+
+    def try_step(
+        self, start: ArrayLike, end: ArrayLike, *, slide: bool = True, level: int | None = None
+    ) -> Float:
+        """Move straight from a position towards another, and stop where cells are not free.
+
+        The way runs over the map from cell to cell, over the edge that it meets, so no wall is
+        too thin for it. Steps are at most `traversable_floor_height` high; links lead to other
+        levels.
+
+        Sliding goes on from where the straight way ends, to the point that is the nearest to the
+        end among those that a walk leads to which is no longer than what is left of the way. So
+        it also gets along walls that are not parallel to the cells.
+
+        A way may end anywhere in a free cell, so up to half a cell nearer to obstacles than at
+        its centre.
+
+        Args:
+            start: world x, y, z [m], where an agent can stand.
+            end: world x, y, z [m]; its z is ignored.
+            slide: whether to slide.
+
+        Returns:
+            World x, y and floor z [m] of where the way ends, shape (3,), float64.
+
+        Raises:
+            QueryError: no agent can stand at the start.
+        """
+        return try_step(self._cache.flat, start, end, slide=slide, level=level)
+
+    def line_of_sight(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
+        """Whether the straight line between two positions meets nothing that is occupied.
+
+        The line runs over the map, from cell to cell, and through a corner of four where one of
+        the two beside it is clear. It changes levels where links lead; heights are not compared.
+        False also where one of the two is beside the grid, or in something itself.
+        """
+        return line_of_sight(self._cache.flat, ~self.occupied, a, b, level)
+
+    def nearest_obstacle(
+        self, position: ArrayLike, *, level: int | None = None, max_distance: float = math.inf
+    ) -> Obstacle | None:
+        """Find the nearest point of an occupied cell's square on the position's level.
+
+        Beyond the edge of the grid nothing is known, and nothing counts. Where the level ends and
+        another goes on, as at the top of stairs, that is no obstacle: the other one counts where
+        its floor is less than the agent's height, less a step, above or below, and its own isn't.
+
+        Args:
+            position: world position [m], in a cell of the grid.
+            max_distance: farther obstacles are ignored [m], >= 0.
+
+        Returns:
+            None where there is none so near; distance 0 within an occupied cell.
+        """
+        flat, height = self._cache.flat, self.grid.agent_height
+        return nearest_obstacle(
+            flat, self.occupied, position, height, level=level, max_distance=max_distance
         )
+
+    def clearance(
+        self, position: ArrayLike, *, level: int | None = None, max_distance: float = math.inf
+    ) -> float:
+        """Distance to the nearest obstacle [m], at most `max_distance`."""
+        found = self.nearest_obstacle(position, level=level, max_distance=max_distance)
+        return max_distance if found is None else found.distance
+
+    def top_down(self, level: int, metres_per_pixel: float | None = None) -> NDArray[np.uint8]:
+        """Draw where on a level an agent can stand, as an array.
+
+        The first row is the largest y, the first column the smallest x, as in the grid's arrays.
+
+        Args:
+            level: which level, 0 is the lowest.
+            metres_per_pixel: [m], > 0; a pixel a cell unless given. A pixel shows the cell that
+                its middle is in.
+
+        Returns:
+            Red, green and blue, shape (rows, cols, 3), uint8, in the colours of ``navbake plot``:
+            free, blocked, no floor.
+
+        Raises:
+            QueryError: `metres_per_pixel` is not a number > 0, or the picture would be too large.
+        """
+        return draw_top_down(self._cache.flat, level, metres_per_pixel)
+
+    # --- random places ---------------------------------------------------------------------
+
+    def random_point(
+        self,
+        rng: np.random.Generator,
+        count: int | None = None,
+        *,
+        level: int | None = None,
+        room: str | None = None,
+        island: int | None = None,
+        reachable_from: ArrayLike | None = None,
+        anywhere: bool = False,
+    ) -> Float:
+        """Draw places where an agent can stand, each as likely as its area has it.
+
+        Args:
+            rng: draws.
+            count: how many, with repetition; one unless given.
+            level: on this level.
+            room: in this room, by id or name.
+            island: on this island; 1 is the largest. On all of them unless given.
+            reachable_from: where a path leads to from this world position [m].
+            anywhere: draw points all over the cells, so up to half a cell nearer to obstacles;
+                else the cells' centres, where the agent's radius fits.
+
+        Returns:
+            World x, y and floor z [m], shape (3,) or (count, 3), float64.
+
+        Raises:
+            QueryError: there is no such place, no agent can stand at the position, or `rng` is
+                not a generator.
+        """
+        if reachable_from is not None:
+            home = self._sampler.home_island(reachable_from)
+            if island not in (None, home):
+                raise QueryError(f"island {island} can't be reached: the position is on {home}")
+            island = home
+        cells = np.flatnonzero(self._cache.allowed(level=level, room=room, island=island))
+        limits = {"level": level, "room": room, "island": island}
+        return self._sampler.draw(cells, rng, count, anywhere, limits)
+
+    def random_point_near(
+        self,
+        rng: np.random.Generator,
+        position: ArrayLike,
+        max_distance: float,
+        count: int | None = None,
+        *,
+        min_distance: float = 0.0,
+        straight: bool = False,
+        room: str | None = None,
+        level: int | None = None,
+        anywhere: bool = False,
+    ) -> Float:
+        """Draw places near a position.
+
+        Distances are those of the shortest path from it; or straight on the map of its level,
+        through walls as well. They are measured to the cells' centres.
+
+        Args:
+            rng: draws.
+            position: world position [m]; with paths, one where an agent can stand.
+            max_distance: [m].
+            count: how many, with repetition; one unless given.
+            min_distance: [m]; the places are in an annulus then.
+            straight: measure straight.
+            room: only in this room, by id or name.
+            anywhere: see `random_point`.
+
+        Returns:
+            World x, y and floor z [m], shape (3,) or (count, 3), float64.
+
+        Raises:
+            QueryError: as `random_point`; or the distances are not 0 <= minimum <= maximum.
+        """
+        distances = (min_distance, max_distance)
+        cells = self._sampler.cells_near(position, distances, straight, level)
+        if room is not None:
+            cells = cells[self.rooms.number[cells] == self.rooms.find(room)]
+        limits = {"room": room, "distance [m]": f"{min_distance:g} to {max_distance:g}"}
+        return self._sampler.draw(cells, rng, count, anywhere, limits)
+
+    def any_free_in_annulus(
+        self,
+        position: ArrayLike,
+        min_distance: float,
+        max_distance: float,
+        *,
+        level: int | None = None,
+    ) -> bool:
+        """Whether a free cell's centre is so far from a position, on the map of its level [m]."""
+        distances = (min_distance, max_distance)
+        return len(self._sampler.cells_near(position, distances, True, level)) > 0
+
+    def random_pose(
+        self,
+        rng: np.random.Generator,
+        target: ArrayLike | None = None,
+        max_distance: float = 1.0,
+        *,
+        min_distance: float = 0.0,
+        in_sight: bool = True,
+        same_room: bool = False,
+        level: int | None = None,
+    ) -> Pose:
+        """Draw where an agent stands and looks: at a target, if there is one.
+
+        Args:
+            rng: draws.
+            target: world position [m], which may be in something; the agent stands on its level.
+            max_distance, min_distance: from the target, straight on the map [m].
+            in_sight: nothing stands between, but for what the target is in, as with `snap`.
+            same_room: stand in the target's room.
+            level: which level the target is on; without one, where to stand.
+
+        Raises:
+            QueryError: see `random_point_near`.
+        """
+        return self._sampler.pose(
+            rng, target, (min_distance, max_distance), in_sight=in_sight, same_room=same_room,
+            level=level,
+        )  # fmt: skip
+
+    # --- islands and rooms -----------------------------------------------------------------
+
+    @property
+    def search(self) -> Search:
+        """The cells and the steps between them, with what is blocked now."""
+        return self._cache.search
+
+    @property
+    def rooms(self) -> RoomMap:
+        """The rooms of the grid and of each cell."""
+        return self._cache.rooms
+
+    @property
+    def islands(self) -> IslandMap:
+        """The connected parts of the cells that are free now: ``count``, ``areas`` [m²]."""
+        return self._cache.islands
+
+    @property
+    def occupied(self) -> Bool:
+        """Where something stands now or there is no floor, by flat id, shape (n,), bool."""
+        return self._cache.occupied
+
+    @property
+    def navigable_area(self) -> float:
+        """Area of all free cells [m²]."""
+        return float(self.islands.areas.sum())
+
+    @property
+    def bounds(self) -> tuple[Float, Float]:
+        """Lower and upper corner of the box round all free cells and their floors, world [m]."""
+        flat = self._cache.flat
+        cells = np.flatnonzero(flat.free)
+        if not len(cells):
+            raise QueryError(f"no cell of {self.grid.scene_id!r} is free: it has no bounds")
+        centers = flat.positions(cells)
+        half = (flat.layout.cell_size[flat.level_of(cells)] / 2)[:, None] * [1.0, 1.0, 0.0]
+        return (centers - half).min(axis=0), (centers + half).max(axis=0)
+
+    def island_at(self, position: ArrayLike, *, level: int | None = None) -> int | None:
+        """Number of the island of a position, from 1, the largest; None where it isn't free."""
+        cell = self._cache.flat.cell_at(position, level)
+        return None if cell is None else int(self.islands.number[cell]) or None
+
+    def same_island(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
+        """Whether both positions are on one island, so that a path joins them."""
+        one, other = (self.island_at(p, level=level) for p in (a, b))
+        return one is not None and one == other
+
+    def island_area(self, island: int) -> float:
+        """Area of an island [m²]."""
+        return float(self.islands.areas[self.islands.check(island)])
+
+    def room_at(self, position: ArrayLike, *, level: int | None = None) -> str | None:
+        """The id of the room that a position is in, None for none."""
+        cell = self._cache.flat.cell_at(position, level)
+        return None if cell is None else self.rooms.id_of(int(self.rooms.number[cell]))
+
+    def same_room(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
+        """Whether both positions are in one room."""
+        one, other = (self.room_at(p, level=level) for p in (a, b))
+        return one is not None and one == other
+
+    def room_near(
+        self, position: ArrayLike, max_distance: float = math.inf, *, level: int | None = None
+    ) -> str | None:
+        """The id of the room whose cell is the nearest on the level, None for none so near [m]."""
+        here = self.room_at(position, level=level)
+        if here is not None:
+            return here
+        flat, number = self._cache.flat, self.rooms.number
+        cell = nearest_on_level(flat, position, number > 0, level=level, max_distance=max_distance)
+        return None if cell is None else self.rooms.id_of(int(number[cell]))
+
+    def room_of(self, name: str) -> str | None:
+        """The id of the room that most cells of an object are in, by its name; None for none."""
+        start = self._cache.flat.layout.start
+        cells = [start[k] + c for k, c in enumerate(cells_named(self.grid, name))]
+        numbers = self.rooms.number[np.concatenate(cells)]
+        counts = np.bincount(numbers[numbers > 0], minlength=1)
+        return self.rooms.id_of(int(np.argmax(counts)))

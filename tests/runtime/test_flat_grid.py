@@ -4,7 +4,7 @@ import numpy as np
 
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import STEP_SLACK
-from navbake.runtime.flat_grid import make_walk
+from navbake.runtime.flat_grid import flatten
 
 
 def make_level(free, floor, x=0.0, z=0.0, ground=0.0, unit=1.0, cell_size=0.5):
@@ -30,55 +30,56 @@ def two_levels(links):
 
 
 def test_levels_follow_one_another():
-    walk = make_walk(two_levels([[0, 5, 1, 0]]))
-    assert walk.num_levels == 2
-    assert walk.num_cells == 8
-    assert walk.start.tolist() == [0, 6, 8]
-    assert walk.width.tolist() == [3, 2]
-    assert walk.height.tolist() == [2, 1]
-    assert walk.free.tolist() == [True, True, False, False, True, True, True, True]
-    assert walk.weight[walk.free].tolist() == [2.0] * 6
-    assert np.isinf(walk.weight[~walk.free]).all()
-    assert walk.level_of(np.array([0, 5, 6, 7])).tolist() == [0, 0, 1, 1]
+    flat = flatten(two_levels([[0, 5, 1, 0]]))
+    assert flat.num_levels == 2
+    assert flat.num_cells == 8
+    assert flat.layout.start.tolist() == [0, 6, 8]
+    assert flat.layout.width.tolist() == [3, 2]
+    assert flat.layout.height.tolist() == [2, 1]
+    assert flat.free.tolist() == [True, True, False, False, True, True, True, True]
+    assert flat.weight[flat.free].tolist() == [2.0] * 6
+    assert np.isinf(flat.weight[~flat.free]).all()
+    assert flat.level_of(np.array([0, 5, 6, 7])).tolist() == [0, 0, 1, 1]
 
 
 def test_positions_are_on_the_floor_or_the_ground():
-    walk = make_walk(two_levels([]))
-    found = walk.positions(np.array([1, 5, 7]))
+    flat = flatten(two_levels([]))
+    found = flat.positions(np.array([1, 5, 7]))
     expected = [[1.75, -2.25, 0.1], [2.25, -2.75, 0.0], [3.25, -2.75, 3.1]]
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 def test_links_go_both_ways_once():
     links = [[0, 5, 1, 0], [1, 0, 0, 5], [0, 4, 1, 0], [0, 2, 0, 2]]
-    walk = make_walk(two_levels(links))
+    flat = flatten(two_levels(links))
     lists = {
-        int(cell): walk.link_target[walk.link_start[i] : walk.link_start[i + 1]].tolist()
-        for i, cell in enumerate(walk.link_cell)
+        int(cell): flat.links.target[flat.links.start[i] : flat.links.start[i + 1]].tolist()
+        for i, cell in enumerate(flat.links.cell)
     }
     assert lists == {4: [6], 5: [6], 6: [4, 5]}
 
 
 def test_without_links_the_lists_are_empty():
-    walk = make_walk(make_level([[1]], [[0.0]]))
-    assert walk.link_cell.tolist() == []
-    assert walk.link_start.tolist() == [0]
-    assert walk.link_target.tolist() == []
+    flat = flatten(make_level([[1]], [[0.0]]))
+    assert flat.links.cell.tolist() == []
+    assert flat.links.start.tolist() == [0]
+    assert flat.links.target.tolist() == []
 
 
 def test_everything_is_in_metres():
     level = make_level([[1, 1]], [[0.0, 20.0]], x=100.0, z=200.0, unit=0.01, cell_size=50.0)
-    walk = make_walk(level)
-    assert walk.x_min.tolist() == [1.0]
-    assert walk.y_max.tolist() == [-2.0]
-    assert walk.cell_size.tolist() == [0.5]
-    assert walk.floor.tolist() == [0.0, 0.2]
+    flat = flatten(level)
+    assert flat.layout.x_min.tolist() == [1.0]
+    assert flat.layout.y_max.tolist() == [-2.0]
+    assert flat.layout.cell_size.tolist() == [0.5]
+    assert flat.floors.z.tolist() == [0.0, 0.2]
     rounding = float(np.spacing(np.float32(20.0))) * 0.01
-    np.testing.assert_allclose(walk.max_step, 0.25 * 0.01 + STEP_SLACK + rounding, rtol=1e-12)
+    expected = 0.25 * 0.01 + STEP_SLACK + rounding
+    np.testing.assert_allclose(flat.floors.max_step, expected, rtol=1e-12)
 
 
 def test_a_walk_is_a_copy():
     level = make_level([[1, 1]], [[0.0, 0.0]])
-    walk = make_walk(level)
+    flat = flatten(level)
     level.weights[0, 0] = np.inf
-    assert walk.free.tolist() == [True, True]
+    assert flat.free.tolist() == [True, True]

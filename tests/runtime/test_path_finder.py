@@ -143,9 +143,9 @@ def test_next_to_an_object(apartment):
 def test_fields_and_distances_agree_with_paths(house):
     finder = PathFinder(house)
     rng = np.random.default_rng(0)
-    walk = finder.search.walk
-    cells = rng.choice(np.flatnonzero(walk.free), 20)
-    positions = walk.positions(cells)
+    flat = finder.search.flat
+    cells = rng.choice(np.flatnonzero(flat.free), 20)
+    positions = flat.positions(cells)
     goal = positions[0]
     distances = finder.distances(positions, goal)
     field = np.concatenate([part.ravel() for part in finder.distance_field(goal)])
@@ -194,7 +194,7 @@ def test_rooms_below_and_above_are_joined_by_stairs(house):
     for below in (room for room in rooms if room.level == 0):
         for above in (room for room in rooms if room.level == 1):
             cells = finder.rooms.cells(below.id)
-            start = finder.search.walk.positions(cells[finder.search.walk.free[cells]][:1])[0]
+            start = finder.search.flat.positions(cells[finder.search.flat.free[cells]][:1])[0]
             path = finder.find_path(start, f"room:{above.id}")
             assert path is not None
             assert path.rooms[-1] == above.id
@@ -253,11 +253,11 @@ def test_next_to_an_object_is_on_this_side_of_the_wall():
     grid = from_map(["00000000", "########", "0##00000", "00000000"])
     grid.attributes["occupancy"] = (~grid.free).astype(np.uint8)
     grid.user_data = {17: {"objects": ["shelf"]}, 18: {"objects": ["shelf"]}}
-    found = cells_around(grid, PathFinder(grid).search.walk, "shelf")
+    found = cells_around(grid, PathFinder(grid).search.flat, "shelf")
     assert found.tolist() == [16, 19, 20, 24, 25, 26, 27]
     grid.weights[2, 3:] = grid.weights[2, 0] = np.inf  # as an inflation leaves it
     grid.weights[3, 1:4] = np.inf
-    assert cells_around(grid, PathFinder(grid).search.walk, "shelf").tolist() == [24, 28]
+    assert cells_around(grid, PathFinder(grid).search.flat, "shelf").tolist() == [24, 28]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from navbake.navgrid.block_state import Layers
 from navbake.navgrid.cells import Cell, Cells, check_cells, check_level, check_positions
 from navbake.navgrid.islands import step_limit
 from navbake.runtime.blocks.block import Block
-from navbake.runtime.blocks.shape import Shape, outline_cells, outline_shape
+from navbake.runtime.blocks.shape import Shape, cells_alone, cells_of_shape
 from navbake.runtime.inflation.inflate import check_radius
 from navbake.runtime.inflation.margins import margins_of
 
@@ -43,9 +43,9 @@ def block(
     return Block(
         grid,
         [
-            outline_shape(part, shape, margins, step, tall)
+            cells_of_shape(part, shape, margins, step, tall)
             if level is None or number == level
-            else outline_cells(np.empty(0, dtype=np.int64))
+            else cells_alone(np.empty(0, dtype=np.int64))
             for number, part in enumerate(grid.levels)
         ],
     )
@@ -58,7 +58,7 @@ def _given_cells(grid: NavGrid, cells: Cell | Cells) -> list[Layers]:
     for number, part in enumerate(grid.levels):
         here = (level == number) & (row >= 0) & (row < part.height)
         here &= (col >= 0) & (col < part.width)
-        layers.append(outline_cells(row[here] * part.width + col[here]))
+        layers.append(cells_alone(row[here] * part.width + col[here]))
         known |= here
     if not known.all():
         first = tuple(int(v[~known].ravel()[0]) for v in (level, row, col))

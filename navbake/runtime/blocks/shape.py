@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.navgrid.block_state import NUM_LAYERS, Layers
+from navbake.types import Float, Int
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import SceneGrid2D
@@ -20,14 +20,14 @@ class Margins:
     """How far away an agent's centre has to be from a thing [m].
 
     Attributes:
-        blocked: to stand at a cell's centre.
-        narrow: to step diagonally from there.
-        tight: from the centre of a cell, to be anywhere in it.
+        center: to stand at a cell's centre.
+        diagonal: to step diagonally from there.
+        off_center: from the centre of a cell, to be anywhere in it.
     """
 
-    blocked: float
-    narrow: float
-    tight: float
+    center: float
+    diagonal: float
+    off_center: float
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Shape:
     top: float = math.inf
 
 
-def outline_shape(
+def cells_of_shape(
     level: SceneGrid2D, shape: Shape, margins: Margins, step: float, height: float
 ) -> Layers:
     """Find the cells that a thing takes.
@@ -62,12 +62,12 @@ def outline_shape(
         level: one level.
         shape: the thing.
         margins: of the agent.
-        step: what is lower than this above the floor is in nobody's way [m].
+        step: what is lower than this above the floor can be stepped over [m].
         height: of the agent [m].
     """
     lattice = level.lattice
     size = lattice.cell_size
-    reach = shape.radius + max(margins.tight, size)
+    reach = shape.radius + max(margins.off_center, size)
     rows, cols = lattice.rows_cols(
         [[shape.x_min - reach, shape.y_max + reach], [shape.x_max + reach, shape.y_min - reach]]
     )
@@ -87,18 +87,16 @@ def outline_shape(
     ids = np.arange(row0, row1)[:, None] * level.width + np.arange(col0, col1)
     return [
         ids[meets | (in_band & (gap < shape.radius + margin))]
-        for margin in (0.0, margins.blocked, margins.narrow, margins.tight)
+        for margin in (0.0, margins.center, margins.diagonal, margins.off_center)
     ]
 
 
-def outline_cells(cells: NDArray[np.int64]) -> Layers:
-    """Take cells as they are, and none around them."""
+def cells_alone(cells: Int) -> Layers:
+    """Cells that are taken by themselves, without an agent's margin around them."""
     return [np.unique(cells)] * NUM_LAYERS
 
 
-def _distance(
-    shape: Shape, x: NDArray[np.float64], y: NDArray[np.float64], half: float
-) -> NDArray[np.float64]:
+def _distance(shape: Shape, x: Float, y: Float, half: float) -> Float:
     """From the shape's rectangle to squares round points, of half an edge."""
     dx = np.maximum(np.maximum(shape.x_min - x, x - shape.x_max) - half, 0.0)
     dy = np.maximum(np.maximum(shape.y_min - y, y - shape.y_max) - half, 0.0)

@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+
+from navbake.types import Int, Int32
 
 TOUCH = 1e-9  # share of a radius by which a disc may be over what it touches
 
@@ -18,20 +19,18 @@ def square_limit(radius: float) -> float:
     return (2 * radius) ** 2 * (1 - TOUCH)
 
 
-def to_square(steps: NDArray[np.int64]) -> NDArray[np.int64]:
+def to_square(steps: Int) -> Int:
     """Half cells along an axis from a centre to the nearest side of a square so many cells on."""
-    half_cells: NDArray[np.int64] = np.maximum(2 * np.abs(steps) - 1, 0)
+    half_cells: Int = np.maximum(2 * np.abs(steps) - 1, 0)
     return half_cells
 
 
-def to_centre(steps: NDArray[np.int64]) -> NDArray[np.int64]:
+def to_centre(steps: Int) -> Int:
     """Half cells along an axis from a centre to the centre so many cells on."""
     return 2 * np.abs(steps)
 
 
-def half_widths(
-    radius: float, shape: tuple[int, int], *, of_squares: bool = True
-) -> NDArray[np.int32]:
+def half_widths(radius: float, shape: tuple[int, int], *, of_squares: bool = True) -> Int32:
     """How wide a disc is, row by row, as `navbake.runtime.kernels.inflation.dilate` takes it.
 
     Args:
@@ -52,7 +51,7 @@ def half_widths(
 
 def disc_offsets(
     radius: float, shape: tuple[int, int], *, of_squares: bool = True
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[Int, Int]:
     """Steps from a cell to those that a disc round its centre reaches, the nearest first.
 
     Args:

@@ -11,26 +11,23 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.navgrid.polygon import find_fault
 from navbake.runtime.inflation.inflate import block_by_others
 from navbake.runtime.inflation.surroundings import Surroundings, find_surroundings
+from navbake.types import Bool, Float, Int
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
-
-Float = NDArray[np.float64]
 
 MAX_HEADINGS = 720
 MAX_REACH = 1000  # [cells]
 TOUCH = 1e-9  # [cells] what a polygon may overlap of a square that it touches
 
 
-def inflate_footprint(
-    grid: NavGrid, polygon: ArrayLike, num_headings: int = 16
-) -> list[NDArray[np.bool_]]:
+def inflate_footprint(grid: NavGrid, polygon: ArrayLike, num_headings: int = 16) -> list[Bool]:
     """Where an agent of a polygon's shape can stand; see `SceneGrid2D.inflate_footprint`."""
     outline = _check_polygon(polygon)
     if not isinstance(num_headings, int | np.integer) or not 1 <= num_headings <= MAX_HEADINGS:
@@ -51,7 +48,7 @@ def inflate_footprint(
     return masks
 
 
-def footprint_offsets(outline: Float) -> NDArray[np.int64]:
+def footprint_offsets(outline: Float) -> Int:
     """Steps from a cell to those whose squares a polygon on its centre meets.
 
     A polygon meets a square where an edge runs through the square's inside, or where the
@@ -70,11 +67,11 @@ def footprint_offsets(outline: Float) -> NDArray[np.int64]:
     meets = _is_within(cols, rows, x, y)
     for k in range(len(x)):
         meets |= _runs_through(cols, rows, (x[k - 1], y[k - 1]), (x[k], y[k]))
-    offsets: NDArray[np.int64] = np.argwhere(meets) + np.array([low, left], dtype=np.int64)
+    offsets: Int = np.argwhere(meets) + np.array([low, left], dtype=np.int64)
     return offsets
 
 
-def _is_within(px: Float, py: Float, x: Float, y: Float) -> NDArray[np.bool_]:
+def _is_within(px: Float, py: Float, x: Float, y: Float) -> Bool:
     """Whether points are inside a polygon, by the crossings of a ray."""
     inside = np.zeros(px.shape, dtype=np.bool_)
     for k in range(len(x)):
@@ -85,9 +82,7 @@ def _is_within(px: Float, py: Float, x: Float, y: Float) -> NDArray[np.bool_]:
     return inside
 
 
-def _runs_through(
-    px: Float, py: Float, a: tuple[float, float], b: tuple[float, float]
-) -> NDArray[np.bool_]:
+def _runs_through(px: Float, py: Float, a: tuple[float, float], b: tuple[float, float]) -> Bool:
     """Whether a segment has points inside the squares round some centres; by clipping it."""
     enters, leaves = np.zeros(px.shape), np.ones(px.shape)
     half = 0.5 - TOUCH
@@ -102,9 +97,7 @@ def _runs_through(
     return np.asarray(enters < leaves)
 
 
-def _find_blocked(
-    around: Surroundings, radius: float, offsets: NDArray[np.int64]
-) -> NDArray[np.bool_]:
+def _find_blocked(around: Surroundings, radius: float, offsets: Int) -> Bool:
     """Find the cells of a level at which what covers these steps would meet something."""
     from navbake.runtime.kernels.inflation import meets_runs
 
@@ -115,7 +108,7 @@ def _find_blocked(
     return blocked[around.rows, around.cols]
 
 
-def _to_runs(offsets: NDArray[np.int64]) -> NDArray[np.int64]:
+def _to_runs(offsets: Int) -> Int:
     """Pack steps, by row and column, into runs: row, first column, last column."""
     row, col = offsets.T
     is_first = np.ones(len(row), dtype=np.bool_)

@@ -2,20 +2,24 @@
 
 How `exact` decides, for an agent whose centre is on a cell's centre:
 
-- It must not meet the square of an occupied cell. The bake has made a cell occupied where
+- The agent must not meet the square of an occupied cell. The bake has made a cell occupied where
   something meets its square or the disc of the baked radius round its centre, so whatever the
-  bake saw lies in an occupied square. The baked radius is no part of the new one: it is the
-  radius round free centres that the grid was good for as it was.
-- A floor that it meets may be a step higher than its own, not more: a ledge is a wall from below,
-  and so is the step after the next one to who is too large for a stair. Up to the baked radius the
-  bake has seen to that, more precisely than the squares of cells tell. Lower floors are no matter.
-- Near another level the cells of both count, each where its floor is as high as the agent's (less
-  than the body's height apart); what is under a landing is not in the way of who is on the stair.
-- Beyond the rectangle of a single level the bake saw nothing. A level of several is cut to its
-  floor, beyond which there is none, which is occupied as it is within.
-- Cells without floor that are not occupied, as others' files have them, count as in the original:
-  of the cells that the disc covers, at least 0.7 must have a floor. Here, at no smaller radius
-  either, so that a larger agent is never free where a smaller one isn't.
+  bake saw lies in an occupied square. The baked radius is replaced, not added to.
+- A floor that the agent meets may be a step higher than its own, not more: a ledge is a wall from
+  below, and so is the next tread but one, for an agent that is too large for the stair. Up to the
+  baked radius the bake has decided this, more precisely than the squares of cells can. Lower
+  floors are ignored.
+- Near another level the cells of both levels count, each where its floor is as high as the
+  agent's (less than the body's height apart). So what is under a landing does not block the
+  stair to it.
+- Beyond the rectangle of a single level the bake saw nothing, and nothing blocks. Each of several
+  levels is cut to the cells with a floor; beyond these is no floor, which counts as occupied.
+- Cells without floor that are not occupied occur in others' files. They count as in the original
+  client: of the cells that the disc covers, at least 0.7 must have a floor. Here this must hold for
+  every smaller radius too, so that a larger agent is never free where a smaller one isn't.
+
+Source: ``refine`` of the original client (sstk, ``NavScene.js``) for `minos` and the share of
+floor; the inflation layer of nav2 (``nav2_costmap_2d``) for `costs="nav2"`.
 """
 
 from __future__ import annotations
@@ -30,13 +34,12 @@ from navbake.errors import QueryError
 from navbake.navgrid.islands import add_layers
 from navbake.runtime.inflation.discs import disc_offsets, half_widths
 from navbake.runtime.inflation.surroundings import SLAB, Surroundings, find_surroundings
+from navbake.types import Bool, Float, Int
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 
     AnyGrid = TypeVar("AnyGrid", SceneGrid2D, MultiLevelGrid)
-
-Bool = NDArray[np.bool_]
 
 MODES = ("exact", "minos")
 COSTS = ("step", "nav2")
@@ -105,9 +108,7 @@ def find_blocked(grid: SceneGrid2D | MultiLevelGrid, number: int, radius: float)
     return blocked[around.rows, around.cols]
 
 
-def block_by_others(
-    around: Surroundings, radius: float, offsets: NDArray[np.int64], blocked: Bool
-) -> None:
+def block_by_others(around: Surroundings, radius: float, offsets: Int, blocked: Bool) -> None:
     """Block what other levels and higher floors block, and free what they free.
 
     Args:
@@ -142,7 +143,7 @@ def _block_by_holes(around: Surroundings, cells: float, blocked: Bool) -> None:
     block_near_holes(has_floor, todo, offsets, squares, LEAST_FLOOR, blocked)
 
 
-def _refined(level: SceneGrid2D, radius: float, clearance: float) -> NDArray[np.float64]:
+def _refined(level: SceneGrid2D, radius: float, clearance: float) -> Float:
     """The weights that the original client's ``refine`` gives; radius and clearance in cells.
 
     Source: sstk, ``NavScene.js``; the window leaves out its far row and column, as there.
@@ -181,7 +182,7 @@ def nav2_costs(
     cell = level.lattice.cell_size
     reach = min(math.ceil(inflation_radius / cell) + 1, sum(level.shape))
     squares = squared_distances(np.ascontiguousarray(level.occupancy), reach)
-    # few distances there are, so each is worked out once
+    # there are few different distances, so each is worked out once
     known = np.sqrt(np.arange(2 * (reach + 1) ** 2 + 1)) * cell
     known[(reach + 1) ** 2 :] = np.inf
     slack = 1e-9 * cell
@@ -193,20 +194,14 @@ def nav2_costs(
     return costs
 
 
-def nav2_weights(
-    level: SceneGrid2D, radius: float, clearance: float, scaling: float
-) -> NDArray[np.float64]:
+def nav2_weights(level: SceneGrid2D, radius: float, clearance: float, scaling: float) -> Float:
     """nav2's costs as weights: the cost where it is over 1, else 1."""
     costs = np.minimum(nav2_costs(level, radius, radius + clearance, scaling), LETHAL_COST)
     return np.maximum(costs, 1.0)
 
 
 def check_radius(radius: float, name: str = "radius") -> None:
-    """Refuse what is no length, or one that no building has.
-
-    Raises:
-        QueryError: it is no number from 0 to 10,000 m.
-    """
+    """Refuse, with a QueryError, what is no number from 0 to 10,000 m."""
     is_number = isinstance(radius, int | float | np.integer | np.floating)
     if not is_number or isinstance(radius, bool) or not 0 <= radius <= MAX_RADIUS:
         raise QueryError(f"expected 0 to {MAX_RADIUS:,.0f} m as {name}, got {radius!r}")
@@ -215,11 +210,7 @@ def check_radius(radius: float, name: str = "radius") -> None:
 def check_arguments(
     radius: float, clearance: float | None, mode: str, costs: str, scaling: float
 ) -> None:
-    """Refuse what `inflate` can't do.
-
-    Raises:
-        QueryError: an argument is out of its range.
-    """
+    """Refuse, with a QueryError, what `inflate` can't do."""
     check_radius(radius)
     if clearance is not None:
         check_radius(clearance, "clearance")
@@ -233,9 +224,7 @@ def check_arguments(
         raise QueryError(f"expected a number > 0 [1/m] as scaling, got {scaling!r}")
 
 
-def _with_weights(
-    grid: AnyGrid, weights: list[NDArray[np.float64]], done: dict[str, Any]
-) -> AnyGrid:
+def _with_weights(grid: AnyGrid, weights: list[Float], done: dict[str, Any]) -> AnyGrid:
     """The grid with other weights, layers that follow from them, and a note in its metadata."""
     levels = []
     for level, weight in zip(grid.levels, weights, strict=True):

@@ -3,7 +3,7 @@
 An inflated grid tells where an agent may stand at a cell's centre. On the way from one centre to
 the next, or anywhere else in a cell, it may be nearer to what is beside it. So diagonal steps
 need cells that would be free for a radius so much larger that the discs round both ends cover the
-way; and straight lines off the centres need cells in which any place will do.
+way; and straight lines off the centres need cells in which the agent may be anywhere.
 
 Floors are known at cells' centres: where one is a step higher than the next, the edge between
 them may be half a cell off, and so may the edges beside it. There, steps go straight from centre
@@ -19,10 +19,10 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.runtime.blocks.shape import Margins
 from navbake.runtime.inflation.inflate import check_radius, find_blocked
+from navbake.types import Bool
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid, SceneGrid2D
@@ -68,8 +68,8 @@ def margins_of(grid: NavGrid, radius: float | None = None) -> Margins:
     return Margins(radius, *_larger(radius, max(p.lattice.cell_size for p in grid.levels)))
 
 
-def find_room(grid: NavGrid) -> tuple[NDArray[np.bool_], NDArray[np.bool_]] | None:
-    """Find the cells with room to step diagonally, and those with room all over.
+def find_room(grid: NavGrid) -> tuple[Bool, Bool] | None:
+    """Find the cells with room to step diagonally, and those with room off their centres.
 
     Returns:
         Two masks by flat id; free cells only count where they are free. None where no radius is
@@ -78,17 +78,15 @@ def find_room(grid: NavGrid) -> tuple[NDArray[np.bool_], NDArray[np.bool_]] | No
     radius = exact_radius(grid)
     if radius == 0.0:
         return None
-    wide: list[NDArray[np.bool_]] = []
-    roomy: list[NDArray[np.bool_]] = []
+    masks: tuple[list[Bool], list[Bool]] = ([], [])
     for number, level in enumerate(grid.levels):
-        narrow, tight = _larger(radius, level.lattice.cell_size)
         at_edge = _at_edges(level)
-        wide.append(~(find_blocked(grid, number, narrow) | at_edge).ravel())
-        roomy.append(~(find_blocked(grid, number, tight) | at_edge).ravel())
-    return np.concatenate(wide), np.concatenate(roomy)
+        for mask, larger in zip(masks, _larger(radius, level.lattice.cell_size), strict=True):
+            mask.append(~(find_blocked(grid, number, larger) | at_edge).ravel())
+    return np.concatenate(masks[0]), np.concatenate(masks[1])
 
 
-def _at_edges(level: SceneGrid2D) -> NDArray[np.bool_]:
+def _at_edges(level: SceneGrid2D) -> Bool:
     """Cells from which the floor of one beside is a step higher or lower, not a slope."""
     floor = level.floor_height.astype(np.float64)
     at_edge = np.zeros(level.shape, dtype=np.bool_)
@@ -101,4 +99,7 @@ def _at_edges(level: SceneGrid2D) -> NDArray[np.bool_]:
 
 def _larger(radius: float, cell_size: float) -> tuple[float, float]:
     """Radii that cover a diagonal step's way, and all places of a cell [m]."""
+    # Halfway along a diagonal step, half a diagonal from both ends, a point at distance r from the
+    # way is the farthest from them: sqrt(r² + (s / sqrt 2)²). A corner of the cell is s / sqrt 2
+    # from its centre.
     return math.sqrt(radius**2 + cell_size**2 / 2), radius + cell_size / math.sqrt(2)

@@ -45,9 +45,9 @@ class Surroundings:
 def find_surroundings(grid: NavGrid, number: int, reach: int) -> Surroundings:
     """Collect what an agent on a level may run into.
 
-    A grid of one level is the whole lattice: beyond it the bake saw nothing. One of several is
-    cut to the cells that have a floor: beyond it there is none, which counts as occupied as it
-    does within. Levels on other lattices stay out.
+    A single level is the whole lattice: beyond it the bake saw nothing. Each of several levels is
+    cut to the cells with a floor; beyond these is no floor, which counts as occupied. Levels on
+    other lattices are left out.
 
     Args:
         grid: the grid.
@@ -55,7 +55,7 @@ def find_surroundings(grid: NavGrid, number: int, reach: int) -> Surroundings:
         reach: how far an agent reaches from its cell, in cells.
 
     Returns:
-        With an only level, its own arrays.
+        For a grid of one level, its own arrays.
     """
     level = grid.levels[number]
     agent = step_limit(grid) * grid.unit, grid.agent_height, grid.agent_radius

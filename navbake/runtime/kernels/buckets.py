@@ -1,7 +1,16 @@
-"""A queue of cells by cost: buckets in a circle, each a chain of entries that works as a stack.
+"""A queue of cells by cost: Dial's buckets (1969), each as wide as a share of the cheapest step.
 
-Entries that were taken out are used again, so the queue stays as small as its longest wave, and
-in the cache.
+Dial's algorithm has one bucket for each whole cost. Here costs are real numbers, so a bucket
+holds a range of them and its cells come out in any order: the "untidy" priority queue of Yatziv,
+Bartesaghi and Sapiro (2006). Unlike there, the answer stays exact, because a cell that gets
+cheaper after it was taken out is put in again (label correcting).
+
+The buckets are used in a circle, which is long enough for the dearest step. Each is a chain of
+entries that works as a stack. Entries that were taken out are used again, so the queue stays as
+small as its longest wave, and in the processor's cache.
+
+The functions take the queue's arrays by themselves: looking into a tuple of arrays counts
+references, which costs more than the rest of a step.
 """
 
 from __future__ import annotations
@@ -38,14 +47,14 @@ def bucket_width(size, least, most, longest_link):
 
 @njit(cache=True, error_model="numpy")
 def make_queue(num_buckets):
-    """The first entries of the buckets, and the state of a queue."""
+    """The first entry of each bucket, int32, and the counters of an empty queue, int64."""
     return np.full(num_buckets, -1, np.int32), np.array([-1, 0, 0])
 
 
 @njit(cache=True, error_model="numpy")
-def push(head, state, entry_cell, entry_next, place, cell):
+def push(head, state, entry_cell, entry_next, bucket, cell):
     """Put a cell into a bucket; there is room for it."""
-    slot = place & (head.shape[0] - 1)
+    slot = bucket & (head.shape[0] - 1)  # the remainder, as the number is a power of two
     entry = state[SPARE]
     if entry >= 0:
         state[SPARE] = entry_next[entry]
@@ -58,9 +67,9 @@ def push(head, state, entry_cell, entry_next, place, cell):
 
 
 @njit(cache=True, error_model="numpy")
-def pop(head, state, entry_cell, entry_next, place):
+def pop(head, state, entry_cell, entry_next, bucket):
     """Take a cell out of a bucket; -1 if it is empty."""
-    slot = place & (head.shape[0] - 1)
+    slot = bucket & (head.shape[0] - 1)
     entry = head[slot]
     if entry < 0:
         return np.int64(-1)

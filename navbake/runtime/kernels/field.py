@@ -1,4 +1,9 @@
-"""What the cheapest route to the nearest of several goals costs, from every cell: Dijkstra."""
+"""What the cheapest route to the nearest of several goals costs, from every cell.
+
+Dijkstra's algorithm (1959) from all goals at once, backwards, with a bucket queue, see
+`navbake.runtime.kernels.buckets`. A cell that gets cheaper after it was worked off is worked off
+again, so the costs are exact.
+"""
 
 from __future__ import annotations
 
@@ -7,38 +12,33 @@ import math
 import numpy as np
 from numba import njit
 
+from navbake.runtime.kernels.arrays import find_slot, level_of
 from navbake.runtime.kernels.buckets import DIAGONAL, OPEN, USED, make_queue, pop, push
-from navbake.runtime.kernels.route import find_slot, level_of
+from navbake.runtime.kernels.moves import COL_STEP, ROW_STEP
 
 
 @njit(cache=True, error_model="numpy")
-def find_field(
-    goals, moves, weight, same_weight, start, width, cell_size, link_cell, link_start,
-    link_target, link_length, bucket, num_buckets, field, entry_cell, entry_next,
-):  # fmt: skip
+def find_field(graph, goals, field, entries):
     """Find the cost of the cheapest route from every cell to the nearest goal.
 
-    A step costs its length [m] times the weight of the cell that it leads to; from goals, routes
-    are followed backwards.
-
     Args:
+        graph: a `navbake.runtime.kernels.arrays.Graph`.
         goals: free cells.
-        moves, weight, same_weight: as of `navbake.runtime.kernels.route.find_route`.
-        start, width, cell_size, link_cell, link_start, link_target, link_length: likewise.
-        bucket, num_buckets: see `navbake.runtime.kernels.buckets.bucket_width`.
         field: by cell, float64, inf. Receives the costs.
-        entry_cell, entry_next: int32, of one length: room for open cells.
+        entries: a `navbake.runtime.kernels.arrays.Entries`: room for open cells.
 
     Returns:
         Whether there was room enough for the open cells.
     """
-    head, state = make_queue(num_buckets)
-    row_step = np.array([0, -1, 0, 1, -1, -1, 1, 1])
-    col_step = np.array([1, 0, -1, 0, 1, -1, -1, 1])
-    per_bucket, slack, at = 1.0 / bucket, 1e-9 * bucket, np.int64(0)
+    start, width, cell_size = graph.layout.start, graph.layout.width, graph.layout.cell_size
+    link_cell, link_start, link_target, link_length = graph.links
+    moves, weight, same_weight = graph.moves, graph.weight, graph.same_weight
+    entry_cell, entry_next = entries
+    head, state = make_queue(graph.num_buckets)
+    per_bucket, slack, at = 1.0 / graph.bucket, 1e-9 * graph.bucket, np.int64(0)
     done = np.zeros(moves.shape[0], np.bool_)
     for goal in goals:
-        if field[goal] > 0.0:
+        if field[goal] > 0.0:  # a goal may be given twice
             if state[USED] == entry_cell.shape[0]:
                 return False
             field[goal] = 0.0
@@ -55,22 +55,24 @@ def find_field(
         done[cell] = True
         here, ways = field[cell], moves[cell]
         if cell < first or cell >= start[level + 1]:
-            level = level_of(cell, start)
+            level = level_of(start, cell)
             first, columns, size = start[level], width[level], cell_size[level]
         slot = find_slot(link_cell, cell)
         num_links = 0 if slot < 0 else link_start[slot + 1] - link_start[slot]
         if state[USED] + 8 + num_links > entry_cell.shape[0]:
             return False
+        # Backwards, the step that is added leads into this cell, so its weight is this cell's.
+        # Steps lead both ways, so the moves out of a cell are those into it.
         price = same_weight if same_weight > 0.0 else weight[cell]
         for way in range(8 + num_links):
             if way < 8:
                 if not (ways >> way) & 1:
                     continue
-                target = cell + row_step[way] * columns + col_step[way]
+                target = cell + ROW_STEP[way] * columns + COL_STEP[way]
                 length = size if way < 4 else size * DIAGONAL
             else:
-                target = link_target[link_start[slot] + way - 8]
-                length = link_length[link_start[slot] + way - 8]
+                link = link_start[slot] + way - 8
+                target, length = link_target[link], link_length[link]
                 if not math.isfinite(weight[target]):
                     continue
             there = here + length * price

@@ -1,4 +1,13 @@
-"""Which cells an agent can't stand on because of what is near them. All distances in cells."""
+"""Which cells an agent can't stand on because of what is near them. All distances in cells.
+
+Distances are found in two passes, as in the exact transforms of Saito and Toriwaki (1994) and
+Meijster, Roerdink and Hesselink (2000): along the columns first, then along the rows. Instead of
+their parabolas, the second pass of `dilate` unites intervals and that of `squared_distances`
+searches no farther than the best so far, which is quicker for the few cells that a radius spans.
+
+Floors of several levels are compared cell by cell, but only in tiles whose ranges of heights make
+a conflict possible: one step of a min-max pyramid.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +22,8 @@ def dilate(occupied, half_width):
     """Find the cells near an occupied one, by a shape that is as wide as a table says.
 
     First each cell's distance to the nearest occupied one of its column; then each row is the
-    union of the stretches that such distances stand for. Exact for any shape that is symmetric
-    and narrows with the distance from its middle, in a time that its size has no part in.
+    union of the intervals that such distances stand for. Exact for any shape that is symmetric
+    and narrows with the distance from its middle. The time doesn't depend on the shape's size.
 
     Args:
         occupied: shape (rows, cols), uint8, not 0 where it is.
@@ -25,21 +34,14 @@ def dilate(occupied, half_width):
         Shape (rows, cols), bool.
     """
     rows, cols = occupied.shape
-    far = half_width.shape[0] - 1
-    above = np.empty((rows, cols), dtype=np.int32)
-    for col in range(cols):
-        above[0, col] = 0 if occupied[0, col] else far
-    for row in range(1, rows):
-        for col in range(cols):
-            above[row, col] = 0 if occupied[row, col] else min(above[row - 1, col] + 1, far)
+    column = _column_distances(occupied, half_width.shape[0] - 1)
     near = np.empty((rows, cols), dtype=np.bool_)
-    below = np.full(cols, far, dtype=np.int32)
     width = np.empty(cols, dtype=np.int32)
-    for row in range(rows - 1, -1, -1):
+    for row in range(rows):
         for col in range(cols):
-            below[col] = min(below[col] + 1, above[row, col])
-        for col in range(cols):
-            width[col] = half_width[below[col]]
+            width[col] = half_width[column[row, col]]
+        # The union of all intervals [col - width, col + width], swept once from each side: the
+        # farthest end so far decides, whichever interval it is of.
         end = -1
         for col in range(cols):
             if width[col] >= 0 and col + width[col] > end:
@@ -54,6 +56,21 @@ def dilate(occupied, half_width):
 
 
 @njit(cache=True)
+def _column_distances(occupied, far):
+    """Distance of each cell to the nearest occupied one of its column, at most `far`, int32."""
+    rows, cols = occupied.shape
+    column = np.empty((rows, cols), dtype=np.int32)
+    for row in range(rows):
+        for col in range(cols):
+            before = column[row - 1, col] if row > 0 else far
+            column[row, col] = 0 if occupied[row, col] else min(before + 1, far)
+    for row in range(rows - 2, -1, -1):
+        for col in range(cols):
+            column[row, col] = min(column[row, col], column[row + 1, col] + 1)
+    return column
+
+
+@njit(cache=True)
 def squared_distances(occupied, reach):
     """Measure from each cell's centre to that of the nearest occupied one.
 
@@ -65,25 +82,17 @@ def squared_distances(occupied, reach):
         Squares, shape (rows, cols), int64; more than reach² where all are farther than that.
     """
     rows, cols = occupied.shape
-    far = reach + 1
-    column = np.empty((rows, cols), dtype=np.int64)
-    for row in range(rows):
-        for col in range(cols):
-            before = column[row - 1, col] if row > 0 else far
-            column[row, col] = 0 if occupied[row, col] else min(before + 1, far)
-    for row in range(rows - 2, -1, -1):
-        for col in range(cols):
-            column[row, col] = min(column[row, col], column[row + 1, col] + 1)
+    column = _column_distances(occupied, reach + 1)
     squares = np.empty((rows, cols), dtype=np.int64)
     for row in range(rows):
         for col in range(cols):
-            best = column[row, col] ** 2
-            step = 1
+            best = np.int64(column[row, col]) ** 2
+            step = 1  # sideways; once its square is the best or more, no column can be nearer
             while step <= reach and step * step < best:
                 if col >= step:
-                    best = min(best, step * step + column[row, col - step] ** 2)
+                    best = min(best, step * step + np.int64(column[row, col - step]) ** 2)
                 if col + step < cols:
-                    best = min(best, step * step + column[row, col + step] ** 2)
+                    best = min(best, step * step + np.int64(column[row, col + step]) ** 2)
                 step += 1
             squares[row, col] = best
     return squares
@@ -147,6 +156,8 @@ def block_near_holes(has_floor, todo, offsets, squares, least, blocked):
                 continue
             within, with_floor = 0, 0
             for k in range(offsets.shape[0]):
+                # between two distances a whole disc has been counted: a smaller radius that
+                # fails blocks the larger ones, too
                 if k > 0 and squares[k] > squares[k - 1] and with_floor < least * within:
                     blocked[row, col] = True
                     break
@@ -179,6 +190,7 @@ def block_below_floors(floor, level, offsets, reach, step, top, blocked):
         for tile_row in range(low.shape[1]):
             for tile_col in range(low.shape[2]):
                 lowest, highest = _range_near(low[level], high[level], tile_row, tile_col, tiles)
+                # written so that a tile without floor, inf to -inf, is skipped
                 if not high[upper, tile_row, tile_col] - lowest > step:
                     continue
                 if not low[upper, tile_row, tile_col] - highest < limit:
@@ -305,7 +317,7 @@ def meets_runs(occupied, runs, blocked):
         blocked: (rows, cols) bool, written.
     """
     rows, cols = occupied.shape
-    before = np.zeros((rows, cols + 1), dtype=np.int32)
+    before = np.zeros((rows, cols + 1), dtype=np.int32)  # running sums: a run is one difference
     for row in range(rows):
         for col in range(cols):
             before[row, col + 1] = before[row, col] + (occupied[row, col] != 0)
@@ -313,7 +325,7 @@ def meets_runs(occupied, runs, blocked):
         first, last = runs[k, 1], runs[k, 2]
         for row in range(max(0, -runs[k, 0]), min(rows, rows - runs[k, 0])):
             line = before[row + runs[k, 0]]
-            if line[cols] == 0:
+            if line[cols] == 0:  # nothing in this row
                 continue
             for col in range(cols):
                 begin, end = max(col + first, 0), min(col + last + 1, cols)

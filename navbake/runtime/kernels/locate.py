@@ -1,7 +1,8 @@
 """Which cells positions are in, and whether an agent can stand there.
 
-`place` is (start, width, height, x_min, y_max, cell_size), as in `navbake.runtime.flat_grid.Walk`.
-Positions are worked off in blocks, so that the memory is asked for many cells at a time.
+Plain search: of the levels' floors in a position's column, the highest at or below it. Positions
+are worked off in blocks, level by level. A look-up at a random place waits for the memory; with a
+block, many such waits run side by side.
 """
 
 from __future__ import annotations
@@ -11,20 +12,18 @@ import math
 import numpy as np
 from numba import njit
 
-BLOCK = 512
+BLOCK = 512  # positions; what a block needs stays in the processor's first cache
 
 
 @njit(cache=True)
-def locate(place, ground, floor, slack, positions):
+def locate(layout, floors, positions):
     """Find the cells whose floors are the nearest at or below positions.
 
-    Where no level has such a floor in a position's column, the level counts whose ground is.
+    A floor may be `max_step` above its position. Where no level has such a floor in a position's
+    column, the level counts whose ground is.
 
     Args:
-        place: see the module.
-        ground: z of each level's ground [m].
-        floor: by flat id [m], NaN where there is none.
-        slack: how far above a position its floor may be [m].
+        layout, floors: see `navbake.runtime.kernels.arrays`.
         positions: shape (n, 3), float64 [m].
 
     Returns:
@@ -35,19 +34,19 @@ def locate(place, ground, floor, slack, positions):
     z = np.empty(BLOCK)
     for begin in range(0, len(positions), BLOCK):
         end = min(begin + BLOCK, len(positions))
-        bad = _locate_block(place, ground, floor, slack, positions[begin:end], cells[begin:end], z)
+        bad = _locate_block(layout, floors, positions[begin:end], cells[begin:end], z)
         if bad >= 0:
             return cells, begin + bad
     return cells, -1
 
 
 @njit(cache=True)
-def stand_on(place, ground, floor, slack, free, max_drop, positions):
-    """Tell whether an agent can stand at positions.
+def stand_on(layout, floors, free, max_drop, positions):
+    """Find out at which positions an agent can stand.
 
     Args:
-        place, ground, floor, slack, positions: see `locate`.
-        free: by flat id, bool.
+        layout, floors, positions: see `locate`.
+        free: by cell, bool.
         max_drop: how far below a position its floor may be [m].
 
     Returns:
@@ -57,7 +56,7 @@ def stand_on(place, ground, floor, slack, free, max_drop, positions):
     cells, z = np.empty(BLOCK, dtype=np.int64), np.empty(BLOCK)
     for begin in range(0, len(positions), BLOCK):
         end = min(begin + BLOCK, len(positions))
-        bad = _locate_block(place, ground, floor, slack, positions[begin:end], cells, z)
+        bad = _locate_block(layout, floors, positions[begin:end], cells, z)
         if bad >= 0:
             return answers, begin + bad
         above = positions[begin:end, 2]
@@ -68,18 +67,19 @@ def stand_on(place, ground, floor, slack, free, max_drop, positions):
 
 
 @njit(cache=True)
-def _locate_block(place, ground, floor, slack, positions, cells, z):
+def _locate_block(layout, floors, positions, cells, z):
     """`locate` for at most BLOCK positions; cells and their heights are written."""
     at = np.empty(BLOCK, dtype=np.int64)
     on_ground, highest_ground = np.full(BLOCK, -1, dtype=np.int64), np.full(BLOCK, -np.inf)
+    floor, ground, slack = floors.z, floors.ground, floors.max_step
     count = len(positions)
     for i in range(count):
         x, y, height = positions[i, 0], positions[i, 1], positions[i, 2]
         if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(height)):
             return i
         cells[i], z[i] = -1, -np.inf
-    for level in range(len(place[1])):
-        locate_on(place, level, positions, at)
+    for level in range(len(layout.width)):
+        locate_on(layout, level, positions, at)
         for i in range(count):  # few branches: no processor guesses where positions are
             height, limit = floor[max(at[i], 0)], positions[i, 2] + slack
             is_nearer = (at[i] >= 0) & (height > z[i]) & (height <= limit)
@@ -94,18 +94,17 @@ def _locate_block(place, ground, floor, slack, positions, cells, z):
 
 
 @njit(cache=True)
-def locate_on(place, level, positions, cells):
+def locate_on(layout, level, positions, cells):
     """Find the cells of one level that positions are in.
 
     Args:
-        place: see the module.
+        layout: see `navbake.runtime.kernels.arrays`.
         level: which level.
         positions: shape (n, 2) or (n, 3), float64, finite [m].
         cells: at least n, int64; receives flat ids, -1 beside the level.
     """
-    start, width, height, x_min, y_max, cell_size = place
-    first, rows, cols = start[level], height[level], width[level]
-    x0, y1, size = x_min[level], y_max[level], cell_size[level]
+    first, rows, cols = layout.start[level], layout.height[level], layout.width[level]
+    x0, y1, size = layout.x_min[level], layout.y_max[level], layout.cell_size[level]
     for i in range(len(positions)):
         col = np.floor((positions[i, 0] - x0) / size)
         row = np.floor((y1 - positions[i, 1]) / size)

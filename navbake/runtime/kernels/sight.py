@@ -1,7 +1,9 @@
 """Straight lines over a level: what they touch, what they run through, what they cost.
 
 Lines are in the level's own units: u in columns, v in rows, so that cell (row, col) is the square
-from (col, row) to (col + 1, row + 1).
+from (col, row) to (col + 1, row + 1). `is_walkable` is a supercover line, row by row: all cells
+that meet the line count, where Bresenham's line and the traversal of Amanatides and Woo leave out
+those that it only touches.
 """
 
 from __future__ import annotations
@@ -17,67 +19,74 @@ TOUCH = 1e-9  # of a cell: what is this near a line is touched
 
 
 @njit(cache=True, error_model="numpy")
-def _clip(u0, v0, u1, v1, low, high):
+def _cut_to_band(a, b, low, high):
     """The part of a line with v from `low` to `high`: its smallest and largest u."""
+    (u0, v0), (u1, v1) = a, b
     if v0 == v1:
         return min(u0, u1), max(u0, u1)
-    a, b = (low - v0) / (v1 - v0), (high - v0) / (v1 - v0)
-    a, b = min(max(min(a, b), 0.0), 1.0), max(min(max(a, b), 1.0), 0.0)
-    ua, ub = u0 + a * (u1 - u0), u0 + b * (u1 - u0)
+    enter, leave = (low - v0) / (v1 - v0), (high - v0) / (v1 - v0)
+    enter, leave = min(max(min(enter, leave), 0.0), 1.0), max(min(max(enter, leave), 1.0), 0.0)
+    ua, ub = u0 + enter * (u1 - u0), u0 + leave * (u1 - u0)
     return min(ua, ub), max(ua, ub)
 
 
 @njit(cache=True, error_model="numpy")
-def is_walkable(u0, v0, u1, v1, moves, roomy, first, width, height):
-    """Whether all cells that a line touches are roomy, and all steps between them small enough.
+def is_walkable(a, b, rect, moves, anywhere):
+    """Whether an agent may be anywhere in all cells that a line touches, and step between them.
 
     A line touches a cell where it meets the cell's closed square: over a corner, all four.
 
     Args:
-        u0, v0, u1, v1: the line's ends.
-        moves: by flat id, see `navbake.runtime.kernels.moves`.
-        roomy: by flat id, bool: free cells in which an agent may be anywhere.
-        first: flat id of the level's first cell.
-        width, height: of the level.
+        a, b: the line's ends, u and v.
+        rect: the level, a `navbake.runtime.kernels.arrays.Rect`.
+        moves: by cell, see `navbake.runtime.kernels.moves`.
+        anywhere: by cell, bool: free cells in which an agent may also be off the centre.
     """
+    (_, v0), (_, v1) = a, b
     top, bottom = math.floor(min(v0, v1) - TOUCH), math.floor(max(v0, v1) + TOUCH)
-    if top < 0 or bottom >= height:
+    if top < 0 or bottom >= rect.height:
         return False
     above0, above1 = 0, -1  # columns touched in the row before
     for row in range(top, bottom + 1):
-        low, high = _clip(u0, v0, u1, v1, row - TOUCH, row + 1 + TOUCH)
+        low, high = _cut_to_band(a, b, row - TOUCH, row + 1 + TOUCH)
         col0, col1 = math.floor(low - TOUCH), math.floor(high + TOUCH)
-        if col0 < 0 or col1 >= width:
+        if col0 < 0 or col1 >= rect.width:
             return False
         for col in range(col0, col1 + 1):
-            cell = first + row * width + col
-            if not roomy[cell]:
+            cell = rect.first + row * rect.width + col
+            if not anywhere[cell]:
                 return False
+            # each edge between two touched cells is one that the line may run along or cross
             if col < col1 and not moves[cell] & EAST:
                 return False
-            if above0 <= col <= above1 and not moves[cell - width] & SOUTH:
+            if above0 <= col <= above1 and not moves[cell - rect.width] & SOUTH:
                 return False
         above0, above1 = col0, col1
     return True
 
 
 @njit(cache=True, error_model="numpy")
-def crossed_cells(u0, v0, u1, v1, width, height):
+def crossed_cells(a, b, rect):
     """The cells that a line runs through, in order, and where it enters each.
 
+    Args:
+        a, b: the line's ends, u and v.
+        rect: the level, a `navbake.runtime.kernels.arrays.Rect`.
+
     Returns:
-        Cells (row * width + col), int64, and the share of the line before each, float64, with 1
-        at the end, so one longer. Cells that it only touches at a corner are left out.
+        Flat ids, int64, and the share of the line before each, float64, with 1 at the end, so one
+        longer. Cells that it only touches at a corner are left out.
     """
+    (u0, v0), (u1, v1) = a, b
     du, dv = u1 - u0, v1 - v0
     size = abs(math.floor(u1) - math.floor(u0)) + abs(math.floor(v1) - math.floor(v0)) + 2
-    cuts = np.empty(size, np.float64)
+    cuts = np.empty(size, np.float64)  # where the line crosses an edge of the lattice
     num = 0
     cuts[num] = 0.0
     num += 1
-    for a, b, d in ((u0, u1, du), (v0, v1, dv)):
-        for line in range(math.floor(min(a, b)) + 1, math.ceil(max(a, b))):
-            cuts[num] = (line - a) / d
+    for start, end, d in ((u0, u1, du), (v0, v1, dv)):
+        for line in range(math.floor(min(start, end)) + 1, math.ceil(max(start, end))):
+            cuts[num] = (line - start) / d
             num += 1
     cuts[num] = 1.0
     num += 1
@@ -87,20 +96,20 @@ def crossed_cells(u0, v0, u1, v1, width, height):
     for i in range(num - 1):
         if cuts[i + 1] - cuts[i] <= 1e-12 and num != 2:
             continue
-        middle = (cuts[i] + cuts[i + 1]) / 2.0
-        row = min(max(math.floor(v0 + middle * dv), 0), height - 1)
-        col = min(max(math.floor(u0 + middle * du), 0), width - 1)
-        cells[count], enter[count] = row * width + col, cuts[i]
+        middle = (cuts[i] + cuts[i + 1]) / 2.0  # inside of the cell, so rounding does no harm
+        row = min(max(math.floor(v0 + middle * dv), 0), rect.height - 1)
+        col = min(max(math.floor(u0 + middle * du), 0), rect.width - 1)
+        cells[count], enter[count] = rect.first + row * rect.width + col, cuts[i]
         count += 1
     enter[count] = 1.0
     return cells[:count], enter[: count + 1]
 
 
 @njit(cache=True, error_model="numpy")
-def line_cost(u0, v0, u1, v1, weight, first, width, height):
+def line_cost(a, b, rect, weight):
     """The length of a line in cells, each part times the weight of the cell that it is in."""
-    cells, enter = crossed_cells(u0, v0, u1, v1, width, height)
+    cells, enter = crossed_cells(a, b, rect)
     total = 0.0
     for i in range(cells.shape[0]):
-        total += (enter[i + 1] - enter[i]) * weight[first + cells[i]]
-    return total * math.hypot(u1 - u0, v1 - v0)
+        total += (enter[i + 1] - enter[i]) * weight[cells[i]]
+    return total * math.hypot(b[0] - a[0], b[1] - a[1])

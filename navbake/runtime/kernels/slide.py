@@ -1,4 +1,9 @@
-"""Sliding along what is in the way: the nearest point to an end that a short walk leads to."""
+"""Sliding along what is in the way: the nearest point to an end that a short walk leads to.
+
+A flood over the free cells within reach, with lengths that are corrected until none gets shorter
+(Bellman and Ford with a queue): on a window of some dozen cells that is quicker than a heap. Of
+every cell that is reached, the point that is the nearest to the end is a candidate.
+"""
 
 from __future__ import annotations
 
@@ -7,21 +12,22 @@ import math
 import numpy as np
 from numba import njit
 
-from navbake.runtime.kernels.crossing import cross, level_of, put_into
+from navbake.runtime.kernels.arrays import level_of, put_into
+from navbake.runtime.kernels.crossing import cross
 
 DIAGONAL = math.sqrt(2.0)
 ROUNDING = 1.09  # a walk over eight neighbours is at most so much longer than a straight line
 
 
 @njit(cache=True)
-def slide(place, links, passable, floor, max_step, cell, x0, y0, x1, y1):
+def slide(space, cell, x0, y0, x1, y1):
     """Go on from a point where a straight walk ended to where the end is the nearest.
 
     Cells that count are those which a walk over free neighbours leads to that is no longer than
     what is left of the way, and there only points no farther off than that.
 
     Args:
-        place, links, passable, floor, max_step: see `navbake.runtime.kernels.crossing.cross`.
+        space: a `navbake.runtime.kernels.arrays.Space`.
         cell: flat id of the cell that holds x0, y0.
         x0, y0: where the straight walk ended, world [m].
         x1, y1: the end of the way.
@@ -29,14 +35,16 @@ def slide(place, links, passable, floor, max_step, cell, x0, y0, x1, y1):
     Returns:
         Flat id of the last cell, and x, y in it.
     """
+    layout, links, floors, passable = space
+    floor, max_step = floors.z, floors.max_step
     left = math.hypot(x1 - x0, y1 - y0)
-    size = place[5].min()
+    size = layout.cell_size.min()
     limit = ROUNDING * left + 1.5 * size
-    window = _make_window(place, x0, y0, np.int64(math.ceil(limit / size)) + 1)
+    window = _make_window(layout, x0, y0, np.int64(math.ceil(limit / size)) + 1)
     length = np.full(window[0, -1], np.inf)
     queued = np.zeros(window[0, -1], dtype=np.bool_)
-    queue = np.empty(window[0, -1], dtype=np.int64)  # as long as there are cells, all fit in
-    at = _slot(place, window, cell)
+    queue = np.empty(window[0, -1], dtype=np.int64)  # a circle; no cell is in it twice, so all fit
+    at = _slot(layout, window, cell)
     length[at], queue[0], queued[at] = 0.0, cell, True
     around = np.empty(8, dtype=np.int64)
     head, count = 0, 1
@@ -44,16 +52,21 @@ def slide(place, links, passable, floor, max_step, cell, x0, y0, x1, y1):
     while count > 0:
         here = queue[head]
         head, count = (head + 1) % len(queue), count - 1
-        at = _slot(place, window, here)
+        at = _slot(layout, window, here)
         queued[at] = False
-        best = _closer(place, here, x0, y0, x1, y1, left, best)
-        _find_neighbours(place, links, passable, floor, max_step, here, around)
+        # the better of the best point so far and the nearest one in this cell
+        x, y = put_into(layout, here, x1, y1)
+        d2 = (x - x1) ** 2 + (y - y1) ** 2
+        if d2 < best[0] and math.hypot(x - x0, y - y0) <= left * (1.0 + 1e-9):
+            best = (d2, here, x, y)
+        _find_neighbours(layout, links, passable, floor, max_step, here, around)
         for way in range(8):
             other = around[way]
-            slot = _slot(place, window, other) if other >= 0 else -1
+            slot = _slot(layout, window, other) if other >= 0 else -1
             if slot < 0:
                 continue
-            there = length[at] + place[5][level_of(here, place[0])] * (1.0 if way < 4 else DIAGONAL)
+            step = layout.cell_size[level_of(layout.start, here)] * (1.0 if way < 4 else DIAGONAL)
+            there = length[at] + step
             if there <= limit and there < length[slot] - 1e-9 * size:
                 length[slot] = there
                 if not queued[slot]:
@@ -63,50 +76,41 @@ def slide(place, links, passable, floor, max_step, cell, x0, y0, x1, y1):
 
 
 @njit(cache=True)
-def _closer(place, cell, x0, y0, x1, y1, left, best):
-    """The better of the best point so far and the nearest one in a cell."""
-    x, y = put_into(place, cell, x1, y1)
-    d2 = (x - x1) ** 2 + (y - y1) ** 2
-    if d2 < best[0] and math.hypot(x - x0, y - y0) <= left * (1.0 + 1e-9):
-        return d2, cell, x, y
-    return best
-
-
-@njit(cache=True)
-def _find_neighbours(place, links, passable, floor, max_step, cell, around):
+def _find_neighbours(layout, links, passable, floor, max_step, cell, around):
     """The cells that steps lead to, -1 for none: over edges, then over corners past both sides."""
     steps = ((0, 1), (-1, 0), (0, -1), (1, 0))
     for way in range(4):
         down, across = steps[way]
-        around[way] = cross(place, links, passable, floor, max_step, cell, down, across)
+        around[way] = cross(layout, links, passable, floor, max_step, cell, down, across)
     for way in range(4):
         one, other = around[way], around[(way + 1) % 4]
         around[4 + way] = -1
         if one >= 0 and other >= 0:
             down, across = steps[(way + 1) % 4]
-            one = cross(place, links, passable, floor, max_step, one, down, across)
+            one = cross(layout, links, passable, floor, max_step, one, down, across)
             down, across = steps[way]
-            other = cross(place, links, passable, floor, max_step, other, down, across)
-            if one == other:
+            other = cross(layout, links, passable, floor, max_step, other, down, across)
+            if one == other:  # both ways round the corner end in the same cell
                 around[4 + way] = one
 
 
 @njit(cache=True)
-def _make_window(place, x, y, reach):
+def _make_window(layout, x, y, reach):
     """The cells of each level within so many rows and columns of a point.
 
     Returns:
         First row and column, rows, columns, and the slot of the first of them, by level, shape
         (5, num_levels + 1), int64; the number of all slots is at [0, -1].
     """
-    _, width, height, x_min, y_max, size = place
-    window = np.zeros((5, len(width) + 1), dtype=np.int64)
+    num_levels = len(layout.width)
+    window = np.zeros((5, num_levels + 1), dtype=np.int64)
     slots = 0
-    for level in range(len(width)):
-        row = np.int64(math.floor((y_max[level] - y) / size[level]))
-        col = np.int64(math.floor((x - x_min[level]) / size[level]))
-        row0, row1 = max(0, row - reach), min(height[level], row + reach + 1)
-        col0, col1 = max(0, col - reach), min(width[level], col + reach + 1)
+    for level in range(num_levels):
+        size = layout.cell_size[level]
+        row = np.int64(math.floor((layout.y_max[level] - y) / size))
+        col = np.int64(math.floor((x - layout.x_min[level]) / size))
+        row0, row1 = max(0, row - reach), min(layout.height[level], row + reach + 1)
+        col0, col1 = max(0, col - reach), min(layout.width[level], col + reach + 1)
         window[0, level], window[1, level] = row0, col0
         window[2, level], window[3, level] = max(0, row1 - row0), max(0, col1 - col0)
         window[4, level] = slots
@@ -116,11 +120,10 @@ def _make_window(place, x, y, reach):
 
 
 @njit(cache=True)
-def _slot(place, window, cell):
+def _slot(layout, window, cell):
     """Where a cell is in a window, -1 outside."""
-    start, width = place[0], place[1]
-    level = level_of(cell, start)
-    row, col = divmod(cell - start[level], width[level])
+    level = level_of(layout.start, cell)
+    row, col = divmod(cell - layout.start[level], layout.width[level])
     row, col = row - window[0, level], col - window[1, level]
     if not (0 <= row < window[2, level] and 0 <= col < window[3, level]):
         return np.int64(-1)

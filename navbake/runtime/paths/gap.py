@@ -6,17 +6,16 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from navbake.runtime.flat_grid import Walk
 from navbake.runtime.inflation.inflate import find_blocked
 from navbake.runtime.inflation.margins import exact_radius
 from navbake.runtime.paths.search import Search
 from navbake.runtime.places.island_map import map_islands
-from navbake.runtime.places.locate import split_cells
+from navbake.types import Bool, Float, Int
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
+    from navbake.runtime.flat_grid import FlatGrid
 
 FINE = 1e-3  # metres to which a radius is found
 MAX_STOPS = 200  # cells that are looked at for the narrowest one
@@ -33,15 +32,15 @@ class Gap:
     """
 
     width: float
-    position: NDArray[np.float64]
+    position: Float
 
 
-def find_gap(grid: NavGrid, walk: Walk, origin: int, goals: NDArray[np.int64]) -> Gap | None:
+def find_gap(grid: NavGrid, flat: FlatGrid, origin: int, goals: Int) -> Gap | None:
     """Find what keeps an agent of the grid's radius from a goal that a smaller one would reach.
 
     Args:
         grid: an inflated grid.
-        walk: its cells.
+        flat: its cells.
         origin, goals: flat ids of free cells, no two of which are joined.
 
     Returns:
@@ -49,12 +48,13 @@ def find_gap(grid: NavGrid, walk: Walk, origin: int, goals: NDArray[np.int64]) -
     """
     radius = exact_radius(grid)
     plain = deflated(grid.without_blocks())
-    if radius == 0.0 or not _joins(plain, walk, 0.0, origin, goals):
+    if radius == 0.0 or not _joins(plain, flat, 0.0, origin, goals):
         return None
+    # bisection: a radius that passes lets all smaller ones pass, as no larger one frees a cell
     low, high = 0.0, radius
     while high - low > FINE:
         middle = (low + high) / 2
-        if _joins(plain, walk, middle, origin, goals):
+        if _joins(plain, flat, middle, origin, goals):
             low = middle
         else:
             high = middle
@@ -62,47 +62,48 @@ def find_gap(grid: NavGrid, walk: Walk, origin: int, goals: NDArray[np.int64]) -
     route = Search(_with_free(plain, free)).route(origin, goals)
     if route is None:
         return None
-    taken = _with_flanks(walk, route)
+    # of the widest way, the cells that a slightly larger agent loses: the gap is one of them
+    taken = _with_flanks(flat, route)
     stops = taken[~_free_for(plain, high)[taken]]
-    return _measure(plain, walk, stops, low) if len(stops) else None
+    return _measure(plain, flat, stops, low) if len(stops) else None
 
 
-def _with_flanks(walk: Walk, route: NDArray[np.int64]) -> NDArray[np.int64]:
+def _with_flanks(flat: FlatGrid, route: Int) -> Int:
     """The cells of a route and, as no corners are cut, those beside its diagonal steps."""
-    level, row, col = split_cells(walk, route)
+    level, row, col = flat.split(route)
     is_diagonal = (np.diff(level) == 0) & (np.abs(np.diff(row)) == 1) & (np.abs(np.diff(col)) == 1)
     one, other = np.flatnonzero(is_diagonal), np.flatnonzero(is_diagonal) + 1
-    first, width = walk.start[level[one]], walk.width[level[one]]
+    first, width = flat.layout.start[level[one]], flat.layout.width[level[one]]
     flanks = [first + row[a] * width + col[b] for a, b in ((one, other), (other, one))]
     return np.concatenate([route, *flanks])
 
 
-def _measure(grid: NavGrid, walk: Walk, stops: NDArray[np.int64], radius: float) -> Gap:
+def _measure(grid: NavGrid, flat: FlatGrid, stops: Int, radius: float) -> Gap:
     """The narrowest of some cells, and the width from what is nearest there to the other side."""
     best, width, narrowest = np.inf, 2 * radius, int(stops[0])
     for stop in stops[:MAX_STOPS].tolist():
-        here, low, high = _squares_near(grid, walk, stop, 4 * radius)
+        here, low, high = _squares_near(grid, flat, stop, 4 * radius)
         nearest = np.clip(here, low, high) - here
         distance = np.linalg.norm(nearest, axis=1)
         if not len(distance) or distance.min() >= best:
             continue
         k = int(np.argmin(distance))
         best, narrowest, width = float(distance[k]), stop, 2 * radius
+        # the other side: what lies within 60 degrees of the opposite direction
         opposite = nearest @ -nearest[k] > 0.5 * distance * distance[k]
         if opposite.any():
             side = here + nearest[k]
             across = np.linalg.norm(np.clip(side, low, high) - side, axis=1)[opposite]
             width = float(across.min())
-    return Gap(width, walk.positions(np.array(narrowest)))
+    return Gap(width, flat.positions(narrowest))
 
 
 def _squares_near(
-    grid: NavGrid, walk: Walk, cell: int, reach: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    grid: NavGrid, flat: FlatGrid, cell: int, reach: float
+) -> tuple[Float, Float, Float]:
     """A cell's centre, and the lower and upper corners of occupied cells round it, x, y [m]."""
-    number = int(walk.level_of(np.array(cell)))
-    level, size = grid.levels[number], walk.cell_size[number]
-    row, col = divmod(cell - int(walk.start[number]), level.width)
+    number, row, col = flat.cell(cell)
+    level, size = grid.levels[number], flat.layout.cell_size[number]
     span = int(reach / size) + 2
     row0, col0 = max(row - span, 0), max(col - span, 0)
     occupied = level.occupancy[row0 : row + span + 1, col0 : col + span + 1]
@@ -125,7 +126,7 @@ def deflated(grid: NavGrid) -> NavGrid:
     return _with_free(grid, free)
 
 
-def _with_free(grid: NavGrid, free: NDArray[np.bool_]) -> NavGrid:
+def _with_free(grid: NavGrid, free: Bool) -> NavGrid:
     """The grid with other free cells, by flat id, all of weight 1, and no word of inflation."""
     metadata = {key: value for key, value in grid.metadata.items() if key != "inflation"}
     levels, first = [], 0
@@ -137,13 +138,13 @@ def _with_free(grid: NavGrid, free: NDArray[np.bool_]) -> NavGrid:
     return grid.with_levels(levels, metadata)
 
 
-def _free_for(grid: NavGrid, radius: float) -> NDArray[np.bool_]:
+def _free_for(grid: NavGrid, radius: float) -> Bool:
     return np.concatenate(
         [p.free.ravel() & ~find_blocked(grid, k, radius).ravel() for k, p in enumerate(grid.levels)]
     )
 
 
-def _joins(grid: NavGrid, walk: Walk, radius: float, origin: int, goals: NDArray[np.int64]) -> bool:
+def _joins(grid: NavGrid, flat: FlatGrid, radius: float, origin: int, goals: Int) -> bool:
     """Whether an agent of a radius gets to a goal."""
-    islands = map_islands(replace(walk, free=_free_for(grid, radius))).number
+    islands = map_islands(replace(flat, free=_free_for(grid, radius))).number
     return bool((islands[goals] == islands[origin]).any())

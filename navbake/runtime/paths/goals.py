@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.navgrid.cells import check_positions
-from navbake.runtime.flat_grid import Walk
-from navbake.runtime.places.locate import flat_cells
-from navbake.runtime.places.room_map import RoomMap
+from navbake.types import Bool, Float, Int
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid, SceneGrid2D
+    from navbake.runtime.flat_grid import FlatGrid
+    from navbake.runtime.grid_cache import GridCache
 
 Goal: TypeAlias = ArrayLike | str
 """A position, several of them, ``room:NAME`` or ``object:NAME``."""
@@ -41,53 +40,50 @@ class Target:
     """
 
     name: str
-    cells: NDArray[np.int64]
-    positions: NDArray[np.float64] | None = None
+    cells: Int
+    positions: Float | None = None
 
-    def free_cells(self, walk: Walk) -> NDArray[np.int64]:
+    def free_cells(self, flat: FlatGrid) -> Int:
         """Those that are free, ascending and each once."""
         inside = self.cells[self.cells >= 0]
-        return np.unique(inside[walk.free[inside]])
+        return np.unique(inside[flat.free[inside]])
 
-    def position_in(self, cell: int) -> NDArray[np.float64] | None:
+    def position_in(self, cell: int) -> Float | None:
         """World x, y of the first position that is in a cell; None for rooms and objects."""
         if self.positions is None:
             return None
         return self.positions[int(np.argmax(self.cells == cell)), :2]
 
 
-def find_target(
-    grid: NavGrid, walk: Walk, rooms: Callable[[], RoomMap], goal: Goal, level: int | None = None
-) -> Target:
+def find_target(cache: GridCache, goal: Goal, level: int | None = None) -> Target:
     """Find the cells of a goal.
 
     Args:
-        grid: the grid.
-        walk: its cells.
-        rooms: its rooms, when they are needed.
+        cache: the grid and what follows from it.
         goal: world position, shape (3,) [m]; several, shape (n, 3); ``room:`` and the id or name
-            of a room; ``object:`` and a name of the grid's user data. x, y will do on one level.
-        level: which level positions are on; then z does not count.
+            of a room; ``object:`` and a name of the grid's user data.
+        level: which level positions are on; then z is ignored.
 
     Raises:
-        QueryError: a position is none, there is no such room or object, or nothing is asked for.
+        QueryError: a position is not valid, or there is no such room or object.
     """
+    flat = cache.flat
     if isinstance(goal, str):
         kind, _, name = goal.partition(":")
         if kind == "room":
-            return Target(f"room {name!r}", rooms().cells(name))
+            return Target(f"room {name!r}", cache.rooms.cells(name))
         if kind == "object":
-            return Target(f"object {name!r}", cells_around(grid, walk, name))
+            return Target(f"object {name!r}", cells_around(cache.grid, flat, name))
         raise QueryError(f"expected a position, room:NAME or object:NAME, got {goal!r}")
-    p = check_positions(goal, walk.num_levels, level)
+    p = check_positions(goal, flat.num_levels, level)
     if p.ndim > 2 or not p.size:
         raise QueryError(f"expected positions of shape (3,) or (n, 3), n >= 1, got {p.shape}")
     name = "the goal" if p.ndim == 1 else f"one of {len(p)} goals"
     p = np.atleast_2d(p)
-    return Target(name, flat_cells(walk, p, level), p)
+    return Target(name, flat.cells_at(p, level), p)
 
 
-def cells_around(grid: NavGrid, walk: Walk, name: str) -> NDArray[np.int64]:
+def cells_around(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
     """The free cells next to an object, or on it where it is no obstacle.
 
     On each level they are looked for ring by ring from the cells that carry the name, over cells
@@ -96,7 +92,7 @@ def cells_around(grid: NavGrid, walk: Walk, name: str) -> NDArray[np.int64]:
 
     Args:
         grid: the grid.
-        walk: its cells.
+        flat: its cells.
         name: of an object, a door or a wall in the grid's user data.
 
     Returns:
@@ -108,12 +104,12 @@ def cells_around(grid: NavGrid, walk: Walk, name: str) -> NDArray[np.int64]:
     found = []
     for number, (level, cells) in enumerate(zip(grid.levels, cells_named(grid, name), strict=True)):
         if len(cells):
-            free = walk.free[walk.start[number] : walk.start[number + 1]].reshape(level.shape)
-            found.append(walk.start[number] + _nearest_ring(level, cells, free))
+            free = flat.free[flat.cells_of(number)].reshape(level.shape)
+            found.append(flat.layout.start[number] + _nearest_ring(level, cells, free))
     return np.concatenate(found)
 
 
-def cells_named(grid: NavGrid, name: str) -> list[NDArray[np.int64]]:
+def cells_named(grid: NavGrid, name: str) -> list[Int]:
     """The cells of each level that an object, a door or a wall is in, by its name.
 
     Raises:
@@ -134,13 +130,12 @@ def cells_named(grid: NavGrid, name: str) -> list[NDArray[np.int64]]:
     return [np.array(cells, dtype=np.int64) for cells in found]
 
 
-def _nearest_ring(
-    level: SceneGrid2D, cells: NDArray[np.int64], free: NDArray[np.bool_]
-) -> NDArray[np.int64]:
+def _nearest_ring(level: SceneGrid2D, cells: Int, free: Bool) -> Int:
     from scipy.ndimage import binary_dilation
 
     reached = np.zeros(level.shape, dtype=np.bool_)
     reached.ravel()[cells] = True
+    # where nothing stands but the object itself, so that no ring grows through a wall
     passable = (level.occupancy == 0) | free | reached
     for _ in range(math.ceil(MAX_REACH / level.lattice.cell_size)):
         if (reached & free).any():

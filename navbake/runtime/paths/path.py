@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+
+from navbake.types import Float, Int
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,15 +26,15 @@ class Path:
         doors: ids of the doors on the way, in order.
     """
 
-    positions: NDArray[np.float64] = field(repr=False)
-    levels: NDArray[np.int64] = field(repr=False)
-    cells: NDArray[np.int64] = field(repr=False)
+    positions: Float = field(repr=False)
+    levels: Int = field(repr=False)
+    cells: Int = field(repr=False)
     length: float
     cost: float
     rooms: list[str]
     doors: list[str]
 
-    def at(self, distance: float) -> NDArray[np.float64]:
+    def at(self, distance: float) -> Float:
         """The position so far along the path, seen from above.
 
         Args:
@@ -46,10 +47,10 @@ class Path:
         return np.array([np.interp(distance, run, axis) for axis in self.positions.T])
 
 
-def path_length(positions: NDArray[np.float64]) -> float:
+def path_length(positions: Float) -> float:
     """The length of a line through positions, seen from above [m]."""
     return float(_lengths(positions).sum())
 
 
-def _lengths(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def _lengths(positions: Float) -> Float:
     return np.asarray(np.hypot(*np.diff(positions[:, :2], axis=0).T))

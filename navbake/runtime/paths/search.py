@@ -1,4 +1,4 @@
-"""A grid made ready to be searched: its walk, the moves of each cell, and room to work in."""
+"""A grid made ready to be searched: its cells, the moves of each, and room to work in."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import QueryError
-from navbake.navgrid.block_state import NARROW, TIGHT, BlockState, Window
-from navbake.runtime.flat_grid import Walk, make_walk
+from navbake.navgrid.block_state import NO_DIAGONAL, NO_OFF_CENTER, BlockState, Window
+from navbake.runtime.flat_grid import flatten
 from navbake.runtime.inflation.margins import find_room
-from navbake.runtime.places.locate import split_cells
+from navbake.types import Bool, Float, Int
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid, SceneGrid2D
@@ -29,35 +29,38 @@ class Search:
 
     Attributes:
         grid: the grid.
-        walk: the cells; those that are blocked are not free.
-        moves: by flat id, uint8: a bit for each way that a step leads, see
-            `navbake.runtime.kernels.moves`.
+        flat: the cells; those that are blocked are not free.
+        graph: the steps between them and what they cost, a
+            `navbake.runtime.kernels.arrays.Graph`.
         cut_corners: whether a diagonal step needs nothing but its target.
-        same_weight: the weight of all free cells, 0 where they differ.
-        wide: by flat id, bool: cells with room for a diagonal step, see
+        free_diagonally: by flat id, bool: cells with room for a diagonal step, see
             `navbake.runtime.inflation.margins`.
-        roomy: by flat id, bool: free cells with room all over.
+        free_off_center: by flat id, bool: free cells in which an agent may be anywhere.
         version: grows with each change that `update` finds.
     """
 
     def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
+        from navbake.runtime.kernels.arrays import Visits  # saves numba at start-up
+
         self.grid = grid
         clean = grid.without_blocks()
-        self.walk: Walk = make_walk(clean)
+        self.flat = flatten(clean)
         self.cut_corners = cut_corners
         self._room = find_room(clean)
-        self.wide, self.roomy = (v.copy() for v in self._room or (self.walk.free,) * 2)
-        self.roomy &= self.walk.free
-        self.moves = np.zeros(self.walk.num_cells, dtype=np.uint8)
-        self._link_length = link_lengths(self.walk)
-        self._link_from = np.zeros(len(self.walk.link_cell), dtype=np.int64)
-        self._weigh(self.walk.weight[self.walk.free])
-        self._mark = np.zeros(self.walk.num_cells, dtype=np.int32)
-        self._cost = np.zeros(self.walk.num_cells, dtype=np.float64)
+        self.free_diagonally, self.free_off_center = (
+            mask.copy() for mask in self._room or (self.flat.free,) * 2
+        )
+        self.free_off_center &= self.flat.free
+        self._make_graph()
+        self._visits = Visits(
+            mark=np.zeros(self.flat.num_cells, dtype=np.int32),
+            cost=np.zeros(self.flat.num_cells, dtype=np.float64),
+            link_from=np.zeros(len(self.flat.links.cell), dtype=np.int64),
+        )
         self._number = 0
         self._make_room(FIRST_ROOM)
         self.version = 0
-        self._seen = [0] * self.walk.num_levels
+        self._seen = [0] * self.flat.num_levels
         for number, level in enumerate(grid.levels):
             self._find_moves(number, (0, level.height, 0, level.width))
         self.update()
@@ -81,38 +84,40 @@ class Search:
     ) -> None:
         """Copy a window of a level that changed, and find the moves in and round it anew."""
         row0, row1, col0, col1 = window
-        inside, walk = np.s_[row0:row1, col0:col1], self.walk
-        of_level = slice(int(walk.start[number]), int(walk.start[number + 1]))
+        inside, flat = np.s_[row0:row1, col0:col1], self.flat
 
         def cut(array: NDArray[Any]) -> NDArray[Any]:
-            return array[of_level].reshape(level.shape)[inside]
+            return array[flat.cells_of(number)].reshape(level.shape)[inside]
 
         weight = level.weights[inside].astype(np.float64)
         free = np.isfinite(weight)
-        cut(walk.free)[:] = free
-        cut(walk.weight)[:] = np.where(free, weight, np.inf)
+        cut(flat.free)[:] = free
+        cut(flat.weight)[:] = np.where(free, weight, np.inf)
+        masks = (self.free_diagonally, self.free_off_center)
         if self._room is None:
-            cut(self.wide)[:] = cut(self.roomy)[:] = free
+            for mask in masks:
+                cut(mask)[:] = free
         else:
-            masks = zip((self.wide, self.roomy), self._room, (NARROW, TIGHT), strict=True)
-            for mask, of_bake, layer in masks:
+            layers = (NO_DIAGONAL, NO_OFF_CENTER)
+            for mask, of_bake, layer in zip(masks, self._room, layers, strict=True):
                 held = changes.count[layer].reshape(level.shape)[inside]
                 cut(mask)[:] = cut(of_bake) & (held == 0) & free
         self._find_moves(number, (row0 - 1, row1 + 1, col0 - 1, col1 + 1))
 
     def _find_moves(self, number: int, window: Window) -> None:
-        from navbake.runtime.kernels.moves import find_moves
+        from navbake.runtime.kernels.arrays import Rect  # saves numba at start-up
+        from navbake.runtime.kernels.moves import Footing, find_moves
 
-        walk = self.walk
-        height, width = int(walk.height[number]), int(walk.width[number])
-        rows = max(window[0], 0), min(window[1], height)
-        cols = max(window[2], 0), min(window[3], width)
-        find_moves(
-            self.moves, int(walk.start[number]), width, height, *rows, *cols, walk.free, self.wide,
-            walk.floor, walk.max_step, self.cut_corners,
-        )  # fmt: skip
+        layout, floors = self.flat.layout, self.flat.floors
+        rect = Rect(*(int(v[number]) for v in (layout.start, layout.width, layout.height)))
+        rows = max(window[0], 0), min(window[1], rect.height)
+        cols = max(window[2], 0), min(window[3], rect.width)
+        footing = Footing(
+            self.flat.free, self.free_diagonally, floors.z, floors.max_step, self.cut_corners
+        )
+        find_moves(footing, rect, (*rows, *cols), self.graph.moves)
 
-    def route(self, origin: int, goals: NDArray[np.int64]) -> NDArray[np.int64] | None:
+    def route(self, origin: int, goals: Int) -> Int | None:
         """Find the cheapest route to the cheapest of several goals.
 
         Args:
@@ -122,29 +127,22 @@ class Search:
         Returns:
             Flat ids of the cells from the origin to the goal, shape (m,); None for no route.
         """
-        from navbake.runtime.kernels.route import NO_ROOM, find_route, goal_box, trace_route
+        from navbake.runtime.kernels.route import NO_ROOM, find_route, trace_route
 
-        walk = self.walk
-        box = goal_box(goals, walk.start, walk.width, walk.x_min, walk.y_max, walk.cell_size)
-        links = (walk.link_cell, walk.link_start, walk.link_target, self._link_length)
         while True:
             self._next_number()
             reached, _ = find_route(
-                origin, goals, box, self.moves, walk.weight, self.same_weight, self._least,
-                walk.start, walk.width, walk.cell_size, *links, *self._buckets, self._number,
-                self._mark, self._cost, self._link_from, self._entry_cell, self._entry_next,
-            )  # fmt: skip
+                self.graph, origin, goals, self._number, self._visits, self._entries
+            )
             if reached != NO_ROOM:
                 break
-            self._make_room(4 * len(self._entry_cell))
+            self._make_room(4 * len(self._entries.cell))
         if reached < 0:
             return None
-        cells: NDArray[np.int64] = trace_route(
-            reached, self._mark, walk.start, walk.width, walk.link_cell, self._link_from
-        )
+        cells: Int = trace_route(self.flat.layout, self.flat.links, self._visits, reached)
         return cells
 
-    def field(self, goals: NDArray[np.int64], *, weighted: bool = True) -> NDArray[np.float64]:
+    def field(self, goals: Int, *, weighted: bool = True) -> Float:
         """Find the cost of the cheapest route from every cell to the nearest of several goals.
 
         Args:
@@ -157,79 +155,66 @@ class Search:
         """
         from navbake.runtime.kernels.field import find_field
 
-        walk = self.walk
-        same, buckets = (
-            (self.same_weight, self._buckets) if weighted else (1.0, self._length_buckets)
-        )
+        graph = self.graph if weighted else self._lengths_only
         while True:
-            field = np.full(walk.num_cells, np.inf)
-            if find_field(
-                goals, self.moves, walk.weight, same, walk.start, walk.width, walk.cell_size,
-                walk.link_cell, walk.link_start, walk.link_target, self._link_length, *buckets,
-                field, self._entry_cell, self._entry_next,
-            ):  # fmt: skip
+            field = np.full(self.flat.num_cells, np.inf)
+            if find_field(graph, goals, field, self._entries):
                 return field
-            self._make_room(4 * len(self._entry_cell))
+            self._make_room(4 * len(self._entries.cell))
 
-    def lengths(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
+    def lengths(self, cells: Int) -> Float:
         """The lengths of the steps of a route [m], shape (len(cells) - 1,)."""
-        walk = self.walk
-        level, row, col = split_cells(walk, cells)
+        level, row, col = self.flat.split(cells)
         is_diagonal = (np.diff(row) != 0) & (np.diff(col) != 0)
-        length = walk.cell_size[level[1:]] * np.where(is_diagonal, math.sqrt(2.0), 1.0)
+        size = self.flat.layout.cell_size[level[1:]]
+        length: Float = size * np.where(is_diagonal, math.sqrt(2.0), 1.0)
         for i in np.flatnonzero(self.are_links(cells)):
             length[i] = self._length_of_link(cells[i], cells[i + 1])
-        return np.asarray(length)
+        return length
 
-    def are_links(self, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def are_links(self, cells: Int) -> Bool:
         """Which steps of a route lead to another level, or far, shape (len(cells) - 1,), bool."""
-        if not len(self.walk.link_cell):
+        if not len(self.flat.links.cell):
             return np.zeros(len(cells) - 1, dtype=np.bool_)
-        level, row, col = (np.diff(v) for v in split_cells(self.walk, cells))
+        level, row, col = (np.diff(v) for v in self.flat.split(cells))
         far = (np.abs(row) > 1) | (np.abs(col) > 1)
         return np.asarray((level != 0) | far)
 
     def _length_of_link(self, cell: int, target: int) -> float:
-        walk = self.walk
-        slot = int(np.searchsorted(walk.link_cell, cell))
-        first, last = walk.link_start[slot : slot + 2]
-        return float(self._link_length[first:last][walk.link_target[first:last] == target][0])
+        links = self.flat.links
+        slot = int(np.searchsorted(links.cell, cell))
+        first, last = links.start[slot : slot + 2]
+        return float(links.length[first:last][links.target[first:last] == target][0])
 
-    def _weigh(self, weights: NDArray[np.float64]) -> None:
-        """Look at the weights of free cells; what is blocked later takes none of this away."""
+    def _make_room(self, size: int) -> None:
+        from navbake.runtime.kernels.arrays import Entries  # saves numba at start-up
+
+        self._entries = Entries(np.empty(size, dtype=np.int32), np.empty(size, dtype=np.int32))
+
+    def _make_graph(self) -> None:
+        """The graph, still without moves; what is blocked later takes no weight out of it."""
+        from navbake.runtime.kernels.arrays import Graph  # saves numba at start-up
         from navbake.runtime.kernels.buckets import bucket_width
 
+        flat = self.flat
+        weights = flat.weight[flat.free]
         least, most = (float(weights.min()), float(weights.max())) if weights.size else (1.0, 1.0)
         if least < 0:
             raise QueryError(f"expected weights >= 0, got {least:g}: no path is the cheapest then")
-        self._least = least
-        self.same_weight = least if least == most else 0.0
-        size = float(self.walk.cell_size.min())
-        longest = float(self._link_length.max(initial=0.0))
-        self._buckets: tuple[float, int] = bucket_width(size, least, most, longest)
-        self._length_buckets: tuple[float, int] = bucket_width(size, 1.0, 1.0, longest)
+        size, longest = float(flat.layout.cell_size.min()), float(flat.links.length.max(initial=0))
+        moves = np.zeros(flat.num_cells, dtype=np.uint8)
+        same = least if least == most else 0.0
+        self.graph = Graph(
+            flat.layout, flat.links, moves, flat.weight, same, least,
+            *bucket_width(size, least, most, longest),
+        )  # fmt: skip
+        bucket, num_buckets = bucket_width(size, 1.0, 1.0, longest)
+        self._lengths_only = self.graph._replace(
+            same_weight=1.0, least_weight=1.0, bucket=bucket, num_buckets=num_buckets
+        )
 
     def _next_number(self) -> None:
         self._number += 1
         if self._number > LAST_SEARCH:
-            self._mark[:] = 0
+            self._visits.mark[:] = 0
             self._number = 1
-
-    def _make_room(self, size: int) -> None:
-        self._entry_cell = np.empty(size, dtype=np.int32)
-        self._entry_next = np.empty(size, dtype=np.int32)
-
-
-def link_lengths(walk: Walk) -> NDArray[np.float64]:
-    """How long each link is [m], shape (len(link_target),).
-
-    It is the octile distance between the centres of its cells, seen from above, and at least a
-    cell: between neighbours on one lattice, as navbake links them, exactly a cell.
-    """
-    source = np.repeat(walk.link_cell, np.diff(walk.link_start))
-    one, other = walk.positions(source), walk.positions(walk.link_target)
-    across, along = np.sort(np.abs(one - other)[:, :2], axis=1).T
-    size = np.minimum(
-        walk.cell_size[walk.level_of(source)], walk.cell_size[walk.level_of(walk.link_target)]
-    )
-    return np.asarray(np.maximum(along + (math.sqrt(2.0) - 1.0) * across, size))

@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.runtime.paths.search import Search
+from navbake.types import Float, Int
 
 SAME = 1e-9  # metres between two points that are one
 BEND = 1e-3  # metres that a line may be off the height of the floor in the middle of a cell
 
 
 def pull_route(
-    search: Search,
-    route: NDArray[np.int64],
-    *,
-    smooth: bool,
-    start: NDArray[np.float64] | None = None,
-    end: NDArray[np.float64] | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    search: Search, route: Int, *, smooth: bool, start: Float | None, end: Float | None
+) -> tuple[Float, Int]:
     """Lay a line along a route.
 
     It runs through the cells' centres or, if smooth, straight on wherever all cells that it
@@ -38,41 +31,31 @@ def pull_route(
     Returns:
         World x, y, z on the floor [m], shape (m, 3), and the level of each, shape (m,).
     """
+    from navbake.runtime.kernels.arrays import Line  # saves numba at start-up
     from navbake.runtime.kernels.string import lay_on_floor, pull_string
 
-    walk = search.walk
-    level = walk.level_of(route)
-    points = walk.positions(route)[:, :2]
+    flat = search.flat
+    level = flat.level_of(route)
+    points = np.ascontiguousarray(flat.positions(route)[:, :2])
     is_link = search.are_links(route)
-    place, space = _place(search), _space(search)
     if start is not None and _can_join(start, points[0], level[0], search):
         points, level = np.vstack([start, points]), np.append(level[0], level)
         is_link = np.append(False, is_link)
     if end is not None and _can_join(points[-1], end, level[-1], search):
         points, level = np.vstack([points, end]), np.append(level, level[-1])
         is_link = np.append(is_link, False)
+    line = Line(points, level, is_link)
     if smooth:
-        kept = np.empty(len(points), dtype=np.bool_)
-        pull_string(points, level, is_link, kept, *space, walk.weight, search.same_weight, *place)
-        is_link = is_link[np.flatnonzero(kept)[:-1]]
-        points, level = points[kept], level[kept]
-    positions, levels = lay_on_floor(points, level, is_link, walk.floor, walk.ground, *place, BEND)
+        kept = pull_string(line, search.graph, search.free_off_center)
+        line = Line(points[kept], level[kept], is_link[np.flatnonzero(kept)[:-1]])
+    positions, levels = lay_on_floor(line, flat.layout, flat.floors, BEND)
     return positions, levels
 
 
-def _can_join(a: NDArray[np.float64], b: NDArray[np.float64], level: int, search: Search) -> bool:
+def _can_join(a: Float, b: Float, level: int, search: Search) -> bool:
     """Whether two points are not the same, and a line between them stays free."""
     from navbake.runtime.kernels.string import can_pass
 
     if np.abs(a - b).max() <= SAME:
         return False
-    return bool(can_pass(a, b, level, *_space(search), *_place(search)))
-
-
-def _space(search: Search) -> tuple[Any, Any]:
-    return search.moves, search.roomy
-
-
-def _place(search: Search) -> tuple[Any, Any, Any, Any, Any, Any]:
-    walk = search.walk
-    return walk.start, walk.width, walk.height, walk.x_min, walk.y_max, walk.cell_size
+    return bool(can_pass(a, b, level, search.graph, search.free_off_center))

@@ -1,4 +1,4 @@
-"""The connected parts of a walk as it is now, and their areas."""
+"""The connected parts of a grid as it is now, and their areas."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import QueryError
+from navbake.types import Float, Int, Int32
 
 if TYPE_CHECKING:
-    from navbake.runtime.flat_grid import Walk
+    from navbake.runtime.flat_grid import FlatGrid
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +24,8 @@ class IslandMap:
         areas: of each island [m²], shape (num_islands + 1,), float64; 0 for number 0.
     """
 
-    number: NDArray[np.int32]
-    areas: NDArray[np.float64]
+    number: Int32
+    areas: Float
 
     @property
     def count(self) -> int:
@@ -43,39 +44,41 @@ class IslandMap:
         raise QueryError(f"no island {island!r}: there are {there_are}")
 
 
-def map_islands(walk: Walk, corners: NDArray[np.uint8] | None = None) -> IslandMap:
-    """Find the islands of a walk, by the rule of `navbake.navgrid.islands.find_islands`.
+def map_islands(flat: FlatGrid, corners: NDArray[np.uint8] | None = None) -> IslandMap:
+    """Find the islands of a grid, by the rule of `navbake.navgrid.islands.find_islands`.
 
     Args:
-        walk: the cells.
+        flat: the cells.
         corners: the moves of each cell, see `navbake.runtime.kernels.moves`, where corners may be
             cut: then diagonal ones join cells that nothing else does.
     """
-    from navbake.navgrid.kernels.islands import label_islands
+    from navbake.navgrid.kernels.islands import label_islands  # saves numba at start-up
 
-    source = np.repeat(walk.link_cell, np.diff(walk.link_start))
-    links = np.stack([source, walk.link_target], axis=1)
+    layout, floors = flat.layout, flat.floors
+    links = np.stack(flat.link_ends(), axis=1)
     if corners is not None:
-        links = np.concatenate([links, _over_corners(walk, corners)])
+        links = np.concatenate([links, _over_corners(flat, corners)])
     number, sizes = label_islands(
-        walk.start, walk.width, walk.free, walk.floor, walk.max_step, links
+        layout.start, layout.width, flat.free, floors.z, floors.max_step, links
     )
-    areas = sizes * walk.cell_size[0] ** 2
-    if len(set(walk.cell_size)) > 1:
+    # one size of cells on all levels is the rule; else each level's cells count by their own area
+    areas = sizes * layout.cell_size[0] ** 2
+    if len(set(layout.cell_size)) > 1:
         areas = np.zeros(len(sizes))
-        for level, size in enumerate(walk.cell_size):
-            of_level = number[walk.start[level] : walk.start[level + 1]]
+        for level, size in enumerate(layout.cell_size):
+            of_level = number[flat.cells_of(level)]
             areas += np.bincount(of_level, minlength=len(sizes)) * size**2
         areas[0] = 0.0
     return IslandMap(number, areas)
 
 
-def _over_corners(walk: Walk, moves: NDArray[np.uint8]) -> NDArray[np.int64]:
+def _over_corners(flat: FlatGrid, moves: NDArray[np.uint8]) -> Int:
     """The pairs of cells that a diagonal move joins, shape (n, 2)."""
     from navbake.runtime.kernels.moves import SOUTH_EAST, SOUTH_WEST
 
     pairs = []
     for bit, across in ((SOUTH_WEST, -1), (SOUTH_EAST, 1)):
         cells = np.flatnonzero(moves & bit)
-        pairs.append(np.stack([cells, cells + walk.width[walk.level_of(cells)] + across], axis=1))
+        width = flat.layout.width[flat.level_of(cells)]
+        pairs.append(np.stack([cells, cells + width + across], axis=1))
     return np.concatenate(pairs)

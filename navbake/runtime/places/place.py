@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
+from navbake.navgrid.block_state import BLOCKED
 from navbake.navgrid.cells import Cell, cell_at, cells_at
 from navbake.navgrid.islands import clearance, islands_of
 
@@ -48,24 +49,34 @@ class Place:
         level, row, col = self.cell
         return int(islands_of(self.grid)[level][row, col]) if self.free else None
 
+    @property
+    def is_blocked(self) -> bool:
+        """Whether `grid.block` blocks the cell now."""
+        level, row, col = self.cell
+        state = self.grid.levels[level].block_state
+        return state is not None and bool(state.held(self.grid.levels[level], BLOCKED)[row, col])
+
 
 def place_at(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Place | None:
-    """Tell what a grid holds at a position.
+    """Look up what a grid holds at a position.
 
     Args:
         grid: the grid.
-        position: world x, y, z [m]; x, y will do on one level.
-        level: which level; then z does not count.
+        position: world x, y, z [m]; x, y are enough on one level.
+        level: which level; then z is ignored.
 
     Returns:
-        None where `navbake.runtime.places.locate.cell_at` finds no cell.
+        None where `navbake.navgrid.cells.cell_at` finds no cell.
 
     Raises:
-        QueryError: there is no such level, or the position is none.
+        QueryError: there is no such level, or the position is not valid.
     """
     cell = cell_at(grid, position, level)
-    if cell is None:
-        return None
+    return None if cell is None else place_in(grid, cell)
+
+
+def place_in(grid: NavGrid, cell: Cell) -> Place:
+    """What a grid holds in one of its cells."""
     part, at = grid.levels[cell.level], (cell.row, cell.col)
     floor, weight = float(part.floor_height[at]), float(part.weights[at])
     free = math.isfinite(weight)
@@ -100,15 +111,15 @@ def values_at(
             ``weight`` (float64), ``room`` (its number on its level, uint16), ``island`` (int32),
             ``clearance`` ([m], float32, as `navbake.navgrid.islands.clearance`), or an attribute by
             the name it has in the file, as it stands there.
-        positions: world x, y, z [m], shape (..., 3); (..., 2) will do on one level.
-        level: which level all are on; then z does not count.
+        positions: world x, y, z [m], shape (..., 3); (..., 2) is enough on one level.
+        level: which level all are on; then z is ignored.
 
     Returns:
         Shape (...). Where there is no cell: NaN, False, 1, inf, 0, 0, 0; of an attribute NaN or
         0, as its dtype has it.
 
     Raises:
-        QueryError: there is no such layer or level, or a position is none.
+        QueryError: there is no such layer or level, or a position is not valid.
     """
     cells = cells_at(grid, positions, level)
     arrays, outside = _layer(grid, layer)

@@ -1,4 +1,4 @@
-"""The rooms of a grid by name, and the room of each cell of a walk."""
+"""The rooms of a grid by name, and the room of each cell."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class RoomMap:
     Attributes:
         scene_id: the grid's, for messages.
         rooms: entries of the grid's `rooms`; number n is ``rooms[n - 1]``.
-        number: of each cell, by flat id (see `navbake.runtime.flat_grid.Walk`), shape (n,), int32.
+        number: of each cell, by flat id, shape (n,), int32.
     """
 
     scene_id: str | None
@@ -99,9 +99,9 @@ def map_rooms(grid: NavGrid) -> RoomMap:
     for number, level in enumerate(grid.levels):
         index = level.room_index
         numbers = np.zeros(int(index.max(initial=0)) + 1, dtype=np.int32)
-        for place, room in enumerate(rooms, start=1):
+        for position, room in enumerate(rooms, start=1):
             if room.level == number and room.index < len(numbers):
-                numbers[room.index] = place
+                numbers[room.index] = position
         if ((numbers[index] == 0) & (index > 0)).any():
             for room in measure_rooms(level, number):
                 if not numbers[room.index]:

@@ -10,44 +10,29 @@ from numpy.typing import NDArray
 
 from navbake.errors import QueryError
 from navbake.navgrid.cells import check_level
-from navbake.runtime.places.sample import Number
+from navbake.runtime.places.checks import REAL
 from navbake.views.colors import FREE, NO_FLOOR, OCCUPIED, rgb_of
 
 if TYPE_CHECKING:
-    from navbake.runtime.flat_grid import Walk
+    from navbake.runtime.flat_grid import FlatGrid
 
 MAX_PIXELS = 1 << 28
 
 
 def draw_top_down(
-    walk: Walk, level: int, metres_per_pixel: float | None = None
+    flat: FlatGrid, level: int, metres_per_pixel: float | None = None
 ) -> NDArray[np.uint8]:
-    """Draw where on a level an agent can stand.
-
-    The first row is the largest y, the first column the smallest x, as in the grid's arrays.
-
-    Args:
-        walk: the grid.
-        level: which level, 0 is the lowest.
-        metres_per_pixel: [m], > 0; a pixel a cell unless given. A pixel shows the cell that its
-            middle is in.
-
-    Returns:
-        Red, green and blue, shape (rows, cols, 3), uint8, in the colours of ``navbake plot``:
-        free, blocked, no floor.
-
-    Raises:
-        QueryError: there is no such level, or the pixels are none or too many.
-    """
+    """`PathFinder.top_down`."""
     if level is None:
-        raise QueryError(f"expected a level, 0 to {walk.num_levels - 1}, got None")
-    check_level(level, walk.num_levels)
-    shape = int(walk.height[level]), int(walk.width[level])
-    cells = slice(int(walk.start[level]), int(walk.start[level + 1]))
-    kind = np.where(walk.free[cells], 0, np.where(np.isnan(walk.floor[cells]), 2, 1)).reshape(shape)
+        raise QueryError(f"expected a level, 0 to {flat.num_levels - 1}, got None")
+    check_level(level, flat.num_levels)
+    shape = int(flat.layout.height[level]), int(flat.layout.width[level])
+    cells = flat.cells_of(level)
+    has_floor = ~np.isnan(flat.floors.z[cells])
+    kind = np.where(flat.free[cells], 0, np.where(has_floor, 1, 2)).reshape(shape)
     if metres_per_pixel is not None:
-        cell = float(walk.cell_size[level])
-        is_number = isinstance(metres_per_pixel, Number)
+        cell = float(flat.layout.cell_size[level])
+        is_number = isinstance(metres_per_pixel, REAL)
         if not (is_number and 0 < metres_per_pixel < math.inf):
             raise QueryError(f"expected metres_per_pixel > 0, got {metres_per_pixel!r}")
         pixels = [math.ceil(n * cell / metres_per_pixel - 1e-6) for n in shape]

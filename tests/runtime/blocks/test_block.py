@@ -20,10 +20,10 @@ def open_level(size=30, **kwargs):
 def assert_same_as_fresh(finder, grid):
     """What a finder has followed equals what one finds that never saw another state."""
     fresh, search = Search(copy.deepcopy(grid)), finder.search
-    np.testing.assert_array_equal(search.walk.free, fresh.walk.free)
-    np.testing.assert_array_equal(search.walk.weight, fresh.walk.weight)
-    np.testing.assert_array_equal(search.moves, fresh.moves)
-    for goal in np.flatnonzero(fresh.walk.free)[:3]:
+    np.testing.assert_array_equal(search.flat.free, fresh.flat.free)
+    np.testing.assert_array_equal(search.flat.weight, fresh.flat.weight)
+    np.testing.assert_array_equal(search.graph.moves, fresh.graph.moves)
+    for goal in np.flatnonzero(fresh.flat.free)[:3]:
         np.testing.assert_allclose(
             search.field(np.array([goal])), fresh.field(np.array([goal])), rtol=1e-8, atol=1e-12
         )
@@ -53,12 +53,12 @@ def test_any_order_of_blocks_equals_a_fresh_grid(seed):
             x, y = rng.uniform(-0.5, 1.7), rng.uniform(-1.7, 0.5)
             blocks.append(grid.block(disc=((x, y, 0.0), rng.uniform(0, 0.3)), margin=0.1))
         held = np.concatenate([np.zeros(level.free.size, bool) for level in grid.levels])
-        start = finder.search.walk.start
+        start = finder.search.flat.layout.start
         for block in blocks:
             for k, cells in enumerate(block.cells):
                 held[start[k] + cells] = True
         expected = np.concatenate([level.free.ravel() for level in before.levels]) & ~held
-        np.testing.assert_array_equal(finder.search.walk.free, expected)
+        np.testing.assert_array_equal(finder.search.flat.free, expected)
         assert_same_as_fresh(finder, grid)
         for level in grid.levels:
             np.testing.assert_allclose(level.attributes["clearance"], clearance(level), atol=1e-6)
@@ -89,21 +89,22 @@ def test_inflated_grids_follow_too(seed):
     level.attributes["occupancy"] = (~free).astype(np.uint8)
     grid = level.inflate(0.15)
     finder = PathFinder(grid)
-    room = [finder.search.wide.copy(), finder.search.roomy.copy(), finder.search.moves.copy()]
+    search = finder.search
+    masks = (search.free_diagonally, search.free_off_center, search.graph.moves)
+    room = [mask.copy() for mask in masks]
     x, y = rng.uniform(0.5, 2.0), rng.uniform(-2.0, -0.5)
     block = grid.block(disc=((x, y), 0.2))
-    gap = np.hypot(*(finder.search.walk.positions(np.arange(625))[:, :2] - (x, y)).T)
-    assert (finder.search.walk.free == (room[0] * 0 + grid.free.ravel())).all()
-    assert not finder.search.walk.free[gap < 0.35 - 1e-9].any()
-    assert not finder.search.wide[gap < 0.2 + np.hypot(0.15, 0.1 / np.sqrt(2)) - 1e-9].any()
-    assert not finder.search.roomy[gap < 0.35 + 0.1 / np.sqrt(2) - 1e-9].any()
+    gap = np.hypot(*(finder.search.flat.positions(np.arange(625))[:, :2] - (x, y)).T)
+    assert (finder.search.flat.free == (room[0] * 0 + grid.free.ravel())).all()
+    assert not finder.search.flat.free[gap < 0.35 - 1e-9].any()
+    near = gap < 0.2 + np.hypot(0.15, 0.1 / np.sqrt(2)) - 1e-9
+    assert not finder.search.free_diagonally[near].any()
+    assert not finder.search.free_off_center[gap < 0.35 + 0.1 / np.sqrt(2) - 1e-9].any()
     block.free()
-    for now, then in zip(
-        (finder.search.wide, finder.search.roomy, finder.search.moves), room, strict=True
-    ):
-        # wide only matters where cells are free
+    for now, then in zip(masks, room, strict=True):
+        # room for a diagonal step only matters where cells are free
         if now.dtype == bool:
-            free_now = finder.search.walk.free
+            free_now = finder.search.flat.free
             now, then = now & free_now, then & free_now
         np.testing.assert_array_equal(now, then)
 
@@ -172,9 +173,9 @@ def test_a_block_of_one_level_is_seen_by_finders_of_all():
     grid = stack([open_level(5), open_level(5)], [])
     finder = PathFinder(grid)
     block = grid.levels[1].block(cells=Cells(*np.array([[0], [2], [3]])))
-    assert np.flatnonzero(~finder.search.walk.free).tolist() == [25 + 13]
+    assert np.flatnonzero(~finder.search.flat.free).tolist() == [25 + 13]
     block.free()
-    assert finder.search.walk.free.all()
+    assert finder.search.flat.free.all()
 
 
 def test_freeing_twice_is_freeing_once():

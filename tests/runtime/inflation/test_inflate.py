@@ -221,7 +221,7 @@ def test_doors_are_changed_before_not_after():
     door = {"id": "a", "state": "closed", "cells": {"closed": [[0, [0, 1]]], "open": []}}
     level.metadata["navbake"] = {"doors": [door]}
     assert level.with_doors("open").inflate(0.1)
-    with pytest.raises(QueryError, match="inflated with its doors as they were"):
+    with pytest.raises(QueryError, match="was inflated: change doors on the grid as it was baked"):
         level.inflate(0.1).with_doors("open")
 
 

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from navbake.runtime.kernels.moves import EAST, SOUTH, find_moves
+from navbake.runtime.kernels.arrays import Rect
+from navbake.runtime.kernels.moves import EAST, SOUTH, Footing, find_moves
 from navbake.runtime.kernels.sight import crossed_cells, is_walkable, line_cost
 
 WIDTH, HEIGHT = 9, 7
+RECT = Rect(first=0, width=WIDTH, height=HEIGHT)
 
 
 def touches(line, row, col):
@@ -37,12 +39,10 @@ def random_line(rng):
 def test_walkable_lines_touch_only_cells_that_hang_together(seed):
     rng = np.random.default_rng(seed)
     free = rng.random(WIDTH * HEIGHT) < rng.uniform(0.7, 1.0)
-    roomy = free & (rng.random(free.size) < 0.95)
+    anywhere = free & (rng.random(free.size) < 0.95)
     floor = rng.choice([0.0, 0.2, 0.4], free.size, p=[0.8, 0.1, 0.1])
     moves = np.zeros(free.size, np.uint8)
-    find_moves(
-        moves, 0, WIDTH, HEIGHT, 0, HEIGHT, 0, WIDTH, free, free, floor, 0.25, False
-    )  # fmt: skip
+    find_moves(Footing(free, free, floor, 0.25, False), RECT, (0, HEIGHT, 0, WIDTH), moves)
     answers = []
     for _ in range(40):
         line = random_line(rng)
@@ -56,11 +56,11 @@ def test_walkable_lines_touch_only_cells_that_hang_together(seed):
         expected = not outside
         for row, col in touched:
             here = row * WIDTH + col
-            expected &= bool(roomy[here])
+            expected &= bool(anywhere[here])
             for other, way in (((row, col + 1), EAST), ((row + 1, col), SOUTH)):
                 if other in touched and free[here]:
                     expected &= bool(moves[here] & way)
-        found = is_walkable(*line, moves, roomy, 0, WIDTH, HEIGHT)
+        found = is_walkable(line[:2], line[2:], RECT, moves, anywhere)
         assert found == expected, line
         answers.append(found)
     assert seed > 0 or True in answers
@@ -78,7 +78,7 @@ def test_costs_of_lines_are_those_of_their_parts(seed):
     u, v = u0 + t * (u1 - u0), v0 + t * (v1 - v0)
     parts = weight[np.floor(v).astype(int) * WIDTH + np.floor(u).astype(int)]
     expected = parts.mean() * np.hypot(u1 - u0, v1 - v0)
-    found = line_cost(u0, v0, u1, v1, weight, 0, WIDTH, HEIGHT)
+    found = line_cost((u0, v0), (u1, v1), RECT, weight)
     assert found == pytest.approx(expected, abs=5e-3)
 
 
@@ -88,7 +88,7 @@ def test_crossed_cells_follow_one_another(seed):
     ends = rng.uniform(0.01, [WIDTH - 0.01, HEIGHT - 0.01], (2, 2))
     if seed % 2:
         ends = np.floor(ends) + 0.5
-    cells, enter = crossed_cells(*ends[0], *ends[1], WIDTH, HEIGHT)
+    cells, enter = crossed_cells(tuple(ends[0]), tuple(ends[1]), RECT)
     rows, cols = np.divmod(cells, WIDTH)
     assert (rows[0], cols[0]) == tuple(np.floor(ends[0][::-1]))
     assert (rows[-1], cols[-1]) == tuple(np.floor(ends[1][::-1]))

@@ -19,7 +19,7 @@ def assert_is_route(route, origin, goals, graph):
 
 
 def cost_of(route, search):
-    return float((search.lengths(route) * search.walk.weight[route[1:]]).sum())
+    return float((search.lengths(route) * search.flat.weight[route[1:]]).sum())
 
 
 @pytest.mark.parametrize("cut_corners", [False, True])
@@ -28,7 +28,7 @@ def test_routes_and_fields_equal_scipy(seed, cut_corners):
     rng = np.random.default_rng(seed)
     grid = random_grid(rng, weighted=seed % 4 > 0)
     search = Search(grid, cut_corners=cut_corners)
-    free = np.flatnonzero(search.walk.free)
+    free = np.flatnonzero(search.flat.free)
     if not len(free):
         return
     graph = step_graph(grid, cut_corners=cut_corners)
@@ -43,7 +43,7 @@ def test_routes_and_fields_equal_scipy(seed, cut_corners):
             assert_is_route(route, origin, goals, graph)
             assert cost_of(route, search) == pytest.approx(expected, rel=1e-8, abs=1e-12)
     field = search.field(goals)
-    assert np.isinf(field[~search.walk.free]).all()
+    assert np.isinf(field[~search.flat.free]).all()
     np.testing.assert_allclose(field[free], exact[:, goals].min(axis=1), rtol=1e-8, atol=1e-12)
 
 
@@ -52,7 +52,7 @@ def test_fields_of_lengths_leave_weights_out(seed):
     rng = np.random.default_rng(seed)
     grid = random_grid(rng)
     search = Search(grid)
-    free = np.flatnonzero(search.walk.free)
+    free = np.flatnonzero(search.flat.free)
     for level in grid.levels:
         level.weights[level.free] = 1.0
     goals = rng.choice(free, 1)

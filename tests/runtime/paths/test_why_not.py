@@ -171,8 +171,8 @@ def test_closed_doors_are_named(house):
 def test_rooms_and_objects_without_a_free_cell(house):
     grid = house.inflate(1.0)
     finder = PathFinder(grid)
-    free = np.flatnonzero(finder.search.walk.free)
-    start = finder.search.walk.positions(free[0])
+    free = np.flatnonzero(finder.search.flat.free)
+    start = finder.search.flat.positions(free[0])
     reasons = [finder.why_not(start, f"room:{room.id}") for room in house.rooms]
     assert any(r and "no cell of room" in r and "radius of 1 m" in r for r in reasons)
 

@@ -8,8 +8,7 @@ import pytest
 from navbake.errors import QueryError
 from navbake.navgrid.cells import Cell, Cells, cell_at, cells_at, position_of
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
-from navbake.runtime.flat_grid import make_walk
-from navbake.runtime.places.locate import flat_cell, flat_cells, split_cell, split_cells
+from navbake.runtime.flat_grid import flatten
 
 
 def make_level(floor, x=0.0, y_max=0.0, ground=0.0, cell_size=0.5, stated=True, **fields):
@@ -55,9 +54,9 @@ def make_house(**fields):
 def test_the_level_is_that_of_the_nearest_floor_below(position, expected):
     house = make_house()
     assert cell_at(house, position) == expected
-    walk = make_walk(house)
-    flat = flat_cell(walk, position)
-    assert (flat is None and expected is None) or split_cell(walk, flat) == expected
+    flat = flatten(house)
+    cell = flat.cell_at(position)
+    assert (cell is None and expected is None) or flat.cell(cell) == expected
 
 
 def test_boxes_do_not_decide():
@@ -96,21 +95,21 @@ def test_files_without_floor_heights_stand_on_their_ground_in_walls_too():
     for level in house.levels:
         del level.attributes["floorHeight"]
     assert cell_at(house, (0.6, 0.9, 2.6)) == (1, 0, 3)  # blocked on the upper level
-    walk = make_walk(house)
-    assert split_cell(walk, flat_cell(walk, (0.6, 0.9, 2.6))) == (1, 0, 3)
+    flat = flatten(house)
+    assert flat.cell(flat.cell_at((0.6, 0.9, 2.6))) == (1, 0, 3)
     np.testing.assert_allclose(position_of(house, Cell(1, 0, 3)), (0.75, 0.75, 2.5))
 
 
 def test_positions_and_cells_are_each_others_inverse():
     house = make_house()
-    walk = make_walk(house)
-    flat = np.flatnonzero(walk.free)
-    cells = split_cells(walk, flat)
+    flat = flatten(house)
+    ids = np.flatnonzero(flat.free)
+    cells = flat.split(ids)
     positions = house.position_of(cells)
-    np.testing.assert_array_equal(positions, walk.positions(flat))
+    np.testing.assert_array_equal(positions, flat.positions(ids))
     for found, expected in zip(house.cells_at(positions), cells, strict=True):
         np.testing.assert_array_equal(found, expected)
-    np.testing.assert_array_equal(flat_cells(walk, positions), flat)
+    np.testing.assert_array_equal(flat.cells_at(positions), ids)
     one = Cell(*(int(v[3]) for v in cells))
     np.testing.assert_array_equal(house.position_of(one), positions[3])
 
@@ -129,8 +128,8 @@ def test_many_equal_one_by_one_on_random_grids_that_are_not_square(seed):
     grid = MultiLevelGrid(grids=levels, cell_size=0.25, metadata=metadata)
     positions = rng.uniform((-3, -5, -1), (5, 3, 9), size=(2000, 3))
     many = cells_at(grid, positions)
-    walk = make_walk(grid)
-    for fast, slow in zip(split_cells(walk, flat_cells(walk, positions)), many, strict=True):
+    flat = flatten(grid)
+    for fast, slow in zip(flat.split(flat.cells_at(positions)), many, strict=True):
         np.testing.assert_array_equal(fast, slow)
     for i in range(0, 2000, 10):
         one = cell_at(grid, positions[i])
@@ -160,10 +159,10 @@ def test_shapes_are_kept():
     house = make_house()
     assert cells_at(house, np.zeros((2, 3, 3))).level.shape == (2, 3)
     assert cells_at(house, np.zeros((0, 3))).row.shape == (0,)
-    assert flat_cells(make_walk(house), np.zeros((2, 3, 3))).shape == (2, 3)
+    assert flatten(house).cells_at(np.zeros((2, 3, 3))).shape == (2, 3)
 
 
-@pytest.mark.parametrize("ask", [cell_at, lambda g, *a: flat_cell(make_walk(g), *a)])
+@pytest.mark.parametrize("ask", [cell_at, lambda g, *a: flatten(g).cell_at(*a)])
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

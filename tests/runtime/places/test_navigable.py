@@ -8,14 +8,14 @@ import pytest
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
 from navbake.navgrid.cells import Cell, cell_at
-from navbake.runtime.place_finder import PlaceFinder
+from navbake.runtime.path_finder import PathFinder
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_many_as_one_by_one_by_the_rule(seed):
     rng = np.random.default_rng(seed)
     house = random_house(rng, num_levels=1 + seed % 3, share=0.7)
-    finder = PlaceFinder(house)
+    finder = PathFinder(house)
     positions = rng.uniform((-1.5, -2, -1), (3, 3, 6), size=(1500, 3))
     found = finder.are_navigable(positions)
     assert found.dtype == np.bool_ and found.any() and not found.all()
@@ -38,7 +38,7 @@ def test_many_as_one_by_one_by_the_rule(seed):
 
 
 def test_more_than_a_block_and_any_shape_and_dtype():
-    finder = PlaceFinder(level_from(".#" * 10))
+    finder = PathFinder(level_from(".#" * 10))
     x = np.tile(np.arange(20) * 0.1 + 0.05, 100)
     positions = np.stack([x, np.full(2000, -0.05), np.zeros(2000)], axis=1)
     expected = np.tile([True, False], 1000)
@@ -54,7 +54,7 @@ def test_more_than_a_block_and_any_shape_and_dtype():
 def test_free_cells_without_floor_stand_on_the_ground():
     level = level_from("..", ground=1.0)
     level.floor_height[0, 1] = np.nan
-    finder = PlaceFinder(level)
+    finder = PathFinder(level)
     assert finder.is_navigable((0.15, -0.05, 1.0))
     assert finder.is_navigable((0.15, -0.05, 1.45))
     assert not finder.is_navigable((0.15, -0.05, 1.6))
@@ -63,7 +63,7 @@ def test_free_cells_without_floor_stand_on_the_ground():
 
 
 def test_live_obstacles_count():
-    finder = PlaceFinder(level_from("..."))
+    finder = PathFinder(level_from("..."))
     finder.grid.block(cells=Cell(0, 0, 1))
     assert finder.are_navigable([[0.05, -0.05], [0.15, -0.05]]).tolist() == [True, False]
 
@@ -72,7 +72,7 @@ def test_files_without_floors_and_occupancy():
     house = house_from([level_from(".#", floors=False), level_from("#.", ground=2.0, floors=False)])
     for level in house.levels:
         del level.attributes["occupancy"]
-    finder = PlaceFinder(house)
+    finder = PathFinder(house)
     below = finder.are_navigable([[0.05, -0.05, 0.0], [0.15, -0.05, 0.0]])
     above = finder.are_navigable([[0.05, -0.05, 2.0], [0.15, -0.05, 2.0]])
     assert (below.tolist(), above.tolist()) == ([True, False], [False, True])
@@ -84,9 +84,9 @@ def test_a_position_that_is_none_is_named(at, value):
     positions = np.zeros((1500, 3))
     positions[at] = 1.0, value, 2.0
     with pytest.raises(QueryError, match=rf"finite numbers, got 1, {value}, 2"):
-        PlaceFinder(level_from("..")).are_navigable(positions)
+        PathFinder(level_from("..")).are_navigable(positions)
 
 
 def test_many_for_one_are_refused():
     with pytest.raises(QueryError, match="expected one position"):
-        PlaceFinder(level_from("..")).is_navigable(np.zeros((2, 3)))
+        PathFinder(level_from("..")).is_navigable(np.zeros((2, 3)))

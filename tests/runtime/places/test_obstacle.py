@@ -11,7 +11,7 @@ import navbake
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
 from navbake.navgrid.cells import Cell
-from navbake.runtime.place_finder import PlaceFinder
+from navbake.runtime.path_finder import PathFinder
 from project_paths import GOLDEN
 
 
@@ -19,7 +19,7 @@ from project_paths import GOLDEN
 def test_as_all_squares_say(seed):
     rng = np.random.default_rng(seed)
     house = random_house(rng, num_levels=1 + seed % 2, share=[0.5, 0.95, 0.995][seed % 3])
-    finder = PlaceFinder(house)
+    finder = PathFinder(house)
     for number, level in enumerate(house.levels):
         x0, y0, x1, y1 = level.lattice.bounds
         rows, cols = np.nonzero(level.occupancy)
@@ -42,7 +42,7 @@ def test_as_all_squares_say(seed):
 
 
 def test_point_and_distance():
-    finder = PlaceFinder(level_from("......\n....#.\n......"))
+    finder = PathFinder(level_from("......\n....#.\n......"))
     found = finder.nearest_obstacle((0.05, -0.12, 0.0))
     assert found.distance == pytest.approx(0.35)
     np.testing.assert_allclose(found.position, (0.4, -0.12, 0.0))
@@ -50,7 +50,7 @@ def test_point_and_distance():
 
 
 def test_a_larger_radius_moves_no_obstacle_and_live_ones_count():
-    finder = PlaceFinder(level_from(".+++#..."))
+    finder = PathFinder(level_from(".+++#..."))
     assert finder.clearance((0.05, -0.05)) == pytest.approx(0.35)
     with finder.grid.block(cells=Cell(0, 0, 7)):
         assert finder.clearance((0.65, -0.05)) == pytest.approx(0.05)
@@ -62,16 +62,16 @@ def test_where_another_level_goes_on_there_is_no_obstacle():
     lower.floor_height[0, :4] = (0.0, 0.25, 0.5, 0.75)
     lower.floor_height[0, 4:] = np.nan
     upper = level_from("    ....#", ground=1.0)
-    finder = PlaceFinder(house_from([lower, upper], [((0, 0, 3), (1, 0, 4))]))
+    finder = PathFinder(house_from([lower, upper], [((0, 0, 3), (1, 0, 4))]))
     assert finder.clearance((0.35, -0.05, 0.75), max_distance=5.0) == 5.0
     assert finder.clearance((0.45, -0.05, 1.0)) == pytest.approx(0.35)
     lower.floor_height[0, 4] = 1.0  # a wall on the floor that one stands on stays one
-    finder = PlaceFinder(house_from([lower, upper]))
+    finder = PathFinder(house_from([lower, upper]))
     assert finder.clearance((0.35, -0.05, 0.75)) == pytest.approx(0.05)
     lower.floor_height[0, 4] = np.nan
     upper.occupancy[0, 4] = 1  # now the wall of the upper level is in the way
     upper.weights[0, 4] = np.inf
-    finder = PlaceFinder(house_from([lower, upper]))
+    finder = PathFinder(house_from([lower, upper]))
     assert finder.clearance((0.35, -0.05, 0.75)) == pytest.approx(0.05)
 
 
@@ -79,14 +79,14 @@ def test_where_another_level_goes_on_there_is_no_obstacle():
 def test_no_obstacle_is_nearer_to_a_free_center_than_the_radius(name):
     grid = navbake.load(GOLDEN / f"{name}.grid.json.gz")
     for radius in (0.12, 0.3):
-        finder = PlaceFinder(grid.inflate(radius))
-        walk = finder.search.walk
-        for position in walk.positions(np.flatnonzero(walk.free)[::5]):
+        finder = PathFinder(grid.inflate(radius))
+        flat = finder.search.flat
+        for position in flat.positions(np.flatnonzero(flat.free)[::5]):
             assert finder.clearance(position) >= radius - 1e-9
 
 
 def test_beside_the_grid_there_is_no_answer():
-    finder = PlaceFinder(level_from("..#"))
+    finder = PathFinder(level_from("..#"))
     with pytest.raises(QueryError, match="9, 0, 0 lies beside the grid"):
         finder.clearance((9.0, 0.0, 0.0))
     with pytest.raises(QueryError, match="max_distance >= 0"):

@@ -11,21 +11,21 @@ import navbake.runtime.places.snap
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
 from navbake.navgrid.cells import Cells
-from navbake.runtime.place_finder import PlaceFinder
+from navbake.runtime.path_finder import PathFinder
 
 
 def random_finder(seed, **options):
     rng = np.random.default_rng(seed)
-    return rng, PlaceFinder(random_house(rng, **options))
+    return rng, PathFinder(random_house(rng, **options))
 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_the_nearest_of_all_free_cells(seed):
     rng, finder = random_finder(seed, num_levels=1 + seed % 3, share=rng_share(seed))
-    walk = finder.search.walk
-    free = np.flatnonzero(walk.free)
-    centers = walk.positions(free)
-    levels = walk.level_of(free)
+    flat = finder.search.flat
+    free = np.flatnonzero(flat.free)
+    centers = flat.positions(free)
+    levels = flat.level_of(free)
     for position in rng.uniform((-1.5, -2, -1), (4, 4, 6), size=(150, 3)):
         home = finder.cell_at(position)
         snapped = finder.snap(position)
@@ -57,18 +57,18 @@ def rng_share(seed):
 
 @pytest.mark.parametrize("distance", [10.0, 1e4, 1e9])
 def test_from_far_away(distance):
-    finder = PlaceFinder(level_from("#....#\n######\n..####"))
+    finder = PathFinder(level_from("#....#\n######\n..####"))
     assert finder.snap((distance, 0.05, 0.0))[0] == pytest.approx(0.45)
     assert finder.snap((-distance, -0.25, 0.0))[0] == pytest.approx(0.05)
 
 
 def test_from_farther_than_squares_can_hold():
-    finder = PlaceFinder(level_from("...."))
+    finder = PathFinder(level_from("...."))
     assert finder.is_navigable(finder.snap((1e200, 0.05, 0.0)))
 
 
 def test_not_onto_furniture():
-    finder = PlaceFinder(level_from("......\n.###..\n.###..\n......"))
+    finder = PathFinder(level_from("......\n.###..\n.###..\n......"))
     snapped = finder.snap((0.2, -0.17, 0.74))  # on the table
     assert finder.is_navigable(snapped)
     assert snapped[2] == 0.0
@@ -78,7 +78,7 @@ def two_storeys():
     """A void in the lower storey, right under free floor of the upper one."""
     lower = level_from("#######\n#####..\n#######")
     upper = level_from(".......\n.......\n.......", ground=0.6)
-    return PlaceFinder(house_from([lower, upper]))
+    return PathFinder(house_from([lower, upper]))
 
 
 def test_not_onto_the_wrong_storey():
@@ -103,7 +103,7 @@ def two_rooms(text):
     index = np.zeros(level.shape, dtype=np.uint16)
     index[1:-1, 1:5], index[1:-1, 6:-1] = 1, 2
     level.attributes["roomIndex"] = index
-    return PlaceFinder(house_from([level], rooms=ROOMS))
+    return PathFinder(house_from([level], rooms=ROOMS))
 
 
 def test_not_through_a_wall():
@@ -121,7 +121,7 @@ def test_not_through_a_wall():
 
 
 def test_in_sight_without_rooms_comes_out_of_what_it_is_in_and_into_nothing_else():
-    finder = PlaceFinder(level_from("##+#+..."))
+    finder = PathFinder(level_from("##+#+..."))
     assert finder.snap((0.05, -0.05))[0] == pytest.approx(0.55)
     assert finder.snap((0.05, -0.05), in_sight=True) is None
     assert finder.snap((0.35, -0.05), in_sight=True)[0] == pytest.approx(0.55)
@@ -129,7 +129,7 @@ def test_in_sight_without_rooms_comes_out_of_what_it_is_in_and_into_nothing_else
 
 
 def test_what_a_larger_radius_takes_does_not_hide():
-    finder = PlaceFinder(level_from(".+++++."))
+    finder = PathFinder(level_from(".+++++."))
     np.testing.assert_allclose(finder.snap((0.25, -0.05), in_sight=True), (0.05, -0.05, 0.0))
 
 
@@ -137,13 +137,13 @@ def test_what_a_larger_radius_takes_does_not_hide():
 def test_in_sight_is_the_nearest_of_those_that_dense_samples_see(seed, monkeypatch):
     monkeypatch.setattr(navbake.runtime.places.snap, "FIRST_LOOK", 0.06)  # so that it looks again
     rng, finder = random_finder(seed, num_levels=1, share=0.6)
-    walk, occupied = finder.search.walk, finder.occupied
-    free = np.flatnonzero(walk.free)
-    for cell in rng.choice(np.flatnonzero(~walk.free & ~occupied), size=20):
-        position = walk.positions(cell) + np.append(rng.uniform(-0.03, 0.03, size=2), 0)
+    flat, occupied = finder.search.flat, finder.occupied
+    free = np.flatnonzero(flat.free)
+    for cell in rng.choice(np.flatnonzero(~flat.free & ~occupied), size=20):
+        position = flat.positions(cell) + np.append(rng.uniform(-0.03, 0.03, size=2), 0)
         seen = [
             math.dist(p[:2], position[:2])
-            for p in walk.positions(free)
+            for p in flat.positions(free)
             if finder.line_of_sight(position, p, level=0)
         ]
         found = finder.snap(position, in_sight=True)
@@ -155,7 +155,7 @@ def test_in_sight_is_the_nearest_of_those_that_dense_samples_see(seed, monkeypat
 def test_cells_without_floor_are_at_the_ground():
     lower, upper = level_from("#."), level_from("..", ground=2.0)
     lower.floor_height[0, 1] = np.nan
-    finder = PlaceFinder(house_from([lower, upper]))
+    finder = PathFinder(house_from([lower, upper]))
     np.testing.assert_allclose(
         finder.snap((0.05, -0.05, 0.1), same_level=False), (0.15, -0.05, 0.0)
     )
@@ -164,13 +164,13 @@ def test_cells_without_floor_are_at_the_ground():
 def test_a_place_in_something_is_not_in_sight():
     level = level_from("##")
     level.weights[0, 1] = 10.0  # as in others' files
-    finder = PlaceFinder(level)
+    finder = PathFinder(level)
     assert finder.snap((0.05, -0.05), in_sight=True) is None
     assert finder.snap((0.05, -0.05)) is not None
 
 
 def test_onto_an_island():
-    finder = PlaceFinder(level_from("....#.#"))
+    finder = PathFinder(level_from("....#.#"))
     assert finder.snap((0.55, -0.05), island=1)[0] == pytest.approx(0.35)
     assert finder.snap((0.05, -0.05), island=2)[0] == pytest.approx(0.55)
     with pytest.raises(QueryError, match="no island 3: there are 1 to 2, 1 the largest"):
@@ -178,20 +178,20 @@ def test_onto_an_island():
 
 
 def test_live_obstacles_count():
-    finder = PlaceFinder(level_from("....."))
+    finder = PathFinder(level_from("....."))
     finder.grid.block(cells=Cells(0, 0, np.arange(2)))
     assert finder.snap((0.05, -0.05))[0] == pytest.approx(0.25)
     assert finder.snap((0.05, -0.05), in_sight=True)[0] == pytest.approx(0.25)
 
 
 def test_nothing_free_is_none():
-    assert PlaceFinder(level_from("###")).snap((0.05, -0.05)) is None
+    assert PathFinder(level_from("###")).snap((0.05, -0.05)) is None
 
 
 def test_files_without_floors_and_occupancy():
     level = level_from("##..", floors=False)
     del level.attributes["occupancy"]
-    finder = PlaceFinder(level)
+    finder = PathFinder(level)
     np.testing.assert_allclose(finder.snap((0.05, -0.05, 0.3)), (0.25, -0.05, 0.0))
     assert finder.snap((0.05, -0.05), in_sight=True)[0] == pytest.approx(0.25)
 

@@ -10,13 +10,12 @@ import pytest
 
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
-from navbake.runtime.flat_grid import make_walk
-from navbake.runtime.places.locate import flat_cell, flat_cells
+from navbake.runtime.flat_grid import flatten
 from navbake.runtime.places.step import try_step
 
 
 def step(grid, start, end, **options):
-    return try_step(make_walk(grid), start, end, **options)
+    return try_step(flatten(grid), start, end, **options)
 
 
 def test_a_free_way_is_walked_to_its_end():
@@ -99,95 +98,96 @@ def test_steps_on_random_houses(seed):
     """Never off free cells; straight ones as dense samples say; sliding ends no farther away."""
     rng = np.random.default_rng(seed)
     house = random_house(rng, num_levels=1 + seed % 3, share=rng.uniform(0.5, 0.95))
-    walk = make_walk(house)
-    cells = rng.choice(np.flatnonzero(walk.free), size=60)
+    flat = flatten(house)
+    cells = rng.choice(np.flatnonzero(flat.free), size=60)
     for cell in cells:
-        start = walk.positions(cell) + np.append(rng.uniform(-0.049, 0.049, size=2), 0.0)
+        start = flat.positions(cell) + np.append(rng.uniform(-0.049, 0.049, size=2), 0.0)
         end = start[:2] + rng.normal(size=2) * rng.choice([0.05, 0.3, 1.0])
-        straight = try_step(walk, start, end, slide=False)
-        slid = try_step(walk, start, end)
+        straight = try_step(flat, start, end, slide=False)
+        slid = try_step(flat, start, end)
         for found in (straight, slid):
-            there = flat_cell(walk, found)
-            assert walk.free[there]
-            assert found[2] == pytest.approx(walk.positions(np.array(there))[2])
+            there = flat.cell_at(found)
+            assert flat.free[there]
+            assert found[2] == pytest.approx(flat.positions(np.array(there))[2])
             assert math.dist(found[:2], start[:2]) <= math.dist(end, start[:2]) + 1e-6
         assert math.dist(slid[:2], end) <= math.dist(straight[:2], end) + 1e-6
-        np.testing.assert_allclose(straight[:2], plain_straight(walk, cell, start, end), atol=2e-4)
-        assert way_between(walk, int(cell), flat_cell(walk, slid), math.dist(end, start[:2]))
+        np.testing.assert_allclose(straight[:2], plain_straight(flat, cell, start, end), atol=2e-4)
+        assert way_between(flat, int(cell), flat.cell_at(slid), math.dist(end, start[:2]))
 
 
-def plain_straight(walk, cell, start, end, samples=20000):
+def plain_straight(flat, cell, start, end, samples=20000):
     """The last of many points on the way that cells still let one reach."""
     points = start[:2] + np.linspace(0, 1, samples)[:, None] * (end - start[:2])
     cell = int(cell)
-    corner = walk.positions(np.array(cell))[:2] - 0.05
+    corner = flat.positions(np.array(cell))[:2] - 0.05
     at = np.floor((points - corner) / 0.1).astype(int)
     for i in np.flatnonzero((at[1:] != at[:-1]).any(axis=1)):
         right, up = at[i + 1] - at[i]
-        following = plain_neighbours(walk, cell).get((right, -up))
+        following = plain_neighbours(flat, cell).get((right, -up))
         if following is None:
             return points[i]
         cell = following
     return points[-1]
 
 
-def plain_neighbours(walk, cell):
+def plain_neighbours(flat, cell):
     """Cells over the edges of a cell by (columns to the right, rows down)."""
-    level = int(walk.level_of(np.array(cell)))
-    row, col = divmod(cell - int(walk.start[level]), int(walk.width[level]))
+    level = int(flat.level_of(np.array(cell)))
+    row, col = divmod(cell - int(flat.layout.start[level]), int(flat.layout.width[level]))
     found = {}
-    slot = np.flatnonzero(walk.link_cell == cell)
+    slot = np.flatnonzero(flat.links.cell == cell)
     if len(slot):
-        here = walk.positions(np.array(cell))
-        for other in walk.link_target[walk.link_start[slot[0]] : walk.link_start[slot[0] + 1]]:
-            if walk.free[other]:
-                offset = np.round((walk.positions(other) - here)[:2] / 0.1 * [1, -1])
+        here = flat.positions(np.array(cell))
+        for other in flat.links.target[flat.links.start[slot[0]] : flat.links.start[slot[0] + 1]]:
+            if flat.free[other]:
+                offset = np.round((flat.positions(other) - here)[:2] / 0.1 * [1, -1])
                 found[tuple(offset.astype(int))] = int(other)
     for right, down in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        inside = 0 <= row + down < walk.height[level] and 0 <= col + right < walk.width[level]
-        other = cell + down * int(walk.width[level]) + right
-        if inside and walk.free[other] and abs(walk.floor[other] - walk.floor[cell]) <= 0.2501:
+        height, width = int(flat.layout.height[level]), int(flat.layout.width[level])
+        inside = 0 <= row + down < height and 0 <= col + right < width
+        other, z = cell + down * width + right, flat.floors.z
+        if inside and flat.free[other] and abs(z[other] - z[cell]) <= 0.2501:
             found[(right, down)] = other
     return found
 
 
-def way_between(walk, start, goal, length):
+def way_between(flat, start, goal, length):
     """Whether a walk over edges leads there within a window that the step can reach."""
     seen, queue = {start}, [start]
-    origin = walk.positions(np.array(start))[:2]
+    origin = flat.positions(np.array(start))[:2]
     while queue:
         cell = queue.pop()
         if cell == goal:
             return True
-        for other in plain_neighbours(walk, cell).values():
-            near = math.dist(walk.positions(np.array(other))[:2], origin) <= 2 * length + 0.5
+        for other in plain_neighbours(flat, cell).values():
+            near = math.dist(flat.positions(np.array(other))[:2], origin) <= 2 * length + 0.5
             if other not in seen and near:
                 seen.add(other)
                 queue.append(other)
     return False
 
 
-def plain_slide(walk, start, stopped, end):
+def plain_slide(flat, start, stopped, end):
     """How near to the end a short walk on from where the straight one stopped can get."""
     left = math.dist(stopped[:2], end)
     limit = 1.09 * left + 0.15
-    home = flat_cell(walk, stopped)
+    home = flat.cell_at(stopped)
     length, queue, nearest = {home: 0.0}, [(0.0, home)], math.inf
     while queue:
         here, cell = heapq.heappop(queue)
         if here > length[cell]:
             continue
-        middle = walk.positions(np.array(cell))[:2]
+        middle = flat.positions(np.array(cell))[:2]
         point = np.clip(end, middle - 0.05, middle + 0.05)
         if math.dist(point, stopped[:2]) <= left + 1e-6:
             nearest = min(nearest, math.dist(point, end))
-        around = plain_neighbours(walk, cell)
+        around = plain_neighbours(flat, cell)
         ways = [(other, 0.1) for other in around.values()]
         for one in ((1, 0), (-1, 0)):
             for other in ((0, 1), (0, -1)):
                 if one in around and other in around:
-                    a = plain_neighbours(walk, around[one]).get(other)
-                    b = plain_neighbours(walk, around[other]).get(one)
+                    a = plain_neighbours(flat, around[one]).get(other)
+                    b = plain_neighbours(flat, around[other]).get(one)
                     if a is not None and a == b:
                         ways.append((a, 0.1 * math.sqrt(2)))
         for other, step in ways:
@@ -201,24 +201,24 @@ def plain_slide(walk, start, stopped, end):
 @pytest.mark.parametrize("seed", range(8))
 def test_sliding_gets_as_near_as_a_short_walk_can(seed):
     rng = np.random.default_rng(100 + seed)
-    walk = make_walk(random_house(rng, num_levels=1 + seed % 2, share=0.75, size=(12, 18)))
+    flat = flatten(random_house(rng, num_levels=1 + seed % 2, share=0.75, size=(12, 18)))
     slid_on = 0
-    for cell in rng.choice(np.flatnonzero(walk.free), size=40):
-        start = walk.positions(cell) + np.append(rng.uniform(-0.049, 0.049, size=2), 0.0)
+    for cell in rng.choice(np.flatnonzero(flat.free), size=40):
+        start = flat.positions(cell) + np.append(rng.uniform(-0.049, 0.049, size=2), 0.0)
         end = start[:2] + rng.normal(size=2) * rng.choice([0.1, 0.4])
-        stopped = try_step(walk, start, end, slide=False)
+        stopped = try_step(flat, start, end, slide=False)
         if math.dist(stopped[:2], end) < 1e-5:
             continue
-        found = math.dist(try_step(walk, start, end)[:2], end)
-        assert found == pytest.approx(plain_slide(walk, start, stopped, end), abs=1e-5)
+        found = math.dist(try_step(flat, start, end)[:2], end)
+        assert found == pytest.approx(plain_slide(flat, start, stopped, end), abs=1e-5)
         slid_on += found < math.dist(stopped[:2], end) - 1e-3
     assert slid_on > 3
 
 
 def test_live_obstacles_count():
-    walk = make_walk(level_from("....."))
-    walk.free[2] = False
-    assert try_step(walk, (0.05, -0.05), (0.45, -0.05))[0] < 0.2
+    flat = flatten(level_from("....."))
+    flat.free[2] = False
+    assert try_step(flat, (0.05, -0.05), (0.45, -0.05))[0] < 0.2
 
 
 def test_files_without_floors_and_occupancy():
@@ -245,18 +245,18 @@ def test_what_is_no_step_is_refused(start, end, message):
 
 def test_cells_of_many_ends_are_free():
     rng = np.random.default_rng(7)
-    walk = make_walk(random_house(rng, num_levels=2, share=0.8, size=(20, 30)))
-    p = walk.positions(rng.choice(np.flatnonzero(walk.free)))
+    flat = flatten(random_house(rng, num_levels=2, share=0.8, size=(20, 30)))
+    p = flat.positions(rng.choice(np.flatnonzero(flat.free)))
     visited = []
     for _ in range(400):
-        p = try_step(walk, p, p[:2] + rng.normal(size=2) * 0.2)
+        p = try_step(flat, p, p[:2] + rng.normal(size=2) * 0.2)
         visited.append(p)
-    assert walk.free[flat_cells(walk, visited)].all()
+    assert flat.free[flat.cells_at(visited)].all()
 
 
 @pytest.mark.parametrize("slide", [False, True])
 def test_an_end_beyond_everything(slide):
-    walk = make_walk(level_from("...\n.#.\n..."))
+    flat = flatten(level_from("...\n.#.\n..."))
     for far in (1e9, 1e300):
-        found = try_step(walk, (0.05, -0.05), (far, -0.05), slide=slide)
+        found = try_step(flat, (0.05, -0.05), (far, -0.05), slide=slide)
         np.testing.assert_allclose(found, (0.3, -0.05, 0.0), atol=1e-5)

@@ -14,8 +14,7 @@ from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
 from navbake.navgrid.cells import Cell
 from navbake.navgrid.grid import MultiLevelGrid
-from navbake.runtime.place_sampler import PlaceSampler
-from navbake.runtime.places.locate import flat_cells
+from navbake.runtime.path_finder import PathFinder
 
 
 def make_rng(seed=0):
@@ -30,19 +29,19 @@ def room(level, index, id):
 
 
 def random_sampler(seed, **options):
-    return PlaceSampler(random_house(make_rng(seed), **options))
+    return PathFinder(random_house(make_rng(seed), **options))
 
 
 @pytest.mark.parametrize("anywhere", [False, True])
 def test_cells_of_all_levels_are_as_likely_as_one_another(anywhere):
     sampler = random_sampler(3, num_levels=3)
-    walk = sampler.search.walk
+    flat = sampler.search.flat
     points = sampler.random_point(make_rng(), 40000, anywhere=anywhere)
-    cells = flat_cells(walk, points)
-    assert walk.free[cells].all()
-    counts = np.bincount(cells, minlength=walk.num_cells)[walk.free]
+    cells = flat.cells_at(points)
+    assert flat.free[cells].all()
+    counts = np.bincount(cells, minlength=flat.num_cells)[flat.free]
     assert chisquare(counts).pvalue > 0.01
-    offset = points - walk.positions(cells)
+    offset = points - flat.positions(cells)
     assert np.all(offset[:, 2] == 0)
     if anywhere:
         for axis in (0, 1):
@@ -54,8 +53,8 @@ def test_cells_of_all_levels_are_as_likely_as_one_another(anywhere):
 
 def test_larger_cells_are_likelier_by_their_area():
     coarse, fine = level_from("..", cell_size=0.3), level_from("...", ground=3.0)
-    sampler = PlaceSampler(MultiLevelGrid(grids=[coarse, fine], cell_size=0.3))
-    cells = flat_cells(sampler.search.walk, sampler.random_point(make_rng(), 20000))
+    sampler = PathFinder(MultiLevelGrid(grids=[coarse, fine], cell_size=0.3))
+    cells = sampler.search.flat.cells_at(sampler.random_point(make_rng(), 20000))
     counts = np.bincount(cells, minlength=5)
     expected = np.array([9, 9, 1, 1, 1]) / 21 * 20000
     assert chisquare(counts, expected).pvalue > 0.01
@@ -74,24 +73,24 @@ def test_points_are_where_they_are_asked_for(seed):
     sampler = random_sampler(seed, num_levels=2, share=0.55)
     rng = make_rng(seed)
     numbers = sampler.islands.number
-    walk = sampler.search.walk
+    flat = sampler.search.flat
     for island in range(1, min(sampler.islands.count, 5) + 1):
         points = sampler.random_point(rng, 50, island=island, anywhere=True)
-        assert set(numbers[flat_cells(walk, points)]) == {island}
+        assert set(numbers[flat.cells_at(points)]) == {island}
         start = points[0]
         for found in (
             sampler.random_point(rng, 50, reachable_from=start, anywhere=True),
             sampler.random_point_near(rng, start, 1.0, 50, anywhere=True),
         ):
-            assert set(numbers[flat_cells(walk, found)]) == {island}
+            assert set(numbers[flat.cells_at(found)]) == {island}
     points = sampler.random_point(rng, 50, level=1)
-    assert set(walk.level_of(flat_cells(walk, points))) == {1}
+    assert set(flat.level_of(flat.cells_at(points))) == {1}
 
 
 def test_in_a_room():
     level = level_from("....#....")
     level.attributes["roomIndex"] = np.array([[1, 1, 1, 1, 0, 2, 2, 2, 2]], dtype=np.uint16)
-    sampler = PlaceSampler(house_from([level], rooms=[room(0, 1, "a"), room(0, 2, "b")]))
+    sampler = PathFinder(house_from([level], rooms=[room(0, 1, "a"), room(0, 2, "b")]))
     points = sampler.random_point(make_rng(), 50, room="b", anywhere=True)
     assert points[:, 0].min() > 0.5
     with pytest.raises(QueryError, match="no room 'c' in 'house': it has a, b"):
@@ -104,14 +103,15 @@ def test_in_a_room():
 
 def plain_distances(sampler, start):
     """scipy's, over eight neighbours without corners, and links of a cell's length."""
-    walk, moves = sampler.search.walk, []
-    for level in range(walk.num_levels):
-        width, height, first = (int(v[level]) for v in (walk.width, walk.height, walk.start))
-        free = walk.free[first : first + width * height].reshape(height, width)
-        floor = walk.floor[first : first + width * height].reshape(height, width)
+    flat, moves = sampler.search.flat, []
+    for level in range(flat.num_levels):
+        layout = flat.layout
+        width, height, first = (int(v[level]) for v in (layout.width, layout.height, layout.start))
+        free = flat.free[first : first + width * height].reshape(height, width)
+        floor = flat.floors.z[first : first + width * height].reshape(height, width)
 
         def joined(a, b, free=free, floor=floor):
-            return free[a] and free[b] and not abs(floor[a] - floor[b]) > walk.max_step
+            return free[a] and free[b] and not abs(floor[a] - floor[b]) > flat.floors.max_step
 
         for row, col in np.ndindex(height, width):
             for down, across in ((0, 1), (1, 0), (1, 1), (1, -1)):
@@ -125,12 +125,12 @@ def plain_distances(sampler, start):
                 if ok:
                     ids = [first + r * width + c for r, c in ((row, col), there)]
                     moves.append((*ids, 0.1 * math.hypot(down, across)))
-    for i, cell in enumerate(walk.link_cell):
-        for other in walk.link_target[walk.link_start[i] : walk.link_start[i + 1]]:
-            if walk.free[cell] and walk.free[other]:
+    for i, cell in enumerate(flat.links.cell):
+        for other in flat.links.target[flat.links.start[i] : flat.links.start[i + 1]]:
+            if flat.free[cell] and flat.free[other]:
                 moves.append((cell, other, 0.1))
     a, b, length = np.array(moves).T
-    shape = (walk.num_cells, walk.num_cells)
+    shape = (flat.num_cells, flat.num_cells)
     graph = coo_array((length, (a.astype(int), b.astype(int))), shape=shape).tocsr()
     return dijkstra(graph, directed=False, indices=start)
 
@@ -138,43 +138,43 @@ def plain_distances(sampler, start):
 @pytest.mark.parametrize("seed", range(4))
 def test_near_by_the_length_of_the_path(seed):
     sampler = random_sampler(seed, num_levels=2, share=0.8)
-    walk, rng = sampler.search.walk, make_rng(seed)
+    flat, rng = sampler.search.flat, make_rng(seed)
     start = sampler.random_point(rng, island=1)
-    distance = plain_distances(sampler, int(flat_cells(walk, start)))
+    distance = plain_distances(sampler, int(flat.cells_at(start)))
     points = sampler.random_point_near(rng, start, 0.8, 4000, min_distance=0.35)
-    cells = flat_cells(walk, points)
-    near = walk.free & (distance > 0.35 - 1e-9) & (distance < 0.8 + 1e-9)
+    cells = flat.cells_at(points)
+    near = flat.free & (distance > 0.35 - 1e-9) & (distance < 0.8 + 1e-9)
     assert set(cells) == set(np.flatnonzero(near))
-    assert chisquare(np.bincount(cells, minlength=walk.num_cells)[near]).pvalue > 0.001
+    assert chisquare(np.bincount(cells, minlength=flat.num_cells)[near]).pvalue > 0.001
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_in_an_annulus(seed):
     sampler = random_sampler(seed, num_levels=2, share=0.5)
-    walk, rng = sampler.search.walk, make_rng(seed)
+    flat, rng = sampler.search.flat, make_rng(seed)
     for level in range(2):
-        cells = np.arange(walk.start[level], walk.start[level + 1])
-        centers = walk.positions(cells)[:, :2]
+        cells = np.arange(flat.layout.start[level], flat.layout.start[level + 1])
+        centers = flat.positions(cells)[:, :2]
         for _ in range(40):
             p = centers[rng.integers(len(cells))] + rng.uniform(-0.04, 0.04, size=2)
             low, high = np.sort(rng.uniform(0, 0.6, size=2))
             distance = np.hypot(*(centers - p).T)
-            expected = cells[walk.free[cells] & (distance >= low) & (distance <= high)]
+            expected = cells[flat.free[cells] & (distance >= low) & (distance <= high)]
             found = sampler.any_free_in_annulus(p, low, high, level=level)
             assert found == (len(expected) > 0)
             if found:
                 points = sampler.random_point_near(
                     rng, p, high, 300, min_distance=low, straight=True, level=level
                 )
-                assert set(flat_cells(walk, points)) <= set(expected)
-                assert len(set(flat_cells(walk, points))) >= 0.8 * len(expected) - 1
+                assert set(flat.cells_at(points)) <= set(expected)
+                assert len(set(flat.cells_at(points))) >= 0.8 * len(expected) - 1
     assert sampler.any_free_in_annulus(p, 0.0, np.inf, level=level)
 
 
 def test_a_pose_looks_at_its_target_past_no_wall():
     level = level_from(".....\n.....\n..#..\n#####\n.....")
     level.attributes["roomIndex"] = np.repeat([[1], [1], [1], [0], [2]], 5, 1).astype(np.uint16)
-    sampler = PlaceSampler(level)
+    sampler = PathFinder(level)
     target = np.array((0.25, -0.25, 0.7))  # in something
     rng = make_rng()
     for _ in range(100):
@@ -198,7 +198,7 @@ def test_a_pose_without_target_looks_all_round():
 def test_a_pose_in_the_room_of_its_target():
     level = level_from("...#....")
     level.attributes["roomIndex"] = np.array([[1, 1, 1, 1, 2, 2, 2, 2]], dtype=np.uint16)
-    sampler = PlaceSampler(house_from([level], rooms=[room(0, 1, "a"), room(0, 2, "b")]))
+    sampler = PathFinder(house_from([level], rooms=[room(0, 1, "a"), room(0, 2, "b")]))
     for seed in range(20):
         pose = sampler.random_pose(make_rng(seed), (0.35, -0.05), 1.0, same_room=True)
         assert pose.position[0] < 0.3
@@ -207,7 +207,7 @@ def test_a_pose_in_the_room_of_its_target():
 
 
 def test_live_obstacles_part_islands_and_take_places():
-    sampler = PlaceSampler(level_from("....."))
+    sampler = PathFinder(level_from("....."))
     assert sampler.islands.count == 1
     block = sampler.grid.block(cells=Cell(0, 0, 2))
     assert sampler.islands.count == 2
@@ -219,7 +219,7 @@ def test_live_obstacles_part_islands_and_take_places():
 
 
 def two_islands():
-    return PlaceSampler(house_from([level_from("...#.")]))
+    return PathFinder(house_from([level_from("...#.")]))
 
 
 @pytest.mark.parametrize(
@@ -262,6 +262,6 @@ def test_what_cannot_be_drawn_is_refused(ask, message):
 
 
 def test_any_distance_leads_no_farther_than_paths_do():
-    sampler = PlaceSampler(level_from("..#.\n..#."))
+    sampler = PathFinder(level_from("..#.\n..#."))
     points = sampler.random_point_near(make_rng(), (0.05, -0.05, 0.0), math.inf, 200)
     assert (points[:, 0] < 0.2).all()

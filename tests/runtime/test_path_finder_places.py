@@ -15,16 +15,13 @@ from navbake.navgrid.cells import Cell
 from navbake.navgrid.grid import MultiLevelGrid
 from navbake.navgrid.islands import find_islands
 from navbake.runtime.path_finder import PathFinder
-from navbake.runtime.place_finder import PlaceFinder
-from navbake.runtime.place_sampler import PlaceSampler
-from navbake.runtime.places.locate import flat_cells
 from project_paths import GOLDEN
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_islands_are_those_of_the_grid(seed):
     house = random_house(np.random.default_rng(seed), num_levels=1 + seed % 3, share=0.6)
-    finder = PlaceFinder(house)
+    finder = PathFinder(house)
     expected = np.concatenate([island.ravel() for island in find_islands(house)])
     np.testing.assert_array_equal(finder.islands.number, expected)
     sizes = np.bincount(expected)
@@ -36,14 +33,14 @@ def test_islands_are_those_of_the_grid(seed):
 
 def test_areas_of_levels_with_cells_of_their_own():
     grids = [level_from("..#.", cell_size=0.5), level_from("...", ground=3.0)]
-    finder = PlaceFinder(MultiLevelGrid(grids=grids, cell_size=0.5))
+    finder = PathFinder(MultiLevelGrid(grids=grids, cell_size=0.5))
     areas = [finder.island_area(island) for island in (1, 2, 3)]
     assert areas == pytest.approx([0.03, 0.5, 0.25])
     assert finder.navigable_area == pytest.approx(0.78)
 
 
 def test_island_of_a_position():
-    finder = PlaceFinder(level_from("...#."))
+    finder = PathFinder(level_from("...#."))
     assert finder.island_at((0.05, -0.05)) == 1
     assert finder.island_at((0.45, -0.05)) == 2
     assert finder.island_at((0.35, -0.05)) is None
@@ -73,12 +70,12 @@ def test_rooms_of_the_sample_house(house):
 
 def test_room_near_a_wall(house):
     walls = np.flatnonzero((house.rooms.number == 0) & house.occupied)
-    walk = house.search.walk
+    flat = house.search.flat
     in_rooms = np.flatnonzero(house.rooms.number)
     for cell in np.random.default_rng(1).choice(walls, size=30):
-        position, level = walk.positions(cell), int(walk.level_of(cell))
-        there = in_rooms[walk.level_of(in_rooms) == level]
-        distance = np.linalg.norm((walk.positions(there) - position)[:, :2], axis=1)
+        position, level = flat.positions(cell), int(flat.level_of(cell))
+        there = in_rooms[flat.level_of(in_rooms) == level]
+        distance = np.linalg.norm((flat.positions(there) - position)[:, :2], axis=1)
         nearest = there[distance <= distance.min() + 1e-9]
         rooms = {house.rooms.id_of(int(n)) for n in house.rooms.number[nearest]}
         assert house.room_near(position, level=level) in rooms
@@ -107,7 +104,7 @@ def test_room_of_an_object_is_where_most_of_it_is():
     level = level_from("......")
     level.attributes["roomIndex"] = np.array([[1, 1, 2, 2, 2, 0]], dtype=np.uint16)
     level.user_data = {c: {"objects": ["sofa"]} for c in range(1, 6)} | {5: {"objects": ["lamp"]}}
-    finder = PlaceFinder(level)
+    finder = PathFinder(level)
     assert finder.room_of("sofa") == "0:2"
     assert finder.room_of("lamp") is None
 
@@ -115,15 +112,15 @@ def test_room_of_an_object_is_where_most_of_it_is():
 def test_bounds_are_those_of_free_cells_and_their_floors():
     lower = level_from("#...\n####")
     upper = level_from("....\n....\n....", ground=3.0, x=2.0, y_max=1.0)
-    low, high = PlaceFinder(house_from([lower, upper])).bounds
+    low, high = PathFinder(house_from([lower, upper])).bounds
     np.testing.assert_allclose(low, (0.1, -0.1, 0.0), atol=1e-12)
     np.testing.assert_allclose(high, (2.4, 1.0, 3.0), atol=1e-12)
     with pytest.raises(QueryError, match="no cell of 'house' is free"):
-        _ = PlaceFinder(house_from([level_from("##")])).bounds
+        _ = PathFinder(house_from([level_from("##")])).bounds
 
 
 def test_a_picture_shows_its_own_storey():
-    finder = PlaceFinder(house_from([level_from("..#\n# ."), level_from("##.", ground=3.0)]))
+    finder = PathFinder(house_from([level_from("..#\n# ."), level_from("##.", ground=3.0)]))
     free, blocked, none = (247, 243, 232), (59, 66, 82), (185, 192, 204)
     assert finder.top_down(0).tolist() == [
         [list(v) for v in row] for row in ((free, free, blocked), (blocked, none, free))
@@ -147,7 +144,7 @@ def test_a_picture_shows_its_own_storey():
     ],
 )
 def test_pictures_that_cannot_be_are_refused(arguments, message):
-    finder = PlaceFinder(house_from([level_from(".." * 9), level_from("..", ground=3.0)]))
+    finder = PathFinder(house_from([level_from(".." * 9), level_from("..", ground=3.0)]))
     with pytest.raises(QueryError, match=message):
         finder.top_down(*arguments)
 
@@ -168,7 +165,7 @@ def test_samples_in_a_walk_round(name):
         moved = finder.try_step(p, p[:2] + rng.normal(size=2) * 0.3)
         assert finder.is_navigable(moved)
         assert finder.same_island(p, moved)
-    numbers = finder.islands.number[flat_cells(finder.search.walk, points)]
+    numbers = finder.islands.number[finder.search.flat.cells_at(points)]
     assert (numbers > 0).all()
 
 
@@ -177,7 +174,7 @@ def test_room_near_takes_floors_as_they_are():
     lower, upper = level_from("# ", ground=0.0), level_from(" .", ground=0.2)
     lower.attributes["roomIndex"] = np.array([[0, 1]], dtype=np.uint16)
     lower.weights[0, 0] = 1.0
-    finder = PlaceFinder(house_from([lower, upper]))
+    finder = PathFinder(house_from([lower, upper]))
     assert finder.room_near((0.05, -0.05, 0.0)) == "0:1"
     assert finder.room_near((9.0, 0.0, 0.0)) is None
 
@@ -192,7 +189,7 @@ def test_random_questions_to_third_party_files(floors):
         level = level_from(text, floors=floors)
         level.metadata.clear()
         del level.attributes["occupancy"]
-        finder = PlaceSampler(level)
+        finder = PathFinder(level)
         points = finder.random_point(rng, 20, anywhere=True)
         assert finder.are_navigable(points).all()
         for p in points:
@@ -211,7 +208,7 @@ def test_third_party_files():
     level = level_from("....\n.##.\n....", floors=False)
     level.metadata.clear()
     level.attributes.clear()
-    finder = PlaceFinder(level)
+    finder = PathFinder(level)
     assert finder.islands.count == 1
     assert finder.clearance((0.05, -0.05)) == pytest.approx(np.hypot(0.05, 0.05))
     assert finder.room_at((0.05, -0.05)) is None
@@ -239,7 +236,7 @@ def test_third_party_files():
 )
 def test_what_is_no_question_is_refused(ask):
     with pytest.raises(QueryError):
-        ask(PlaceFinder(level_from("#..\n...")))
+        ask(PathFinder(level_from("#..\n...")))
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -247,6 +244,6 @@ def test_islands_are_what_paths_join_where_corners_are_cut(seed):
     rng = np.random.default_rng(seed)
     finder = PathFinder(random_house(rng, share=0.5), cut_corners=True)
     search = finder.search
-    start = int(rng.choice(np.flatnonzero(search.walk.free)))
+    start = int(rng.choice(np.flatnonzero(search.flat.free)))
     joined = np.isfinite(search.field(np.array([start])))
     np.testing.assert_array_equal(finder.islands.number == finder.islands.number[start], joined)

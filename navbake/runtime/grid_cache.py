@@ -1,0 +1,102 @@
+"""What a `PathFinder` works out of its grid once and keeps for all of its parts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from navbake.navgrid.cells import check_level
+from navbake.runtime.paths.door_map import DoorMap, map_doors
+from navbake.runtime.paths.search import Search
+from navbake.runtime.places.island_map import IslandMap, map_islands
+from navbake.runtime.places.room_map import RoomMap, map_rooms
+from navbake.runtime.places.sight import find_occupied
+from navbake.types import Bool
+
+if TYPE_CHECKING:
+    from navbake.navgrid.grid import NavGrid
+    from navbake.runtime.flat_grid import FlatGrid
+
+
+class GridCache:
+    """A grid with what follows from it, each worked out when it is first asked for.
+
+    What blocks change (the search, islands, occupied cells) is brought up to date when it is
+    asked for again; rooms and doors stay.
+
+    Args:
+        grid: a grid of one or several levels.
+        cut_corners: let diagonal steps pass blocked corners.
+    """
+
+    def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
+        self.grid = grid
+        self._search = Search(grid, cut_corners=cut_corners)
+        self._rooms: RoomMap | None = None
+        self._doors: DoorMap | None = None
+        self._occupied: tuple[int, Bool] | None = None  # each with the search's version then
+        self._islands: tuple[int, IslandMap] | None = None
+
+    @property
+    def search(self) -> Search:
+        """The cells and the steps between them, with what is blocked now."""
+        self._search.update()
+        return self._search
+
+    @property
+    def flat(self) -> FlatGrid:
+        """The cells, with what is blocked now."""
+        return self.search.flat
+
+    @property
+    def rooms(self) -> RoomMap:
+        """The rooms of the grid and of each cell."""
+        if self._rooms is None:
+            self._rooms = map_rooms(self.grid)
+        return self._rooms
+
+    @property
+    def doors(self) -> DoorMap:
+        """The doors that each cell is in."""
+        if self._doors is None:
+            self._doors = map_doors(self.grid, self._search.flat)
+        return self._doors
+
+    @property
+    def islands(self) -> IslandMap:
+        """The connected parts of the cells that are free now."""
+        search = self.search
+        if self._islands is None or self._islands[0] != search.version:
+            corners = search.graph.moves if search.cut_corners else None
+            self._islands = (search.version, map_islands(search.flat, corners))
+        return self._islands[1]
+
+    @property
+    def occupied(self) -> Bool:
+        """Where something stands now or there is no floor, by flat id, shape (n,), bool."""
+        version = self.search.version
+        if self._occupied is None or self._occupied[0] != version:
+            self._occupied = (version, find_occupied(self.grid))
+        return self._occupied[1]
+
+    def allowed(
+        self, *, level: int | None = None, room: str | None = None, island: int | None = None
+    ) -> Bool:
+        """The free cells that are on a level, in a room and on an island, by flat id.
+
+        Raises:
+            QueryError: there is no such level, room or island.
+        """
+        flat = self.flat
+        allowed = flat.free
+        if level is not None:
+            check_level(level, flat.num_levels)
+            on_level = np.zeros_like(allowed)
+            on_level[flat.cells_of(level)] = True
+            allowed = allowed & on_level
+        if room is not None:
+            allowed = allowed & (self.rooms.number == self.rooms.find(room))
+        if island is not None:
+            allowed = allowed & (self.islands.number == self.islands.check(island))
+        return allowed

@@ -1,0 +1,210 @@
+"""What the kernels of the run time take, and how a cell is found in it.
+
+The cells of all levels stand in one row: the flat id of a cell is ``start[level] + row *
+width[level] + col``. "By cell" means: one entry for each flat id.
+
+Looking an array up in a tuple counts a reference, which costs more than a step of a search. So
+kernels with a hot loop take the arrays out of their tuples first and hand them on one by one.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from navbake.types import Bool, Float, Int, Int32
+
+EDGE = 1e-6  # of a cell: how far inside of its edges a point is put
+
+
+class Layout(NamedTuple):
+    """Where the cells of each level lie.
+
+    Attributes:
+        start: first flat id of each level, and one past the last, shape (num_levels + 1,), int64.
+        width: number of columns of each level, shape (num_levels,), int64.
+        height: number of rows of each level, shape (num_levels,), int64.
+        x_min: world x of the outer edge of column 0 of each level [m], float64.
+        y_max: world y of the outer edge of row 0 of each level [m], float64; rows run towards
+            smaller y.
+        cell_size: edge of a cell of each level [m], float64; the same on all levels of a grid
+            that navbake baked.
+    """
+
+    start: Int
+    width: Int
+    height: Int
+    x_min: Float
+    y_max: Float
+    cell_size: Float
+
+
+class Links(NamedTuple):
+    """Steps between cells that are not neighbours on one level; each is listed both ways.
+
+    Attributes:
+        cell: flat ids of the cells that links lead from, shape (m,), ascending, each once, int64.
+        start: shape (m + 1,), int64: from ``cell[i]`` links lead to
+            ``target[start[i]:start[i + 1]]``.
+        target: flat ids, ascending for each cell, int64.
+        length: of each link [m], as `target`, float64.
+    """
+
+    cell: Int
+    start: Int
+    target: Int
+    length: Float
+
+
+class Floors(NamedTuple):
+    """The heights of floors, world z [m].
+
+    Attributes:
+        z: by cell, float64, NaN where there is no floor; the ground on a level whose file has no
+            floor heights.
+        ground: of each level, float64: the floor of free cells that have none of their own.
+        max_step: by how much the floors of neighbours may differ, slack included; see
+            `navbake.navgrid.islands.step_limit`. A cell without floor is level with all of its
+            neighbours.
+    """
+
+    z: Float
+    ground: Float
+    max_step: float
+
+
+class Space(NamedTuple):
+    """What a straight line may run through.
+
+    Attributes:
+        layout, links, floors: of the grid; with a `max_step` of infinity, heights are ignored.
+        passable: by cell, bool.
+    """
+
+    layout: Layout
+    links: Links
+    floors: Floors
+    passable: Bool
+
+
+class Graph(NamedTuple):
+    """The steps of an agent and what they cost: the length [m] times the target's weight.
+
+    Attributes:
+        layout, links: of the grid.
+        moves: by cell, uint8: see `navbake.runtime.kernels.moves`.
+        weight: by cell, float64, inf where it isn't free.
+        same_weight: the weight of all free cells, 0 where they differ.
+        least_weight: the smallest weight of a free cell, >= 0.
+        bucket: width of the buckets of the queue, see `navbake.runtime.kernels.buckets`.
+        num_buckets: how many there are, a power of two.
+    """
+
+    layout: Layout
+    links: Links
+    moves: NDArray[np.uint8]
+    weight: Float
+    same_weight: float
+    least_weight: float
+    bucket: float
+    num_buckets: int
+
+
+class Entries(NamedTuple):
+    """Room for the entries of a queue, see `navbake.runtime.kernels.buckets`; of one length."""
+
+    cell: Int32
+    next: Int32
+
+
+class Visits(NamedTuple):
+    """How a search reached the cells; kept from search to search, so that none has to clear it.
+
+    Attributes:
+        mark: by cell, int32: see `navbake.runtime.kernels.route`.
+        cost: by cell, float64, valid where `mark` is of this search.
+        link_from: by place in ``links.cell``, int64: where the link that was taken leads from.
+    """
+
+    mark: Int32
+    cost: Float
+    link_from: Int
+
+
+class Line(NamedTuple):
+    """A line over cells, seen from above.
+
+    Attributes:
+        points: world x, y [m], shape (n, 2), float64, each in a cell of its level.
+        levels: of the points, shape (n,), int64.
+        is_link: whether a link leads from a point to the next, shape (n - 1,), bool.
+    """
+
+    points: Float
+    levels: Int
+    is_link: Bool
+
+
+class Rect(NamedTuple):
+    """The cells of one level: the first one's flat id, and how many columns and rows there are."""
+
+    first: int
+    width: int
+    height: int
+
+
+@njit(cache=True, error_model="numpy")
+def level_of(start, cell):
+    """The level of a flat id."""
+    level = 0
+    while cell >= start[level + 1]:
+        level += 1
+    return level
+
+
+@njit(cache=True, error_model="numpy")
+def rect_of(layout, level):
+    """The cells of a level."""
+    return Rect(layout.start[level], layout.width[level], layout.height[level])
+
+
+@njit(cache=True, error_model="numpy")
+def find_slot(link_cell, cell):
+    """Where a cell is in ``links.cell``, by binary search; -1 if no link leads from it."""
+    low, high = 0, link_cell.shape[0]
+    while low < high:
+        middle = (low + high) >> 1
+        if link_cell[middle] < cell:
+            low = middle + 1
+        else:
+            high = middle
+    return low if low < link_cell.shape[0] and link_cell[low] == cell else -1
+
+
+@njit(cache=True)
+def center(layout, cell):
+    """World x, y of a cell's centre [m]."""
+    level = level_of(layout.start, cell)
+    row, col = divmod(cell - layout.start[level], layout.width[level])
+    size = layout.cell_size[level]
+    return layout.x_min[level] + (col + 0.5) * size, layout.y_max[level] - (row + 0.5) * size
+
+
+@njit(cache=True)
+def put_into(layout, cell, x, y):
+    """The point of a cell's square that is the nearest to x, y; a little inside of its edges."""
+    middle_x, middle_y = center(layout, cell)
+    half = (0.5 - EDGE) * layout.cell_size[level_of(layout.start, cell)]
+    x = min(max(x, middle_x - half), middle_x + half)
+    y = min(max(y, middle_y - half), middle_y + half)
+    return x, y
+
+
+@njit(cache=True, error_model="numpy")
+def in_cells(layout, level, x, y):
+    """A world position [m] in a level's own units: u in columns, v in rows, from its corner."""
+    size = layout.cell_size[level]
+    return (x - layout.x_min[level]) / size, (layout.y_max[level] - y) / size
