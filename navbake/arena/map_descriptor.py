@@ -42,10 +42,8 @@ def encode(explored: ArrayLike, obstacles: ArrayLike) -> tuple[str, str]:
     """
     known, filled = _flags(explored, "explored"), _flags(obstacles, "obstacles")
     if known.shape != filled.shape:
-        shapes = f"{known.shape} and {filled.shape}"
-        raise FormatError(
-            f"expected explored and obstacles of one shape (rows, cols), got {shapes}"
-        )
+        both = f"{known.shape} and {filled.shape}"
+        raise FormatError(f"expected explored and obstacles of one shape (rows, cols), got {both}")
     # the format goes from the bottom row up, arrays from the top row down
     squares, content = known[::-1].ravel(), filled[::-1].ravel()
     part1 = np.concatenate([PAD, squares, PAD])
@@ -98,16 +96,12 @@ def _read_part2(part2: str, count: int) -> Bool:
     digits, whole = -(-count // 4), 2 * -(-count // 8)
     if got not in (digits, whole):
         expected = f"{whole}" if digits == whole else f"{whole} (or {digits})"
-        longer = "more than" if got > whole else "fewer than"
-        raise FormatError(
-            f"expected {expected} digits in part 2 for the {count} squares that part 1 has "
-            f"explored, got {got}: {longer} it has"
-        )
+        squares = f"the {count} squares that part 1 has explored"
+        got_what = f"{got}: {'more' if got > whole else 'fewer'} than it has"
+        raise FormatError(f"expected {expected} digits in part 2 for {squares}, got {got_what}")
     if bits[count:].any():
-        raise FormatError(
-            f"expected 0s after the {count} bits of part 2, got more: it is longer than the "
-            f"squares that part 1 has explored"
-        )
+        why = "it is longer than the squares that part 1 has explored"
+        raise FormatError(f"expected 0s after the {count} bits of part 2, got more: {why}")
     return bits[:count].astype(np.bool_)
 
 

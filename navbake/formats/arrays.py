@@ -104,7 +104,13 @@ def decode_array(
     if value.get("type") not in (None, "array"):
         place["type"].refuse("'array'", value["type"])
     dtype, num_cells = _read_datatype(value, place, default), math.prod(shape)
-    _check_length(value, place, num_cells, allowance)
+    if value.get("length") is not None:
+        length = whole_number(value["length"], place["length"], 0)
+        if length > allowance.max_cells:
+            place["length"].refuse(f"at most max_cells = {allowance.max_cells}", length)
+        if length != num_cells:
+            place["length"].refuse(f"{num_cells}, which is width × height", length)
+    allowance.take_values(num_cells, place)
     data = value.get("data", MISSING)
     if not isinstance(data, list):
         data_place.refuse("a list", data)
@@ -159,16 +165,6 @@ def _read_datatype(value: Json, place: JsonPath, default: object) -> np.dtype[An
         where = place[own[0]] if own else place
         where.refuse(f"a datatype of {', '.join(DATATYPES)}", stated)
     return np.dtype(name)
-
-
-def _check_length(value: Json, place: JsonPath, num_cells: int, allowance: Allowance) -> None:
-    if value.get("length") is not None:
-        length = whole_number(value["length"], place["length"], 0)
-        if length > allowance.max_cells:
-            place["length"].refuse(f"at most max_cells = {allowance.max_cells}", length)
-        if length != num_cells:
-            place["length"].refuse(f"{num_cells}, which is width × height", length)
-    allowance.take_values(num_cells, place)
 
 
 def _decode_runs(

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from os import PathLike
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +27,8 @@ from navbake.types import Vector3
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import check_memory, check_three
 
-Layout = Literal["auto", "binvox", "airsim"]
+IdMapping: TypeAlias = Mapping[int, int] | Literal["compact"]
+Layout: TypeAlias = Literal["auto", "binvox", "airsim"]
 LAYOUTS = ("auto", "binvox", "airsim")
 VERSIONS = (1, 2)
 MOST = 255  # greatest value of a voxel
@@ -44,12 +45,7 @@ class Header(NamedTuple):
     end: int  # where the data begin
 
 
-# ---------------------------------------------------------------- writing
-
-
-def with_mapping(
-    grid: VoxelGrid, mapping: Mapping[int, int] | Literal["compact"] | None
-) -> VoxelGrid:
+def with_mapping(grid: VoxelGrid, mapping: IdMapping | None) -> VoxelGrid:
     """The grid with the IDs that binvox is to hold, 0 to 255.
 
     ``compact`` numbers the IDs that occur from 1, in their order.
@@ -69,12 +65,10 @@ def with_mapping(
             raise FormatError(f"the mapping says nothing of ID {missing[0]}, which occurs")
     else:
         raise FormatError(f"expected a mapping of IDs, or 'compact', got {mapping!r}")
-    bad = next((new for new in ids.values() if not 0 <= new <= MOST), None)
-    if bad is not None:
-        raise FormatError(
-            f"binvox holds values up to {MOST}, and the mapping has {bad}"
-            + (f": {len(present)} IDs occur; write .npz" if mapping == "compact" else "")
-        )
+    bad = [new for new in ids.values() if not 0 <= new <= MOST]
+    if bad:
+        remedy = f": {len(present)} IDs occur; write .npz" if mapping == "compact" else ""
+        raise FormatError(f"binvox holds values up to {MOST}, and the mapping has {bad[0]}{remedy}")
     return grid.with_ids(ids)
 
 
@@ -133,9 +127,6 @@ def _text(value: float) -> str:
     return repr(round(value, 12) + 0.0)  # + 0.0: without a minus before 0
 
 
-# ---------------------------------------------------------------- reading
-
-
 def read_binvox(
     source: str | PathLike[str] | bytes,
     *,
@@ -176,16 +167,14 @@ def read_binvox(
         notes.append(f"{name}: version 1 with values above 1, read as IDs")
     elif header.version == 1:
         values = values.view(np.bool_)
-    if not is_airsim:
-        edge = header.scale / max(header.dim)
-        return VoxelGrid(values=values, origin=header.translate, res=edge, notes=notes)
-    edge, assumed = _airsim_edge(header, res, name)
-    first = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * edge  # its middle
-    center = check_three(position, "the position to be x, y, z [m]")
-    low = center + first - edge / 2
-    around = ", ".join(f"{p:g}" for p in center)
-    notes.append(f"{assumed}, round ({around})")
-    return VoxelGrid(values=values, origin=(low[0], low[1], low[2]), res=edge, notes=notes)
+    edge, origin = header.scale / max(header.dim), header.translate
+    if is_airsim:
+        edge, assumed = _airsim_edge(header, res, name)
+        first = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * edge  # its middle
+        center = check_three(position, "the position to be x, y, z [m]")
+        origin = tuple((center + first - edge / 2).tolist())
+        notes.append(f"{assumed}, round ({', '.join(f'{p:g}' for p in center)})")
+    return VoxelGrid(values=values, origin=origin, res=edge, notes=notes)
 
 
 def _airsim_edge(header: Header, res: float | None, source: str) -> tuple[float, str]:

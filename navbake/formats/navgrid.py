@@ -118,10 +118,10 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
             ],
             "timings": plain(grid.timings, top["timings"]),
         } | _extra(grid.extra, MULTI_FIELDS, top)
-    return _dump(fields, top) + b"\n"
-
-
-# Reading
+    try:  # OPT_SERIALIZE_NUMPY for np.float64 alone
+        return orjson.dumps(fields, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_APPEND_NEWLINE)
+    except orjson.JSONEncodeError as error:  # an integer of over 64 bits, half a surrogate
+        raise FormatError(f"cannot write the grid as JSON: {error}") from error
 
 
 def _read_levels(content: Json, top: JsonPath, allowance: Allowance) -> MultiLevelGrid:
@@ -156,17 +156,15 @@ def _read_level(
     width = whole_number(content.get("width", MISSING), place["width"], 1)
     height = whole_number(content.get("height", MISSING), place["height"], 1)
     allowance.take_cells(width * height, place)
-    cell_size = _inherit(content, "cellSize", inherited, MISSING, place)
-    unit = _inherit(content, "unit", inherited, 1, place)
     shape = height, width
     attributes = _read_attributes(content, place, shape, allowance, own_metadata)
     return SceneGrid2D(
         width=width,
         height=height,
-        cell_size=cell_size,
+        cell_size=_inherit(content, "cellSize", inherited, MISSING, place),
         min_yup=vector(content.get("min", MISSING), place["min"]),
         bbox_yup=_read_bbox(content, place["bbox"]),
-        unit=unit,
+        unit=_inherit(content, "unit", inherited, 1, place),
         weights=_read_weights(content, place, shape, allowance, attributes),
         attributes=attributes,
         user_data=read_user_data(content.get("userData"), place["userData"], width * height),
@@ -240,9 +238,6 @@ def _unknown(content: Json, known: tuple[str, ...], place: JsonPath) -> Json:
     return {key: plain(content[key], place[key]) for key in content if key not in known}
 
 
-# Writing
-
-
 def _level_fields(grid: SceneGrid2D, place: JsonPath, metadata: Json | None) -> Json:
     fields: Json = {"type": "SceneGrid2D"}
     if metadata is not None:
@@ -302,10 +297,3 @@ def _extra(extra: Json, known: tuple[str, ...], place: JsonPath) -> Json:
         if key in extra:
             place[key].fail("extra fields can't stand in for one of the format's own")
     return {key: plain(extra[key], place[key]) for key in extra}
-
-
-def _dump(fields: Json, top: JsonPath) -> bytes:
-    try:
-        return orjson.dumps(fields, option=orjson.OPT_SERIALIZE_NUMPY)  # for np.float64 alone
-    except orjson.JSONEncodeError as error:  # an integer of over 64 bits, half a surrogate
-        raise FormatError(f"cannot write the grid as JSON: {error}") from error

@@ -36,9 +36,6 @@ FREE_ODDS, OCCUPIED_ODDS = (math.log(p / (1 - p)) for p in (0.1192, 0.971))
 Box = tuple[Int, tuple[int, int, int]]  # first key along each axis, and counts of voxels
 
 
-# ---------------------------------------------------------------- writing
-
-
 def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     """Encode an octree.
 
@@ -114,9 +111,6 @@ def _text(res: float) -> str:
     return short if math.isclose(float(short), res, rel_tol=1e-12) else repr(res)
 
 
-# ---------------------------------------------------------------- reading
-
-
 class _Header(NamedTuple):
     kind: str
     size: int  # number of nodes, as stated
@@ -149,14 +143,9 @@ def read_octomap(
     check_memory(shape, 2)
     values, known = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
     fill_leaves(leaves, first, values, known)
-    x, y, z = ((first - CENTER) * header.res).tolist()
-    return VoxelGrid(
-        values=values,
-        origin=(x, y, z),
-        res=header.res,
-        known=None if known.all() else known,
-        notes=notes,
-    )
+    origin = tuple(((first - CENTER) * header.res).tolist())
+    unsure = None if known.all() else known
+    return VoxelGrid(values=values, origin=origin, res=header.res, known=unsure, notes=notes)
 
 
 def _read_leaves(data: bytes, header: _Header, source: str) -> tuple[Int32, list[str]]:
@@ -177,9 +166,8 @@ def _read_leaves(data: bytes, header: _Header, source: str) -> tuple[Int32, list
         what = "a tree deeper than 16" if num_leaves == TOO_DEEP else "an end within the tree"
         raise FormatError(f"expected {header.size} nodes in {source}, got {what}")
     if num_bytes != len(nodes):
-        raise FormatError(
-            f"expected {num_bytes} bytes of nodes in {source}, got {len(nodes)}: data run over"
-        )
+        got = f"got {len(nodes)}: data run over"
+        raise FormatError(f"expected {num_bytes} bytes of nodes in {source}, {got}")
     leaves = np.empty((num_leaves, 5), np.int32)
     read(nodes, leaves)
     if num_nodes != header.size:
@@ -207,10 +195,8 @@ def _box_keys(bounds: ArrayLike, res: float) -> Box:
     end = np.clip(np.ceil(place[1] - OFF), None, 2 * CENTER).astype(np.int64)
     end = np.where(end == first, first + 1, end)  # a box within a hair of a face
     if (end <= first).any() or (end > 2 * CENTER).any():
-        raise FormatError(
-            f"expected bounds within {CENTER * res:g} m of the origin, where the tree reaches, "
-            f"got {box.tolist()}"
-        )
+        expected = f"bounds within {CENTER * res:g} m of the origin, where the tree reaches"
+        raise FormatError(f"expected {expected}, got {box.tolist()}")
     nx, ny, nz = (end - first).tolist()
     return first, (nx, ny, nz)
 
@@ -233,8 +219,6 @@ def _number(fields: dict[str, str], name: str, source: str) -> float:
     except (KeyError, ValueError):
         number = math.nan  # refused below
     if not math.isfinite(number) or number < 0 or (name == "res" and number == 0):
-        raise FormatError(
-            f"expected a number > 0 at `{name}` in the header of {source}, "
-            f"got {fields.get(name, 'none')!r}"
-        )
+        got = repr(fields.get(name, "none"))
+        raise FormatError(f"expected a number > 0 at `{name}` in the header of {source}, got {got}")
     return number

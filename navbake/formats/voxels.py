@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Literal
 
 from navbake.errors import FormatError
-from navbake.formats.binvox import encode_binvox, read_binvox, with_mapping
+from navbake.formats.binvox import IdMapping, encode_binvox, read_binvox, with_mapping
 from navbake.formats.bytes_file import write_bytes
 from navbake.formats.npz import encode_npz, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
@@ -25,7 +24,7 @@ def write_voxels(
     *,
     free: bool = False,
     layout: Literal["binvox", "airsim"] = "binvox",
-    mapping: Mapping[int, int] | Literal["compact"] | None = None,
+    mapping: IdMapping | None = None,
 ) -> None:
     """Write a voxel file, and beside one that holds IDs the table of what they stand for.
 

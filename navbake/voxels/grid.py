@@ -15,8 +15,7 @@ from navbake.navgrid.operations import operation
 from navbake.types import Bool, Float, Int, Vector3
 from navbake.voxels.placement import finite_array
 
-# What voxels may be, and the greatest ID that each integer holds
-DTYPES = {"bool": 1, "uint8": 2**8 - 1, "uint16": 2**16 - 1, "uint32": 2**32 - 1}
+DTYPES = ("bool", "uint8", "uint16", "uint32")  # of voxels; integers hold IDs
 
 
 @dataclass(eq=False, kw_only=True)
@@ -106,11 +105,9 @@ class VoxelGrid:
         index = self.indices(places)
         beside = ((index < 0) | (index >= self.shape)).any(axis=-1)
         if beside.any():
-            first = places.reshape(-1, 3)[int(np.argmax(beside.ravel()))]
-            low, high = self.bounds
-            raise QueryError(
-                f"no voxel at ({_text(first)}): the grid is from ({_text(low)}) to ({_text(high)})"
-            )
+            corners = places.reshape(-1, 3)[int(np.argmax(beside.ravel()))], *self.bounds
+            first, low, high = (", ".join(f"{value:.6g}" for value in xyz) for xyz in corners)
+            raise QueryError(f"no voxel at ({first}): the grid is from ({low}) to ({high})")
         return np.asarray(self.values[index[..., 0], index[..., 1], index[..., 2]])
 
     def ids(self) -> list[int]:
@@ -151,10 +148,5 @@ class VoxelGrid:
 
 
 def dtype_of(most: int) -> np.dtype[Any]:
-    """The smallest dtype of `DTYPES` for IDs up to a number."""
-    name = next(name for name, limit in DTYPES.items() if limit >= most and name != "bool")
-    return np.dtype(name)
-
-
-def _text(xyz: Float) -> str:
-    return ", ".join(f"{value:.6g}" for value in xyz)
+    """The smallest dtype for IDs up to a number, below 2**32."""
+    return np.min_scalar_type(most)

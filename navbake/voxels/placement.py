@@ -91,14 +91,11 @@ def _cover(bounds: Float, res: float) -> Placement:
     return Placement(first * res, res, (nx, ny, nz))
 
 
-def _check_res(res: Any) -> float:
-    try:
-        edge = float(res)
-    except (TypeError, ValueError):
-        edge = math.nan
-    if not (math.isfinite(edge) and edge >= FINEST):
+def _check_res(res: float) -> float:
+    edge = finite_array(res, ())
+    if edge is None or edge < FINEST:
         raise ConfigError(f"expected `res`, the edge of a voxel, to be >= {FINEST:g} m, got {res}")
-    return edge
+    return float(edge)
 
 
 def _check_cells(cells: Sequence[Any]) -> tuple[int, int, int]:
