@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
+from navbake.baker.stages import Stages, bake_stages
+
 
 def world(content: str, assets: str = "") -> str:
     return f"<mujoco><asset>{assets}</asset><worldbody>{content}</worldbody></mujoco>"
@@ -20,3 +25,11 @@ def body(name: str, content: str, more: str = "") -> str:
 
 
 FLOOR = box("floor", -2, -2, -0.1, 2, 2, 0)
+
+
+def stages_of_xml(folder: Path, xml: str, **settings: Any) -> Stages:
+    """The stages of an MJCF text, with settings as in the YAML."""
+    path = folder / "scene.xml"
+    path.write_text(xml, encoding="utf-8")
+    scene = {"path": str(path), **settings.pop("scene", {})}
+    return bake_stages({"scene": scene, **settings})

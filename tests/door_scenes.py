@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from navbake.baker.clock import Progress
 from navbake.baker.pipeline import BakeResult, run_bake
 from navbake.config.settings import parse_config
 
@@ -44,9 +45,11 @@ def world(*parts: str) -> str:
     return f'<mujoco><compiler angle="degree"/><worldbody>{content}</worldbody></mujoco>'
 
 
-def bake_world(folder: Path, *parts: str, **settings: Any) -> BakeResult:
+def bake_world(
+    folder: Path, *parts: str, progress: Progress | None = None, **settings: Any
+) -> BakeResult:
     """Bake things with settings as in the YAML."""
     path = folder / "scene.xml"
     path.write_text(world(*parts), encoding="utf-8")
     scene = {"path": str(path), **settings.pop("scene", {})}
-    return run_bake(parse_config({"scene": scene, **settings}))
+    return run_bake(parse_config({"scene": scene, **settings}), progress=progress)

@@ -2,99 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake._version import __version__
-from navbake.baker.contents.contents import Contents
-from navbake.baker.doors.doors import Door, describe_doors
-from navbake.baker.floors.levels import Floors
-from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.scene.model import mujoco_version
-from navbake.baker.scene.scene import Scene
-from navbake.config.settings import BakeConfig, settings_digest
+from navbake.baker.stages import Stages
+from navbake.config.settings import settings_digest
 from navbake.navgrid.door_states import name_door_cells
-from navbake.navgrid.doors import Door as StatedDoor
-from navbake.navgrid.doors import parse_doors
+from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
-from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import UserData
+from navbake.types import Float, Int, Json, Vector3
 
-Int = NDArray[np.int64]
 Window = tuple[slice, slice]
+"""Rows and columns of the whole lattice."""
+
+Box = tuple[Vector3, Vector3]
+"""Lower and upper corner, file frame (y up) [m]."""
 
 
-Box = tuple[tuple[float, float, float], tuple[float, float, float]]
-
-
-@dataclass(frozen=True)
-class Baked:
-    """All that the stages found, on the whole lattice.
-
-    Attributes:
-        scene: the scene, doors included.
-        lattice: the cells.
-        floors: the storeys.
-        occupied: per storey, shape (height, width), bool: by all but doors.
-        doors: the doors.
-        rooms: the rooms.
-        contents: what stands in the cells, or None where nobody asked.
-    """
-
-    scene: Scene
-    lattice: Lattice
-    floors: Floors
-    occupied: list[NDArray[np.bool_]]
-    doors: list[Door]
-    rooms: Rooms
-    contents: Contents | None
-
-
-def build_grid(baked: Baked, config: BakeConfig) -> SceneGrid2D | MultiLevelGrid:
+def build_grid(stages: Stages) -> SceneGrid2D | MultiLevelGrid:
     """Put what the stages found into the grid that is written.
 
     One level keeps the whole lattice; of several, each is cut to the cells that have a floor.
     """
-    levels, lattice = baked.floors.levels, baked.lattice
+    levels, lattice = stages.floors.levels, stages.lattice
     if len(levels) == 1:
         windows = [(slice(0, lattice.height), slice(0, lattice.width))]
     else:
-        windows = [_window(level.floor) for level in levels]
-    metadata = _metadata(baked, config, windows)
-    sizes = [(rows.stop - rows.start) * (cols.stop - cols.start) for rows, cols in windows]
-    doors = parse_doors(metadata["navbake"]["doors"], sizes)
+        windows = [_floor_window(level.floor) for level in levels]
+    doors = _cut_doors(stages, windows)
+    metadata = _metadata(stages, windows, doors)
     grids = [
-        _level_grid(baked, config, number, window, box, doors, metadata)
+        _level_grid(stages, number, window, box, doors, metadata)
         for number, (window, box) in enumerate(
-            zip(windows, _level_boxes(baked, config, windows), strict=True)
+            zip(windows, _level_boxes(stages, windows), strict=True)
         )
     ]
     grid: SceneGrid2D | MultiLevelGrid = grids[0]
     if len(grids) > 1:
         grid = MultiLevelGrid(grids=grids, metadata=metadata, cell_size=lattice.cell_size)
-    add_layers(grid, config.attributes)
+    add_layers(grid, stages.config.attributes)
     return grid
 
 
 def _level_grid(
-    baked: Baked,
-    config: BakeConfig,
+    stages: Stages,
     number: int,
     window: Window,
     box: Box,
-    doors: Sequence[StatedDoor],
-    metadata: dict[str, Any],
+    doors: Sequence[Door],
+    metadata: Json,
 ) -> SceneGrid2D:
-    level, part = baked.floors.levels[number], baked.lattice.cut(*window)
-    num_levels = len(baked.floors.levels)
-    occupied = baked.occupied[number][window].copy()
+    """One level's grid, blocked by the doors in their states."""
+    level, part = stages.floors.levels[number], stages.lattice.cut(*window)
+    num_levels = len(stages.floors.levels)
+    occupied = stages.occupancy.levels[number][window].copy()
     for door in doors:
         occupied.ravel()[door.cells_in(door.state, num_levels)[number]] = True
+    user_data = UserData()
+    if stages.config.names.enabled and stages.contents is not None:
+        contents = stages.contents.user_data(number, window)  # read on first use
+        user_data = name_door_cells(contents, doors, number, num_levels)
     return SceneGrid2D(
         width=part.width,
         height=part.height,
@@ -104,33 +76,15 @@ def _level_grid(
         weights=np.where(occupied, np.inf, 1.0),
         attributes={
             "floorHeight": level.floor[window].astype(np.float32),
-            "roomIndex": np.ascontiguousarray(baked.rooms.index[number][window]),
+            "roomIndex": np.ascontiguousarray(stages.rooms.index[number][window]),
             "occupancy": occupied.astype(np.uint8),
         },
-        user_data=_user_data(baked, config, number, window, doors),
+        user_data=user_data,
         metadata=metadata,
     )
 
 
-def _user_data(
-    baked: Baked, config: BakeConfig, number: int, window: Window, doors: Sequence[StatedDoor]
-) -> UserData:
-    if not config.names.enabled or baked.contents is None:
-        return UserData()
-    shared = baked.contents.user_data(number, window)
-    return name_door_cells(shared, doors, number, len(baked.floors.levels))
-
-
-def _cut_cells(cells: Int, window: Window, lattice: Lattice) -> Int:
-    """Cells of the whole lattice as cells of a level's rectangle; those beside it drop out."""
-    rows, cols = window
-    row, col = np.divmod(cells, lattice.width)
-    inside = (row >= rows.start) & (row < rows.stop) & (col >= cols.start) & (col < cols.stop)
-    cut: Int = ((row - rows.start) * (cols.stop - cols.start) + col - cols.start)[inside]
-    return cut
-
-
-def _window(floor: NDArray[np.float64]) -> tuple[slice, slice]:
+def _floor_window(floor: Float) -> Window:
     """The smallest rectangle that holds all cells with a floor."""
     has_floor = ~np.isnan(floor)
     rows = np.flatnonzero(has_floor.any(axis=1))
@@ -138,68 +92,105 @@ def _window(floor: NDArray[np.float64]) -> tuple[slice, slice]:
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
 
 
-def _level_boxes(baked: Baked, config: BakeConfig, windows: Sequence[Window]) -> list[Box]:
-    """Each level's box, y up: from its ground to the next level's, none overlapping in height."""
-    scene, lattice, levels = baked.scene, baked.lattice, baked.floors.levels
+def _level_boxes(stages: Stages, windows: list[Window]) -> list[Box]:
+    """Each level's box: from its ground to the next level's, so that no two overlap in height."""
+    bounds, levels, config = stages.scene.bounds, stages.floors.levels, stages.config
     bottoms = [level.ground for level in levels]
     bottoms[0] = min(bottoms[0], float(np.nanmin(levels[0].floor)))
     highest = max(float(np.nanmax(level.floor)) for level in levels) + config.agent.height
-    top = highest if scene.bounds is None else max(highest, float(scene.bounds[1, 2]))
-    tops = [*bottoms[1:], top]
+    top = highest if bounds is None else max(highest, float(bounds[1, 2]))
     boxes = []
-    for window, bottom, level_top in zip(windows, bottoms, tops, strict=True):
-        x0, y0, x1, y1 = lattice.cut(*window).bounds
-        if scene.bounds is not None and config.grid.bounds is None:
-            x0, y0 = max(x0, float(scene.bounds[0, 0])), max(y0, float(scene.bounds[0, 1]))
-            x1, y1 = min(x1, float(scene.bounds[1, 0])), min(y1, float(scene.bounds[1, 1]))
+    for window, bottom, level_top in zip(windows, bottoms, [*bottoms[1:], top], strict=True):
+        x0, y0, x1, y1 = stages.lattice.cut(*window).bounds
+        # cells reach beyond the scene, the box doesn't, unless the user gave the bounds
+        if bounds is not None and config.grid.bounds is None:
+            x0, y0 = max(x0, float(bounds[0, 0])), max(y0, float(bounds[0, 1]))
+            x1, y1 = min(x1, float(bounds[1, 0])), min(y1, float(bounds[1, 1]))
         boxes.append(((x0, bottom, 0.0 - y1), (x1, level_top, 0.0 - y0)))
     return boxes
 
 
-def _metadata(baked: Baked, config: BakeConfig, windows: Sequence[Window]) -> dict[str, Any]:
-    scene, levels = baked.scene, baked.floors.levels
-    cut: Callable[[int, Int], Int] = lambda level, cells: _cut_cells(  # noqa: E731
-        cells, windows[level], baked.lattice
-    )
+def _metadata(stages: Stages, windows: list[Window], doors: Sequence[Door]) -> Json:
+    agent = stages.config.agent
     return {
-        "sceneId": scene.id,
+        "sceneId": stages.scene.id,
         "cellAttributes": [
             {"name": "floorHeight", "type": "Float32Array", "dataType": "continuous"},
             {"name": "roomIndex", "type": "Uint16Array", "dataType": "categorical"},
             {"name": "occupancy", "type": "Uint8Array", "dataType": "categorical"},
         ],
-        "agentHeight": config.agent.height,
-        "agentRadius": config.agent.radius,
-        "traversableFloorHeight": config.agent.traversable_floor_height,
+        "agentHeight": agent.height,
+        "agentRadius": agent.radius,
+        "traversableFloorHeight": agent.traversable_floor_height,
         "useCellFloorHeight": True,
-        "navbake": {
-            "version": __version__,
-            "mujoco": mujoco_version(),
-            "sceneDigest": scene.digest,
-            "settingsDigest": settings_digest(config),
-            "worldFrame": {
-                "up": "z",
-                "unit": "m",
-                "handedness": "right",
-                "fileFromWorld": "(X, Y, Z) = (x, z, -y)",
-            },
-            "maxSlope": config.agent.max_slope,
-            "levels": [{"name": level.name, "ground": level.ground} for level in levels],
-            "links": _cut_links(baked.floors, windows, baked.lattice).tolist(),
-            "names": config.names.enabled,
-            "rooms": baked.rooms.table,
-            "doors": describe_doors(baked.doors, config.doors.state, cut),
+        "navbake": _own_metadata(stages, windows, doors),
+    }
+
+
+def _own_metadata(stages: Stages, windows: list[Window], doors: Sequence[Door]) -> Json:
+    """The part of the metadata that is not in the format, but navbake's own."""
+    config, levels = stages.config, stages.floors.levels
+    placed = stages.doors.placed
+    rooms = stages.rooms.with_doors({door.id: door.closed_cells for door in placed})
+    return {
+        "version": __version__,
+        "mujoco": mujoco_version(),
+        "sceneDigest": stages.scene.digest,
+        "settingsDigest": settings_digest(config),
+        "worldFrame": {
+            "up": "z",
+            "unit": "m",
+            "handedness": "right",
+            "fileFromWorld": "(X, Y, Z) = (x, z, -y)",
+        },
+        "maxSlope": config.agent.max_slope,
+        "levels": [{"name": level.name, "ground": level.ground} for level in levels],
+        "links": _cut_links(stages.floors.links, windows, stages.lattice.width).tolist(),
+        "names": config.names.enabled,
+        "rooms": [room.to_json() for room in rooms.table],
+        "doors": [_door_entry(door) for door in doors],
+    }
+
+
+def _door_entry(door: Door) -> Json:
+    """A door as the file states it; see `navbake.navgrid.doors.parse_doors`."""
+    return {
+        "id": door.id,
+        "joint": door.joint,
+        "rooms": list(door.rooms),
+        "state": door.state,
+        "cells": {
+            state: [[level, runs] for level, runs in per_level.items()]
+            for state, per_level in door.cells.items()
         },
     }
 
 
-def _cut_links(floors: Floors, windows: Sequence[Window], lattice: Lattice) -> NDArray[np.int64]:
+def _cut_doors(stages: Stages, windows: list[Window]) -> list[Door]:
+    """The doors in the wanted state, with cells counted on each level's own rectangle."""
+
+    def cut(level: int, cells: Int) -> Int:
+        return _cut_cells(cells, windows[level], stages.lattice.width)
+
+    wanted = stages.config.doors.state
+    return [door.on_grid(wanted, cut) for door in stages.doors.placed]
+
+
+def _cut_cells(cells: Int, window: Window, width: int) -> Int:
+    """Cells of the whole lattice as cells of a level's rectangle; those beside it drop out."""
+    rows, cols = window
+    row, col = np.divmod(cells, width)
+    inside = (row >= rows.start) & (row < rows.stop) & (col >= cols.start) & (col < cols.stop)
+    cut: Int = ((row - rows.start) * (cols.stop - cols.start) + col - cols.start)[inside]
+    return cut
+
+
+def _cut_links(links: Int, windows: list[Window], width: int) -> Int:
     """The links with cells counted on each level's own rectangle."""
-    links = floors.links.copy()
-    for side in (0, 2):
-        row, col = np.divmod(links[:, side + 1], lattice.width)
-        row0 = np.array([window[0].start for window in windows])[links[:, side]]
-        col0 = np.array([window[1].start for window in windows])[links[:, side]]
-        width = np.array([w[1].stop - w[1].start for w in windows])[links[:, side]]
-        links[:, side + 1] = (row - row0) * width + (col - col0)
+    links = links.copy()
+    for number, window in enumerate(windows):
+        for level, cell in ((0, 1), (2, 3)):
+            here = links[:, level] == number
+            # a linked cell has a floor, so that none drops out
+            links[here, cell] = _cut_cells(links[here, cell], window, width)
     return links

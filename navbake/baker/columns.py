@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.baker.kernels.arrays import Band, Crossings, Facets, Tiles
 from navbake.baker.kernels.rays import cast_lines, load_mujoco_library
 from navbake.baker.kernels.tiles import bin_boxes
 from navbake.baker.scene.scene import mujoco_library
-from navbake.baker.scene.shapes import Planes, Shapes
+from navbake.baker.scene.shapes import Planes, Shapes, Triangles
 from navbake.navgrid.lattice import Lattice
+from navbake.types import Float, Int, Int32
 
 
 @dataclass(frozen=True)
@@ -21,20 +23,14 @@ class TiledShapes:
     Attributes:
         shapes: the geometry.
         lattice: the cells.
-        solid_start, solid_item: the tiles' lists of solids, see `bin_boxes`.
-        triangle_start, triangle_item: the tiles' lists of triangles.
-        triangle_normal: unit normals, shape (m, 3), float64; 0 for upright triangles' z.
-        triangle_bounds: boxes round the triangles, shape (m, 6), float64 [m].
+        facets: its triangles, as kernels want them.
+        tiles: which solids and triangles lie over each tile.
     """
 
     shapes: Shapes
     lattice: Lattice
-    solid_start: NDArray[np.int64]
-    solid_item: NDArray[np.int32]
-    triangle_start: NDArray[np.int64]
-    triangle_item: NDArray[np.int32]
-    triangle_normal: NDArray[np.float64]
-    triangle_bounds: NDArray[np.float64]
+    facets: Facets
+    tiles: Tiles
 
 
 @dataclass(frozen=True)
@@ -43,6 +39,7 @@ class Columns:
 
     Attributes:
         lattice: the cells.
+        crossings: the surfaces, as kernels take them; the others are parts of it.
         start: shape (cells + 1,), int64.
         z: heights, ascending in a column, shape (n,), float64 [m].
         normal: unit normals, shape (n, 3), float32; z > 0 faces up.
@@ -50,10 +47,23 @@ class Columns:
     """
 
     lattice: Lattice
-    start: NDArray[np.int64]
-    z: NDArray[np.float64]
-    normal: NDArray[np.float32]
-    geom: NDArray[np.int32]
+    crossings: Crossings
+
+    @property
+    def start(self) -> Int:
+        return self.crossings.start
+
+    @property
+    def z(self) -> Float:
+        return self.crossings.z
+
+    @property
+    def normal(self) -> NDArray[np.float32]:
+        return self.crossings.normal
+
+    @property
+    def geom(self) -> Int32:
+        return self.crossings.geom
 
 
 def tile_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> TiledShapes:
@@ -64,20 +74,10 @@ def tile_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> TiledShapes:
         lattice: the cells.
         reach: how far beyond its centre a cell looks for geometry [m].
     """
-    place = (lattice.x_min, lattice.y_max, lattice.cell_size, lattice.width, lattice.height)
-    bounds = shapes.triangles.bounds
-    solid_start, solid_item = bin_boxes(shapes.solids.bounds, reach, *place)
-    triangle_start, triangle_item = bin_boxes(bounds, reach, *place)
-    return TiledShapes(
-        shapes=shapes,
-        lattice=lattice,
-        solid_start=solid_start,
-        solid_item=solid_item,
-        triangle_start=triangle_start,
-        triangle_item=triangle_item,
-        triangle_normal=_unit_normals(shapes.triangles.corners),
-        triangle_bounds=bounds,
-    )
+    facets = _facets_of(shapes.triangles)
+    solids = bin_boxes(shapes.solids.bounds, reach, lattice)
+    triangles = bin_boxes(facets.bounds, reach, lattice)
+    return TiledShapes(shapes, lattice, facets, Tiles(*solids, *triangles))
 
 
 def cast_columns(tiled: TiledShapes) -> Columns:
@@ -94,65 +94,38 @@ def cast_columns(tiled: TiledShapes) -> Columns:
         The columns; the same whatever the number of threads.
     """
     lattice, shapes = tiled.lattice, tiled.shapes
-    solids, planes, triangles = shapes.solids, shapes.planes, shapes.triangles
     load_mujoco_library(mujoco_library())
-    z_low, z_high = _height_range(shapes, planes, lattice)
-    arguments = (
-        lattice.x_min,
-        lattice.y_max,
-        lattice.cell_size,
-        lattice.width,
-        lattice.height,
-        z_low,
-        z_high,
-        tiled.solid_start,
-        tiled.solid_item,
-        solids.geom,
-        solids.kind,
-        solids.pos,
-        solids.mat,
-        solids.size,
-        solids.bounds,
-        tiled.triangle_start,
-        tiled.triangle_item,
-        triangles.geom,
-        triangles.corners,
-        tiled.triangle_normal,
-        tiled.triangle_bounds,
-        planes.geom,
-        planes.pos,
-        planes.mat,
-    )
+    heights = _height_range(shapes, shapes.planes, lattice)
+    geometry = (lattice, shapes.solids, tiled.facets, shapes.planes, tiled.tiles, heights)
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
-    cast_lines(*arguments, start, *_empty_crossings(0))
+    cast_lines(*geometry, _empty_crossings(start, 0, shapes))
     np.cumsum(start, out=start)
-    z, normal, geom = _empty_crossings(int(start[-1]))
-    if len(z):
-        cast_lines(*arguments, start, z, normal, geom)
-    return Columns(lattice=lattice, start=start, z=z, normal=normal, geom=geom)
+    crossings = _empty_crossings(start, int(start[-1]), shapes)
+    if len(crossings.z):
+        cast_lines(*geometry, crossings)
+    return Columns(lattice, crossings)
 
 
-def _empty_crossings(
-    count: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.int32]]:
-    return (
-        np.empty(count, dtype=np.float64),
-        np.empty((count, 3), dtype=np.float32),
-        np.empty(count, dtype=np.int32),
+def _empty_crossings(start: Int, count: int, shapes: Shapes) -> Crossings:
+    return Crossings(
+        start=start,
+        z=np.empty(count, dtype=np.float64),
+        normal=np.empty((count, 3), dtype=np.float32),
+        geom=np.empty(count, dtype=np.int32),
+        closed=shapes.closed,
     )
 
 
-def _unit_normals(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _facets_of(triangles: Triangles) -> Facets:
+    corners = triangles.corners
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(cross, axis=1, keepdims=True)
-    normal: NDArray[np.float64] = np.divide(
-        cross, length, out=np.zeros_like(cross), where=length > 0
-    )
+    normal: Float = np.divide(cross, length, out=np.zeros_like(cross), where=length > 0)
     normal[np.abs(normal[:, 2]) < 1e-9, 2] = 0.0
-    return np.ascontiguousarray(normal)
+    return Facets(triangles.geom, corners, np.ascontiguousarray(normal), triangles.bounds)
 
 
-def _height_range(shapes: Shapes, planes: Planes, lattice: Lattice) -> tuple[float, float]:
+def _height_range(shapes: Shapes, planes: Planes, lattice: Lattice) -> Band:
     """Heights below and above everything over the lattice, infinite planes included [m]."""
     bounds = shapes.bounds()
     heights = [0.0] if bounds is None else [float(bounds[0, 2]), float(bounds[1, 2])]
@@ -161,4 +134,4 @@ def _height_range(shapes: Shapes, planes: Planes, lattice: Lattice) -> tuple[flo
     for pos, normal in zip(planes.pos, planes.normal, strict=True):
         if abs(normal[2]) > 1e-6:
             heights.extend(pos[2] - (corners - pos[:2]) @ normal[:2] / normal[2])
-    return min(heights) - 1.0, max(heights) + 1.0
+    return Band(float(min(heights)) - 1.0, float(max(heights)) + 1.0)

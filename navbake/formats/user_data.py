@@ -32,7 +32,7 @@ class UnreadPiece:
     Attributes:
         text: the piece, one whole value; a view, as a copy of so much takes its time.
         line: where it starts, from 1.
-        column: likewise.
+        column: where it starts in that line, from 1.
         place: where in the file it stands.
         num_cells: of its level.
     """

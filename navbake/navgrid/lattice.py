@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -54,9 +54,8 @@ def num_cells(extent: float, cell_size: float) -> int:
     return max(1, math.ceil(extent / cell_size - CELL_SLACK))
 
 
-@dataclass(frozen=True)
-class Lattice:
-    """A rectangle of square cells in the world's horizontal plane.
+class Lattice(NamedTuple):
+    """A rectangle of square cells in the world's horizontal plane; kernels take it whole.
 
     Attributes:
         x_min: world x of the outer edge of column 0 [m].

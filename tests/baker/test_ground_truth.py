@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from navbake.baker.pipeline import lay_lattice, run_bake
+from navbake.baker.lattice import lay_lattice
+from navbake.baker.pipeline import run_bake
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import parse_config
 from navbake.errors import SceneError

@@ -11,8 +11,8 @@ from navbake.baker.kernels.lists import number_lists
 from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene
 from navbake.navgrid.lattice import Lattice
+from navbake.types import Int
 
-Int = NDArray[np.int64]
 Window = tuple[slice, slice]
 Names = dict[str, list[str]]
 

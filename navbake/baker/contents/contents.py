@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +19,14 @@ from navbake.baker.contents.cell_names import (
     name_cells,
     name_geoms,
 )
-from navbake.baker.contents.structure import Carriers, Footing, find_carriers, find_ceilings
+from navbake.baker.contents.structure import Carriers, FloorSupport, find_carriers, find_ceilings
 from navbake.baker.contents.walls import (
     BUILDING,
     OBJECT,
     STRUCTURE,
     WALL,
     WALL_BAND,
-    Standing,
+    GeomsOverFloors,
     find_buildings,
     find_walls,
     is_static,
@@ -33,26 +34,26 @@ from navbake.baker.contents.walls import (
     wall_candidates,
 )
 from navbake.baker.floors.levels import Floors, LevelFloor
+from navbake.baker.floors.sheets import agent_limits
+from navbake.baker.kernels.arrays import Probe, StoreyCells
+from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.kernels.contents import (
     count_candidates,
     describe_floors,
     list_geoms,
-    measure_standing,
+    measure_over_floors,
 )
 from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS, UNPROVED
-from navbake.baker.kernels.sheets import SAME, SLACK
-from navbake.baker.occupancy.occupancy import TOUCH, Footprint
+from navbake.baker.occupancy.occupancy import Footprint
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings, NameSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import Shared, UserData
+from navbake.types import Bool, Float, Int, Int32
 
-Bool = NDArray[np.bool_]
 
-
-@dataclass(frozen=True)
-class LevelContents:
+class LevelContents(NamedTuple):
     """The geoms of a storey's cells, ragged: cell i holds ``[start[i], start[i + 1])``.
 
     Attributes:
@@ -63,19 +64,19 @@ class LevelContents:
         blocks: whether it meets the volume that the occupancy is about, shape (n,), bool.
         upper: whether it stands there and meets the square in `WALL_BAND`, be that above the
             ceiling or not, shape (n,), bool; asked only of `wall_candidates`.
-        footing: what carries the floor.
+        support: what carries the floor.
     """
 
     lattice: Lattice
-    start: NDArray[np.int64]
-    geom: NDArray[np.int32]
+    start: Int
+    geom: Int32
     stands: Bool
     blocks: Bool
     upper: Bool
-    footing: Footing
+    support: FloorSupport
 
     @property
-    def cell(self) -> NDArray[np.int64]:
+    def cell(self) -> Int:
         """Cell id of each entry, shape (n,), int64."""
         return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
 
@@ -136,7 +137,7 @@ class Contents:
         bits = np.where(listed.blocks, BLOCKERS, 0)
         bits |= np.where(listed.stands & self._is_wall(listed), WALLS, 0)
         bits |= np.where(listed.stands & (kind == OBJECT), OBJECTS, 0)
-        carrier = listed.footing.carrier
+        carrier = listed.support.geom
         below = np.flatnonzero(carrier >= 0)
         below = below[self.kinds[carrier[below]] == OBJECT]
         cell = np.concatenate([listed.cell, below])
@@ -159,7 +160,7 @@ def find_contents(
     agent: AgentSettings,
     settings: NameSettings,
 ) -> Contents:
-    """List what stands in every cell with a floor, and tell what each geom is.
+    """List what stands in every cell with a floor, and classify each geom.
 
     Args:
         scene: the scene.
@@ -178,10 +179,10 @@ def find_contents(
         _list_level(columns, tiled, level, top, mask, agent, candidates)
         for level, top, mask in zip(floors.levels, tops, occupied, strict=True)
     ]
-    footings = [listed.footing for listed in levels]
-    carriers = find_carriers(floors, footings, extents, agent, columns.lattice)
-    standing = _standing(levels, floors, extents)
-    kinds = _tell_kinds(scene, extents, standing, carriers, agent)
+    supports = [listed.support for listed in levels]
+    carriers = find_carriers(floors, supports, extents, agent, columns.lattice)
+    over_floors = _measure_over_floors(levels, floors, extents)
+    kinds = _classify(scene, extents, over_floors, carriers, agent)
     named, warnings = match_walls(scene, settings.walls)
     if settings.walls:
         kinds[kinds == WALL] = OBJECT
@@ -189,18 +190,18 @@ def find_contents(
     return Contents(levels, kinds, name_geoms(scene), extents, warnings)
 
 
-def _tell_kinds(
+def _classify(
     scene: Scene,
     extents: Extents,
-    standing: Standing,
+    over_floors: GeomsOverFloors,
     carriers: Carriers,
     agent: AgentSettings,
 ) -> NDArray[np.uint8]:
-    """Tell what each geom is, walls by their shape."""
-    buildings = find_buildings(scene, extents, standing)
-    walls = find_walls(scene, extents, standing, carriers, buildings)
+    """What each geom is, walls by their shape."""
+    buildings = find_buildings(scene, extents, over_floors)
+    walls = find_walls(scene, extents, over_floors, carriers, buildings)
     kinds = np.full(len(extents.thin), OBJECT, dtype=np.uint8)
-    ceilings = find_ceilings(extents, standing.base, is_static(scene), agent)
+    ceilings = find_ceilings(extents, over_floors.base, is_static(scene), agent)
     kinds[carriers.building | ceilings] = STRUCTURE
     kinds[walls] = WALL
     kinds[buildings] = BUILDING
@@ -224,40 +225,26 @@ def _list_level(
 ) -> LevelContents:
     """List the geoms of one storey's cells; a cell's ceiling is never lower than the agent."""
     lattice, shapes = columns.lattice, tiled.shapes
-    place = (lattice.x_min, lattice.y_max, lattice.cell_size, lattice.width, lattice.height)
-    solids, planes = shapes.solids, shapes.planes
+    geometry = (shapes.solids, tiled.facets, shapes.planes, tiled.tiles)
     footprint = Footprint.of(agent, lattice.cell_size)
-    half = lattice.cell_size / 2 - TOUCH
-    upper_low, upper_high = WALL_BAND[0] + TOUCH, WALL_BAND[1] - TOUCH
     floor = level.floor.ravel()
     ceiling = np.maximum(top, floor + agent.height) - TOUCH
-    slot = np.zeros(len(floor) + 1, dtype=np.int64)
-    count_candidates(
-        *place, floor, ceiling, footprint.reach,
-        tiled.solid_start, tiled.solid_item, solids.bounds,
-        tiled.triangle_start, tiled.triangle_item, shapes.triangles.geom, tiled.triangle_bounds,
-        planes.pos, planes.mat, slot[1:],
-    )  # fmt: skip
+    slot, none = np.zeros(len(floor) + 1, dtype=np.int64), np.zeros(0)
+    cells = StoreyCells(
+        floor, ceiling, occupied.ravel(), slot, none.astype(np.int32), none.astype(np.uint8)
+    )
+    count_candidates(lattice, *geometry, footprint.reach, cells)
     np.cumsum(slot, out=slot)
     geom, flags = np.empty(slot[-1], dtype=np.int32), np.zeros(slot[-1], dtype=np.uint8)
-    list_geoms(
-        *place, floor, ceiling, SAME + TOUCH, upper_low, upper_high, half,
-        footprint.square, footprint.radius, footprint.low, footprint.high,
-        occupied.ravel(), probed,
-        columns.start, columns.z, columns.normal, columns.geom, shapes.closed,
-        tiled.solid_start, tiled.solid_item, solids.geom, solids.kind, solids.pos, solids.mat,
-        solids.size, solids.bounds,
-        tiled.triangle_start, tiled.triangle_item, shapes.triangles.geom,
-        shapes.triangles.corners, tiled.triangle_bounds,
-        planes.geom, planes.pos, planes.mat,
-        slot, geom, flags,
-    )  # fmt: skip
+    cells = cells._replace(geom=geom, flags=flags)
+    probe = Probe(WALL_BAND[0] + TOUCH, WALL_BAND[1] - TOUCH, probed)
+    list_geoms(lattice, columns.crossings, *geometry, footprint, probe, cells)
     kept = flags > 0
     start, flags = np.concatenate([[0], np.cumsum(kept)])[slot], flags[kept]
     unproved = np.flatnonzero(flags & UNPROVED)
     if len(unproved):  # what FCL found out about the cell decides
-        cells = np.searchsorted(start, unproved, side="right") - 1
-        flags[unproved[occupied.ravel()[cells]]] |= BLOCKS
+        inside = np.searchsorted(start, unproved, side="right") - 1
+        flags[unproved[occupied.ravel()[inside]]] |= BLOCKS
     return LevelContents(
         lattice=lattice,
         start=start,
@@ -265,30 +252,26 @@ def _list_level(
         stands=(flags & STANDS) > 0,
         blocks=(flags & BLOCKS) > 0,
         upper=(flags & PROBED) > 0,
-        footing=_footing(columns, floor, agent),
+        support=_support(columns, floor, agent),
     )
 
 
-def _footing(columns: Columns, floor: NDArray[np.float64], agent: AgentSettings) -> Footing:
-    carrier, gap = np.empty(len(floor), dtype=np.int32), np.empty(len(floor))
-    min_up = float(np.cos(np.radians(agent.max_slope))) - SLACK
-    describe_floors(
-        floor, columns.start, columns.z, columns.normal, columns.geom, min_up, carrier, gap
-    )
-    return Footing(carrier, gap)
+def _support(columns: Columns, floor: Float, agent: AgentSettings) -> FloorSupport:
+    support = FloorSupport(np.empty(len(floor), dtype=np.int32), np.empty(len(floor)))
+    describe_floors(floor, columns.crossings, agent_limits(agent).min_up, support)
+    return support
 
 
-def _standing(levels: Sequence[LevelContents], floors: Floors, extents: Extents) -> Standing:
+def _measure_over_floors(
+    levels: Sequence[LevelContents], floors: Floors, extents: Extents
+) -> GeomsOverFloors:
     num = len(extents.low)
     base, rise = np.full(num, np.inf), np.full(num, -np.inf)
     area, upper_area = np.zeros(num), np.zeros(num)
     for listed, level in zip(levels, floors.levels, strict=True):
         cells, upper = np.zeros(num, dtype=np.int64), np.zeros(num, dtype=np.int64)
-        measure_standing(
-            listed.start, listed.geom, listed.stands, listed.upper, level.floor.ravel(),
-            extents.low, extents.high, base, rise, cells, upper,
-        )  # fmt: skip
+        measure_over_floors(listed, level.floor.ravel(), extents, base, rise, cells, upper)
         square = listed.lattice.cell_size**2
         area = np.maximum(area, cells * square)
         upper_area = np.maximum(upper_area, upper * square)
-    return Standing(base, rise, area, upper_area)
+    return GeomsOverFloors(base, rise, area, upper_area)

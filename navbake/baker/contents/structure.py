@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from navbake.baker.floors.levels import Floors
-from navbake.baker.kernels.contents import count_footings
-from navbake.baker.kernels.sheets import SAME, SLACK
+from navbake.baker.kernels.constants import SAME, SLACK
+from navbake.baker.kernels.contents import count_supports
 from navbake.baker.scene.extents import Extents
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
-
-Bool = NDArray[np.bool_]
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
+from navbake.types import Bool, Float, Int, Int32
 
 # A thing that one can stand on is at most this large, and lies at most this high over a floor
 # unless it is solid down to it [m², m], in at least this share of its cells
@@ -30,17 +27,32 @@ COVERING = 0.03
 CEILING_WIDTH = 1.5
 
 
-@dataclass(frozen=True)
-class Footing:
+class FloorSupport(NamedTuple):
     """What carries the floor of a storey.
 
     Attributes:
-        carrier: the geom whose surface each cell's floor is, shape (cells,), int32, -1 for none.
+        geom: the geom whose surface each cell's floor is, shape (cells,), int32, -1 for none.
         gap: how far the next geom's floor lies below, shape (cells,), float64, inf for none [m].
     """
 
-    carrier: NDArray[np.int32]
+    geom: Int32
     gap: Float
+
+
+class SupportCounts(NamedTuple):
+    """By geom id: the cells whose floor it carries, shape (ngeom,), int64.
+
+    Attributes:
+        cells: how many there are.
+        over: in how many the geom lies over another floor, no higher than a thing does.
+        near: in how many it only covers one.
+        stood_on: whether one can stand on it in any, bool.
+    """
+
+    cells: Int
+    over: Int
+    near: Int
+    stood_on: Bool
 
 
 @dataclass(frozen=True)
@@ -61,7 +73,7 @@ class Carriers:
 
 def find_carriers(
     floors: Floors,
-    footings: Sequence[Footing],
+    supports: Sequence[FloorSupport],
     extents: Extents,
     agent: AgentSettings,
     lattice: Lattice,
@@ -75,31 +87,26 @@ def find_carriers(
 
     Args:
         floors: the storeys.
-        footings: what carries them.
+        supports: what carries them.
         extents: the geoms'.
         agent: its step.
         lattice: the cells.
     """
-    carriers = np.stack([footing.carrier for footing in footings])
     num = len(extents.thin)
     cells, over, near = (np.zeros(num, dtype=np.int64) for _ in range(3))
-    stood_on = np.zeros(num, dtype=np.bool_)
+    counts = SupportCounts(cells, over, near, np.zeros(num, dtype=np.bool_))
     height = np.fmax(extents.high - extents.low + COVERING, THING_HEIGHT) + SLACK
-    for footing, level in zip(footings, floors.levels, strict=True):
-        standable = level.standable.ravel()
-        count_footings(
-            footing.carrier, footing.gap, standable, height, COVERING + SLACK,
-            cells, over, near, stood_on,
-        )  # fmt: skip
-    over_floor, covering = over >= MOSTLY * cells, near >= MOSTLY * cells
-    low, high, rise = _steps(floors, carriers, lattice)
+    for support, level in zip(supports, floors.levels, strict=True):
+        count_supports(support, level.standable.ravel(), height, COVERING + SLACK, counts)
+    carries, is_over, covering = cells > 0, over >= MOSTLY * cells, near >= MOSTLY * cells
+    low, high, rise = _steps(floors, np.stack([support.geom for support in supports]), lattice)
     area = _plateau_cells(low, high, rise, cells) * lattice.cell_size**2
-    things = (cells > 0) & (area <= THING_AREA + SLACK) & over_floor
+    things = carries & (area <= THING_AREA + SLACK) & is_over
     is_step = (rise > SAME) & (rise <= agent.traversable_floor_height + SLACK) & ~covering[low]
     low, high = low[is_step], high[is_step]
     while (leads_up := np.unique(low[things[low] & ~things[high]])).size:
         things[leads_up] = False
-    return Carriers((cells > 0) & ~things, things, stood_on)
+    return Carriers(carries & ~things, things, counts.stood_on)
 
 
 def find_ceilings(extents: Extents, base: Float, static: Bool, agent: AgentSettings) -> Bool:
@@ -118,7 +125,7 @@ def find_ceilings(extents: Extents, base: Float, static: Bool, agent: AgentSetti
     return ceilings
 
 
-def _steps(floors: Floors, carrier: NDArray[np.int32], lattice: Lattice) -> tuple[Int, Int, Float]:
+def _steps(floors: Floors, carrier: Int32, lattice: Lattice) -> tuple[Int, Int, Float]:
     """Pairs of geoms whose floors lie side by side: the lower, the higher, and by how much.
 
     Args:

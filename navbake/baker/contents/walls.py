@@ -10,14 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.contents.structure import Carriers
-from navbake.baker.scene.bodies import find_subtree_ends, list_geoms
+from navbake.baker.scene.bodies import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.extents import Extents
-from navbake.baker.scene.names import body_name, names_of, tell_unmatched
+from navbake.baker.scene.names import body_name, names_of, warn_unmatched
 from navbake.baker.scene.scene import Scene
-
-Bool = NDArray[np.bool_]
-Float = NDArray[np.float64]
-Kinds = NDArray[np.uint8]
+from navbake.types import Bool, Float, Int
 
 OBJECT, WALL, STRUCTURE, BUILDING = range(4)
 """What a geom can be; BUILDING is a mesh that holds a whole one, floors and walls together."""
@@ -44,7 +41,7 @@ UPRIGHT = 0.5
 
 
 @dataclass(frozen=True)
-class Standing:
+class GeomsOverFloors:
     """How geoms stand over floors, by geom id.
 
     Attributes:
@@ -73,11 +70,11 @@ def wall_candidates(scene: Scene, extents: Extents) -> Bool:
     return candidates
 
 
-def find_buildings(scene: Scene, extents: Extents, standing: Standing) -> Bool:
+def find_buildings(scene: Scene, extents: Extents, over_floors: GeomsOverFloors) -> Bool:
     """Mark the meshes that hold a whole building: surfaces, tall, wide both ways, and hollow."""
     with np.errstate(invalid="ignore"):
         large = (extents.thin >= BUILDING_WIDTH) & (extents.high - extents.low >= TALL)
-        hollow = standing.upper_area < HOLLOW * extents.thin * extents.long
+        hollow = over_floors.upper_area < HOLLOW * extents.thin * extents.long
     buildings: Bool = _is_surface(scene) & large & hollow
     return buildings
 
@@ -109,12 +106,12 @@ def match_walls(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[str]]
         hits = {name for name in known if fnmatchcase(name, pattern)}
         matched |= np.array([not hits.isdisjoint(names) for names in by_geom], dtype=np.bool_)
         if not hits:
-            warnings.append(tell_unmatched("names.walls", pattern, known))
+            warnings.append(warn_unmatched("names.walls", pattern, known))
     return matched, warnings
 
 
 def find_walls(
-    scene: Scene, extents: Extents, standing: Standing, carriers: Carriers, excluded: Bool
+    scene: Scene, extents: Extents, over_floors: GeomsOverFloors, carriers: Carriers, excluded: Bool
 ) -> Bool:
     """Mark the walls by their shape, and by their names where the shape leaves it open.
 
@@ -127,7 +124,7 @@ def find_walls(
     Args:
         scene: the scene.
         extents: the geoms'.
-        standing: how they stand.
+        over_floors: how they stand over floors.
         carriers: what carries floors: no wall where one can stand on it unless it is named so,
             and no piece in a wall's line.
         excluded: what is no wall by itself, such as a mesh that holds a whole building.
@@ -140,11 +137,11 @@ def find_walls(
         dtype=np.bool_,
     )
     static, slender = is_static(scene) & ~excluded, _is_slender(extents)
-    stands = static & (standing.base <= NEAR_FLOOR)
+    stands = static & (over_floors.base <= NEAR_FLOOR)
     named = stands & hinted
-    named &= (standing.rise >= NAMED_TALL) | (slender & (standing.rise >= LOW))
-    shaped = stands & slender & (standing.rise >= TALL) & ~carriers.stood_on & ~named
-    shaped &= standing.upper_area >= UPRIGHT * standing.area
+    named &= (over_floors.rise >= NAMED_TALL) | (slender & (over_floors.rise >= LOW))
+    shaped = stands & slender & (over_floors.rise >= TALL) & ~carriers.stood_on & ~named
+    shaped &= over_floors.upper_area >= UPRIGHT * over_floors.area
     ends = find_subtree_ends(scene.model)
     for geom in np.flatnonzero(shaped):
         shaped[geom] = not _is_furniture_panel(scene, extents, int(geom), ends)
@@ -212,12 +209,12 @@ def _near_pairs(
         yield block[wall], pieces[piece]
 
 
-def _is_furniture_panel(scene: Scene, extents: Extents, geom: int, ends: NDArray[np.int64]) -> bool:
+def _is_furniture_panel(scene: Scene, extents: Extents, geom: int, ends: Int) -> bool:
     """Whether a body that holds the geom is deeper than it, and as large as furniture is."""
     model = scene.model
     body = int(model.geom_bodyid[geom])
     while body > 0:
-        inside = list_geoms(model, body, int(ends[body]))
+        inside = geoms_of_bodies(model, body, int(ends[body]))
         parts = inside[~np.isnan(extents.thin[inside])]
         if len(parts) > FURNITURE_PARTS:
             return False

@@ -3,22 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.floors.sheets import AreaTest, Standable, mask_window, shrink_mask
-from navbake.baker.kernels.sheets import (
-    SLACK,
-    find_links,
-    group_members,
-    join_by_steps,
-    place_on_levels,
-)
+from navbake.baker.kernels.constants import SLACK
+from navbake.baker.kernels.sheets import find_links, group_members, join_by_steps, place_on_levels
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
-
-Bool = NDArray[np.bool_]
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
+from navbake.types import Bool, Float, Int
 
 # Floors whose heights round to the same multiple of this are one plateau [m]
 PLATEAU = 0.02
@@ -71,10 +62,8 @@ def lower_grounds(standable: Standable, grounds: list[float], agent: AgentSettin
     step, lattice = agent.traversable_floor_height, standable.lattice
     for _ in grounds[1:]:
         level = _place(standable, grounds)
-        part, size = join_by_steps(
-            standable.start, standable.z, level, lattice.width, lattice.height, step
-        )
-        links = find_links(standable.start, standable.z, level, lattice.width, lattice.height, step)
+        part, size = join_by_steps(lattice, standable.start, standable.z, level, step)
+        links = find_links(lattice, standable.start, standable.z, level, step)
         lowered = list(grounds)
         low = np.full(len(size), np.inf)
         np.minimum.at(low, part, standable.z)
@@ -175,7 +164,7 @@ def _place(standable: Standable, grounds: list[float]) -> Int:
     """The level of each surface by the grounds, -1 where all that it could go to are taken."""
     base = np.searchsorted(np.array(grounds) - SLACK, standable.z, side="right") - 1
     level = np.empty(len(standable.z), dtype=np.int64)
-    place_on_levels(standable.start, standable.z, np.maximum(base, 0), len(grounds), level)
+    place_on_levels(standable.start, np.maximum(base, 0), len(grounds), level)
     return level
 
 

@@ -6,20 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.columns import Columns
 from navbake.baker.floors.grounds import assign_levels, find_grounds, lower_grounds
 from navbake.baker.floors.roofs import drop_roofs, is_walled
 from navbake.baker.floors.sheets import Standable, drop_furniture, drop_tops, find_standable
-from navbake.baker.kernels.sheets import SLACK, find_links, group_members, grow_floor
+from navbake.baker.kernels.constants import SLACK
+from navbake.baker.kernels.sheets import find_links, group_members, grow_floor
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
-
-Bool = NDArray[np.bool_]
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
+from navbake.types import Bool, Float, Int
 
 
 @dataclass(frozen=True)
@@ -40,8 +37,8 @@ class LevelFloor:
 
 
 @dataclass(frozen=True)
-class Top:
-    """A sheet that is no floor: furniture (see `drop_tops`), or a roof.
+class DroppedSheet:
+    """A sheet that is no floor: the top of furniture (see `drop_tops`), or a roof.
 
     Attributes:
         geom: the geom that most of it belongs to.
@@ -68,8 +65,8 @@ class Floors:
 
     levels: list[LevelFloor]
     links: Int
-    tops: list[Top] = field(default_factory=list)
-    roofs: list[Top] = field(default_factory=list)
+    tops: list[DroppedSheet] = field(default_factory=list)
+    roofs: list[DroppedSheet] = field(default_factory=list)
 
 
 def find_floors(
@@ -103,42 +100,39 @@ def find_floors(
             f"after shrinking by {settings.shrink:g} m; lower `floors.min_area` or "
             f"`floors.shrink` if it is a floor"
         )
-    tops: list[Top] = []
-    roofs: list[Top] = []
+    tops: list[DroppedSheet] = []
+    roofs: list[DroppedSheet] = []
+    names: list[str | None] = []
     if not settings.tops:
         every, step = counted, agent.traversable_floor_height
         counted = drop_tops(every, columns, floor_like, step, settings)
-        tops = _describe_gone(every, counted, columns)
+        tops = _describe_dropped(every, counted, columns)
+    if given is None and not settings.roofs:
+        every = counted
+        counted = drop_roofs(every, columns, agent, is_occupied)
+        roofs = _describe_dropped(every, counted, columns, walled_by=agent.height)
     if given is None:
-        if not settings.roofs:
-            every = counted
-            counted = drop_roofs(every, columns, shapes, agent, is_occupied)
-            roofs = _describe_gone(every, counted, columns, walled_by=agent.height)
-        grounds = find_grounds(counted, agent, settings)
-        grounds = lower_grounds(counted, grounds, agent)
-        given_names: list[str | None] = []
+        grounds = lower_grounds(counted, find_grounds(counted, agent, settings), agent)
     else:
         counted = _within_given(counted, given, columns)
-        grounds = [level.ground for level in given]
-        given_names = [level.name for level in given]
-    level, grounds, names = assign_levels(counted, grounds, given_names)
-    candidate = floor_like.copy()
-    candidate[counted.surface] = False
+        grounds, names = [level.ground for level in given], [level.name for level in given]
+    level, grounds, labels = assign_levels(counted, grounds, names)
+    floor_like[counted.surface] = False  # a floor goes on only where no other one is
     levels = [
-        _level_floor(k, names[k], ground, level, counted, columns, candidate, agent)
-        for k, ground in enumerate(grounds)
+        LevelFloor(label, ground, *_level_floor(k, level, counted, columns, floor_like, agent))
+        for k, (label, ground) in enumerate(zip(labels, grounds, strict=True))
     ]
     return Floors(levels, _cell_links(counted, level, agent), tops, roofs)
 
 
-def _describe_gone(
+def _describe_dropped(
     every: Standable, counted: Standable, columns: Columns, walled_by: float | None = None
-) -> list[Top]:
-    """Describe the sheets that are gone, or those with walls of a height around them."""
+) -> list[DroppedSheet]:
+    """Describe the sheets that were dropped, or those with walls of a height around them."""
     gone = np.flatnonzero((every.sheet_size > 0) & (counted.sheet_size == 0))
     start, member = group_members(every.sheet, every.sheet_size)
     cells = every.cell
-    tops = []
+    dropped = []
     for sheet in gone:
         members = member[start[sheet] : start[sheet + 1]]
         z = every.z[members]
@@ -146,8 +140,8 @@ def _describe_gone(
             continue
         geoms = columns.geom[every.surface[members]]
         area = len(members) * every.lattice.cell_size**2
-        tops.append(Top(int(np.bincount(geoms).argmax()), float(z.max()), area))
-    return sorted(tops, key=lambda top: -top.area)
+        dropped.append(DroppedSheet(int(np.bincount(geoms).argmax()), float(z.max()), area))
+    return sorted(dropped, key=lambda sheet: -sheet.area)
 
 
 def _within_given(standable: Standable, given: list[LevelSettings], columns: Columns) -> Standable:
@@ -172,14 +166,13 @@ def _within_given(standable: Standable, given: list[LevelSettings], columns: Col
 
 def _level_floor(
     number: int,
-    name: str,
-    ground: float,
     level: Int,
     standable: Standable,
     columns: Columns,
     candidate: Bool,
     agent: AgentSettings,
-) -> LevelFloor:
+) -> tuple[Float, Bool]:
+    """The floor of one level, and where it is standable; see `LevelFloor`."""
     lattice = standable.lattice
     floor = np.full(lattice.width * lattice.height, np.nan)
     cells, z = standable.cell, standable.z
@@ -191,31 +184,14 @@ def _level_floor(
     # of several in a column, the last one written stays: here the highest, there the lowest
     lowest[cells[below]] = z[below] + agent.height - SLACK
     highest[cells[above]] = z[above] - agent.height + SLACK
-    grow_floor(
-        floor,
-        lattice.width,
-        lattice.height,
-        columns.start,
-        columns.z,
-        candidate,
-        lowest,
-        highest,
-        agent.traversable_floor_height,
-    )
-    return LevelFloor(
-        name, ground, floor.reshape(lattice.shape), is_standable.reshape(lattice.shape)
-    )
+    step = agent.traversable_floor_height
+    grow_floor(lattice, columns.crossings, candidate, floor, lowest, highest, step)
+    return floor.reshape(lattice.shape), is_standable.reshape(lattice.shape)
 
 
 def _cell_links(standable: Standable, level: Int, agent: AgentSettings) -> Int:
-    pairs = find_links(
-        standable.start,
-        standable.z,
-        level,
-        standable.lattice.width,
-        standable.lattice.height,
-        agent.traversable_floor_height,
-    )
+    step = agent.traversable_floor_height
+    pairs = find_links(standable.lattice, standable.start, standable.z, level, step)
     cells = standable.cell
     a, b = pairs[:, 0], pairs[:, 1]
     links = np.stack([level[a], cells[a], level[b], cells[b]], axis=1)

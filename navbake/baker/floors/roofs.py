@@ -6,20 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from navbake.baker.columns import Columns
 from navbake.baker.floors.sheets import Standable, mask_window
+from navbake.baker.kernels.constants import SLACK, TOUCH
 from navbake.baker.kernels.occupancy import lines_blocked
-from navbake.baker.kernels.sheets import SLACK, group_members
-from navbake.baker.occupancy.occupancy import TOUCH
-from navbake.baker.scene.shapes import Shapes
+from navbake.baker.kernels.sheets import group_members
 from navbake.config.settings import AgentSettings
-
-Bool = NDArray[np.bool_]
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
+from navbake.types import Bool, Float, Int
 
 # Openings up to twice this wide don't let the sky into an enclosed level [m]
 DOOR_HALF_WIDTH = 0.6
@@ -31,7 +26,6 @@ HALF = 0.5
 def drop_roofs(
     standable: Standable,
     columns: Columns,
-    shapes: Shapes,
     agent: AgentSettings,
     is_occupied: Callable[[Int, Float], Bool],
 ) -> Standable:
@@ -44,7 +38,6 @@ def drop_roofs(
     Args:
         standable: the surfaces of the sheets that count.
         columns: all surfaces.
-        shapes: the geometry.
         agent: its height and step.
         is_occupied: tells for cell ids and floor heights which are occupied.
     """
@@ -57,7 +50,7 @@ def drop_roofs(
     sky_share = np.bincount(sheet, to_sky, len(size)) / size
     over_share = np.bincount(sheet, over_floor, len(size)) / size
     keep = np.ones(len(size), dtype=np.bool_)
-    under = _EnclosedTest(standable, columns, shapes, agent, is_occupied)
+    under = _EnclosedTest(standable, columns, agent, is_occupied)
     start, member = group_members(sheet, standable.sheet_size)
     for roof in np.flatnonzero((sky_share >= MOSTLY) & (over_share >= HALF)):
         members = member[start[roof] : start[roof + 1]]
@@ -93,7 +86,6 @@ class _EnclosedTest:
 
     standable: Standable
     columns: Columns
-    shapes: Shapes
     agent: AgentSettings
     is_occupied: Callable[[Int, Float], Bool]
 
@@ -139,17 +131,8 @@ class _EnclosedTest:
         blocked[exact] = self.is_occupied(cells[exact], floor[exact])
         rough = inside & ~has_floor
         answers = np.zeros(int(rough.sum()), dtype=np.bool_)
-        columns = self.columns
-        lines_blocked(
-            cells[rough],
-            floor[rough] + self.agent.traversable_floor_height + TOUCH,
-            floor[rough] + self.agent.height - TOUCH,
-            columns.start,
-            columns.z,
-            columns.normal,
-            columns.geom,
-            self.shapes.closed,
-            answers,
-        )
+        low = floor[rough] + self.agent.traversable_floor_height + TOUCH
+        high = floor[rough] + self.agent.height - TOUCH
+        lines_blocked(cells[rough], low, high, self.columns.crossings, answers)
         blocked[rough] = answers
         return blocked

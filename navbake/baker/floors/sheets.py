@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from navbake.baker.columns import Columns
-from navbake.baker.kernels.sheets import SLACK, group_members, join_by_steps, mark_surfaces
+from navbake.baker.kernels.arrays import AgentLimits
+from navbake.baker.kernels.constants import SLACK
+from navbake.baker.kernels.sheets import group_members, join_by_steps, mark_surfaces
 from navbake.baker.kernels.shrink import count_inner, near_offsets
 from navbake.baker.kernels.tops import count_covered, count_drops
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
-
-Bool = NDArray[np.bool_]
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
+from navbake.types import Bool, Float, Int
 
 # Cells along the edge of the blocks in which masks are shrunk
 BLOCK = 256
@@ -27,30 +24,27 @@ BLOCK = 256
 TOP_SHARE, DROP_SHARE = 0.5, 0.25
 
 
-@dataclass(frozen=True)
-class Standable:
+class Standable(NamedTuple):
     """Standable surfaces, ragged by cell as in `Columns`.
 
     Attributes:
         lattice: the cells.
         start: shape (cells + 1,), int64.
         z: heights, ascending in a cell, shape (n,), float64 [m].
+        cell: cell id of each, shape (n,), int64.
         surface: each one's index in the columns, shape (n,), int64.
         sheet: the sheet that it belongs to, shape (n,), int64.
-        sheet_size: how many surfaces each sheet has, shape (sheets,), int64.
+        sheet_size: how many surfaces each sheet has, shape (sheets,), int64; a sheet that was
+            dropped has none.
     """
 
     lattice: Lattice
     start: Int
     z: Float
+    cell: Int
     surface: Int
     sheet: Int
     sheet_size: Int
-
-    @cached_property
-    def cell(self) -> Int:
-        """Cell id of each, shape (n,), int64."""
-        return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
 
     def only_sheets(self, counts: Bool) -> Standable:
         """The surfaces of the sheets that count, shape (sheets,); they keep their numbers."""
@@ -60,15 +54,21 @@ class Standable:
         """The surfaces that are kept, shape (n,)."""
         if kept.all():
             return self
-        start = np.concatenate([[0], np.cumsum(kept)])[self.start]
-        return replace(
-            self,
-            start=start,
+        sheet = self.sheet[kept]
+        return self._replace(
+            start=np.concatenate([[0], np.cumsum(kept)])[self.start],
             z=self.z[kept],
+            cell=self.cell[kept],
             surface=self.surface[kept],
-            sheet=self.sheet[kept],
-            sheet_size=np.bincount(self.sheet[kept], minlength=len(self.sheet_size)),
+            sheet=sheet,
+            sheet_size=np.bincount(sheet, minlength=len(self.sheet_size)),
         )
+
+
+def agent_limits(agent: AgentSettings) -> AgentLimits:
+    """What an agent can stand and walk on, as kernels take it."""
+    min_up = float(np.cos(np.radians(agent.max_slope))) - SLACK
+    return AgentLimits(min_up, agent.height, agent.traversable_floor_height)
 
 
 def find_standable(
@@ -85,39 +85,15 @@ def find_standable(
         The standable surfaces, and a mask of all surfaces, shape (n,), bool: those that a floor
         may go on at: facing up within the slope, or low bumps.
     """
-    lattice = columns.lattice
-    floor_like = np.zeros(len(columns.z), dtype=np.bool_)
-    standable = np.zeros(len(columns.z), dtype=np.bool_)
-    mark_surfaces(
-        lattice.x_min,
-        lattice.y_max,
-        lattice.cell_size,
-        lattice.width,
-        columns.start,
-        columns.z,
-        columns.normal,
-        columns.geom,
-        shapes.closed,
-        shapes.planes.pos,
-        shapes.planes.normal,
-        float(np.cos(np.radians(agent.max_slope))) - SLACK,
-        agent.height,
-        agent.traversable_floor_height,
-        floor_like,
-        standable,
-    )
-    start = np.concatenate([[0], np.cumsum(standable)])[columns.start]
-    surface = np.flatnonzero(standable)
-    z = columns.z[surface]
-    sheet, size = join_by_steps(
-        start,
-        z,
-        np.zeros(len(z), dtype=np.int64),
-        lattice.width,
-        lattice.height,
-        agent.traversable_floor_height,
-    )
-    return Standable(lattice, start, z, surface, sheet, size), floor_like
+    lattice, limits = columns.lattice, agent_limits(agent)
+    floor_like, is_standable = (np.zeros(len(columns.z), dtype=np.bool_) for _ in range(2))
+    mark_surfaces(lattice, columns.crossings, shapes.planes, limits, floor_like, is_standable)
+    start = np.concatenate([[0], np.cumsum(is_standable)])[columns.start]
+    surface = np.flatnonzero(is_standable)
+    z, one_group = columns.z[surface], np.zeros(len(surface), dtype=np.int64)
+    sheet, size = join_by_steps(lattice, start, z, one_group, limits.step)
+    cell = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    return Standable(lattice, start, z, cell, surface, sheet, size), floor_like
 
 
 def drop_furniture(standable: Standable, settings: FloorSettings) -> Standable:
@@ -140,11 +116,7 @@ def drop_furniture(standable: Standable, settings: FloorSettings) -> Standable:
 
 
 def drop_tops(
-    standable: Standable,
-    columns: Columns,
-    floor_like: Bool,
-    step: float,
-    settings: FloorSettings,
+    standable: Standable, columns: Columns, floor_like: Bool, step: float, settings: FloorSettings
 ) -> Standable:
     """Drop the tops of what stands on a floor: beds, blocks, walls that are metres thick.
 
@@ -166,22 +138,15 @@ def drop_tops(
     at_cell = np.full(num_cells, -1, dtype=np.int64)
     under, queue = np.full(num_cells, np.nan), np.empty(num_cells, dtype=np.int64)
     reach = max(1, int(np.ceil(settings.shrink / lattice.cell_size)))
-    cells, counts = standable.cell, size > 0
-    keep = counts.copy()
-    for sheet in np.flatnonzero(counts):
+    keep = size > 0
+    for sheet in np.flatnonzero(keep):
         members = member[start[sheet] : start[sheet + 1]]
-        place = (cells, standable.start, standable.z, standable.sheet, counts)
-        shape = (lattice.width, lattice.height)
-        lines = (columns.start, columns.z)
-        edges, drops, floors, over = count_drops(
-            members, *place, *shape, *lines, columns.normal, step, reach, at_cell
-        )
+        ends = (standable, members, columns.crossings)
+        edges, drops, floors, over = count_drops(*ends, step, reach, at_cell)
         if drops > 0 and drops >= DROP_SHARE * edges:
-            covered = count_covered(
-                members, *place, *shape, *lines, floor_like, step, floors, at_cell, under, queue
-            )
+            covered = count_covered(*ends, floor_like, step, floors, at_cell, under, queue)
             keep[sheet] = covered <= TOP_SHARE * len(members)
-        at_cell[cells[members]] = -1
+        at_cell[standable.cell[members]] = -1
         at_cell[over] = -1
     return standable.only_sheets(keep)
 

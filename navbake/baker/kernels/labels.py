@@ -1,9 +1,17 @@
-"""What labels of cells tell: their parts, places, sizes, slopes and borders."""
+"""Masks into labelled parts, and labels into numbers: places, sizes, slopes and borders.
+
+Parts are found by two-pass connected-component labelling over runs in rows (Rosenfeld and Pfaltz,
+1966): the first pass gives each run a label and notes which touch, the second writes the number
+of each run's part.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
+
+from navbake.baker.kernels.constants import INNER
+from navbake.navgrid.kernels.union_find import find_root, unite
 
 
 @njit(cache=True)
@@ -19,7 +27,18 @@ def label_parts(mask):
     """
     rows, cols = mask.shape
     label = np.zeros((rows, cols), dtype=np.int32)
-    parent = np.empty(rows * ((cols + 1) // 2) + 1, dtype=np.int32)  # of runs in a row, from 1
+    parent = np.empty(rows * ((cols + 1) // 2) + 1, dtype=np.int32)  # of runs, from 1
+    number, parts = _number_parts(parent, _label_runs(mask, label, parent))
+    for row in range(rows):
+        for col in range(cols):
+            label[row, col] = number[label[row, col]]
+    return label, parts
+
+
+@njit(**INNER)
+def _label_runs(mask, label, parent):
+    """Label the runs of each row, and join those that touch; returns how many runs there are."""
+    rows, cols = mask.shape
     count = 0
     for row in range(rows):
         col = 0
@@ -35,30 +54,24 @@ def label_parts(mask):
                 if row > 0 and label[row - 1, col] != above:
                     above = label[row - 1, col]
                     if above > 0:
-                        one, other = _root(parent, count), _root(parent, above)
-                        parent[max(one, other)] = min(one, other)
+                        unite(parent, count, above)
                 col += 1
+    return count
+
+
+@njit(**INNER)
+def _number_parts(parent, count):
+    """The number of each run's part: a root is its first run, so it is met first."""
     number = np.zeros(count + 1, dtype=np.int32)
     parts = 0
     for run in range(1, count + 1):
-        root = _root(parent, run)
+        root = find_root(parent, run)
         if root == run:
             parts += 1
             number[run] = parts
         else:
             number[run] = number[root]
-    for row in range(rows):
-        for col in range(cols):
-            label[row, col] = number[label[row, col]]
-    return label, parts
-
-
-@njit(cache=True)
-def _root(parent, item):
-    while parent[item] != item:
-        parent[item] = parent[parent[item]]
-        item = parent[item]
-    return item
+    return number, parts
 
 
 @njit(cache=True)
@@ -95,62 +108,62 @@ def first_cells(label, count):
 
 
 @njit(cache=True)
-def measure_basins(label, distance, num_basins):
+def measure_regions(label, distance, num_regions):
     """Count the cells of each label, and measure how far they are from the walls.
 
     Args:
-        label: of cells, shape (rows, cols), int32, 0 to `num_basins`.
+        label: of cells, shape (rows, cols), int32, 0 to `num_regions`.
         distance: of nodes, shape (2 rows + 1, 2 cols + 1), int32.
-        num_basins: the largest label.
+        num_regions: the largest label.
 
     Returns:
         Number of cells, int64; largest distance of a node on one of them, int32; sum of the
-        distances of their centres, int64; each of shape (num_basins + 1,). What has no label is
+        distances of their centres, int64; each of shape (num_regions + 1,). What has no label is
         left out.
     """
-    cells = np.zeros(num_basins + 1, dtype=np.int64)
-    peaks = np.zeros(num_basins + 1, dtype=np.int32)
-    sums = np.zeros(num_basins + 1, dtype=np.int64)
+    cells = np.zeros(num_regions + 1, dtype=np.int64)
+    peaks = np.zeros(num_regions + 1, dtype=np.int32)
+    sums = np.zeros(num_regions + 1, dtype=np.int64)
     rows, cols = label.shape
     for row in range(rows):
         for col in range(cols):
-            basin = label[row, col]
-            if basin == 0:
+            region = label[row, col]
+            if region == 0:
                 continue
-            cells[basin] += 1
-            sums[basin] += distance[2 * row + 1, 2 * col + 1]
+            cells[region] += 1
+            sums[region] += distance[2 * row + 1, 2 * col + 1]
             for i in range(2 * row, 2 * row + 3):
                 for j in range(2 * col, 2 * col + 3):
-                    peaks[basin] = max(peaks[basin], distance[i, j])
+                    peaks[region] = max(peaks[region], distance[i, j])
     return cells, peaks, sums
 
 
 @njit(cache=True)
-def measure_slopes(label, floor, reach, rise, num_basins):
+def measure_slopes(label, floor, reach, rise, num_regions):
     """Count the steep cells of each label, and sum the heights of all.
 
     A cell is steep where the floor rises by `rise` from `reach` cells on one side to as many on
     the other. What isn't there, or has no label, is taken for level.
 
     Args:
-        label: of cells, shape (rows, cols), int32, 0 to `num_basins`.
+        label: of cells, shape (rows, cols), int32, 0 to `num_regions`.
         floor: heights, shape (rows, cols), float64.
         reach: cells, >= 1.
         rise: of the two directions together, > 0.
-        num_basins: the largest label.
+        num_regions: the largest label.
 
     Returns:
-        Number of steep cells, int64, and sum of heights, float64, of shape (num_basins + 1,).
+        Number of steep cells, int64, and sum of heights, float64, of shape (num_regions + 1,).
     """
-    steep = np.zeros(num_basins + 1, dtype=np.int64)
-    heights = np.zeros(num_basins + 1, dtype=np.float64)
+    steep = np.zeros(num_regions + 1, dtype=np.int64)
+    heights = np.zeros(num_regions + 1, dtype=np.float64)
     rows, cols = label.shape
     for row in range(rows):
         for col in range(cols):
-            basin = label[row, col]
-            if basin == 0:
+            region = label[row, col]
+            if region == 0:
                 continue
-            heights[basin] += floor[row, col]
+            heights[region] += floor[row, col]
             down = across = 0.0
             if reach <= row < rows - reach:
                 both = label[row - reach, col] > 0 and label[row + reach, col] > 0
@@ -159,7 +172,7 @@ def measure_slopes(label, floor, reach, rise, num_basins):
                 both = label[row, col - reach] > 0 and label[row, col + reach] > 0
                 across = floor[row, col + reach] - floor[row, col - reach] if both else 0.0
             if down * down + across * across >= rise * rise:
-                steep[basin] += 1
+                steep[region] += 1
     return steep, heights
 
 

@@ -1,9 +1,15 @@
-"""Ragged lists: which of them are equal."""
+"""Ragged lists: which of them are equal; a hash table with open addressing.
+
+Lists are hashed like FNV-1a (Fowler, Noll and Vo) over their values, with a shift that mixes the
+high bits down. Equal hashes are no proof, so lists are compared.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
+
+from navbake.baker.kernels.constants import INNER
 
 
 @njit(cache=True)
@@ -20,7 +26,7 @@ def number_lists(start, value, number):
     """
     num = start.shape[0] - 1
     size = 16
-    while size < 2 * num:
+    while size < 2 * num:  # at most half full, so that probing stays short
         size *= 2
     table = np.full(size, -1, np.int64)
     first = np.empty(num, np.int64)
@@ -41,7 +47,7 @@ def number_lists(start, value, number):
     return first[:count].copy()
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _are_equal(start, value, a, b):
     if start[a + 1] - start[a] != start[b + 1] - start[b]:
         return False

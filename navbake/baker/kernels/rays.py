@@ -1,24 +1,34 @@
 """Vertical lines through cells' centres against all geometry: every crossing, both ways.
 
 Solids and infinite planes are crossed by MuJoCo's own rays (`mju_rayGeom`), one down from above
-and one up from below: a solid's line has two ends. Triangles are crossed here, because
-`mj_rayMesh` loses lines that run through a shared edge, and stops at the first crossing.
+and one up from below: a convex solid's line has two ends. Triangles are crossed here by edge
+functions (Pineda, A parallel algorithm for polygon rasterization, 1988), because `mj_rayMesh`
+loses lines that run through a shared edge, and stops at the first crossing.
+
+A line through a rim or an edge that two geoms or triangles share is the hard case. It crosses
+whatever it passes within RIM, so that no seam leaks; where that makes two crossings of a geom's
+neighbouring triangles, one is dropped.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from llvmlite import binding
 from numba import njit, prange, types
 
-from navbake.baker.kernels.tiles import TILE
+from navbake.baker.kernels.constants import INLINED, PLANE, SAME
+from navbake.baker.kernels.tiles import cell_center, count_tiles, tile_window
+from navbake.types import Bool, Float, Int32
 
 # Lines this close to a rim cross it, so that seams between geoms never leak [m]
 RIM = 1e-7
-# Crossings of one geom's neighbouring triangles this close together are one [m]
-SAME = 1e-5
+# An eighth of a turn [rad]
+EIGHTH = 0.7853981633974483
+# What is no crossing at an edge; a plain False would compile what takes it once more
+INSIDE = np.bool_(False)
 
 _ray_geom = types.ExternalFunction(
     "mju_rayGeom",
@@ -28,45 +38,71 @@ _ray_geom = types.ExternalFunction(
 )
 
 
+class Column(NamedTuple):
+    """Room for one column's crossings, in float64 until they are written.
+
+    Attributes:
+        z, normal, geom: as in `Crossings`.
+        is_edge: whether a triangle was crossed within RIM of its edge.
+    """
+
+    z: Float
+    normal: Float
+    geom: Int32
+    is_edge: Bool
+
+
+class Ray(NamedTuple):
+    """A ray's point and direction, the normal where it hits, and room to nudge it; (3,) each."""
+
+    point: Float
+    direction: Float
+    normal: Float
+    nudged: Float
+    grown: Float
+
+
 def load_mujoco_library(path: str) -> None:
     """Make MuJoCo's ray functions known to compiled code; once a process."""
     binding.load_library_permanently(path)
 
 
-@njit(cache=True)
-def _ray(solid, pos, mat, size, kind, point, direction, normal):
+@njit(**INLINED)
+def _cast(pos, mat, size, kind, point, ray):
+    """The distance to a geom along a ray from a point, or -1; its normal there into the ray."""
     return _ray_geom(
-        pos[solid].ctypes.data,
-        mat[solid].ctypes.data,
+        pos.ctypes.data,
+        mat.ctypes.data,
         size.ctypes.data,
         point.ctypes.data,
-        direction.ctypes.data,
+        ray.direction.ctypes.data,
         kind,
-        normal.ctypes.data,
+        ray.normal.ctypes.data,
     )
 
 
-@njit(cache=True)
-def _ray_at_rim(solid, pos, mat, size, kind, point, direction, normal, nudged, grown):
+@njit(**INLINED)
+def _cast_at_rim(solids, s, ray):
     """A ray that, where it misses a rim by at most RIM, is moved onto the geom."""
-    distance = _ray(solid, pos, mat, size, kind, point, direction, normal)
+    pos, mat, size, kind = solids.pos[s], solids.mat[s], solids.size[s], solids.kind[s]
+    distance = _cast(pos, mat, size, kind, ray.point, ray)
     if distance >= 0.0:
         return distance
     for i in range(3):
-        grown[i] = size[i] + 2.0 * RIM
-    if _ray(solid, pos, mat, grown, kind, point, direction, normal) < 0.0:
+        ray.grown[i] = size[i] + 2.0 * RIM
+    if _cast(pos, mat, ray.grown, kind, ray.point, ray) < 0.0:
         return -1.0
-    nudged[2] = point[2]
+    ray.nudged[2] = ray.point[2]
     for way in range(8):  # the inward cone of a square corner holds one of eight ways
-        nudged[0] = point[0] + RIM * math.cos(way * 0.7853981633974483)
-        nudged[1] = point[1] + RIM * math.sin(way * 0.7853981633974483)
-        distance = _ray(solid, pos, mat, size, kind, nudged, direction, normal)
+        ray.nudged[0] = ray.point[0] + RIM * math.cos(way * EIGHTH)
+        ray.nudged[1] = ray.point[1] + RIM * math.sin(way * EIGHTH)
+        distance = _cast(pos, mat, size, kind, ray.nudged, ray)
         if distance >= 0.0:
             return distance
     return -1.0
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _cross_triangle(corners, x, y):
     """Where the line at (x, y) crosses a triangle.
 
@@ -79,6 +115,7 @@ def _cross_triangle(corners, x, y):
     area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
     if abs(area) < 1e-14:
         return 0, 0.0
+    # edge functions: twice the areas that (x, y) spans with the edges, all of one sign inside
     turn = 1.0 if area > 0.0 else -1.0
     u = turn * (bx * cy - cx * by)
     v = turn * (cx * ay - ax * cy)
@@ -96,170 +133,164 @@ def _cross_triangle(corners, x, y):
     return (2 if nearest <= RIM else 1), z
 
 
-@njit(cache=True)
-def _less(z, geom, up, z2, geom2, up2):
-    if z != z2:
-        return z < z2
-    if geom != geom2:
-        return geom < geom2
-    return up < up2
+@njit(**INLINED)
+def _is_less(column, i, z, geom, faces_up):
+    """Whether a crossing comes before the i-th: by height, then geom, undersides first."""
+    if z != column.z[i]:
+        return z < column.z[i]
+    if geom != column.geom[i]:
+        return geom < column.geom[i]
+    return faces_up < (column.normal[i, 2] > 0.0)
 
 
-@njit(cache=True)
-def _insert(count, z, nx, ny, nz, geom, edge, out_z, out_n, out_geom, out_edge):
-    """Insert a crossing into a column that is sorted by height, then geom."""
+@njit(**INLINED)
+def _copy(column, source, target):
+    column.z[target] = column.z[source]
+    for axis in range(3):
+        column.normal[target, axis] = column.normal[source, axis]
+    column.geom[target] = column.geom[source]
+
+
+@njit(**INLINED)
+def _insert(column, count, z, normal, geom, is_edge):
+    """Insert a crossing into a column of a number of them; normal is (x, y, z)."""
     i = count
-    while i > 0 and _less(z, geom, nz > 0.0, out_z[i - 1], out_geom[i - 1], out_n[i - 1, 2] > 0.0):
-        out_z[i] = out_z[i - 1]
-        out_n[i, 0] = out_n[i - 1, 0]
-        out_n[i, 1] = out_n[i - 1, 1]
-        out_n[i, 2] = out_n[i - 1, 2]
-        out_geom[i] = out_geom[i - 1]
-        out_edge[i] = out_edge[i - 1]
+    while i > 0 and _is_less(column, i - 1, z, geom, normal[2] > 0.0):
+        _copy(column, i - 1, i)
+        column.is_edge[i] = column.is_edge[i - 1]
         i -= 1
-    out_z[i] = z
-    out_n[i, 0] = nx
-    out_n[i, 1] = ny
-    out_n[i, 2] = nz
-    out_geom[i] = geom
-    out_edge[i] = edge
+    column.z[i] = z
+    column.normal[i, 0], column.normal[i, 1], column.normal[i, 2] = normal
+    column.geom[i] = geom
+    column.is_edge[i] = is_edge
     return count + 1
 
 
-@njit(cache=True)
-def _drop_twins(count, out_z, out_n, out_geom, out_edge):
+@njit(**INLINED)
+def _drop_doubles(column, count):
     """Drop crossings that two neighbouring triangles of a geom report at their shared edge."""
     kept = 0
     for i in range(count):
-        twin = False
-        if out_edge[i]:
+        is_double = False
+        if column.is_edge[i]:
             j = kept - 1
-            while j >= 0 and out_z[i] - out_z[j] <= SAME:
-                same_side = (out_n[i, 2] > 0.0) == (out_n[j, 2] > 0.0)
-                if out_edge[j] and out_geom[i] == out_geom[j] and same_side:
-                    twin = True
+            while j >= 0 and column.z[i] - column.z[j] <= SAME:
+                same_side = (column.normal[i, 2] > 0.0) == (column.normal[j, 2] > 0.0)
+                if column.is_edge[j] and column.geom[i] == column.geom[j] and same_side:
+                    is_double = True
                     break
                 j -= 1
-        if not twin:
-            out_z[kept] = out_z[i]
-            out_n[kept, 0] = out_n[i, 0]
-            out_n[kept, 1] = out_n[i, 1]
-            out_n[kept, 2] = out_n[i, 2]
-            out_geom[kept] = out_geom[i]
+        if not is_double:
+            _copy(column, i, kept)  # FIXME: not is_edge, so a geom in between may hide a double
             kept += 1
     return kept
 
 
-@njit(cache=True)
-def _fill_column(
-    x, y, z_low, z_high,
-    solid_items, solid_geom, solid_kind, solid_pos, solid_mat, solid_size, solid_bounds,
-    tri_items, tri_geom, tri_corners, tri_normal, tri_bounds,
-    plane_geom, plane_pos, plane_mat,
-    out_z, out_n, out_geom, out_edge,
-    point, direction, normal, nudged, grown, infinite,
-):  # fmt: skip
-    """Write all crossings of one line into the buffers; returns their number."""
-    count = 0
-    point[0] = x
-    point[1] = y
-    for s in solid_items:
-        box = solid_bounds[s]
-        if x < box[0] - RIM or x > box[3] + RIM or y < box[1] - RIM or y > box[4] + RIM:
+@njit(**INLINED)
+def _is_beside(box, x, y):
+    return x < box[0] - RIM or x > box[3] + RIM or y < box[1] - RIM or y > box[4] + RIM
+
+
+@njit(**INLINED)
+def _cross_solids(x, y, items, solids, column, ray):
+    """Write the crossings of one line with solids; returns their number."""
+    count = np.int64(0)
+    ray.point[0], ray.point[1] = x, y
+    for s in items:
+        box = solids.bounds[s]
+        if _is_beside(box, x, y):
             continue
         for way in range(2):
-            direction[2] = -1.0 if way == 0 else 1.0
-            point[2] = box[5] + 1.0 if way == 0 else box[2] - 1.0
-            distance = _ray_at_rim(
-                s, solid_pos, solid_mat, solid_size[s], solid_kind[s],
-                point, direction, normal, nudged, grown,
-            )  # fmt: skip
+            ray.direction[2] = -1.0 if way == 0 else 1.0
+            ray.point[2] = box[5] + 1.0 if way == 0 else box[2] - 1.0
+            distance = _cast_at_rim(solids, s, ray)
             if distance >= 0.0:
-                z = point[2] + direction[2] * distance
+                z = ray.point[2] + ray.direction[2] * distance
+                nx, ny, nz = ray.normal[0], ray.normal[1], ray.normal[2]
                 # a grazed side has no up or down of its own: the ray's way tells
-                nz = max(normal[2], 1e-12) if way == 0 else min(normal[2], -1e-12)
-                count = _insert(
-                    count, z, normal[0], normal[1], nz, solid_geom[s], False,
-                    out_z, out_n, out_geom, out_edge,
-                )  # fmt: skip
-    for p in range(plane_geom.shape[0]):
+                nz = max(nz, 1e-12) if way == 0 else min(nz, -1e-12)
+                count = _insert(column, count, z, (nx, ny, nz), solids.geom[s], INSIDE)
+    return count
+
+
+@njit(**INLINED)
+def _cross_planes(planes, heights, column, count, ray):
+    """Add the crossings of the ray's line with infinite planes, from their front only."""
+    for p in range(planes.geom.shape[0]):
         for way in range(2):
-            direction[2] = -1.0 if way == 0 else 1.0
-            point[2] = z_high if way == 0 else z_low
-            distance = _ray(p, plane_pos, plane_mat, infinite, 0, point, direction, normal)
+            ray.direction[2] = -1.0 if way == 0 else 1.0
+            ray.point[2] = heights.high if way == 0 else heights.low
+            ray.grown[:] = 0.0  # a plane of no size is infinite
+            distance = _cast(planes.pos[p], planes.mat[p], ray.grown, PLANE, ray.point, ray)
             if distance >= 0.0:
-                count = _insert(
-                    count, point[2] + direction[2] * distance, normal[0], normal[1], normal[2],
-                    plane_geom[p], False, out_z, out_n, out_geom, out_edge,
-                )  # fmt: skip
-    for t in tri_items:
-        box = tri_bounds[t]
-        if x < box[0] - RIM or x > box[3] + RIM or y < box[1] - RIM or y > box[4] + RIM:
+                z = ray.point[2] + ray.direction[2] * distance
+                normal = (ray.normal[0], ray.normal[1], ray.normal[2])
+                count = _insert(column, count, z, normal, planes.geom[p], INSIDE)
+    return count
+
+
+@njit(**INLINED)
+def _cross_triangles(x, y, items, facets, column, count):
+    """Add the crossings of one line with triangles."""
+    for t in items:
+        if _is_beside(facets.bounds[t], x, y):
             continue
-        if tri_normal[t, 2] == 0.0:
+        nx, ny, nz = facets.normal[t, 0], facets.normal[t, 1], facets.normal[t, 2]
+        if nz == 0.0:
             continue
-        crossing, z = _cross_triangle(tri_corners[t], x, y)
+        crossing, z = _cross_triangle(facets.corners[t], x, y)
         if crossing:
-            count = _insert(
-                count, z, tri_normal[t, 0], tri_normal[t, 1], tri_normal[t, 2], tri_geom[t],
-                crossing == 2, out_z, out_n, out_geom, out_edge,
-            )  # fmt: skip
-    return _drop_twins(count, out_z, out_n, out_geom, out_edge)
+            count = _insert(column, count, z, (nx, ny, nz), facets.geom[t], crossing == 2)
+    return count
+
+
+@njit(**INLINED)
+def _write(column, count, crossings, first):
+    for i in range(count):
+        crossings.z[first + i] = column.z[i]
+        crossings.geom[first + i] = column.geom[i]
+        for axis in range(3):
+            crossings.normal[first + i, axis] = column.normal[i, axis]
+
+
+@njit(**INLINED)
+def _cast_tile(tile, lattice, solids, facets, planes, tiles, heights, crossings):
+    """Cross the lines of one tile with what lies over it."""
+    nearby = tiles.solid_item[tiles.solid_start[tile] : tiles.solid_start[tile + 1]]
+    begin, end = tiles.triangle_start[tile], tiles.triangle_start[tile + 1]
+    triangles = tiles.triangle_item[begin:end]
+    most = 2 * (nearby.shape[0] + planes.geom.shape[0]) + triangles.shape[0]
+    column = Column(
+        np.empty(most), np.empty((most, 3)), np.empty(most, np.int32), np.empty(most, np.bool_)
+    )
+    ray = Ray(np.empty(3), np.zeros(3), np.zeros(3), np.empty(3), np.empty(3))
+    writing = crossings.z.shape[0] > 0
+    row0, row1, col0, col1 = tile_window(lattice, tile)
+    for row in range(row0, row1):
+        for col in range(col0, col1):
+            cell = row * lattice.width + col
+            x, y = cell_center(lattice, cell)
+            count = _cross_solids(x, y, nearby, solids, column, ray)
+            count = _cross_planes(planes, heights, column, count, ray)
+            count = _cross_triangles(x, y, triangles, facets, column, count)
+            count = _drop_doubles(column, count)
+            if writing:
+                _write(column, count, crossings, crossings.start[cell])
+            else:
+                crossings.start[cell + 1] = count
 
 
 @njit(cache=True, parallel=True)
-def cast_lines(
-    x_min, y_max, cell_size, width, height, z_low, z_high,
-    solid_start, solid_item, solid_geom, solid_kind, solid_pos, solid_mat, solid_size,
-    solid_bounds,
-    tri_start, tri_item, tri_geom, tri_corners, tri_normal, tri_bounds,
-    plane_geom, plane_pos, plane_mat,
-    start, z, normals, geom,
-):  # fmt: skip
+def cast_lines(lattice, solids, facets, planes, tiles, heights, crossings):
     """Cross every cell's vertical line with all geometry; twice: to count, then to write.
 
     Args:
-        z_low, z_high: heights below and above everything [m].
-        solid_start, solid_item, tri_start, tri_item: the tiles' lists.
-        start: (cells + 1,) int64. In the first call (`z` empty) ``start[cell + 1]`` receives
-            the number of crossings; in the second, the running sums stand in it.
-        z, normals, geom: empty in the first call; in the second they receive heights float64
-            [m], unit normals (n, 3) float32 and geom ids int32, ascending in a column.
+        lattice: the cells.
+        solids, facets, planes, tiles: the geometry.
+        heights: a `Band` below and above everything [m].
+        crossings: in the first call `z`, `normal` and `geom` are empty, and ``start[cell + 1]``
+            receives the number of crossings; in the second, the running sums stand there, and
+            the others receive the crossings.
     """
-    tiles_x = (width + TILE - 1) // TILE
-    tiles_y = (height + TILE - 1) // TILE
-    writing = z.shape[0] > 0
-    for tile in prange(tiles_x * tiles_y):
-        solids = solid_item[solid_start[tile] : solid_start[tile + 1]]
-        triangles = tri_item[tri_start[tile] : tri_start[tile + 1]]
-        most = 2 * (solids.shape[0] + plane_geom.shape[0]) + triangles.shape[0]
-        column_z = np.empty(most, np.float64)
-        column_n = np.empty((most, 3), np.float64)
-        column_geom = np.empty(most, np.int32)
-        column_edge = np.empty(most, np.bool_)
-        point, direction = np.empty(3), np.zeros(3)
-        normal, nudged, grown, infinite = np.zeros(3), np.empty(3), np.empty(3), np.zeros(3)
-        row0, col0 = tile // tiles_x * TILE, tile % tiles_x * TILE
-        for row in range(row0, min(row0 + TILE, height)):
-            y = y_max - (row + 0.5) * cell_size
-            for col in range(col0, min(col0 + TILE, width)):
-                x = x_min + (col + 0.5) * cell_size
-                count = _fill_column(
-                    x, y, z_low, z_high,
-                    solids, solid_geom, solid_kind, solid_pos, solid_mat, solid_size,
-                    solid_bounds,
-                    triangles, tri_geom, tri_corners, tri_normal, tri_bounds,
-                    plane_geom, plane_pos, plane_mat,
-                    column_z, column_n, column_geom, column_edge,
-                    point, direction, normal, nudged, grown, infinite,
-                )  # fmt: skip
-                cell = row * width + col
-                if not writing:
-                    start[cell + 1] = count
-                    continue
-                first = start[cell]
-                for i in range(count):
-                    z[first + i] = column_z[i]
-                    geom[first + i] = column_geom[i]
-                    for axis in range(3):
-                        normals[first + i, axis] = column_n[i, axis]
+    for tile in prange(count_tiles(lattice)):
+        _cast_tile(np.int64(tile), lattice, solids, facets, planes, tiles, heights, crossings)

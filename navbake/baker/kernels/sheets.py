@@ -1,4 +1,9 @@
-"""Standable surfaces, what steps join them to, and how floors go on under things."""
+"""Standable surfaces, the sheets that steps make of them, and how floors go on under things.
+
+Surfaces are judged column by column from the winding of the line: of solids below a point, how
+many were entered and not left. Sheets are the connected components of surfaces that are a step
+apart, by union-find. Floors grow ring by ring, breadth first.
+"""
 
 from __future__ import annotations
 
@@ -7,109 +12,110 @@ import math
 import numpy as np
 from numba import njit, prange
 
-# Surfaces of different geoms this close together are at one height [m]
-SAME = 1e-5
-# `closed` of geoms made of triangles that enclose a volume; solids have SOLID
-SURFACE, SOLID = 1, 2
-# How far a height may exceed a limit and still keep it [m]
-SLACK = 1e-6
+from navbake.baker.kernels.constants import CLOSED_SURFACE, INNER, SAME, SLACK
+from navbake.baker.kernels.tiles import cell_center
+from navbake.navgrid.kernels.union_find import find_root, unite
+
+
+@njit(**INNER)
+def _count_planes_over(planes, x, y, z):
+    """How many infinite planes have a point behind them."""
+    count = 0
+    for p in range(planes.geom.shape[0]):
+        depth = (
+            planes.mat[p, 2] * (x - planes.pos[p, 0])
+            + planes.mat[p, 5] * (y - planes.pos[p, 1])
+            + planes.mat[p, 8] * (z - planes.pos[p, 2])
+        )
+        if depth < -SAME:
+            count += 1
+    return count
+
+
+@njit(**INNER)
+def _look_up(crossings, first, i, last):
+    """How many geoms of a column hold the i-th surface, and the height of the next one above.
+
+    Two rules for what begins or ends at the surface's own height (within SAME): a solid that
+    stands on it covers it, so its underside doesn't count as left; a closed surface that begins
+    there doesn't cover it, because buildings are drawn as closed shells stacked on each other.
+    """
+    z, normal, geom, closed = crossings.z, crossings.normal, crossings.geom, crossings.closed
+    inside, above = 0, math.inf
+    for j in range(first, i):  # what begins at this height, a hair lower
+        if z[i] - z[j] <= SAME and normal[j, 2] < 0.0 and closed[geom[j]] == CLOSED_SURFACE:
+            inside -= 1
+    for j in range(i + 1, last):
+        is_apart = z[j] - z[i] > SAME
+        if is_apart and above == math.inf:
+            above = z[j]
+        if not closed[geom[j]]:
+            continue
+        if normal[j, 2] > 0.0:
+            inside += 1 if is_apart else 0
+        elif is_apart or closed[geom[j]] == CLOSED_SURFACE:
+            inside -= 1
+    return inside, above
 
 
 @njit(cache=True, parallel=True)
-def mark_surfaces(
-    x_min, y_max, cell_size, width, start, z, normals, geom, closed, plane_pos, plane_normal,
-    min_up, headroom, step, floor_like, standable,
-):  # fmt: skip
+def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable):
     """Tell which crossings are floor-like and which are standable.
 
     Floor-like: faces up within the slope, or faces up more steeply at most a step above one that
     does: a bump too low to be an obstacle. Standable: faces up within the slope, lies inside of
-    no solid, and the next surface above is at least `headroom` higher. A solid that stands on a
-    surface covers it; a closed surface that begins at its height doesn't, because buildings are
-    drawn as closed shells stacked on each other. Of several surfaces at one height the lowest
-    counts.
+    no solid, and the next surface above is at least the headroom higher. Of several surfaces at
+    one height the lowest counts.
 
     Args:
-        x_min, y_max, cell_size, width: the lattice.
-        start, z, normals, geom: the columns.
-        closed: by geom id, SURFACE or SOLID where it encloses a volume, else 0, uint8.
-        plane_pos, plane_normal: the infinite planes, (p, 3) float64.
-        min_up: cosine of the largest slope.
-        headroom: [m].
-        step: [m].
+        lattice: the cells.
+        crossings: the columns.
+        planes: the infinite planes.
+        limits: the agent's, see `AgentLimits`.
         floor_like, standable: (n,) bool, receive the answers.
     """
-    for cell in prange(start.shape[0] - 1):
-        x = x_min + (cell % width + 0.5) * cell_size
-        y = y_max - (cell // width + 0.5) * cell_size
-        first, last = start[cell], start[cell + 1]
+    for cell in prange(crossings.start.shape[0] - 1):
+        x, y = cell_center(lattice, np.int64(cell))
+        first, last = crossings.start[cell], crossings.start[cell + 1]
         previous, gentle = -math.inf, -math.inf
         for i in range(first, last):
+            z, up = crossings.z[i], crossings.normal[i, 2]
             standable[i] = False
-            floor_like[i] = normals[i, 2] > 0.0 and z[i] - gentle <= step + SLACK
-            if normals[i, 2] < min_up:
+            floor_like[i] = up > 0.0 and z - gentle <= limits.step + SLACK
+            if up < limits.min_up:
                 continue
             floor_like[i] = True
-            gentle = z[i]
-            if z[i] - previous <= SAME:
+            gentle = z
+            if z - previous <= SAME:
                 continue
-            inside = 0
-            for p in range(plane_pos.shape[0]):
-                depth = (
-                    plane_normal[p, 0] * (x - plane_pos[p, 0])
-                    + plane_normal[p, 1] * (y - plane_pos[p, 1])
-                    + plane_normal[p, 2] * (z[i] - plane_pos[p, 2])
-                )
-                if depth < -SAME:
-                    inside += 1
-            for j in range(first, i):  # what begins at this height, a hair lower
-                if z[i] - z[j] <= SAME and normals[j, 2] < 0.0 and closed[geom[j]] == SURFACE:
-                    inside -= 1
-            above = math.inf
-            for j in range(i + 1, last):
-                apart = z[j] - z[i] > SAME
-                if apart and above == math.inf:
-                    above = z[j]
-                if not closed[geom[j]]:
-                    continue
-                if normals[j, 2] > 0.0:
-                    inside += 1 if apart else 0
-                elif apart or closed[geom[j]] == SURFACE:
-                    inside -= 1
-            if inside <= 0 and above - z[i] >= headroom - SLACK:
+            inside, above = _look_up(crossings, first, i, last)
+            inside += _count_planes_over(planes, x, y, z)
+            if inside <= 0 and above - z >= limits.headroom - SLACK:
                 standable[i] = True
-                previous = z[i]
+                previous = z
 
 
-@njit(cache=True)
-def _root(parent, node):
-    while parent[node] != node:
-        parent[node] = parent[parent[node]]
-        node = parent[node]
-    return node
-
-
-@njit(cache=True)
-def neighbour(cell, way, width, height):
+@njit(**INNER)
+def neighbour(lattice, cell, way):
     """The next cell east (0), south (1), west (2) or north (3), or -1."""
-    col = cell % width
+    width, col = lattice.width, cell % lattice.width
     if way == 0:
         return cell + 1 if col + 1 < width else -1
     if way == 1:
-        return cell + width if cell + width < width * height else -1
+        return cell + width if cell + width < width * lattice.height else -1
     if way == 2:
         return cell - 1 if col > 0 else -1
     return cell - width
 
 
 @njit(cache=True)
-def join_by_steps(start, z, group, width, height, step):
+def join_by_steps(lattice, start, z, group, step):
     """Label the connected parts of standable surfaces.
 
     Args:
+        lattice: the cells.
         start, z: standable surfaces by column, ascending: (cells + 1,) int64, (n,) float64.
         group: (n,) int64; only surfaces of one group belong together.
-        width, height: of the lattice.
         step: the largest difference of neighbours that belong together [m].
 
     Returns:
@@ -117,24 +123,20 @@ def join_by_steps(start, z, group, width, height, step):
         many surfaces each part has, (parts,) int64.
     """
     parent = np.arange(z.shape[0])
-    for cell in range(width * height):
+    for cell in range(start.shape[0] - 1):
         for way in range(2):
-            other = neighbour(cell, way, width, height)
+            other = neighbour(lattice, cell, way)
             if other < 0:
                 continue
             for a in range(start[cell], start[cell + 1]):
                 for b in range(start[other], start[other + 1]):
                     if group[a] == group[b] and abs(z[a] - z[b]) <= step + SLACK:
-                        root_a, root_b = _root(parent, a), _root(parent, b)
-                        if root_a < root_b:
-                            parent[root_b] = root_a
-                        elif root_b < root_a:
-                            parent[root_a] = root_b
+                        unite(parent, a, b)
     part = np.empty(z.shape[0], np.int64)
     size = np.zeros(z.shape[0], np.int64)
     count = 0
     for node in range(z.shape[0]):
-        root = _root(parent, node)
+        root = find_root(parent, node)
         if root == node:  # roots are the lowest of their part, so met first
             part[node] = count
             count += 1
@@ -167,14 +169,14 @@ def group_members(part, size):
 
 
 @njit(cache=True)
-def place_on_levels(start, z, base, num_levels, level):
+def place_on_levels(start, base, num_levels, level):
     """Give each surface its level, so that no two of a column share one.
 
     The lowest of a column on a level stays; each other one goes to the next level up that has
     none in that column.
 
     Args:
-        start, z: surfaces by column, ascending.
+        start: surfaces by column, ascending, (cells + 1,) int64.
         base: the level of the highest ground at or below each, (n,) int64.
         num_levels: how many there are.
         level: (n,) int64, receives the level, or -1 where every one above is taken.
@@ -201,18 +203,18 @@ def place_on_levels(start, z, base, num_levels, level):
 
 
 @njit(cache=True)
-def find_links(start, z, level, width, height, step):
+def find_links(lattice, start, z, level, step):
     """Pairs of surfaces in neighbouring cells, a step apart, on different levels.
 
     Returns:
         Surfaces a and b of each pair, (n, 2) int64, the lower level's first, by cell.
     """
     pairs = np.empty((0, 2), np.int64)
-    for pass_ in range(2):
+    for writing in (False, True):
         count = 0
-        for cell in range(width * height):
+        for cell in range(start.shape[0] - 1):
             for way in range(2):
-                other = neighbour(cell, way, width, height)
+                other = neighbour(lattice, cell, way)
                 if other < 0:
                     continue
                 for a in range(start[cell], start[cell + 1]):
@@ -221,81 +223,86 @@ def find_links(start, z, level, width, height, step):
                             continue
                         if abs(z[a] - z[b]) > step + SLACK:
                             continue
-                        if pass_ == 1:
+                        if writing:
                             swap = level[b] < level[a]
                             pairs[count, 0] = b if swap else a
                             pairs[count, 1] = a if swap else b
                         count += 1
-        if pass_ == 0:
+        if not writing:
             pairs = np.empty((count, 2), np.int64)
     return pairs
 
 
 @njit(cache=True)
-def grow_floor(floor, width, height, start, z, candidate, lowest, highest, step):
+def grow_floor(lattice, crossings, candidate, floor, lowest, highest, step):
     """Let a level's floor go on under things, ring by ring, in place.
 
     A cell without a floor takes the candidate surface that is nearest to the floor of a
-    neighbour (the lower one if two are equally near), when they differ by at most a step.
+    neighbour (the lower one if two are equally near), when they differ by at most a step. All
+    cells of a ring are decided before any is written, so their order decides nothing.
 
     Args:
-        floor: (cells,) float64, NaN where there is none yet [m].
-        width, height: of the lattice.
-        start, z: all crossings by column, ascending.
+        lattice: the cells.
+        crossings: the columns.
         candidate: (n,) bool, which crossings a floor may go on at.
+        floor: (cells,) float64, NaN where there is none yet [m].
         lowest, highest: (cells,) float64, between which this level stays, infinite where
             there is no level below or above [m].
         step: [m].
     """
-    num = width * height
-    queue = np.empty(num, np.int64)
-    queued = np.zeros(num, np.bool_)
+    num = floor.shape[0]
+    queue, queued = np.empty(num, np.int64), np.zeros(num, np.bool_)
     value = np.empty(num, np.float64)
-    end = 0
+    end = np.int64(0)
     for cell in range(num):
         if not math.isnan(floor[cell]):
-            for way in range(4):
-                other = neighbour(cell, way, width, height)
-                if other >= 0 and math.isnan(floor[other]) and not queued[other]:
-                    queued[other] = True
-                    queue[end] = other
-                    end += 1
+            end = _queue_around(lattice, cell, floor, queue, queued, end)
     while end > 0:
         for q in range(end):
             value[q] = _nearest_candidate(
-                queue[q], floor, width, height, start, z, candidate, lowest, highest, step
+                lattice, queue[q], crossings, candidate, floor, lowest, highest, step
             )
-        following = np.empty(4 * end, np.int64)
-        num_following = 0
         for q in range(end):
             queued[queue[q]] = False
             floor[queue[q]] = value[q]
+        following, num_following = np.empty(4 * end, np.int64), np.int64(0)
         for q in range(end):
-            if math.isnan(value[q]):
-                continue
-            for way in range(4):
-                other = neighbour(queue[q], way, width, height)
-                if other >= 0 and math.isnan(floor[other]) and not queued[other]:
-                    queued[other] = True
-                    following[num_following] = other
-                    num_following += 1
+            if not math.isnan(value[q]):
+                num_following = _queue_around(
+                    lattice, queue[q], floor, following, queued, num_following
+                )
         end = num_following
         queue[:end] = following[:end]
 
 
-@njit(cache=True)
-def _nearest_candidate(cell, floor, width, height, start, z, candidate, lowest, highest, step):
+@njit(**INNER)
+def _queue_around(lattice, cell, floor, queue, queued, end):
+    """Queue the neighbours of a cell that have no floor; returns the queue's new end."""
+    for way in range(4):
+        other = neighbour(lattice, cell, way)
+        if other >= 0 and math.isnan(floor[other]) and not queued[other]:
+            queued[other] = True
+            queue[end] = other
+            end += 1
+    return end
+
+
+@njit(**INNER)
+def _nearest_candidate(lattice, cell, crossings, candidate, floor, lowest, highest, step):
+    """The height at which a floor goes on in a cell, or NaN."""
     best, best_gap = math.nan, step + SLACK
     for way in range(4):
-        other = neighbour(cell, way, width, height)
+        other = neighbour(lattice, cell, way)
         if other < 0 or math.isnan(floor[other]):
             continue
-        for i in range(start[cell], start[cell + 1]):
-            if not candidate[i] or z[i] < lowest[cell] or z[i] > highest[cell]:
+        for i in range(crossings.start[cell], crossings.start[cell + 1]):
+            z = crossings.z[i]
+            if not candidate[i] or z < lowest[cell] or z > highest[cell]:
                 continue
-            gap = abs(z[i] - floor[other])
-            if gap < best_gap - SAME or (gap <= best_gap + SAME and z[i] < best):
-                best, best_gap = z[i], min(gap, best_gap)
+            gap = abs(z - floor[other])
+            # gaps within SAME are equally near; then the lower height counts
+            if gap < best_gap - SAME or (gap <= best_gap + SAME and z < best):
+                best, best_gap = z, min(gap, best_gap)
             elif math.isnan(best) and gap <= best_gap:
-                best, best_gap = z[i], gap
+                best, best_gap = z, gap
     return best

@@ -1,4 +1,8 @@
-"""What is left of a mask that is shrunk, told without a distance transform."""
+"""What is left of a mask that is shrunk: an erosion by a disc, without a distance transform.
+
+A cell survives when all cells nearer than the limit belong to the mask. Asked cell by cell and
+only until enough have survived, that is cheaper than a transform of the whole lattice.
+"""
 
 from __future__ import annotations
 

@@ -1,14 +1,49 @@
-"""Which items lie over which tile of the lattice, so that a cell looks at few of them."""
+"""Which items lie over which tile of a lattice, so that a cell looks at few of them.
+
+A uniform grid as in collision detection's broad phase (Ericson, Real-Time Collision Detection,
+2005, 7.1), of tiles of TILE x TILE cells. The lists are one counting sort: count, sum up, write.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
+from navbake.baker.kernels.constants import INNER
+
 TILE = 8  # cells along a tile's edge
 
 
+@njit(**INNER)
+def count_tiles(lattice):
+    """How many tiles a lattice has."""
+    return ((lattice.width + TILE - 1) // TILE) * ((lattice.height + TILE - 1) // TILE)
+
+
 @njit(cache=True)
+def tile_of(lattice, cell):
+    """The tile that holds a cell; tiles are numbered row by row."""
+    row, col = cell // lattice.width, cell % lattice.width
+    return row // TILE * ((lattice.width + TILE - 1) // TILE) + col // TILE
+
+
+@njit(**INNER)
+def tile_window(lattice, tile):
+    """The rows and columns of a tile: the first row, past the last, and so with the columns."""
+    tiles_x = (lattice.width + TILE - 1) // TILE
+    row, col = tile // tiles_x * TILE, tile % tiles_x * TILE
+    return row, min(row + TILE, lattice.height), col, min(col + TILE, lattice.width)
+
+
+@njit(**INNER)
+def cell_center(lattice, cell):
+    """World x and y of a cell's centre [m]."""
+    row, col = cell // lattice.width, cell % lattice.width
+    x = lattice.x_min + (col + 0.5) * lattice.cell_size
+    return x, lattice.y_max - (row + 0.5) * lattice.cell_size
+
+
+@njit(**INNER)
 def _tile_range(low, high, num_tiles, tile_size):
     first = int(np.floor(max(low, 0.0) / tile_size))
     last = int(np.floor(min(high, num_tiles * tile_size) / tile_size))
@@ -16,45 +51,64 @@ def _tile_range(low, high, num_tiles, tile_size):
 
 
 @njit(cache=True)
-def bin_boxes(bounds, grow, x_min, y_max, cell_size, width, height):
+def bin_boxes(bounds, grow, lattice):
     """List, for each tile, the boxes that reach into it.
 
     Args:
         bounds: boxes, (n, 6) float64: lower corner, upper corner, world frame [m].
         grow: what is added to every box on all sides in the plane [m].
-        x_min, y_max, cell_size, width, height: the lattice.
+        lattice: the cells.
 
     Returns:
-        start, (num_tiles + 1,) int64, and item, (start[-1],) int32: tile t (row-major) holds
+        As `list_by_tile`.
+    """
+    width, height, cell_size = lattice.width, lattice.height, lattice.cell_size
+    tiles_x, tiles_y = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
+    size = TILE * cell_size
+    ranges = np.empty((bounds.shape[0], 4), np.int64)
+    for n in range(bounds.shape[0]):
+        x0 = bounds[n, 0] - grow - lattice.x_min
+        x1 = bounds[n, 3] + grow - lattice.x_min
+        y0 = lattice.y_max - bounds[n, 4] - grow
+        y1 = lattice.y_max - bounds[n, 1] + grow
+        if x1 < 0.0 or y1 < 0.0 or x0 > width * cell_size or y0 > height * cell_size:
+            ranges[n] = 0, -1, 0, -1
+            continue
+        ranges[n, 0], ranges[n, 1] = _tile_range(y0, y1, tiles_y, size)
+        ranges[n, 2], ranges[n, 3] = _tile_range(x0, x1, tiles_x, size)
+    return list_by_tile(ranges, tiles_y * tiles_x, tiles_x)
+
+
+@njit(**INNER)
+def list_by_tile(ranges, num_tiles, stride):
+    """List, for each tile, the items over it.
+
+    Args:
+        ranges: by item, its first and last tile along one axis, then along the other, (n, 4)
+            int64; last < first for items beside all tiles.
+        num_tiles: how many tiles there are.
+        stride: the step between tile numbers along the first axis.
+
+    Returns:
+        start, (num_tiles + 1,) int64, and item, (start[-1],) int32: tile t holds
         ``item[start[t]:start[t + 1]]``, ascending.
     """
-    tiles_x = (width + TILE - 1) // TILE
-    tiles_y = (height + TILE - 1) // TILE
-    size = TILE * cell_size
-    start = np.zeros(tiles_x * tiles_y + 1, np.int64)
+    start = np.zeros(num_tiles + 1, np.int64)
     item = np.empty(0, np.int32)
     cursor = start[:-1].copy()
-    for pass_ in range(2):
-        if pass_ == 1:
-            for tile in range(tiles_x * tiles_y):
+    for writing in (False, True):
+        if writing:
+            for tile in range(num_tiles):
                 start[tile + 1] += start[tile]
             item = np.empty(start[-1], np.int32)
             cursor = start[:-1].copy()
-        for n in range(bounds.shape[0]):
-            x0 = bounds[n, 0] - grow - x_min
-            x1 = bounds[n, 3] + grow - x_min
-            y0 = y_max - bounds[n, 4] - grow
-            y1 = y_max - bounds[n, 1] + grow
-            if x1 < 0.0 or y1 < 0.0 or x0 > width * cell_size or y0 > height * cell_size:
-                continue
-            col0, col1 = _tile_range(x0, x1, tiles_x, size)
-            row0, row1 = _tile_range(y0, y1, tiles_y, size)
-            for row in range(row0, row1 + 1):
-                for col in range(col0, col1 + 1):
-                    tile = row * tiles_x + col
-                    if pass_ == 0:
-                        start[tile + 1] += 1
-                    else:
+        for n in range(ranges.shape[0]):
+            for one in range(ranges[n, 0], ranges[n, 1] + 1):
+                for other in range(ranges[n, 2], ranges[n, 3] + 1):
+                    tile = one * stride + other
+                    if writing:
                         item[cursor[tile]] = n
                         cursor[tile] += 1
+                    else:
+                        start[tile + 1] += 1
     return start, item

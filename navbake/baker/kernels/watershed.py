@@ -1,16 +1,30 @@
-"""Distances to walls, and floods from seeds."""
+"""Distances to walls, and floods from seeds.
+
+The squared Euclidean distance is found in two passes, along the columns and then across them, as
+the lower envelope of parabolas separates by axis (Saito and Toriwaki, 1994; Felzenszwalb and
+Huttenlocher, 2012). Only distances up to a reach matter, so the second pass just takes the lowest
+of all parabolas within it; that vectorizes, which the exact envelope does not.
+
+The flood is a watershed by flooding from markers (Meyer, 1991; Vincent and Soille, 1991) with
+one bucket for each height in place of a priority queue.
+"""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit, prange
+
+from navbake.baker.kernels.constants import INLINED
+from navbake.types import Bool, Int32
 
 # Columns that one thread sweeps at a time
 STRIP = 256
 
 
 @njit(cache=True, parallel=True)
-def squared_distances(target, reach, first=0, step=1):
+def squared_distances(target, reach, first, step):
     """Squared distance of each node to the nearest target, exact up to `reach`.
 
     Args:
@@ -41,7 +55,7 @@ def squared_distances(target, reach, first=0, step=1):
     return answer
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _sweep(target, along, far):
     """Distances within the columns, at most `far`."""
     rows, cols = target.shape
@@ -56,10 +70,24 @@ def _sweep(target, along, far):
             along[row, col] = min(along[row, col], along[row + 1, col] + np.int16(1))
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _take_lower(lowest, values, add):
     for i in range(lowest.shape[0]):
         lowest[i] = min(lowest[i], np.int32(values[i] + add))
+
+
+class Buckets(NamedTuple):
+    """Cells that wait, by their height: a linked list for each.
+
+    Attributes:
+        head: by height, the first cell, -1 for none, int32.
+        after: by cell, the next one, -1 for none, int32.
+        waiting: by cell, whether it may be filled and is in no list yet, bool.
+    """
+
+    head: Int32
+    after: Int32
+    waiting: Bool
 
 
 @njit(cache=True)
@@ -78,53 +106,71 @@ def flood(label, fillable, height, highest):
         highest: the largest height.
     """
     rows, cols = label.shape
-    labels, heights, may_fill = label.ravel(), height.ravel(), fillable.ravel()
+    labels, heights = label.ravel(), height.ravel()
     source = np.arange(rows * cols).astype(np.int32)  # the cell of the seed that each one is from
-    waiting = may_fill & (labels == 0)  # and not yet in a queue
-    after = np.full(rows * cols, -1, dtype=np.int32)  # a linked list of cells a height
-    head = np.full(highest + 1, -1, dtype=np.int32)
+    buckets = Buckets(
+        np.full(highest + 1, -1, dtype=np.int32),
+        np.full(rows * cols, -1, dtype=np.int32),
+        fillable.ravel() & (labels == 0),
+    )
     near = np.empty(4, dtype=np.int32)
-    for cell in range(rows * cols):
-        if labels[cell] > 0:
-            for i in range(_neighbours(cell, rows, cols, near)):
-                if waiting[near[i]]:
-                    waiting[near[i]] = False
-                    after[near[i]] = head[heights[near[i]]]
-                    head[heights[near[i]]] = near[i]
     wave = np.empty(rows * cols, dtype=np.int32)
     origin = np.empty(rows * cols, dtype=np.int32)
+    for cell in range(rows * cols):
+        if labels[cell] > 0:
+            _queue_around(cell, rows, cols, heights, highest + 1, buckets, wave, 0, near)
     for level in range(highest, -1, -1):
-        count = 0
-        cell = head[level]
-        while cell >= 0:
-            wave[count] = cell
-            count += 1
-            cell = after[cell]
-        begin = 0
-        while begin < count:
-            end = count
+        begin, end = 0, _take_bucket(buckets, level, wave)
+        while begin < end:
+            # a whole wave is decided before any of it is written: all of it is as near to come by
             for k in range(begin, end):
                 number = _neighbours(wave[k], rows, cols, near)
                 origin[k] = _nearest_origin(wave[k], near[:number], labels, source, cols)
             for k in range(begin, end):
                 source[wave[k]] = origin[k]
                 labels[wave[k]] = labels[origin[k]]
+            count = end
             for k in range(begin, end):
-                for i in range(_neighbours(wave[k], rows, cols, near)):
-                    other = near[i]
-                    if not waiting[other]:
-                        continue
-                    waiting[other] = False
-                    if heights[other] >= level:
-                        wave[count] = other
-                        count += 1
-                    else:
-                        after[other] = head[heights[other]]
-                        head[heights[other]] = other
-            begin = end
+                count = _queue_around(
+                    wave[k], rows, cols, heights, level, buckets, wave, count, near
+                )
+            begin, end = end, count
 
 
-@njit(cache=True)
+@njit(**INLINED)
+def _take_bucket(buckets, level, wave):
+    """Write the cells that wait at a height into a wave; returns how many they are."""
+    count = 0
+    cell = buckets.head[level]
+    while cell >= 0:
+        wave[count] = cell
+        count += 1
+        cell = buckets.after[cell]
+    return count
+
+
+@njit(**INLINED)
+def _queue_around(cell, rows, cols, heights, level, buckets, wave, count, near):
+    """Queue the cells round one: in the next wave from a height on, lower ones in their bucket.
+
+    Returns:
+        How many cells are in the waves of this height.
+    """
+    for i in range(_neighbours(cell, rows, cols, near)):
+        other = near[i]
+        if not buckets.waiting[other]:
+            continue
+        buckets.waiting[other] = False
+        if heights[other] >= level:  # a basin that lies higher fills at once: no way out but here
+            wave[count] = other
+            count += 1
+        else:
+            buckets.after[other] = buckets.head[heights[other]]
+            buckets.head[heights[other]] = other
+    return count
+
+
+@njit(**INLINED)
 def _nearest_origin(cell, near, labels, source, cols):
     """The seed's cell that is nearest, of those that labelled neighbours come from.
 
@@ -147,7 +193,7 @@ def _nearest_origin(cell, near, labels, source, cols):
     return best
 
 
-@njit(cache=True)
+@njit(**INLINED)
 def _neighbours(cell, rows, cols, near):
     """Write the cells that share an edge with a cell; returns how many they are."""
     count = 0

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import fcl
-import numpy as np
-from numpy.typing import NDArray
 
-from navbake.baker.scene.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, Solids
+from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from navbake.baker.scene.shapes import Solids
+from navbake.types import Float
 
-Size = NDArray[np.float64]
-
-GEOMETRY: dict[int, Callable[[Size], fcl.CollisionGeometry]] = {
+GEOMETRY: dict[int, Callable[[Float], fcl.CollisionGeometry]] = {
     SPHERE: lambda size: fcl.Sphere(size[0]),
     CAPSULE: lambda size: fcl.Capsule(size[0], 2 * size[1]),
     ELLIPSOID: lambda size: fcl.Ellipsoid(*size),
@@ -38,7 +36,7 @@ def prisms(square: float, radius: float, half_z: float) -> list[fcl.CollisionGeo
 
 
 def solid_touches(
-    solids: Solids, index: int, center: NDArray[np.float64], shapes: list[fcl.CollisionGeometry]
+    solids: Solids, index: int, center: Float, shapes: list[fcl.CollisionGeometry]
 ) -> bool:
     """Whether a solid meets any of the shapes, all centred at one point.
 

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.columns import Columns, TiledShapes
+from navbake.baker.kernels.arrays import Queries
+from navbake.baker.kernels.constants import MEETS, TOUCH, UNDECIDED
 from navbake.baker.kernels.occupancy import check_cells
-from navbake.baker.kernels.overlap import MEETS, OPEN, tile_of
+from navbake.baker.kernels.tiles import tile_of
 from navbake.baker.occupancy.contact import prisms, solid_touches
 from navbake.config.settings import AgentSettings
-
-# What reaches less than this into the open volume only touches it [m]
-TOUCH = 5e-7
+from navbake.types import Bool, Float, Int
 
 
-@dataclass(frozen=True)
-class Footprint:
+class Footprint(NamedTuple):
     """What a cell sweeps over its floor: its square joined with the agent's disc, in a band.
 
     Attributes:
@@ -50,7 +49,7 @@ class Footprint:
 
 
 @dataclass(frozen=True)
-class Occupancy:
+class Answers:
     """Answers of `check_occupancy`.
 
     Attributes:
@@ -59,18 +58,14 @@ class Occupancy:
         by_fcl: how many had no proof, so that FCL decided.
     """
 
-    occupied: NDArray[np.bool_]
+    occupied: Bool
     by_ray: int
     by_fcl: int
 
 
 def check_occupancy(
-    columns: Columns,
-    tiled: TiledShapes,
-    footprint: Footprint,
-    cells: NDArray[np.int64],
-    floors: NDArray[np.float64],
-) -> Occupancy:
+    columns: Columns, tiled: TiledShapes, footprint: Footprint, cells: Int, floors: Float
+) -> Answers:
     """Tell for each cell and floor whether a geom meets the open volume above it.
 
     The volume stands over the cell's footprint, between the floor plus the traversable height
@@ -89,46 +84,23 @@ def check_occupancy(
     Returns:
         The answers, in the order of the questions.
     """
-    shapes, lattice = tiled.shapes, columns.lattice
-    state = np.zeros(len(cells), dtype=np.uint8)
-    by_line = np.zeros(len(cells), dtype=np.bool_)
+    shapes = tiled.shapes
+    state, by_line = np.zeros(len(cells), np.uint8), np.zeros(len(cells), np.bool_)
     check_cells(
-        lattice.x_min,
-        lattice.y_max,
-        lattice.cell_size,
-        lattice.width,
-        cells,
-        floors,
-        footprint.low,
-        footprint.high,
-        footprint.square,
-        footprint.radius,
-        columns.start,
-        columns.z,
-        columns.normal,
-        columns.geom,
-        shapes.closed,
-        tiled.solid_start,
-        tiled.solid_item,
-        shapes.solids.kind,
-        shapes.solids.pos,
-        shapes.solids.mat,
-        shapes.solids.size,
-        shapes.solids.bounds,
-        tiled.triangle_start,
-        tiled.triangle_item,
-        shapes.triangles.corners,
-        tiled.triangle_bounds,
-        shapes.planes.pos,
-        shapes.planes.mat,
-        state,
-        by_line,
+        columns.lattice,
+        columns.crossings,
+        shapes.solids,
+        tiled.facets,
+        shapes.planes,
+        tiled.tiles,
+        footprint,
+        Queries(cells, floors, state, by_line),
     )
-    undecided = np.flatnonzero(state == OPEN)
+    undecided = np.flatnonzero(state == UNDECIDED)
     for n in undecided:
         if _ask_fcl(tiled, footprint, int(cells[n]), float(floors[n])):
             state[n] = MEETS
-    return Occupancy(occupied=state == MEETS, by_ray=int(by_line.sum()), by_fcl=len(undecided))
+    return Answers(occupied=state == MEETS, by_ray=int(by_line.sum()), by_fcl=len(undecided))
 
 
 def _ask_fcl(tiled: TiledShapes, footprint: Footprint, cell: int, floor: float) -> bool:
@@ -139,6 +111,6 @@ def _ask_fcl(tiled: TiledShapes, footprint: Footprint, cell: int, floor: float) 
     center = np.array([*lattice.positions(row, col), middle])
     half_z = (footprint.high - footprint.low) / 2
     volumes = prisms(footprint.square, footprint.radius, half_z)
-    tile = tile_of(row, col, lattice.width)
-    nearby = tiled.solid_item[tiled.solid_start[tile] : tiled.solid_start[tile + 1]]
+    tiles, tile = tiled.tiles, tile_of(lattice, cell)
+    nearby = tiles.solid_item[tiles.solid_start[tile] : tiles.solid_start[tile + 1]]
     return any(solid_touches(solids, int(s), center, volumes) for s in nearby)

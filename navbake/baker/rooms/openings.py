@@ -11,21 +11,24 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from navbake.baker.floors.levels import Floors
-from navbake.baker.kernels.sheets import SLACK
+from navbake.baker.kernels.constants import SLACK
 from navbake.navgrid.lattice import Lattice
+from navbake.types import Float, Int
 
 Index = NDArray[np.uint16]
-Int = NDArray[np.int64]
-Room = tuple[int, int]
+RoomKey = tuple[int, int]
 """A room's level and index."""
 
-# How far the cells that a door blocks may be from where the rooms meet that it joins [m]
+# Where the two cells of each edge are in an array: left and right, upper and lower
+EDGES = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))
+
+# A door is in an opening if they are at most this far apart [m]
 DOOR_REACH = 0.4
 
 
 @dataclass(frozen=True)
 class Opening:
-    """Where one can step from one room to another on a level.
+    """Where a step leads from one room to another on a level.
 
     Attributes:
         level: its number.
@@ -41,7 +44,7 @@ class Opening:
 def find_openings(index: Sequence[Index], floors: Floors, max_step: float) -> list[Opening]:
     """Find where neighbouring cells belong to two rooms and are no more than a step apart.
 
-    What hangs together (over corners, too) is one opening. Furniture is not looked at.
+    8-connected cells form one opening. Furniture is ignored.
 
     Args:
         index: the room of each cell by level, shape (height, width), 0 for none.
@@ -64,10 +67,10 @@ def find_openings(index: Sequence[Index], floors: Floors, max_step: float) -> li
     return openings
 
 
-def find_room_links(index: Sequence[Index], floors: Floors) -> list[tuple[Room, Room]]:
+def find_room_links(index: Sequence[Index], floors: Floors) -> list[tuple[RoomKey, RoomKey]]:
     """Find the pairs of rooms on two levels between which a step leads, each once."""
     flat = [rooms.ravel() for rooms in index]
-    pairs: set[tuple[Room, Room]] = set()
+    pairs: set[tuple[RoomKey, RoomKey]] = set()
     for level_a, cell_a, level_b, cell_b in floors.links.tolist():
         a = level_a, int(flat[level_a][cell_a])
         b = level_b, int(flat[level_b][cell_b])
@@ -121,13 +124,11 @@ def _box(cells: Int, width: int) -> tuple[int, int, int, int]:
     return int(row.min()), int(col.min()), int(row.max()), int(col.max())
 
 
-def _find_steps(
-    rooms: Index, floor: NDArray[np.float64], max_step: float
-) -> tuple[Index, Index, Int]:
+def _find_steps(rooms: Index, floor: Float, max_step: float) -> tuple[Index, Index, Int]:
     """The two rooms of neighbouring cells, the lower first, and both cells, shape (n, 2)."""
     cell = np.arange(rooms.size).reshape(rooms.shape)
     lows, highs, cells = [], [], []
-    for one, other in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+    for one, other in EDGES:
         a, b = rooms[one], rooms[other]
         meet = (a != b) & (a > 0) & (b > 0)
         meet &= np.abs(floor[one] - floor[other]) <= max_step + SLACK
@@ -138,7 +139,7 @@ def _find_steps(
 
 
 def _connected(cells: Int, width: int) -> list[Int]:
-    """Split ascending cell ids into parts that hang together."""
+    """Split ascending cell ids into connected parts."""
     row, col = np.divmod(cells, width)
     row, col = row - row.min(), col - col.min()
     mask = np.zeros((row.max() + 1, col.max() + 1), dtype=np.bool_)
@@ -148,11 +149,9 @@ def _connected(cells: Int, width: int) -> list[Int]:
     return [cells[number == k] for k in range(1, count + 1)]
 
 
-def _distances(cells: Int, targets: Int, width: int) -> NDArray[np.float64]:
+def _distances(cells: Int, targets: Int, width: int) -> Float:
     """How far each cell is from the nearest target [cells]."""
     row, col = np.divmod(cells, width)
     to_row, to_col = np.divmod(targets, width)
-    nearest: NDArray[np.float64] = np.hypot(row[:, None] - to_row, col[:, None] - to_col).min(
-        axis=1
-    )
+    nearest: Float = np.hypot(row[:, None] - to_row, col[:, None] - to_col).min(axis=1)
     return nearest

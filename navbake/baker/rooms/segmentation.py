@@ -1,31 +1,37 @@
-"""Rooms from the walls alone: a watershed on the distance to them, cut at door-wide gaps."""
+"""Rooms from the walls alone: a watershed on the distance to them, cut at door-wide gaps.
+
+`segment_rooms` seeds the watershed, floods it and merges its regions; `share_rest` fits its
+segments to rooms that are marked.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from navbake.baker.kernels.labels import (
     cells_of_nodes,
     first_cells,
     label_parts,
-    measure_basins,
+    measure_regions,
     measure_slopes,
 )
 from navbake.baker.kernels.watershed import flood, squared_distances
-from navbake.baker.rooms.basins import ROUGHNESS, SLACK, Basins
+from navbake.baker.rooms.openings import EDGES
+from navbake.baker.rooms.regions import ROUGHNESS, ROUNDING, Regions
+from navbake.types import Bool, Float, Int, Int32
 
-Bool = NDArray[np.bool_]
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
-Labels = NDArray[np.int32]
-
-# How far a narrow place begins behind the discs that fit beside it, in door widths
-NARROW = 0.1
-# How wide a narrow place is at least, in door widths, to be a room and not a crack
-NARROWEST = 0.5
-# Rise by length from which on a floor is a stair, and how far around a cell that is looked at [m]
-STEEP, REACH = 0.3, 0.3
+# A narrow region begins at this distance from where a disc wider than the door fits [door widths]
+NARROW_GAP = 0.1
+# A narrow region of less width is a crack, and no room [door widths]
+CRACK_WIDTH = 0.5
+# Marked rooms that hold at least this share of a segment take over all of it
+MAJORITY = 0.5
+# A cell is steep, like a stair, where the floor rises by this share of the distance
+STEEPNESS = 0.3
+# That is measured over this distance on both sides of the cell [m]
+SLOPE_REACH = 0.3
 
 
 def segment_rooms(
@@ -34,27 +40,28 @@ def segment_rooms(
     door_width: float,
     min_area: float,
     floor: Float | None = None,
-) -> Labels:
-    """Part the open cells of a level into rooms, at gaps no wider than a door.
+) -> Int32:
+    """Divide the open cells of a level into rooms, at gaps no wider than a door.
 
     A gap is as wide as the largest disc that passes it. Rooms grow from where a disc wider than
-    `door_width` fits (the level, opened morphologically by that disc); places that are narrower
-    all along, such as corridors, are rooms of their own where they go on behind the discs. From
-    there everything is filled in the order of the distance to the walls (a watershed), so that
-    two rooms meet where their doorway is narrowest, in the middle of it if it is as narrow all
-    the way through. A cell that is as near to two rooms goes to the one with more space for
-    discs. What is smaller than `min_area` joins the room that it opens to the widest; if it opens
-    to none, it is no room.
+    `door_width` fits (the level, opened morphologically by that disc). What is narrower all along,
+    such as a corridor, is a room of its own where it continues behind the discs. From these seeds
+    a watershed fills everything in the order of the distance to the walls, so that two rooms meet
+    where their doorway is narrowest, or in the middle of it if it is equally narrow all the way
+    through. A cell as near to two rooms goes to the one with more space for discs. A region
+    smaller than `min_area` joins the room that it opens to the widest; if it opens to none, it is
+    no room.
 
-    Widths are exact for walls along the lattice. Others vary by a cell, so a gap whose sides
-    come only half a cell nearer to its middle than the walls of a room that it leads to parts
-    nothing: a corridor at an angle is not cut where the lattice makes it look narrow. Stairs
-    that open to a room as wide as they are belong to it, at their foot rather than their head.
+    Widths are exact for walls along the lattice. Other walls make them vary by a cell. So a gap
+    does not separate rooms where its sides come only half a cell nearer to its middle than the
+    walls of a room that it leads to: a corridor at an angle is not cut where the lattice makes it
+    look narrow. Stairs that open to a room over their full width belong to it, at their foot
+    rather than their head.
 
     Args:
         open_cells: shape (height, width): cells with a floor that no wall stands in.
         cell_size: edge of a cell [m].
-        door_width: the widest gap that parts rooms [m], > 0.
+        door_width: the widest gap that separates rooms [m], > 0.
         min_area: what a room has at least [m²], >= 0.
         floor: heights of the floor, shape (height, width) [m]. With it, stairs are part of the
             room that they open to.
@@ -76,20 +83,20 @@ def segment_rooms(
     open_cells = np.ascontiguousarray(open_cells[window])
     # the door's half width, in half cells; nothing fits beside one that is as wide as the map
     width = min(door_width / cell_size, float(min(open_cells.shape) + 2))
-    least = min_area / cell_size**2 - SLACK
+    least = min_area / cell_size**2 - ROUNDING
     reach = int(width + ROUGHNESS) + 2
-    distance = squared_distances(wall_nodes(open_cells), reach)
+    distance = squared_distances(wall_nodes(open_cells), reach, 0, 1)
     label, num_wide = _find_seeds(open_cells, distance, width, least)
     flood(label, open_cells, np.ascontiguousarray(distance[1::2, 1::2]), (reach + 1) ** 2)
-    basins = Basins(label, distance, num_wide)
-    basins.join_rough_passes()
-    basins.join_junctions()
+    regions = Regions(label, distance, num_wide)
+    regions.join_rough_passes()
+    regions.join_junctions()
     if floor is not None:
-        steps = max(1, round(REACH / cell_size))
-        rise = STEEP * 2 * steps * cell_size
-        basins.join_stairs(*measure_slopes(label, floor[window], steps, rise, int(label.max())))
-    basins.join_small(least)
-    rooms[window] = number_by_place(basins.joined(least)[label])
+        steps = max(1, round(SLOPE_REACH / cell_size))
+        rise = STEEPNESS * 2 * steps * cell_size
+        regions.join_stairs(*measure_slopes(label, floor[window], steps, rise, int(label.max())))
+    regions.join_small(least)
+    rooms[window] = renumber(regions.wholes(least)[label])
     return rooms
 
 
@@ -97,8 +104,8 @@ def wall_nodes(open_cells: Bool) -> Bool:
     """Mark the nodes of a lattice half as wide that lie on a cell that isn't open.
 
     Node (2 r + 1, 2 c + 1) is the centre of cell (r, c); the others are edges' middles and
-    corners. From a node to the nearest square of a closed cell is as far as to the nearest
-    marked node, so gaps can be measured to half a cell. Beyond the lattice nothing is open.
+    corners. The nearest point of a closed cell is as far from a node as the nearest marked node.
+    So gaps can be measured to half a cell. Beyond the lattice nothing is open.
 
     Returns:
         Shape (2 height + 1, 2 width + 1), bool.
@@ -114,35 +121,63 @@ def wall_nodes(open_cells: Bool) -> Bool:
     return nodes
 
 
-def number_by_place(label: Labels) -> Labels:
+def share_rest(owner: Int32, segment: Int32, least: float) -> tuple[Int32, Int32]:
+    """Divide what marked rooms leave of segments between these rooms and new ones.
+
+    The rest of a segment is made of connected parts. A part goes to the marked room that it
+    touches most if marked rooms hold most of the segment, or if it is too small for a room.
+
+    Args:
+        owner: the marked room of each cell, shape (height, width), int32, 0 for none.
+        segment: the segment of each cell, shape (height, width), int32, 0 for none.
+        least: cells that a room has at least.
+
+    Returns:
+        Owners with what they take over, and new rooms in what is left, each of the same shape.
+    """
+    left = np.where(owner == 0, segment, 0)
+    part = _label_equal(left)
+    count = int(part.max(initial=0)) + 1
+    cells = np.bincount(part.ravel(), minlength=count)
+    all_of = np.bincount(segment.ravel())
+    held = np.bincount(segment[owner > 0].ravel(), minlength=len(all_of)) / np.maximum(all_of, 1)
+    of_part = np.zeros(count, dtype=np.int32)
+    of_part[part.ravel()] = left.ravel()
+    touched = _most_touched(part, owner, count)
+    joins = (touched > 0) & ((cells < least) | (held[of_part] >= MAJORITY))
+    is_room = ~joins & (cells >= least)
+    joins[0] = is_room[0] = False
+    taken = np.where(joins[part], touched[part], owner).astype(np.int32)
+    return taken, renumber(np.where(is_room[part], part, 0).astype(np.int32))
+
+
+def renumber(label: Int32) -> Int32:
     """Renumber labels from 1 by the first cell of each in reading order; 0 stays."""
-    order = order_by_place(label)
+    order = labels_in_order(label)
     number = np.zeros(int(order.max(initial=0)) + 1, dtype=np.int32)
     number[order] = np.arange(1, len(order) + 1)
     return number[label]
 
 
-def order_by_place(label: Labels) -> Int:
+def labels_in_order(label: Int32) -> Int:
     """The labels that are used, but 0, by their first cells in reading order."""
     first = first_cells(label, int(label.max(initial=0)) + 1)[1:]
     return 1 + np.argsort(first, kind="stable")[: np.count_nonzero(first < label.size)]
 
 
-def _find_seeds(
-    open_cells: Bool, distance: Labels, width: float, least: float
-) -> tuple[Labels, int]:
-    """Label where discs wider than the door fit, and the narrow places that they leave.
+def _find_seeds(open_cells: Bool, distance: Int32, width: float, least: float) -> tuple[Int32, int]:
+    """Label where discs wider than the door fit, and the narrow regions that they leave.
 
     Returns:
-        Labels of cells, those of the wide places first; the largest of each kind first, then
-        those farther from walls; and how many places are wide.
+        Labels of cells, wide regions before narrow ones, then by size, then by distance to the
+        walls; and the number of wide regions.
     """
-    wide, num_wide = label_parts(distance > int((width + SLACK) ** 2))
+    wide, num_wide = label_parts(distance > int((width + ROUNDING) ** 2))
     label = cells_of_nodes(wide)
     narrow, num_narrow = _find_narrow(open_cells, distance, wide > 0, width, least)
     if num_narrow:
         label = np.where(narrow > 0, narrow + np.int32(num_wide), label)
-    cells, _, space = measure_basins(label, distance, num_wide + num_narrow)
+    cells, _, space = measure_regions(label, distance, num_wide + num_narrow)
     is_narrow = np.arange(1, len(cells)) > num_wide
     rank = np.zeros(len(cells), dtype=np.int32)
     rank[1 + np.lexsort((-space[1:], -cells[1:], is_narrow))] = np.arange(1, len(cells))
@@ -150,25 +185,57 @@ def _find_seeds(
 
 
 def _find_narrow(
-    open_cells: Bool, distance: Labels, is_wide: Bool, width: float, least: float
-) -> tuple[Labels, int]:
-    """Label narrow places that go on behind the discs, and are no cracks; also tell how many.
+    open_cells: Bool, distance: Int32, is_wide: Bool, width: float, least: float
+) -> tuple[Int32, int]:
+    """Label and count the narrow regions that continue behind the discs, except cracks.
 
     Args:
         open_cells: shape (height, width).
         distance: of nodes to the walls, shape (2 height + 1, 2 width + 1).
-        is_wide: where discs fit, nodes likewise.
+        is_wide: where discs fit, nodes of the same shape.
         width: of a door [half cells, on both sides of its middle].
         least: cells that a room has at least.
     """
-    behind = (width * (1 + 2 * NARROW)) ** 2
+    behind = (width * (1 + 2 * NARROW_GAP)) ** 2
     to_wide = squared_distances(is_wide, int(behind**0.5) + 1, 1, 2)[:, 1::2]
-    left, num_left = label_parts(open_cells & (to_wide > width**2 + SLACK))
+    left, num_left = label_parts(open_cells & (to_wide > width**2 + ROUNDING))
     is_large = np.bincount(left.ravel(), minlength=num_left + 1) >= max(least / 2, 1)
     is_large[0] = False
     if not is_large.any():
         return left, 0
     narrow, num_narrow = label_parts(is_large[left] & (to_wide > behind))
-    _, peaks, _ = measure_basins(narrow, distance, num_narrow)
-    is_crack = peaks < (width * NARROWEST) ** 2 - SLACK
+    _, peaks, _ = measure_regions(narrow, distance, num_narrow)
+    is_crack = peaks < (width * CRACK_WIDTH) ** 2 - ROUNDING
     return np.where(is_crack[narrow], np.int32(0), narrow), num_narrow
+
+
+def _label_equal(label: Int32) -> Int32:
+    """Number the parts of equal labels that are connected over edges; 0 stays."""
+    cells = np.flatnonzero(label)
+    node = np.full(label.shape, -1, dtype=np.int64)
+    node.ravel()[cells] = np.arange(len(cells))
+    pairs = []
+    for one, other in EDGES:
+        same = (label[one] == label[other]) & (label[one] > 0)
+        pairs.append(np.stack([node[one][same], node[other][same]]))
+    sources, targets = np.concatenate(pairs, axis=1)
+    edges = np.ones(len(sources), dtype=np.bool_), (sources, targets)
+    _, number = connected_components(coo_array(edges, shape=(len(cells),) * 2), directed=False)
+    part = np.zeros(label.shape, dtype=np.int32)
+    part.ravel()[cells] = number + 1
+    return part
+
+
+def _most_touched(part: Int32, owner: Int32, count: int) -> Int32:
+    """The owner that each part has most edges in common with, 0 for none; of several the first."""
+    keys = []
+    base = int(owner.max(initial=0)) + 1
+    for one, other in EDGES:
+        for a, b in ((one, other), (other, one)):
+            meet = (part[a] > 0) & (owner[b] > 0)
+            keys.append(part[a][meet].astype(np.int64) * base + owner[b][meet])
+    key, edges = np.unique(np.concatenate(keys), return_counts=True)
+    order = np.lexsort((-key, edges))  # the last one written stays
+    touched = np.zeros(count, dtype=np.int32)
+    touched[key[order] // base] = key[order] % base
+    return touched

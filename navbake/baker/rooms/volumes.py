@@ -1,13 +1,13 @@
-"""Where vertical lines run through solids: what marks a volume instead of standing in it."""
+"""Intersections of vertical lines with solids, for sites that mark a volume."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from navbake.baker.scene.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, Solids
+from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from navbake.baker.scene.shapes import Solids
+from navbake.types import Float
 
-Float = NDArray[np.float64]
 Chords = tuple[Float, Float]
 
 

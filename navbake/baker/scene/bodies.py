@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Int = NDArray[np.int64]
+from navbake.types import Int
 
 
 def find_subtree_ends(model: Any) -> Int:
@@ -26,7 +25,7 @@ def find_subtree_ends(model: Any) -> Int:
     return np.array(end, dtype=np.int64)
 
 
-def list_geoms(model: Any, first: int, end: int) -> Int:
+def geoms_of_bodies(model: Any, first: int, end: int) -> Int:
     """The ids of the geoms of the bodies from `first` to before `end`, ascending.
 
     Geoms are numbered by their bodies.

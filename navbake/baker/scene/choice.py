@@ -8,13 +8,12 @@ from fnmatch import fnmatchcase
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from navbake.baker.scene.names import GeomNames, body_name, names_of, tell_unmatched
-from navbake.baker.scene.shapes import MESH, SDF
+from navbake.baker.kernels.constants import FREE, MESH, SDF
+from navbake.baker.scene.names import GeomNames, body_name, names_of, warn_unmatched
 from navbake.config.scene import SceneSettings
+from navbake.types import Bool, Float
 
-FREE = 0  # MuJoCo's number of the free joint (mjtJoint)
 DRAWN_GROUPS = 3  # MuJoCo's viewers draw the geom groups below this unless told otherwise
 
 MeshMode = Literal["hull", "surface"]
@@ -65,7 +64,7 @@ def choose_geoms(model: Any, settings: SceneSettings) -> tuple[list[Choice], lis
 
 
 def _rule(
-    model: Any, settings: SceneSettings, collides: NDArray[np.bool_], any_collides: bool
+    model: Any, settings: SceneSettings, collides: Bool, any_collides: bool
 ) -> list[tuple[bool, str]]:
     """For each geom, whether it counts by `scene.geoms`, and why."""
     if settings.geoms == "all":
@@ -78,7 +77,7 @@ def _rule(
     return [yes if can else no for can in collides]
 
 
-def _visual_rule(model: Any, collides: NDArray[np.bool_]) -> list[tuple[bool, str]]:
+def _visual_rule(model: Any, collides: Bool) -> list[tuple[bool, str]]:
     group, body = model.geom_group, model.geom_bodyid
     drawn = (_alpha(model) > 0) & (group < DRAWN_GROUPS)
     visuals: dict[int, set[int]] = {}
@@ -98,9 +97,9 @@ def _visual_rule(model: Any, collides: NDArray[np.bool_]) -> list[tuple[bool, st
     return rule
 
 
-def _alpha(model: Any) -> NDArray[np.float64]:
+def _alpha(model: Any) -> Float:
     """Each geom's opacity: its material's, unless its own colour was set (as MuJoCo draws it)."""
-    alpha: NDArray[np.float64] = model.geom_rgba[:, 3].astype(np.float64)
+    alpha: Float = model.geom_rgba[:, 3].astype(np.float64)
     material = model.geom_matid
     has_material = material >= 0
     if has_material.any():
@@ -143,7 +142,7 @@ def _excluded_bodies(model: Any, settings: SceneSettings) -> list[str]:
 
 
 def _mesh_modes(
-    settings: SceneSettings, names: list[GeomNames], collides: NDArray[np.bool_], types: Any
+    settings: SceneSettings, names: list[GeomNames], collides: Bool, types: Any
 ) -> tuple[list[MeshMode], list[str]]:
     """As what each geom counts if it is a mesh; and patterns that match no mesh."""
     is_mesh = np.isin(types, (MESH, SDF))
@@ -161,7 +160,7 @@ def _mesh_modes(
         return modes, []
     known = [text for name in of_meshes for text in (name.geom, name.mesh, name.body)]
     return modes, [
-        tell_unmatched("scene.meshes", pattern, known, "no mesh")
+        warn_unmatched("scene.meshes", pattern, known, "no mesh")
         for pattern in by_pattern
         if not any(_matches_any(pattern, name) for name in of_meshes)
     ]
@@ -177,7 +176,7 @@ def _first_match(patterns: Iterable[str], name: str) -> str | None:
 
 def _unused(setting: str, patterns: Iterable[str], names: list[str]) -> list[str]:
     return [
-        tell_unmatched(setting, pattern, names)
+        warn_unmatched(setting, pattern, names)
         for pattern in patterns
         if not any(fnmatchcase(name, pattern) for name in names)
     ]

@@ -9,20 +9,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.kernels.sheets import SOLID, SURFACE
-from navbake.baker.scene.choice import Choice
-from navbake.baker.scene.meshes.part import MeshPart
-from navbake.baker.scene.names import name_at, names_of
-from navbake.baker.scene.shapes import (
+from navbake.baker.kernels.constants import (
     BOX,
     CAPSULE,
+    CLOSED_SURFACE,
+    CONVEX_SOLID,
     CYLINDER,
     ELLIPSOID,
     HFIELD,
     MESH,
+    OPEN_SURFACE,
     PLANE,
     SDF,
+    SOLID,
     SPHERE,
+)
+from navbake.baker.scene.choice import Choice
+from navbake.baker.scene.meshes.part import MeshPart
+from navbake.baker.scene.names import name_at, names_of
+from navbake.baker.scene.shapes import (
     Planes,
     Shapes,
     Solids,
@@ -34,21 +39,13 @@ from navbake.baker.scene.shapes import (
     solid_bounds,
 )
 from navbake.errors import SceneError
+from navbake.types import Float
 
 SOLIDS = (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)
-TYPE_NAMES = {
-    PLANE: "plane",
-    HFIELD: "hfield",
-    SPHERE: "sphere",
-    CAPSULE: "capsule",
-    ELLIPSOID: "ellipsoid",
-    CYLINDER: "cylinder",
-    BOX: "box",
-    MESH: "mesh",
-    SDF: "sdf",
-}
-
-Corners = NDArray[np.float64]
+TYPE_NAMES = dict(
+    enumerate("plane hfield sphere capsule ellipsoid cylinder box mesh sdf".split())  # noqa: SIM905
+)
+ENCLOSES = {"hull": CONVEX_SOLID, "closed surface": CLOSED_SURFACE, "surface": OPEN_SURFACE}
 
 
 @dataclass(frozen=True)
@@ -102,11 +99,11 @@ class _Collector:
         self._model, self._data, self._parts = model, data, parts
         self._solids: list[int] = []
         self._planes: list[int] = []
-        self._corners: list[Corners] = []
+        self._corners: list[Float] = []
         self._corner_geoms: list[int] = []
         self._closed = np.zeros(model.ngeom, dtype=np.uint8)
         self._endless = np.zeros(model.ngeom, dtype=np.bool_)
-        self._meshes: dict[tuple[int, str], tuple[Corners, str]] = {}
+        self._meshes: dict[tuple[int, str], tuple[Float, str]] = {}
         numbers = np.hstack([data.geom_xpos, data.geom_xmat, model.geom_size])
         self._is_finite = np.isfinite(numbers).all(axis=1)
         self.notes: list[str] = []
@@ -117,7 +114,7 @@ class _Collector:
         kind = int(self._model.geom_type[geom])
         if kind in SOLIDS:
             self._solids.append(geom)
-            self._closed[geom] = SOLID
+            self._closed[geom] = CONVEX_SOLID
             return "solid"
         if kind == PLANE:
             return self._add_plane(geom)
@@ -166,7 +163,7 @@ class _Collector:
             self._planes.append(geom)
             return "half-space"
         self._endless[geom] = (half <= 0).any()
-        self._add_triangles(geom, self._to_world(geom, plane_triangles(half)), 0)
+        self._add_triangles(geom, self._to_world(geom, plane_triangles(half)), OPEN_SURFACE)
         return "strip" if self._endless[geom] else "rectangle"
 
     def _add_mesh(self, geom: int, mode: str) -> str:
@@ -182,13 +179,12 @@ class _Collector:
                 self._meshes[mesh, mode] = self._mesh_triangles(geom, *arrays, mode)
             corners, kind = self._meshes[mesh, mode]
             corners = self._to_world(geom, corners)
-        closed = {"hull": SOLID, "closed surface": SURFACE, "surface": 0}[kind]
-        self._add_triangles(geom, corners, closed)
+        self._add_triangles(geom, corners, ENCLOSES[kind])
         return kind
 
     def _mesh_triangles(
-        self, geom: int, vertices: Corners, faces: NDArray[Any], on_hull: Corners, mode: str
-    ) -> tuple[Corners, str]:
+        self, geom: int, vertices: Float, faces: NDArray[Any], on_hull: Float, mode: str
+    ) -> tuple[Float, str]:
         if mode == "hull":
             hull = hull_triangles(on_hull)
             if hull is not None:
@@ -201,17 +197,17 @@ class _Collector:
         kind = "closed surface" if is_closed_solid(vertices, faces) else "surface"
         return vertices[faces], kind
 
-    def _add_triangles(self, geom: int, world: Corners, closed: int) -> None:
+    def _add_triangles(self, geom: int, world: Float, closed: int) -> None:
         self._corners.append(world)
         self._corner_geoms.append(geom)
         self._closed[geom] = closed
 
-    def _to_world(self, geom: int, corners: Corners) -> Corners:
+    def _to_world(self, geom: int, corners: Float) -> Float:
         mat = self._data.geom_xmat[geom].reshape(3, 3)
-        world: Corners = corners @ mat.T + self._data.geom_xpos[geom]
+        world: Float = corners @ mat.T + self._data.geom_xpos[geom]
         return world
 
-    def _height_field(self, hfield: int) -> Corners:
+    def _height_field(self, hfield: int) -> Float:
         model = self._model
         rows, cols = int(model.hfield_nrow[hfield]), int(model.hfield_ncol[hfield])
         first = int(model.hfield_adr[hfield])
@@ -223,7 +219,7 @@ class _Collector:
         return height_field_triangles(heights.astype(np.float64), size)
 
 
-def _mesh_arrays(model: Any, mesh: int) -> tuple[Corners, NDArray[np.int32], Corners]:
+def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, NDArray[np.int32], Float]:
     """A mesh's vertices, its faces, and the vertices of its hull, in its geom's frame."""
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     vertices = model.mesh_vert[first : first + count].astype(np.float64)

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.scene.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, Shapes, Solids
-
-Float = NDArray[np.float64]
+from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from navbake.baker.scene.shapes import Shapes, Solids
+from navbake.types import Float, Int32
 
 # Directions of upright faces that are told apart, over a right angle
 DIRECTIONS = 180
 
 
-@dataclass(frozen=True)
-class Extents:
+class Extents(NamedTuple):
     """Upright boxes round geoms, by geom id; NaN for infinite planes and what isn't counted.
 
     Attributes:
@@ -115,7 +114,7 @@ def _support(solids: Solids, way: Float) -> Float:
     return reach
 
 
-def _measure_triangles(geom: NDArray[np.int32], corners: Float, out: Extents) -> None:
+def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
     first = np.flatnonzero(np.diff(geom, prepend=-1))
     group = np.repeat(np.arange(len(first)), np.diff(first, append=len(geom)))
     angle = _facing(group, corners, len(first))

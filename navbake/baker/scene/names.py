@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from navbake.baker.scene.shapes import MESH, SDF
+from navbake.baker.kernels.constants import MESH, SDF
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def joint_name(model: Any, joint: int) -> str:
     return name_at(model, model.name_jntadr[joint]) or f"joint {joint}"
 
 
-def tell_unmatched(
+def warn_unmatched(
     setting: str, pattern: str, known: Iterable[str], matches: str = "nothing"
 ) -> str:
     """Tell that a pattern of the settings matches nothing, and which names are near it.

@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-Float = NDArray[np.float64]
-Int = NDArray[np.int32]
+from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from navbake.types import Bool, Float, Int, Int32
 
 # Half-size that stands for the infinite side of a plane that has a finite one: heights on a tilted
 # one are off by about 1e-16 FAR^2 [m]
 FAR = 1e4
 
-# MuJoCo's numbers of the geom types (mjtGeom); the second line are solids by themselves
-PLANE, HFIELD, MESH, SDF = 0, 1, 7, 8
-SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX = 2, 3, 4, 5, 6
 
-
-@dataclass(frozen=True)
-class Solids:
+class Solids(NamedTuple):
     """Spheres, capsules, ellipsoids, cylinders and boxes.
 
     Attributes:
@@ -34,28 +29,20 @@ class Solids:
         bounds: exact boxes round them, shape (n, 6), float64: lower corner, upper corner [m].
     """
 
-    geom: Int
-    kind: Int
+    geom: Int32
+    kind: Int32
     pos: Float
     mat: Float
     size: Float
     bounds: Float
 
-    def only(self, geoms: NDArray[np.bool_]) -> Solids:
+    def only(self, geoms: Bool) -> Solids:
         """Those of the geoms that are marked, shape (ngeom,), bool."""
         kept = geoms[self.geom]
-        return Solids(
-            self.geom[kept],
-            self.kind[kept],
-            self.pos[kept],
-            self.mat[kept],
-            self.size[kept],
-            self.bounds[kept],
-        )
+        return Solids._make(array[kept] for array in self)
 
 
-@dataclass(frozen=True)
-class Planes:
+class Planes(NamedTuple):
     """Infinite planes: half-spaces, solid behind their normal (the third column of `mat`).
 
     Attributes:
@@ -64,7 +51,7 @@ class Planes:
         mat: rotation matrices, row-major, shape (n, 9), float64.
     """
 
-    geom: Int
+    geom: Int32
     pos: Float
     mat: Float
 
@@ -73,14 +60,13 @@ class Planes:
         """Unit normals, shape (n, 3), float64."""
         return np.ascontiguousarray(self.mat[:, [2, 5, 8]])
 
-    def only(self, geoms: NDArray[np.bool_]) -> Planes:
+    def only(self, geoms: Bool) -> Planes:
         """Those of the geoms that are marked, shape (ngeom,), bool."""
         kept = geoms[self.geom]
-        return Planes(self.geom[kept], self.pos[kept], self.mat[kept])
+        return Planes._make(array[kept] for array in self)
 
 
-@dataclass(frozen=True)
-class Triangles:
+class Triangles(NamedTuple):
     """Triangles of meshes, hulls, height fields and finite planes.
 
     Attributes:
@@ -88,7 +74,7 @@ class Triangles:
         corners: shape (m, 3, 3), float64 [m], counter-clockwise from the front.
     """
 
-    geom: Int
+    geom: Int32
     corners: Float
 
     @property
@@ -96,10 +82,10 @@ class Triangles:
         """Boxes round them, shape (m, 6), float64: lower corner, upper corner [m]."""
         return np.concatenate([self.corners.min(axis=1), self.corners.max(axis=1)], axis=1)
 
-    def only(self, geoms: NDArray[np.bool_]) -> Triangles:
+    def only(self, geoms: Bool) -> Triangles:
         """Those of the geoms that are marked, shape (ngeom,), bool."""
         kept = geoms[self.geom]
-        return Triangles(self.geom[kept], self.corners[kept])
+        return Triangles._make(array[kept] for array in self)
 
 
 @dataclass(frozen=True)
@@ -110,9 +96,9 @@ class Shapes:
         solids: the primitive solids.
         planes: the infinite planes.
         triangles: everything that is made of triangles.
-        closed: by geom id, shape (ngeom,), uint8: 2 for solids (primitives, hulls, height
-            fields), 1 for surfaces that enclose a volume, else 0. Inside of both counts as
-            occupied. Infinite planes are not among them.
+        closed: by geom id, shape (ngeom,), uint8: what each encloses, OPEN_SURFACE,
+            CLOSED_SURFACE, SOLID (height fields) or CONVEX_SOLID (primitives, hulls). Inside
+            of all but the first counts as occupied. Infinite planes are OPEN_SURFACE.
         endless: by geom id, shape (ngeom,), bool: planes with one infinite side; they are
             triangles of FAR, and don't count towards the box.
     """
@@ -121,7 +107,7 @@ class Shapes:
     planes: Planes
     triangles: Triangles
     closed: NDArray[np.uint8]
-    endless: NDArray[np.bool_]
+    endless: Bool
 
     def bounds(self) -> Float | None:
         """The box round everything finite, shape (2, 3), float64 [m]; None if all is infinite."""
@@ -131,7 +117,7 @@ class Shapes:
             return None
         return np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
 
-    def only(self, geoms: NDArray[np.bool_]) -> Shapes:
+    def only(self, geoms: Bool) -> Shapes:
         """The geometry of the geoms that are marked, shape (ngeom,), bool."""
         return Shapes(
             self.solids.only(geoms),
@@ -142,7 +128,7 @@ class Shapes:
         )
 
 
-def solid_bounds(kind: Int, pos: Float, mat: Float, size: Float) -> Float:
+def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
     """The exact axis-aligned boxes of primitive solids.
 
     Args:
@@ -210,7 +196,7 @@ def height_field_triangles(heights: Float, size: Float) -> Float:
     for upper, lower in zip(border_top, border_base, strict=True):
         parts.append(np.stack([lower[:-1], lower[1:], upper[1:]], axis=-2))
         parts.append(np.stack([lower[:-1], upper[1:], upper[:-1]], axis=-2))
-    # the bottom is fanned over the same border points, so that every edge has its twin
+    # the bottom is fanned over the same border points, so that every edge is met from both sides
     ring = np.concatenate([line[:-1] for line in border_base])
     middle = np.broadcast_to((corner[0] + corner[2]) / 2, ring.shape)
     parts.append(np.stack([middle, np.roll(ring, -1, axis=0), ring], axis=-2))
@@ -245,8 +231,8 @@ def _face_outward(corners: Float, outward: Float) -> Float:
 def is_closed_solid(vertices: Float, faces: NDArray[np.integer[Any]]) -> bool:
     """Whether triangles enclose a volume from outside.
 
-    They do when every directed edge is met by as many twins in the other direction, and the
-    volume that they sum up to is positive. A room drawn from inside (its triangles facing in)
+    They do when every directed edge is met as often in the other direction, and the volume that
+    they sum up to is positive. A room drawn from inside (its triangles facing in)
     is none. Vertices at one place count as one.
 
     Args:
@@ -268,7 +254,7 @@ def is_closed_solid(vertices: Float, faces: NDArray[np.integer[Any]]) -> bool:
     return bool(volume > 0)
 
 
-def _number_points(points: Float) -> NDArray[np.int64]:
+def _number_points(points: Float) -> Int:
     """Number points so that equal ones have equal numbers; faster than a unique over rows."""
     number = np.zeros(len(points), dtype=np.int64)
     for axis in range(3):

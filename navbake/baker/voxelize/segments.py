@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.scene.names import body_name, names_of, tell_unmatched
+from navbake.baker.scene.names import body_name, names_of, warn_unmatched
 from navbake.baker.scene.scene import Scene
 from navbake.errors import ConfigError
 
@@ -69,7 +69,7 @@ def label_geoms(scene: Scene, segments: Segments) -> Labels:
     if None in used:
         table[other] = OTHER
     known = sorted({name for geom in _counted(scene) for name in _known_as(scene.model, geom)})
-    notes = [tell_unmatched("segments", p, known) for p in patterns if p not in used]
+    notes = [warn_unmatched("segments", p, known) for p in patterns if p not in used]
     return Labels(ids, table, notes)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -10,24 +11,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.baker.occupancy.occupancy import TOUCH
+from navbake.baker.kernels.arrays import Tiles
+from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.scene.model import data_of_qpos, pose_model
 from navbake.baker.scene.scene import Scene, load_scene
-from navbake.baker.scene.shapes import Shapes, solid_bounds
-from navbake.baker.voxelize.kernels.fill import fill_voxels
-from navbake.baker.voxelize.kernels.tiles import (
-    CLOSED,
-    CONVEX,
-    SURFACE,
-    bin_items,
-    box_triangles,
-    move_triangles,
-)
+from navbake.baker.scene.shapes import solid_bounds
+from navbake.baker.voxelize.kernels.fill import Voxels, fill_voxels
+from navbake.baker.voxelize.kernels.tiles import bin_items, box_triangles, move_triangles
 from navbake.baker.voxelize.segments import Labels, Segments, label_geoms
 from navbake.config.scene import SceneSettings
 from navbake.config.settings import BakeConfig, as_config
 from navbake.errors import ConfigError, SceneError
 from navbake.navgrid.lattice import CELL_SLACK
+from navbake.types import Float
 from navbake.voxels.grid import VoxelGrid, dtype_of
 from navbake.voxels.placement import Placement, check_memory, place_grid
 
@@ -48,7 +44,6 @@ def create_voxel_grid(
     size: Sequence[float] | None = None,
     segments: Segments | None = None,
     ignore: Sequence[str] = (),
-    align: bool | None = None,
 ) -> VoxelGrid:
     """Make the voxel grid of a scene: True where a geom that counts meets a voxel.
 
@@ -63,12 +58,12 @@ def create_voxel_grid(
             grid covers the scene's box.
         ncells_x, ncells_y, ncells_z: voxels along each axis, >= 1.
         res: edge of a voxel [m].
-        of: a file to write: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``.
+        of: a file to write: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``. For an octree the grid
+            is moved by half a voxel at most, onto whole multiples of `res`; see
+            `Voxelizer.create` to do so for others.
         size: what the grid covers along x, y and z [m], in place of the counts.
         segments: voxels hold IDs of this, see `label_geoms`; None for True and False.
         ignore: name patterns of bodies that are left out, with what hangs on them.
-        align: move the grid by half a voxel at most, onto whole multiples of `res`; None does
-            so where an octree is to be written.
 
     Raises:
         ConfigError: a setting or a number is wrong, or the grid needs more memory than there is.
@@ -77,8 +72,7 @@ def create_voxel_grid(
     counts = [n for n in (ncells_x, ncells_y, ncells_z) if n is not None]
     if len(counts) not in (0, 3):
         raise ConfigError(f"expected 3 counts of cells, whole numbers >= 1, got {counts}")
-    if align is None:
-        align = of is not None and str(of).lower().endswith(OCTREES)
+    align = of is not None and str(of).lower().endswith(OCTREES)
     voxelizer = scene if isinstance(scene, Voxelizer) else Voxelizer(scene, ignore=ignore)
     if ignore and voxelizer is scene:
         raise ConfigError("expected `ignore` where the Voxelizer is made, not where it is used")
@@ -117,7 +111,6 @@ class Voxelizer:
             self._settings = _leave_out(as_config(scene).scene, ignore)
             self.scene = load_scene(self._settings)
         self.shapes = self.scene.shapes
-        self._mode = _enclosure(self.scene)
         self._boxes = self._box_triangles()
         self._labels: dict[Any, Labels] = {}
 
@@ -219,7 +212,7 @@ class Voxelizer:
             )
         self._move(np.array(data.geom_xpos), np.array(data.geom_xmat).reshape(-1, 3, 3))
 
-    def _move(self, pos: NDArray[np.float64], mat: NDArray[np.float64]) -> None:
+    def _move(self, pos: Float, mat: Float) -> None:
         """Place all geoms anew, always from where they were loaded: nothing adds up."""
         data, base = self.scene.data, self.scene.shapes
         counted = np.array([geom.counted for geom in self.scene.geoms])
@@ -230,46 +223,28 @@ class Voxelizer:
         rotation = mat @ first_mat.transpose(0, 2, 1)
         shift = pos - np.einsum("nij,nj->ni", rotation, first_pos)
         corners = base.triangles.corners.copy()
-        move_triangles(base.triangles.corners, base.triangles.geom, moved, rotation, shift, corners)
+        move_triangles(base.triangles, moved, rotation, shift, corners)
         flat = mat.reshape(-1, 9)
         solid, plane = base.solids.geom, base.planes.geom
-        kind, size = base.solids.kind, base.solids.size
-        box = solid_bounds(kind, pos[solid], flat[solid], size)
-        self.shapes = Shapes(
-            solids=type(base.solids)(solid, kind, pos[solid], flat[solid], size, box),
-            planes=type(base.planes)(plane, pos[plane], flat[plane]),
-            triangles=type(base.triangles)(base.triangles.geom, corners),
-            closed=base.closed,
-            endless=base.endless,
+        solid_pos, solid_mat = pos[solid], flat[solid]
+        box = solid_bounds(base.solids.kind, solid_pos, solid_mat, base.solids.size)
+        self.shapes = replace(
+            base,
+            solids=base.solids._replace(pos=solid_pos, mat=solid_mat, bounds=box),
+            planes=base.planes._replace(pos=pos[plane], mat=flat[plane]),
+            triangles=base.triangles._replace(corners=corners),
         )
         self._boxes = self._box_triangles()
 
     def _fill(self, values: NDArray[Any], place: Placement, ids: NDArray[Any]) -> None:
-        solids, planes, triangles = self.shapes.solids, self.shapes.planes, self.shapes.triangles
-        solid_start, solid_item = bin_items(solids.bounds, place.origin, place.res, place.shape)
-        start, item = bin_items(self._boxes, place.origin, place.res, place.shape)
-        fill_voxels(
-            (solids.kind, solids.pos, solids.mat, solids.size, solids.bounds),
-            ids[solids.geom],
-            solid_start,
-            solid_item,
-            (planes.pos, planes.mat),
-            ids[planes.geom],
-            triangles.corners,
-            triangles.geom,
-            start,
-            item,
-            self._mode,
-            ids,
-            values,
-            place.origin,
-            place.res,
-            TOUCH,
-        )
+        shapes, grid = self.shapes, (place.origin, place.res, place.shape)
+        tiles = Tiles(*bin_items(shapes.solids.bounds, *grid), *bin_items(self._boxes, *grid))
+        voxels = Voxels(values, place.origin, place.res, TOUCH)
+        geometry = (shapes.solids, shapes.planes, shapes.triangles)
+        fill_voxels(voxels, *geometry, tiles, shapes.closed, ids)
 
-    def _box_triangles(self) -> NDArray[np.float64]:
-        triangles = self.shapes.triangles
-        return np.asarray(box_triangles(triangles.corners, triangles.geom, self._mode))
+    def _box_triangles(self) -> Float:
+        return np.asarray(box_triangles(self.shapes.triangles, self.shapes.closed))
 
     def _label(self, segments: Segments | None) -> Labels:
         if segments is None:
@@ -289,11 +264,3 @@ def _leave_out(settings: SceneSettings, ignore: Sequence[str]) -> SceneSettings:
     return settings.model_copy(
         update={"exclude": settings.exclude.model_copy(update={"bodies": bodies})}
     )
-
-
-def _enclosure(scene: Scene) -> NDArray[np.uint8]:
-    """What the triangles of each geom enclose, by geom id."""
-    mode = np.full(len(scene.geoms), SURFACE, dtype=np.uint8)
-    mode[scene.shapes.closed > 0] = CLOSED
-    mode[[geom.id for geom in scene.geoms if geom.shape == "hull"]] = CONVEX
-    return mode

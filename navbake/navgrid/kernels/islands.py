@@ -1,9 +1,11 @@
-"""The connected parts of free cells, through all levels."""
+"""The connected parts of free cells, through all levels: connected components by union-find."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
+
+from navbake.navgrid.kernels.union_find import unite
 
 
 @njit(cache=True)
@@ -41,29 +43,14 @@ def label_islands(start, width, free, floor, limit, links):
     for i in range(len(links)):
         one, other = links[i, 0], links[i, 1]
         if parent[one] >= 0 and parent[other] >= 0:
-            _unite(parent, one, other)
+            unite(parent, one, other)
     return _rank(parent)
 
 
 @njit(cache=True)
 def _join(parent, cell, other, floor, limit):
     if parent[other] >= 0 and not abs(np.float64(floor[cell]) - np.float64(floor[other])) > limit:
-        _unite(parent, cell, other)
-
-
-@njit(cache=True)
-def _unite(parent, one, other):
-    one, other = _root(parent, one), _root(parent, other)
-    if one != other:
-        parent[max(one, other)] = min(one, other)
-
-
-@njit(cache=True)
-def _root(parent, cell):
-    while parent[cell] != cell:
-        parent[cell] = parent[parent[cell]]
-        cell = parent[cell]
-    return cell
+        unite(parent, cell, other)
 
 
 @njit(cache=True)

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from bake_stages import Stages, stages_of_xml
-from box_worlds import FLOOR, body, box, world
+from box_worlds import FLOOR, body, box, stages_of_xml, world
 from navbake.baker.contents.walls import OBJECT, WALL
 from navbake.baker.pipeline import run_bake
+from navbake.baker.stages import Stages
 from navbake.config.settings import parse_config
 
 SMALL = {"min_area": 0.1, "shrink": 0.1}
@@ -17,7 +17,7 @@ SMALL = {"min_area": 0.1, "shrink": 0.1}
 
 def user_data(stages: Stages, level: int = 0) -> dict[int, Any]:
     height, width = stages.lattice.shape
-    return stages.contents().user_data(level, (slice(0, height), slice(0, width))).resolve()
+    return dict(stages.contents.user_data(level, (slice(0, height), slice(0, width))))
 
 
 def at(stages: Stages, x: float, y: float, level: int = 0) -> Any:
@@ -99,7 +99,7 @@ def test_things_that_carry_a_floor_are_named_and_floors_and_stairs_are_not(tmp_p
     )
     landing = box("landing", 1.2, -1.9, 0, 4, 1.9, 1.0)
     stages = stages_of_xml(tmp_path, world(FLOOR + rug + toy + steps + landing))
-    kinds = dict(zip((r.name for r in stages.scene.geoms), stages.contents().kinds, strict=True))
+    kinds = dict(zip((r.name for r in stages.scene.geoms), stages.contents.kinds, strict=True))
     assert {name for name, kind in kinds.items() if kind == OBJECT} == {"weave", "block"}
     assert at(stages, -1.45, -1.45) == {"objects": ["rug"]}
     assert at(stages, -1.75, 0.15) == {"objects": ["toy"]}
@@ -148,9 +148,9 @@ def test_each_level_names_its_own(tmp_path):
 
 def test_a_window_counts_cells_from_its_own_corner(tmp_path):
     stages = stages_of_xml(tmp_path, world(FLOOR + box("crate", 0, 0, 0, 0.3, 0.2, 0.5)))
-    contents = stages.contents()
-    whole = contents.user_data(0, (slice(0, 40), slice(0, 40))).resolve()
-    part = contents.user_data(0, (slice(18, 30), slice(21, 25))).resolve()
+    contents = stages.contents
+    whole = dict(contents.user_data(0, (slice(0, 40), slice(0, 40))))
+    part = dict(contents.user_data(0, (slice(18, 30), slice(21, 25))))
     expected = {
         (cell // 40 - 18) * 4 + cell % 40 - 21: data
         for cell, data in whole.items()
@@ -164,7 +164,7 @@ def test_a_window_counts_cells_from_its_own_corner(tmp_path):
 def test_an_empty_level_has_no_user_data(tmp_path):
     stages = stages_of_xml(tmp_path, world(FLOOR))
     assert user_data(stages) == {}
-    assert not stages.contents().wall_cells(0).any()
+    assert not stages.contents.wall_cells(0).any()
 
 
 def test_the_map_of_a_room(tmp_path):
@@ -176,7 +176,7 @@ def test_the_map_of_a_room(tmp_path):
     stages = stages_of_xml(
         tmp_path, world(floor + walls + things), grid={"cell_size": 0.2}, floors=SMALL
     )
-    contents = stages.contents()
+    contents = stages.contents
     data = user_data(stages)
     picture = "\n".join(
         "".join(

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bake_stages import Stages, run_stages, stages_of_xml
-from box_worlds import FLOOR, box, world
+from box_worlds import FLOOR, box, stages_of_xml, world
 from navbake.baker.contents.contents import Contents, LevelContents
 from navbake.baker.contents.walls import WALL_BAND
+from navbake.baker.stages import Stages, bake_stages
 from navbake.config.settings import load_config
 from oracles.prisms import FREE, OCCUPIED, UNKNOWN, Prisms
 from oracles.scene import HalfSpace, Thing, cross_part, part_meets_prisms, part_of, scene_xml
@@ -109,7 +109,7 @@ def compare(stages: Stages, contents: Contents, things: list[Thing]) -> float:
 def check_whole(stages: Stages, contents: Contents) -> None:
     """Entries are sorted, in cells with a floor only, and block exactly what is occupied."""
     for level, occupied, listed in zip(
-        stages.floors.levels, stages.occupied, contents.levels, strict=True
+        stages.floors.levels, stages.occupancy.levels, contents.levels, strict=True
     ):
         has_floor = ~np.isnan(level.floor.ravel())
         assert has_floor[listed.cell].all()
@@ -151,26 +151,26 @@ def test_every_geom_in_every_cell(tmp_path, monkeypatch, kinds, floor, radius):
             grid={"cell_size": 0.13, "bounds": [-1.302, -1.003, 1.298, 1.004]},
             floors={"min_area": 0.1, "shrink": 0.1, "roofs": True},
         )
-        contents = stages.contents()
+        contents = stages.contents
         assert compare(stages, contents, things) < 0.01 + 1 / 3 / len(things)  # planes' uppers
         check_whole(stages, contents)
 
 
 @pytest.mark.parametrize("name", ["apartment", "house", "warehouse", "terrain", "clutter"])
 def test_what_blocks_is_what_occupies_the_samples(name):
-    stages = run_stages(load_config(CONFIGS / f"{name}.yaml"))
-    check_whole(stages, stages.contents())
+    stages = bake_stages(load_config(CONFIGS / f"{name}.yaml"))
+    check_whole(stages, stages.contents)
 
 
 def test_threads_change_nothing(tmp_path):
     rng = np.random.default_rng(5)
     things = [FLOORS["slab"], *random_things(rng, ("box", "capsule", "hull", "cylinder"), 20)]
-    stages = stages_of_xml(tmp_path, scene_xml(things), grid={"cell_size": 0.04}, floors=SMALL)
     before = numba.get_num_threads()
     found = []
     for threads in (1, before):
         numba.set_num_threads(threads)
-        found.append(stages.contents().levels)
+        stages = stages_of_xml(tmp_path, scene_xml(things), grid={"cell_size": 0.04}, floors=SMALL)
+        found.append(stages.contents.levels)
     numba.set_num_threads(before)
     for one, other in zip(*found, strict=True):
         for name in ("start", "geom", "stands", "blocks", "upper"):
@@ -180,6 +180,6 @@ def test_threads_change_nothing(tmp_path):
 def test_what_lies_at_the_floors_height_does_not_stand_there(tmp_path):
     xml = world(FLOOR + box("sunk", 0, 0, -0.2, 0.5, 0.5, 0.0) + box("on", 1, 1, 0, 1.3, 1.3, 0.3))
     stages = stages_of_xml(tmp_path, xml)
-    contents = stages.contents()
+    contents = stages.contents
     assert not masks(contents.levels[0], 1)[0].any()
     assert masks(contents.levels[0], 2)[0].sum() == 9

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bake_stages import Stages, run_stages, stages_of_xml
+from box_worlds import stages_of_xml
 from navbake.baker.contents.walls import BUILDING, OBJECT, STRUCTURE, WALL
 from navbake.baker.scene.extents import measure_geoms
-from navbake.config.settings import load_config, parse_config
+from navbake.baker.stages import Stages, bake_stages
+from navbake.config.settings import load_config
 from project_paths import CONFIGS, SHARED_DATA
 
 DATA = SHARED_DATA
@@ -27,7 +28,7 @@ def box(x0: float, x1: float, y0: float, y1: float, z0: float, z1: float, more: 
 
 def kinds(stages: Stages) -> list[str]:
     """What each counted geom is, by geom id."""
-    found = stages.contents().kinds
+    found = stages.contents.kinds
     return [KINDS[int(found[r.id])] for r in stages.scene.geoms if r.counted]
 
 
@@ -201,7 +202,7 @@ def test_patterns_override_the_rule(tmp_path):
     )
     stages = stages_of(tmp_path, things, names={"walls": ["hedge*"]})
     assert kinds(stages) == ["structure", "object", "wall", "wall"]
-    contents = stages.contents()
+    contents = stages.contents
     assert contents.warnings == []
     assert contents.wall_cells(0).sum() == 40 + 200
     named = {name for d in user_data(stages).values() for name in d.get("walls", [])}
@@ -210,14 +211,14 @@ def test_patterns_override_the_rule(tmp_path):
 
 def test_a_pattern_that_matches_nothing_is_told_with_near_names(tmp_path):
     things = box(-2, 2, 1, 1.1, 0, 2.5, 'name="wall_north"')
-    contents = stages_of(tmp_path, things, names={"walls": ["wal_north*"]}).contents()
+    contents = stages_of(tmp_path, things, names={"walls": ["wal_north*"]}).contents
     (warning,) = contents.warnings
     assert re.search(r"`names.walls` pattern 'wal_north\*' matches nothing.*wall_north", warning)
 
 
 def user_data(stages: Stages, level: int = 0) -> dict[int, Any]:
     height, width = stages.lattice.shape
-    return stages.contents().user_data(level, (slice(0, height), slice(0, width))).resolve()
+    return dict(stages.contents.user_data(level, (slice(0, height), slice(0, width))))
 
 
 # ---------------------------------------------------------------- meshes that hold a building
@@ -253,8 +254,8 @@ def shell(height: float) -> str:
 def test_a_building_in_one_mesh_is_wall_where_it_is_high(tmp_path):
     path = tmp_path / "room.obj"
     path.write_text(shell(2.5))
-    stages = run_stages(parse_config({"scene": {"path": path, "meshes": "surface"}}))
-    contents = stages.contents()
+    stages = bake_stages({"scene": {"path": path, "meshes": "surface"}})
+    contents = stages.contents
     assert kinds(stages) == ["building"]
     expected = np.ones((40, 40), dtype=bool)
     expected[1:-1, 1:-1] = False
@@ -269,7 +270,7 @@ def test_a_building_in_one_mesh_is_wall_where_it_is_high(tmp_path):
 def test_a_low_or_full_mesh_holds_no_building(tmp_path):
     path = tmp_path / "room.obj"
     path.write_text(shell(1.2))
-    stages = run_stages(parse_config({"scene": {"path": path, "meshes": "surface"}}))
+    stages = bake_stages({"scene": {"path": path, "meshes": "surface"}})
     assert kinds(stages) == ["structure"]
     vertices = " ".join(f"{x} {y} {z}" for x in (-1, 1) for y in (-1, 1) for z in (0, 2))
     mesh = f'<mesh name="m" vertex="{vertices}"/>'
@@ -282,14 +283,14 @@ def test_a_low_or_full_mesh_holds_no_building(tmp_path):
 
 
 def wall_names(stages: Stages) -> set[str]:
-    found = stages.contents().kinds
+    found = stages.contents.kinds
     return {r.name for r in stages.scene.geoms if r.counted and found[r.id] == WALL}
 
 
 @pytest.mark.parametrize("name", ["apartment", "house", "warehouse", "terrain"])
 def test_the_samples_walls_are_those_called_so_even_without_their_names(name, tmp_path):
     config = load_config(CONFIGS / f"{name}.yaml")
-    stages = run_stages(config)
+    stages = bake_stages(config)
     called = {r.name for r in stages.scene.geoms if r.name.startswith("wall_") and r.counted}
     called = {n for n in called if "cabinet" not in n}
     assert wall_names(stages) == called
@@ -302,7 +303,7 @@ def test_the_samples_walls_are_those_called_so_even_without_their_names(name, tm
     path = tmp_path / "nameless.xml"
     path.write_text(text)
     scene = config.scene.model_copy(update={"path": path})
-    nameless = run_stages(config.model_copy(update={"scene": scene}))
+    nameless = bake_stages(config.model_copy(update={"scene": scene}))
     # these two parapets are flush with the dock: in the windows, its floor goes on
     called -= {"wall_east_parapet_1", "wall_east_parapet_2"}
     assert {r.id for r in nameless.scene.geoms if r.name in wall_names(nameless)} == {
@@ -313,8 +314,8 @@ def test_the_samples_walls_are_those_called_so_even_without_their_names(name, tm
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"no real scenes in {DATA}")
 def test_walls_of_the_small_house():
     path = DATA / "aws_small_house" / "scene.xml"
-    stages = run_stages(parse_config({"scene": {"path": path, "meshes": "surface"}}))
-    found = stages.contents().kinds
+    stages = bake_stages({"scene": {"path": path, "meshes": "surface"}})
+    found = stages.contents.kinds
     prefix = "aws_robomaker_residential_"
     by_kind = {
         kind: {
@@ -337,9 +338,9 @@ def test_walls_of_the_small_house():
 def test_a_pattern_makes_a_low_arena_a_wall():
     path = DATA / "turtlebot3_world" / "scene.xml"
     settings = {"scene": {"path": path, "meshes": "surface"}}
-    assert not run_stages(parse_config(settings)).contents().wall_cells(0).any()
-    named = parse_config({**settings, "names": {"walls": ["ros_symbol#15"]}})
-    assert run_stages(named).contents().wall_cells(0).sum() > 200
+    assert not bake_stages(settings).contents.wall_cells(0).any()
+    named = {**settings, "names": {"walls": ["ros_symbol#15"]}}
+    assert bake_stages(named).contents.wall_cells(0).sum() > 200
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -356,8 +357,8 @@ def test_walls_of_a_labmaze(seed, tmp_path):
     path = tmp_path / "maze.mjb"
     mujoco.mj_saveModel(model, str(path), None)
     levels = [{"ground": 0.0, "top": 0.25}]
-    stages = run_stages(parse_config({"scene": {"path": path}, "levels": levels}))
+    stages = bake_stages({"scene": {"path": path}, "levels": levels})
     walls = np.array([list(row) for row in str(maze.entity_layer).split("\n") if row]) == "*"
     np.testing.assert_array_equal(
-        stages.contents().wall_cells(0), np.kron(walls, np.ones((20, 20), dtype=bool))
+        stages.contents.wall_cells(0), np.kron(walls, np.ones((20, 20), dtype=bool))
     )

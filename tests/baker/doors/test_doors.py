@@ -10,7 +10,6 @@ import pytest
 import navbake
 from differences import first_difference
 from door_scenes import CUPBOARD, FIXED_LEAF, LEAF, ROOMS, SHELL, bake_world
-from navbake.baker import pipeline
 from navbake.baker.pipeline import run_bake
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import load_config
@@ -178,12 +177,11 @@ def test_a_stage_that_looked_like_a_door_carries_a_floor(bake):
         ((ROOMS, LEAF), {"grid": {"bounds": [3.5, 0.0, 6.0, 3.0]}}, 1),  # beside them
     ],
 )
-def test_only_what_is_no_door_costs_a_second_pass(bake, monkeypatch, things, settings, passes):
-    calls = []
-    find = pipeline.find_rooms
-    monkeypatch.setattr(pipeline, "find_rooms", lambda *args: calls.append(1) or find(*args))
-    bake(*things, **settings)
-    assert len(calls) == passes
+def test_only_what_is_no_door_costs_a_second_pass(tmp_path, things, settings, passes):
+    begun = []
+    progress = lambda stage, share: begun.append(stage) if share == 0.0 else None  # noqa: E731
+    bake_world(tmp_path, *things, progress=progress, **settings)
+    assert begun.count("rooms") == passes
 
 
 # ---------------------------------------------------------------- other places

@@ -9,7 +9,7 @@ from navbake.baker.kernels.labels import (
     find_passes,
     first_cells,
     label_parts,
-    measure_basins,
+    measure_regions,
     measure_slopes,
 )
 
@@ -30,7 +30,7 @@ def test_cells_of_nodes():
     assert cells_of_nodes(nodes).tolist() == [[1, 3]]
 
 
-def test_basins_and_passes():
+def test_regions_and_passes():
     label = np.array([[1, 1, 2], [0, 1, 2]], dtype=np.int32)
     distance = np.zeros((5, 7), dtype=np.int32)
     distance[1, 3] = 4  # the middle of cell (0, 1)
@@ -38,7 +38,7 @@ def test_basins_and_passes():
     distance[2, 4] = 9  # the corner between the four cells at the right
     distance[3, 4] = 25  # the middle of the edge under it
     distance[4, 6] = 49  # only at cell (1, 2)
-    cells, peaks, sums = measure_basins(label, distance, 2)
+    cells, peaks, sums = measure_regions(label, distance, 2)
     assert cells.tolist() == [0, 3, 2]
     assert peaks.tolist() == [0, 25, 49]
     assert sums.tolist() == [0, 11, 0]

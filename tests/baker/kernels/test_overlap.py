@@ -1,6 +1,6 @@
 """Solids, triangles and planes against prisms: closed forms down to 1e-6 m, FCL, separating axes.
 
-Run ``NAVBAKE_EXAMPLES=100000 pytest tests/kernels/test_overlap.py`` for more pairs.
+Run ``NAVBAKE_EXAMPLES=100000 pytest tests/baker/kernels/test_overlap.py`` for more pairs.
 """
 
 from __future__ import annotations
@@ -13,19 +13,20 @@ import pytest
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from navbake.baker.kernels.overlap import (
+from navbake.baker.kernels.arrays import Prism
+from navbake.baker.kernels.constants import (
     APART,
     BOX,
     CAPSULE,
     CYLINDER,
     ELLIPSOID,
     MEETS,
-    OPEN,
     SPHERE,
-    plane_meets_prism,
-    solid_meets_prism,
-    triangle_meets_prism,
+    UNDECIDED,
 )
+from navbake.baker.kernels.gjk import make_simplex, solid_meets_prism
+from navbake.baker.kernels.overlap import make_polygons, plane_meets_prism, triangle_meets_prism
+from navbake.baker.scene.shapes import Planes, Solids, solid_bounds
 from oracles.prisms import Prisms
 from oracles.surfaces import disc_meets, square_meets
 
@@ -37,7 +38,7 @@ KINDS = {
     "cylinder": CYLINDER,
     "box": BOX,
 }
-SCRATCH = (np.empty((4, 3)), np.empty(4, bool), np.empty(4, bool), np.empty(3), np.empty(3))
+SIMPLEX = make_simplex()
 FCL = {
     SPHERE: lambda s: fcl.Sphere(s[0]),
     CAPSULE: lambda s: fcl.Capsule(s[0], 2 * s[1]),
@@ -47,12 +48,17 @@ FCL = {
 }
 
 
+def prism_at(center: NDArray, half: float, half_z: float, is_round: bool) -> Prism:
+    x, y, z = (float(v) for v in center)
+    square, radius = (0.0, half) if is_round else (half, 0.0)
+    return Prism(x, y, z - half_z, z + half_z, square, radius)
+
+
 def meets(kind: int, pos: NDArray, mat: NDArray, size: NDArray, prism: tuple) -> int:
-    center, half, half_z, is_round = prism
-    return solid_meets_prism(
-        kind, pos, np.ascontiguousarray(mat).ravel(), size, *center, half, half_z, is_round,
-        *SCRATCH,
-    )  # fmt: skip
+    kinds, mats = np.array([kind], np.int32), np.ascontiguousarray(mat).reshape(1, 9)
+    bounds = solid_bounds(kinds, pos[None], mats, size[None])
+    solids = Solids(np.zeros(1, np.int32), kinds, pos[None], mats, size[None], bounds)
+    return solid_meets_prism(solids, 0, prism_at(*prism), prism[3], SIMPLEX)
 
 
 def random_turn(rng: Generator) -> NDArray:
@@ -139,8 +145,8 @@ def test_gaps_known_in_closed_form(name: str, is_round: bool) -> None:
         pos = touch + way * gap - mat @ own
         answer = meets(kind, pos, mat, size, prism)
         expected = APART if gap > 0 else MEETS
-        assert answer in (expected, OPEN), f"gap {gap}: {kind}, {pos}, {mat}, {size}, {prism}"
-        open_[gap] = open_.get(gap, 0) + (answer == OPEN)
+        assert answer in (expected, UNDECIDED), f"gap {gap}: {kind}, {pos}, {mat}, {size}, {prism}"
+        open_[gap] = open_.get(gap, 0) + (answer == UNDECIDED)
     assert sum(open_.values()) <= 0.005 * PAIRS, f"no proof: {open_}"
 
 
@@ -197,7 +203,7 @@ def random_triangle(rng: Generator, center: NDArray, size: float) -> NDArray:
 @pytest.mark.parametrize("is_round", [False, True], ids=["square", "disc"])
 def test_triangles(is_round: bool) -> None:
     rng = np.random.default_rng(int(is_round))
-    one, other = np.empty((12, 3)), np.empty((12, 3))
+    polygons = make_polygons()
     counts = {True: 0, False: 0}
     for _ in range(4 * PAIRS):
         center, half, half_z, _ = random_prism(rng, is_round)
@@ -210,7 +216,7 @@ def test_triangles(is_round: bool) -> None:
         if inner != outer:
             continue
         square, radius = (0.0, half) if is_round else (half, 0.0)
-        answer = triangle_meets_prism(corners, x, y, low, high, square, radius, one, other)
+        answer = triangle_meets_prism(corners, Prism(x, y, low, high, square, radius), polygons)
         assert answer == inner, f"{corners}, {center}, {half}, {half_z}"
         counts[inner] += 1
     assert min(counts.values()) > PAIRS / 4
@@ -218,11 +224,12 @@ def test_triangles(is_round: bool) -> None:
 
 def test_a_triangle_and_both_parts_of_the_footprint() -> None:
     """The square's corner reaches out of the disc, the disc out of the square's sides."""
-    one, other = np.empty((12, 3)), np.empty((12, 3))
+    polygons = make_polygons()
+    prism = Prism(0.0, 0.0, -1.0, 1.0, 0.1, 0.12)
 
     def hits(x: float, y: float) -> bool:
         corners = np.array([[x, y, 0.0], [x + 1e-3, y, 0.0], [x, y + 1e-3, 0.01]])
-        return bool(triangle_meets_prism(corners, 0.0, 0.0, -1.0, 1.0, 0.1, 0.12, one, other))
+        return bool(triangle_meets_prism(corners, prism, polygons))
 
     assert hits(0.098, 0.098)
     assert hits(0.118, 0.0)
@@ -234,7 +241,7 @@ def test_a_triangle_and_both_parts_of_the_footprint() -> None:
 def test_planes(is_round: bool) -> None:
     rng = np.random.default_rng(9)
     for _ in range(PAIRS):
-        center, half, half_z, _ = prism = random_prism(rng, is_round)
+        prism = random_prism(rng, is_round)
         mat = random_turn(rng)
         touch, way = touching_point(rng, prism)
         if abs(way[2]) < 1e-9 and rng.integers(2):
@@ -244,7 +251,7 @@ def test_planes(is_round: bool) -> None:
             mat = np.column_stack([other[0], other[1], -way])
         gap = rng.choice([1e-6, 1e-3, 0.1]) * rng.choice([-1, 1])
         shift = mat[:, :2] @ rng.uniform(-3, 3, 2)  # anywhere on the plane
-        args = (half if not is_round else 0.0, half if is_round else 0.0, half_z)
         pos = touch + way * gap + shift
+        planes = Planes(np.zeros(1, np.int32), pos[None], np.ascontiguousarray(mat).reshape(1, 9))
         # the normal points at the prism, and what lies behind it is solid
-        assert plane_meets_prism(pos, mat.ravel(), *center, *args) == (gap < 0)
+        assert plane_meets_prism(planes, 0, prism_at(*prism)) == (gap < 0)

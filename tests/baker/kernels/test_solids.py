@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.random import Generator
 
-from navbake.baker.kernels.overlap import (
+from navbake.baker.kernels.arrays import Prism
+from navbake.baker.kernels.constants import (
     APART,
     BOX,
     CAPSULE,
@@ -14,11 +15,12 @@ from navbake.baker.kernels.overlap import (
     ELLIPSOID,
     MEETS,
     SPHERE,
-    solid_meets_prism,
 )
-from navbake.baker.kernels.solids import solid_part
+from navbake.baker.kernels.gjk import make_simplex, solid_meets_prism
+from navbake.baker.kernels.solids import part_of_solid
+from navbake.baker.scene.shapes import Solids
 
-SCRATCH = (np.empty((4, 3)), np.empty(4, bool), np.empty(4, bool), np.empty(3), np.empty(3))
+SIMPLEX = make_simplex()
 KINDS = {"sphere": SPHERE, "capsule": CAPSULE, "cylinder": CYLINDER, "box": BOX}
 KINDS["ellipsoid"] = ELLIPSOID
 
@@ -55,22 +57,24 @@ def test_agrees_with_the_iteration(name, is_round):
         pos, size = rng.uniform(-1.2, 1.2, 3), rng.uniform(0.05, 1.0, 3)
         mat = np.ascontiguousarray(random_matrix(rng))
         half, half_z = rng.uniform(0.02, 0.6, 2)
-        solids = (
-            np.array([kind]), pos[None], mat.reshape(1, 9), size[None],
-            bounds_of(kind, pos, mat, size)[None],
+        solids = Solids(
+            np.zeros(1, np.int32), np.array([kind], np.int32), pos[None], mat.reshape(1, 9),
+            size[None], bounds_of(kind, pos, mat, size)[None],
         )  # fmt: skip
-        found = solid_part(0, solids, 0.0, 0.0, -half_z, half_z, half, is_round, SCRATCH)
-        expected = solid_meets_prism(
-            kind, pos, mat.ravel(), size, 0.0, 0.0, 0.0, half, half_z, is_round, *SCRATCH
-        )
+        square, radius = (0.0, half) if is_round else (half, 0.0)
+        prism = Prism(0.0, 0.0, -half_z, half_z, square, radius)
+        found = part_of_solid(solids, 0, prism, is_round, SIMPLEX)
+        expected = solid_meets_prism(solids, 0, prism, is_round, SIMPLEX)
         assert found == expected, (pos, mat, size, half, half_z)
         seen.add(expected)
     assert seen == {APART, MEETS}
 
 
 def test_a_prism_of_no_width_meets_nothing():
-    solids = (
-        np.array([SPHERE]), np.zeros((1, 3)), np.eye(3).reshape(1, 9), np.ones((1, 3)),
-        np.array([[-1.0, -1, -1, 1, 1, 1]]),
+    solids = Solids(
+        np.zeros(1, np.int32), np.array([SPHERE], np.int32), np.zeros((1, 3)),
+        np.eye(3).reshape(1, 9), np.ones((1, 3)), np.array([[-1.0, -1, -1, 1, 1, 1]]),
     )  # fmt: skip
-    assert solid_part(0, solids, 0.0, 0.0, -0.1, 0.1, 0.0, True, SCRATCH) == APART
+    prism = Prism(0.0, 0.0, -0.1, 0.1, 0.3, 0.0)
+    assert part_of_solid(solids, 0, prism, True, SIMPLEX) == APART
+    assert part_of_solid(solids, 0, prism, False, SIMPLEX) == MEETS

@@ -17,7 +17,7 @@ def test_distances_are_those_of_scipy(reach, shape):
         if target.any():
             exact = np.rint(ndimage.distance_transform_edt(~target) ** 2)
             expected = np.minimum(exact, expected)
-        np.testing.assert_array_equal(squared_distances(target, reach), expected)
+        np.testing.assert_array_equal(squared_distances(target, reach, 0, 1), expected)
         np.testing.assert_array_equal(squared_distances(target, reach, 1, 2), expected[1::2])
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from navbake.baker.pipeline import run_bake
 from navbake.baker.rooms.openings import Opening, match_doors
-from navbake.baker.rooms.rooms import share_rest
+from navbake.baker.rooms.segmentation import share_rest
 from navbake.config.settings import load_config, parse_config
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Neighbour

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from navbake.baker.rooms.segmentation import number_by_place, segment_rooms, wall_nodes
+from navbake.baker.rooms.segmentation import renumber, segment_rooms, wall_nodes
 
 
 def read(art):
@@ -39,7 +39,7 @@ def check(expected, door_width=1.0, min_area=1.0, floor=None):
             min_area,
             None if floor is None else np.rot90(floor, quarters),
         )
-        np.testing.assert_array_equal(other, number_by_place(np.rot90(rooms, quarters)))
+        np.testing.assert_array_equal(other, renumber(np.rot90(rooms, quarters)))
 
 
 def test_a_door_parts_two_rooms_in_its_middle():
@@ -272,7 +272,7 @@ def test_the_same_rooms_after_a_turn():
         assert (rooms[~is_open] == 0).all()
         for quarters in (1, 2, 3):
             other = segment_rooms(np.rot90(is_open, quarters), 0.1, 0.7, 0.5)
-            np.testing.assert_array_equal(other, number_by_place(np.rot90(rooms, quarters)))
+            np.testing.assert_array_equal(other, renumber(np.rot90(rooms, quarters)))
 
 
 def test_rooms_hang_together():
@@ -297,5 +297,5 @@ def test_wall_nodes_touch_walls():
 def test_numbers_follow_the_first_cells():
     label = np.array([[0, 7, 7], [2, 0, 7], [2, 9, 0]], dtype=np.int32)
     expected = [[0, 1, 1], [2, 0, 1], [2, 3, 0]]
-    np.testing.assert_array_equal(number_by_place(label), expected)
-    assert not number_by_place(np.zeros((2, 2), dtype=np.int32)).any()
+    np.testing.assert_array_equal(renumber(label), expected)
+    assert not renumber(np.zeros((2, 2), dtype=np.int32)).any()

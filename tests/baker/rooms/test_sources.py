@@ -32,10 +32,10 @@ def rooms_of(result, level=0):
     """Names of the rooms by index, and the cells of each as (x, y)."""
     grid = result.grid.levels[level]
     x, y = np.meshgrid(grid.lattice.center_x(), grid.lattice.center_y())
-    table = [room for room in grid.navbake["rooms"] if room["level"] == level]
-    assert sorted(np.unique(grid.room_index[grid.room_index > 0])) == [r["index"] for r in table]
+    table = [room for room in result.grid.rooms if room.level == level]
+    assert sorted(np.unique(grid.room_index[grid.room_index > 0])) == [r.index for r in table]
     return {
-        room["name"]: (x[grid.room_index == room["index"]], y[grid.room_index == room["index"]])
+        room.name: (x[grid.room_index == room.index], y[grid.room_index == room.index])
         for room in table
     }
 
@@ -252,7 +252,7 @@ def test_polygons_by_level_and_name(tmp_path):
     assert span(rooms_of(result, 0)["hall"]) == [-2, -2, 0, 0]
     assert span(rooms_of(result, 1)["hall"]) == [-2, -2, 0, 0]
     assert len(rooms_of(result, 1)["all"][0]) == 32 * 16 - 64
-    ids = [room["id"] for room in result.grid.navbake["rooms"]]
+    ids = [room.id for room in result.grid.rooms]
     assert ids == ["0:1", "all", "1:2"]
     assert result.warnings == []
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import mujoco
 import pytest
 
-from navbake.baker.scene.choice import FREE
 from navbake.baker.scene.scene import load_scene
 from navbake.config.scene import SceneSettings
 from navbake.errors import SceneError
@@ -32,10 +30,6 @@ def counted(scene):
 
 def reasons(scene):
     return {geom.name: geom.reason for geom in scene.geoms}
-
-
-def test_the_free_joint_s_number_is_mujoco_s():
-    assert int(mujoco.mjtJoint.mjJNT_FREE) == FREE
 
 
 # ---------------------------------------------------------------- collision, visual, all, auto

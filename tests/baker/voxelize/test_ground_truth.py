@@ -16,8 +16,10 @@ import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from navbake.baker.scene.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
-from navbake.baker.voxelize.kernels.spans import solid_span
+from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from navbake.baker.kernels.overlap import make_polygons
+from navbake.baker.scene.shapes import Solids, solid_bounds
+from navbake.baker.voxelize.kernels.spans import Square, solid_span
 from navbake.baker.voxelize.voxelizer import Voxelizer
 from navbake.voxels.placement import Placement
 from oracles.prisms import FREE, OCCUPIED, UNKNOWN, Prisms
@@ -41,7 +43,7 @@ FCL = {
     BOX: lambda s: fcl.Box(*(2 * s)),
 }
 
-SCRATCH = (np.empty((12, 3)), np.empty((12, 3)))
+POLYGONS = make_polygons()
 
 # a tetrahedron with a dent: not convex
 DENTED = Thing(
@@ -223,6 +225,12 @@ def test_lines_through_edges_and_corners_leave_no_holes():
     assert values[2:10, 2:10, 2:10].all() and values.sum() == 8**3
 
 
+def one_solid(kind, pos, mat, size):
+    kinds, poses = np.array([kind], np.int32), (pos[None], mat[None].astype(float))
+    box = solid_bounds(kinds, *poses, size[None])
+    return Solids(np.zeros(1, np.int32), kinds, *poses, size[None], box)
+
+
 @pytest.mark.parametrize("lean", [1e-8, 1e-7, 1e-6, 1.4e-6, 1e-5, 1e-3])
 def test_what_leans_by_a_hair_is_not_taken_for_upright(lean):
     """Slabs and poles of 20 m that lean by less than a simulation leaves: up to 1e-5 m at the end.
@@ -234,7 +242,8 @@ def test_what_leans_by_a_hair_is_not_taken_for_upright(lean):
     middle = np.zeros(3)
 
     def span(kind, size, y0, y1):
-        return solid_span(kind, middle, mat, np.array(size), -0.05, 0.05, y0, y1, *SCRATCH)
+        square = Square(-0.05, 0.05, y0, y1)
+        return solid_span(one_solid(kind, middle, mat, np.array(size)), 0, square, POLYGONS)
 
     for kind, size in ((BOX, (10.0, 10.0, 0.5)), (CYLINDER, (10.0, 0.5, 0.0))):
         for y0, y1 in ((9.8, 9.9), (-9.9, -9.8), (0.0, 0.1)):
@@ -278,7 +287,8 @@ def test_spans_agree_with_fcl(kind):
         for margin in (-2e-5, 2e-5):
             x0, y0 = center[:2] - half - margin
             x1, y1 = center[:2] + half + margin
-            low, high = solid_span(kind, pos, mat, size, x0, x1, y0, y1, *SCRATCH)
+            square = Square(x0, x1, y0, y1)
+            low, high = solid_span(one_solid(kind, pos, mat, size), 0, square, POLYGONS)
             answers.append(low < center[2] + half + margin and high > center[2] - half - margin)
         if answers[0] != answers[1]:
             continue

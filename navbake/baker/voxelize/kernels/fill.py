@@ -1,72 +1,138 @@
 """Filling voxels column by column, from the heights that each geom has over a column's square.
 
 What a solid, a half-space or a triangle has over a square is one span of heights, so a column
-costs one calculation, not one a voxel. Insides of closed surfaces follow from a line through
-the column. Voxels are narrowed by `touch` on all sides: what reaches in by less only touches.
-
-A grid is passed as its lower corner `origin`, the edge `res` of a voxel and `values`
-(nx, ny, nz), unsigned integers, 0 for empty. Where several geoms meet a voxel the least label
+costs one calculation, not one a voxel. The inside of closed surfaces follows by the winding rule
+from a line through the column's middle, with the crossings noted per voxel and summed up from
+below (scan conversion of solids: Lee and Requicha, 1982). Voxels are narrowed by `touch` on all
+sides: what reaches in by less only touches. Where several geoms meet a voxel the least label
 stays, in whatever order they come.
+
+The hard step is a line through an edge: both triangles have to agree which of them it crosses.
+`_side` breaks the tie by an infinitesimal shift of the line (simulation of simplicity, Edelsbrunner
+and Muecke, 1990). What rounding still tears open shows as crossings that don't add up to 0, and
+the column is asked again on another line.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, prange
+from numpy.typing import NDArray
 
-from navbake.baker.voxelize.kernels.spans import clip, plane_span, polygon_span, solid_span
-from navbake.baker.voxelize.kernels.tiles import CLOSED, CONVEX, TILE, touched
+from navbake.baker.kernels.constants import CONVEX_SOLID, INNER, OPEN_SURFACE
+from navbake.baker.kernels.overlap import Polygons, X, Y, clip_between, make_polygons
+from navbake.baker.kernels.tiles import TILE
+from navbake.baker.voxelize.kernels.spans import Square, plane_span, polygon_span, solid_span
+from navbake.baker.voxelize.kernels.tiles import touched
+from navbake.types import Float, Int, Int32
 
 # A triangle this little beside a column is looked at, because rounding may have put it there
-SLACK = 1e-3  # [voxels]
+MARGIN = 1e-3  # [voxels]
 # Where a line is moved to when it ran through an edge and rounding lost a crossing [voxels]
 ASIDE = np.array([[0, 0], [0.137, 0.071], [-0.093, 0.119], [0.061, -0.143], [-0.127, -0.083]])
 
 
-@njit(cache=True)
-def _fill(values, i, j, low, high, label, origin, res, touch):
-    """Label the voxels of a column that a span of heights meets."""
-    num = values.shape[2]
-    start, end = (low + touch - origin[2]) / res, (high - touch - origin[2]) / res
-    if not (start < num and end > 0.0):
-        return
-    first = math.floor(start) if start > 0.0 else 0
-    last = math.ceil(end) if end < num else num
+class Voxels(NamedTuple):
+    """A grid that is filled.
+
+    Attributes:
+        values: (nx, ny, nz), unsigned integers, 0 for empty.
+        origin: its lower corner, (3,) float64 [m].
+        res: edge of a voxel [m].
+        touch: by how much voxels are narrowed on all sides [m].
+    """
+
+    values: NDArray[Any]
+    origin: Float
+    res: float
+    touch: float
+
+
+class Patch(NamedTuple):
+    """Columns ``[i0, i1)`` along x and ``[j0, j1)`` along y."""
+
+    i0: int
+    i1: int
+    j0: int
+    j1: int
+
+
+class Scratch(NamedTuple):
+    """What one geom's triangles leave over the columns of a tile, and room to clip in.
+
+    Attributes:
+        spans: (TILE, TILE, 2) float64, the heights of a convex solid [m].
+        winding: (TILE, TILE, nz + 1) int32, crossings by the first voxel whose middle is above.
+        reaches: (TILE, TILE, 2) int64, the first and last entry of `winding` that may not be 0.
+        polygons: two polygons, and strip: another, (12, 3) float64.
+    """
+
+    spans: Float
+    winding: Int32
+    reaches: Int
+    polygons: Polygons
+    strip: Float
+
+
+@njit(**INNER)
+def _label(voxels, i, j, first, last, label):
+    """Label the voxels of a column from first to before last; the least label stays."""
+    values = voxels.values
     for k in range(first, last):
         if values[i, j, k] == 0 or values[i, j, k] > label:
             values[i, j, k] = label
 
 
-@njit(cache=True)
-def _square(i, j, origin, res, touch):
-    x, y = origin[0] + i * res, origin[1] + j * res
-    return x + touch, x + res - touch, y + touch, y + res - touch
+@njit(**INNER)
+def _fill_span(voxels, i, j, span, label):
+    """Label the voxels of a column that a span of heights meets."""
+    num, bottom = voxels.values.shape[2], voxels.origin[2]
+    start = (span[0] + voxels.touch - bottom) / voxels.res
+    end = (span[1] - voxels.touch - bottom) / voxels.res
+    if start < num and end > 0.0:
+        first = math.floor(start) if start > 0.0 else 0
+        last = math.ceil(end) if end < num else num
+        _label(voxels, i, j, first, last, label)
 
 
-@njit(cache=True)
-def _columns(low_x, high_x, low_y, high_y, tile, origin, res):
-    """The columns of a tile under a rectangle: i0, i1, j0, j1, without the ends i1 and j1."""
-    i0, i1 = touched(low_x, high_x, origin[0] + tile[0] * res, res, tile[1] - tile[0])
-    j0, j1 = touched(low_y, high_y, origin[1] + tile[2] * res, res, tile[3] - tile[2])
-    return tile[0] + i0, tile[0] + i1 + 1, tile[2] + j0, tile[2] + j1 + 1
+@njit(**INNER)
+def _square(voxels, i, j):
+    """The cross-section of a column, narrowed."""
+    x, y = voxels.origin[0] + i * voxels.res, voxels.origin[1] + j * voxels.res
+    res, touch = voxels.res, voxels.touch
+    return Square(x + touch, x + res - touch, y + touch, y + res - touch)
 
 
-@njit(cache=True)
-def _fill_solid(s, solids, label, tile, values, origin, res, touch, one, other):
-    kind, pos, mat, size, bounds = solids
-    i0, i1, j0, j1 = _columns(
-        bounds[s, 0], bounds[s, 3], bounds[s, 1], bounds[s, 4], tile, origin, res
-    )
-    for i in range(i0, i1):
-        for j in range(j0, j1):
-            x0, x1, y0, y1 = _square(i, j, origin, res, touch)
-            low, high = solid_span(kind[s], pos[s], mat[s], size[s], x0, x1, y0, y1, one, other)
-            _fill(values, i, j, low, high, label, origin, res, touch)
+@njit(**INNER)
+def _columns_under(voxels, tile, low_x, high_x, low_y, high_y):
+    """The columns of a tile under a rectangle."""
+    origin, res = voxels.origin, voxels.res
+    i0, i1 = touched(low_x, high_x, origin[0] + tile.i0 * res, res, tile.i1 - tile.i0)
+    j0, j1 = touched(low_y, high_y, origin[1] + tile.j0 * res, res, tile.j1 - tile.j0)
+    return Patch(tile.i0 + i0, tile.i0 + i1 + 1, tile.j0 + j0, tile.j0 + j1 + 1)
 
 
-@njit(cache=True)
+@njit(**INNER)
+def _fill_solid(voxels, tile, solids, s, label, polygons):
+    box = solids.bounds[s]
+    patch = _columns_under(voxels, tile, box[0], box[3], box[1], box[4])
+    for i in range(patch.i0, patch.i1):
+        for j in range(patch.j0, patch.j1):
+            span = solid_span(solids, s, _square(voxels, i, j), polygons)
+            _fill_span(voxels, i, j, span, label)
+
+
+@njit(**INNER)
+def _fill_plane(voxels, tile, planes, p, label):
+    for i in range(tile.i0, tile.i1):
+        for j in range(tile.j0, tile.j1):
+            _fill_span(voxels, i, j, plane_span(planes, p, _square(voxels, i, j)), label)
+
+
+@njit(**INNER)
 def _side(ax, ay, bx, by, px, py):
     """On which side of the line from a to b a point is: 1 left, -1 right, 0 where a is b.
 
@@ -95,7 +161,7 @@ def _crossing(c, x, y):
     return side if side == _side(c[2, 0], c[2, 1], c[0, 0], c[0, 1], x, y) else 0
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _height_at(c, x, y):
     """The height of a triangle at (x, y) inside of it."""
     ax, ay = c[0, 0] - x, c[0, 1] - y
@@ -109,182 +175,171 @@ def _height_at(c, x, y):
     return min(max((u * c[0, 2] + v * c[1, 2] + w * c[2, 2]) / total, low), high)
 
 
-@njit(cache=True)
-def _note_crossing(c, x, y, winding, reach, origin, res):
+@njit(**INNER)
+def _note_crossing(voxels, c, x, y, winding, reach):
     """Add a triangle's crossing of a column's line at the first voxel with its middle above.
 
     `reach` is the first and the last entry of `winding` that may not be 0.
     """
     side = _crossing(c, x, y)
     if side != 0:
-        above = (_height_at(c, x, y) - origin[2]) / res + 0.5
+        above = (_height_at(c, x, y) - voxels.origin[2]) / voxels.res + 0.5
         last = winding.shape[0] - 1
         k = 0 if above < 0.0 else (last if above >= last else int(above))
         winding[k] -= side
         reach[0], reach[1] = min(reach[0], k), max(reach[1], k)
 
 
-@njit(cache=True)
-def _add_triangle(
-    c, mode, label, tile, values, origin, res, touch, spans, winding, reaches, one, other, strip
-):
-    """Fill what one triangle meets, and note what its geom needs to be filled."""
+@njit(**INNER)
+def _columns_in_strip(voxels, tile, square, strip, num):
+    """The columns that a polygon in a strip of one x may lie over."""
+    low, high = strip[0, 1], strip[0, 1]
+    for n in range(1, num):
+        low, high = min(low, strip[n, 1]), max(high, strip[n, 1])
+    margin = MARGIN * voxels.res
+    return _columns_under(voxels, tile, square.x0, square.x1, low - margin, high + margin)
+
+
+@njit(**INNER)
+def _add_triangle(voxels, tile, c, closed, label, scratch):
+    """Fill what one triangle meets, and note what its geom needs to be filled.
+
+    The triangle is clipped to each strip of one x first, and what is left to each column of it.
+    """
+    one, other, strip = scratch.polygons.one, scratch.polygons.other, scratch.strip
     x_low, x_high = min(c[0, 0], c[1, 0], c[2, 0]), max(c[0, 0], c[1, 0], c[2, 0])
     y_low, y_high = min(c[0, 1], c[1, 1], c[2, 1]), max(c[0, 1], c[1, 1], c[2, 1])
-    i0, i1, _, _ = _columns(x_low, x_high, y_low, y_high, tile, origin, res)
-    for i in range(i0, i1):
-        x0, x1, _, _ = _square(i, 0, origin, res, touch)
-        num = clip(c, 3, other, 0, x0, x1, strip)
+    patch = _columns_under(voxels, tile, x_low, x_high, y_low, y_high)
+    for i in range(patch.i0, patch.i1):
+        square = _square(voxels, i, 0)
+        num = clip_between(c, c.shape[0], other, X, (square.x0, square.x1), strip)
         if num == 0:
             continue
-        low_y, high_y = strip[0, 1], strip[0, 1]
-        for n in range(1, num):
-            low_y, high_y = min(low_y, strip[n, 1]), max(high_y, strip[n, 1])
-        _, _, j0, j1 = _columns(
-            x0, x1, low_y - SLACK * res, high_y + SLACK * res, tile, origin, res
-        )
-        for j in range(j0, j1):
-            _, _, y0, y1 = _square(0, j, origin, res, touch)
-            left = clip(strip, num, other, 1, y0, y1, one)
+        part = _columns_in_strip(voxels, tile, square, strip, num)
+        for j in range(part.j0, part.j1):
+            a, b = i - tile.i0, j - tile.j0
+            square = _square(voxels, i, j)
+            left = clip_between(strip, num, other, Y, (square.y0, square.y1), one)
             if left > 0:
                 low, high = polygon_span(one, left)
-                if mode == CONVEX:
-                    span = spans[i - tile[0], j - tile[2]]
+                if closed == CONVEX_SOLID:
+                    span = scratch.spans[a, b]
                     span[0], span[1] = min(span[0], low), max(span[1], high)
                 else:
-                    _fill(values, i, j, low, high, label, origin, res, touch)
-            x, y = (x0 + x1) / 2.0, (y0 + y1) / 2.0
-            if mode == CLOSED and x_low <= x <= x_high and y_low <= y <= y_high:
-                a, b = i - tile[0], j - tile[2]
-                _note_crossing(c, x, y, winding[a, b], reaches[a, b], origin, res)
+                    _fill_span(voxels, i, j, (low, high), label)
+            x, y = (square.x0 + square.x1) / 2.0, (square.y0 + square.y1) / 2.0
+            is_noted = closed != OPEN_SURFACE and closed != CONVEX_SOLID
+            if is_noted and x_low <= x <= x_high and y_low <= y <= y_high:
+                _note_crossing(voxels, c, x, y, scratch.winding[a, b], scratch.reaches[a, b])
 
 
-@njit(cache=True)
-def _close_column(items, corners, x, y, column, reach, origin, res):
+@njit(**INNER)
+def _close_column(voxels, items, corners, x, y, winding, reach):
     """See to it that a column's crossings add up to 0, on another line if one was lost."""
     for attempt in range(1, ASIDE.shape[0]):
         left = 0
         for k in range(reach[0], reach[1] + 1):
-            left += column[k]
+            left += winding[k]
         if left == 0:
             break
         for k in range(reach[0], reach[1] + 1):
-            column[k] = 0
-        aside_x, aside_y = x + ASIDE[attempt, 0] * res, y + ASIDE[attempt, 1] * res
+            winding[k] = 0
+        aside_x, aside_y = x + ASIDE[attempt, 0] * voxels.res, y + ASIDE[attempt, 1] * voxels.res
         for t in items:
-            _note_crossing(corners[t], aside_x, aside_y, column, reach, origin, res)
+            _note_crossing(voxels, corners[t], aside_x, aside_y, winding, reach)
 
 
-@njit(cache=True)
-def _fill_inside(items, corners, label, tile, values, origin, res, touch, winding, reaches):
+@njit(**INNER)
+def _fill_inside(voxels, tile, items, corners, label, scratch):
     """Fill the inside of a closed surface from its crossings, column by column; clear them."""
-    num = values.shape[2]
-    for i in range(tile[0], tile[1]):
-        for j in range(tile[2], tile[3]):
-            column, reach = winding[i - tile[0], j - tile[2]], reaches[i - tile[0], j - tile[2]]
-            x0, x1, y0, y1 = _square(i, j, origin, res, touch)
-            x, y = (x0 + x1) / 2.0, (y0 + y1) / 2.0
-            _close_column(items, corners, x, y, column, reach, origin, res)
+    num = voxels.values.shape[2]
+    for i in range(tile.i0, tile.i1):
+        for j in range(tile.j0, tile.j1):
+            a, b = i - tile.i0, j - tile.j0
+            winding, reach = scratch.winding[a, b], scratch.reaches[a, b]
+            square = _square(voxels, i, j)
+            x, y = (square.x0 + square.x1) / 2.0, (square.y0 + square.y1) / 2.0
+            _close_column(voxels, items, corners, x, y, winding, reach)
             inside = 0
             for k in range(reach[0], reach[1] + 1):
-                inside += column[k]
-                column[k] = 0
-                if inside > 0 and k < num and (values[i, j, k] == 0 or values[i, j, k] > label):
-                    values[i, j, k] = label
+                inside += winding[k]
+                winding[k] = 0
+                if inside > 0 and k < num:
+                    _label(voxels, i, j, k, k + 1, label)
             reach[0], reach[1] = num, -1
 
 
-@njit(cache=True)
-def _fill_triangles(items, mode, label, corners, tile, values, origin, res, touch, scratch):
+@njit(**INNER)
+def _fill_triangles(voxels, tile, items, corners, closed, label, scratch):
     """Fill what the triangles of one geom meet and enclose within a tile."""
-    spans, winding, reaches, one, other, strip = scratch
-    for i in range(TILE):
-        for j in range(TILE):
-            spans[i, j, 0], spans[i, j, 1] = math.inf, -math.inf
+    scratch.spans[:, :, 0], scratch.spans[:, :, 1] = math.inf, -math.inf
     for t in items:
-        _add_triangle(
-            corners[t], mode, label, tile, values, origin, res, touch,
-            spans, winding, reaches, one, other, strip,
-        )  # fmt: skip
-    if mode == CONVEX:
-        for i in range(tile[0], tile[1]):
-            for j in range(tile[2], tile[3]):
-                low, high = spans[i - tile[0], j - tile[2]]
+        _add_triangle(voxels, tile, corners[t], closed, label, scratch)
+    if closed == CONVEX_SOLID:
+        for i in range(tile.i0, tile.i1):
+            for j in range(tile.j0, tile.j1):
+                low, high = scratch.spans[i - tile.i0, j - tile.j0]
                 if low <= high:
-                    _fill(values, i, j, low, high, label, origin, res, touch)
-    if mode == CLOSED:
-        _fill_inside(items, corners, label, tile, values, origin, res, touch, winding, reaches)
+                    _fill_span(voxels, i, j, (low, high), label)
+    elif closed != OPEN_SURFACE:
+        _fill_inside(voxels, tile, items, corners, label, scratch)
 
 
-@njit(cache=True)
-def _fill_tile(
-    solids, solid_label, solid_items, planes, plane_label,
-    corners, triangle_geom, triangle_items, mode, geom_label, tile, values, origin, res, touch,
-):  # fmt: skip
-    """Label the voxels of one tile."""
-    one, other, strip = np.empty((12, 3)), np.empty((12, 3)), np.empty((12, 3))
-    for s in solid_items:
-        _fill_solid(s, solids, solid_label[s], tile, values, origin, res, touch, one, other)
-    for p in range(plane_label.shape[0]):
-        for i in range(tile[0], tile[1]):
-            for j in range(tile[2], tile[3]):
-                x0, x1, y0, y1 = _square(i, j, origin, res, touch)
-                low, high = plane_span(planes[0][p], planes[1][p], x0, x1, y0, y1)
-                _fill(values, i, j, low, high, plane_label[p], origin, res, touch)
-    first, end = 0, triangle_items.shape[0]
-    if end == 0:
-        return
-    reaches = np.empty((TILE, TILE, 2), np.int64)
-    reaches[:, :, 0], reaches[:, :, 1] = values.shape[2], -1
-    scratch = (
-        np.empty((TILE, TILE, 2)), np.zeros((TILE, TILE, values.shape[2] + 1), np.int32), reaches,
-        one, other, strip,
-    )  # fmt: skip
+@njit(**INNER)
+def _fill_geoms(voxels, tile, items, triangles, closed, labels, polygons):
+    """Label what a tile's triangles meet and enclose, geom by geom."""
+    num = voxels.values.shape[2]
+    scratch = Scratch(
+        np.empty((TILE, TILE, 2)),
+        np.zeros((TILE, TILE, num + 1), np.int32),
+        np.empty((TILE, TILE, 2), np.int64),
+        polygons,
+        np.empty((12, 3)),
+    )
+    scratch.reaches[:, :, 0], scratch.reaches[:, :, 1] = num, -1
+    first, end = 0, items.shape[0]
     while first < end:
-        geom = triangle_geom[triangle_items[first]]
+        geom = triangles.geom[items[first]]
         last = first + 1
-        while last < end and triangle_geom[triangle_items[last]] == geom:
+        while last < end and triangles.geom[items[last]] == geom:
             last += 1
-        _fill_triangles(
-            triangle_items[first:last], mode[geom], geom_label[geom], corners, tile,
-            values, origin, res, touch, scratch,
-        )  # fmt: skip
+        part = items[first:last]
+        _fill_triangles(voxels, tile, part, triangles.corners, closed[geom], labels[geom], scratch)
         first = last
 
 
+@njit(**INNER)
+def _fill_tile(voxels, number, tile, solids, planes, triangles, tiles, closed, labels):
+    """Label the voxels of one tile."""
+    polygons = make_polygons()
+    for s in tiles.solid_item[tiles.solid_start[number] : tiles.solid_start[number + 1]]:
+        _fill_solid(voxels, tile, solids, s, labels[solids.geom[s]], polygons)
+    for p in range(planes.geom.shape[0]):
+        _fill_plane(voxels, tile, planes, p, labels[planes.geom[p]])
+    first, last = tiles.triangle_start[number], tiles.triangle_start[number + 1]
+    if last > first:
+        items = tiles.triangle_item[first:last]
+        _fill_geoms(voxels, tile, items, triangles, closed, labels, polygons)
+
+
 @njit(cache=True, parallel=True)
-def fill_voxels(
-    solids, solid_label, solid_start, solid_item,
-    planes, plane_label,
-    corners, triangle_geom, triangle_start, triangle_item, mode, geom_label,
-    values, origin, res, touch,
-):  # fmt: skip
+def fill_voxels(voxels, solids, planes, triangles, tiles, closed, labels):
     """Label all voxels that geoms meet.
 
     Args:
-        solids: kind, pos, mat, size and bounds of the primitive solids.
-        planes: pos and mat of the infinite planes.
-        corners, triangle_geom: the triangles, (m, 3, 3) float64 [m], and their geoms,
-            ascending.
-        mode: by geom id, what its triangles enclose: SURFACE, CLOSED or CONVEX, uint8.
-        solid_label, plane_label, geom_label: labels > 0, the last by geom id; in the dtype of
-            `values`.
-        solid_start, solid_item, triangle_start, triangle_item: the tiles' lists.
-        values, origin, res, touch: the grid; labels are added to what it holds.
+        voxels: the grid; labels are added to what it holds.
+        solids, planes, triangles: the geometry; the triangles sorted by geom.
+        tiles: what lies over each tile of columns.
+        closed: by geom id, what its triangles enclose, see `constants`, uint8.
+        labels: by geom id, > 0, in the dtype of the grid's values.
     """
-    num_x, num_y, _ = values.shape
-    tiles_y = (num_y + TILE - 1) // TILE
-    num_tiles = (num_x + TILE - 1) // TILE * tiles_y
+    tiles_y = (voxels.values.shape[1] + TILE - 1) // TILE
+    num_tiles = (voxels.values.shape[0] + TILE - 1) // TILE * tiles_y
     # neighbours are alike: with every second tile in each half, threads have as much to do
     half = (num_tiles + 1) // 2
     for turn in prange(num_tiles):
-        number = 2 * turn if turn < half else 2 * (turn - half) + 1
-        x, y = number // tiles_y * TILE, number % tiles_y * TILE
-        tile = (x, min(x + TILE, num_x), y, min(y + TILE, num_y))
-        _fill_tile(
-            solids, solid_label, solid_item[solid_start[number] : solid_start[number + 1]],
-            planes, plane_label,
-            corners, triangle_geom,
-            triangle_item[triangle_start[number] : triangle_start[number + 1]],
-            mode, geom_label, tile, values, origin, res, touch,
-        )  # fmt: skip
+        number = np.int64(2 * turn if turn < half else 2 * (turn - half) + 1)
+        i, j = number // tiles_y * TILE, number % tiles_y * TILE
+        num_x, num_y, _ = voxels.values.shape
+        tile = Patch(i, min(i + TILE, num_x), j, min(j + TILE, num_y))
+        _fill_tile(voxels, number, tile, solids, planes, triangles, tiles, closed, labels)

@@ -6,42 +6,55 @@ at the top of its cut by one of the column's faces, or at a corner of the square
 closed form, so nothing is sampled or iterated. All these solids are symmetric about their centre;
 the lower end is the upper one of the square seen from the other side.
 
-Squares are (x0, x1, y0, y1) relative to the solid's centre, heights too. An empty span has the
-upper end -inf.
+Candidates from the three places are all computed, and the greatest that lies over the square
+counts: a candidate outside it belongs to no part of the column. Squares and heights are relative
+to the solid's centre. An empty span has the upper end -inf.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+import numpy as np
 from numba import njit
 
-from navbake.baker.kernels.overlap import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, INNER, SPHERE
+from navbake.baker.kernels.overlap import X, Y, clip_between
 
 UPRIGHT = 1e-8  # a solid that leans by less than this stands upright [m]
 FLAT = 1e-9  # a direction of which less than this leaves a plane lies in it
 NONE = -math.inf
 
 
-@njit(cache=True)
-def _best_in_square(best, x, y, z, x0, x1, y0, y1):
+class Square(NamedTuple):
+    """An upright column's cross-section [m]."""
+
+    x0: float
+    x1: float
+    y0: float
+    y1: float
+
+
+@njit(**INNER)
+def _best_in_square(best, x, y, z, square):
     """The higher of two candidates; the second counts only over the square."""
-    if z > best and x0 <= x <= x1 and y0 <= y <= y1:
+    if z > best and square.x0 <= x <= square.x1 and square.y0 <= y <= square.y1:
         return z
     return best
 
 
-@njit(cache=True)
-def _sphere_top(radius, x, y, z, x0, x1, y0, y1):
+@njit(**INNER)
+def _sphere_top(radius, x, y, z, square):
     """Top of the sphere at (x, y, z) over the square."""
-    dx = max(x0 - x, 0.0, x - x1)
-    dy = max(y0 - y, 0.0, y - y1)
-    square = radius * radius - dx * dx - dy * dy
-    return z + math.sqrt(square) if square > 0.0 else NONE
+    dx = max(square.x0 - x, 0.0, x - square.x1)
+    dy = max(square.y0 - y, 0.0, y - square.y1)
+    left = radius * radius - dx * dx - dy * dy
+    return z + math.sqrt(left) if left > 0.0 else NONE
 
 
-@njit(cache=True)
-def _ellipsoid_top(mat, size, x0, x1, y0, y1):
+@njit(**INNER)
+def _ellipsoid_top(mat, size, square):
     # the ellipsoid is all M u with |u| <= 1; s = M M'
     sxx, sxy, sxz, syy, syz, szz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(3):
@@ -53,36 +66,38 @@ def _ellipsoid_top(mat, size, x0, x1, y0, y1):
         syz += my * mz
         szz += mz * mz
     high = math.sqrt(szz)
-    best = _best_in_square(NONE, sxz / high, syz / high, high, x0, x1, y0, y1)
+    # its very top, then the tops of the ellipses that the column's faces cut out of it
+    best = _best_in_square(NONE, sxz / high, syz / high, high, square)
     for face in range(2):
-        x = x0 if face == 0 else x1
+        x = square.x0 if face == 0 else square.x1
         left = 1.0 - x * x / sxx
         if left > 0.0:
             vyz, vzz = syz - sxy * sxz / sxx, szz - sxz * sxz / sxx
             high = math.sqrt(vzz * left)
             y = sxy / sxx * x + (vyz / vzz * high if vzz > 0.0 else 0.0)
-            best = _best_in_square(best, x, y, sxz / sxx * x + high, x0, x1, y0, y1)
-        y = y0 if face == 0 else y1
+            best = _best_in_square(best, x, y, sxz / sxx * x + high, square)
+        y = square.y0 if face == 0 else square.y1
         left = 1.0 - y * y / syy
         if left > 0.0:
             vxz, vzz = sxz - sxy * syz / syy, szz - syz * syz / syy
             high = math.sqrt(vzz * left)
             x = sxy / syy * y + (vxz / vzz * high if vzz > 0.0 else 0.0)
-            best = _best_in_square(best, x, y, syz / syy * y + high, x0, x1, y0, y1)
+            best = _best_in_square(best, x, y, syz / syy * y + high, square)
+    # upright lines through the square's corners: a quadratic in z
     det = sxx * syy - sxy * sxy
     if det > 0.0:
         wx, wy = (sxz * syy - syz * sxy) / det, (syz * sxx - sxz * sxy) / det
         thick = szz - wx * sxz - wy * syz
         for corner in range(4):
-            x = x0 if corner < 2 else x1
-            y = y0 if corner % 2 == 0 else y1
+            x = square.x0 if corner < 2 else square.x1
+            y = square.y0 if corner % 2 == 0 else square.y1
             left = 1.0 - (x * x * syy - 2.0 * x * y * sxy + y * y * sxx) / det
             if left >= 0.0:
                 best = max(best, wx * x + wy * y + math.sqrt(left * max(thick, 0.0)))
     return best
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _cut_top(radius, half, ax, ay, az, x, y0, y1):
     """Top of a cylinder's cut by the plane of one x, between two y."""
     best = NONE
@@ -111,7 +126,7 @@ def _cut_top(radius, half, ax, ay, az, x, y0, y1):
     return best
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _line_top(radius, half, ax, ay, az, x, y):
     """Top of a cylinder on an upright line."""
     low, high = -math.inf, math.inf
@@ -133,9 +148,10 @@ def _line_top(radius, half, ax, ay, az, x, y):
     return high if low <= high else NONE
 
 
-@njit(cache=True)
-def _cylinder_top(radius, half, ax, ay, az, x0, x1, y0, y1):
+@njit(**INNER)
+def _cylinder_top(radius, half, ax, ay, az, square):
     """Top of a cylinder (half-length, unit axis) over the square."""
+    x0, x1, y0, y1 = square
     rise = math.hypot(ax, ay)
     if rise * (radius + half) < UPRIGHT:
         dx, dy = max(x0, 0.0, -x1), max(y0, 0.0, -y1)
@@ -144,7 +160,7 @@ def _cylinder_top(radius, half, ax, ay, az, x0, x1, y0, y1):
     ux, uy = -az * ax / rise * radius, -az * ay / rise * radius
     for t in (-half, half):
         z = t * az + radius * rise
-        best = _best_in_square(best, t * ax + ux, t * ay + uy, z, x0, x1, y0, y1)
+        best = _best_in_square(best, t * ax + ux, t * ay + uy, z, square)
     for side in range(4):  # one call of each: every copy of them takes the compiler a second
         is_far = side % 2 == 1
         if side < 2:
@@ -157,9 +173,10 @@ def _cylinder_top(radius, half, ax, ay, az, x0, x1, y0, y1):
     return best
 
 
-@njit(cache=True)
-def _upright_box_top(mat, size, up, x0, x1, y0, y1):
+@njit(**INNER)
+def _upright_box_top(mat, size, up, square):
     """Top of a box, one of whose axes points up or down: rectangles that overlap in the plane."""
+    x0, x1, y0, y1 = square
     a, b = (up + 1) % 3, (up + 2) % 3
     ax, ay, bx, by = mat[a], mat[3 + a], mat[b], mat[3 + b]
     x, y, half_x, half_y = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 2, (y1 - y0) / 2
@@ -173,44 +190,10 @@ def _upright_box_top(mat, size, up, x0, x1, y0, y1):
     return size[up]
 
 
-@njit(cache=True)
-def clip(points, num, scratch, axis, low, high, out):
-    """Keep the part of a polygon between two limits of a coordinate.
-
-    Args:
-        points: (>= num, 3) float64, its corners.
-        num: how many.
-        scratch, out: (12, 3) float64; out receives the corners of the part.
-
-    Returns:
-        How many corners it has; 0 for none.
-    """
-    source, target, limit, sign = points, scratch, low, 1.0
-    for way in range(2):
-        if way == 1:
-            source, target, limit, sign = scratch, out, high, -1.0
-        kept = 0
-        for i in range(num):
-            j = i + 1 if i + 1 < num else 0
-            di = sign * (source[i, axis] - limit)
-            dj = sign * (source[j, axis] - limit)
-            if di >= 0.0:
-                for k in range(3):
-                    target[kept, k] = source[i, k]
-                kept += 1
-            if (di > 0.0 and dj < 0.0) or (di < 0.0 and dj > 0.0):
-                t = di / (di - dj)
-                for k in range(3):
-                    target[kept, k] = source[i, k] + t * (source[j, k] - source[i, k])
-                target[kept, axis] = limit
-                kept += 1
-        num = kept
-    return num
-
-
-@njit(cache=True)
-def _box_top(mat, size, x0, x1, y0, y1, one, other):
+@njit(**INNER)
+def _box_top(mat, size, square, polygons):
     """Top of a box however it lies: that of its faces, each clipped to the square."""
+    one, other = polygons.one, polygons.other
     best = NONE
     for face in range(6):
         axis, sign = face // 2, -1.0 if face % 2 else 1.0
@@ -222,51 +205,53 @@ def _box_top(mat, size, x0, x1, y0, y1, one, other):
                 one[corner, k] = (
                     sign * size[axis] * mat[3 * k + axis] + s * mat[3 * k + a] + t * mat[3 * k + b]
                 )
-        num = clip(one, 4, other, 0, x0, x1, one)
-        num = clip(one, num, other, 1, y0, y1, one)
+        num = clip_between(one, np.int64(4), other, X, (square.x0, square.x1), one)
+        num = clip_between(one, num, other, Y, (square.y0, square.y1), one)
         for i in range(num):
             best = max(best, one[i, 2])
     return best
 
 
-@njit(cache=True)
-def _top(kind, mat, size, x0, x1, y0, y1, one, other):
+@njit(**INNER)
+def _top(kind, mat, size, square, polygons):
     if kind == SPHERE:
-        return _sphere_top(size[0], 0.0, 0.0, 0.0, x0, x1, y0, y1)
+        return _sphere_top(size[0], 0.0, 0.0, 0.0, square)
     if kind == BOX:
         longest = max(size[0], size[1], size[2])
         for axis in range(3):
             if math.hypot(mat[axis], mat[3 + axis]) * longest < UPRIGHT:
-                return _upright_box_top(mat, size, axis, x0, x1, y0, y1)
-        return _box_top(mat, size, x0, x1, y0, y1, one, other)
+                return _upright_box_top(mat, size, axis, square)
+        return _box_top(mat, size, square, polygons)
     if kind == ELLIPSOID:
-        return _ellipsoid_top(mat, size, x0, x1, y0, y1)
+        return _ellipsoid_top(mat, size, square)
     if kind not in (CYLINDER, CAPSULE):
         return NONE
     ax, ay, az = mat[2], mat[5], mat[8]
-    best = _cylinder_top(size[0], size[1], ax, ay, az, x0, x1, y0, y1)
+    best = _cylinder_top(size[0], size[1], ax, ay, az, square)
     for end in range(2 if kind == CAPSULE else 0):
         t = size[1] if end else -size[1]
-        best = max(best, _sphere_top(size[0], t * ax, t * ay, t * az, x0, x1, y0, y1))
+        best = max(best, _sphere_top(size[0], t * ax, t * ay, t * az, square))
     return best
 
 
 @njit(cache=True)
-def solid_span(kind, pos, mat, size, x0, x1, y0, y1, one, other):
+def solid_span(solids, s, square, polygons):
     """The heights between which a solid is over a square.
 
     Args:
-        kind, pos, mat, size: the solid, as MuJoCo has it.
-        x0, x1, y0, y1: the square, world frame [m].
-        one, other: scratch, (12, 3) float64.
+        solids: the solids.
+        s: which of them.
+        square: the square, world frame.
+        polygons: scratch.
 
     Returns:
         Lower and upper end [m]; -inf twice where the solid isn't over the square.
     """
-    x0, x1, y0, y1 = x0 - pos[0], x1 - pos[0], y0 - pos[1], y1 - pos[1]
+    kind, pos, mat, size = solids.kind[s], solids.pos[s], solids.mat[s], solids.size[s]
+    x0, x1, y0, y1 = square.x0 - pos[0], square.x1 - pos[0], square.y0 - pos[1], square.y1 - pos[1]
     high = NONE
     for way in range(2):
-        top = _top(kind, mat, size, x0, x1, y0, y1, one, other)
+        top = _top(kind, mat, size, Square(x0, x1, y0, y1), polygons)
         if top == NONE or way == 1:
             break
         high = top
@@ -274,12 +259,13 @@ def solid_span(kind, pos, mat, size, x0, x1, y0, y1, one, other):
     return (NONE, NONE) if high == NONE else (pos[2] - top, pos[2] + high)
 
 
-@njit(cache=True)
-def plane_span(pos, mat, x0, x1, y0, y1):
+@njit(**INNER)
+def plane_span(planes, p, square):
     """The heights between which the half-space behind an infinite plane is over a square."""
+    pos, mat = planes.pos[p], planes.mat[p]
     nx, ny, nz = mat[2], mat[5], mat[8]
-    x = x0 if nx > 0.0 else x1  # the corner that lies deepest
-    y = y0 if ny > 0.0 else y1
+    x = square.x0 if nx > 0.0 else square.x1  # the corner that lies deepest
+    y = square.y0 if ny > 0.0 else square.y1
     depth = nx * (x - pos[0]) + ny * (y - pos[1])
     if abs(nz) < 1e-12:
         return (-math.inf, math.inf) if depth < 0.0 else (NONE, NONE)
@@ -287,7 +273,7 @@ def plane_span(pos, mat, x0, x1, y0, y1):
     return (-math.inf, height) if nz > 0.0 else (height, math.inf)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def polygon_span(points, num):
     """The least and the greatest height of a polygon's corners."""
     low, high = points[0, 2], points[0, 2]

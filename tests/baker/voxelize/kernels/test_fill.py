@@ -6,23 +6,24 @@ import numpy as np
 import pytest
 import trimesh
 
-from navbake.baker.voxelize.kernels.fill import fill_voxels
-from navbake.baker.voxelize.kernels.tiles import CLOSED, bin_items, box_triangles
+from navbake.baker.kernels.arrays import Tiles
+from navbake.baker.kernels.constants import CLOSED_SURFACE, TOUCH
+from navbake.baker.scene.shapes import Planes, Solids, Triangles
+from navbake.baker.voxelize.kernels.fill import Voxels, fill_voxels
+from navbake.baker.voxelize.kernels.tiles import bin_items, box_triangles
 
 
 def fill(corners, origin, res, shape):
     """The voxels of one closed surface."""
-    geom, mode = np.zeros(len(corners), np.int32), np.array([CLOSED], np.uint8)
-    none, ids = np.zeros(0, np.int32), np.ones(1, np.uint8)
-    solids = (none, np.zeros((0, 3)), np.zeros((0, 9)), np.zeros((0, 3)), np.zeros((0, 6)))
-    boxes = box_triangles(corners, geom, mode)
+    triangles = Triangles(np.zeros(len(corners), np.int32), corners)
+    closed, none = np.array([CLOSED_SURFACE], np.uint8), np.zeros(0, np.int32)
+    three, nine, six = (np.zeros((0, num)) for num in (3, 9, 6))
+    solids, planes = Solids(none, none, three, nine, three, six), Planes(none, three, nine)
+    boxes, place = box_triangles(triangles, closed), (origin, res, shape)
+    tiles = Tiles(*bin_items(solids.bounds, *place), *bin_items(boxes, *place))
     values = np.zeros(shape, np.uint8)
-    fill_voxels(
-        solids, ids[:0], *bin_items(np.zeros((0, 6)), origin, res, shape),
-        (np.zeros((0, 3)), np.zeros((0, 9))), ids[:0],
-        corners, geom, *bin_items(boxes, origin, res, shape), mode, ids,
-        values, origin, res, 5e-7,
-    )  # fmt: skip
+    voxels = Voxels(values, origin, res, TOUCH)
+    fill_voxels(voxels, solids, planes, triangles, tiles, closed, np.ones(1, np.uint8))
     return values
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from door_scenes import CUPBOARD, LEAF, ROOMS, bake_world, world
-from navbake.baker.doors.bodies import find_door_bodies, pose_doors, without_doors
+from navbake.baker.doors.candidates import find_candidates, pose_doors, without_doors
 from navbake.baker.pipeline import run_bake
-from navbake.baker.scene.bodies import find_subtree_ends, list_geoms
+from navbake.baker.scene.bodies import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.scene import SceneSettings
@@ -56,14 +56,14 @@ def test_nothing_is_found_when_nobody_looks(tmp_path):
 )
 def test_a_pattern_that_makes_no_door_is_told(load, pattern, expected):
     scene = load(ROOMS, LEAF_WITH_HANDLE, '<body name="empty"/>')
-    doors, (warning,) = find_door_bodies(scene, DoorSettings(patterns=[pattern]))
+    doors, (warning,) = find_candidates(scene, DoorSettings(patterns=[pattern]))
     assert warning == f"`doors.patterns` pattern {expected}"
     assert [door.id for door in doors] == ["leaf"]
 
 
 def test_what_hangs_on_a_door_is_part_of_it(load):
     scene = load(ROOMS, LEAF_WITH_HANDLE)
-    ((door,), warnings) = find_door_bodies(scene, DoorSettings(patterns=["leaf", "*"]))
+    ((door,), warnings) = find_candidates(scene, DoorSettings(patterns=["leaf", "*"]))
     assert warnings == []
     assert door.geoms.tolist() == [7, 8]
 
@@ -84,7 +84,7 @@ def test_what_hangs_on_a_door_is_part_of_it(load):
 )
 def test_what_does_not_look_like_a_door(load, find, instead):
     assert find in LEAF
-    assert find_door_bodies(load(ROOMS, LEAF.replace(find, instead)), DoorSettings()) == ([], [])
+    assert find_candidates(load(ROOMS, LEAF.replace(find, instead)), DoorSettings()) == ([], [])
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_what_does_not_look_like_a_door(load, find, instead):
 def test_what_just_looks_like_a_door(load, size, joint):
     leaf = LEAF.replace("0.02 0.43 1", size)
     leaf = leaf.replace('axis="0 0 1" range="0 90"', joint) if joint else leaf
-    doors, _ = find_door_bodies(load(ROOMS, leaf), DoorSettings())
+    doors, _ = find_candidates(load(ROOMS, leaf), DoorSettings())
     assert len(doors) == 1
 
 
@@ -170,7 +170,7 @@ def test_subtrees_against_a_walk_up_the_parents():
         ends = find_subtree_ends(model)
         for body in range(model.nbody):
             expected = [geom for geom in range(model.ngeom) if _hangs_on(model, geom, body)]
-            assert list_geoms(model, body, int(ends[body])).tolist() == expected
+            assert geoms_of_bodies(model, body, int(ends[body])).tolist() == expected
 
 
 def _hangs_on(model, geom: int, body: int) -> bool:
@@ -189,7 +189,7 @@ def arrays(shapes):
 @pytest.mark.parametrize("name", ["apartment", "house", "warehouse", "terrain", "clutter"])
 def test_doors_and_the_rest_are_what_is_collected_of_them(name):
     scene = load_scene(load_config(CONFIGS / f"{name}.yaml").scene)
-    doors, _ = find_door_bodies(scene, DoorSettings())
+    doors, _ = find_candidates(scene, DoorSettings())
     of_doors = np.concatenate([[], *(door.geoms for door in doors)]).astype(int).tolist()
     rest = [geom for geom in range(scene.model.ngeom) if geom not in of_doors]
     for found, geoms in (
@@ -203,7 +203,7 @@ def test_doors_and_the_rest_are_what_is_collected_of_them(name):
 
 def test_each_door_is_posed_as_if_it_moved_alone(load):
     scene = load(ROOMS, LEAF, CUPBOARD)
-    doors, _ = find_door_bodies(scene, DoorSettings())
+    doors, _ = find_candidates(scene, DoorSettings())
     assert len(doors) == 2
     for state in ("open", "closed"):
         together = pose_doors(scene, doors, state)

@@ -1,82 +1,79 @@
-"""Doors that one could walk on, such as trapdoors and bridges; the grid has no floor there."""
+"""Doors that an agent could walk on, such as trapdoors and bridges; the grid has no floor there."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.columns import Columns, cast_columns, tile_shapes
-from navbake.baker.doors.bodies import DoorBody, pose_doors
+from navbake.baker.doors.candidates import DoorCandidate, pose_doors
 from navbake.baker.floors.levels import LevelFloor
-from navbake.baker.kernels.sheets import SLACK
+from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.extents import measure_geoms
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
+from navbake.types import Float
 
-Bool = NDArray[np.bool_]
-Float = NDArray[np.float64]
-
-LARGE = 0.5  # how much floor a door carries at least to be told of [m²]
-HOW = {"modelled": "as it is modelled", "open": "when it is open", "closed": "when it is closed"}
+MIN_AREA = 0.5  # of floor on a door that is worth a warning [m²]
+WHEN = {"modelled": "as it is modelled", "open": "when it is open", "closed": "when it is closed"}
 
 
-def find_carrying_doors(
+def warn_walkable_doors(
     scene: Scene,
-    doors: Sequence[DoorBody],
+    doors: Sequence[DoorCandidate],
     columns: Columns,
     floors: Sequence[LevelFloor],
     agent: AgentSettings,
 ) -> list[str]:
-    """Tell of doors that carry half a square metre of floor or more, in any of their states.
+    """Warn of doors that carry 0.5 m² of floor or more, in any of their states.
 
-    That is what faces up within the agent's slope, has its headroom, lies no more than a step
-    from a floor beside it, and not on one (as a mat does).
+    Floor is what faces up within the agent's slope and has its headroom. It has to lie no more
+    than a step from a floor beside it, and not on a floor, as a mat does.
 
     Args:
         scene: the whole scene, as modelled.
         doors: the doors.
-        columns: all surfaces of what is no door.
+        columns: all surfaces of the scene without doors.
         floors: the storeys, without doors.
         agent: its height, step and slope.
 
     Returns:
-        A warning for each, one line.
+        A warning for each such door, one line, in the order of the doors.
     """
-    told: dict[str, str] = {}
-    for state, how in HOW.items():
-        left = [door for door in doors if door.id not in told]
+    warnings: dict[str, str] = {}
+    for state, when in WHEN.items():
+        left = [door for door in doors if door.id not in warnings]
         if not left:
             break
         shapes = pose_doors(scene, left, state)
         extents = measure_geoms(shapes, scene.model.ngeom)
         for door in left:
-            if np.nansum((extents.thin * extents.long)[door.geoms]) < LARGE - SLACK:
+            # seen from above, most doors are too small, which is quickly found
+            if np.nansum((extents.thin * extents.long)[door.geoms]) < MIN_AREA - SLACK:
                 continue
-            mask = np.zeros(scene.model.ngeom, dtype=np.bool_)
-            mask[door.geoms] = True
-            area = _carried_area(shapes.only(mask), columns, floors, agent)
-            if area >= LARGE - SLACK:
-                told[door.id] = (
-                    f"door {door.id!r} carries {area:.1f} m² of floor {how}, which the grid "
-                    f"hasn't, as doors carry none: let `doors` leave it out if agents walk on it"
+            area = _walkable_area(door.only(shapes), columns, floors, agent)
+            if area >= MIN_AREA - SLACK:
+                warnings[door.id] = (
+                    f"door {door.id!r} carries {area:.1f} m² of floor {when}, which is "
+                    f"missing in the grid, because doors carry no floor: exclude it from `doors` "
+                    f"if agents walk on it"
                 )
-    return [told[door.id] for door in doors if door.id in told]
+    return [warnings[door.id] for door in doors if door.id in warnings]
 
 
-def _carried_area(
+def _walkable_area(
     shapes: Shapes, columns: Columns, floors: Sequence[LevelFloor], agent: AgentSettings
 ) -> float:
-    """How much of the top of a door one can stand on, if a step leads there [m²]."""
+    """How much of the top of a door an agent can stand on, if a step leads there [m²]."""
     lattice = columns.lattice
     bounds = shapes.bounds()
     window = None if bounds is None else lattice.window(bounds, 0.0)
     if window is None:
         return 0.0
-    top = _tops(shapes, lattice.cut(*window), agent)
+    top = _level_tops(shapes, lattice.cut(*window), agent)
     rows, cols = window
     step = agent.traversable_floor_height + SLACK
     parts = [level.floor[window] for level in floors]
@@ -94,8 +91,8 @@ def _carried_area(
     return float(np.count_nonzero(~np.isnan(top))) * lattice.cell_size**2
 
 
-def _tops(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> Float:
-    """The highest surface of each cell if one could stand on it by its slope, else NaN."""
+def _level_tops(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> Float:
+    """The height of each cell's highest surface if its slope allows to stand on it, else NaN."""
     columns = cast_columns(tile_shapes(shapes, lattice, 0.0))
     top = np.full(lattice.width * lattice.height, np.nan)
     has_any = np.flatnonzero(np.diff(columns.start))

@@ -1,0 +1,30 @@
+"""Numbers that the kernels and those who call them share: MuJoCo's enums, states, tolerances."""
+
+from __future__ import annotations
+
+from typing import Any
+
+# How numba compiles what kernels alone call: without the wrappers that Python would call it by,
+# which take longer to compile than the code of many small functions. What is called for each cell
+# with whole tuples is inlined as well, because passing them takes longer than the work.
+INNER: dict[str, Any] = {"cache": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+INLINED = {**INNER, "forceinline": True}
+
+# MuJoCo's geom types (mjtGeom); sites have the same
+PLANE, HFIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH, SDF = range(9)
+# MuJoCo's joint types (mjtJoint)
+FREE, BALL, SLIDE, HINGE = range(4)
+
+# What a geom encloses (`Shapes.closed`). Inside of all but the first counts as occupied. A closed
+# surface is a mesh's own triangles; primitives, height fields and hulls are solid by nature.
+OPEN_SURFACE, CLOSED_SURFACE, SOLID, CONVEX_SOLID = range(4)
+
+# Whether a geom meets a prism; UNDECIDED where rounding leaves no proof either way
+APART, MEETS, UNDECIDED = range(3)
+
+# Surfaces of one column this close together are at one height [m]
+SAME = 1e-5
+# How far a height may exceed a limit and still keep it [m]
+SLACK = 1e-6
+# What reaches less than this into a volume only touches it [m]
+TOUCH = 5e-7

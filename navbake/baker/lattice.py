@@ -1,0 +1,43 @@
+"""The lattice that a scene is baked on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from navbake.baker.scene.scene import Scene
+from navbake.config.settings import BakeConfig
+from navbake.errors import ConfigError, SceneError
+from navbake.navgrid.lattice import Lattice
+
+
+def lay_lattice(scene: Scene, config: BakeConfig) -> Lattice:
+    """Lay one lattice over the scene, or over the bounds of the settings.
+
+    Raises:
+        ConfigError: the scene is endless and no bounds are set, or there are too many cells.
+        SceneError: the scene's box isn't finite.
+    """
+    settings = config.grid
+    if settings.bounds is not None:
+        bounds = tuple(settings.bounds)
+    elif scene.bounds is not None:
+        bounds = (*scene.bounds[0, :2].tolist(), *scene.bounds[1, :2].tolist())
+    else:
+        raise ConfigError(
+            f"only infinite planes count in {config.scene.path}, so the grid has no end: "
+            f"set `grid.bounds` to [x_min, y_min, x_max, y_max]"
+        )
+    if not np.isfinite(bounds).all():
+        raise SceneError(f"the scene {config.scene.path} has geoms whose pose is not finite")
+    sides = [bounds[2] - bounds[0], bounds[3] - bounds[1]]
+    # floats, as integers could be too large to convert
+    cells = 1.0
+    for side in sides:
+        cells *= max(1.0, (side + 2 * settings.margin) / settings.cell_size)
+    if cells > settings.max_cells:
+        raise ConfigError(
+            f"a grid of {cells:.3g} cells is more than `grid.max_cells` = {settings.max_cells}: "
+            f"{sides[0]:.6g} x {sides[1]:.6g} m at `grid.cell_size` = {settings.cell_size:g} m; "
+            f"check the scene's unit (`scene.unit`), the cell size, or raise the limit"
+        )
+    return Lattice.cover(tuple(float(b) for b in bounds), settings.cell_size, settings.margin)

@@ -1,0 +1,216 @@
+"""The stages of a bake, each a named value that one can stop at and look at.
+
+scene → columns → floors → occupancy → contents → rooms → doors; `build_grid` makes a grid of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from navbake.baker.clock import Progress, StageClock
+from navbake.baker.columns import Columns, TiledShapes, cast_columns, tile_shapes
+from navbake.baker.contents.contents import Contents, find_contents
+from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
+from navbake.baker.doors.doors import Doors, Surroundings, place_doors, warn_immovable_doors
+from navbake.baker.doors.walkable import warn_walkable_doors
+from navbake.baker.floors.levels import Floors, find_floors
+from navbake.baker.lattice import lay_lattice
+from navbake.baker.occupancy.levels import Occupancy, find_occupancy
+from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
+from navbake.baker.rooms.rooms import Rooms, find_rooms
+from navbake.baker.scene.scene import Scene, load_scene
+from navbake.baker.threads import limit_threads
+from navbake.config.settings import BakeConfig, as_config
+from navbake.errors import SceneError
+from navbake.navgrid.lattice import Lattice
+from navbake.types import Bool, Float, Int
+
+STAGES = ("scene", "columns", "floors", "occupancy", "contents", "rooms", "doors", "grid")
+
+
+def bake_stages(
+    config: BakeConfig | str | PathLike[str] | Mapping[str, Any],
+    *,
+    progress: Progress | None = None,
+) -> Stages:
+    """Load a scene, and give the stages of its bake.
+
+    A stage runs when it is first asked for, so that one can look at the columns of a scene
+    whose floors cannot be found. All of them run at once where bodies look like doors, because
+    only the rooms on both sides tell doors from other leaves; `doors.find: false` avoids that.
+
+    Args:
+        config: settings, the path of a YAML or of a scene file, or the YAML as a mapping.
+        progress: called with each stage's name, and 0 when it begins or 1 when it ends.
+
+    Raises:
+        ConfigError: a setting is wrong.
+        SceneError: the scene cannot be read, or holds nothing to bake.
+    """
+    stages = take_first_look(as_config(config), StageClock(progress))
+    if all(candidate.named for candidate in stages.candidates):
+        return stages
+    return settle_doors(stages)
+
+
+def take_first_look(config: BakeConfig, clock: StageClock) -> Stages:
+    """Load a scene, and give the stages of a bake that takes every candidate for a door."""
+    with clock.stage("scene"):
+        scene = load_scene(config.scene)
+        lattice = lay_lattice(scene, config)
+        candidates, unmatched = find_candidates(scene, config.doors)
+    return Stages(config, scene, lattice, candidates, unmatched, clock)
+
+
+def settle_doors(stages: Stages) -> Stages:
+    """Decide which candidates are doors, and give the stages of the scene without just these.
+
+    A candidate that joins no two rooms, such as the leaf of a cupboard, is a part of the scene:
+    it may carry a floor, occupy cells and be a wall. So all stages run again with it. That may
+    change the rooms, and so whether another candidate joins two of them, which makes this a
+    loop. Each pass rejects a candidate, so there is at most one pass more than candidates; where
+    all candidates are doors, there is one.
+    """
+    while rejected := stages.doors.rejected:
+        kept = [candidate for candidate in stages.candidates if candidate not in rejected]
+        stages = replace(stages, candidates=kept)
+    return stages
+
+
+@dataclass(frozen=True, eq=False)
+class Stages:
+    """What each stage of a bake finds, where some bodies are taken for doors.
+
+    A stage runs when it is first asked for, after those that it builds on, and its value is kept.
+
+    Attributes:
+        config: all settings.
+        scene: the scene, doors included.
+        lattice: the cells.
+        candidates: the bodies that are taken for doors. Columns, floors, occupancy, contents
+            and rooms are found without them.
+        unmatched: a warning for each door pattern that names no door.
+        clock: times the stages.
+    """
+
+    config: BakeConfig
+    scene: Scene
+    lattice: Lattice
+    candidates: list[DoorCandidate]
+    unmatched: list[str] = field(default_factory=list)
+    clock: StageClock = field(default_factory=StageClock, repr=False)
+
+    @cached_property
+    def footprint(self) -> Footprint:
+        """The volume over a cell's floor that has to be free."""
+        return Footprint.of(self.config.agent, self.lattice.cell_size)
+
+    @cached_property
+    def doorless(self) -> Scene:
+        """The scene without the candidates."""
+        return without_doors(self.scene, self.candidates)
+
+    @cached_property
+    def tiled(self) -> TiledShapes:
+        """The geometry of the scene without doors, listed by tiles of the lattice."""
+        return tile_shapes(self.doorless.shapes, self.lattice, self.footprint.reach)
+
+    @cached_property
+    def columns(self) -> Columns:
+        """All surfaces on the vertical line through each cell's centre."""
+        with self.clock.stage("columns"):
+            return cast_columns(self.tiled)
+
+    @cached_property
+    def floors(self) -> Floors:
+        """The storeys, the floor of each, and the steps between them."""
+        config, columns, tiled = self.config, self.columns, self.tiled
+        given = None if config.levels == "auto" else list(config.levels)
+        # what a roof encloses does not depend on how wide the agent is
+        point = config.agent.model_copy(update={"radius": 0.0})
+        narrow = Footprint.of(point, self.lattice.cell_size)
+
+        def is_occupied(cells: Int, floors: Float) -> Bool:
+            return check_occupancy(columns, tiled, narrow, cells, floors).occupied
+
+        with self.clock.stage("floors"), self._errors_say_where():
+            return find_floors(
+                columns, tiled.shapes, config.agent, config.floors, given, is_occupied
+            )
+
+    @cached_property
+    def occupancy(self) -> Occupancy:
+        """The cells of each storey that are occupied."""
+        floors, columns = self.floors, self.columns
+        with self.clock.stage("occupancy"):
+            return find_occupancy(floors, columns, self.tiled, self.footprint)
+
+    @cached_property
+    def contents(self) -> Contents | None:
+        """What stands in the cells; None where neither names nor rooms need it."""
+        config, floors, occupied = self.config, self.floors, self.occupancy.levels
+        with self.clock.stage("contents"):
+            if not config.names.enabled and not config.rooms.sources:
+                return None
+            return find_contents(
+                self.doorless,
+                self.columns,
+                self.tiled,
+                floors,
+                occupied,
+                config.agent,
+                config.names,
+            )
+
+    @cached_property
+    def rooms(self) -> Rooms:
+        """The room of each cell, and the table of rooms; doors are not named in it yet."""
+        config, floors, contents = self.config, self.floors, self.contents
+        with self.clock.stage("rooms"):
+            if contents is None:
+                walls = [np.zeros(self.lattice.shape, dtype=np.bool_) for _ in floors.levels]
+            else:
+                walls = [contents.wall_cells(number) for number in range(len(floors.levels))]
+            return find_rooms(
+                self.doorless, self.columns, floors, walls, config.rooms, config.agent
+            )
+
+    @cached_property
+    def doors(self) -> Doors:
+        """What each door blocks in each state, and which candidates are no doors."""
+        config, levels = self.config, self.floors.levels
+        around = Surroundings(levels, self.occupancy.levels, self.rooms, self.footprint)
+        # a door is too small to be worth more than one thread
+        with self.clock.stage("doors"), limit_threads(1):
+            doors = place_doors(self.scene, self.candidates, around)
+            if doors.rejected:
+                return doors  # the doors are not settled: see `settle_doors`
+            immovable = warn_immovable_doors(doors.placed, config.doors.state)
+            walkable = warn_walkable_doors(
+                self.scene, self.candidates, self.columns, levels, config.agent
+            )
+            return replace(doors, warnings=[*immovable, *walkable])
+
+    @contextmanager
+    def _errors_say_where(self) -> Iterator[None]:
+        """Add the scene's file and extent to a SceneError: often the unit or bounds are wrong."""
+        path, scene = self.config.scene.path, self.doorless
+        try:
+            yield
+        except SceneError as error:
+            if scene.bounds is None:
+                raise SceneError(f"{path}: {error}") from error
+            sides = zip("xyz", *scene.bounds.tolist(), strict=True)
+            spans = ", ".join(f"{axis} {low:.6g} to {high:.6g}" for axis, low, high in sides)
+            endless = scene.shapes.planes.geom
+            if len(endless):
+                spans += f" without {scene.geoms[endless[0]].name!r}, which is endless"
+                spans += ": `grid.margin` or `grid.bounds` shows more of it"
+            raise SceneError(f"{path}: {error}; the scene spans, in m, {spans}") from error

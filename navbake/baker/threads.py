@@ -1,0 +1,29 @@
+"""How many threads the kernels run on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numba
+
+from navbake.errors import ConfigError
+
+
+@contextmanager
+def limit_threads(count: int | None) -> Iterator[None]:
+    """Run what is inside on at most `count` threads, >= 1; None changes nothing.
+
+    Raises:
+        ConfigError: `count` is less than 1.
+    """
+    before = numba.get_num_threads()
+    if count is not None:
+        most = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
+        if count < 1:
+            raise ConfigError(f"expected a number of threads >= 1, got {count}")
+        numba.set_num_threads(min(count, most))
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)

@@ -1,0 +1,33 @@
+"""Union-find: which items belong together.
+
+Disjoint sets as a forest of parents (Galler and Fischer, 1964) with path halving (Tarjan and van
+Leeuwen, 1984). Of two roots the lower item becomes the parent, not that of the larger tree: so a
+root is the first member of its set, whatever the order in which sets were joined, and numbers
+that follow the roots depend on nothing else. Path halving alone keeps the trees shallow enough.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+
+@njit(cache=True)
+def find_root(parent, item):
+    """The root of an item's set: its lowest member.
+
+    Args:
+        parent: (n,) integers, the parent of each item; a root is its own.
+        item: which item.
+    """
+    while parent[item] != item:
+        parent[item] = parent[parent[item]]
+        item = parent[item]
+    return item
+
+
+@njit(cache=True)
+def unite(parent, one, other):
+    """Join the sets of two items."""
+    one, other = find_root(parent, one), find_root(parent, other)
+    if one != other:
+        parent[max(one, other)] = min(one, other)

@@ -1,0 +1,179 @@
+"""The stages of a bake: one can stop at each; which candidates are doors is settled before."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+
+import navbake
+from box_worlds import FLOOR, box, stages_of_xml, world
+from differences import first_difference
+from door_scenes import CUPBOARD, LEAF, ROOMS, SHELL, bake_world
+from door_scenes import world as door_world
+from navbake.baker.clock import StageClock
+from navbake.baker.columns import Columns
+from navbake.baker.contents.contents import Contents
+from navbake.baker.doors.doors import Doors
+from navbake.baker.floors.levels import Floors
+from navbake.baker.occupancy.levels import Occupancy
+from navbake.baker.pipeline import run_bake
+from navbake.baker.rooms.rooms import Rooms
+from navbake.baker.scene.scene import Scene
+from navbake.baker.stages import STAGES, bake_stages, settle_doors, take_first_look
+from navbake.config.settings import load_config
+from navbake.errors import SceneError
+from project_paths import CONFIGS
+
+TYPES = {
+    "scene": Scene,
+    "columns": Columns,
+    "floors": Floors,
+    "occupancy": Occupancy,
+    "contents": Contents,
+    "rooms": Rooms,
+    "doors": Doors,
+}
+
+
+def has_run(stages) -> list[str]:
+    return list(stages.clock.seconds)
+
+
+@pytest.mark.parametrize("last", TYPES)
+def test_one_can_stop_at_each_stage(tmp_path, last):
+    stages = stages_of_xml(tmp_path, world(FLOOR + box("crate", 0, 0, 0, 0.5, 0.5, 0.5)))
+    value = getattr(stages, last)
+    assert type(value) is TYPES[last]
+    assert has_run(stages) == list(STAGES[: STAGES.index(last) + 1])
+    assert getattr(stages, last) is value  # it is kept
+
+
+def test_the_stages_of_a_crate_on_a_floor(tmp_path):
+    stages = stages_of_xml(tmp_path, world(FLOOR + box("crate", 0, 0, 0, 0.5, 0.5, 0.5)))
+    (level,) = stages.floors.levels
+    assert [geom.name for geom in stages.scene.geoms] == ["floor", "crate"]
+    assert stages.lattice.shape == level.floor.shape == (40, 40)
+    assert len(stages.columns.z) == 2 * 1600 + 2 * 25
+    assert (level.floor[~np.isnan(level.floor)] == 0.0).all()
+    assert stages.occupancy.levels[0].sum() == 25
+    assert not stages.contents.wall_cells(0).any()
+    assert [room.id for room in stages.rooms.table] == ["0:1"]
+    assert stages.doors == Doors([], [])
+
+
+def test_columns_can_be_looked_at_where_there_is_no_floor(tmp_path):
+    stages = stages_of_xml(tmp_path, world(box("ball", 0, 0, 0, 0.5, 0.5, 0.5)))
+    assert len(stages.columns.z) == 2 * 25
+    with pytest.raises(SceneError, match=r"scene\.xml: no floor.* the scene spans"):
+        _ = stages.floors
+    assert has_run(stages) == ["scene", "columns"]
+
+
+def test_contents_are_found_only_where_something_needs_them(tmp_path):
+    for settings, is_needed in (
+        ({}, True),
+        ({"names": False}, True),  # rooms need the walls
+        ({"rooms": "none"}, True),
+        ({"names": False, "rooms": "none"}, False),
+    ):
+        stages = stages_of_xml(tmp_path, world(FLOOR), **settings)
+        assert (stages.contents is not None) == is_needed
+        assert has_run(stages)[-1] == "contents"
+
+
+@pytest.mark.parametrize("name", ["apartment", "house"])
+def test_a_bake_is_its_stages(name):
+    config = load_config(CONFIGS / f"{name}.yaml")
+    result, stages = run_bake(config), bake_stages(CONFIGS / f"{name}.yaml")
+    assert list(result.timings) == list(STAGES)
+    assert list(result.grid.timings) == ["createMillis", *(f"{stage}Millis" for stage in STAGES)]
+    assert (result.by_ray, result.by_fcl) == (stages.occupancy.by_ray, stages.occupancy.by_fcl)
+    assert [level.ground for level in result.grid.levels] == [
+        level.ground for level in stages.floors.levels
+    ]
+    removed = result.grid.with_doors("removed")
+    num_free = [int((~occupied).sum()) for occupied in stages.occupancy.levels]
+    assert [int(level.free.sum()) for level in removed.levels] == num_free
+    num_in_room = [int((index > 0).sum()) for index in stages.rooms.index]
+    assert [int((level.room_index > 0).sum()) for level in removed.levels] == num_in_room
+
+
+# ---------------------------------------------------------------- which candidates are doors
+
+
+def stages_of(folder, *parts, **settings):
+    return stages_of_xml(folder, door_world(*parts), **settings)
+
+
+def test_all_stages_run_where_only_rooms_tell_what_is_a_door(tmp_path):
+    every = list(STAGES[:-1])
+    assert has_run(stages_of(tmp_path, ROOMS, LEAF)) == every
+    for doors in ({"find": False}, {"patterns": ["leaf"]}):
+        stages = stages_of(tmp_path, ROOMS, LEAF, doors=doors)
+        assert has_run(stages) == ["scene"]
+        assert len(stages.doors.placed) == len(doors.get("patterns", ()))
+
+
+def test_the_scene_has_the_doors_and_nothing_before_them(tmp_path):
+    stages = stages_of(tmp_path, ROOMS, LEAF)
+    leaf = next(geom.id for geom in stages.scene.geoms if geom.name == "leaf")
+    assert leaf in stages.scene.shapes.solids.geom
+    assert leaf not in stages.doorless.shapes.solids.geom
+    assert leaf not in stages.columns.geom
+    row, col = stages.lattice.rows_cols([3.0, 1.5])
+    assert not stages.occupancy.levels[0][row, col]
+    (door,) = stages.doors.placed
+    assert row * stages.lattice.width + col in door.cells["closed"][0]
+
+
+def test_what_is_no_door_stands_on_the_floor_again(tmp_path):
+    settled = stages_of(tmp_path, ROOMS, LEAF, CUPBOARD)
+    first = take_first_look(settled.config, StageClock())
+    assert [candidate.id for candidate in first.candidates] == ["leaf", "cupboard_door"]
+    assert [candidate.id for candidate in first.doors.rejected] == ["cupboard_door"]
+    assert [candidate.id for candidate in settled.candidates] == ["leaf"]
+    assert settled.doors.rejected == []
+    found = settled.occupancy.levels[0] & ~first.occupancy.levels[0]
+    assert found.any()
+    again = settle_doors(settled)
+    assert again is settled
+
+
+# A leaf on the edge of the floor, and outside a stage that slides, whose backdrop looks like a
+# leaf. Without the stage, the leaf joins the room and the outside. With it, the floor goes on
+# behind the leaf, too little for a room of its own, so that one room is on both sides.
+EDGE = """
+<geom name="floor" type="box" pos="2 1.5 -0.1" size="2.1 1.6 0.1"/>
+<geom name="wall_1" type="box" pos="4 0.525 1.2" size="0.05 0.525 1.2"/>
+<geom name="wall_2" type="box" pos="4 2.475 1.2" size="0.05 0.525 1.2"/>
+<body name="leaf" pos="4 1.06 0"><joint axis="0 0 1" range="0 90"/>
+<geom type="box" pos="0 0.44 1" size="0.02 0.43 1"/></body>
+"""
+STAGE = """
+<body name="stage" pos="4.1 1.5 0"><joint type="slide" axis="1 0 0" range="0 1"/>
+<geom type="box" pos="0.45 0 -0.05" size="0.45 0.6 0.05"/>
+<geom name="backdrop" type="box" pos="0.88 0 1.2" size="0.02 0.6 1.2"/></body>
+"""
+
+
+def test_what_stands_on_the_floor_again_may_leave_no_door_of_another_leaf(tmp_path):
+    settings = {"rooms": {"sources": ["auto"], "min_area": 2.0}}
+    only = bake_world(tmp_path, EDGE, **settings).grid
+    assert [door.id for door in only.doors] == ["leaf"]
+    begun = []
+    progress = lambda stage, share: begun.append(stage) if share == 0.0 else None  # noqa: E731
+    grid = bake_world(tmp_path, EDGE, STAGE, progress=progress, **settings).grid
+    assert not grid.doors
+    assert begun.count("rooms") == 3  # without both, with the stage, with both
+    other = bake_world(tmp_path, EDGE, STAGE, doors={"find": False}, **settings).grid
+    digest = {"settingsDigest": other.navbake["settingsDigest"]}
+    grid.metadata = {**grid.metadata, "navbake": {**grid.navbake, **digest}}
+    assert first_difference(grid, other) is None
+
+
+def test_threads_are_given_back(tmp_path):
+    before = numba.get_num_threads()
+    (tmp_path / "scene.xml").write_text(door_world(SHELL))
+    navbake.bake(tmp_path / "scene.xml", threads=1)
+    assert numba.get_num_threads() == before
