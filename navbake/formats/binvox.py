@@ -27,6 +27,8 @@ from navbake.types import Vector3
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import check_memory, check_three
 
+# Functions import kernels when they run: numba takes long to load.
+
 IdMapping: TypeAlias = Mapping[int, int] | Literal["compact"]
 Layout: TypeAlias = Literal["auto", "binvox", "airsim"]
 LAYOUTS = ("auto", "binvox", "airsim")

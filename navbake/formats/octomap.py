@@ -24,6 +24,8 @@ from navbake.types import Int, Int32
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import check_memory, finite_array
 
+# Functions import kernels when they run: numba takes long to load.
+
 DEPTH = 16
 CENTER = 2 ** (DEPTH - 1)  # key of the world's origin
 FIRST_LINES = {"bt": "# Octomap OcTree binary file", "ot": "# Octomap OcTree file"}
