@@ -1,9 +1,8 @@
 """Drops compiled kernels whose sources have changed.
 
 numba's cache on disk checks only the file that defines a kernel. A kernel that calls one of
-another file would keep that one's old code: after an edit, and after an upgrade, which leaves the
-cache in place. So the caches of all modules that use a changed one are dropped. Each folder of
-kernels calls `drop_stale_caches` before its first kernel is loaded.
+another file would keep that one's old code after an edit or an upgrade. So the caches of all
+modules that use a changed one are dropped, before the first kernel of a folder is loaded.
 """
 
 from __future__ import annotations
@@ -22,11 +21,9 @@ STAMP = "navbake-kernels.json"
 
 
 def drop_stale_caches(cached: Callable[..., Any]) -> None:
-    """Drop what was compiled from sources that have changed since.
+    """Drop what was compiled from sources of a folder that have changed since.
 
-    Args:
-        cached: any function of the kernels' folder made by ``numba.njit(cache=True)``; it
-            knows where numba keeps the folder's compiled code.
+    Any function of the folder made by ``numba.njit(cache=True)`` tells where numba keeps its code.
     """
     place = cached.stats.cache_path  # type: ignore[attr-defined]
     if place is None:
@@ -38,31 +35,33 @@ def drop_stale_caches(cached: Callable[..., Any]) -> None:
         if name.rpartition(".")[0] == package
     }
     stamp = Path(place) / STAMP
-    known = _read(stamp)
+    try:
+        known = dict(json.loads(stamp.read_text()))
+    except (OSError, ValueError, TypeError):
+        known = {}
     if known == digests:
         return
     for module, digest in digests.items():
         if known.get(module) != digest:
             for path in Path(place).glob(f"{module}.*.nb[ic]"):
                 path.unlink(missing_ok=True)
-    _write(stamp, digests)
+    # Written beside and renamed. Where that fails, numba has not cached anything there either.
+    beside = stamp.with_suffix(f".{os.getpid()}")
+    try:
+        stamp.parent.mkdir(parents=True, exist_ok=True)
+        beside.write_text(json.dumps(digests))
+        beside.replace(stamp)
+    except OSError:
+        beside.unlink(missing_ok=True)
 
 
 def digest_modules(package: Path) -> dict[str, str]:
-    """Hash each module of kernels together with all modules of kernels that it uses.
-
-    Args:
-        package: the package's folder; modules of kernels are in its folders ``kernels``.
-
-    Returns:
-        Digests by the modules' dotted names.
-    """
-    sources = {
-        ".".join((package.name, *path.relative_to(package).with_suffix("").parts)): path
-        for path in sorted(package.rglob("kernels/*.py"))
+    """Hash each module of kernels, by its dotted name, with all modules of kernels it uses."""
+    texts = {
+        ".".join(path.relative_to(package.parent).with_suffix("").parts): path.read_bytes()
+        for path in package.rglob("kernels/*.py")
         if path.stem != "__init__"
     }
-    texts = {name: path.read_bytes() for name, path in sources.items()}
     uses = {name: set(IMPORT.findall(text.decode())) for name, text in texts.items()}
     digests = {}
     for name in texts:
@@ -75,22 +74,3 @@ def digest_modules(package: Path) -> dict[str, str]:
         parts = b"\0".join(texts.get(used, b"") for used in sorted(found))
         digests[name] = hashlib.sha256(parts).hexdigest()
     return digests
-
-
-def _read(stamp: Path) -> dict[str, str]:
-    try:
-        known = json.loads(stamp.read_text())
-    except (OSError, ValueError):
-        return {}
-    return known if isinstance(known, dict) else {}
-
-
-def _write(stamp: Path, digests: dict[str, str]) -> None:
-    """Write beside and rename. Where that fails, numba has not cached anything there either."""
-    beside = stamp.with_suffix(f".{os.getpid()}")
-    try:
-        stamp.parent.mkdir(parents=True, exist_ok=True)
-        beside.write_text(json.dumps(digests))
-        beside.replace(stamp)
-    except OSError:
-        beside.unlink(missing_ok=True)

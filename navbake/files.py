@@ -34,11 +34,7 @@ def write_whole(data: bytes, path: str | PathLike[str]) -> None:
 
 
 def check_writable(path: str | PathLike[str]) -> None:
-    """Refuse a path that `write_whole` could not write, before work is done for it.
-
-    Raises:
-        OSError: the path is a folder, or its folder is missing or takes no files.
-    """
+    """Raise an OSError for a path that `write_whole` could not write, before any work is done."""
     if _is_replaceable(path):
         with tempfile.TemporaryFile(dir=os.path.dirname(os.path.realpath(path))):
             pass

@@ -6,42 +6,36 @@ import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from typer import Argument, BadParameter, Exit, Option
 
 from navbake.cli.options import Overrides, check_output
-from navbake.cli.printing import print_error, print_warnings
+from navbake.cli.printing import level_table, print_error, print_tables, print_warnings
 from navbake.cli.warm_up import tell_if_cold
 from navbake.errors import ConfigError, NavbakeError
 
 if TYPE_CHECKING:
-    from navbake.baker.pipeline import BakeResult
     from navbake.config.settings import BakeConfig
 
 # Functions import the baker and the settings when they run: --help loads neither MuJoCo nor numpy.
 
 
 def bake(
-    configs: Annotated[
-        list[Path],
-        Argument(metavar="CONFIG", help="Settings (YAML), or a scene file for default settings."),
-    ],
-    output: Annotated[
-        str | None,
-        Option(
-            "-o",
-            "--output",
-            metavar="OUT",
-            help="File to write, or a folder: one that exists, or a new one that ends in /.  "
-            "[default: the settings' output, or <id>.grid.json in the current folder]",
-        ),
-    ] = None,
+    configs: list[Path] = Argument(
+        ..., metavar="CONFIG", help="Settings (YAML), or a scene file for default settings."
+    ),
+    output: str | None = Option(
+        None,
+        "-o",
+        "--output",
+        metavar="OUT",
+        help="File to write, or a folder: one that exists, or a new one that ends in /.  "
+        "[default: the settings' output, or <id>.grid.json in the current folder]",
+    ),
     overrides: Overrides = None,
-    threads: Annotated[
-        int | None, Option(min=1, help="Number of threads.  [default: all cores]")
-    ] = None,
-    quiet: Annotated[bool, Option("--quiet", "-q", help="Print only warnings and errors.")] = False,
+    threads: int | None = Option(None, min=1, help="Number of threads.  [default: all cores]"),
+    quiet: bool = Option(False, "--quiet", "-q", help="Print only warnings and errors."),
 ) -> None:
     """Bake scenes into navigation grids.
 
@@ -96,11 +90,12 @@ def _is_folder(output: str) -> bool:
 
 def _bake_one(config: BakeConfig, target: Path, threads: int | None, quiet: bool) -> None:
     from navbake.baker.pipeline import run_bake
-    from navbake.cli.progress import StageProgress
+    from navbake.cli.progress import stage_progress
+    from navbake.views.info import describe
 
     if not quiet:
         tell_if_cold()
-    with StageProgress(title=config.scene.id, hidden=quiet) as progress:
+    with stage_progress(title=config.scene.id, hidden=quiet) as progress:
         result = run_bake(config, threads=threads, progress=progress)
     begin = time.perf_counter()
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -108,15 +103,8 @@ def _bake_one(config: BakeConfig, target: Path, threads: int | None, quiet: bool
     result.timings["write"] = time.perf_counter() - begin
     if quiet:
         print_warnings(result.warnings)
-    else:
-        _print_summary(target, result)
-
-
-def _print_summary(path: Path, result: BakeResult) -> None:
-    from navbake.cli.tables import level_table, print_tables
-    from navbake.views.info import describe
-
-    print(path)
+        return
+    print(target)
     print_tables(level_table(describe(result.grid)))
     for warning in result.warnings:
         print(f"warning: {warning}")

@@ -8,7 +8,6 @@ from __future__ import annotations
 import io
 import sys
 from collections.abc import Sequence
-from typing import Annotated
 
 from typer import Exit, Option, Typer
 
@@ -38,11 +37,7 @@ for command in (init, geoms, bake, info, rooms, why, plot, inflate, path, voxeli
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and exit: 0 done, 1 a NavbakeError, 2 wrong usage.
-
-    Args:
-        arguments: what follows the command's name; those of the process if None.
-    """
+    """Run the command line and exit: 0 done, 1 a NavbakeError, 2 wrong usage."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         # names of geoms and files may hold what the terminal's encoding lacks
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -61,8 +56,7 @@ def _print_version(asked: bool) -> None:
 
 @app.callback()
 def _options(
-    version: Annotated[
-        bool,
-        Option("--version", callback=_print_version, is_eager=True, help="Print the version."),
-    ] = False,
+    version: bool = Option(
+        False, "--version", callback=_print_version, is_eager=True, help="Print the version."
+    ),
 ) -> None: ...

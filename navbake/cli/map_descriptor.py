@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from typer import Argument, BadParameter, Option
 
+import navbake
 from navbake.cli.options import AsJson
 from navbake.cli.printing import print_json
 from navbake.errors import ConfigError, FormatError
@@ -14,24 +15,21 @@ from navbake.errors import ConfigError, FormatError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Functions import grids and formats when they run: --help loads no numpy.
-
 
 class Squares(NamedTuple):
     """Options that lay the descriptor's squares over a level."""
 
-    level: Annotated[int, Option(min=0, help="Which level; 0 is the lowest.")] = 0
-    corner: Annotated[
-        tuple[float, float] | None,
-        Option(metavar="X Y", help="Lower left corner [m].  [default: the level's]"),
-    ] = None
-    rows: Annotated[
-        int | None, Option(min=1, help="Squares up.  [default: the whole level; decoding: 20]")
-    ] = None
-    cols: Annotated[
-        int | None, Option(min=1, help="Squares across.  [default: the whole level; decoding: 15]")
-    ] = None
-    square: Annotated[float, Option(help="Edge of a square [m].")] = 0.1
+    level: int = Option(0, min=0, help="Which level; 0 is the lowest.")
+    corner: tuple[float, float] | None = Option(
+        None, metavar="X Y", help="Lower left corner [m].  [default: the level's]"
+    )
+    rows: int | None = Option(
+        None, min=1, help="Squares up.  [default: the whole level; decoding: 20]"
+    )
+    cols: int | None = Option(
+        None, min=1, help="Squares across.  [default: the whole level; decoding: 15]"
+    )
+    square: float = Option(0.1, help="Edge of a square [m].")
 
     @property
     def shape(self) -> tuple[int, int] | None:
@@ -40,19 +38,15 @@ class Squares(NamedTuple):
 
 def mdf(
     squares: Squares,
-    grid: Annotated[Path | None, Argument(metavar="GRID", help="A NavGrid file.")] = None,
-    decode: Annotated[
-        tuple[str, str] | None,
-        Option("--decode", metavar="P1 P2", help="Draw this descriptor in place of a GRID."),
-    ] = None,
-    explored: Annotated[
-        Path | None,
-        Option(
-            metavar="NPY",
-            help="Which squares are explored: an array [row, col], row 0 at the top.  "
-            "[default: all]",
-        ),
-    ] = None,
+    grid: Path | None = Argument(None, metavar="GRID", help="A NavGrid file."),
+    decode: tuple[str, str] | None = Option(
+        None, metavar="P1 P2", help="Draw this descriptor in place of a GRID."
+    ),
+    explored: Path | None = Option(
+        None,
+        metavar="NPY",
+        help="Which squares are explored: an array [row, col], row 0 at the top.  [default: all]",
+    ),
     as_json: AsJson = False,
 ) -> None:
     """Write a level as a map descriptor (two hex strings) and draw it."""
@@ -60,7 +54,7 @@ def mdf(
         raise BadParameter("expected a GRID, or --decode P1 P2", param_hint="GRID")
     if (squares.rows is None) != (squares.cols is None):
         raise BadParameter("expected both or none of them", param_hint="--rows, --cols")
-    from navbake.arena import map_descriptor
+    from navbake.arena import map_descriptor  # loads numpy
 
     if decode is not None:
         part1, part2 = decode
@@ -83,12 +77,11 @@ def _read_squares(
     path: Path, squares: Squares, explored: Path | None
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Which squares of a level are explored, and which hold an obstacle."""
-    import numpy as np
+    import numpy as np  # --help does without it
 
     from navbake.arena.arena import find_obstacles, place_squares
-    from navbake.formats.navgrid import read_navgrid
 
-    levels = read_navgrid(path).levels
+    levels = navbake.load(path).levels
     if squares.level >= len(levels):
         raise ConfigError(
             f"no level {squares.level} in {path}: it has {len(levels)}, counted from 0"
@@ -99,7 +92,7 @@ def _read_squares(
     if explored is None:
         return np.ones_like(filled), filled
     try:
-        known = np.load(explored, allow_pickle=False)
+        known = np.load(explored, allow_pickle=False)  # a pickle could run code
     except (OSError, ValueError, EOFError) as error:
         raise FormatError(f"expected an array (.npy), {explored} can't be read: {error}") from error
     if not isinstance(known, np.ndarray):

@@ -15,7 +15,7 @@ from navbake.errors import ConfigError
 
 
 def check_overrides(overrides: list[str] | None) -> list[str]:
-    """Refuse what is not KEY=VALUE; whether there is such a key is for the settings to say."""
+    """Refuse what is not KEY=VALUE; the settings refuse unknown keys."""
     for override in overrides or []:
         if "=" not in override:
             raise BadParameter(f"expected KEY=VALUE, got {override!r}")
@@ -39,16 +39,9 @@ AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
 
 
 def check_output(path: Path, *suffixes: str, may_make_folder: bool = False) -> None:
-    """Refuse a file that can't be written, before any work is done for it.
+    """Refuse a file that can't be written, or has none of the suffixes, before any work is done.
 
-    Args:
-        path: the file.
-        suffixes: what its name may end in; anything if none is given.
-        may_make_folder: whether its folder may be missing, as long as it can be made.
-
-    Raises:
-        BadParameter: its name ends in something else.
-        ConfigError: its folder is missing or takes no files, or it is a folder itself.
+    With `may_make_folder`, its folder may be missing, as long as it can be made.
     """
     if suffixes and path.suffix.lower() not in suffixes:
         raise BadParameter(

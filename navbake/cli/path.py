@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from typer import BadParameter, Exit, Option
 
+import navbake
 from navbake.cli.options import AsJson, GridFile, check_output
 from navbake.cli.printing import print_json
 
@@ -15,75 +16,58 @@ if TYPE_CHECKING:
     from navbake.runtime.paths import path as paths
 
 POSITION = "X,Y[,Z|,LEVEL]"
+NAMED = ("room:", "object:")
 
 
 def path(
     grid: GridFile,
-    start: Annotated[
-        str,
-        Option(
-            "--from",
-            metavar=POSITION,
-            help="Start: world position [m]. In place of z, a level: L0 is the lowest.",
-        ),
-    ],
-    goals: Annotated[
-        list[str],
-        Option(
-            "--to",
-            metavar=f"{POSITION}|room:NAME|object:NAME",
-            help="Goal: a position, a room, or an object to stop beside. Repeat it with several "
-            "positions to reach the cheapest of them.",
-        ),
-    ],
-    radius: Annotated[
-        float | None, Option(metavar="R", help="Inflate the grid for this agent radius first [m].")
-    ] = None,
-    smooth: Annotated[
-        bool, Option(help="Straighten the path, or follow the cells' centres.")
-    ] = True,
+    start: str = Option(
+        ..., "--from", metavar=POSITION, help="Start [m]; in place of z a level, L0 is the lowest."
+    ),
+    goals: list[str] = Option(
+        ...,
+        "--to",
+        metavar=f"{POSITION}|room:NAME|object:NAME",
+        help="Goal: a position, a room, or an object to stop beside. Repeat it with several "
+        "positions to reach the cheapest of them.",
+    ),
+    radius: float | None = Option(
+        None, metavar="R", help="Inflate the grid for this agent radius first [m]."
+    ),
+    smooth: bool = Option(True, help="Straighten the path, or follow the cells' centres."),
     as_json: AsJson = False,
-    output: Annotated[
-        Path | None, Option("-o", "--output", metavar="PNG", help="Draw the path.")
-    ] = None,
+    output: Path | None = Option(None, "-o", "--output", metavar="PNG", help="Draw the path."),
 ) -> None:
     """Plan a path through a grid, or say why there is none.
 
     The exit status is 1 if there is none.
     """
-    # Imported here, so that --help loads neither numpy nor matplotlib.
-    from navbake.formats.navgrid import read_navgrid
-    from navbake.runtime.path_finder import PathFinder
-
     if output is not None:
         check_output(output, ".png")
-    content = read_navgrid(grid)
+    if len(goals) > 1 and any(goal.startswith(NAMED) for goal in goals):
+        raise BadParameter("several goals have to be positions", param_hint="--to")
+    content = navbake.load(grid)
     if radius is not None:
         content = content.inflate(radius)
-    finder = PathFinder(content)
+    finder = navbake.PathFinder(content)
     origin = _parse_position(content, start, "--from")
-    goal = _parse_goals(content, goals)
+    goal: Any = goals[0]
+    if not goal.startswith(NAMED):
+        goal = [_parse_position(content, text, "--to") for text in goals]
     found = finder.find_path(origin, goal, smooth=smooth)
     reason = None if found else finder.why_not(origin, goal)
     if as_json:
-        print_json(_to_json(found, reason))
+        print_json({"path": _to_json(found) if found else None, "reason": reason})
     elif found:
         _print_path(found)
     else:
         print(f"no path: {reason}")
     if output is not None:
-        from navbake.views.plot import plot_grid
+        from navbake.views.plot import plot_grid  # loads numpy
 
         plot_grid(content, output, layers=("occupancy",), route=found)
     if not found:
         raise Exit(1)
-
-
-def _parse_goals(grid: NavGrid, texts: list[str]) -> Any:
-    named = [text for text in texts if text.startswith(("room:", "object:"))]
-    if named and len(texts) > 1:
-        raise BadParameter("several goals have to be positions", param_hint="--to")
-    return texts[0] if named else [_parse_position(grid, text, "--to") for text in texts]
 
 
 def _parse_position(grid: NavGrid, text: str, option: str) -> list[float]:
@@ -108,12 +92,10 @@ def _parse_position(grid: NavGrid, text: str, option: str) -> list[float]:
     return [x, y, z]
 
 
-def _to_json(found: paths.Path | None, reason: str | None) -> dict[str, Any]:
-    if found is None:
-        return {"path": None, "reason": reason}
+def _to_json(found: paths.Path) -> dict[str, Any]:
     described = {key: getattr(found, key) for key in ("length", "cost", "rooms", "doors")}
     arrays = {key: getattr(found, key).tolist() for key in ("positions", "levels", "cells")}
-    return {"path": described | arrays, "reason": None}
+    return described | arrays
 
 
 def _print_path(found: paths.Path) -> None:

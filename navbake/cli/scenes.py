@@ -3,30 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 from typer import Argument, Option
 
 from navbake.cli.options import AsJson, Overrides, SceneOrConfig
-from navbake.cli.printing import print_json, print_warnings
+from navbake.cli.printing import geom_table, print_json, print_tables, print_warnings
 
 # Functions import what reads scenes when they run: --help loads neither MuJoCo nor numpy.
 
 
 def init(
-    scene: Annotated[
-        Path, Argument(metavar="SCENE", help="Scene file: MJCF, MJB, URDF or a mesh.")
-    ],
-    output: Annotated[
-        Path | None,
-        Option(
-            "-o",
-            "--output",
-            metavar="FILE",
-            help="YAML to write.  [default: <id>.yaml in the current folder]",
-        ),
-    ] = None,
-    force: Annotated[bool, Option("--force", help="Overwrite FILE if it exists.")] = False,
+    scene: Path = Argument(..., metavar="SCENE", help="Scene file: MJCF, MJB, URDF or a mesh."),
+    output: Path | None = Option(
+        None, "-o", "--output", metavar="FILE", help="YAML to write.  [default: ./<id>.yaml]"
+    ),
+    force: bool = Option(False, "--force", help="Overwrite FILE if it exists."),
 ) -> None:
     """Write a YAML file with all settings, commented, for a scene."""
     from navbake.config.template import write_template
@@ -38,7 +29,6 @@ def init(
 def geoms(config: SceneOrConfig, as_json: AsJson = False, overrides: Overrides = None) -> None:
     """List the geoms of a scene: which count, as what, and why."""
     from navbake.baker.scene.scene import load_scene
-    from navbake.cli.tables import geom_table, print_tables
     from navbake.config.settings import load_config
 
     scene = load_scene(load_config(config, overrides or []).scene)

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from typer import BadParameter, Option
 
+import navbake
 from navbake.cli.options import Overrides, SceneOrConfig, check_output
 from navbake.cli.printing import print_warnings
 
 if TYPE_CHECKING:
     from navbake.voxels.grid import VoxelGrid
-
-# Functions import the voxelizer and the formats when they run: --help loads no MuJoCo, no numpy.
 
 Triple = tuple[float, float, float]  # navbake.types would load numpy
 OCTREES = (".bt", ".ot")
@@ -23,41 +22,30 @@ SUFFIXES = (".binvox", *OCTREES, ".npz")
 class Box(NamedTuple):
     """Options that place the grid."""
 
-    res: Annotated[float, Option(help="Edge of a voxel [m].")] = 0.1
-    center: Annotated[
-        Triple | None,
-        Option(metavar="X Y Z", help="Centre of the grid [m].  [default: of the scene's box]"),
-    ] = None
-    cells: Annotated[
-        tuple[int, int, int] | None,
-        Option(metavar="NX NY NZ", help="Number of voxels along each axis."),
-    ] = None
-    size: Annotated[
-        Triple | None, Option(metavar="X Y Z", help="Size of the grid [m], in place of --cells.")
-    ] = None
-    align: Annotated[
-        bool,
-        Option(
-            "--align",
-            help="Move the grid so that voxels begin at multiples of --res. Octrees always do.",
-        ),
-    ] = False
+    res: float = Option(0.1, help="Edge of a voxel [m].")
+    position: Triple | None = Option(
+        None, "--center", metavar="X Y Z", help="Centre [m].  [default: of the scene's box]"
+    )
+    cells: tuple[int, int, int] | None = Option(
+        None, metavar="NX NY NZ", help="Number of voxels along each axis."
+    )
+    size: Triple | None = Option(
+        None, metavar="X Y Z", help="Size of the grid [m], in place of --cells."
+    )
+    align: bool = Option(
+        False, "--align", help="Begin voxels at multiples of --res, as octrees always do."
+    )
 
 
 class Layout(NamedTuple):
     """Options that say how the files are written."""
 
-    compact: Annotated[
-        bool, Option("--compact", help=".binvox: renumber the IDs that occur, from 1.")
-    ] = False
-    twin: Annotated[
-        bool,
-        Option("--twin", help=".binvox with IDs: write NAME.occupied.binvox without IDs, too."),
-    ] = False
-    airsim: Annotated[bool, Option("--airsim", help=".binvox: use AirSim's layout.")] = False
-    free: Annotated[
-        bool, Option("--free", help="Octrees: mark voxels that are not occupied as free.")
-    ] = False
+    compact: bool = Option(False, "--compact", help=".binvox: renumber the IDs that occur, from 1.")
+    twin: bool = Option(
+        False, "--twin", help=".binvox with IDs: write NAME.occupied.binvox without IDs, too."
+    )
+    airsim: bool = Option(False, "--airsim", help=".binvox: use AirSim's layout.")
+    free: bool = Option(False, "--free", help="Octrees: mark voxels that are not occupied as free.")
 
 
 def voxelize(
@@ -73,19 +61,16 @@ def voxelize(
     ],
     box: Box,
     layout: Layout,
-    segments: Annotated[
-        list[str] | None,
-        Option(
-            "--segment",
-            metavar="WHAT",
-            help="Give voxels the IDs of what fills them: geom, body, top (top-most body), or "
-            "PATTERN=ID, which may be repeated.",
-        ),
-    ] = None,
-    ignore: Annotated[
-        list[str] | None,
-        Option(metavar="PATTERN", help="Leave out these bodies. May be repeated."),
-    ] = None,
+    segments: list[str] | None = Option(
+        None,
+        "--segment",
+        metavar="WHAT",
+        help="Give voxels the IDs of what fills them: geom, body, top (top-most body), or "
+        "PATTERN=ID, which may be repeated.",
+    ),
+    ignore: list[str] | None = Option(
+        None, metavar="PATTERN", help="Leave out these bodies. May be repeated."
+    ),
     overrides: Overrides = None,
 ) -> None:
     """Voxelize a scene: write which voxels are occupied."""
@@ -96,27 +81,26 @@ def voxelize(
         raise BadParameter(
             "octrees hold no IDs: write a .npz or a .binvox, too", param_hint="--segment"
         )
-    from navbake.baker.voxelize.voxelizer import Voxelizer
-    from navbake.config.settings import load_config
+    from navbake.config.settings import load_config  # loads numpy
 
-    voxelizer = Voxelizer(load_config(config, overrides or []), ignore=ignore or [])
+    voxelizer = navbake.Voxelizer(load_config(config, overrides or []), ignore=ignore or [])
     print_warnings(voxelizer.scene.warnings)
-    grid = voxelizer.create(
-        box.center,
-        box.cells,
-        res=box.res,
-        size=box.size,
-        segments=_parse_segments(segments),
-        align=box.align or any(has_octree),
-    )
+    # an octree's voxels begin at multiples of their edge, and all files are to hold the same ones
+    box = box._replace(align=box.align or any(has_octree))
+    grid = voxelizer.create(segments=_parse_segments(segments), **box._asdict())
     print_warnings(grid.notes)
     for output in outputs:
         _write(grid, output, layout)
-    _print_summary(grid)
+    low, high = (f"({', '.join(f'{c:.6g}' for c in corner)})" for corner in grid.bounds)
+    ids = f", {len(grid.names)} IDs" if grid.is_segmented else ""
+    print(
+        f"{' × '.join(map(str, grid.shape))} voxels of {grid.res:g} m, {low} to {high} m: "
+        f"{grid.occupied.sum()} occupied{ids}"
+    )
 
 
 def _write(grid: VoxelGrid, output: Path, layout: Layout) -> None:
-    from navbake.formats.voxels import names_path, write_voxels
+    from navbake.formats.voxels import names_path, write_voxels  # loads numpy
 
     is_binvox = output.suffix.lower() == ".binvox"
     form: Literal["airsim", "binvox"] = "airsim" if layout.airsim else "binvox"
@@ -129,19 +113,6 @@ def _write(grid: VoxelGrid, output: Path, layout: Layout) -> None:
         beside = output.with_suffix(".occupied.binvox")
         write_voxels(grid.without_ids(), beside, layout=form)
         print(beside)
-
-
-def _print_summary(grid: VoxelGrid) -> None:
-    import numpy as np
-
-    low, high = grid.bounds
-    box = " to ".join(f"({', '.join(f'{c:.6g}' for c in corner)})" for corner in (low, high))
-    count = int(np.count_nonzero(grid.values))
-    ids = f", {len(grid.names)} IDs" if grid.is_segmented else ""
-    print(
-        f"{' × '.join(map(str, grid.shape))} voxels of {grid.res:g} m, {box} m: "
-        f"{count} occupied{ids}"
-    )
 
 
 def _parse_segments(words: list[str] | None) -> Any:

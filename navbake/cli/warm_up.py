@@ -1,7 +1,6 @@
 """The command `navbake warm-up`: compiles the kernels, so that no first bake or query waits.
 
-It bakes a small scene and uses the result. So it stands here, above the baker and the run time,
-and not in `navbake.compiled`, which every folder of kernels imports.
+It bakes a small scene and uses the grid: the command line is above the baker and the run time.
 """
 
 from __future__ import annotations
@@ -12,10 +11,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import navbake
+
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
-
-# Functions import the baker and the run time when they run: --help loads no MuJoCo, no numba.
 
 # Two storeys joined by stairs, with geoms of all kinds and a door
 SCENE = """<mujoco model="warm-up">
@@ -27,7 +26,9 @@ SCENE = """<mujoco model="warm-up">
   <geom type="plane" size="0 0 1" pos="0 0 -.2"/>
   <geom type="box" size="4 3 .1" pos="0 0 -.1"/>
   <geom type="box" size="1.5 3 .1" pos="-2.5 0 1.9"/>
-  {stairs}
+  <replicate count="9" offset="-.3 0 .2">
+    <geom type="box" size=".15 .6 .1" pos=".9 0 .1"/>
+  </replicate>
   <geom type="box" size=".05 1.2 1.2" pos="2.4 1.8 1.2"/>
   <geom type="box" size=".05 1.2 1.2" pos="2.4 -1.8 1.2"/>
   <geom type="sphere" size=".3" pos="1.5 2 .3"/>
@@ -42,10 +43,6 @@ SCENE = """<mujoco model="warm-up">
     <geom type="box" size=".02 .55 1" pos="0 .6 0"/>
   </body>
 </worldbody></mujoco>"""
-STAIRS = "\n".join(
-    f'<geom type="box" size=".15 .6 {0.1 * k}" pos="{1.2 - 0.3 * k} 0 {0.1 * k}"/>'
-    for k in range(1, 10)
-)
 
 
 def warm_up() -> None:
@@ -54,9 +51,9 @@ def warm_up() -> None:
     It takes a minute or two. Without it, the first bake and the first query compile what they
     use.
     """
-    from navbake.cli.progress import StageProgress
+    from navbake.cli.progress import stage_progress  # loads rich
 
-    with StageProgress(title="compiling") as progress:
+    with stage_progress(title="compiling") as progress:
         compile_all(progress)
     print("compiled: bakes and queries start at once from now on")
 
@@ -69,7 +66,7 @@ def tell_if_cold() -> None:
 
 def is_warm() -> bool:
     """Whether a bake has been compiled for this machine before."""
-    from navbake.baker.kernels.rays import cast_lines
+    from navbake.baker.kernels.rays import cast_lines  # loads numba
 
     folder = cast_lines.stats.cache_path
     return folder is not None and any(Path(folder).glob("*cast_lines-*.nbc"))
@@ -79,35 +76,30 @@ def compile_all(progress: Callable[[str, float], None]) -> None:
     """Compile what a bake, the run time and voxel grids need, and keep it on disk.
 
     numba keeps it beside the package, or in ``NUMBA_CACHE_DIR``. It is compiled again for another
-    version of navbake or numba, and for another processor.
-
-    Args:
-        progress: is called with the name of each part, and 0 and 1 as it begins and ends.
+    version of navbake or numba, and for another processor. `progress` is called with the name of
+    each part, and 0 and 1 as it begins and ends.
     """
-    from navbake.baker.pipeline import run_bake
-    from navbake.config.settings import parse_config
-
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "warm-up.xml"
-        path.write_text(SCENE.format(stairs=STAIRS), encoding="utf-8")
+        path.write_text(SCENE, encoding="utf-8")
         settings = {"scene": {"path": path, "geoms": "all"}, "attributes": ["island", "clearance"]}
         progress("bake", 0.0)
-        grid = run_bake(parse_config(settings)).grid
+        grid = navbake.bake(settings)
         grid.save(Path(folder) / "warm-up.json")
         progress("bake", 1.0)
         progress("run time", 0.0)
         _use_run_time(grid)
         progress("run time", 1.0)
         progress("voxels", 0.0)
-        _voxelize(path)
+        voxelizer = navbake.Voxelizer(path)
+        voxelizer.create((0.0, 0.0, 1.0), (20, 20, 20), res=0.1)
+        voxelizer.create((0.0, 0.0, 1.0), (20, 20, 20), res=0.1, segments="top")
         progress("voxels", 1.0)
 
 
 def _use_run_time(grid: NavGrid) -> None:
     """Call whatever of the run time has kernels."""
-    import numpy as np
-
-    from navbake.runtime.path_finder import PathFinder
+    import numpy as np  # --help does without it
 
     rng = np.random.default_rng(0)
     grid.with_doors("open")
@@ -115,7 +107,7 @@ def _use_run_time(grid: NavGrid) -> None:
     grid.inflate(0.1, costs="nav2")
     grid.inflate(0.1, clearance=0.1, mode="minos")
     grid.inflate_footprint([(0.2, 0.1), (-0.2, 0.1), (0.0, -0.2)], 4)
-    finder = PathFinder(grid)
+    finder = navbake.PathFinder(grid)
     start, goal = finder.random_point(rng, level=0), finder.random_point(rng, level=1)
     finder.find_path(start, goal)
     finder.why_not(start, (100.0, 0.0, 0.0))
@@ -128,11 +120,3 @@ def _use_run_time(grid: NavGrid) -> None:
     finder.nearest_obstacle(start)
     with grid.block(disc=(start, 0.3)):
         finder.find_path(start, goal)
-
-
-def _voxelize(path: Path) -> None:
-    from navbake.baker.voxelize.voxelizer import Voxelizer
-
-    voxelizer = Voxelizer(path)
-    voxelizer.create((0.0, 0.0, 1.0), (20, 20, 20), res=0.1)
-    voxelizer.create((0.0, 0.0, 1.0), (20, 20, 20), res=0.1, segments="top")

@@ -16,32 +16,28 @@ EXPECTED = {
     "model_type": "a mapping",
     "dict_type": "a mapping",
     "list_type": "a list",
+    "bool_type": "true or false",
+    "float_type": "a number",
+    "finite_number": "a number",
     "invalid_key": "text as a key",
 }
 MAX_SHOWN = 60  # characters of a value in a message
 MAX_ITEMS = 6  # of a list that is shown
 NESTED = (Mapping, list, tuple, set)
 MAX_ERRORS = 3  # errors in a message
+Location = tuple[int | str, ...]
+Sections = Mapping[str, type[BaseModel]]  # the model of each section by its dotted key
 
 
 def describe_errors(
-    error: ValidationError,
-    sections: Mapping[str, type[BaseModel]],
-    source: str,
-    overrides: Sequence[str] = (),
+    error: ValidationError, sections: Sections, source: str, overrides: Sequence[str] = ()
 ) -> str:
     """Word the first three errors as one line, unknown keys first, and count the others.
 
-    Args:
-        error: what pydantic found.
-        sections: the model of each section, by its dotted key.
-        source: where the settings come from.
-        overrides: each ``a.b=value`` of the command line; named in place of the source where it
-            is at fault.
+    An override that is at fault is named in place of the source.
     """
-    details = sorted(
-        error.errors(include_url=False), key=lambda found: found["type"] != "extra_forbidden"
-    )
+    # an unknown key is often the reason for other errors; sorting keeps these in order
+    details = sorted(error.errors(), key=lambda found: found["type"] != "extra_forbidden")
     lines = []
     for found in details[:MAX_ERRORS]:
         # pydantic adds the tag of a union's branch, here =list and the like, and [key]
@@ -61,47 +57,46 @@ def show_value(value: Any) -> str:
             return f"a list of {len(value)}"
         shown = f"[{', '.join(show_value(item) for item in value)}]"
         return shown if len(shown) <= MAX_SHOWN else f"a list of {len(value)}"
-    if value is None or isinstance(value, bool):
-        return json.dumps(value)
-    shown = json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)
+    is_word = value is None or isinstance(value, bool | str)
+    shown = json.dumps(value, ensure_ascii=False) if is_word else str(value)
     return shown if len(shown) <= MAX_SHOWN else shown[: MAX_SHOWN - 1] + "…"
 
 
-def _complaint(
-    error: ErrorDetails, loc: tuple[int | str, ...], sections: Mapping[str, type[BaseModel]]
-) -> str:
+def _complaint(error: ErrorDetails, loc: Location, sections: Sections) -> str:
     kind, context = error["type"], error.get("ctx", {})
     if kind == "extra_forbidden":
         return _unknown_key(loc, sections)
     if kind == "missing":
         return f"expected a value, found none at `{_dotted(loc)}`"
     expected = context.get("text") or EXPECTED.get(kind)
+    if kind == "literal_error":
+        expected = context["expected"].replace("'", "")
     got = context.get("got") or show_value(error["input"])
     where = _dotted(loc) + context.get("at", "")
     return f"expected {expected or error['msg']}, got {got} at `{where}`"
 
 
-def _unknown_key(loc: tuple[int | str, ...], sections: Mapping[str, type[BaseModel]]) -> str:
+def _unknown_key(loc: Location, sections: Sections) -> str:
     """Name the nearest known key: of the same section first, then of all."""
     section = ".".join(p for p in loc[:-1] if isinstance(p, str))
-    known = {key: f"{section}.{key}".lstrip(".") for key in _keys(sections[section])}
     # reversed, so that of sections with a key in common the first one is named
-    elsewhere = {
-        key: f"{name}.{key}".lstrip(".")
-        for name, model in reversed(list(sections.items()))
-        for key in _keys(model)
-    }
+    elsewhere: dict[str, str] = {}
+    for name in reversed(list(sections)):
+        elsewhere |= _keys(sections, name)
+    known = _keys(sections, section)
     for keys in (known, elsewhere):
         if near := difflib.get_close_matches(str(loc[-1]), keys, n=1):
             return f"unknown key `{_dotted(loc)}`, the nearest known one is `{keys[near[0]]}`,"
     return f"unknown key `{_dotted(loc)}`, known are {', '.join(known)},"
 
 
-def _keys(model: type[BaseModel]) -> list[str]:
-    return [field.alias or name for name, field in model.model_fields.items()]
+def _keys(sections: Sections, section: str) -> dict[str, str]:
+    """The dotted keys of a section by their last parts."""
+    keys = [field.alias or name for name, field in sections[section].model_fields.items()]
+    return {key: f"{section}.{key}".lstrip(".") for key in keys}
 
 
-def _origin(loc: tuple[int | str, ...], source: str, overrides: Sequence[str]) -> str:
+def _origin(loc: Location, source: str, overrides: Sequence[str]) -> str:
     for override in reversed(overrides):
         key = override_key(override)
         if key[: len(loc)] == loc[: len(key)]:
@@ -109,6 +104,6 @@ def _origin(loc: tuple[int | str, ...], source: str, overrides: Sequence[str]) -
     return source
 
 
-def _dotted(loc: Sequence[int | str]) -> str:
+def _dotted(loc: Location) -> str:
     parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc)
     return "".join(parts).lstrip(".")

@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import (
     BaseModel,
@@ -27,9 +27,7 @@ from pydantic_core import PydanticCustomError
 def refusal(text: str, **details: str) -> PydanticCustomError:
     """The error to raise for a value: ``expected <text>, got …``.
 
-    Args:
-        text: what was expected.
-        details: ``got`` and ``at``, where the value's own text and key are not the ones to show.
+    The details are ``got`` and ``at``, where the value's own text and key are not the ones to show.
     """
     return PydanticCustomError("expected", "expected {text}", {"text": text, **details})
 
@@ -53,6 +51,11 @@ def setting(default: Any, text: str, default_text: str | None = None) -> Any:
     return Field(default=default, description=f"{text}; default {default_text}")
 
 
+def section(model: type[BaseModel], text: str) -> Any:
+    """A field that holds a section, whose settings have their defaults if it is left out."""
+    return Field(default_factory=model, description=text)
+
+
 def to_path(value: Any) -> Path:
     """Take text or a path for a path; anything else is refused."""
     if isinstance(value, str | PathLike) and str(value) and "\0" not in str(value):
@@ -71,15 +74,14 @@ def check_distinct(value: list[str]) -> list[str]:
     return value
 
 
-Number = Annotated[float, expects("a number")]
 Positive = Annotated[float, Field(gt=0), expects("a number > 0")]
 NotNegative = Annotated[float, Field(ge=0), expects("a number >= 0")]
-Flag = Annotated[bool, expects("true or false")]
 Name = Annotated[str, Field(min_length=1), expects("text that is not empty")]
 OptionalName = Annotated[Name | None, expects("text that is not empty, or null")]
 FilePath = Annotated[Path, BeforeValidator(to_path), expects("a path")]
+Model = TypeVar("Model", bound=BaseModel)
 # `grid:` with nothing under it is null in YAML, and means the section's defaults
-Section = BeforeValidator(lambda value: {} if value is None else value)
+Section = Annotated[Model, BeforeValidator(lambda value: {} if value is None else value)]
 
 
 class Settings(BaseModel):

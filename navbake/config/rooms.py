@@ -96,12 +96,9 @@ class RoomSettings(Settings):
 
 def expand_rooms(value: Any) -> Any:
     """Expand the short forms ``auto``, ``none`` and null to the sections that they stand for."""
-    if value is None:
-        return {}
-    if value == "auto":
-        return {"from": ["auto"]}
-    if value == "none":
-        return {"from": []}
+    for short, section in ((None, {}), ("auto", {"from": ["auto"]}), ("none", {"from": []})):
+        if value == short:
+            return section
     if not isinstance(value, Mapping | RoomSettings):
         raise refusal("auto, none or a mapping")
     return value

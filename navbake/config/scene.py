@@ -10,13 +10,13 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from navbake.config.field_types import (
-    Flag,
     Name,
     Positive,
     Section,
     Settings,
     expects,
     resolve,
+    section,
     setting,
     to_path,
 )
@@ -51,7 +51,7 @@ class ExcludeSettings(Settings):
         [], "body name patterns (*, ?, [...]); child bodies are left out too"
     )
     geoms: list[Name] = setting([], "geom name patterns")
-    movable: Flag = setting(False, "true: leave out bodies with a free joint; or false")
+    movable: bool = setting(False, "true: leave out bodies with a free joint; or false")
 
 
 class SceneSettings(Settings):
@@ -61,27 +61,19 @@ class SceneSettings(Settings):
     path: ScenePath = Field(
         description="MJCF, MJB, URDF, OBJ, PLY, STL, GLB or DAE, relative to this file; no default"
     )
-    up: Annotated[Literal["z", "y"], expects("z or y")] = setting(
-        "z", "axis that points up in mesh files: z or y"
-    )
+    up: Literal["z", "y"] = setting("z", "axis that points up in mesh files: z or y")
     unit: Positive = setting(1.0, "the unit of mesh files [m], > 0")
-    geoms: Annotated[
-        Literal["auto", "collision", "visual", "all"],
-        expects("auto, collision, visual or all"),
-    ] = setting("auto", "auto (those that can collide, or all if none can), collision, visual, all")
+    geoms: Literal["auto", "collision", "visual", "all"] = setting(
+        "auto", "auto (those that can collide, or all if none can), collision, visual, all"
+    )
     # The tags let pydantic check one branch of the union, so that an error speaks of that one only.
     meshes: Annotated[
         Annotated[MeshMode, expects("auto, hull, surface or {pattern: one of these}"), Tag("=one")]
-        | Annotated[
-            dict[Name, Annotated[MeshMode, expects("auto, hull or surface")]], Tag("=each")
-        ],
+        | Annotated[dict[Name, MeshMode], Tag("=each")],
         Discriminator(lambda value: "=each" if isinstance(value, dict) else "=one"),
-    ] = setting(
-        "auto",
-        "hull, surface, auto (hull if it can collide), or {name pattern: hull}",
-    )
-    exclude: Annotated[ExcludeSettings, Section] = Field(
-        default_factory=ExcludeSettings, description="what is left out, by pattern (*, ?, [...])"
+    ] = setting("auto", "hull, surface, auto (hull if it can collide), or {name pattern: hull}")
+    exclude: Section[ExcludeSettings] = section(
+        ExcludeSettings, "what is left out, by pattern (*, ?, [...])"
     )
     keyframe: Annotated[
         str | Annotated[int, Field(ge=0)] | None, expects("a keyframe's name or index, or null")

@@ -22,16 +22,13 @@ from pydantic import (
     Tag,
     ValidationError,
     ValidationInfo,
-    field_validator,
 )
 
 from navbake.config.errors import describe_errors
 from navbake.config.field_types import (
     FilePath,
-    Flag,
     Name,
     NotNegative,
-    Number,
     OptionalName,
     Positive,
     Section,
@@ -39,6 +36,7 @@ from navbake.config.field_types import (
     check_distinct,
     expects,
     refusal,
+    section,
     setting,
 )
 from navbake.config.rooms import RoomPolygon, RoomSettings, expand_rooms
@@ -56,25 +54,31 @@ def _check_bounds(value: list[float]) -> list[float]:
     return value
 
 
+def _check_below_height(value: float, info: ValidationInfo) -> float:
+    height = info.data.get("height")
+    if height is not None and value >= height:
+        raise refusal(f"a number >= 0 and < `agent.height` ({height:g})")
+    return value
+
+
+def _check_above_ground(value: float | None, info: ValidationInfo) -> float | None:
+    ground = info.data.get("ground")
+    if value is not None and ground is not None and value <= ground:
+        raise refusal(f"a number > `ground` ({ground:g}), or null")
+    return value
+
+
 class AgentSettings(Settings):
     """The agent that must fit where it stands."""
 
     height: Positive = setting(1.14, "height of the agent [m], > 0")
     radius: NotNegative = setting(0.05, "radius of its footprint [m], >= 0")
-    traversable_floor_height: NotNegative = setting(
+    traversable_floor_height: Annotated[NotNegative, AfterValidator(_check_below_height)] = setting(
         0.25, "highest step; what is lower is no obstacle [m], >= 0, < height"
     )
     max_slope: Annotated[
         float, Field(ge=0, le=89.9), expects("a number of degrees from 0 to 89.9")
     ] = setting(45.0, "steepest floor [degrees], 0 to 89.9")
-
-    @field_validator("traversable_floor_height")
-    @classmethod
-    def _check_below_height(cls, value: float, info: ValidationInfo) -> float:
-        height = info.data.get("height")
-        if height is not None and value >= height:
-            raise refusal(f"a number >= 0 and < `agent.height` ({height:g})")
-        return value
 
 
 class GridSettings(Settings):
@@ -95,19 +99,11 @@ class GridSettings(Settings):
 class LevelSettings(Settings):
     """One given level."""
 
-    ground: Number = Field(description="height of the level's ground, world z [m]; no default")
-    top: Annotated[float | None, expects("a number > ground, or null")] = setting(
-        None, "height where it ends [m], > ground", "the next level's ground"
-    )
+    ground: float = Field(description="height of the level's ground, world z [m]; no default")
+    top: Annotated[
+        float | None, expects("a number > ground, or null"), AfterValidator(_check_above_ground)
+    ] = setting(None, "height where it ends [m], > ground", "the next level's ground")
     name: OptionalName = setting(None, "its name, or null")
-
-    @field_validator("top")
-    @classmethod
-    def _check_above_ground(cls, value: float | None, info: ValidationInfo) -> float | None:
-        ground = info.data.get("ground")
-        if value is not None and ground is not None and value <= ground:
-            raise refusal(f"a number > `ground` ({ground:g}), or null")
-        return value
 
 
 class FloorSettings(Settings):
@@ -115,39 +111,31 @@ class FloorSettings(Settings):
 
     min_area: NotNegative = setting(1.0, "smallest area of a floor, after shrinking [m2], >= 0")
     shrink: NotNegative = setting(0.3, "distance to shrink floors by for that [m], >= 0")
-    tops: Flag = setting(
+    tops: bool = setting(
         False, "keep large tops of what stands on a floor (beds, blocks): true or false"
     )
-    roofs: Flag = setting(False, "keep roofs as levels: true or false")
+    roofs: bool = setting(False, "keep roofs as levels: true or false")
 
 
 class NameSettings(Settings):
     """The names of what stands in the cells."""
 
-    enabled: Flag = setting(True, "write them: true or false")
+    enabled: bool = setting(True, "write them: true or false")
     walls: list[Name] = setting(
         [], "body, geom or mesh name patterns of walls", "[], which finds walls by their shape"
     )
-
-
-def _switch_names(value: Any) -> Any:
-    """`names: false` is short for `names: {enabled: false}`."""
-    if isinstance(value, bool):
-        return {"enabled": value}
-    return {} if value is None else value
 
 
 class DoorSettings(Settings):
     """Which bodies are doors, and the state in which they are baked."""
 
     patterns: list[Name] = setting([], "body name patterns of doors (*, ?, [...])")
-    find: Flag = setting(
+    find: bool = setting(
         True, "find doors between rooms by shape and joint (one hinge or slide): true or false"
     )
-    state: Annotated[
-        Literal["modelled", "open", "closed", "removed"],
-        expects("modelled, open, closed or removed"),
-    ] = setting("modelled", "state of all doors: modelled, open, closed or removed")
+    state: Literal["modelled", "open", "closed", "removed"] = setting(
+        "modelled", "state of all doors: modelled, open, closed or removed"
+    )
 
 
 def _check_ascending(levels: list[LevelSettings]) -> list[LevelSettings]:
@@ -169,21 +157,17 @@ def _check_ascending(levels: list[LevelSettings]) -> list[LevelSettings]:
 class BakeConfig(Settings):
     """All settings of a bake."""
 
-    scene: Annotated[SceneSettings, Section] = Field(
+    scene: Section[SceneSettings] = Field(
         description="the scene, which of its geoms count, and its pose"
     )
-    agent: Annotated[AgentSettings, Section] = Field(
-        default_factory=AgentSettings, description="the agent that must fit where it stands"
+    agent: Section[AgentSettings] = section(
+        AgentSettings, "the agent that must fit where it stands"
     )
-    grid: Annotated[GridSettings, Section] = Field(
-        default_factory=GridSettings, description="the cells"
-    )
+    grid: Section[GridSettings] = section(GridSettings, "the cells")
     # The tags let pydantic check one branch of the union, so that an error speaks of that one only.
     levels: Annotated[
         Annotated[
-            Literal["auto"],
-            expects("auto or a list of {ground: …, top: …, name: …}"),
-            Tag("=auto"),
+            Literal["auto"], expects("auto or a list of {ground: …, top: …, name: …}"), Tag("=auto")
         ]
         | Annotated[
             list[LevelSettings],
@@ -197,19 +181,18 @@ class BakeConfig(Settings):
         "the storeys: auto, or a list, lowest first, of {ground: 0.0, top: 2.7, name: first floor}"
         " [m]; top and name may be left out",
     )
-    floors: Annotated[FloorSettings, Section] = Field(
-        default_factory=FloorSettings, description="which surfaces are floors, and not furniture"
+    floors: Section[FloorSettings] = section(
+        FloorSettings, "which surfaces are floors, and not furniture"
     )
-    names: Annotated[NameSettings, BeforeValidator(_switch_names)] = Field(
-        default_factory=NameSettings, description="names of what stands in the cells, or false"
+    names: Annotated[
+        Section[NameSettings],  # `names: false` is short for `names: {enabled: false}`
+        BeforeValidator(lambda value: {"enabled": value} if isinstance(value, bool) else value),
+    ] = section(NameSettings, "names of what stands in the cells, or false")
+    rooms: Annotated[RoomSettings, BeforeValidator(expand_rooms)] = section(
+        RoomSettings,
+        "how rooms are told apart; `rooms: auto` divides at doors only, none: no rooms",
     )
-    rooms: Annotated[RoomSettings, BeforeValidator(expand_rooms)] = Field(
-        default_factory=RoomSettings,
-        description="how rooms are told apart; `rooms: auto` divides at doors only, none: no rooms",
-    )
-    doors: Annotated[DoorSettings, Section] = Field(
-        default_factory=DoorSettings, description="which bodies are doors, and their state"
-    )
+    doors: Section[DoorSettings] = section(DoorSettings, "which bodies are doors, and their state")
     attributes: Annotated[
         list[Literal["island", "clearance"]],
         AfterValidator(check_distinct),
@@ -223,10 +206,8 @@ class BakeConfig(Settings):
 def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> BakeConfig:
     """Read the settings from a YAML file, or take the defaults for a scene file.
 
-    Args:
-        path: a file that ends in .yaml or .yml, whose `scene.path` is relative to it; anything
-            else is taken for a scene.
-        overrides: each ``a.b=value`` replaces the file's setting.
+    A path that does not end in .yaml or .yml is taken for a scene. `scene.path` is relative to the
+    YAML file. Each override, ``a.b=value``, replaces a setting of the file.
 
     Raises:
         ConfigError: no such YAML file, no YAML, or a setting that is missing, unknown, of the
@@ -244,16 +225,9 @@ def parse_config(
     overrides: Sequence[str] = (),
     folder: str | PathLike[str] = "",
 ) -> BakeConfig:
-    """Validate settings that are nested mappings already.
+    """Validate settings that are nested mappings already; raises as `load_config` does.
 
-    Args:
-        data: nested mappings, as the YAML has them.
-        source: where they come from, for messages.
-        overrides: each ``a.b=value`` replaces a setting of the data.
-        folder: what `scene.path` is relative to.
-
-    Raises:
-        ConfigError: a setting is missing, unknown, of the wrong type or out of its range.
+    Messages name the `source`. `scene.path` is relative to `folder`.
     """
     if not isinstance(data, Mapping):
         raise ConfigError(f"expected a mapping of settings in {source}: `scene: {{path: …}}`")
@@ -266,11 +240,7 @@ def parse_config(
 
 
 def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> BakeConfig:
-    """Take settings in any of their forms: themselves, a YAML or scene file, or a mapping.
-
-    Raises:
-        ConfigError: see `load_config`.
-    """
+    """Take settings in any of their forms: themselves, a YAML or scene file, or a mapping."""
     if isinstance(config, BakeConfig):
         return config
     if isinstance(config, str | PathLike):
@@ -279,16 +249,8 @@ def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> B
 
 
 def settings_digest(config: BakeConfig) -> str:
-    """Hash the settings that change cells: all but `output`, `scene.path`, `grid.max_cells`.
-
-    Returns:
-        sha256 of the settings as canonical JSON, 64 hex digits.
-    """
-    left_out: dict[str, Any] = {
-        "output": True,
-        "scene": {"path": True},
-        "grid": {"max_cells": True},
-    }
+    """Hash the settings that change cells: sha256 of their canonical JSON, 64 hex digits."""
+    left_out: dict[str, Any] = {"output": True, "scene": {"path"}, "grid": {"max_cells"}}
     settings = config.model_dump(mode="json", exclude=left_out)
     canonical = json.dumps(settings, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()

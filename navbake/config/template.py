@@ -23,32 +23,20 @@ COMMENT_COLUMN = 34
 
 
 def render_template(config: BakeConfig) -> str:
-    """Write settings as a commented YAML document, which reads back as the same settings.
-
-    Args:
-        config: the settings; its `scene.path` is written as it stands.
-    """
+    """Write settings as a commented YAML document, which reads back as the same settings."""
     lines = [
         "# Settings of a navbake bake: metres, world frame with z up.",
         "# Every key but scene.path may be left out.",
     ]
-    for name, field in BakeConfig.model_fields.items():
-        lines += ["", *_setting_lines(name, getattr(config, name), field.description or "", "")]
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *_section_lines(config)]) + "\n"
 
 
 def write_template(
     scene: str | PathLike[str], path: str | PathLike[str] | None = None, *, force: bool = False
 ) -> Path:
-    """Write the commented default settings for a scene.
+    """Write the commented default settings for a scene, and return the path that was written.
 
-    Args:
-        scene: the scene's file, which must exist.
-        path: the YAML to write; ``<scene id>.yaml`` in the current folder if None.
-        force: overwrite a file that is there.
-
-    Returns:
-        The path that was written.
+    The path is ``<scene id>.yaml`` in the current folder if None; `force` overwrites a file.
 
     Raises:
         SceneError: there is no such scene.
@@ -59,13 +47,16 @@ def write_template(
         raise ConfigError(f"expected a scene, got the settings file {scene}")
     if not scene.is_file():
         raise SceneError(f"no such file: {scene}")
-    config = load_config(scene)
-    path = Path(f"{config.scene.id}.yaml" if path is None else path)
+    scene_id = load_config(scene).scene.id
+    path = Path(f"{scene_id}.yaml" if path is None else path)
     if path.suffix.lower() not in YAML_SUFFIXES:
         raise ConfigError(f"expected a name that ends in .yaml, got {path}")
     if path.exists() and not force:
         raise ConfigError(f"{path} exists; --force overwrites it")
-    text = render_template(_relative_to(config, path.parent))
+    scene = scene.resolve()
+    with contextlib.suppress(ValueError):  # Windows has no relative path to another drive
+        scene = Path(os.path.relpath(scene, path.parent.resolve()))
+    text = render_template(parse_config({"scene": {"path": scene, "id": scene_id}}))
     # Names of files can be anything: make sure that the text reads back.
     parse_config(parse_yaml(text, str(path)), str(path))
     try:
@@ -75,27 +66,23 @@ def write_template(
     return path
 
 
-def _relative_to(config: BakeConfig, folder: Path) -> BakeConfig:
-    path = config.scene.path.resolve()
-    with contextlib.suppress(ValueError):  # Windows has no relative path to another drive
-        path = Path(os.path.relpath(path, folder.resolve()))
-    return config.model_copy(update={"scene": config.scene.model_copy(update={"path": path})})
-
-
-def _setting_lines(name: str, value: Any, description: str, indent: str) -> list[str]:
-    if isinstance(value, BaseModel):
-        lines = [f"{indent}{name}:  # {description}"]
-        for key, field in type(value).model_fields.items():
-            lines += _setting_lines(
-                field.alias or key, getattr(value, key), field.description or "", indent + "  "
-            )
-        return lines
-    line = f"{indent}{name}: {_flow(value)}"
-    commented = f"{line:<{COMMENT_COLUMN}}  # {description}"
-    if len(commented) <= LINE_LENGTH:
-        return [commented]
-    comment = textwrap.wrap(description, LINE_LENGTH - len(indent) - 2)
-    return [*(f"{indent}# {part}" for part in comment), line]
+def _section_lines(section: BaseModel, indent: str = "") -> list[str]:
+    """A line for each setting with its comment, which stands above it where it is too long."""
+    lines = []
+    for key, field in type(section).model_fields.items():
+        name, value, comment = field.alias or key, getattr(section, key), field.description or ""
+        lines += [] if indent else [""]
+        if isinstance(value, BaseModel):
+            lines += [f"{indent}{name}:  # {comment}", *_section_lines(value, indent + "  ")]
+            continue
+        line = f"{indent}{name}: {_flow(value)}"
+        commented = f"{line:<{COMMENT_COLUMN}}  # {comment}"
+        if len(commented) <= LINE_LENGTH:
+            lines.append(commented)
+        else:
+            parts = textwrap.wrap(comment, LINE_LENGTH - len(indent) - 2)
+            lines += [*(f"{indent}# {part}" for part in parts), line]
+    return lines
 
 
 def _flow(value: Any) -> str:

@@ -43,27 +43,18 @@ class _Loader(yaml.SafeLoader):
 
 _TAG = "tag:yaml.org,2002:"
 _Loader.add_constructor(_TAG + "int", _Loader.construct_integer)
-for _name, _pattern, _first in (
-    ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
-    ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
-    ("int", r"[-+]?[0-9]+(?:_[0-9]+)*", "-+0123456789"),
-    (
-        "float",
-        r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
-        r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)",
-        "-+.0123456789",
-    ),
-):
-    _Loader.add_implicit_resolver(_TAG + _name, re.compile(rf"^(?:{_pattern})$"), list(_first))
+for _name, _pattern in {
+    "bool": r"true|True|TRUE|false|False|FALSE",
+    "null": r"~|null|Null|NULL|",
+    "int": r"[-+]?[0-9]+(?:_[0-9]+)*",
+    "float": r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
+    r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)",
+}.items():
+    _Loader.add_implicit_resolver(_TAG + _name, re.compile(rf"^(?:{_pattern})$"), None)
 
 
 def read_yaml(path: Path) -> Any:
-    """Read a YAML file of at most 1 MB.
-
-    Raises:
-        ConfigError: the file is missing, unreadable, too large, or no YAML; a syntax error
-            comes with its line.
-    """
+    """Read a YAML file of at most 1 MB; a ConfigError tells why it can't be read."""
     try:
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
@@ -81,15 +72,7 @@ def read_yaml(path: Path) -> Any:
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """Parse one YAML document.
-
-    Args:
-        text: the document.
-        source: where it comes from, for messages.
-
-    Raises:
-        ConfigError: it is no YAML, holds a key twice, or is nested too deeply.
-    """
+    """Parse one YAML document; a ConfigError names the source, and the line of a syntax error."""
     try:
         return yaml.load(text, _Loader)
     except yaml.MarkedYAMLError as error:
@@ -104,12 +87,7 @@ def parse_yaml(text: str, source: str) -> Any:
 
 
 def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """Set ``a.b=value`` in a copy of nested mappings.
-
-    Args:
-        data: the settings as read.
-        overrides: dotted key and YAML value; the last one for a key counts. What follows
-            ``scene.joints.`` or ``scene.meshes.`` is one name, even with dots in it.
+    """Set each ``a.b=value`` in a copy of nested mappings; the last one for a key counts.
 
     Raises:
         ConfigError: no ``=``, no YAML value, or a key below something that has no keys.
@@ -133,11 +111,7 @@ def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[s
 
 
 def override_key(override: str) -> tuple[str, ...]:
-    """Split the key of ``a.b=value`` at its dots.
-
-    Raises:
-        ConfigError: there is no ``=``, or an empty part.
-    """
+    """Split the key of ``a.b=value`` at its dots; a name of a joint or mesh may hold dots."""
     dotted, equals, _ = override.partition("=")
     parts = tuple(part.strip() for part in dotted.split("."))
     if not equals or not all(parts):

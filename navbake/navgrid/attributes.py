@@ -23,7 +23,7 @@ def describe_attributes(metadata: Json, levels: Sequence[SceneGrid2D]) -> list[J
     """List the attributes that levels have, as ``metadata.cellAttributes`` does.
 
     Args:
-        metadata: an entry that it has for an attribute is kept, but for a ``type`` that is not
+        metadata: an entry that it has for an attribute is kept, except a ``type`` that is not
             that of the array.
         levels: whose attributes; where two differ in dtype, the first counts.
 

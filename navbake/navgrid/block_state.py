@@ -70,7 +70,7 @@ class BlockState:
         return np.asarray(self.count[layer].reshape(level.shape) > 0)
 
     def windows_since(self, revision: int) -> list[Window] | None:
-        """The windows that changed after a revision; None if that is too long ago to tell."""
+        """The windows that changed after a revision; None if that is too long ago."""
         missed = self.revision - revision
         if missed > len(self._journal):
             return None
@@ -80,7 +80,7 @@ class BlockState:
         """Block cells."""
         for layer, ids in enumerate(cells):
             self.count[layer, ids] += 1
-        # what was there is read anew with the first block: others may have written to it since
+        # what was there is read again with the first block: others may have written to it since
         weights, taken = level.weights.reshape(-1), cells[BLOCKED]
         taken = taken[self.count[BLOCKED, taken] == 1]
         self.weights[taken] = weights[taken]

@@ -220,7 +220,7 @@ def _cells_of_level(part: SceneGrid2D, p: Float) -> tuple[Bool, Int, Int]:
 
 
 def _floors(part: SceneGrid2D, rows: Int, cols: Int) -> Float:
-    """Floors of cells [m]; a file that tells none has its ground everywhere."""
+    """Floors of cells [m]; without the layer, the ground everywhere."""
     stored = part.attributes.get("floorHeight")
     if stored is None:
         return np.full(rows.shape, part.ground)

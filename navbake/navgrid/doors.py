@@ -26,7 +26,7 @@ def to_runs(cells: Int) -> Runs:
     """Pack ascending cell ids, shape (n,), into runs."""
     if not len(cells):
         return []
-    breaks = np.flatnonzero(np.diff(cells) != 1) + 1  # where a run begins, but for the first
+    breaks = np.flatnonzero(np.diff(cells) != 1) + 1  # where a run begins, except the first
     first = np.concatenate([[0], breaks])
     count = np.diff(np.concatenate([first, [len(cells)]]))
     return [int(v) for v in np.stack([cells[first], count], axis=1).ravel()]

@@ -92,7 +92,7 @@ class SceneGrid2D(GridBase):
     ) -> Self:
         """The same level with other layers; what isn't given is as it is now.
 
-        The new level shares arrays with this one, but for those that `block` changes in place
+        The new level shares arrays with this one, except those that `block` changes in place
         once it was called here.
 
         Args:

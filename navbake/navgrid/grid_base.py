@@ -118,7 +118,7 @@ class GridBase:
     def rooms(self) -> tuple[Room, ...]:
         """The rooms by level and index.
 
-        Of a file without a room table, what `room_index` tells.
+        Of a file without a room table, they are measured from `room_index`.
 
         Raises:
             FormatError: the file's room table is broken.
@@ -152,7 +152,7 @@ class GridBase:
         """The steps from level to level.
 
         Raises:
-            FormatError: the metadata name a level or a cell that there is not.
+            FormatError: the metadata name a level or a cell that does not exist.
         """
         return tuple(Link(*row) for row in self.link_array.tolist())
 
@@ -327,8 +327,8 @@ class GridBase:
         Raises:
             QueryError: there is no such level, or the position is no number or beside the grid.
         """
-        told: Json = operation("grid.describe_cell")(self, x, y, level)
-        return told
+        described: Json = operation("grid.describe_cell")(self, x, y, level)
+        return described
 
     def blockers(self, x: float, y: float, level: int | None = None) -> list[str]:
         """The names of what blocks the cell at a position, sorted; [] where nothing does.

@@ -38,7 +38,7 @@ def parse_links(stated: Any, num_cells: Sequence[int]) -> Int:
         Shape (n, 4), int64, read-only: the fields of a `Link` in each row.
 
     Raises:
-        FormatError: they are no links, or lead to a level or a cell that there is not.
+        FormatError: the form is wrong, or a level or a cell does not exist.
     """
     where = "at `metadata.navbake.links`"
     numbers = [] if stated is None else stated

@@ -30,9 +30,6 @@ INFLATION = ("radius", "clearance", "mode")
 def describe(grid: NavGrid) -> Json:
     """Summarise a grid in values that JSON can hold.
 
-    Args:
-        grid: a grid of one or several levels.
-
     Returns:
         ``type``; ``scene_id``; ``cell_size`` [m]; ``agent``, ``made_by``: the agent's settings,
         and the versions and digests, as far as the file has them; ``levels``, lowest first, each
@@ -43,7 +40,7 @@ def describe(grid: NavGrid) -> Json:
         ``inflated``: radius and clearance [m] and mode of each inflation since the bake.
     """
     islands = find_islands(grid)
-    stated = {**grid.metadata, **grid.navbake}
+    stated, noted = {**grid.metadata, **grid.navbake}, grid.metadata.get("inflation")
     return {
         "type": type(grid).__name__,
         "scene_id": grid.scene_id,
@@ -57,7 +54,12 @@ def describe(grid: NavGrid) -> Json:
         "num_islands": max(int(island.max(initial=0)) for island in islands),
         "num_links": len(grid.link_array),
         "doors": [door.to_json() for door in grid.doors],
-        "inflated": _inflations(grid),
+        # what `inflate` noted; a file of another program may have anything there
+        "inflated": [
+            {key: entry[key] for key in INFLATION}
+            for entry in (noted if isinstance(noted, list) else [])
+            if isinstance(entry, dict) and entry.keys() >= set(INFLATION)
+        ],
     }
 
 
@@ -82,13 +84,3 @@ def _describe_level(level: SceneGrid2D, island: Int32) -> Json:
 def _rounded(value: float) -> float:
     """To a millionth, finer than float32 heights are, so that 2.8 is not 2.799999952."""
     return round(float(value), 6) + 0.0  # + 0.0 turns -0.0 into 0.0
-
-
-def _inflations(grid: NavGrid) -> list[Json]:
-    """What `inflate` noted; a file of another program may have anything there."""
-    noted = grid.metadata.get("inflation")
-    return [
-        {key: entry[key] for key in INFLATION}
-        for entry in (noted if isinstance(noted, list) else [])
-        if isinstance(entry, dict) and entry.keys() >= set(INFLATION)
-    ]

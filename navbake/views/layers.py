@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,97 +21,62 @@ FURNITURE = 0.75  # brightness of a room's colour where something stands in it
 BLOCKED_LEGEND = (("occupied", OCCUPIED), ("no floor", NO_FLOOR))
 
 
-@dataclass(frozen=True)
-class Label:
-    """A name on a picture.
-
-    Attributes:
-        text: the name.
-        fallback: what to write where no font has its letters.
-        x, y: where its middle is, world frame [m].
-        width: of the room that it names, at this place [m].
-    """
+class Label(NamedTuple):
+    """A room's name on a picture."""
 
     text: str
-    fallback: str
-    x: float
+    fallback: str  # written in its place if no font has its letters
+    x: float  # of its middle, world frame [m]
     y: float
-    width: float
+    width: float  # of the room at this place [m]
 
 
-@dataclass(frozen=True)
-class Panel:
-    """One layer of one level.
-
-    Attributes:
-        title: what the picture shows.
-        rgb: colours, shape (height, width, 3), uint8.
-        values: shape (height, width), float32. Where one is finite, the cell has its colour on a
-            colour scale in place of that of `rgb`.
-        scale: what the values are, with their unit; empty where there are none.
-        legend: what colours mean.
-        labels: names to write.
-    """
+class Panel(NamedTuple):
+    """One layer of one level; cells whose value is finite are coloured by that, not by `rgb`."""
 
     title: str
-    rgb: NDArray[np.uint8]
-    values: NDArray[np.float32] | None = None
-    scale: str = ""
-    legend: tuple[tuple[str, str], ...] = ()
+    rgb: NDArray[np.uint8]  # shape (height, width, 3)
+    values: NDArray[np.float32] | None = None  # shape (height, width)
+    scale: str = ""  # what the values are, with their unit
+    legend: tuple[tuple[str, str], ...] = ()  # meanings and their colours
     labels: tuple[Label, ...] = ()
 
 
 def make_panels(grid: NavGrid, layer: str) -> list[Panel]:
-    """Show a layer of all levels.
-
-    Args:
-        grid: a grid of one or several levels. Clearance and islands need not be in it.
-        layer: one of `LAYERS`.
-
-    Returns:
-        A panel for each level, lowest first.
-
-    Raises:
-        QueryError: there is no such layer.
-    """
+    """Show one of `LAYERS` of all levels, lowest first."""
     if layer not in LAYERS:
         raise QueryError(f"expected one of {', '.join(LAYERS)} as layer, got {layer!r}")
+    panels = (LAYERS[layer](grid, number) for number in range(len(grid.levels)))
     return [
-        replace(panel, title=f"{name}: {panel.title}")
-        for name, panel in zip(grid.level_names, LAYERS[layer](grid), strict=True)
+        panel._replace(title=f"{name}: {panel.title}")
+        for name, panel in zip(grid.level_names, panels, strict=True)
     ]
 
 
-def _show_occupancy(grid: NavGrid) -> list[Panel]:
-    panels = []
-    for level in grid.levels:
-        area = np.count_nonzero(level.free) * level.lattice.cell_size**2
-        title = f"ground {level.ground:.2f} m, free {area:.1f} m\N{SUPERSCRIPT TWO}"
-        legend = (("free", FREE), *BLOCKED_LEGEND)
-        panels.append(Panel(title, _color_occupancy(level), legend=legend))
-    return panels
+def _show_occupancy(grid: NavGrid, number: int) -> Panel:
+    level = grid.levels[number]
+    area = np.count_nonzero(level.free) * level.lattice.cell_size**2
+    title = f"ground {level.ground:.2f} m, free {area:.1f} m\N{SUPERSCRIPT TWO}"
+    return Panel(title, _color_occupancy(level), legend=(("free", FREE), *BLOCKED_LEGEND))
 
 
-def _show_floor(grid: NavGrid) -> list[Panel]:
-    panels = []
-    for level in grid.levels:
-        floor = level.floor_height * np.float32(level.unit)
-        rgb = np.full((*level.shape, 3), rgb_of(NO_FLOOR), dtype=np.uint8)
-        panels.append(Panel("floor height", rgb, floor, "z [m]", (("no floor", NO_FLOOR),)))
-    return panels
+def _show_floor(grid: NavGrid, number: int) -> Panel:
+    level = grid.levels[number]
+    rgb = np.full((*level.shape, 3), rgb_of(NO_FLOOR), dtype=np.uint8)
+    metres = level.floor_height * np.float32(level.unit)
+    return Panel("floor height", rgb, metres, "z [m]", (("no floor", NO_FLOOR),))
 
 
-def _show_clearance(grid: NavGrid) -> list[Panel]:
-    panels = []
-    for level in grid.levels:
-        stored = level.attributes.get("clearance")
-        metres = clearance(level) if stored is None else stored * level.unit
-        panels.append(_show_free(level, metres, "clearance", "to the nearest obstacle [m]"))
-    return panels
+def _show_clearance(grid: NavGrid, number: int) -> Panel:
+    level = grid.levels[number]
+    stored = level.attributes.get("clearance")
+    metres = clearance(level) if stored is None else stored * level.unit
+    return _show_free(level, metres, "clearance", "to the nearest obstacle [m]")
 
 
-def _show_weights(grid: NavGrid) -> list[Panel]:
-    return [_show_free(level, level.weights, "weights", "cost of a cell") for level in grid.levels]
+def _show_weights(grid: NavGrid, number: int) -> Panel:
+    level = grid.levels[number]
+    return _show_free(level, level.weights, "weights", "cost of a cell")
 
 
 def _show_free(level: SceneGrid2D, values: NDArray[np.floating], title: str, scale: str) -> Panel:
@@ -121,33 +85,23 @@ def _show_free(level: SceneGrid2D, values: NDArray[np.floating], title: str, sca
     return Panel(title, _color_occupancy(level), shown, scale, BLOCKED_LEGEND)
 
 
-def _show_islands(grid: NavGrid) -> list[Panel]:
-    panels = []
-    for level, island in zip(grid.levels, islands_of(grid), strict=True):
-        rgb = _color_occupancy(level)
-        rgb[level.free] = make_palette(int(island.max(initial=0)))[island[level.free]]
-        panels.append(Panel("islands", rgb, legend=BLOCKED_LEGEND))
-    return panels
+def _show_islands(grid: NavGrid, number: int) -> Panel:
+    level, island = grid.levels[number], islands_of(grid)[number]
+    rgb = _color_occupancy(level)
+    rgb[level.free] = make_palette(int(island.max(initial=0)))[island[level.free]]
+    return Panel("islands", rgb, legend=BLOCKED_LEGEND)
 
 
-def _show_rooms(grid: NavGrid) -> list[Panel]:
-    # one palette for all levels, so that rooms over each other differ
-    rooms = list(zip(grid.rooms, make_palette(len(grid.rooms))[1:], strict=True))
-    panels = []
-    for number, level in enumerate(grid.levels):
-        here = [(room, color) for room, color in rooms if room.level == number]
-        panels.append(_show_rooms_of(level, here, _door_mask(grid, number)))
-    return panels
-
-
-def _show_rooms_of(
-    level: SceneGrid2D, rooms: Sequence[tuple[Room, NDArray[np.uint8]]], doors: Bool
-) -> Panel:
-    index = level.room_index
+def _show_rooms(grid: NavGrid, number: int) -> Panel:
+    level = grid.levels[number]
+    index, doors = level.room_index, _door_mask(grid, number)
     colors = np.zeros((int(index.max(initial=0)) + 1, 3), dtype=np.uint8)
     colors[0] = rgb_of(OCCUPIED)
     labels = []
-    for room, color in rooms:
+    # one palette for all levels, so that rooms over each other differ
+    for room, color in zip(grid.rooms, make_palette(len(grid.rooms))[1:], strict=True):
+        if room.level != number:
+            continue
         mask = index == room.index
         if mask.any():
             colors[room.index] = color
@@ -166,7 +120,7 @@ def _show_rooms_of(
     return Panel("rooms", rgb, legend=tuple(legend), labels=tuple(labels))
 
 
-LAYERS: dict[str, Callable[[NavGrid], list[Panel]]] = {
+LAYERS: dict[str, Callable[[NavGrid, int], Panel]] = {
     "occupancy": _show_occupancy,
     "floor": _show_floor,
     "rooms": _show_rooms,
@@ -174,24 +128,22 @@ LAYERS: dict[str, Callable[[NavGrid], list[Panel]]] = {
     "island": _show_islands,
     "weights": _show_weights,
 }
-"""How each layer is shown, by its name."""
+"""How each layer of a level is shown, by the layer's name."""
 
 
 def _color_occupancy(level: SceneGrid2D) -> NDArray[np.uint8]:
     """Colours of the cells by whether an agent can stand in them, shape (height, width, 3)."""
     palette = np.array([rgb_of(OCCUPIED), rgb_of(FREE), rgb_of(NO_FLOOR)], dtype=np.uint8)
-    kind = np.where(level.free, 1, np.where(np.isnan(level.floor_height), 2, 0))
-    return palette[kind]
+    return palette[np.where(level.free, 1, np.where(np.isnan(level.floor_height), 2, 0))]
 
 
 def _door_mask(grid: NavGrid, number: int) -> Bool:
     """The cells of a level in which a door stands, closed or as it is."""
-    level = grid.levels[number]
-    mask = np.zeros(level.width * level.height, dtype=np.bool_)
+    mask = np.zeros(grid.levels[number].shape, dtype=np.bool_)
     for door in grid.doors:
         for state in ("closed", door.state):
-            mask[door.cells_in(state, len(grid.levels))[number]] = True
-    return mask.reshape(level.shape)
+            mask.flat[door.cells_in(state, len(grid.levels))[number]] = True
+    return mask
 
 
 def _place_label(level: SceneGrid2D, mask: Bool, room: Room) -> Label:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.errors import MissingDependencyError, NavbakeError, QueryError
 from navbake.files import write_whole
@@ -43,23 +42,7 @@ def plot_grid(
     layers: Sequence[str] = DEFAULT_LAYERS,
     route: Route | None = None,
 ) -> Path:
-    """Draw a grid's levels and write the picture as PNG: a row for each level, lowest on top.
-
-    Args:
-        grid: a grid of one or several levels.
-        path: the file to write; it is replaced as a whole or not at all.
-        level: draw only this one, 0 is the lowest.
-        layers: what to draw, a column each: occupancy, floor, rooms, clearance, island, weights.
-        route: a path to draw on top, each of its parts on its level.
-
-    Returns:
-        The path that was written.
-
-    Raises:
-        QueryError: there is no such level or layer.
-        MissingDependencyError: matplotlib is not installed.
-        NavbakeError: the file cannot be written.
-    """
+    """Write what `render_png` draws, whole or not at all, and return the path that was written."""
     path = Path(path)
     content = render_png(grid, level=level, layers=layers, route=route)
     try:
@@ -76,24 +59,33 @@ def render_png(
     layers: Sequence[str] = DEFAULT_LAYERS,
     route: Route | None = None,
 ) -> bytes:
-    """Draw a grid's levels as `plot_grid` does; the same grid gives the same bytes.
+    """Draw a grid as PNG: a row for each level, lowest on top; the same grid, the same bytes.
 
-    Returns:
-        The content of a PNG file.
+    Args:
+        grid: a grid of one or several levels.
+        level: draw only this one, 0 is the lowest.
+        layers: what to draw, a column each: occupancy, floor, rooms, clearance, island, weights.
+        route: a path to draw on top, each of its parts on its level.
+
+    Raises:
+        QueryError: there is no such level or layer.
+        MissingDependencyError: matplotlib is not installed.
     """
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise MissingDependencyError(
-            'plots need matplotlib: pip install "navbake[plot]"'
-        ) from error
+        message = 'plots need matplotlib: pip install "navbake[plot]"'
+        raise MissingDependencyError(message) from error
 
     check_level(level, len(grid.levels))
     chosen = range(len(grid.levels)) if level is None else [level]
     if not layers:
         raise QueryError("expected at least one layer to draw, got none")
     columns = [make_panels(grid, layer) for layer in layers]
-    x_min, y_min, x_max, y_max = _union_bounds([grid.levels[i] for i in chosen])
+    # all panels span the bounds of all levels, so that a place is in line on all of them
+    bounds = np.array([grid.levels[index].lattice.bounds for index in chosen])
+    x_min, y_min = bounds[:, :2].min(axis=0).tolist()
+    x_max, y_max = bounds[:, 2:].max(axis=0).tolist()
     size = _figure_size(x_max - x_min, y_max - y_min, len(chosen), len(layers))
     figure = Figure(figsize=size, dpi=DPI, layout="constrained")
     axes = figure.subplots(len(chosen), len(layers), squeeze=False)
@@ -113,23 +105,12 @@ def render_png(
     return content.getvalue()
 
 
-def _union_bounds(levels: Sequence[SceneGrid2D]) -> tuple[float, float, float, float]:
-    """Bounds of all levels: all panels span them, so that a place is in line on all levels."""
-    bounds = np.array([level.lattice.bounds for level in levels])
-    x_min, y_min = bounds[:, :2].min(axis=0).tolist()
-    x_max, y_max = bounds[:, 2:].max(axis=0).tolist()
-    return x_min, y_min, x_max, y_max
-
-
-def _figure_size(
-    width: float, height: float, num_levels: int, num_layers: int
-) -> tuple[float, float]:
+def _figure_size(width: float, height: float, rows: int, cols: int) -> tuple[float, float]:
     scale = PANEL_INCHES / max(width, height)
     # the constants are inches for the labels of axes, the title and the legend
     panel_width = max(width * scale, MIN_PANEL_INCHES) + 0.9
     panel_height = max(height * scale, MIN_PANEL_INCHES) + 0.8
-    total = panel_height * num_levels + 0.8
-    return num_layers * panel_width + 0.8, min(total, MAX_FIGURE_INCHES)
+    return cols * panel_width + 0.8, min(rows * panel_height + 0.8, MAX_FIGURE_INCHES)
 
 
 def _draw_panel(figure: Any, ax: Any, panel: Panel, level: SceneGrid2D) -> None:
@@ -139,29 +120,23 @@ def _draw_panel(figure: Any, ax: Any, panel: Panel, level: SceneGrid2D) -> None:
     x_min, y_min, x_max, y_max = level.lattice.bounds
     rgb = panel.rgb
     if panel.values is not None:
-        colors = ScalarMappable(Normalize(*_value_range(panel.values)), COLOR_MAP)
         shown = np.isfinite(panel.values)
+        values = panel.values[shown]
+        low, high = (float(values.min()), float(values.max())) if values.size else (0.0, MIN_RANGE)
+        widen = max(0.0, MIN_RANGE - (high - low)) / 2
+        colors = ScalarMappable(Normalize(low - widen, high + widen), COLOR_MAP)
         rgb = rgb.copy()
-        rgb[shown] = colors.to_rgba(panel.values[shown], bytes=True)[:, :3]
+        rgb[shown] = colors.to_rgba(values, bytes=True)[:, :3]
         figure.colorbar(colors, ax=ax, label=panel.scale)
     ax.imshow(rgb, extent=(x_min, x_max, y_min, y_max))  # row 0, the top one, has the largest y
     ax.set_title(panel.title, fontsize="medium", parse_math=False)
-
-
-def _value_range(values: NDArray[np.float32]) -> tuple[float, float]:
-    finite = values[np.isfinite(values)]
-    if not finite.size:
-        return 0.0, MIN_RANGE
-    low, high = float(finite.min()), float(finite.max())
-    widen = max(0.0, MIN_RANGE - (high - low)) / 2
-    return low - widen, high + widen
 
 
 def _write_labels(ax: Any, labels: Sequence[Label], longer_side: float) -> None:
     """Write names in the middle of their rooms, in a size that fits the room's width."""
     for label in labels:
         font = _font_for(label.text)
-        text = label.fallback if font is None else label.text
+        text = label.text if font else label.fallback
         points = label.width * PANEL_INCHES / longer_side * 72 / (LETTER * len(text))
         style = {"fontfamily": font or FONT, "fontsize": float(np.clip(points, *FONT_SIZES))}
         centred = {"ha": "center", "va": "center"}

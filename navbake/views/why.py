@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from navbake.errors import QueryError
 from navbake.navgrid.cells import check_positions
 from navbake.navgrid.door_states import NAMES
-from navbake.runtime.places.place import Place, place_at
+from navbake.runtime.places.place import place_at
 from navbake.types import Json
 
 if TYPE_CHECKING:
@@ -15,12 +15,7 @@ if TYPE_CHECKING:
 
 
 def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -> Json:
-    """Describe the cell at a position.
-
-    Args:
-        grid: the grid.
-        x, y: world position [m].
-        level: which level, 0 is the lowest; may be left out where there is but one.
+    """Describe the cell at a position; the grid's method says what it takes and raises.
 
     Returns:
         ``level``, ``row``, ``col``, ``cell`` (its id), ``center`` (world x, y [m]), ``floor``
@@ -29,9 +24,6 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
         (from 1, the largest; None where it isn't free), ``doors``, ``objects``, ``walls``: names
         of what stands in the cell; ``blockers``: names of what blocks it, as far as the file
         states them.
-
-    Raises:
-        QueryError: there is no such level, or the position is no number or beside the grid.
     """
     place = place_at(grid, (x, y), level)
     if place is None:
@@ -40,26 +32,23 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
             f"{x:g}, {y:g} lies beside level {level or 0}: "
             f"it spans x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
         )
-    return _describe(grid, place)
-
-
-def _describe(grid: NavGrid, place: Place) -> Json:
     number, row, col = place.cell
-    level = grid.levels[number]
-    entry = level.user_data.get(row * level.width + col, {})
+    here = grid.levels[number]
+    cell = row * here.width + col
+    entry = here.user_data.get(cell, {})
     names = {key: _names_at(entry, key) for key in NAMES}
-    standing = sorted({name for key in NAMES for name in names[key]})
+    standing = sorted(set().union(*names.values()))
     return {
         "level": number,
         "row": row,
         "col": col,
-        "cell": row * level.width + col,
-        "center": [float(v) for v in level.lattice.positions(row, col)],
+        "cell": cell,
+        "center": [float(v) for v in here.lattice.positions(row, col)],
         "floor": place.floor,
         "free": place.free,
         "occupied": place.occupied,
         "weight": place.weight if place.free else None,
-        "room": _room(grid, number, int(level.room_index[row, col])),
+        "room": _room(grid, number, int(here.room_index[row, col])),
         "island": place.island,
         **names,
         # a file lists blockers only where they differ from all that stands in the cell
@@ -68,14 +57,7 @@ def _describe(grid: NavGrid, place: Place) -> Json:
 
 
 def describe_column(grid: NavGrid, x: float, y: float) -> list[Json]:
-    """Describe the cells at a position, one on each level that spans it.
-
-    Args:
-        grid: the grid.
-        x, y: world position [m].
-
-    Returns:
-        `describe_cell` of each, lowest first, at least one.
+    """Describe the cell at a world position [m] on each level that spans it, lowest first.
 
     Raises:
         QueryError: the position is no number, or beside all levels.
