@@ -10,13 +10,12 @@ from typer import BadParameter, Option
 import navbake
 from navbake.cli.options import Overrides, SceneOrConfig, check_output
 from navbake.cli.printing import print_warnings
+from navbake.formats.suffixes import OCTREES, VOXELS
 
 if TYPE_CHECKING:
     from navbake.voxels.grid import VoxelGrid
 
 Triple = tuple[float, float, float]  # navbake.types would load numpy
-OCTREES = (".bt", ".ot")
-SUFFIXES = (".binvox", *OCTREES, ".npz")
 
 
 class Box(NamedTuple):
@@ -75,7 +74,7 @@ def voxelize(
 ) -> None:
     """Voxelize a scene: write which voxels are occupied."""
     for output in outputs:
-        check_output(output, *SUFFIXES)
+        check_output(output, *VOXELS)
     has_octree = [output.suffix.lower() in OCTREES for output in outputs]
     if segments and all(has_octree):
         raise BadParameter(

@@ -12,9 +12,9 @@ from navbake.formats.binvox import IdMapping, encode_binvox, read_binvox, with_m
 from navbake.formats.bytes_file import write_bytes
 from navbake.formats.npz import encode_npz, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
+from navbake.formats.suffixes import VOXELS
 from navbake.voxels.grid import VoxelGrid
 
-SUFFIXES = (".binvox", ".bt", ".ot", ".npz")
 RULE = "0 is empty; where several meet a voxel, the least ID is its"
 
 
@@ -71,8 +71,8 @@ def read_voxels(path: str | PathLike[str]) -> VoxelGrid:
 
 def _check_suffix(path: str | PathLike[str]) -> str:
     suffix = Path(path).suffix.lower()
-    if suffix not in SUFFIXES:
-        raise FormatError(f"expected a name that ends in {', '.join(SUFFIXES)}, got {path}")
+    if suffix not in VOXELS:
+        raise FormatError(f"expected a name that ends in {', '.join(VOXELS)}, got {path}")
     return suffix
 
 

@@ -13,7 +13,8 @@ from importlib import import_module
 from typing import Any
 
 OPERATIONS: dict[str, str] = {}
-"""Where the function of each operation is: ``module:function`` by ``Class.method``."""
+"""Where the function of each operation is: ``module:function`` by ``grid.METHOD`` or
+``voxels.METHOD``."""
 
 _found: dict[str, Callable[..., Any]] = {}
 
