@@ -86,7 +86,7 @@ def _rebuild(grid: AnyGrid, doors: Sequence[Door], occupied: list[Bool]) -> AnyG
         weights[is_blocked] = np.inf
         named = None
         if grid.navbake.get("names", True):
-            named = name_door_cells(UserData.of(level.user_data), doors, number, len(occupied))
+            named = with_door_names(UserData.of(level.user_data), doors, number, len(occupied))
         attributes = {"occupancy": is_occupied.astype(np.uint8)}
         levels.append(level.with_layers(weights=weights, attributes=attributes, user_data=named))
     stated = zip(grid.navbake.get("doors", []), doors, strict=True)
@@ -97,7 +97,7 @@ def _rebuild(grid: AnyGrid, doors: Sequence[Door], occupied: list[Bool]) -> AnyG
     return rebuilt
 
 
-def name_door_cells(
+def with_door_names(
     user_data: UserData, doors: Sequence[Door], level: int, num_levels: int
 ) -> UserData:
     """Write the doors of each cell into a level's user data.

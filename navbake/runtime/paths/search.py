@@ -17,6 +17,8 @@ from navbake.types import Bool, Float, Int
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid, SceneGrid2D
 
+# Functions import kernels when they run: numba takes long to load.
+
 LAST_SEARCH = 2**31 // 64 - 2  # `mark` is int32 and holds the number of a search times 64
 FIRST_ROOM = 1 << 15  # entries for open cells at first
 

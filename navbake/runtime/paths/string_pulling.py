@@ -7,6 +7,8 @@ import numpy as np
 from navbake.runtime.paths.search import Search
 from navbake.types import Float, Int
 
+# Functions import kernels when they run: numba takes long to load.
+
 SAME = 1e-9  # metres between two points that are one
 BEND = 1e-3  # metres that a line may be off the height of the floor in the middle of a cell
 

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
     from navbake.runtime.grid_cache import GridCache
 
+# Functions import scipy when they run: it takes long to load, and few need it.
+
 MAX_NAMES = 4  # of what blocks, listed in a sentence
 RISE = 0.05  # metres: where the floor rises by more, the way is called stairs
 BESIDE = 3  # cells along a route, before and after what blocks it, that show whether it rises

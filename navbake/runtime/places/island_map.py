@@ -14,6 +14,8 @@ from navbake.types import Float, Int, Int32
 if TYPE_CHECKING:
     from navbake.runtime.flat_grid import FlatGrid
 
+# Functions import kernels when they run: numba takes long to load.
+
 
 @dataclass(frozen=True, eq=False)
 class IslandMap:

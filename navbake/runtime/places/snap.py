@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from navbake.runtime.flat_grid import FlatGrid
     from navbake.runtime.places.sight import Sight
 
+# Functions import kernels when they run: numba takes long to load.
+
 FIRST_LOOK = 1.0  # metres round a position that are searched first for what is in sight
 
 

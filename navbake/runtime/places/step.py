@@ -15,6 +15,8 @@ from navbake.types import Float
 if TYPE_CHECKING:
     from navbake.runtime.flat_grid import FlatGrid
 
+# Functions import kernels when they run: numba takes long to load.
+
 FARTHEST = 1e6  # metres
 
 
