@@ -21,7 +21,7 @@ FARTHEST = 1e6  # metres
 
 
 def try_step(
-    flat: FlatGrid, start: ArrayLike, end: ArrayLike, slide: bool, level: int | None
+    flat: FlatGrid, start: ArrayLike, end: ArrayLike, slide: bool = True, level: int | None = None
 ) -> Float:
     """`PathFinder.try_step`."""
     from navbake.runtime.kernels.arrays import Space, put_into  # saves numba at start-up
