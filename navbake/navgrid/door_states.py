@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from navbake.errors import QueryError
+from navbake.known_names import suggest
 from navbake.navgrid.block_state import BLOCKED, OCCUPIED
 from navbake.navgrid.doors import STATES, Door
 from navbake.navgrid.islands import add_layers
@@ -63,10 +63,7 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
 def _check_state(name: str, state: str, doors: Mapping[str, Door], scene_id: str | None) -> None:
     """Raise for an unknown door, or a state that the door can't be in."""
     if name not in doors:
-        near = get_close_matches(name, doors, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        known = ", ".join(sorted(doors)) or "none"
-        raise QueryError(f"no door {name!r} in {scene_id!r}: {hint}it has {known}")
+        raise QueryError(f"no door {name!r} in {scene_id!r}: {suggest(name, sorted(doors))}")
     if state not in STATES:
         raise QueryError(f"expected one of {', '.join(STATES)} for {name!r}, got {state!r}")
     if state not in doors[name].states:
