@@ -59,6 +59,19 @@ def _child(x, y, z, child):
 
 
 @njit(cache=True)
+def _new_stack():
+    # an array, because numba's lists take twice as long; 8 children wait at each level at most
+    stack = np.empty((8 * (DEPTH + 1), 4), np.int64)
+    return stack, _push(stack, 0, DEPTH, 0, 0, 0)
+
+
+@njit(cache=True)
+def _push(stack, depth, level, x, y, z):
+    stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3] = level, x, y, z
+    return depth + 1
+
+
+@njit(cache=True)
 def _put_leaf(leaves, num, level, x, y, z, state):
     if leaves.shape[0] > 0:
         leaves[num, 0], leaves[num, 1], leaves[num, 2] = x << level, y << level, z << level
@@ -80,10 +93,11 @@ def write_tree(levels, first, out):
     """
     if _state(levels, first, DEPTH, 0, 0, 0) == UNKNOWN:
         return 0, 0
-    stack = [(DEPTH, 0, 0, 0)]
+    stack, depth = _new_stack()
     num_bytes, num_nodes = 0, 1
-    while stack:
-        level, x, y, z = stack.pop()
+    while depth > 0:
+        depth -= 1
+        level, x, y, z = stack[depth]
         bits = 0
         # from the last child to the first, so that the first is taken from the stack next
         for child in range(7, -1, -1):
@@ -93,7 +107,7 @@ def write_tree(levels, first, out):
             if state != UNKNOWN:
                 num_nodes += 1
             if state >= MIXED_FREE:
-                stack.append((level - 1, cx, cy, cz))
+                depth = _push(stack, depth, level - 1, cx, cy, cz)
         if out.shape[0] > 0:
             out[num_bytes], out[num_bytes + 1] = bits & 255, bits >> 8
         num_bytes += 2
@@ -109,10 +123,11 @@ def write_odds(odds, levels, first, out):
     """
     if _state(levels, first, DEPTH, 0, 0, 0) == UNKNOWN:
         return 0, 0
-    stack = [(DEPTH, 0, 0, 0)]
+    stack, depth = _new_stack()
     num_nodes = 0
-    while stack:
-        level, x, y, z = stack.pop()
+    while depth > 0:
+        depth -= 1
+        level, x, y, z = stack[depth]
         state = _state(levels, first, level, x, y, z)
         children = 0
         if state >= MIXED_FREE:
@@ -120,10 +135,11 @@ def write_odds(odds, levels, first, out):
                 cx, cy, cz = _child(x, y, z, child)
                 if _state(levels, first, level - 1, cx, cy, cz) != UNKNOWN:
                     children |= 1 << child
-                    stack.append((level - 1, cx, cy, cz))
+                    depth = _push(stack, depth, level - 1, cx, cy, cz)
         if out.shape[0] > 0:
             value = OCCUPIED if state in (OCCUPIED, MIXED) else FREE
-            out[5 * num_nodes : 5 * num_nodes + 4] = odds[value]
+            for k in range(4):
+                out[5 * num_nodes + k] = odds[value, k]
             out[5 * num_nodes + 4] = children
         num_nodes += 1
     return 5 * num_nodes, num_nodes
@@ -142,10 +158,11 @@ def read_tree(data, leaves):
         The number of leaves, of bytes, and of all nodes; the first is OVERRUN or TOO_DEEP where
         the data are wrong.
     """
-    stack = [(DEPTH, 0, 0, 0)]
+    stack, depth = _new_stack()
     place, num_leaves, num_nodes = 0, 0, 1
-    while stack:
-        level, x, y, z = stack.pop()
+    while depth > 0:
+        depth -= 1
+        level, x, y, z = stack[depth]
         if place + 2 > data.shape[0]:
             return OVERRUN, place, num_nodes
         bits = np.int64(data[place]) | (np.int64(data[place + 1]) << 8)
@@ -159,7 +176,7 @@ def read_tree(data, leaves):
             if state == 3:
                 if level == 1:
                     return TOO_DEEP, place, num_nodes
-                stack.append((level - 1, cx, cy, cz))
+                depth = _push(stack, depth, level - 1, cx, cy, cz)
                 continue
             num_leaves = _put_leaf(leaves, num_leaves, level - 1, cx, cy, cz, state)
     return num_leaves, place, num_nodes
@@ -171,10 +188,11 @@ def read_odds(odds, data, leaves):
 
     `odds`, float32, are their log-odds; leaves of 0 and more are OCCUPIED, others FREE.
     """
-    stack = [(DEPTH, 0, 0, 0)]
+    stack, depth = _new_stack()
     num_leaves, num_nodes = 0, 0
-    while stack:
-        level, x, y, z = stack.pop()
+    while depth > 0:
+        depth -= 1
+        level, x, y, z = stack[depth]
         if 5 * num_nodes + 5 > data.shape[0]:
             return OVERRUN, 5 * num_nodes, num_nodes
         children = data[5 * num_nodes + 4]
@@ -188,7 +206,7 @@ def read_odds(odds, data, leaves):
         for child in range(7, -1, -1):
             if children >> child & 1:
                 cx, cy, cz = _child(x, y, z, child)
-                stack.append((level - 1, cx, cy, cz))
+                depth = _push(stack, depth, level - 1, cx, cy, cz)
     return num_leaves, 5 * num_nodes, num_nodes
 
 
