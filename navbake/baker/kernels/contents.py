@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit, prange
 
 from navbake.baker.kernels.arrays import Prism
-from navbake.baker.kernels.constants import INLINED, SAME, TOUCH
+from navbake.baker.kernels.constants import SAME, TOUCH
 from navbake.baker.kernels.flags import (
     BLOCKS,
     PROBED,
@@ -65,7 +65,7 @@ class CellQuestion(NamedTuple):
     known: int
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _group_triangles(items, facets):
     """Group a tile's triangles, which are sorted by geom."""
     geom, num = facets.geom, 0
@@ -77,18 +77,19 @@ def _group_triangles(items, facets):
     group = -1
     for i in range(items.shape[0]):
         bounds = facets.bounds[items[i]]
-        if i == 0 or geom[items[i]] != geom[items[i - 1]]:
+        is_first = i == 0 or geom[items[i]] != geom[items[i - 1]]
+        if is_first:
             group += 1
             start[group] = i
-            box[group] = bounds
         for k in range(3):
-            box[group, k] = min(box[group, k], bounds[k])
-            box[group, k + 3] = max(box[group, k + 3], bounds[k + 3])
+            box[group, k] = bounds[k] if is_first else min(box[group, k], bounds[k])
+        for k in range(3, 6):
+            box[group, k] = bounds[k] if is_first else max(box[group, k], bounds[k])
     start[num] = items.shape[0]
     return Groups(items, start, box)
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _tile_items(tile, tiles, facets):
     """The solids and the triangles over a tile."""
     solids = tiles.solid_item[tiles.solid_start[tile] : tiles.solid_start[tile + 1]]
@@ -96,14 +97,14 @@ def _tile_items(tile, tiles, facets):
     return solids, _group_triangles(tiles.triangle_item[first:last], facets)
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _column(lattice, cell, cells, reach):
     """All of a cell's column; NaN heights where there is no floor."""
     x, y = cell_center(lattice, cell)
     return Prism(x, y, cells.floor[cell], cells.ceiling[cell], reach, reach)
 
 
-@njit(**INLINED)
+@njit(cache=True)
 def _count_tile(tile, lattice, solids, facets, planes, tiles, reach, cells):
     nearby, groups = _tile_items(tile, tiles, facets)
     row0, row1, col0, col1 = tile_window(lattice, tile)
@@ -140,7 +141,7 @@ def count_candidates(lattice, solids, facets, planes, tiles, reach, cells):
         _count_tile(np.int64(tile), lattice, solids, facets, planes, tiles, reach, cells)
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _add(cells, cell, count, geom, flags):
     """Insert an entry into a cell's list, which is sorted by geom; the list's new length."""
     if not flags & STANDS:
@@ -156,7 +157,7 @@ def _add(cells, cell, count, geom, flags):
     return count + 1
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _ask(lattice, cell, crossings, footprint, probe, cells):
     """Put together what is asked about a cell."""
     half = lattice.cell_size / 2 - TOUCH
@@ -177,7 +178,7 @@ def _ask(lattice, cell, crossings, footprint, probe, cells):
     return CellQuestion(cell, column, volumes, is_taken, by_line, known)
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _wanted(question, geom, probe):
     """The flags that a geom may have in a cell, and those of them that a line may prove."""
     wanted = STANDS | (PROBED if probe.geoms[geom] else 0)
@@ -185,7 +186,7 @@ def _wanted(question, geom, probe):
     return wanted | (BLOCKS if question.is_taken else 0), by_line
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _list_planes(question, planes, crossings, cells):
     count, cell, volumes = np.int64(0), question.cell, question.volumes
     by_line = STANDS | (BLOCKS if question.by_line else 0)
@@ -199,7 +200,7 @@ def _list_planes(question, planes, crossings, cells):
     return count
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _list_triangles(question, groups, facets, crossings, probe, cells, count, polygons):
     cell, volumes = question.cell, question.volumes
     for g in range(groups.box.shape[0]):
@@ -216,7 +217,7 @@ def _list_triangles(question, groups, facets, crossings, probe, cells, count, po
     return count
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _list_solids(question, nearby, solids, crossings, probe, cells, count, simplex):
     cell, volumes = question.cell, question.volumes
     for s in nearby:
@@ -233,7 +234,7 @@ def _list_solids(question, nearby, solids, crossings, probe, cells, count, simpl
     return count
 
 
-@njit(**INLINED)
+@njit(cache=True)
 def _list_tile(
     tile, lattice, crossings, solids, facets, planes, tiles, footprint, probe, cells
 ):  # fmt: skip
@@ -285,7 +286,7 @@ def list_geoms(lattice, crossings, solids, facets, planes, tiles, footprint, pro
         )
 
 
-@njit(**INLINED)
+@njit(cache=True)
 def _describe_floor(cell, floor, crossings, min_up, support):
     support.geom[cell] = -1
     support.gap[cell] = math.inf

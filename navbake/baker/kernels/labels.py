@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from navbake.baker.kernels.constants import INNER
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 
@@ -35,7 +34,7 @@ def label_parts(mask):
     return label, parts
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _label_runs(mask, label, parent):
     """Label the runs of each row, and join those that touch; returns how many runs there are."""
     rows, cols = mask.shape
@@ -59,7 +58,7 @@ def _label_runs(mask, label, parent):
     return count
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _number_parts(parent, count):
     """The number of each run's part: a root is its first run, so it is met first."""
     number = np.zeros(count + 1, dtype=np.int32)
@@ -204,7 +203,7 @@ def find_passes(label, distance):
                     if there == 0 or there == here:
                         continue
                     if writing:
-                        pairs[count] = min(here, there), max(here, there)
+                        pairs[count, 0], pairs[count, 1] = min(here, there), max(here, there)
                         i, j = 2 * row + 1 + down, 2 * col + 1 + right
                         saddles[count] = max(
                             distance[i, j],

@@ -9,8 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from navbake.baker.kernels.constants import INNER
-
 
 @njit(cache=True)
 def number_lists(start, value, number):
@@ -47,7 +45,7 @@ def number_lists(start, value, number):
     return first[:count].copy()
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _are_equal(start, value, a, b):
     if start[a + 1] - start[a] != start[b + 1] - start[b]:
         return False

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit, prange
 
 from navbake.baker.kernels.arrays import Band, Prism
-from navbake.baker.kernels.constants import APART, INLINED, MEETS, UNDECIDED
+from navbake.baker.kernels.constants import APART, MEETS, UNDECIDED
 from navbake.baker.kernels.gjk import SQUARE, make_simplex
 from navbake.baker.kernels.overlap import (
     ANY_GEOM,
@@ -24,7 +24,7 @@ from navbake.baker.kernels.solids import disc_too, part_of_solid
 from navbake.baker.kernels.tiles import cell_center, tile_of
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _any_triangle(items, facets, prism):
     if items.shape[0] == 0:
         return False
@@ -37,7 +37,7 @@ def _any_triangle(items, facets, prism):
     return False
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _any_solid(items, solids, prism):
     """MEETS where any solid does; else UNDECIDED where that of any is open; else APART."""
     if items.shape[0] == 0:
@@ -55,7 +55,7 @@ def _any_solid(items, solids, prism):
     return answer
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _any_geom(tile, solids, facets, planes, tiles, prism):
     """Whether any geom over a tile meets a prism."""
     for p in range(planes.geom.shape[0]):
@@ -68,7 +68,7 @@ def _any_geom(tile, solids, facets, planes, tiles, prism):
     return _any_solid(tiles.solid_item[first:last], solids, prism)
 
 
-@njit(**INLINED)
+@njit(cache=True)
 def _check_cell(n, lattice, crossings, solids, facets, planes, tiles, footprint, queries):
     cell, floor = queries.cell[n], queries.floor[n]
     low, high = floor + footprint.low, floor + footprint.high

@@ -12,12 +12,12 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from navbake.baker.kernels.constants import CLOSED_SURFACE, INNER, SAME, SLACK
+from navbake.baker.kernels.constants import CLOSED_SURFACE, SAME, SLACK
 from navbake.baker.kernels.tiles import cell_center
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 
-@njit(**INNER)
+@njit(cache=True)
 def _count_planes_over(planes, x, y, z):
     """How many infinite planes have a point behind them."""
     count = 0
@@ -32,7 +32,7 @@ def _count_planes_over(planes, x, y, z):
     return count
 
 
-@njit(**INNER)
+@njit(cache=True)
 def _look_up(crossings, first, i, last):
     """How many geoms of a column hold the i-th surface, and the height of the next one above.
 
@@ -95,7 +95,7 @@ def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable):
                 previous = z
 
 
-@njit(**INNER)
+@njit(cache=True)
 def neighbour(lattice, cell, way):
     """The next cell east (0), south (1), west (2) or north (3), or -1."""
     width, col = lattice.width, cell % lattice.width
@@ -275,7 +275,7 @@ def grow_floor(lattice, crossings, candidate, floor, lowest, highest, step):
         queue[:end] = following[:end]
 
 
-@njit(**INNER)
+@njit(cache=True)
 def _queue_around(lattice, cell, floor, queue, queued, end):
     """Queue the neighbours of a cell that have no floor; returns the queue's new end."""
     for way in range(4):
@@ -287,7 +287,7 @@ def _queue_around(lattice, cell, floor, queue, queued, end):
     return end
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _nearest_candidate(lattice, cell, crossings, candidate, floor, lowest, highest, step):
     """The height at which a floor goes on in a cell, or NaN."""
     best, best_gap = math.nan, step + SLACK

@@ -7,14 +7,14 @@ import math
 import numpy as np
 from numba import njit
 
-from navbake.baker.kernels.constants import INNER, SLACK
+from navbake.baker.kernels.constants import SLACK
 from navbake.baker.kernels.sheets import neighbour
 
 # `at_cell` where a sheet is not; one looked over a cell from a surface where it is less
 NOT_THERE = -1
 
 
-@njit(**INNER)
+@njit(cache=True)
 def _floor_below(standable, cell, own, z):
     """The highest floor that counts, of another sheet than own, below a height, or NaN."""
     found = math.nan
@@ -25,7 +25,7 @@ def _floor_below(standable, cell, own, z):
     return found
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _rises(crossings, cell, height):
     """Whether something rises through a height in a column: the next crossing above is a top."""
     for i in range(crossings.start[cell], crossings.start[cell + 1]):
@@ -34,7 +34,7 @@ def _rises(crossings, cell, height):
     return False
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _look_out(standable, node, way, crossings, step, reach, at_cell):
     """The cell where a floor below begins beyond an edge of a surface, or -1; where one looked.
 
@@ -95,7 +95,7 @@ def count_drops(standable, members, crossings, step, reach, at_cell):
     return edges, drops, floors[:drops], np.array(over, dtype=np.int64)
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _has_room(standable, cell, node, z, step):
     """Whether one can stand in a cell at about a height, on another surface than node."""
     for t in range(standable.start[cell], standable.start[cell + 1]):
@@ -104,7 +104,7 @@ def _has_room(standable, cell, node, z, step):
     return False
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _floor_at(crossings, cell, floor_like, z, step, limit):
     """The lowest height below a limit where a floor may go on from another one, or NaN."""
     for i in range(crossings.start[cell], crossings.start[cell + 1]):

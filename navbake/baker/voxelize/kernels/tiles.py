@@ -7,11 +7,11 @@ import math
 import numpy as np
 from numba import njit
 
-from navbake.baker.kernels.constants import INNER, OPEN_SURFACE
+from navbake.baker.kernels.constants import OPEN_SURFACE
 from navbake.baker.kernels.tiles import TILE, list_by_tile
 
 
-@njit(**INNER)
+@njit(cache=True)
 def touched(low, high, first, res, num):
     """The voxels along an axis that a closed interval meets: first, last (none: last < first)."""
     start, end = (low - first) / res, (high - first) / res
