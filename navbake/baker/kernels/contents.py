@@ -104,8 +104,8 @@ def _column(lattice, cell, cells, reach):
     return Prism(x, y, cells.floor[cell], cells.ceiling[cell], reach, reach)
 
 
-@njit(cache=True)
-def _count_tile(tile, lattice, solids, facets, planes, tiles, reach, cells):
+@njit(inline="always")
+def _count_tile(tile, lattice, solids, facets, planes, tiles, reach, cells, slot):
     nearby, groups = _tile_items(tile, tiles, facets)
     row0, row1, col0, col1 = tile_window(lattice, tile)
     for row in range(row0, row1):
@@ -124,21 +124,18 @@ def _count_tile(tile, lattice, solids, facets, planes, tiles, reach, cells):
             for g in range(groups.box.shape[0]):
                 if not outside(groups.box, g, column):
                     count += 1
-            cells.slot[cell + 1] = count
+            slot[cell + 1] = count
 
 
 @njit(cache=True, parallel=True)
 def count_candidates(lattice, solids, facets, planes, tiles, reach, cells):
-    """Count for each cell the geoms whose boxes meet its column: an upper bound.
+    """Count for each cell with a floor the geoms whose boxes meet its column: an upper bound.
 
-    Args:
-        lattice: the cells.
-        solids, facets, planes, tiles: the geometry.
-        reach: how far beyond its centre a cell looks [m].
-        cells: the storey's; ``slot[cell + 1]`` receives the number where there is a floor.
+    A cell looks `reach` beyond its centre [m]; ``cells.slot[cell + 1]`` receives the number.
     """
+    slot = cells.slot  # a write into it by way of its tuple would be dropped, see `arrays`
     for tile in prange(count_tiles(lattice)):
-        _count_tile(np.int64(tile), lattice, solids, facets, planes, tiles, reach, cells)
+        _count_tile(np.int64(tile), lattice, solids, facets, planes, tiles, reach, cells, slot)
 
 
 @njit(inline="always")
@@ -262,61 +259,38 @@ def list_geoms(lattice, crossings, solids, facets, planes, tiles, footprint, pro
     ceiling; it blocks the cell when `check_cells` would find it in the band, which it does in
     occupied cells only; it is PROBED when it stands there and meets the square in the probed
     band. Where rounding leaves no proof that it blocks, it is UNPROVED.
-
-    Args:
-        lattice: the cells.
-        crossings: the columns.
-        solids, facets, planes, tiles: the geometry.
-        footprint: as for `check_cells`.
-        probe: the probed band, and which geoms are looked for in it.
-        cells: the storey's cells; their lists are written.
     """
     for tile in prange(count_tiles(lattice)):
         _list_tile(
-            np.int64(tile),
-            lattice,
-            crossings,
-            solids,
-            facets,
-            planes,
-            tiles,
-            footprint,
-            probe,
-            cells,
-        )
+            np.int64(tile), lattice, crossings, solids, facets, planes, tiles, footprint, probe,
+            cells
+        )  # fmt: skip
 
 
 @njit(cache=True)
-def _describe_floor(cell, floor, crossings, min_up, support):
-    support.geom[cell] = -1
-    support.gap[cell] = math.inf
-    if math.isnan(floor):
-        return
-    first, last = crossings.start[cell], crossings.start[cell + 1]
-    for i in range(first, last):
-        if crossings.z[i] == floor and crossings.normal[i, 2] >= min_up:
-            support.geom[cell] = crossings.geom[i]
-            break
-    for i in range(first, last):
-        if crossings.z[i] > floor:
-            break
-        if crossings.normal[i, 2] >= min_up and crossings.geom[i] != support.geom[cell]:
-            support.gap[cell] = floor - crossings.z[i]
-
-
-@njit(cache=True, parallel=True)
 def describe_floors(floors, crossings, min_up, support):
     """Find which geom carries each cell's floor, and how far below the next floor lies.
 
-    Args:
-        floors: by cell, float64, NaN where there is none [m].
-        crossings: the columns.
-        min_up: cosine of the largest slope.
-        support: receives the answers, see `FloorSupport`; the gap is the height over the nearest
-            surface below that faces up and belongs to another geom.
+    `support` receives the answers, see `FloorSupport`; the gap is the height over the nearest
+    surface below that faces up within the slope and belongs to another geom.
     """
-    for cell in prange(floors.shape[0]):
-        _describe_floor(np.int64(cell), floors[cell], crossings, min_up, support)
+    z, geom, normal = crossings.z, crossings.geom, crossings.normal
+    # so little work a cell that threads would not repay their compiling
+    for cell in range(floors.shape[0]):
+        floor = floors[cell]
+        support.geom[cell], support.gap[cell] = -1, math.inf
+        if math.isnan(floor):
+            continue
+        first, last = crossings.start[cell], crossings.start[cell + 1]
+        for i in range(first, last):
+            if z[i] == floor and normal[i, 2] >= min_up:
+                support.geom[cell] = geom[i]
+                break
+        for i in range(first, last):
+            if z[i] > floor:
+                break
+            if normal[i, 2] >= min_up and geom[i] != support.geom[cell]:
+                support.gap[cell] = floor - z[i]
 
 
 @njit(cache=True)
@@ -342,16 +316,11 @@ def count_supports(support, standable, limit, covering, counts):
 
 @njit(cache=True)
 def measure_over_floors(listed, floors, extents, base, rise, area, upper_area):
-    """Measure how a storey's geoms stand over its floors.
+    """Measure how a storey's geoms stand over its floors, into four (geoms,) arrays.
 
-    Args:
-        listed: the geoms of each cell, see `LevelContents`.
-        floors: (cells,) float64 [m].
-        extents: where each geom begins and ends, see `Extents`.
-        base, rise: (geoms,) float64: least height of its lower end over a floor, and largest of
-            its upper end over its lower one or a floor; are lowered and raised [m].
-        area, upper_area: (geoms,) int64, receive how many cells it stands in, and those where
-            it does so in the wall's band.
+    `base` and `rise` are the least height of a geom's lower end over a floor, and the largest of
+    its upper end over its lower one or a floor; they are lowered and raised [m]. `area` and
+    `upper_area` count the cells it stands in, and those where it does so in the wall's band.
     """
     for cell in range(floors.shape[0]):
         for i in range(listed.start[cell], listed.start[cell + 1]):

@@ -1,6 +1,8 @@
 """What one geom meets of one cell: proved by the cell's line, or else by the geom's shape.
 
-Each function adds flags to those that are known already.
+A cheap test goes before an exact one: the line's winding number, then boxes (broad phase), then
+the shapes' own tests in `overlap` (clipping) and `solids` (closed forms, then GJK). Each function
+adds flags to those that are known already.
 """
 
 from __future__ import annotations

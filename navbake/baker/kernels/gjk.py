@@ -219,11 +219,7 @@ FACES = np.array([[0, 1, 2, 3], [0, 1, 3, 2], [0, 2, 3, 1], [1, 2, 3, 0]])
 
 @njit(inline="always")
 def _nearest_on_tetrahedron(simplex):
-    """Nearest point of a tetrahedron to the origin into v, by the faces that it lies beyond.
-
-    Returns:
-        Whether it lies beyond any; else the origin is inside.
-    """
+    """Nearest point of a tetrahedron to the origin into v; False where the origin is inside."""
     points = simplex.points
     best = math.inf
     outside = False
@@ -247,8 +243,7 @@ def _nearest_on_tetrahedron(simplex):
 def _reduce(simplex, num):
     """Reduce a simplex to the part that is nearest to the origin, and put that point into v.
 
-    Returns:
-        The number of points kept, or 4 with the origin proved inside.
+    Returns the number of points kept, or 4 with the origin proved inside.
     """
     points, keep, v = simplex.points, simplex.keep, simplex.v
     if num == 1:
@@ -277,18 +272,7 @@ def _reduce(simplex, num):
 
 @njit(cache=True)
 def solid_meets_prism(solids, s, prism, is_round, simplex):
-    """Does a solid meet one part of a prism?
-
-    Args:
-        solids: the solids.
-        s: which of them.
-        prism: the prism.
-        is_round: whether its disc is meant, or else its square.
-        simplex: scratch.
-
-    Returns:
-        APART or MEETS where that is proved, else UNDECIDED.
-    """
+    """Does a solid meet a prism's disc (`is_round`), or its square? UNDECIDED without a proof."""
     kind, pos, mat, size = solids.kind[s], solids.pos[s], solids.mat[s], solids.size[s]
     points, v = simplex.points, simplex.v
     # any point of the difference does to begin with: here that of the two centres

@@ -53,16 +53,7 @@ def outside(boxes, i, prism):
 def clip(points, num, out, axis, limit, sign):
     """Keep the part of a polygon where ``sign * (coordinate - limit) >= 0``.
 
-    Args:
-        points: (>= num, 3) float64, its corners.
-        num: how many there are.
-        out: receives the corners of the part.
-        axis: which coordinate.
-        limit: [m].
-        sign: 1.0 or -1.0.
-
-    Returns:
-        How many corners the part has; 0 for none.
+    `points` and `out` are (>= num, 3) float64. Returns how many corners the part has; 0 for none.
     """
     kept = 0
     for i in range(num):
@@ -113,13 +104,7 @@ def _disc_meets_polygon(points, num, prism):
 
 @njit(cache=True)
 def triangle_meets_prism(corners, prism, polygons):
-    """Does a triangle meet a prism?
-
-    Args:
-        corners: (3, 3) float64 [m].
-        prism: the prism.
-        polygons: scratch.
-    """
+    """Does a triangle, (3, 3) float64 [m], meet a prism? The polygons are scratch."""
     one, other = polygons.one, polygons.other
     num = clip_between(corners, corners.shape[0], other, Z, (prism.low, prism.high), one)
     if num == 0:

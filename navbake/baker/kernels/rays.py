@@ -107,8 +107,7 @@ def _cast_at_rim(solids, s, ray):
 def _cross_triangle(corners, x, y):
     """Where the line at (x, y) crosses a triangle.
 
-    Returns:
-        0 for no crossing, 1 for one inside, 2 for one within RIM of an edge; and its height.
+    Returns 0 for nowhere, 1 for inside, 2 for within RIM of an edge; and the height.
     """
     ax, ay = corners[0, 0] - x, corners[0, 1] - y
     bx, by = corners[1, 0] - x, corners[1, 1] - y

@@ -6,8 +6,6 @@ leaning capsules and cylinders there is a bound. What these leave open within ro
 everything that leans otherwise, goes to `gjk`.
 """
 
-from __future__ import annotations
-
 import math
 
 from numba import njit
@@ -30,10 +28,7 @@ def _point_gap(dx, dy, half, is_round):
 def _plan_gap(solids, s, upright, dx, dy, half, is_round):
     """How far a box or cylinder is from a column, seen from above; negative where they overlap.
 
-    Args:
-        upright: number of its own axis that points up or down.
-        dx, dy: the column's centre less the solid's [m].
-        half: half of the square's edge, or the disc's radius [m].
+    Its own axis number `upright` points up or down; dx, dy is the column's centre less its own.
     """
     mat, size = solids.mat[s], solids.size[s]
     if solids.kind[s] == CYLINDER:
@@ -90,11 +85,7 @@ def _gap(solids, s, prism, half, is_round):
 
 @njit(cache=True)
 def part_of_solid(solids, s, prism, is_round, simplex):
-    """Whether a solid meets a prism's disc (`is_round`) or its square; APART where it has none.
-
-    Returns:
-        APART, MEETS or UNDECIDED.
-    """
+    """Whether a solid meets a prism's disc (`is_round`) or its square; APART where it has none."""
     half = prism.radius if is_round else prism.square
     if half <= 0.0:
         return APART

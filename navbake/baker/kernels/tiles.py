@@ -4,8 +4,6 @@ A uniform grid as in collision detection's broad phase (Ericson, Real-Time Colli
 2005, 7.1), of tiles of TILE x TILE cells. The lists are one counting sort: count, sum up, write.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 
@@ -50,15 +48,9 @@ def _tile_range(low, high, num_tiles, tile_size):
 
 @njit(cache=True)
 def bin_boxes(bounds, grow, lattice):
-    """List, for each tile, the boxes that reach into it.
+    """List, for each tile, the (n, 6) boxes that reach into it, grown in the plane by `grow` [m].
 
-    Args:
-        bounds: boxes, (n, 6) float64: lower corner, upper corner, world frame [m].
-        grow: what is added to every box on all sides in the plane [m].
-        lattice: the cells.
-
-    Returns:
-        As `list_by_tile`.
+    Returns what `list_by_tile` does.
     """
     width, height, cell_size = lattice.width, lattice.height, lattice.cell_size
     tiles_x, tiles_y = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
@@ -88,8 +80,7 @@ def list_by_tile(ranges, num_tiles, stride):
         stride: the step between tile numbers along the first axis.
 
     Returns:
-        start, (num_tiles + 1,) int64, and item, (start[-1],) int32: tile t holds
-        ``item[start[t]:start[t + 1]]``, ascending.
+        start, (num_tiles + 1,) int64, and item, (start[-1],) int32, ascending within a tile.
     """
     start = np.zeros(num_tiles + 1, np.int64)
     item = np.empty(0, np.int32)

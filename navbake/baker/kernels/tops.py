@@ -1,6 +1,9 @@
-"""Tops of what stands on a floor: how a sheet ends at its edges, and what goes on under it."""
+"""Tops of what stands on a floor: how a sheet ends at its edges, and what goes on under it.
 
-from __future__ import annotations
+Edges are looked over along straight lines of cells. The floor around goes on under the sheet as a
+flood fill, breadth first with one queue (Moore, The shortest path through a maze, 1959), from cell
+to cell as long as heights differ by at most a step.
+"""
 
 import math
 
@@ -67,9 +70,8 @@ def count_drops(standable, members, crossings, step, reach, at_cell):
             -2 - surface in the cells that one looked over.
 
     Returns:
-        The number of edges between its cells and others, how many of them drop by more than a
-        step to a floor that counts, the cells where those floors begin, and the ones that one
-        looked over.
+        How many edges its cells have to others, how many of them drop by more than a step to a
+        floor that counts, the cells where those floors begin, and the ones that one looked over.
     """
     for node in members:
         at_cell[standable.cell[node]] = node  # of several in a column, the highest
@@ -119,15 +121,9 @@ def _floor_at(crossings, cell, floor_like, z, step, limit):
 def count_covered(standable, members, crossings, floor_like, step, floors, at_cell, under, queue):
     """Count the cells of a sheet under which the floor around it goes on, too low to stand on.
 
-    The floor around floods in under the sheet, breadth first, from where it begins.
-
-    Args:
-        standable, members, crossings, step: as in `count_drops`.
-        floor_like: (n,) bool, the crossings where a floor may go on.
-        floors: the cells where the floor around begins, as `count_drops` found them.
-        at_cell: as `count_drops` left it.
-        under: (cells,) float64, all NaN, and so again afterwards.
-        queue: (cells,) int64, to work in.
+    The floor around floods in under the sheet from where it begins (`floors` of
+    `count_drops`, which also leaves `at_cell`). `floor_like` tells the crossings where a floor may
+    go on; `under`, (cells,) float64, is all NaN, and so again afterwards; `queue` is scratch.
     """
     own = standable.sheet[members[0]]
     top = standable.z[members[0]]

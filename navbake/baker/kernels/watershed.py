@@ -124,16 +124,18 @@ def flood(label, fillable, height, highest):
         while begin < end:
             # a whole wave is decided before any of it is written: all of it is as near to come by
             for k in range(begin, end):
-                cell = np.int64(wave[k])  # the type of the cells above, see `arrays`
-                number = _neighbours(cell, rows, cols, near)
-                origin[k] = _nearest_origin(cell, near[:number], labels, source, cols)
+                filled = np.int64(wave[k])  # of the type of the cells above, see `arrays`
+                number = _neighbours(filled, rows, cols, near)
+                origin[k] = _nearest_origin(filled, near[:number], labels, source, cols)
             for k in range(begin, end):
                 source[wave[k]] = origin[k]
                 labels[wave[k]] = labels[origin[k]]
             count = end
             for k in range(begin, end):
-                cell = np.int64(wave[k])
-                count = _queue_around(cell, rows, cols, heights, level, buckets, wave, count, near)
+                filled = np.int64(wave[k])
+                count = _queue_around(
+                    filled, rows, cols, heights, level, buckets, wave, count, near
+                )
             begin, end = end, count
 
 
@@ -153,8 +155,7 @@ def _take_bucket(buckets, level, wave):
 def _queue_around(cell, rows, cols, heights, level, buckets, wave, count, near):
     """Queue the cells round one: in the next wave from a height on, lower ones in their bucket.
 
-    Returns:
-        How many cells are in the waves of this height.
+    Returns how many cells are in the waves of this height.
     """
     for i in range(_neighbours(cell, rows, cols, near)):
         other = near[i]

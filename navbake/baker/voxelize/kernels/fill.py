@@ -177,10 +177,7 @@ def _height_at(c, x, y):
 
 @njit(cache=True)
 def _note_crossing(voxels, c, x, y, winding, reach):
-    """Add a triangle's crossing of a column's line at the first voxel with its middle above.
-
-    `reach` is the first and the last entry of `winding` that may not be 0.
-    """
+    """Add a triangle's crossing of a column's line at the first voxel with its middle above."""
     side = _crossing(c, x, y)
     if side != 0:
         above = (_height_at(c, x, y) - voxels.origin[2]) / voxels.res + 0.5
@@ -324,10 +321,10 @@ def _fill_tile(voxels, number, tile, solids, planes, triangles, tiles, closed, l
 
 @njit(cache=True, parallel=True)
 def fill_voxels(voxels, solids, planes, triangles, tiles, closed, labels):
-    """Label all voxels that geoms meet.
+    """Label all voxels that geoms meet; labels are added to what the grid holds.
 
     Args:
-        voxels: the grid; labels are added to what it holds.
+        voxels: the grid.
         solids, planes, triangles: the geometry; the triangles sorted by geom.
         tiles: what lies over each tile of columns.
         closed: by geom id, what its triangles enclose, see `constants`, uint8.

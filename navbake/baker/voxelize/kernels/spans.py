@@ -236,17 +236,7 @@ def _top(kind, mat, size, square, polygons):
 
 @njit(cache=True)
 def solid_span(solids, s, square, polygons):
-    """The heights between which a solid is over a square.
-
-    Args:
-        solids: the solids.
-        s: which of them.
-        square: the square, world frame.
-        polygons: scratch.
-
-    Returns:
-        Lower and upper end [m]; -inf twice where the solid isn't over the square.
-    """
+    """The heights between which a solid is over a square, world frame; -inf twice if nowhere."""
     kind, pos, mat, size = solids.kind[s], solids.pos[s], solids.mat[s], solids.size[s]
     x0, x1, y0, y1 = square.x0 - pos[0], square.x1 - pos[0], square.y0 - pos[1], square.y1 - pos[1]
     high = NONE
