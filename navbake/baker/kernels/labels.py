@@ -189,7 +189,7 @@ def find_passes(label, distance):
 
 
 @njit(cache=True)
-def measure_rooms(index, floor, center_x, center_y, num_rooms):
+def sum_rooms(index, floor, center_x, center_y, num_rooms):
     """Count the cells of each room from 0 to `num_rooms`, and sum their x, y and floor height [m].
 
     `index` is (rows, cols), `center_x` by column, `center_y` by row. Returns four float64 arrays.
