@@ -104,8 +104,8 @@ def _column(lattice, cell, cells, reach):
     return Prism(x, y, cells.floor[cell], cells.ceiling[cell], reach, reach)
 
 
-@njit(inline="always")
-def _count_tile(tile, lattice, solids, facets, planes, tiles, reach, cells, slot):
+@njit(cache=True)
+def _count_tile(tile, lattice, solids, facets, planes, tiles, reach, cells):
     nearby, groups = _tile_items(tile, tiles, facets)
     row0, row1, col0, col1 = tile_window(lattice, tile)
     for row in range(row0, row1):
@@ -124,7 +124,7 @@ def _count_tile(tile, lattice, solids, facets, planes, tiles, reach, cells, slot
             for g in range(groups.box.shape[0]):
                 if not outside(groups.box, g, column):
                     count += 1
-            slot[cell + 1] = count
+            cells.slot[cell + 1] = count
 
 
 @njit(cache=True, parallel=True)
@@ -133,9 +133,8 @@ def count_candidates(lattice, solids, facets, planes, tiles, reach, cells):
 
     A cell looks `reach` beyond its centre [m]; ``cells.slot[cell + 1]`` receives the number.
     """
-    slot = cells.slot  # a write into it by way of its tuple would be dropped, see `arrays`
     for tile in prange(count_tiles(lattice)):
-        _count_tile(np.int64(tile), lattice, solids, facets, planes, tiles, reach, cells, slot)
+        _count_tile(np.int64(tile), lattice, solids, facets, planes, tiles, reach, cells)
 
 
 @njit(inline="always")
