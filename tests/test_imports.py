@@ -156,6 +156,12 @@ def test_kernels_import_kernels_alone(name):
         assert is_standard or is_kernel or belongs(found, KERNELS_ONLY), f"{name} imports {found}"
 
 
+@pytest.mark.parametrize("name", [name for name in MODULES if ".kernels" in name])
+def test_kernels_keep_the_wrapper_that_python_calls_them_by(name):
+    # without it, a call from Python doesn't raise: the process crashes
+    assert "no_cpython_wrapper" not in MODULES[name].read_text(encoding="utf-8")
+
+
 def test_errors_import_nothing_at_all():
     assert imports(MODULES["errors"]) == set()
 

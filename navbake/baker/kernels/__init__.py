@@ -1,4 +1,10 @@
-"""Kernels: plain arrays in and out, compiled by numba and cached on disk."""
+"""Kernels: arrays and tuples of them in and out, compiled by numba and cached on disk.
+
+A helper with ``inline="always"`` becomes part of its caller's code before types are inferred. As a
+function of its own it would be optimized once more in each kernel that reaches it, and its tuples
+of arrays would be passed for each cell. So what many call is a function, and what the body of a
+parallel loop calls (see `arrays`); other helpers are inlined.
+"""
 
 from numba import njit
 

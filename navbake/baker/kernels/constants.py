@@ -1,15 +1,5 @@
 """Numbers that the kernels and those who call them share: MuJoCo's enums, states, tolerances."""
 
-from __future__ import annotations
-
-from typing import Any
-
-# How numba compiles what kernels alone call: without the wrappers that Python would call it by,
-# which take longer to compile than the code of many small functions. What is called for each cell
-# with whole tuples is inlined as well, because passing them takes longer than the work.
-INNER: dict[str, Any] = {"cache": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-INLINED = {**INNER, "forceinline": True}
-
 # MuJoCo's geom types (mjtGeom); sites have the same
 PLANE, HFIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH, SDF = range(9)
 # MuJoCo's joint types (mjtJoint)

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit, prange
 
 from navbake.baker.kernels.arrays import Prism
-from navbake.baker.kernels.constants import INLINED, SAME, TOUCH
+from navbake.baker.kernels.constants import SAME, TOUCH
 from navbake.baker.kernels.flags import (
     BLOCKS,
     PROBED,
@@ -65,7 +65,7 @@ class CellQuestion(NamedTuple):
     known: int
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _group_triangles(items, facets):
     """Group a tile's triangles, which are sorted by geom."""
     geom, num = facets.geom, 0
@@ -77,18 +77,19 @@ def _group_triangles(items, facets):
     group = -1
     for i in range(items.shape[0]):
         bounds = facets.bounds[items[i]]
-        if i == 0 or geom[items[i]] != geom[items[i - 1]]:
+        is_first = i == 0 or geom[items[i]] != geom[items[i - 1]]
+        if is_first:
             group += 1
             start[group] = i
-            box[group] = bounds
         for k in range(3):
-            box[group, k] = min(box[group, k], bounds[k])
-            box[group, k + 3] = max(box[group, k + 3], bounds[k + 3])
+            box[group, k] = bounds[k] if is_first else min(box[group, k], bounds[k])
+        for k in range(3, 6):
+            box[group, k] = bounds[k] if is_first else max(box[group, k], bounds[k])
     start[num] = items.shape[0]
     return Groups(items, start, box)
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _tile_items(tile, tiles, facets):
     """The solids and the triangles over a tile."""
     solids = tiles.solid_item[tiles.solid_start[tile] : tiles.solid_start[tile + 1]]
@@ -96,14 +97,14 @@ def _tile_items(tile, tiles, facets):
     return solids, _group_triangles(tiles.triangle_item[first:last], facets)
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _column(lattice, cell, cells, reach):
     """All of a cell's column; NaN heights where there is no floor."""
     x, y = cell_center(lattice, cell)
     return Prism(x, y, cells.floor[cell], cells.ceiling[cell], reach, reach)
 
 
-@njit(**INLINED)
+@njit(cache=True)
 def _count_tile(tile, lattice, solids, facets, planes, tiles, reach, cells):
     nearby, groups = _tile_items(tile, tiles, facets)
     row0, row1, col0, col1 = tile_window(lattice, tile)
@@ -128,19 +129,15 @@ def _count_tile(tile, lattice, solids, facets, planes, tiles, reach, cells):
 
 @njit(cache=True, parallel=True)
 def count_candidates(lattice, solids, facets, planes, tiles, reach, cells):
-    """Count for each cell the geoms whose boxes meet its column: an upper bound.
+    """Count for each cell with a floor the geoms whose boxes meet its column: an upper bound.
 
-    Args:
-        lattice: the cells.
-        solids, facets, planes, tiles: the geometry.
-        reach: how far beyond its centre a cell looks [m].
-        cells: the storey's; ``slot[cell + 1]`` receives the number where there is a floor.
+    A cell looks `reach` beyond its centre [m]; ``cells.slot[cell + 1]`` receives the number.
     """
     for tile in prange(count_tiles(lattice)):
         _count_tile(np.int64(tile), lattice, solids, facets, planes, tiles, reach, cells)
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _add(cells, cell, count, geom, flags):
     """Insert an entry into a cell's list, which is sorted by geom; the list's new length."""
     if not flags & STANDS:
@@ -156,7 +153,7 @@ def _add(cells, cell, count, geom, flags):
     return count + 1
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _ask(lattice, cell, crossings, footprint, probe, cells):
     """Put together what is asked about a cell."""
     half = lattice.cell_size / 2 - TOUCH
@@ -177,7 +174,7 @@ def _ask(lattice, cell, crossings, footprint, probe, cells):
     return CellQuestion(cell, column, volumes, is_taken, by_line, known)
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _wanted(question, geom, probe):
     """The flags that a geom may have in a cell, and those of them that a line may prove."""
     wanted = STANDS | (PROBED if probe.geoms[geom] else 0)
@@ -185,7 +182,7 @@ def _wanted(question, geom, probe):
     return wanted | (BLOCKS if question.is_taken else 0), by_line
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _list_planes(question, planes, crossings, cells):
     count, cell, volumes = np.int64(0), question.cell, question.volumes
     by_line = STANDS | (BLOCKS if question.by_line else 0)
@@ -199,7 +196,7 @@ def _list_planes(question, planes, crossings, cells):
     return count
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _list_triangles(question, groups, facets, crossings, probe, cells, count, polygons):
     cell, volumes = question.cell, question.volumes
     for g in range(groups.box.shape[0]):
@@ -216,7 +213,7 @@ def _list_triangles(question, groups, facets, crossings, probe, cells, count, po
     return count
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _list_solids(question, nearby, solids, crossings, probe, cells, count, simplex):
     cell, volumes = question.cell, question.volumes
     for s in nearby:
@@ -233,7 +230,7 @@ def _list_solids(question, nearby, solids, crossings, probe, cells, count, simpl
     return count
 
 
-@njit(**INLINED)
+@njit(cache=True)
 def _list_tile(
     tile, lattice, crossings, solids, facets, planes, tiles, footprint, probe, cells
 ):  # fmt: skip
@@ -261,61 +258,38 @@ def list_geoms(lattice, crossings, solids, facets, planes, tiles, footprint, pro
     ceiling; it blocks the cell when `check_cells` would find it in the band, which it does in
     occupied cells only; it is PROBED when it stands there and meets the square in the probed
     band. Where rounding leaves no proof that it blocks, it is UNPROVED.
-
-    Args:
-        lattice: the cells.
-        crossings: the columns.
-        solids, facets, planes, tiles: the geometry.
-        footprint: as for `check_cells`.
-        probe: the probed band, and which geoms are looked for in it.
-        cells: the storey's cells; their lists are written.
     """
     for tile in prange(count_tiles(lattice)):
         _list_tile(
-            np.int64(tile),
-            lattice,
-            crossings,
-            solids,
-            facets,
-            planes,
-            tiles,
-            footprint,
-            probe,
-            cells,
-        )
+            np.int64(tile), lattice, crossings, solids, facets, planes, tiles, footprint, probe,
+            cells
+        )  # fmt: skip
 
 
-@njit(**INLINED)
-def _describe_floor(cell, floor, crossings, min_up, support):
-    support.geom[cell] = -1
-    support.gap[cell] = math.inf
-    if math.isnan(floor):
-        return
-    first, last = crossings.start[cell], crossings.start[cell + 1]
-    for i in range(first, last):
-        if crossings.z[i] == floor and crossings.normal[i, 2] >= min_up:
-            support.geom[cell] = crossings.geom[i]
-            break
-    for i in range(first, last):
-        if crossings.z[i] > floor:
-            break
-        if crossings.normal[i, 2] >= min_up and crossings.geom[i] != support.geom[cell]:
-            support.gap[cell] = floor - crossings.z[i]
-
-
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def describe_floors(floors, crossings, min_up, support):
     """Find which geom carries each cell's floor, and how far below the next floor lies.
 
-    Args:
-        floors: by cell, float64, NaN where there is none [m].
-        crossings: the columns.
-        min_up: cosine of the largest slope.
-        support: receives the answers, see `FloorSupport`; the gap is the height over the nearest
-            surface below that faces up and belongs to another geom.
+    `support` receives the answers, see `FloorSupport`; the gap is the height over the nearest
+    surface below that faces up within the slope and belongs to another geom.
     """
-    for cell in prange(floors.shape[0]):
-        _describe_floor(np.int64(cell), floors[cell], crossings, min_up, support)
+    z, geom, normal = crossings.z, crossings.geom, crossings.normal
+    # so little work a cell that threads would not repay their compiling
+    for cell in range(floors.shape[0]):
+        floor = floors[cell]
+        support.geom[cell], support.gap[cell] = -1, math.inf
+        if math.isnan(floor):
+            continue
+        first, last = crossings.start[cell], crossings.start[cell + 1]
+        for i in range(first, last):
+            if z[i] == floor and normal[i, 2] >= min_up:
+                support.geom[cell] = geom[i]
+                break
+        for i in range(first, last):
+            if z[i] > floor:
+                break
+            if normal[i, 2] >= min_up and geom[i] != support.geom[cell]:
+                support.gap[cell] = floor - z[i]
 
 
 @njit(cache=True)
@@ -341,16 +315,11 @@ def count_supports(support, standable, limit, covering, counts):
 
 @njit(cache=True)
 def measure_over_floors(listed, floors, extents, base, rise, area, upper_area):
-    """Measure how a storey's geoms stand over its floors.
+    """Measure how a storey's geoms stand over its floors, into four (geoms,) arrays.
 
-    Args:
-        listed: the geoms of each cell, see `LevelContents`.
-        floors: (cells,) float64 [m].
-        extents: where each geom begins and ends, see `Extents`.
-        base, rise: (geoms,) float64: least height of its lower end over a floor, and largest of
-            its upper end over its lower one or a floor; are lowered and raised [m].
-        area, upper_area: (geoms,) int64, receive how many cells it stands in, and those where
-            it does so in the wall's band.
+    `base` and `rise` are the least height of a geom's lower end over a floor, and the largest of
+    its upper end over its lower one or a floor; they are lowered and raised [m]. `area` and
+    `upper_area` count the cells it stands in, and those where it does so in the wall's band.
     """
     for cell in range(floors.shape[0]):
         for i in range(listed.start[cell], listed.start[cell + 1]):

@@ -1,6 +1,8 @@
 """What one geom meets of one cell: proved by the cell's line, or else by the geom's shape.
 
-Each function adds flags to those that are known already.
+A cheap test goes before an exact one: the line's winding number, then boxes (broad phase), then
+the shapes' own tests in `overlap` (clipping) and `solids` (closed forms, then GJK). Each function
+adds flags to those that are known already.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from typing import NamedTuple
 from numba import njit
 
 from navbake.baker.kernels.arrays import Prism
-from navbake.baker.kernels.constants import APART, INNER, MEETS, UNDECIDED
+from navbake.baker.kernels.constants import APART, MEETS, UNDECIDED
 from navbake.baker.kernels.gjk import SQUARE
 from navbake.baker.kernels.overlap import (
     line_is_blocked,
@@ -39,7 +41,7 @@ class Volumes(NamedTuple):
     probed: Prism
 
 
-@njit(**INNER)
+@njit(cache=True)
 def line_flags(crossings, cell, geom, volumes, wanted):
     """The flags that a cell's line alone proves of a geom, of those that are wanted."""
     flags = 0
@@ -52,7 +54,7 @@ def line_flags(crossings, cell, geom, volumes, wanted):
     return flags
 
 
-@njit(**INNER)
+@njit(inline="always")
 def plane_flags(planes, p, volumes, is_taken, flags):
     """Add what the half-space behind a plane meets; `is_taken` tells if anything may block."""
     if plane_meets_prism(planes, p, volumes.stands):
@@ -62,7 +64,7 @@ def plane_flags(planes, p, volumes, is_taken, flags):
     return flags
 
 
-@njit(**INNER)
+@njit(inline="always")
 def triangle_flags(items, facets, volumes, flags, wanted, polygons):
     """Add what a geom's triangles meet, until all wanted flags are set."""
     for t in items:
@@ -80,7 +82,7 @@ def triangle_flags(items, facets, volumes, flags, wanted, polygons):
     return flags
 
 
-@njit(**INNER)
+@njit(inline="always")
 def solid_flags(solids, s, volumes, flags, wanted, simplex):
     """Add what a solid meets of the wanted flags."""
     if wanted & ~flags & BLOCKS and not outside(solids.bounds, s, volumes.blocks):

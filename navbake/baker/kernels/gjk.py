@@ -28,7 +28,6 @@ from navbake.baker.kernels.constants import (
     CAPSULE,
     CYLINDER,
     ELLIPSOID,
-    INNER,
     MEETS,
     UNDECIDED,
 )
@@ -65,7 +64,7 @@ def make_simplex():
     )
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _support_solid(kind, pos, mat, size, dx, dy, dz, out):
     """The farthest point of a solid along a direction, into out."""
     # direction in the solid's own frame: transpose of the row-major matrix
@@ -103,7 +102,7 @@ def _support_solid(kind, pos, mat, size, dx, dy, dz, out):
     out[2] = pos[2] + mat[6] * px + mat[7] * py + mat[8] * pz
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _subtract_prism(prism, is_round, dx, dy, dz, out):
     """Take the prism's farthest point along a direction off a point, in place."""
     if is_round:
@@ -121,12 +120,12 @@ def _subtract_prism(prism, is_round, dx, dy, dz, out):
     out[2] -= (prism.low + prism.high) / 2.0 + (half_z if dz > 0.0 else -half_z)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _nearest_on_segment(a, b, keep, v):
     """Nearest point of a segment to the origin into v; keep says which ends it needs."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -144,7 +143,7 @@ def _nearest_on_segment(a, b, keep, v):
         keep[0], keep[1] = True, True
 
 
-@njit(**INNER)
+@njit(cache=True)
 def _nearest_on_triangle(a, b, c, keep, v):
     """Nearest point of a triangle to the origin into v (Voronoi regions of its features)."""
     keep[0], keep[1], keep[2] = False, False, False
@@ -199,7 +198,7 @@ def _nearest_on_triangle(a, b, c, keep, v):
     keep[0], keep[1], keep[2] = True, True, True
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _origin_outside(a, b, c, d):
     """Whether the origin lies beyond the face a, b, c of a tetrahedron, or d in its plane."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -218,13 +217,9 @@ def _origin_outside(a, b, c, d):
 FACES = np.array([[0, 1, 2, 3], [0, 1, 3, 2], [0, 2, 3, 1], [1, 2, 3, 0]])
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _nearest_on_tetrahedron(simplex):
-    """Nearest point of a tetrahedron to the origin into v, by the faces that it lies beyond.
-
-    Returns:
-        Whether it lies beyond any; else the origin is inside.
-    """
+    """Nearest point of a tetrahedron to the origin into v; False where the origin is inside."""
     points = simplex.points
     best = math.inf
     outside = False
@@ -239,18 +234,16 @@ def _nearest_on_tetrahedron(simplex):
         if distance < best:
             best = distance
             simplex.v[0], simplex.v[1], simplex.v[2] = trial[0], trial[1], trial[2]
-            simplex.best_keep[:] = False
             simplex.best_keep[i], simplex.best_keep[j] = keep[0], keep[1]
-            simplex.best_keep[k] = keep[2]
+            simplex.best_keep[k], simplex.best_keep[m] = keep[2], False
     return outside
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _reduce(simplex, num):
     """Reduce a simplex to the part that is nearest to the origin, and put that point into v.
 
-    Returns:
-        The number of points kept, or 4 with the origin proved inside.
+    Returns the number of points kept, or 4 with the origin proved inside.
     """
     points, keep, v = simplex.points, simplex.keep, simplex.v
     if num == 1:
@@ -265,7 +258,8 @@ def _reduce(simplex, num):
     else:
         if not _nearest_on_tetrahedron(simplex):
             return 4
-        keep[:] = simplex.best_keep
+        for i in range(4):
+            keep[i] = simplex.best_keep[i]
     kept = 0
     for i in range(num):
         if keep[i]:
@@ -278,18 +272,7 @@ def _reduce(simplex, num):
 
 @njit(cache=True)
 def solid_meets_prism(solids, s, prism, is_round, simplex):
-    """Does a solid meet one part of a prism?
-
-    Args:
-        solids: the solids.
-        s: which of them.
-        prism: the prism.
-        is_round: whether its disc is meant, or else its square.
-        simplex: scratch.
-
-    Returns:
-        APART or MEETS where that is proved, else UNDECIDED.
-    """
+    """Does a solid meet a prism's disc (`is_round`), or its square? UNDECIDED without a proof."""
     kind, pos, mat, size = solids.kind[s], solids.pos[s], solids.mat[s], solids.size[s]
     points, v = simplex.points, simplex.v
     # any point of the difference does to begin with: here that of the two centres

@@ -5,25 +5,18 @@ Parts are found by two-pass connected-component labelling over runs in rows (Ros
 of each run's part.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 
-from navbake.baker.kernels.constants import INNER
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 
 @njit(cache=True)
 def label_parts(mask):
-    """Label the parts of a mask that hang together over edges.
+    """Label the parts of a (rows, cols) mask that hang together over edges.
 
-    Args:
-        mask: shape (rows, cols), bool.
-
-    Returns:
-        Shape (rows, cols), int32, 0 outside, parts numbered by their first cells from 1; and how
-        many parts there are.
+    Returns int32 of the same shape, 0 outside, parts numbered by their first cells from 1; and how
+    many parts there are.
     """
     rows, cols = mask.shape
     label = np.zeros((rows, cols), dtype=np.int32)
@@ -35,7 +28,7 @@ def label_parts(mask):
     return label, parts
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _label_runs(mask, label, parent):
     """Label the runs of each row, and join those that touch; returns how many runs there are."""
     rows, cols = mask.shape
@@ -59,7 +52,7 @@ def _label_runs(mask, label, parent):
     return count
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _number_parts(parent, count):
     """The number of each run's part: a root is its first run, so it is met first."""
     number = np.zeros(count + 1, dtype=np.int32)
@@ -78,11 +71,7 @@ def _number_parts(parent, count):
 def cells_of_nodes(label):
     """The label of each cell's centre, or else the highest on its edges and corners.
 
-    Args:
-        label: of nodes, shape (2 rows + 1, 2 cols + 1), int32.
-
-    Returns:
-        Shape (rows, cols), int32.
+    Labels are of nodes, (2 rows + 1, 2 cols + 1) int32; returns those of cells, (rows, cols) int32.
     """
     rows, cols = label.shape[0] // 2, label.shape[1] // 2
     cells = np.empty((rows, cols), dtype=np.int32)
@@ -111,15 +100,10 @@ def first_cells(label, count):
 def measure_regions(label, distance, num_regions):
     """Count the cells of each label, and measure how far they are from the walls.
 
-    Args:
-        label: of cells, shape (rows, cols), int32, 0 to `num_regions`.
-        distance: of nodes, shape (2 rows + 1, 2 cols + 1), int32.
-        num_regions: the largest label.
-
-    Returns:
-        Number of cells, int64; largest distance of a node on one of them, int32; sum of the
-        distances of their centres, int64; each of shape (num_regions + 1,). What has no label is
-        left out.
+    Labels are of cells, (rows, cols) int32, 0 to `num_regions`, where 0 is left out; distances are
+    of nodes, (2 rows + 1, 2 cols + 1) int32. Returns the number of cells, int64, the largest
+    distance of a node on one of them, int32, and the sum of their centres' distances, int64, by
+    label.
     """
     cells = np.zeros(num_regions + 1, dtype=np.int64)
     peaks = np.zeros(num_regions + 1, dtype=np.int32)
@@ -140,20 +124,11 @@ def measure_regions(label, distance, num_regions):
 
 @njit(cache=True)
 def measure_slopes(label, floor, reach, rise, num_regions):
-    """Count the steep cells of each label, and sum the heights of all.
+    """Count the steep cells of each label, int64, and sum the floor heights of all, float64.
 
-    A cell is steep where the floor rises by `rise` from `reach` cells on one side to as many on
-    the other. What isn't there, or has no label, is taken for level.
-
-    Args:
-        label: of cells, shape (rows, cols), int32, 0 to `num_regions`.
-        floor: heights, shape (rows, cols), float64.
-        reach: cells, >= 1.
-        rise: of the two directions together, > 0.
-        num_regions: the largest label.
-
-    Returns:
-        Number of steep cells, int64, and sum of heights, float64, of shape (num_regions + 1,).
+    A cell is steep where the floor rises by `rise` (of the two directions together) from `reach`
+    cells on one side to as many on the other. What isn't there, or has no label, is taken for
+    level.
     """
     steep = np.zeros(num_regions + 1, dtype=np.int64)
     heights = np.zeros(num_regions + 1, dtype=np.float64)
@@ -180,13 +155,8 @@ def measure_slopes(label, floor, reach, rise, num_regions):
 def find_passes(label, distance):
     """Find the edges between cells with different labels, none of them 0.
 
-    Args:
-        label: of cells, shape (rows, cols), int32.
-        distance: of nodes, shape (2 rows + 1, 2 cols + 1), int32.
-
-    Returns:
-        The two labels, the lower one first, (n, 2) int64; and the largest distance of the three
-        nodes on each edge, (n,) int32.
+    Labels and distances are as for `measure_regions`. Returns the two labels, the lower one first,
+    (n, 2) int64; and the largest distance of the three nodes on each edge, (n,) int32.
     """
     rows, cols = label.shape
     pairs = np.empty((0, 2), dtype=np.int64)
@@ -204,7 +174,7 @@ def find_passes(label, distance):
                     if there == 0 or there == here:
                         continue
                     if writing:
-                        pairs[count] = min(here, there), max(here, there)
+                        pairs[count, 0], pairs[count, 1] = min(here, there), max(here, there)
                         i, j = 2 * row + 1 + down, 2 * col + 1 + right
                         saddles[count] = max(
                             distance[i, j],
@@ -220,17 +190,9 @@ def find_passes(label, distance):
 
 @njit(cache=True)
 def sum_rooms(index, floor, center_x, center_y, num_rooms):
-    """Count the cells of each room, and sum where they are.
+    """Count the cells of each room from 0 to `num_rooms`, and sum their x, y and floor height [m].
 
-    Args:
-        index: shape (rows, cols), uint16, 0 to `num_rooms`.
-        floor: heights, shape (rows, cols), float64.
-        center_x: of the columns, shape (cols,), float64.
-        center_y: of the rows, shape (rows,), float64.
-        num_rooms: the largest index.
-
-    Returns:
-        Number of cells, and sums of x, y and height, each of shape (num_rooms + 1,), float64.
+    `index` is (rows, cols), `center_x` by column, `center_y` by row. Returns four float64 arrays.
     """
     sums = np.zeros((4, num_rooms + 1), dtype=np.float64)
     for row in range(index.shape[0]):

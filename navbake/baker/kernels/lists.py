@@ -4,25 +4,16 @@ Lists are hashed like FNV-1a (Fowler, Noll and Vo) over their values, with a shi
 high bits down. Equal hashes are no proof, so lists are compared.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
-
-from navbake.baker.kernels.constants import INNER
 
 
 @njit(cache=True)
 def number_lists(start, value, number):
-    """Number ragged lists so that equal ones share a number.
+    """Number ragged lists so that equal ones share a number, by first appearance.
 
-    Args:
-        start: (n + 1,) int64: list i is ``value[start[i]:start[i + 1]]``.
-        value: int64, >= 0.
-        number: (n,) int64, receives the numbers, by first appearance.
-
-    Returns:
-        The first list of each number, int64.
+    List i is ``value[start[i] : start[i + 1]]``, of integers >= 0; `number` receives the numbers.
+    Returns the first list of each number, int64.
     """
     num = start.shape[0] - 1
     size = 16
@@ -47,7 +38,7 @@ def number_lists(start, value, number):
     return first[:count].copy()
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _are_equal(start, value, a, b):
     if start[a + 1] - start[a] != start[b + 1] - start[b]:
         return False

@@ -4,13 +4,10 @@ Most cells are told by their line. The others ask planes, triangles and solids o
 the first proof that something is in the way ends the search.
 """
 
-from __future__ import annotations
-
-import numpy as np
 from numba import njit, prange
 
 from navbake.baker.kernels.arrays import Band, Prism
-from navbake.baker.kernels.constants import APART, INLINED, MEETS, UNDECIDED
+from navbake.baker.kernels.constants import APART, MEETS, UNDECIDED
 from navbake.baker.kernels.gjk import SQUARE, make_simplex
 from navbake.baker.kernels.overlap import (
     ANY_GEOM,
@@ -24,7 +21,7 @@ from navbake.baker.kernels.solids import disc_too, part_of_solid
 from navbake.baker.kernels.tiles import cell_center, tile_of
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _any_triangle(items, facets, prism):
     if items.shape[0] == 0:
         return False
@@ -37,7 +34,7 @@ def _any_triangle(items, facets, prism):
     return False
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _any_solid(items, solids, prism):
     """MEETS where any solid does; else UNDECIDED where that of any is open; else APART."""
     if items.shape[0] == 0:
@@ -55,7 +52,7 @@ def _any_solid(items, solids, prism):
     return answer
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _any_geom(tile, solids, facets, planes, tiles, prism):
     """Whether any geom over a tile meets a prism."""
     for p in range(planes.geom.shape[0]):
@@ -68,46 +65,28 @@ def _any_geom(tile, solids, facets, planes, tiles, prism):
     return _any_solid(tiles.solid_item[first:last], solids, prism)
 
 
-@njit(**INLINED)
-def _check_cell(n, lattice, crossings, solids, facets, planes, tiles, footprint, queries):
-    cell, floor = queries.cell[n], queries.floor[n]
-    low, high = floor + footprint.low, floor + footprint.high
-    x, y = cell_center(lattice, cell)
-    prism = Prism(x, y, low, high, footprint.square, footprint.radius)
-    if line_is_blocked(crossings, cell, prism, ANY_GEOM):
-        queries.state[n] = MEETS
-        queries.by_line[n] = True
-        return
-    tile = tile_of(lattice, cell)
-    queries.state[n] = _any_geom(tile, solids, facets, planes, tiles, prism)
-
-
 @njit(cache=True, parallel=True)
 def check_cells(lattice, crossings, solids, facets, planes, tiles, footprint, queries):
-    """Tell for each cell and floor whether anything is in the band above it.
+    """Tell for each cell and floor of the queries whether anything is in the band above it.
 
-    Args:
-        lattice: the cells.
-        crossings: the columns.
-        solids, facets, planes, tiles: the geometry.
-        footprint: what an agent sweeps over a cell, see `Footprint`.
-        queries: the questions; their answers are written.
+    `footprint` is what an agent sweeps over a cell; the answers are written into the queries.
     """
+    # writes into these by way of their tuple would be dropped, see `arrays`
+    state, by_line = queries.state, queries.by_line
     for n in prange(queries.cell.shape[0]):
-        _check_cell(
-            np.int64(n), lattice, crossings, solids, facets, planes, tiles, footprint, queries
-        )
+        cell, floor = queries.cell[n], queries.floor[n]
+        x, y = cell_center(lattice, cell)
+        low, high = floor + footprint.low, floor + footprint.high
+        prism = Prism(x, y, low, high, footprint.square, footprint.radius)
+        by_line[n] = line_is_blocked(crossings, cell, prism, ANY_GEOM)
+        if by_line[n]:
+            state[n] = MEETS
+        else:
+            state[n] = _any_geom(tile_of(lattice, cell), solids, facets, planes, tiles, prism)
 
 
 @njit(cache=True, parallel=True)
 def lines_blocked(cells, low, high, crossings, out):
-    """Whether each cell's line alone proves that something is between two heights.
-
-    Args:
-        cells: cell ids, (n,) int64.
-        low, high: heights, (n,) float64 [m].
-        crossings: the columns.
-        out: (n,) bool, receives the answers.
-    """
+    """Whether each cell's line alone proves that something is between two heights [m], into out."""
     for n in prange(cells.shape[0]):
         out[n] = line_is_blocked(crossings, cells[n], Band(low[n], high[n]), ANY_GEOM)

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from navbake.baker.kernels.constants import INLINED, INNER
 from navbake.types import Float
 
 # A triangle has at most nine corners when six planes have clipped it
@@ -36,7 +35,7 @@ def make_polygons():
     return Polygons(np.empty((MOST_CORNERS, 3)), np.empty((MOST_CORNERS, 3)))
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def outside(boxes, i, prism):
     """Whether a box is beside a prism; touching is beside it."""
     reach = max(prism.square, prism.radius)
@@ -50,20 +49,11 @@ def outside(boxes, i, prism):
     )
 
 
-@njit(**INNER)
+@njit(cache=True)
 def clip(points, num, out, axis, limit, sign):
     """Keep the part of a polygon where ``sign * (coordinate - limit) >= 0``.
 
-    Args:
-        points: (>= num, 3) float64, its corners.
-        num: how many there are.
-        out: receives the corners of the part.
-        axis: which coordinate.
-        limit: [m].
-        sign: 1.0 or -1.0.
-
-    Returns:
-        How many corners the part has; 0 for none.
+    `points` and `out` are (>= num, 3) float64. Returns how many corners the part has; 0 for none.
     """
     kept = 0
     for i in range(num):
@@ -83,14 +73,14 @@ def clip(points, num, out, axis, limit, sign):
     return kept
 
 
-@njit(**INNER)
+@njit(cache=True)
 def clip_between(points, num, spare, axis, band, out):
     """Keep the part of a polygon between two limits of a coordinate; `out` may be `points`."""
     num = clip(points, num, spare, axis, band[0], 1.0)
     return clip(spare, num, out, axis, band[1], -1.0)
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _disc_meets_polygon(points, num, prism):
     """Whether a polygon, seen from above, comes nearer to the disc's middle than its radius."""
     left, right = False, False
@@ -114,13 +104,7 @@ def _disc_meets_polygon(points, num, prism):
 
 @njit(cache=True)
 def triangle_meets_prism(corners, prism, polygons):
-    """Does a triangle meet a prism?
-
-    Args:
-        corners: (3, 3) float64 [m].
-        prism: the prism.
-        polygons: scratch.
-    """
+    """Does a triangle, (3, 3) float64 [m], meet a prism? The polygons are scratch."""
     one, other = polygons.one, polygons.other
     num = clip_between(corners, corners.shape[0], other, Z, (prism.low, prism.high), one)
     if num == 0:
@@ -147,7 +131,7 @@ def plane_meets_prism(planes, p, prism):
     return depth - reach < 0.0
 
 
-@njit(**INLINED)
+@njit(cache=True)
 def line_is_blocked(crossings, cell, band, only):
     """Whether a cell's line proves that something is between two heights.
 

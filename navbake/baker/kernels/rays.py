@@ -19,7 +19,7 @@ import numpy as np
 from llvmlite import binding
 from numba import njit, prange, types
 
-from navbake.baker.kernels.constants import INLINED, PLANE, SAME
+from navbake.baker.kernels.constants import PLANE, SAME
 from navbake.baker.kernels.tiles import cell_center, count_tiles, tile_window
 from navbake.types import Bool, Float, Int32
 
@@ -27,8 +27,9 @@ from navbake.types import Bool, Float, Int32
 RIM = 1e-7
 # An eighth of a turn [rad]
 EIGHTH = 0.7853981633974483
-# What is no crossing at an edge; a plain False would compile what takes it once more
-INSIDE = np.bool_(False)
+# What is no crossing at an edge, and a plane's type; a plain False or int would be a type of its
+# own, and compile what takes it once more
+INSIDE, PLANE_KIND = np.bool_(False), np.int32(PLANE)
 
 _ray_geom = types.ExternalFunction(
     "mju_rayGeom",
@@ -67,7 +68,7 @@ def load_mujoco_library(path: str) -> None:
     binding.load_library_permanently(path)
 
 
-@njit(**INLINED)
+@njit(cache=True)
 def _cast(pos, mat, size, kind, point, ray):
     """The distance to a geom along a ray from a point, or -1; its normal there into the ray."""
     return _ray_geom(
@@ -81,7 +82,7 @@ def _cast(pos, mat, size, kind, point, ray):
     )
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _cast_at_rim(solids, s, ray):
     """A ray that, where it misses a rim by at most RIM, is moved onto the geom."""
     pos, mat, size, kind = solids.pos[s], solids.mat[s], solids.size[s], solids.kind[s]
@@ -102,12 +103,11 @@ def _cast_at_rim(solids, s, ray):
     return -1.0
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _cross_triangle(corners, x, y):
     """Where the line at (x, y) crosses a triangle.
 
-    Returns:
-        0 for no crossing, 1 for one inside, 2 for one within RIM of an edge; and its height.
+    Returns 0 for nowhere, 1 for inside, 2 for within RIM of an edge; and the height.
     """
     ax, ay = corners[0, 0] - x, corners[0, 1] - y
     bx, by = corners[1, 0] - x, corners[1, 1] - y
@@ -133,7 +133,7 @@ def _cross_triangle(corners, x, y):
     return (2 if nearest <= RIM else 1), z
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _is_less(column, i, z, geom, faces_up):
     """Whether a crossing comes before the i-th: by height, then geom, undersides first."""
     if z != column.z[i]:
@@ -143,7 +143,7 @@ def _is_less(column, i, z, geom, faces_up):
     return faces_up < (column.normal[i, 2] > 0.0)
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _copy(column, source, target):
     column.z[target] = column.z[source]
     for axis in range(3):
@@ -151,7 +151,7 @@ def _copy(column, source, target):
     column.geom[target] = column.geom[source]
 
 
-@njit(**INLINED)
+@njit(cache=True)
 def _insert(column, count, z, normal, geom, is_edge):
     """Insert a crossing into a column of a number of them; normal is (x, y, z)."""
     i = count
@@ -166,7 +166,7 @@ def _insert(column, count, z, normal, geom, is_edge):
     return count + 1
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _drop_doubles(column, count):
     """Drop crossings that two neighbouring triangles of a geom report at their shared edge."""
     kept = 0
@@ -181,17 +181,18 @@ def _drop_doubles(column, count):
                     break
                 j -= 1
         if not is_double:
-            _copy(column, i, kept)  # FIXME: not is_edge, so a geom in between may hide a double
+            # `is_edge` stays where it was, so a geom in between may hide a double from the rest
+            _copy(column, i, kept)
             kept += 1
     return kept
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _is_beside(box, x, y):
     return x < box[0] - RIM or x > box[3] + RIM or y < box[1] - RIM or y > box[4] + RIM
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _cross_solids(x, y, items, solids, column, ray):
     """Write the crossings of one line with solids; returns their number."""
     count = np.int64(0)
@@ -213,7 +214,7 @@ def _cross_solids(x, y, items, solids, column, ray):
     return count
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _cross_planes(planes, heights, column, count, ray):
     """Add the crossings of the ray's line with infinite planes, from their front only."""
     for p in range(planes.geom.shape[0]):
@@ -221,7 +222,7 @@ def _cross_planes(planes, heights, column, count, ray):
             ray.direction[2] = -1.0 if way == 0 else 1.0
             ray.point[2] = heights.high if way == 0 else heights.low
             ray.grown[:] = 0.0  # a plane of no size is infinite
-            distance = _cast(planes.pos[p], planes.mat[p], ray.grown, PLANE, ray.point, ray)
+            distance = _cast(planes.pos[p], planes.mat[p], ray.grown, PLANE_KIND, ray.point, ray)
             if distance >= 0.0:
                 z = ray.point[2] + ray.direction[2] * distance
                 normal = (ray.normal[0], ray.normal[1], ray.normal[2])
@@ -229,7 +230,7 @@ def _cross_planes(planes, heights, column, count, ray):
     return count
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _cross_triangles(x, y, items, facets, column, count):
     """Add the crossings of one line with triangles."""
     for t in items:
@@ -244,7 +245,7 @@ def _cross_triangles(x, y, items, facets, column, count):
     return count
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _write(column, count, crossings, first):
     for i in range(count):
         crossings.z[first + i] = column.z[i]
@@ -253,7 +254,7 @@ def _write(column, count, crossings, first):
             crossings.normal[first + i, axis] = column.normal[i, axis]
 
 
-@njit(**INLINED)
+@njit(cache=True)
 def _cast_tile(tile, lattice, solids, facets, planes, tiles, heights, crossings):
     """Cross the lines of one tile with what lies over it."""
     nearby = tiles.solid_item[tiles.solid_start[tile] : tiles.solid_start[tile + 1]]

@@ -5,19 +5,17 @@ many were entered and not left. Sheets are the connected components of surfaces 
 apart, by union-find. Floors grow ring by ring, breadth first.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 from numba import njit, prange
 
-from navbake.baker.kernels.constants import CLOSED_SURFACE, INNER, SAME, SLACK
+from navbake.baker.kernels.constants import CLOSED_SURFACE, SAME, SLACK
 from navbake.baker.kernels.tiles import cell_center
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 
-@njit(**INNER)
+@njit(cache=True)
 def _count_planes_over(planes, x, y, z):
     """How many infinite planes have a point behind them."""
     count = 0
@@ -32,7 +30,7 @@ def _count_planes_over(planes, x, y, z):
     return count
 
 
-@njit(**INNER)
+@njit(cache=True)
 def _look_up(crossings, first, i, last):
     """How many geoms of a column hold the i-th surface, and the height of the next one above.
 
@@ -60,19 +58,12 @@ def _look_up(crossings, first, i, last):
 
 @njit(cache=True, parallel=True)
 def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable):
-    """Tell which crossings are floor-like and which are standable.
+    """Tell which crossings are floor-like and which are standable, into two (n,) bool arrays.
 
     Floor-like: faces up within the slope, or faces up more steeply at most a step above one that
     does: a bump too low to be an obstacle. Standable: faces up within the slope, lies inside of
     no solid, and the next surface above is at least the headroom higher. Of several surfaces at
     one height the lowest counts.
-
-    Args:
-        lattice: the cells.
-        crossings: the columns.
-        planes: the infinite planes.
-        limits: the agent's, see `AgentLimits`.
-        floor_like, standable: (n,) bool, receive the answers.
     """
     for cell in prange(crossings.start.shape[0] - 1):
         x, y = cell_center(lattice, np.int64(cell))
@@ -95,7 +86,7 @@ def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable):
                 previous = z
 
 
-@njit(**INNER)
+@njit(cache=True)
 def neighbour(lattice, cell, way):
     """The next cell east (0), south (1), west (2) or north (3), or -1."""
     width, col = lattice.width, cell % lattice.width
@@ -110,17 +101,11 @@ def neighbour(lattice, cell, way):
 
 @njit(cache=True)
 def join_by_steps(lattice, start, z, group, step):
-    """Label the connected parts of standable surfaces.
+    """Label the connected parts of standable surfaces: of one group, neighbours a step apart.
 
-    Args:
-        lattice: the cells.
-        start, z: standable surfaces by column, ascending: (cells + 1,) int64, (n,) float64.
-        group: (n,) int64; only surfaces of one group belong together.
-        step: the largest difference of neighbours that belong together [m].
-
-    Returns:
-        The part of each surface, (n,) int64, numbered from 0 by their first members; and how
-        many surfaces each part has, (parts,) int64.
+    Surfaces are listed by column, ascending: start, (cells + 1,) int64, and z, (n,) float64 [m].
+    Returns the part of each, (n,) int64, numbered from 0 by their first members; and the parts'
+    sizes, int64.
     """
     parent = np.arange(z.shape[0])
     for cell in range(start.shape[0] - 1):
@@ -148,14 +133,9 @@ def join_by_steps(lattice, start, z, group, step):
 
 @njit(cache=True)
 def group_members(part, size):
-    """List the members of each part.
+    """List the members of each part, given the part of each surface and the parts' sizes.
 
-    Args:
-        part: the part of each surface, (n,) int64.
-        size: how many each part has, (parts,) int64.
-
-    Returns:
-        start, (parts + 1,) int64, and member, (n,) int64, ascending within a part.
+    Returns start, (parts + 1,) int64, and member, (n,) int64, ascending within a part.
     """
     start = np.zeros(size.shape[0] + 1, np.int64)
     for i in range(size.shape[0]):
@@ -172,14 +152,9 @@ def group_members(part, size):
 def place_on_levels(start, base, num_levels, level):
     """Give each surface its level, so that no two of a column share one.
 
-    The lowest of a column on a level stays; each other one goes to the next level up that has
-    none in that column.
-
-    Args:
-        start: surfaces by column, ascending, (cells + 1,) int64.
-        base: the level of the highest ground at or below each, (n,) int64.
-        num_levels: how many there are.
-        level: (n,) int64, receives the level, or -1 where every one above is taken.
+    `base` is the level of the highest ground at or below each, (n,) int64. The lowest of a column
+    on a level stays; each other one goes to the next level up that has none in that column; `level`
+    receives -1 where every one above is taken.
     """
     taken = np.zeros(num_levels, np.bool_)
     for cell in range(start.shape[0] - 1):
@@ -206,8 +181,7 @@ def place_on_levels(start, base, num_levels, level):
 def find_links(lattice, start, z, level, step):
     """Pairs of surfaces in neighbouring cells, a step apart, on different levels.
 
-    Returns:
-        Surfaces a and b of each pair, (n, 2) int64, the lower level's first, by cell.
+    Returns surfaces a and b of each pair, (n, 2) int64, the lower level's first, by cell.
     """
     pairs = np.empty((0, 2), np.int64)
     for writing in (False, True):
@@ -237,18 +211,10 @@ def find_links(lattice, start, z, level, step):
 def grow_floor(lattice, crossings, candidate, floor, lowest, highest, step):
     """Let a level's floor go on under things, ring by ring, in place.
 
-    A cell without a floor takes the candidate surface that is nearest to the floor of a
-    neighbour (the lower one if two are equally near), when they differ by at most a step. All
-    cells of a ring are decided before any is written, so their order decides nothing.
-
-    Args:
-        lattice: the cells.
-        crossings: the columns.
-        candidate: (n,) bool, which crossings a floor may go on at.
-        floor: (cells,) float64, NaN where there is none yet [m].
-        lowest, highest: (cells,) float64, between which this level stays, infinite where
-            there is no level below or above [m].
-        step: [m].
+    A cell without a floor (NaN) takes the candidate crossing that is nearest to the floor of a
+    neighbour (the lower one if two are equally near), when they differ by at most a step and it is
+    between the cell's lowest and highest height, which are infinite where there is no level beside.
+    All cells of a ring are decided before any is written, so their order decides nothing.
     """
     num = floor.shape[0]
     queue, queued = np.empty(num, np.int64), np.zeros(num, np.bool_)
@@ -275,7 +241,7 @@ def grow_floor(lattice, crossings, candidate, floor, lowest, highest, step):
         queue[:end] = following[:end]
 
 
-@njit(**INNER)
+@njit(cache=True)
 def _queue_around(lattice, cell, floor, queue, queued, end):
     """Queue the neighbours of a cell that have no floor; returns the queue's new end."""
     for way in range(4):
@@ -287,7 +253,7 @@ def _queue_around(lattice, cell, floor, queue, queued, end):
     return end
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _nearest_candidate(lattice, cell, crossings, candidate, floor, lowest, highest, step):
     """The height at which a floor goes on in a cell, or NaN."""
     best, best_gap = math.nan, step + SLACK

@@ -11,15 +11,10 @@ from numba import njit
 
 
 def near_offsets(limit: float, shorter: int) -> np.ndarray:
-    """Steps to the cells that are nearer than a limit, centre to centre, the farthest first.
+    """Steps to the cells that are nearer than a limit [cells], the farthest first, (n, 2) int64.
 
-    Args:
-        limit: [cells].
-        shorter: the shorter side of the lattice [cells]. Where no cell is as far from outside as
-            the limit, those steps are enough of which one always leads out.
-
-    Returns:
-        Rows and columns, shape (n, 2), int64, without (0, 0).
+    Where no cell is as far from outside as the limit (the lattice's shorter side is given), those
+    steps are enough of which one always leads out.
     """
     out = (shorter + 1) // 2
     if limit > out:
@@ -35,19 +30,11 @@ def near_offsets(limit: float, shorter: int) -> np.ndarray:
 
 @njit(cache=True)
 def count_inner(cells, offsets, width, height, needed, mask, counted):
-    """Count the cells of a set whose neighbours at all offsets belong to it, up to a number.
+    """Count the cells of a set whose neighbours at all offsets belong to it, up to `needed`.
 
-    Far neighbours are asked first, because near the edge of a set one of them is missing soon.
-
-    Args:
-        cells: cell ids of the set, (n,) int64; one that is named twice counts once.
-        offsets: see `near_offsets`.
-        width, height: of the lattice.
-        needed: where to stop counting.
-        mask, counted: (cells of the lattice,) bool, all False, and so again afterwards.
-
-    Returns:
-        How many there are, at most `needed`.
+    Far neighbours are asked first, because near the edge of a set one of them is missing soon. A
+    cell that is named twice counts once. `mask` and `counted`, by cell, are all False, and so again
+    afterwards.
     """
     for cell in cells:
         mask[cell] = True

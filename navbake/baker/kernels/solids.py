@@ -6,19 +6,17 @@ leaning capsules and cylinders there is a bound. What these leave open within ro
 everything that leans otherwise, goes to `gjk`.
 """
 
-from __future__ import annotations
-
 import math
 
 from numba import njit
 
-from navbake.baker.kernels.constants import APART, BOX, CAPSULE, CYLINDER, INNER, MEETS, SPHERE
+from navbake.baker.kernels.constants import APART, BOX, CAPSULE, CYLINDER, MEETS, SPHERE
 from navbake.baker.kernels.gjk import DISC, SQUARE, solid_meets_prism
 
 SURE = 1e-9  # a gap or an overlap of more than this is no rounding [m]
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _point_gap(dx, dy, half, is_round):
     """How far a point is from a square or a disc round the origin of the plane, >= 0."""
     if is_round:
@@ -26,14 +24,11 @@ def _point_gap(dx, dy, half, is_round):
     return math.hypot(max(abs(dx) - half, 0.0), max(abs(dy) - half, 0.0))
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _plan_gap(solids, s, upright, dx, dy, half, is_round):
     """How far a box or cylinder is from a column, seen from above; negative where they overlap.
 
-    Args:
-        upright: number of its own axis that points up or down.
-        dx, dy: the column's centre less the solid's [m].
-        half: half of the square's edge, or the disc's radius [m].
+    Its own axis number `upright` points up or down; dx, dy is the column's centre less its own.
     """
     mat, size = solids.mat[s], solids.size[s]
     if solids.kind[s] == CYLINDER:
@@ -51,7 +46,7 @@ def _plan_gap(solids, s, upright, dx, dy, half, is_round):
     return max(gap, abs(dy) - half - abs(ay) * size[a] - abs(by) * size[b])
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _axis_gap(solids, s, prism, half, is_round):
     """A lower bound for leaning capsules and cylinders; negative only where they do overlap."""
     pos, mat, radius, length = solids.pos[s], solids.mat[s], solids.size[s, 0], solids.size[s, 1]
@@ -70,7 +65,7 @@ def _axis_gap(solids, s, prism, half, is_round):
     return max(math.hypot(px, py) - reach, 0.0)
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _gap(solids, s, prism, half, is_round):
     """How far a solid is from a prism, or less; negative where they overlap; 0 for unknown."""
     kind, pos = solids.kind[s], solids.pos[s]
@@ -90,11 +85,7 @@ def _gap(solids, s, prism, half, is_round):
 
 @njit(cache=True)
 def part_of_solid(solids, s, prism, is_round, simplex):
-    """Whether a solid meets a prism's disc (`is_round`) or its square; APART where it has none.
-
-    Returns:
-        APART, MEETS or UNDECIDED.
-    """
+    """Whether a solid meets a prism's disc (`is_round`) or its square; APART where it has none."""
     half = prism.radius if is_round else prism.square
     if half <= 0.0:
         return APART
@@ -104,7 +95,7 @@ def part_of_solid(solids, s, prism, is_round, simplex):
     return solid_meets_prism(solids, s, prism, is_round, simplex)
 
 
-@njit(**INNER)
+@njit(inline="always")
 def disc_too(solids, s, prism, by_square, simplex):
     """The answer for a whole prism, given that for its square."""
     if by_square == MEETS:

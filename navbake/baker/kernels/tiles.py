@@ -4,17 +4,13 @@ A uniform grid as in collision detection's broad phase (Ericson, Real-Time Colli
 2005, 7.1), of tiles of TILE x TILE cells. The lists are one counting sort: count, sum up, write.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
-
-from navbake.baker.kernels.constants import INNER
 
 TILE = 8  # cells along a tile's edge
 
 
-@njit(**INNER)
+@njit(inline="always")
 def count_tiles(lattice):
     """How many tiles a lattice has."""
     return ((lattice.width + TILE - 1) // TILE) * ((lattice.height + TILE - 1) // TILE)
@@ -27,7 +23,7 @@ def tile_of(lattice, cell):
     return row // TILE * ((lattice.width + TILE - 1) // TILE) + col // TILE
 
 
-@njit(**INNER)
+@njit(inline="always")
 def tile_window(lattice, tile):
     """The rows and columns of a tile: the first row, past the last, and so with the columns."""
     tiles_x = (lattice.width + TILE - 1) // TILE
@@ -35,7 +31,7 @@ def tile_window(lattice, tile):
     return row, min(row + TILE, lattice.height), col, min(col + TILE, lattice.width)
 
 
-@njit(**INNER)
+@njit(inline="always")
 def cell_center(lattice, cell):
     """World x and y of a cell's centre [m]."""
     row, col = cell // lattice.width, cell % lattice.width
@@ -43,7 +39,7 @@ def cell_center(lattice, cell):
     return x, lattice.y_max - (row + 0.5) * lattice.cell_size
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _tile_range(low, high, num_tiles, tile_size):
     first = int(np.floor(max(low, 0.0) / tile_size))
     last = int(np.floor(min(high, num_tiles * tile_size) / tile_size))
@@ -52,34 +48,28 @@ def _tile_range(low, high, num_tiles, tile_size):
 
 @njit(cache=True)
 def bin_boxes(bounds, grow, lattice):
-    """List, for each tile, the boxes that reach into it.
+    """List, for each tile, the (n, 6) boxes that reach into it, grown in the plane by `grow` [m].
 
-    Args:
-        bounds: boxes, (n, 6) float64: lower corner, upper corner, world frame [m].
-        grow: what is added to every box on all sides in the plane [m].
-        lattice: the cells.
-
-    Returns:
-        As `list_by_tile`.
+    Returns what `list_by_tile` does.
     """
     width, height, cell_size = lattice.width, lattice.height, lattice.cell_size
     tiles_x, tiles_y = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
     size = TILE * cell_size
-    ranges = np.empty((bounds.shape[0], 4), np.int64)
+    ranges = np.zeros((bounds.shape[0], 4), np.int64)
     for n in range(bounds.shape[0]):
         x0 = bounds[n, 0] - grow - lattice.x_min
         x1 = bounds[n, 3] + grow - lattice.x_min
         y0 = lattice.y_max - bounds[n, 4] - grow
         y1 = lattice.y_max - bounds[n, 1] + grow
         if x1 < 0.0 or y1 < 0.0 or x0 > width * cell_size or y0 > height * cell_size:
-            ranges[n] = 0, -1, 0, -1
+            ranges[n, 1] = -1  # not a tuple at once: numba compiles its broadcasting for seconds
             continue
         ranges[n, 0], ranges[n, 1] = _tile_range(y0, y1, tiles_y, size)
         ranges[n, 2], ranges[n, 3] = _tile_range(x0, x1, tiles_x, size)
     return list_by_tile(ranges, tiles_y * tiles_x, tiles_x)
 
 
-@njit(**INNER)
+@njit(cache=True)
 def list_by_tile(ranges, num_tiles, stride):
     """List, for each tile, the items over it.
 
@@ -90,8 +80,7 @@ def list_by_tile(ranges, num_tiles, stride):
         stride: the step between tile numbers along the first axis.
 
     Returns:
-        start, (num_tiles + 1,) int64, and item, (start[-1],) int32: tile t holds
-        ``item[start[t]:start[t + 1]]``, ascending.
+        start, (num_tiles + 1,) int64, and item, (start[-1],) int32, ascending within a tile.
     """
     start = np.zeros(num_tiles + 1, np.int64)
     item = np.empty(0, np.int32)

@@ -1,20 +1,23 @@
-"""Tops of what stands on a floor: how a sheet ends at its edges, and what goes on under it."""
+"""Tops of what stands on a floor: how a sheet ends at its edges, and what goes on under it.
 
-from __future__ import annotations
+Edges are looked over along straight lines of cells. The floor around goes on under the sheet as a
+flood fill, breadth first with one queue (Moore, The shortest path through a maze, 1959), from cell
+to cell as long as heights differ by at most a step.
+"""
 
 import math
 
 import numpy as np
 from numba import njit
 
-from navbake.baker.kernels.constants import INNER, SLACK
+from navbake.baker.kernels.constants import SLACK
 from navbake.baker.kernels.sheets import neighbour
 
 # `at_cell` where a sheet is not; one looked over a cell from a surface where it is less
 NOT_THERE = -1
 
 
-@njit(**INNER)
+@njit(cache=True)
 def _floor_below(standable, cell, own, z):
     """The highest floor that counts, of another sheet than own, below a height, or NaN."""
     found = math.nan
@@ -25,7 +28,7 @@ def _floor_below(standable, cell, own, z):
     return found
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _rises(crossings, cell, height):
     """Whether something rises through a height in a column: the next crossing above is a top."""
     for i in range(crossings.start[cell], crossings.start[cell + 1]):
@@ -34,7 +37,7 @@ def _rises(crossings, cell, height):
     return False
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _look_out(standable, node, way, crossings, step, reach, at_cell):
     """The cell where a floor below begins beyond an edge of a surface, or -1; where one looked.
 
@@ -67,9 +70,8 @@ def count_drops(standable, members, crossings, step, reach, at_cell):
             -2 - surface in the cells that one looked over.
 
     Returns:
-        The number of edges between its cells and others, how many of them drop by more than a
-        step to a floor that counts, the cells where those floors begin, and the ones that one
-        looked over.
+        How many edges its cells have to others, how many of them drop by more than a step to a
+        floor that counts, the cells where those floors begin, and the ones that one looked over.
     """
     for node in members:
         at_cell[standable.cell[node]] = node  # of several in a column, the highest
@@ -95,7 +97,7 @@ def count_drops(standable, members, crossings, step, reach, at_cell):
     return edges, drops, floors[:drops], np.array(over, dtype=np.int64)
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _has_room(standable, cell, node, z, step):
     """Whether one can stand in a cell at about a height, on another surface than node."""
     for t in range(standable.start[cell], standable.start[cell + 1]):
@@ -104,7 +106,7 @@ def _has_room(standable, cell, node, z, step):
     return False
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _floor_at(crossings, cell, floor_like, z, step, limit):
     """The lowest height below a limit where a floor may go on from another one, or NaN."""
     for i in range(crossings.start[cell], crossings.start[cell + 1]):
@@ -119,15 +121,9 @@ def _floor_at(crossings, cell, floor_like, z, step, limit):
 def count_covered(standable, members, crossings, floor_like, step, floors, at_cell, under, queue):
     """Count the cells of a sheet under which the floor around it goes on, too low to stand on.
 
-    The floor around floods in under the sheet, breadth first, from where it begins.
-
-    Args:
-        standable, members, crossings, step: as in `count_drops`.
-        floor_like: (n,) bool, the crossings where a floor may go on.
-        floors: the cells where the floor around begins, as `count_drops` found them.
-        at_cell: as `count_drops` left it.
-        under: (cells,) float64, all NaN, and so again afterwards.
-        queue: (cells,) int64, to work in.
+    The floor around floods in under the sheet from where it begins (`floors` of
+    `count_drops`, which also leaves `at_cell`). `floor_like` tells the crossings where a floor may
+    go on; `under`, (cells,) float64, is all NaN, and so again afterwards; `queue` is scratch.
     """
     own = standable.sheet[members[0]]
     top = standable.z[members[0]]

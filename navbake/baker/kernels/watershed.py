@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
-from navbake.baker.kernels.constants import INLINED
 from navbake.types import Bool, Int32
 
 # Columns that one thread sweeps at a time
@@ -55,7 +54,7 @@ def squared_distances(target, reach, first, step):
     return answer
 
 
-@njit(**INLINED)
+@njit(cache=True)
 def _sweep(target, along, far):
     """Distances within the columns, at most `far`."""
     rows, cols = target.shape
@@ -70,7 +69,7 @@ def _sweep(target, along, far):
             along[row, col] = min(along[row, col], along[row + 1, col] + np.int16(1))
 
 
-@njit(**INLINED)
+@njit(cache=True)
 def _take_lower(lowest, values, add):
     for i in range(lowest.shape[0]):
         lowest[i] = min(lowest[i], np.int32(values[i] + add))
@@ -116,28 +115,31 @@ def flood(label, fillable, height, highest):
     near = np.empty(4, dtype=np.int32)
     wave = np.empty(rows * cols, dtype=np.int32)
     origin = np.empty(rows * cols, dtype=np.int32)
+    none = np.int64(0)
     for cell in range(rows * cols):
         if labels[cell] > 0:
-            _queue_around(cell, rows, cols, heights, highest + 1, buckets, wave, 0, near)
+            _queue_around(cell, rows, cols, heights, highest + 1, buckets, wave, none, near)
     for level in range(highest, -1, -1):
         begin, end = 0, _take_bucket(buckets, level, wave)
         while begin < end:
             # a whole wave is decided before any of it is written: all of it is as near to come by
             for k in range(begin, end):
-                number = _neighbours(wave[k], rows, cols, near)
-                origin[k] = _nearest_origin(wave[k], near[:number], labels, source, cols)
+                filled = np.int64(wave[k])  # of the type of the cells above, see `arrays`
+                number = _neighbours(filled, rows, cols, near)
+                origin[k] = _nearest_origin(filled, near[:number], labels, source, cols)
             for k in range(begin, end):
                 source[wave[k]] = origin[k]
                 labels[wave[k]] = labels[origin[k]]
             count = end
             for k in range(begin, end):
+                filled = np.int64(wave[k])
                 count = _queue_around(
-                    wave[k], rows, cols, heights, level, buckets, wave, count, near
+                    filled, rows, cols, heights, level, buckets, wave, count, near
                 )
             begin, end = end, count
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _take_bucket(buckets, level, wave):
     """Write the cells that wait at a height into a wave; returns how many they are."""
     count = 0
@@ -149,12 +151,11 @@ def _take_bucket(buckets, level, wave):
     return count
 
 
-@njit(**INLINED)
+@njit(cache=True)
 def _queue_around(cell, rows, cols, heights, level, buckets, wave, count, near):
     """Queue the cells round one: in the next wave from a height on, lower ones in their bucket.
 
-    Returns:
-        How many cells are in the waves of this height.
+    Returns how many cells are in the waves of this height.
     """
     for i in range(_neighbours(cell, rows, cols, near)):
         other = near[i]
@@ -170,7 +171,7 @@ def _queue_around(cell, rows, cols, heights, level, buckets, wave, count, near):
     return count
 
 
-@njit(**INLINED)
+@njit(inline="always")
 def _nearest_origin(cell, near, labels, source, cols):
     """The seed's cell that is nearest, of those that labelled neighbours come from.
 
@@ -193,7 +194,7 @@ def _nearest_origin(cell, near, labels, source, cols):
     return best
 
 
-@njit(**INLINED)
+@njit(cache=True)
 def _neighbours(cell, rows, cols, near):
     """Write the cells that share an edge with a cell; returns how many they are."""
     count = 0

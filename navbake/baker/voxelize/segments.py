@@ -52,7 +52,7 @@ def label_geoms(scene: Scene, segments: Segments) -> Labels:
     Raises:
         ConfigError: it is none of these, or an ID is none.
     """
-    if isinstance(segments, str):
+    if isinstance(segments, str) and segments in KINDS:
         return _label_by_kind(scene, segments)
     patterns = _check_patterns(segments)
     other = max(patterns.values()) + 1
@@ -74,11 +74,6 @@ def label_geoms(scene: Scene, segments: Segments) -> Labels:
 
 
 def _label_by_kind(scene: Scene, kind: str) -> Labels:
-    if kind not in KINDS:
-        raise ConfigError(
-            f"expected `segments` to be {', '.join(KINDS)}, or name patterns with their IDs, "
-            f"got {kind!r}"
-        )
     model = scene.model
     ids = np.zeros(len(scene.geoms), dtype=np.uint32)
     numbers: dict[tuple[str, int], int] = {}
@@ -98,7 +93,7 @@ def _label_by_kind(scene: Scene, kind: str) -> Labels:
 def _check_patterns(segments: Any) -> dict[str, int]:
     if isinstance(segments, Mapping):
         patterns = dict(segments)
-    elif isinstance(segments, Sequence):
+    elif isinstance(segments, Sequence) and not isinstance(segments, str):
         patterns = {pattern: number for number, pattern in enumerate(segments, 1)}
     else:
         patterns = {}

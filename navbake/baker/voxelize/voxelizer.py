@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,9 +27,20 @@ from navbake.types import Float
 from navbake.voxels.grid import VoxelGrid, dtype_of
 from navbake.voxels.placement import Placement, check_memory, place_grid
 
+if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
+    from typing_extensions import Unpack
+
 Config = BakeConfig | str | PathLike[str] | Mapping[str, Any]
 
 OCTREES = (".bt", ".ot")  # files whose voxels lie on whole multiples of their edge
+
+
+class GridOptions(TypedDict, total=False):
+    """What `Voxelizer.create` takes by name besides the edge of a voxel."""
+
+    size: Sequence[float] | None
+    segments: Segments | None
+    align: bool
 
 
 def create_voxel_grid(
@@ -41,9 +52,8 @@ def create_voxel_grid(
     res: float = 0.1,
     of: str | PathLike[str] | None = None,
     *,
-    size: Sequence[float] | None = None,
-    segments: Segments | None = None,
     ignore: Sequence[str] = (),
+    **options: Unpack[GridOptions],
 ) -> VoxelGrid:
     """Make the voxel grid of a scene: True where a geom that counts meets a voxel.
 
@@ -58,12 +68,10 @@ def create_voxel_grid(
             grid covers the scene's box.
         ncells_x, ncells_y, ncells_z: voxels along each axis, >= 1.
         res: edge of a voxel [m].
-        of: a file to write: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``. For an octree the grid
-            is moved by half a voxel at most, onto whole multiples of `res`; see
-            `Voxelizer.create` to do so for others.
-        size: what the grid covers along x, y and z [m], in place of the counts.
-        segments: voxels hold IDs of this, see `label_geoms`; None for True and False.
+        of: a file to write: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``.
         ignore: name patterns of bodies that are left out, with what hangs on them.
+        options: `size`, `segments` and `align` of `Voxelizer.create`; where an octree is to be
+            written, the grid is aligned unless told otherwise.
 
     Raises:
         ConfigError: a setting or a number is wrong, or the grid needs more memory than there is.
@@ -72,12 +80,12 @@ def create_voxel_grid(
     counts = [n for n in (ncells_x, ncells_y, ncells_z) if n is not None]
     if len(counts) not in (0, 3):
         raise ConfigError(f"expected 3 counts of cells, whole numbers >= 1, got {counts}")
-    align = of is not None and str(of).lower().endswith(OCTREES)
+    if options.get("align") is None:
+        options["align"] = of is not None and str(of).lower().endswith(OCTREES)
     voxelizer = scene if isinstance(scene, Voxelizer) else Voxelizer(scene, ignore=ignore)
     if ignore and voxelizer is scene:
         raise ConfigError("expected `ignore` where the Voxelizer is made, not where it is used")
-    cells = counts or None
-    grid = voxelizer.create(position, cells, res=res, size=size, segments=segments, align=align)
+    grid = voxelizer.create(position, counts or None, res=res, **options)
     if of is not None:
         grid.save(of)
     return grid

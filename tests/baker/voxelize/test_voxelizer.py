@@ -90,6 +90,18 @@ def test_a_grid_for_an_octree_is_moved_onto_its_lattice(voxelizer, tmp_path):
     assert grid.notes == ["the grid was moved by 0.02 m onto whole multiples of its edge"]
     with pytest.raises(navbake.FormatError, match="--align"):
         voxelizer.create((0.03, 0, 1), (5, 5, 5), res=0.1).save(tmp_path / "b.bt")
+    with pytest.raises(navbake.FormatError, match="--align"):
+        create_voxel_grid(voxelizer, (0.03, 0, 1), 5, 5, 5, of=tmp_path / "b.bt", align=False)
+
+
+def test_a_grid_may_be_aligned_for_any_file_or_none(voxelizer, tmp_path):
+    for of in (None, tmp_path / "a.npz"):
+        grid = create_voxel_grid(voxelizer, (0.03, 0, 1.5), 5, 6, 6, 0.1, of, align=True)
+        np.testing.assert_allclose(grid.origin, [-0.2, -0.3, 1.2], atol=1e-9)
+    left = create_voxel_grid(voxelizer, (0.03, 0, 1.5), res=0.1, size=(0.5, 0.6, 0.6))
+    np.testing.assert_allclose(left.origin, [-0.22, -0.3, 1.2], atol=1e-9)
+    with pytest.raises(TypeError, match="alined"):
+        create_voxel_grid(voxelizer, (0, 0, 0), 4, 4, 4, alined=True)
 
 
 def test_a_small_grid_is_part_of_a_large_one(voxelizer):

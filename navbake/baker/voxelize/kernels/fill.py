@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from navbake.baker.kernels.constants import CONVEX_SOLID, INNER, OPEN_SURFACE
+from navbake.baker.kernels.constants import CONVEX_SOLID, OPEN_SURFACE
 from navbake.baker.kernels.overlap import Polygons, X, Y, clip_between, make_polygons
 from navbake.baker.kernels.tiles import TILE
 from navbake.baker.voxelize.kernels.spans import Square, plane_span, polygon_span, solid_span
@@ -77,7 +77,7 @@ class Scratch(NamedTuple):
     strip: Float
 
 
-@njit(**INNER)
+@njit(cache=True)
 def _label(voxels, i, j, first, last, label):
     """Label the voxels of a column from first to before last; the least label stays."""
     values = voxels.values
@@ -86,7 +86,7 @@ def _label(voxels, i, j, first, last, label):
             values[i, j, k] = label
 
 
-@njit(**INNER)
+@njit(cache=True)
 def _fill_span(voxels, i, j, span, label):
     """Label the voxels of a column that a span of heights meets."""
     num, bottom = voxels.values.shape[2], voxels.origin[2]
@@ -98,7 +98,7 @@ def _fill_span(voxels, i, j, span, label):
         _label(voxels, i, j, first, last, label)
 
 
-@njit(**INNER)
+@njit(cache=True)
 def _square(voxels, i, j):
     """The cross-section of a column, narrowed."""
     x, y = voxels.origin[0] + i * voxels.res, voxels.origin[1] + j * voxels.res
@@ -106,7 +106,7 @@ def _square(voxels, i, j):
     return Square(x + touch, x + res - touch, y + touch, y + res - touch)
 
 
-@njit(**INNER)
+@njit(cache=True)
 def _columns_under(voxels, tile, low_x, high_x, low_y, high_y):
     """The columns of a tile under a rectangle."""
     origin, res = voxels.origin, voxels.res
@@ -115,7 +115,7 @@ def _columns_under(voxels, tile, low_x, high_x, low_y, high_y):
     return Patch(tile.i0 + i0, tile.i0 + i1 + 1, tile.j0 + j0, tile.j0 + j1 + 1)
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _fill_solid(voxels, tile, solids, s, label, polygons):
     box = solids.bounds[s]
     patch = _columns_under(voxels, tile, box[0], box[3], box[1], box[4])
@@ -125,14 +125,14 @@ def _fill_solid(voxels, tile, solids, s, label, polygons):
             _fill_span(voxels, i, j, span, label)
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _fill_plane(voxels, tile, planes, p, label):
     for i in range(tile.i0, tile.i1):
         for j in range(tile.j0, tile.j1):
             _fill_span(voxels, i, j, plane_span(planes, p, _square(voxels, i, j)), label)
 
 
-@njit(**INNER)
+@njit(cache=True)
 def _side(ax, ay, bx, by, px, py):
     """On which side of the line from a to b a point is: 1 left, -1 right, 0 where a is b.
 
@@ -161,7 +161,7 @@ def _crossing(c, x, y):
     return side if side == _side(c[2, 0], c[2, 1], c[0, 0], c[0, 1], x, y) else 0
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _height_at(c, x, y):
     """The height of a triangle at (x, y) inside of it."""
     ax, ay = c[0, 0] - x, c[0, 1] - y
@@ -175,12 +175,9 @@ def _height_at(c, x, y):
     return min(max((u * c[0, 2] + v * c[1, 2] + w * c[2, 2]) / total, low), high)
 
 
-@njit(**INNER)
+@njit(cache=True)
 def _note_crossing(voxels, c, x, y, winding, reach):
-    """Add a triangle's crossing of a column's line at the first voxel with its middle above.
-
-    `reach` is the first and the last entry of `winding` that may not be 0.
-    """
+    """Add a triangle's crossing of a column's line at the first voxel with its middle above."""
     side = _crossing(c, x, y)
     if side != 0:
         above = (_height_at(c, x, y) - voxels.origin[2]) / voxels.res + 0.5
@@ -190,7 +187,7 @@ def _note_crossing(voxels, c, x, y, winding, reach):
         reach[0], reach[1] = min(reach[0], k), max(reach[1], k)
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _columns_in_strip(voxels, tile, square, strip, num):
     """The columns that a polygon in a strip of one x may lie over."""
     low, high = strip[0, 1], strip[0, 1]
@@ -200,7 +197,7 @@ def _columns_in_strip(voxels, tile, square, strip, num):
     return _columns_under(voxels, tile, square.x0, square.x1, low - margin, high + margin)
 
 
-@njit(**INNER)
+@njit(cache=True)
 def _add_triangle(voxels, tile, c, closed, label, scratch):
     """Fill what one triangle meets, and note what its geom needs to be filled.
 
@@ -233,7 +230,7 @@ def _add_triangle(voxels, tile, c, closed, label, scratch):
                 _note_crossing(voxels, c, x, y, scratch.winding[a, b], scratch.reaches[a, b])
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _close_column(voxels, items, corners, x, y, winding, reach):
     """See to it that a column's crossings add up to 0, on another line if one was lost."""
     for attempt in range(1, ASIDE.shape[0]):
@@ -249,7 +246,7 @@ def _close_column(voxels, items, corners, x, y, winding, reach):
             _note_crossing(voxels, corners[t], aside_x, aside_y, winding, reach)
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _fill_inside(voxels, tile, items, corners, label, scratch):
     """Fill the inside of a closed surface from its crossings, column by column; clear them."""
     num = voxels.values.shape[2]
@@ -269,7 +266,7 @@ def _fill_inside(voxels, tile, items, corners, label, scratch):
             reach[0], reach[1] = num, -1
 
 
-@njit(**INNER)
+@njit(cache=True)
 def _fill_triangles(voxels, tile, items, corners, closed, label, scratch):
     """Fill what the triangles of one geom meet and enclose within a tile."""
     scratch.spans[:, :, 0], scratch.spans[:, :, 1] = math.inf, -math.inf
@@ -285,7 +282,7 @@ def _fill_triangles(voxels, tile, items, corners, closed, label, scratch):
         _fill_inside(voxels, tile, items, corners, label, scratch)
 
 
-@njit(**INNER)
+@njit(inline="always")
 def _fill_geoms(voxels, tile, items, triangles, closed, labels, polygons):
     """Label what a tile's triangles meet and enclose, geom by geom."""
     num = voxels.values.shape[2]
@@ -308,7 +305,7 @@ def _fill_geoms(voxels, tile, items, triangles, closed, labels, polygons):
         first = last
 
 
-@njit(**INNER)
+@njit(cache=True)
 def _fill_tile(voxels, number, tile, solids, planes, triangles, tiles, closed, labels):
     """Label the voxels of one tile."""
     polygons = make_polygons()
@@ -324,10 +321,10 @@ def _fill_tile(voxels, number, tile, solids, planes, triangles, tiles, closed, l
 
 @njit(cache=True, parallel=True)
 def fill_voxels(voxels, solids, planes, triangles, tiles, closed, labels):
-    """Label all voxels that geoms meet.
+    """Label all voxels that geoms meet; labels are added to what the grid holds.
 
     Args:
-        voxels: the grid; labels are added to what it holds.
+        voxels: the grid.
         solids, planes, triangles: the geometry; the triangles sorted by geom.
         tiles: what lies over each tile of columns.
         closed: by geom id, what its triangles enclose, see `constants`, uint8.

@@ -1,17 +1,19 @@
-"""What lies over which tile of a voxel grid's columns, and where triangles are."""
+"""What lies over which tile of a voxel grid's columns, and where triangles are.
 
-from __future__ import annotations
+The same uniform grid of tiles as the lattice's (Ericson, Real-Time Collision Detection, 2005, 7.1),
+listed by the same counting sort, see `baker.kernels.tiles`.
+"""
 
 import math
 
 import numpy as np
 from numba import njit
 
-from navbake.baker.kernels.constants import INNER, OPEN_SURFACE
+from navbake.baker.kernels.constants import OPEN_SURFACE
 from navbake.baker.kernels.tiles import TILE, list_by_tile
 
 
-@njit(**INNER)
+@njit(cache=True)
 def touched(low, high, first, res, num):
     """The voxels along an axis that a closed interval meets: first, last (none: last < first)."""
     start, end = (low - first) / res, (high - first) / res
@@ -22,14 +24,9 @@ def touched(low, high, first, res, num):
 
 @njit(cache=True)
 def bin_items(bounds, origin, res, shape):
-    """List, for each tile of columns, the boxes that reach into it.
+    """List, for each tile of a grid's columns, the (n, 6) boxes that reach into it.
 
-    Args:
-        bounds: (n, 6) float64: lower and upper corners [m].
-        origin, res, shape: the grid.
-
-    Returns:
-        As `list_by_tile`; tiles along y follow each other.
+    Returns what `list_by_tile` does; tiles along y follow each other.
     """
     tiles_x, tiles_y = (shape[0] + TILE - 1) // TILE, (shape[1] + TILE - 1) // TILE
     ranges = np.empty((bounds.shape[0], 4), np.int64)
@@ -45,16 +42,9 @@ def bin_items(bounds, origin, res, shape):
 
 @njit(cache=True)
 def box_triangles(triangles, closed):
-    """Boxes round triangles; what encloses a volume reaches as high and low as its geom does.
+    """Boxes round triangles, (m, 6) float64; what encloses a volume is as high and low as its geom.
 
     So a column sees all of a volume's surface above and below the grid.
-
-    Args:
-        triangles: sorted by geom.
-        closed: by geom id, what its triangles enclose, see `fill_voxels`.
-
-    Returns:
-        (m, 6) float64: lower and upper corners [m].
     """
     corners, geom = triangles.corners, triangles.geom
     boxes = np.empty((corners.shape[0], 6))
@@ -78,13 +68,9 @@ def box_triangles(triangles, closed):
 
 @njit(cache=True)
 def move_triangles(triangles, moved, rotation, shift, corners):
-    """Move the triangles of some geoms from where they were first.
+    """Move the triangles of the geoms that moved, into corners, (m, 3, 3) float64.
 
-    Args:
-        triangles: as they were.
-        moved: by geom id, whether it moved, bool.
-        rotation, shift: by geom id, (n, 3, 3) and (n, 3) float64: ``rotation @ p + shift``.
-        corners: (m, 3, 3) float64, receives those that moved.
+    By geom id, a corner p goes to ``rotation @ p + shift``.
     """
     base = triangles.corners
     for t in range(base.shape[0]):
