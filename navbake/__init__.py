@@ -70,7 +70,7 @@ _LAZY = {
 register(
     {
         "grid.at": "navbake.runtime.places.place:place_at",
-        "grid.block": "navbake.runtime.blocks.blocking:block",
+        "grid.block": "navbake.runtime.blocks.block:block",
         "grid.describe_cell": "navbake.views.why:describe_cell",
         "grid.inflate": "navbake.runtime.inflation.inflate:inflate",
         "grid.inflate_footprint": "navbake.runtime.inflation.footprint:inflate_footprint",
