@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from navbake.baker.kernels.arrays import Band, Crossings, Facets, Tiles
 from navbake.baker.kernels.rays import cast_lines, load_mujoco_library
 from navbake.baker.kernels.tiles import bin_boxes
-from navbake.baker.scene.scene import mujoco_library
+from navbake.baker.scene.model import mujoco_library
 from navbake.baker.scene.shapes import Shapes, Triangles
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Float, Int, Int32

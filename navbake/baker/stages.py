@@ -22,8 +22,7 @@ from navbake.baker.doors.doors import Doors, Surroundings, place_doors, warn_imm
 from navbake.baker.doors.walkable import warn_walkable_doors
 from navbake.baker.floors.levels import Floors, find_floors
 from navbake.baker.lattice import lay_lattice
-from navbake.baker.occupancy.levels import Occupancy, find_occupancy
-from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
+from navbake.baker.occupancy.occupancy import Footprint, Occupancy, check_occupancy, find_occupancy
 from navbake.baker.rooms.rooms import Rooms, find_rooms
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.baker.threads import limit_threads

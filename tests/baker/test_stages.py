@@ -16,7 +16,7 @@ from navbake.baker.columns import Columns
 from navbake.baker.contents.contents import Contents
 from navbake.baker.doors.doors import Doors
 from navbake.baker.floors.levels import Floors
-from navbake.baker.occupancy.levels import Occupancy
+from navbake.baker.occupancy.occupancy import Occupancy
 from navbake.baker.pipeline import run_bake
 from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.scene.scene import Scene

@@ -14,8 +14,8 @@ from navbake.baker.kernels.constants import HINGE, SLIDE
 from navbake.baker.scene.bodies import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.extents import Extents, measure_geoms
-from navbake.baker.scene.model import data_with_joints
 from navbake.baker.scene.names import body_name, joint_name, warn_unmatched
+from navbake.baker.scene.pose import data_with_joints
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import DoorSettings

@@ -8,7 +8,6 @@ from navbake.baker.floors.sheets import AreaTest, Standable, mask_window, shrink
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.kernels.sheets import find_links, group_members, join_by_steps, place_on_levels
 from navbake.config.settings import AgentSettings, FloorSettings
-from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int
 
 # Floors whose heights round to the same multiple of this are one plateau [m]
@@ -24,19 +23,14 @@ def find_grounds(
     shrinking). A new storey begins where floors that are large enough lie over floors of the
     storey below; so a hill, a half-storey beside another, or a platform with nothing under it
     opens none. What is too small for that gets its place in `assign_levels`.
-
-    Args:
-        standable: the surfaces that count.
-        agent: its step.
-        settings: `min_area` [m²] and `shrink` [m].
     """
     cells, z = standable.cell, standable.z
-    lowest = _lowest_of_columns(cells)
-    ground = _lowest_plateau(cells[lowest], z[lowest], standable.lattice, agent, settings)
-    grounds = [_common_height(z[lowest]) if ground is None else ground]
-    rest = np.flatnonzero(~lowest)
+    is_lowest = _lowest_of_columns(cells)
+    ground = _lowest_plateau(standable, np.flatnonzero(is_lowest), agent, settings)
+    grounds = [_common_height(z[is_lowest]) if ground is None else ground]
+    rest = np.flatnonzero(~is_lowest)
     while len(rest):
-        ground = _lowest_plateau(cells[rest], z[rest], standable.lattice, agent, settings)
+        ground = _lowest_plateau(standable, rest, agent, settings)
         if ground is None:
             break
         grounds.append(ground)
@@ -46,35 +40,26 @@ def find_grounds(
 
 
 def lower_grounds(standable: Standable, grounds: list[float], agent: AgentSettings) -> list[float]:
-    """Lower each ground to what lies a little below it and hangs together with nothing else.
+    """Lower each ground to what lies a little below it and is connected to nothing else.
 
-    A floor is rarely quite flat. A part of the level below that lies within a step under a
-    ground, and that steps join to nothing but the level of that ground, belongs up there.
-
-    Args:
-        standable: the surfaces that count.
-        grounds: ground heights, ascending [m].
-        agent: its step.
-
-    Returns:
-        The grounds, as many as before, ascending [m].
+    A part of the level below that lies within a step under a ground, and that steps join to
+    nothing but the level of that ground, belongs up there: few floors are quite flat.
     """
     step, lattice = agent.traversable_floor_height, standable.lattice
     for _ in grounds[1:]:
         level = _place(standable, grounds)
         part, size = join_by_steps(lattice, standable.start, standable.z, level, step)
         links = find_links(lattice, standable.start, standable.z, level, step)
+        here, there = np.concatenate([links, links[:, ::-1]]).T
         lowered = list(grounds)
         low = np.full(len(size), np.inf)
         np.minimum.at(low, part, standable.z)
         for k in range(1, len(grounds)):
-            to_above = np.zeros(len(size), dtype=np.bool_)
-            to_others = np.zeros(len(size), dtype=np.bool_)
-            for here, there in ((links[:, 0], links[:, 1]), (links[:, 1], links[:, 0])):
-                on_below = level[here] == k - 1
-                is_above = level[there] == k
-                to_above[part[here[on_below & is_above]]] = True
-                to_others[part[here[on_below & ~is_above]]] = True
+            on_below, is_above = level[here] == k - 1, level[there] == k
+            to_above, to_others = (
+                np.bincount(part[here[on_below & on_other]], minlength=len(size)) > 0
+                for on_other in (is_above, ~is_above)
+            )
             joins = to_above & ~to_others & (low >= grounds[k] - step - SLACK)
             if joins.any():
                 lowered[k] = min(grounds[k], float(low[joins].min()))
@@ -94,8 +79,6 @@ def assign_levels(
     there is none, a level of its own is opened at the lowest such surface.
 
     Args:
-        standable: the surfaces that count.
-        grounds: ground heights, ascending [m].
         names: the levels' names, None for those without; empty if none has one.
 
     Returns:
@@ -108,9 +91,8 @@ def assign_levels(
         grounds = sorted([*grounds, _own_ground(standable.z[level < 0], grounds)])
         level = _place(standable, grounds)
     used = np.unique(level)
-    level = np.searchsorted(used, level)
     grounds = [grounds[k] for k in used]
-    return level, grounds, _label([named.get(ground) for ground in grounds])
+    return np.searchsorted(used, level), grounds, _label([named.get(ground) for ground in grounds])
 
 
 def _label(names: list[str | None]) -> list[str]:
@@ -137,12 +119,13 @@ def _common_height(z: Float) -> float:
 
 
 def _lowest_plateau(
-    cells: Int, z: Float, lattice: Lattice, agent: AgentSettings, settings: FloorSettings
+    standable: Standable, surfaces: Int, agent: AgentSettings, settings: FloorSettings
 ) -> float | None:
     """The ground of the lowest large floor among surfaces, or None.
 
     Looks through windows of heights one step high, half a step apart, from the lowest up.
     """
+    lattice, cells, z = standable.lattice, standable.cell[surfaces], standable.z[surfaces]
     half_step = max(agent.traversable_floor_height, PLATEAU) / 2
     window: Int = ((z - z.min()) / half_step).astype(np.int64)
     counts = np.bincount(window)
@@ -156,6 +139,7 @@ def _lowest_plateau(
             inner = shrink_mask(mask, lattice.cell_size, settings.shrink)
             row, col = np.divmod(cells[chosen], lattice.width)
             heights = z[chosen][inner[row - row0, col - col0]]
+            # the cells that shrinking leaves decide, not stairs or thresholds at the edge
             return _common_height(heights if len(heights) else z[chosen])
     return None
 
@@ -169,9 +153,7 @@ def _place(standable: Standable, grounds: list[float]) -> Int:
 
 
 def _own_ground(lost: Float, grounds: list[float]) -> float:
-    """The lowest height among lost surfaces that is no ground yet [m]."""
-    known = np.array(grounds)
-    new = lost[np.abs(lost[:, None] - known).min(axis=1) > SLACK] if len(lost) else lost
-    if len(new):
-        return float(new.min())
-    return float(max(grounds)) + 1.0  # a level above all, for what is doubled everywhere
+    """The lowest height among surfaces without a level that is no ground yet [m]."""
+    new = lost[np.abs(lost[:, None] - grounds).min(axis=1) > SLACK]
+    # where all are grounds, their columns are taken on every level: open one above all
+    return float(new.min() if len(new) else max(grounds) + 1.0)

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from navbake.baker.columns import Columns
 from navbake.baker.floors.grounds import assign_levels, find_grounds, lower_grounds
-from navbake.baker.floors.roofs import drop_roofs, is_walled
+from navbake.baker.floors.roofs import OccupancyTest, drop_roofs, is_walled
 from navbake.baker.floors.sheets import Standable, drop_furniture, drop_tops, find_standable
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.kernels.sheets import find_links, group_members, grow_floor
+from navbake.baker.kernels.sheets import find_links, grow_floor
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
@@ -65,8 +64,8 @@ class Floors:
 
     levels: list[LevelFloor]
     links: Int
-    tops: list[DroppedSheet] = field(default_factory=list)
-    roofs: list[DroppedSheet] = field(default_factory=list)
+    tops: list[DroppedSheet]
+    roofs: list[DroppedSheet]
 
 
 def find_floors(
@@ -75,17 +74,13 @@ def find_floors(
     agent: AgentSettings,
     settings: FloorSettings,
     given: list[LevelSettings] | None,
-    is_occupied: Callable[[Int, Float], Bool],
+    is_occupied: OccupancyTest,
 ) -> Floors:
     """Find the storeys, the floor of each, and the steps between them.
 
     Args:
-        columns: all surfaces.
-        shapes: the geometry they were cast at.
-        agent: its height, step and slope.
-        settings: which sheets count.
+        shapes: the geometry that the columns were cast at.
         given: the levels of the configuration, or None to find them.
-        is_occupied: tells for cell ids and floor heights which are occupied.
 
     Raises:
         SceneError: there is no floor at all, or none on a given level.
@@ -129,29 +124,23 @@ def _describe_dropped(
     every: Standable, counted: Standable, columns: Columns, walled_by: float | None = None
 ) -> list[DroppedSheet]:
     """Describe the sheets that were dropped, or those with walls of a height around them."""
-    gone = np.flatnonzero((every.sheet_size > 0) & (counted.sheet_size == 0))
-    start, member = group_members(every.sheet, every.sheet_size)
-    cells = every.cell
     dropped = []
-    for sheet in gone:
-        members = member[start[sheet] : start[sheet + 1]]
+    gone = np.flatnonzero((every.sheet_size > 0) & (counted.sheet_size == 0))
+    for _, members in every.members(gone):
         z = every.z[members]
-        if walled_by is not None and not is_walled(cells[members], z, columns, walled_by):
-            continue
-        geoms = columns.geom[every.surface[members]]
-        area = len(members) * every.lattice.cell_size**2
-        dropped.append(DroppedSheet(int(np.bincount(geoms).argmax()), float(z.max()), area))
+        if walled_by is None or is_walled(every.cell[members], z, columns, walled_by):
+            geoms = columns.geom[every.surface[members]]
+            area = len(members) * every.lattice.cell_size**2
+            dropped.append(DroppedSheet(int(np.bincount(geoms).argmax()), float(z.max()), area))
     return sorted(dropped, key=lambda sheet: -sheet.area)
 
 
 def _within_given(standable: Standable, given: list[LevelSettings], columns: Columns) -> Standable:
     """Keep the surfaces between the grounds and the tops of the given levels."""
     kept = np.zeros(len(standable.z), dtype=np.bool_)
-    for number, level in enumerate(given):
-        is_last = number + 1 == len(given)
-        top = np.inf if is_last else given[number + 1].ground
-        if level.top is not None:
-            top = min(top, level.top)
+    next_grounds = [*(level.ground for level in given[1:]), np.inf]
+    for number, (level, above) in enumerate(zip(given, next_grounds, strict=True)):
+        top = above if level.top is None else min(above, level.top)
         on_level = (standable.z >= level.ground - SLACK) & (standable.z < top - SLACK)
         if not on_level.any():
             name = f"level {level.name!r}" if level.name else f"level {number}"
@@ -165,36 +154,27 @@ def _within_given(standable: Standable, given: list[LevelSettings], columns: Col
 
 
 def _level_floor(
-    number: int,
-    level: Int,
-    standable: Standable,
-    columns: Columns,
-    candidate: Bool,
-    agent: AgentSettings,
+    k: int, level: Int, standable: Standable, columns: Columns, goes_on: Bool, agent: AgentSettings
 ) -> tuple[Float, Bool]:
-    """The floor of one level, and where it is standable; see `LevelFloor`."""
-    lattice = standable.lattice
+    """The floor of level `k`, continued where `goes_on`; and where it is standable."""
+    lattice, cells, z = standable.lattice, standable.cell, standable.z
     floor = np.full(lattice.width * lattice.height, np.nan)
-    cells, z = standable.cell, standable.z
-    chosen = level == number
-    floor[cells[chosen]] = z[chosen]
+    floor[cells[level == k]] = z[level == k]
     is_standable = ~np.isnan(floor)
     lowest, highest = np.full(floor.shape, -np.inf), np.full(floor.shape, np.inf)
-    below, above = np.flatnonzero(level < number), np.flatnonzero(level > number)[::-1]
+    below, above = np.flatnonzero(level < k), np.flatnonzero(level > k)[::-1]
     # of several in a column, the last one written stays: here the highest, there the lowest
     lowest[cells[below]] = z[below] + agent.height - SLACK
     highest[cells[above]] = z[above] - agent.height + SLACK
     step = agent.traversable_floor_height
-    grow_floor(lattice, columns.crossings, candidate, floor, lowest, highest, step)
+    grow_floor(lattice, columns.crossings, goes_on, floor, lowest, highest, step)
     return floor.reshape(lattice.shape), is_standable.reshape(lattice.shape)
 
 
 def _cell_links(standable: Standable, level: Int, agent: AgentSettings) -> Int:
     step = agent.traversable_floor_height
-    pairs = find_links(standable.lattice, standable.start, standable.z, level, step)
-    cells = standable.cell
-    a, b = pairs[:, 0], pairs[:, 1]
-    links = np.stack([level[a], cells[a], level[b], cells[b]], axis=1)
+    a, b = find_links(standable.lattice, standable.start, standable.z, level, step).T
+    links = np.stack([level[a], standable.cell[a], level[b], standable.cell[b]], axis=1)
     return links[np.lexsort(links.T[::-1])]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from scipy import ndimage
@@ -12,34 +13,26 @@ from navbake.baker.columns import Columns
 from navbake.baker.floors.sheets import Standable, mask_window
 from navbake.baker.kernels.constants import SLACK, TOUCH
 from navbake.baker.kernels.occupancy import lines_blocked
-from navbake.baker.kernels.sheets import group_members
 from navbake.config.settings import AgentSettings
 from navbake.types import Bool, Float, Int
 
-# Openings up to twice this wide don't let the sky into an enclosed level [m]
+# Openings up to twice this wide do not make an enclosed level a part of outside [m]
 DOOR_HALF_WIDTH = 0.6
 # The share of a sheet that has to lie open to the sky, or over a floor, for a roof
-MOSTLY = 0.9
-HALF = 0.5
+MOSTLY, HALF = 0.9, 0.5
+
+OccupancyTest: TypeAlias = Callable[[Int, Float], Bool]
+"""Which cells are occupied, from their ids and floor heights [m], each of shape (n,)."""
 
 
 def drop_roofs(
-    standable: Standable,
-    columns: Columns,
-    agent: AgentSettings,
-    is_occupied: Callable[[Int, Float], Bool],
+    standable: Standable, columns: Columns, agent: AgentSettings, is_occupied: OccupancyTest
 ) -> Standable:
     """Drop the sheets that are roofs: open to the sky, over an enclosed level.
 
     No step reaches a roof: a sheet that steps reach includes the floors below, which are not
     open to the sky. A level is enclosed when most of the free floor under the sheet can't be
     reached from outside of it except through openings no wider than a door.
-
-    Args:
-        standable: the surfaces of the sheets that count.
-        columns: all surfaces.
-        agent: its height and step.
-        is_occupied: tells for cell ids and floor heights which are occupied.
     """
     cells = standable.cell
     last_of_column = columns.start[cells + 1] - 1
@@ -51,21 +44,14 @@ def drop_roofs(
     over_share = np.bincount(sheet, over_floor, len(size)) / size
     keep = np.ones(len(size), dtype=np.bool_)
     under = _EnclosedTest(standable, columns, agent, is_occupied)
-    start, member = group_members(sheet, standable.sheet_size)
-    for roof in np.flatnonzero((sky_share >= MOSTLY) & (over_share >= HALF)):
-        members = member[start[roof] : start[roof + 1]]
+    candidates = np.flatnonzero((sky_share >= MOSTLY) & (over_share >= HALF))
+    for roof, members in standable.members(candidates):
         keep[roof] = not under.is_enclosed(cells[members], below[members[over_floor[members]]])
     return standable.only_sheets(keep)
 
 
 def is_walled(cells: Int, z: Float, columns: Columns, height: float) -> bool:
-    """Whether something higher than an agent stands along most of a sheet's edge.
-
-    Args:
-        cells, z: of the sheet's surfaces, shape (n,).
-        columns: all surfaces.
-        height: of the agent [m].
-    """
+    """Whether something higher than an agent [m] stands along most of the edge of a sheet."""
     lattice = columns.lattice
     floor, top = np.full(lattice.shape, np.nan), np.full(lattice.shape, -np.inf)
     floor.ravel()[cells] = z
@@ -87,10 +73,10 @@ class _EnclosedTest:
     standable: Standable
     columns: Columns
     agent: AgentSettings
-    is_occupied: Callable[[Int, Float], Bool]
+    is_occupied: OccupancyTest
 
     def is_enclosed(self, roof_cells: Int, under: Int) -> bool:
-        """Tell for a roof's cells and the standable surfaces right under it."""
+        """Decide from a roof's cells, and from the standable surfaces right under it."""
         lattice = self.standable.lattice
         margin = int(np.ceil(DOOR_HALF_WIDTH / lattice.cell_size)) + 2
         roof, row0, col0 = mask_window(roof_cells, lattice, margin)
@@ -107,9 +93,8 @@ class _EnclosedTest:
         if not free.any():
             return False  # a solid's top is no roof over a room
         distance = ndimage.distance_transform_edt(~blocked) * lattice.cell_size
-        wide = ~blocked & (distance > DOOR_HALF_WIDTH)
-        wide &= has_floor | ~roof
-        # what stands on a roof leaves a hole in it, and is not outside of it
+        wide = ~blocked & (distance > DOOR_HALF_WIDTH) & (has_floor | ~roof)
+        # an object on a roof interrupts its sheet, but the hole is not outside of the roof
         outline = ndimage.binary_fill_holes(roof)
         inner = wide & outline
         if not inner.any():
@@ -122,13 +107,13 @@ class _EnclosedTest:
     def _blocked(self, floor: Float, has_floor: Bool, row0: Int, col0: Int) -> Bool:
         """Cells of a window that something blocks at the height of the floor there or nearby."""
         lattice = self.standable.lattice
-        row: Int = np.arange(floor.shape[0])[:, None] + row0 + np.zeros_like(floor, dtype=np.int64)
-        col: Int = np.arange(floor.shape[1])[None, :] + col0 + np.zeros_like(row)
+        row, col = np.indices(floor.shape) + np.reshape([row0, col0], (2, 1, 1))
         inside = (row >= 0) & (row < lattice.height) & (col >= 0) & (col < lattice.width)
         cells = row * lattice.width + col
         blocked = np.zeros(floor.shape, dtype=np.bool_)
         exact = inside & has_floor
         blocked[exact] = self.is_occupied(cells[exact], floor[exact])
+        # where the roof has no floor below, only lines are cast: the height is a neighbour's
         rough = inside & ~has_floor
         answers = np.zeros(int(rough.sum()), dtype=np.bool_)
         low = floor[rough] + self.agent.traversable_floor_height + TOUCH

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +47,12 @@ class Standable(NamedTuple):
     sheet: Int
     sheet_size: Int
 
+    def members(self, sheets: Int) -> Iterator[tuple[int, Int]]:
+        """Of some sheets, each one's number and the indices of its surfaces."""
+        start, member = group_members(self.sheet, self.sheet_size)
+        for sheet in sheets:
+            yield sheet, member[start[sheet] : start[sheet + 1]]
+
     def only_sheets(self, counts: Bool) -> Standable:
         """The surfaces of the sheets that count, shape (sheets,); they keep their numbers."""
         return self.only(counts[self.sheet])
@@ -54,15 +61,10 @@ class Standable(NamedTuple):
         """The surfaces that are kept, shape (n,)."""
         if kept.all():
             return self
-        sheet = self.sheet[kept]
-        return self._replace(
-            start=np.concatenate([[0], np.cumsum(kept)])[self.start],
-            z=self.z[kept],
-            cell=self.cell[kept],
-            surface=self.surface[kept],
-            sheet=sheet,
-            sheet_size=np.bincount(sheet, minlength=len(self.sheet_size)),
-        )
+        start, sheet = np.concatenate([[0], np.cumsum(kept)])[self.start], self.sheet[kept]
+        size = np.bincount(sheet, minlength=len(self.sheet_size))
+        arrays = self.z[kept], self.cell[kept], self.surface[kept]
+        return Standable(self.lattice, start, *arrays, sheet, size)
 
 
 def agent_limits(agent: AgentSettings) -> AgentLimits:
@@ -75,11 +77,6 @@ def find_standable(
     columns: Columns, shapes: Shapes, agent: AgentSettings
 ) -> tuple[Standable, Bool]:
     """Find the standable surfaces and the sheets that steps make of them.
-
-    Args:
-        columns: all surfaces.
-        shapes: the geometry they were cast at.
-        agent: its height, step and slope.
 
     Returns:
         The standable surfaces, and a mask of all surfaces, shape (n,), bool: those that a floor
@@ -101,17 +98,11 @@ def drop_furniture(standable: Standable, settings: FloorSettings) -> Standable:
 
     A sheet's cells are taken together over all heights; a cell survives shrinking when its
     centre is at least `shrink` from the sheet's edge.
-
-    Args:
-        standable: all standable surfaces.
-        settings: `min_area` [m²] and `shrink` [m].
     """
-    size = standable.sheet_size
+    size, test = standable.sheet_size, AreaTest(standable.lattice, settings)
     counts = np.zeros(len(size), dtype=np.bool_)
-    start, member = group_members(standable.sheet, size)
-    cells, test = standable.cell, AreaTest(standable.lattice, settings)
-    for sheet in np.flatnonzero(size >= test.needed):
-        counts[sheet] = test.passes(cells[member[start[sheet] : start[sheet + 1]]])
+    for sheet, members in standable.members(np.flatnonzero(size >= test.needed)):
+        counts[sheet] = test.passes(standable.cell[members])
     return standable.only_sheets(counts)
 
 
@@ -126,28 +117,22 @@ def drop_tops(
     mezzanine has standing room below, so that both are none.
 
     Args:
-        standable: the surfaces of the sheets that count by their size.
-        columns: all surfaces.
-        floor_like: which of them face up within the slope, shape (n,).
+        floor_like: which surfaces of the columns face up within the slope, shape (n,).
         step: the largest step [m].
         settings: `shrink`, how far from the sheet's edge the floor may begin [m].
     """
-    lattice, size = standable.lattice, standable.sheet_size
-    start, member = group_members(standable.sheet, size)
+    lattice, keep = standable.lattice, standable.sheet_size > 0
     num_cells = lattice.width * lattice.height
     at_cell = np.full(num_cells, -1, dtype=np.int64)
     under, queue = np.full(num_cells, np.nan), np.empty(num_cells, dtype=np.int64)
     reach = max(1, int(np.ceil(settings.shrink / lattice.cell_size)))
-    keep = size > 0
-    for sheet in np.flatnonzero(keep):
-        members = member[start[sheet] : start[sheet + 1]]
+    for sheet, members in standable.members(np.flatnonzero(keep)):
         ends = (standable, members, columns.crossings)
         edges, drops, floors, over = count_drops(*ends, step, reach, at_cell)
         if drops > 0 and drops >= DROP_SHARE * edges:
             covered = count_covered(*ends, floor_like, step, floors, at_cell, under, queue)
             keep[sheet] = covered <= TOP_SHARE * len(members)
-        at_cell[standable.cell[members]] = -1
-        at_cell[over] = -1
+        at_cell[standable.cell[members]] = at_cell[over] = -1  # as it was, for the next sheet
     return standable.only_sheets(keep)
 
 
@@ -180,7 +165,7 @@ class AreaTest:
     """Whether cells are enough for a floor: `min_area` after shrinking, see `shrink_mask`.
 
     Attributes:
-        needed: cells that have to be left, so also what a set has at least.
+        needed: cells that have to be left after shrinking; smaller sets need no test.
     """
 
     def __init__(self, lattice: Lattice, settings: FloorSettings) -> None:
@@ -188,11 +173,10 @@ class AreaTest:
         self._shape = lattice.width, lattice.height
         limit = (settings.shrink - SLACK) / lattice.cell_size + 0.5
         self._offsets = near_offsets(limit, min(self._shape))
-        num_cells = lattice.width * lattice.height
-        self._masks = np.zeros(num_cells, dtype=np.bool_), np.zeros(num_cells, dtype=np.bool_)
+        self._masks = tuple(np.zeros(lattice.width * lattice.height, np.bool_) for _ in range(2))
 
     def passes(self, cells: Int) -> bool:
-        """Tell for a set of cells, shape (n,), int64; a cell may be named more than once."""
+        """Whether a set of cells is large enough; ids may repeat, shape (n,), int64."""
         needed = int(np.ceil(max(self.needed, 0.0)))
         found = count_inner(cells, self._offsets, *self._shape, needed, *self._masks)
         return bool(found >= needed)

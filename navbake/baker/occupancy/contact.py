@@ -1,4 +1,4 @@
-"""FCL's word on whether a solid meets a cell's prism; the one user of fcl."""
+"""Asks FCL whether a solid meets a cell's prism. Only this module imports fcl."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import fcl
 
 from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from navbake.baker.scene.shapes import Solids
-from navbake.types import Float
+from navbake.types import Float, Int32
 
 GEOMETRY: dict[int, Callable[[Float], fcl.CollisionGeometry]] = {
     SPHERE: lambda size: fcl.Sphere(size[0]),
@@ -19,36 +19,24 @@ GEOMETRY: dict[int, Callable[[Float], fcl.CollisionGeometry]] = {
 }
 
 
-def prisms(square: float, radius: float, half_z: float) -> list[fcl.CollisionGeometry]:
-    """A cell's footprint over its band: a box for the square, a cylinder for the disc.
+def touch_prism(
+    solids: Solids, chosen: Int32, center: Float, square: float, radius: float, half_z: float
+) -> bool:
+    """Whether any of the chosen solids meets an upright prism: a square joined with a disc.
 
     Args:
+        chosen: indices of solids.
+        center: the prism's centre, shape (3,) [m].
         square: half of the square's edge, 0 for none [m].
         radius: the disc's radius, 0 for none [m].
-        half_z: half of the band's height [m].
+        half_z: half of the prism's height [m].
     """
-    shapes = []
-    if square > 0:
-        shapes.append(fcl.Box(2 * square, 2 * square, 2 * half_z))
-    if radius > 0:
-        shapes.append(fcl.Cylinder(radius, 2 * half_z))
-    return shapes
-
-
-def solid_touches(
-    solids: Solids, index: int, center: Float, shapes: list[fcl.CollisionGeometry]
-) -> bool:
-    """Whether a solid meets any of the shapes, all centred at one point.
-
-    Args:
-        solids: the solids.
-        index: which of them.
-        center: shape (3,), world frame [m].
-        shapes: see `prisms`.
-    """
-    place = fcl.Transform(solids.mat[index].reshape(3, 3), solids.pos[index])
-    solid = fcl.CollisionObject(GEOMETRY[int(solids.kind[index])](solids.size[index]), place)
-    return any(
-        fcl.collide(fcl.CollisionObject(shape, fcl.Transform(center)), solid) > 0
-        for shape in shapes
-    )
+    box = [fcl.Box(2 * square, 2 * square, 2 * half_z)] if square > 0 else []
+    shapes = box + ([fcl.Cylinder(radius, 2 * half_z)] if radius > 0 else [])
+    prisms = [fcl.CollisionObject(shape, fcl.Transform(center)) for shape in shapes]
+    for index in chosen:
+        place = fcl.Transform(solids.mat[index].reshape(3, 3), solids.pos[index])
+        solid = fcl.CollisionObject(GEOMETRY[int(solids.kind[index])](solids.size[index]), place)
+        if any(fcl.collide(prism, solid) > 0 for prism in prisms):
+            return True
+    return False

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from navbake.baker.columns import Columns, TiledShapes
+from navbake.baker.floors.levels import Floors
 from navbake.baker.kernels.arrays import Queries
 from navbake.baker.kernels.constants import MEETS, TOUCH, UNDECIDED
 from navbake.baker.kernels.occupancy import check_cells
 from navbake.baker.kernels.tiles import tile_of
-from navbake.baker.occupancy.contact import prisms, solid_touches
+from navbake.baker.occupancy.contact import touch_prism
 from navbake.config.settings import AgentSettings
 from navbake.types import Bool, Float, Int
 
@@ -48,14 +48,9 @@ class Footprint(NamedTuple):
         )
 
 
-@dataclass(frozen=True)
-class Answers:
-    """Answers of `check_occupancy`.
-
-    Attributes:
-        occupied: shape (n,), bool.
-        by_ray: how many a ray alone proved occupied.
-        by_fcl: how many had no proof, so that FCL decided.
+class Answers(NamedTuple):
+    """Which cells are occupied, shape (n,), bool; how many of them a ray alone proved so, and how
+    many had no proof either way, so that FCL decided.
     """
 
     occupied: Bool
@@ -63,54 +58,62 @@ class Answers:
     by_fcl: int
 
 
+class Occupancy(NamedTuple):
+    """Occupancy of all storeys.
+
+    Attributes:
+        levels: of each storey, shape (height, width) of the whole lattice, bool: a geom meets
+            the volume over the cell's floor, or there is no floor.
+        by_ray, by_fcl: how many cells were decided so, see `Answers`.
+    """
+
+    levels: list[Bool]
+    by_ray: int
+    by_fcl: int
+
+
+def find_occupancy(
+    floors: Floors, columns: Columns, tiled: TiledShapes, footprint: Footprint
+) -> Occupancy:
+    """Decide for every cell of every storey whether it is occupied; see `check_occupancy`."""
+    levels, by_ray, by_fcl = [], 0, 0
+    for level in floors.levels:
+        occupied = np.isnan(level.floor)
+        cells = np.flatnonzero(~occupied)
+        answers = check_occupancy(columns, tiled, footprint, cells, level.floor.ravel()[cells])
+        occupied.flat[cells] = answers.occupied
+        levels.append(occupied)
+        by_ray, by_fcl = by_ray + answers.by_ray, by_fcl + answers.by_fcl
+    return Occupancy(levels, by_ray, by_fcl)
+
+
 def check_occupancy(
     columns: Columns, tiled: TiledShapes, footprint: Footprint, cells: Int, floors: Float
 ) -> Answers:
-    """Tell for each cell and floor whether a geom meets the open volume above it.
+    """Check for cells and floor heights, shape (n,), whether a geom meets the volume above.
 
     The volume stands over the cell's footprint, between the floor plus the traversable height
     and the floor plus the agent's height. A ray of the cell's column that crosses a geom there,
     or runs inside of one, proves it occupied. Otherwise each geom nearby is proved apart or
     overlapping; where rounding leaves no proof, FCL decides. Geoms that reach in by less than
-    5e-7 m only touch.
-
-    Args:
-        columns: the surfaces.
-        tiled: the same scene's geometry on the same lattice.
-        footprint: the volume.
-        cells: cell ids on the lattice, shape (n,), int64.
-        floors: the floor heights asked about, shape (n,), float64 [m].
-
-    Returns:
-        The answers, in the order of the questions.
+    TOUCH only touch.
     """
-    shapes = tiled.shapes
-    state, by_line = np.zeros(len(cells), np.uint8), np.zeros(len(cells), np.bool_)
-    check_cells(
-        columns.lattice,
-        columns.crossings,
-        shapes.solids,
-        tiled.facets,
-        shapes.planes,
-        tiled.tiles,
-        footprint,
-        Queries(cells, floors, state, by_line),
-    )
+    geometry = (tiled.shapes.solids, tiled.facets, tiled.shapes.planes, tiled.tiles)
+    queries = Queries(cells, floors, np.zeros(len(cells), np.uint8), np.zeros(len(cells), np.bool_))
+    check_cells(columns.lattice, columns.crossings, *geometry, footprint, queries)
+    state = queries.state
     undecided = np.flatnonzero(state == UNDECIDED)
     for n in undecided:
         if _ask_fcl(tiled, footprint, int(cells[n]), float(floors[n])):
             state[n] = MEETS
-    return Answers(occupied=state == MEETS, by_ray=int(by_line.sum()), by_fcl=len(undecided))
+    return Answers(state == MEETS, int(queries.by_line.sum()), len(undecided))
 
 
 def _ask_fcl(tiled: TiledShapes, footprint: Footprint, cell: int, floor: float) -> bool:
     """FCL's answer for one cell, over all solids of its tile."""
-    lattice, solids = tiled.lattice, tiled.shapes.solids
-    row, col = divmod(cell, lattice.width)
-    middle = floor + (footprint.low + footprint.high) / 2
-    center = np.array([*lattice.positions(row, col), middle])
-    half_z = (footprint.high - footprint.low) / 2
-    volumes = prisms(footprint.square, footprint.radius, half_z)
-    tiles, tile = tiled.tiles, tile_of(lattice, cell)
+    lattice, tiles, tile = tiled.lattice, tiled.tiles, tile_of(tiled.lattice, cell)
+    middle, half_z = (footprint.low + footprint.high) / 2, (footprint.high - footprint.low) / 2
+    center = np.array([*lattice.positions(*divmod(cell, lattice.width)), floor + middle])
     nearby = tiles.solid_item[tiles.solid_start[tile] : tiles.solid_start[tile + 1]]
-    return any(solid_touches(solids, int(s), center, volumes) for s in nearby)
+    size = (footprint.square, footprint.radius, half_z)
+    return touch_prism(tiled.shapes.solids, nearby, center, *size)

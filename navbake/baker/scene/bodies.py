@@ -10,13 +10,10 @@ from navbake.types import Int
 
 
 def find_subtree_ends(model: Any) -> Int:
-    """Find where the bodies that hang on each body end.
+    """Find the end of each body's subtree in the list of bodies, shape (nbody,), int64.
 
     Bodies are numbered depth first, so a body and all that hangs on it, directly or not, have
     the ids from its own to the one before its end.
-
-    Returns:
-        By body id, shape (nbody,), int64.
     """
     end = list(range(1, model.nbody + 1))
     parent = model.body_parentid.tolist()
@@ -26,9 +23,6 @@ def find_subtree_ends(model: Any) -> Int:
 
 
 def geoms_of_bodies(model: Any, first: int, end: int) -> Int:
-    """The ids of the geoms of the bodies from `first` to before `end`, ascending.
-
-    Geoms are numbered by their bodies.
-    """
+    """Ids of the geoms of the bodies from `first` to before `end`, ascending as the bodies are."""
     low, high = np.searchsorted(model.geom_bodyid, [first, end])
     return np.arange(low, high, dtype=np.int64)

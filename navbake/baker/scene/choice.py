@@ -1,11 +1,10 @@
-"""Which geoms of a model count, by the settings, and why. Knows models, but not mujoco."""
+"""Which geoms of a model count, by the settings, and why. Does not import mujoco."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -19,14 +18,13 @@ DRAWN_GROUPS = 3  # MuJoCo's viewers draw the geom groups below this unless told
 MeshMode = Literal["hull", "surface"]
 
 
-@dataclass(frozen=True)
-class Choice:
+class Choice(NamedTuple):
     """What becomes of one geom.
 
     Attributes:
         counted: whether it takes part in the bake.
         reason: why.
-        mesh: as what it counts if it is a mesh.
+        mesh: as what it counts if it is a mesh: its convex hull, or its own triangles.
     """
 
     counted: bool
@@ -37,15 +35,11 @@ class Choice:
 def choose_geoms(model: Any, settings: SceneSettings) -> tuple[list[Choice], list[str]]:
     """Decide for each geom whether it counts.
 
-    What is excluded is out, whatever else it is. `collision` counts what can collide (contype or
+    Excluded geoms never count. `collision` counts what can collide (contype or
     conaffinity not 0), drawn or not. `auto` does the same, but counts all geoms where none of
     those left can collide. `visual` counts what is drawn: alpha above 0, a geom group that
     MuJoCo's viewers draw, and no stand-in, which is a geom that can collide on a body that has
     drawn geoms of another group that can't; the world's own geoms are no stand-ins.
-
-    Args:
-        model: the compiled model.
-        settings: what counts.
 
     Returns:
         A choice for each geom, by its id, and what the user should know, one line each.
@@ -56,10 +50,8 @@ def choose_geoms(model: Any, settings: SceneSettings) -> tuple[list[Choice], lis
     left = np.array([not reason for reason in excluded], dtype=bool)
     counts = _rule(model, settings, collides, bool((collides & left).any()))
     modes, unused = _mesh_modes(settings, names, collides, model.geom_type)
-    choices = []
-    for geom, mode in enumerate(modes):
-        is_counted, reason = (False, excluded[geom]) if excluded[geom] else counts[geom]
-        choices.append(Choice(is_counted, reason, mode))
+    rules = [(False, out) if out else rule for out, rule in zip(excluded, counts, strict=True)]
+    choices = [Choice(*rule, mode) for rule, mode in zip(rules, modes, strict=True)]
     return choices, notes + unused
 
 
@@ -85,6 +77,7 @@ def _visual_rule(model: Any, collides: Bool) -> list[tuple[bool, str]]:
         visuals.setdefault(int(body[visual]), set()).add(int(group[visual]))
     rule = []
     for geom in range(model.ngeom):
+        # the world's own geoms stand for themselves
         beside = visuals.get(int(body[geom]), set()) if body[geom] else set()
         if not drawn[geom]:
             is_hidden = group[geom] >= DRAWN_GROUPS
@@ -100,12 +93,9 @@ def _visual_rule(model: Any, collides: Bool) -> list[tuple[bool, str]]:
 def _alpha(model: Any) -> Float:
     """Each geom's opacity: its material's, unless its own colour was set (as MuJoCo draws it)."""
     alpha: Float = model.geom_rgba[:, 3].astype(np.float64)
-    material = model.geom_matid
-    has_material = material >= 0
-    if has_material.any():
-        plain = (model.geom_rgba == np.array([0.5, 0.5, 0.5, 1.0], np.float32)).all(axis=1)
-        by_material = has_material & plain
-        alpha[by_material] = model.mat_rgba[material[by_material], 3]
+    is_default = (model.geom_rgba == np.array([0.5, 0.5, 0.5, 1.0], np.float32)).all(axis=1)
+    by_material = (model.geom_matid >= 0) & is_default
+    alpha[by_material] = model.mat_rgba[model.geom_matid[by_material], 3]
     return alpha
 
 
@@ -144,39 +134,36 @@ def _excluded_bodies(model: Any, settings: SceneSettings) -> list[str]:
 def _mesh_modes(
     settings: SceneSettings, names: list[GeomNames], collides: Bool, types: Any
 ) -> tuple[list[MeshMode], list[str]]:
-    """As what each geom counts if it is a mesh; and patterns that match no mesh."""
-    is_mesh = np.isin(types, (MESH, SDF))
-    of_meshes = [name for geom, name in enumerate(names) if is_mesh[geom]]
+    """The mesh mode of each geom; and patterns that match no mesh."""
     by_pattern: Mapping[str, str] = (
         settings.meshes if isinstance(settings.meshes, dict) else {"*": settings.meshes}
     )
     modes: list[MeshMode] = []
     for geom, name in enumerate(names):
-        mode = next((by_pattern[p] for p in by_pattern if _matches_any(p, name)), "auto")
+        mode = next((by_pattern[p] for p in by_pattern if _matches(p, name)), "auto")
         if mode == "auto":  # MuJoCo collides meshes by their hull, but not signed distance fields
             mode = "hull" if collides[geom] and types[geom] == MESH else "surface"
         modes.append("hull" if mode == "hull" else "surface")
     if by_pattern is not settings.meshes:
         return modes, []
-    known = [text for name in of_meshes for text in (name.geom, name.mesh, name.body)]
-    return modes, [
-        warn_unmatched("scene.meshes", pattern, known, "no mesh")
-        for pattern in by_pattern
-        if not any(_matches_any(pattern, name) for name in of_meshes)
-    ]
+    of_meshes = [names[geom] for geom in np.flatnonzero(np.isin(types, (MESH, SDF)))]
+    known = [text for name in of_meshes for text in name]
+    return modes, _unused("scene.meshes", by_pattern, known, "no mesh")
 
 
-def _matches_any(pattern: str, name: GeomNames) -> bool:
-    return any(fnmatchcase(text, pattern) for text in (name.geom, name.mesh, name.body) if text)
+def _matches(pattern: str, names: Iterable[str]) -> bool:
+    return any(fnmatchcase(name, pattern) for name in names if name)
 
 
 def _first_match(patterns: Iterable[str], name: str) -> str | None:
     return next((pattern for pattern in patterns if fnmatchcase(name, pattern)), None)
 
 
-def _unused(setting: str, patterns: Iterable[str], names: list[str]) -> list[str]:
+def _unused(
+    setting: str, patterns: Iterable[str], names: list[str], found: str = "nothing"
+) -> list[str]:
     return [
-        warn_unmatched(setting, pattern, names)
+        warn_unmatched(setting, pattern, names, found)
         for pattern in patterns
-        if not any(fnmatchcase(name, pattern) for name in names)
+        if not _matches(pattern, names)
     ]

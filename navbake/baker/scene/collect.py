@@ -1,31 +1,15 @@
-"""The geometry of a model's counted geoms, gathered into shapes. Knows models, but not mujoco."""
+"""The geometry of a model's counted geoms, gathered into shapes. Does not import mujoco."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from navbake.baker.kernels.constants import (
-    BOX,
-    CAPSULE,
-    CLOSED_SURFACE,
-    CONVEX_SOLID,
-    CYLINDER,
-    ELLIPSOID,
-    HFIELD,
-    MESH,
-    OPEN_SURFACE,
-    PLANE,
-    SDF,
-    SOLID,
-    SPHERE,
-)
+from navbake.baker.kernels import constants
 from navbake.baker.scene.choice import Choice
-from navbake.baker.scene.meshes.part import MeshPart
+from navbake.baker.scene.mesh_scene import MeshPart
 from navbake.baker.scene.names import name_at, names_of
 from navbake.baker.scene.shapes import (
     Planes,
@@ -39,25 +23,19 @@ from navbake.baker.scene.shapes import (
     solid_bounds,
 )
 from navbake.errors import SceneError
-from navbake.types import Float
+from navbake.types import Float, Int, Int32
 
-SOLIDS = (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)
-TYPE_NAMES = dict(
-    enumerate("plane hfield sphere capsule ellipsoid cylinder box mesh sdf".split())  # noqa: SIM905
-)
-ENCLOSES = {"hull": CONVEX_SOLID, "closed surface": CLOSED_SURFACE, "surface": OPEN_SURFACE}
+SOLIDS = range(constants.SPHERE, constants.BOX + 1)  # and capsule, ellipsoid, cylinder between
+TYPE_NAMES = dict(enumerate("plane hfield sphere capsule ellipsoid cylinder box mesh sdf".split()))  # noqa: SIM905
+ENCLOSES = {
+    "hull": constants.CONVEX_SOLID,
+    "closed surface": constants.CLOSED_SURFACE,
+    "surface": constants.OPEN_SURFACE,
+}
 
 
-@dataclass(frozen=True)
-class Collected:
-    """The counted geoms' geometry.
-
-    Attributes:
-        shapes: all of it, world frame.
-        kinds: as what each geom counts, by geom id, see `GeomReport.shape`; empty where it
-            doesn't.
-        notes: what the user should know, one line each.
-    """
+class Collected(NamedTuple):
+    """The shapes, world frame; each geom's `GeomReport.shape`; what the user should know."""
 
     shapes: Shapes
     kinds: list[str]
@@ -74,11 +52,8 @@ def collect_shapes(
     """Gather the geometry of the geoms that count.
 
     Args:
-        model: the compiled model.
-        data: its pose.
         choices: what becomes of each geom, by its id.
-        parts: meshes that are known better than the model has them (it rounds to float32, in a
-            frame of its own), by geom id, world frame.
+        parts: exact meshes by geom id, world frame (the model's are rounded to float32).
         only: ids of the geoms to look at, ascending; all if None.
 
     Raises:
@@ -99,9 +74,8 @@ class _Collector:
         self._model, self._data, self._parts = model, data, parts
         self._solids: list[int] = []
         self._planes: list[int] = []
-        self._corners: list[Float] = []
-        self._corner_geoms: list[int] = []
-        self._closed = np.zeros(model.ngeom, dtype=np.uint8)
+        self._corners: dict[int, Float] = {}  # by geom, world frame
+        self._closed = np.full(model.ngeom, constants.OPEN_SURFACE, dtype=np.uint8)
         self._endless = np.zeros(model.ngeom, dtype=np.bool_)
         self._meshes: dict[tuple[int, str], tuple[Float, str]] = {}
         numbers = np.hstack([data.geom_xpos, data.geom_xmat, model.geom_size])
@@ -110,80 +84,65 @@ class _Collector:
 
     def add(self, geom: int, mesh_mode: str) -> str:
         """Take one geom in; returns as what."""
-        self._check_place(geom)
-        kind = int(self._model.geom_type[geom])
+        name = names_of(self._model, geom).geom
+        kind, shape = int(self._model.geom_type[geom]), int(self._model.geom_dataid[geom])
+        if not self._is_finite[geom]:
+            raise SceneError(f"geom {name!r} has a pose or size that is no number")
         if kind in SOLIDS:
             self._solids.append(geom)
-            self._closed[geom] = CONVEX_SOLID
+            self._closed[geom] = constants.CONVEX_SOLID
             return "solid"
-        if kind == PLANE:
+        if kind == constants.PLANE:
             return self._add_plane(geom)
-        if kind not in (HFIELD, MESH, SDF) or self._model.geom_dataid[geom] < 0:
-            name = names_of(self._model, geom).geom
+        if kind not in (constants.HFIELD, constants.MESH, constants.SDF) or shape < 0:
             raise SceneError(f"geom {name!r} is broken: it has no shape (type {kind})")
-        if kind == HFIELD:
-            corners = self._height_field(int(self._model.geom_dataid[geom]))
-            self._add_triangles(geom, self._to_world(geom, corners), SOLID)
+        if kind == constants.HFIELD:
+            self._corners[geom] = self._to_world(geom, _height_field(self._model, shape))
+            self._closed[geom] = constants.SOLID
             return "solid"
-        return self._add_mesh(geom, mesh_mode)
+        return self._add_mesh(geom, shape, mesh_mode)
 
     def shapes(self) -> Shapes:
         """All that was taken in."""
         model, data = self._model, self._data
-        index = np.array(self._solids, dtype=np.int32)
-        kind = model.geom_type[index].astype(np.int32)
-        pos = data.geom_xpos[index].astype(np.float64)
-        mat = data.geom_xmat[index].astype(np.float64)
-        size = model.geom_size[index].astype(np.float64)
-        plane = np.array(self._planes, dtype=np.int32)
-        counts = [len(c) for c in self._corners]
-        corners = np.concatenate([np.zeros((0, 3, 3)), *self._corners])
+        index, plane = (np.array(ids, dtype=np.int32) for ids in (self._solids, self._planes))
+        kind, size = model.geom_type[index], model.geom_size[index]
+        pos, mat = data.geom_xpos[index], data.geom_xmat[index]
+        of_triangles = np.array(list(self._corners), dtype=np.int32)
+        num_triangles = [len(corners) for corners in self._corners.values()]
+        corners = np.concatenate([np.zeros((0, 3, 3)), *self._corners.values()])
         return Shapes(
             solids=Solids(index, kind, pos, mat, size, solid_bounds(kind, pos, mat, size)),
-            planes=Planes(
-                plane,
-                data.geom_xpos[plane].astype(np.float64),
-                data.geom_xmat[plane].astype(np.float64),
-            ),
-            triangles=Triangles(
-                np.repeat(np.array(self._corner_geoms, dtype=np.int32), counts), corners
-            ),
+            planes=Planes(plane, data.geom_xpos[plane], data.geom_xmat[plane]),
+            triangles=Triangles(np.repeat(of_triangles, num_triangles), corners),
             closed=self._closed,
             endless=self._endless,
         )
 
-    def _check_place(self, geom: int) -> None:
-        if not self._is_finite[geom]:
-            name = names_of(self._model, geom).geom
-            raise SceneError(f"geom {name!r} has a pose or size that is no number")
-
     def _add_plane(self, geom: int) -> str:
-        half = self._model.geom_size[geom, :2].astype(np.float64)
+        half = self._model.geom_size[geom, :2]
         if (half <= 0).all():
             self._planes.append(geom)
             return "half-space"
         self._endless[geom] = (half <= 0).any()
-        self._add_triangles(geom, self._to_world(geom, plane_triangles(half)), OPEN_SURFACE)
+        self._corners[geom] = self._to_world(geom, plane_triangles(half))
         return "strip" if self._endless[geom] else "rectangle"
 
-    def _add_mesh(self, geom: int, mode: str) -> str:
+    def _add_mesh(self, geom: int, mesh: int, mode: str) -> str:
         part = self._parts.get(geom)
         if part is not None:
-            corners, kind = self._mesh_triangles(
-                geom, part.vertices, part.faces, part.vertices, mode
-            )
+            corners, kind = self._mesh_triangles(geom, *part[1:], part.vertices, mode)
         else:
-            mesh = int(self._model.geom_dataid[geom])
             if (mesh, mode) not in self._meshes:
                 arrays = _mesh_arrays(self._model, mesh)
                 self._meshes[mesh, mode] = self._mesh_triangles(geom, *arrays, mode)
             corners, kind = self._meshes[mesh, mode]
             corners = self._to_world(geom, corners)
-        self._add_triangles(geom, corners, ENCLOSES[kind])
+        self._corners[geom], self._closed[geom] = corners, ENCLOSES[kind]
         return kind
 
     def _mesh_triangles(
-        self, geom: int, vertices: Float, faces: NDArray[Any], on_hull: Float, mode: str
+        self, geom: int, vertices: Float, faces: Int | Int32, on_hull: Float, mode: str
     ) -> tuple[Float, str]:
         if mode == "hull":
             hull = hull_triangles(on_hull)
@@ -197,29 +156,22 @@ class _Collector:
         kind = "closed surface" if is_closed_solid(vertices, faces) else "surface"
         return vertices[faces], kind
 
-    def _add_triangles(self, geom: int, world: Float, closed: int) -> None:
-        self._corners.append(world)
-        self._corner_geoms.append(geom)
-        self._closed[geom] = closed
-
     def _to_world(self, geom: int, corners: Float) -> Float:
         mat = self._data.geom_xmat[geom].reshape(3, 3)
-        world: Float = corners @ mat.T + self._data.geom_xpos[geom]
-        return world
-
-    def _height_field(self, hfield: int) -> Float:
-        model = self._model
-        rows, cols = int(model.hfield_nrow[hfield]), int(model.hfield_ncol[hfield])
-        first = int(model.hfield_adr[hfield])
-        heights = model.hfield_data[first : first + rows * cols].reshape(rows, cols)
-        size = model.hfield_size[hfield].astype(np.float64)
-        if not np.isfinite(heights).all():
-            name = name_at(model, model.name_hfieldadr[hfield])
-            raise SceneError(f"hfield {name!r} has heights that are no numbers")
-        return height_field_triangles(heights.astype(np.float64), size)
+        return np.asarray(corners @ mat.T + self._data.geom_xpos[geom])
 
 
-def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, NDArray[np.int32], Float]:
+def _height_field(model: Any, hfield: int) -> Float:
+    shape = int(model.hfield_nrow[hfield]), int(model.hfield_ncol[hfield])
+    first = int(model.hfield_adr[hfield])
+    heights = model.hfield_data[first : first + shape[0] * shape[1]].reshape(shape)
+    if not np.isfinite(heights).all():
+        name = name_at(model, model.name_hfieldadr[hfield])
+        raise SceneError(f"hfield {name!r} has heights that are no numbers")
+    return height_field_triangles(heights.astype(np.float64), model.hfield_size[hfield])
+
+
+def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, Int | Int32, Float]:
     """A mesh's vertices, its faces, and the vertices of its hull, in its geom's frame."""
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     vertices = model.mesh_vert[first : first + count].astype(np.float64)
@@ -235,12 +187,11 @@ def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, NDArray[np.int32], Float
     return vertices, faces, vertices[on_hull]
 
 
-def _hull_index(model: Any, mesh: int) -> NDArray[np.int32]:
+def _hull_index(model: Any, mesh: int) -> Int32:
     """The vertices that MuJoCo's hull of a mesh has: all, unless `maxhullvert` limits them."""
     address = int(model.mesh_graphadr[mesh])
     if address < 0:
         return np.arange(model.mesh_vertnum[mesh], dtype=np.int32)
     num_vertices = int(model.mesh_graph[address])  # then the faces' number, then two lists
     first = address + 2 + num_vertices
-    index: NDArray[np.int32] = model.mesh_graph[first : first + num_vertices]
-    return index
+    return np.asarray(model.mesh_graph[first : first + num_vertices])

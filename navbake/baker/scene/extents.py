@@ -1,17 +1,16 @@
-"""How geoms extend: upright boxes round them, turned as they lie."""
+"""Upright boxes round geoms, turned as the geoms lie."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from navbake.baker.scene.shapes import Shapes, Solids
-from navbake.types import Float, Int32
+from navbake.types import Float, Int, Int32
 
-# Directions of upright faces that are told apart, over a right angle
+# How many directions of upright faces are distinguished, over a right angle
 DIRECTIONS = 180
 
 
@@ -38,20 +37,11 @@ class Extents(NamedTuple):
         """Unit vectors along the longer sides, shape (n, 2), float64."""
         return np.stack([-self.across[:, 1], self.across[:, 0]], axis=1)
 
-    def half_widths(self, geoms: NDArray[np.intp], way: Float) -> Float:
-        """How far geoms reach from their middles along horizontal unit vectors.
-
-        Args:
-            geoms: geom ids, shape (k,).
-            way: shape (2,) or one each, (k, 2).
-
-        Returns:
-            Shape (k,), float64 [m].
-        """
+    def half_widths(self, geoms: Int, way: Float) -> Float:
+        """How far geoms, ids (k,), reach from their middles along a way, (2,) or (k, 2), in [m]."""
         on_thin = np.abs((self.across[geoms] * way).sum(axis=-1))
         on_long = np.abs((self.along[geoms] * way).sum(axis=-1))
-        reach: Float = (on_thin * self.thin[geoms] + on_long * self.long[geoms]) / 2
-        return reach
+        return np.asarray((on_thin * self.thin[geoms] + on_long * self.long[geoms]) / 2)
 
 
 def measure_geoms(shapes: Shapes, num_geoms: int) -> Extents:
@@ -59,16 +49,9 @@ def measure_geoms(shapes: Shapes, num_geoms: int) -> Extents:
 
     A solid's box follows whichever of its own axes makes it smallest. The box of what is made
     of triangles follows the direction that most of its upright faces look in.
-
-    Args:
-        shapes: the geometry.
-        num_geoms: how many geoms the scene has, counted or not.
     """
-    extents = Extents(
-        np.full((num_geoms, 2), np.nan),
-        np.full((num_geoms, 2), np.nan),
-        *(np.full(num_geoms, np.nan) for _ in range(4)),
-    )
+    pairs = (np.full((num_geoms, 2), np.nan) for _ in range(2))
+    extents = Extents(*pairs, *(np.full(num_geoms, np.nan) for _ in range(4)))
     _measure_solids(shapes.solids, extents)
     if len(shapes.triangles.geom):
         _measure_triangles(shapes.triangles.geom, shapes.triangles.corners, extents)
@@ -85,7 +68,7 @@ def _measure_solids(solids: Solids, out: Extents) -> None:
         turned = np.stack([-way[:, 1], way[:, 0]], axis=1)
         one, other = _support(solids, way), _support(solids, turned)
         area = one * other
-        smaller = area < best * (1 - 1e-9)  # an axis that changes only rounding changes nothing
+        smaller = area < best * (1 - 1e-9)  # rounding alone never picks another axis
         best[smaller] = area[smaller]
         is_thin = (one <= other)[:, None]
         geom = solids.geom[smaller]
@@ -99,8 +82,7 @@ def _measure_solids(solids: Solids, out: Extents) -> None:
 def _support(solids: Solids, way: Float) -> Float:
     """How far solids reach from their centres along horizontal unit vectors [m]."""
     on_axis = np.einsum("nij,ni->nj", solids.mat.reshape(-1, 3, 3)[:, :2], way)
-    size, reach = solids.size, np.zeros(len(way))
-    round_part = np.sqrt(np.clip(1.0 - np.square(on_axis[:, 2]), 0.0, None))
+    size, round_part = solids.size, np.sqrt(np.clip(1.0 - np.square(on_axis[:, 2]), 0.0, None))
     by_kind = {
         SPHERE: size[:, 0],
         CAPSULE: size[:, 0] + np.abs(on_axis[:, 2]) * size[:, 1],
@@ -108,10 +90,7 @@ def _support(solids: Solids, way: Float) -> Float:
         CYLINDER: np.abs(on_axis[:, 2]) * size[:, 1] + round_part * size[:, 0],
         BOX: (np.abs(on_axis) * size).sum(axis=1),
     }
-    for kind, extent in by_kind.items():
-        chosen = solids.kind == kind
-        reach[chosen] = extent[chosen]
-    return reach
+    return np.select([solids.kind == kind for kind in by_kind], list(by_kind.values()))
 
 
 def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
@@ -120,25 +99,24 @@ def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
     angle = _facing(group, corners, len(first))
     way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     turned = np.stack([-way[:, 1], way[:, 0]], axis=1)
-    ranges = []
-    for direction in (way, turned):
+
+    def span(direction: Float) -> tuple[Float, Float]:
+        """Of each group, how far it extends along its direction, and the middle of that [m]."""
         along = np.einsum("mci,mi->mc", corners[:, :, :2], direction[group])
         low = np.minimum.reduceat(along.min(axis=1), first)
         high = np.maximum.reduceat(along.max(axis=1), first)
-        ranges.append((low, high))
-    (low, high), (low2, high2) = ranges
+        return high - low, (low + high) / 2
+
+    (one, middle), (other, middle2) = span(way), span(turned)
     which = geom[first]
-    is_thin = high - low <= high2 - low2
-    out.across[which] = np.where(is_thin[:, None], way, turned)
-    out.thin[which] = np.minimum(high - low, high2 - low2)
-    out.long[which] = np.maximum(high - low, high2 - low2)
-    middle, middle2 = (low + high) / 2, (low2 + high2) / 2
+    out.across[which] = np.where((one <= other)[:, None], way, turned)
+    out.thin[which], out.long[which] = np.minimum(one, other), np.maximum(one, other)
     out.center[which] = way * middle[:, None] + turned * middle2[:, None]
     out.low[which] = np.minimum.reduceat(corners[:, :, 2].min(axis=1), first)
     out.high[which] = np.maximum.reduceat(corners[:, :, 2].max(axis=1), first)
 
 
-def _facing(group: NDArray[np.intp], corners: Float, num: int) -> Float:
+def _facing(group: Int, corners: Float, num: int) -> Float:
     """The angle, modulo a right one, that most upright faces of each group look at [rad]."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     weight = np.hypot(normal[:, 0], normal[:, 1])
@@ -151,5 +129,4 @@ def _facing(group: NDArray[np.intp], corners: Float, num: int) -> Float:
     near = np.where(direction == chosen[group], weight, 0.0)
     total = np.bincount(group, near, num)
     mean = np.bincount(group, near * off, num) / np.where(total > 0, total, 1.0)
-    facing: Float = chosen * step + mean
-    return facing
+    return np.asarray(chosen * step + mean)

@@ -1,4 +1,4 @@
-"""Mesh files (OBJ, PLY, STL, GLB, DAE) as named parts in the world frame; the user of trimesh."""
+"""Reads mesh files as named parts in the world frame. Only this module imports trimesh."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ import re
 import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from navbake.baker.scene.meshes.gltf import check_gltf
-from navbake.baker.scene.meshes.part import MeshPart
 from navbake.baker.scene.meshes.text import check_ply, prepare_obj, prepare_ply, prepare_stl
+from navbake.baker.scene.names import unique_name
 from navbake.errors import SceneError
+from navbake.types import Float, Int
 
 MESH_SUFFIXES = frozenset({".obj", ".ply", ".stl", ".glb", ".gltf", ".dae"})
 
@@ -29,6 +29,29 @@ Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 NO_AREA = 1e-14
 # MuJoCo takes no coordinates beyond (its mjMAXVAL) [m]
 MAX_COORDINATE = 1e10
+# How trimesh reads a format, and what repairs a file for it
+PLAIN: dict[str, Any] = {"skip_materials": True}
+OPTIONS = {
+    ".obj": PLAIN | {"split_objects": True, "split_groups": True, "group_material": False},
+    ".glb": PLAIN,
+    ".gltf": PLAIN,
+}
+PREPARE = {".obj": prepare_obj, ".stl": prepare_stl, ".ply": prepare_ply}
+
+
+class MeshPart(NamedTuple):
+    """One named piece of a mesh file.
+
+    Attributes:
+        name: as the file has it; unique only once `read_mesh_parts` has seen it.
+        vertices: shape (n, 3), float64: the file's own frame and unit from a reader, the world's
+            [m] from `read_mesh_parts`.
+        faces: shape (m, 3), int64, indices into `vertices`, counter-clockwise from outside.
+    """
+
+    name: str
+    vertices: Float
+    faces: Int
 
 
 def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPart]:
@@ -37,15 +60,13 @@ def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPa
     Every object, group, solid and node of the file is read. A DAE's own ``<unit meter>`` is
     applied first, then `unit`, then `up`. What the file itself says or implies about its
     vertical axis (a DAE's ``<up_axis>``, glTF's y up) counts for nothing: files are wrong about
-    it too often, so `up` alone decides. Triangles without area and unused vertices are dropped.
+    it too often, so `up` alone decides. Triangles without area, unused vertices and parts without
+    triangles are dropped. The parts' names are unique.
 
     Args:
         path: an OBJ, PLY, STL, GLB, GLTF or DAE file.
         up: the file's vertical axis, "z" or "y".
         unit: metres per unit of the file (of a DAE: per metre of the file), > 0.
-
-    Returns:
-        The parts that have at least one triangle, their names unique.
 
     Raises:
         SceneError: the file can't be read as a mesh or holds no triangle; a coordinate is no
@@ -60,31 +81,14 @@ def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPa
     turn = scale * (Y_UP_TO_Z_UP if up == "y" else np.eye(3))
     taken = {"world"}  # MuJoCo's own body
     parts = [_clean(part, turn, path) for part in found]
-    named = [
-        MeshPart(_unique(part.name, taken), part.vertices, part.faces)
-        for part in parts
-        if len(part.faces)
-    ]
+    named = [part._replace(name=unique_name(part.name, taken)) for part in parts if len(part.faces)]
     if not named:
         raise SceneError(f"no triangles in {path}: expected a mesh with at least one")
     return named
 
 
-OPTIONS: dict[str, dict[str, Any]] = {
-    ".obj": {
-        "split_objects": True,
-        "split_groups": True,
-        "group_material": False,
-        "skip_materials": True,
-    },
-    ".glb": {"skip_materials": True},
-    ".gltf": {"skip_materials": True},
-}
-PREPARE = {".obj": prepare_obj, ".stl": prepare_stl, ".ply": prepare_ply}
-
-
 def _read_parts(path: Path) -> list[MeshPart]:
-    """Read a file as trimesh has it; a part for each node and the mesh on it."""
+    """A part for each node of the file that carries a mesh, in the file's frame and unit."""
     suffix = path.suffix.lower()
     if suffix in (".glb", ".gltf"):
         check_gltf(path)
@@ -145,21 +149,17 @@ def _dae_unit(path: Path) -> float:
     for event, element in ElementTree.iterparse(path, events=("start", "end")):
         tag = element.tag.rpartition("}")[2]
         if event == "start" and tag == "unit":
-            try:
-                meter = float(element.get("meter", "1"))
-            except ValueError:
-                meter = float("nan")
-            if not 0 < meter < float("inf"):
-                raise SceneError(
-                    f"expected a number > 0 as <unit meter> in {path}, got {element.get('meter')!r}"
-                )
-            return meter
+            meter = element.get("meter", "1")
+            with suppress(ValueError):
+                if 0 < float(meter) < float("inf"):
+                    return float(meter)
+            raise SceneError(f"expected a number > 0 as <unit meter> in {path}, got {meter!r}")
         if event == "end" and tag == "asset":
             break
     return 1.0
 
 
-def _clean(part: MeshPart, turn: NDArray[np.float64], path: Path) -> MeshPart:
+def _clean(part: MeshPart, turn: Float, path: Path) -> MeshPart:
     """Turn a part into the world frame; leave out empty triangles and unused vertices."""
     name = _own_name(part.name, path)
     vertices, faces = _only_used(part.vertices, part.faces)
@@ -177,9 +177,7 @@ def _clean(part: MeshPart, turn: NDArray[np.float64], path: Path) -> MeshPart:
     return MeshPart(name, *_only_used(vertices, faces[has_area]))
 
 
-def _only_used(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _only_used(vertices: Float, faces: Int) -> tuple[Float, Int]:
     """The vertices that faces use, and the faces counted in them."""
     is_used = np.zeros(len(vertices), dtype=np.bool_)
     is_used[faces] = True
@@ -192,12 +190,3 @@ def _own_name(name: str, path: Path) -> str:
     if re.fullmatch(r"geometry(_\d+)?", name):
         return path.stem
     return name.removeprefix(path.name).removeprefix("_") or path.stem
-
-
-def _unique(name: str, taken: set[str]) -> str:
-    candidate, count = name, 1
-    while candidate in taken:
-        count += 1
-        candidate = f"{name}#{count}"
-    taken.add(candidate)
-    return candidate

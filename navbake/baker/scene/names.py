@@ -1,29 +1,27 @@
-"""What a model's things are called, and what to tell when nobody is called so."""
+"""Names of a model's geoms, bodies and joints, and the warning when no name matches."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 from navbake.baker.kernels.constants import MESH, SDF
 
 
-@dataclass(frozen=True)
-class GeomNames:
-    """A geom's names.
+class GeomNames(NamedTuple):
+    """The names that patterns match a geom by, and reports tell it by.
 
     Attributes:
         geom: its own; ``geom <id>`` where it has none.
-        body: its body's; ``body <id>`` where it has none.
         mesh: its mesh's; empty where it has none.
+        body: its body's; ``body <id>`` where it has none.
     """
 
     geom: str
-    body: str
     mesh: str
+    body: str
 
 
 def name_at(model: Any, address: int) -> str:
@@ -40,7 +38,7 @@ _names: WeakKeyDictionary[Any, list[GeomNames]] = WeakKeyDictionary()
 
 
 def names_of(model: Any, geom: int) -> GeomNames:
-    """The names that a geom is known by, in reports and patterns alike."""
+    """The names of a geom."""
     if model not in _names:
         _names[model] = [_read_names(model, number) for number in range(model.ngeom)]
     return _names[model][geom]
@@ -51,7 +49,7 @@ def _read_names(model: Any, geom: int) -> GeomNames:
     if model.geom_type[geom] in (MESH, SDF) and model.geom_dataid[geom] >= 0:
         mesh = name_at(model, model.name_meshadr[model.geom_dataid[geom]])
     own = name_at(model, model.name_geomadr[geom]) or f"geom {geom}"
-    return GeomNames(own, body_name(model, int(model.geom_bodyid[geom])), mesh)
+    return GeomNames(own, mesh, body_name(model, int(model.geom_bodyid[geom])))
 
 
 def body_name(model: Any, body: int) -> str:
@@ -64,18 +62,19 @@ def joint_name(model: Any, joint: int) -> str:
     return name_at(model, model.name_jntadr[joint]) or f"joint {joint}"
 
 
-def warn_unmatched(
-    setting: str, pattern: str, known: Iterable[str], matches: str = "nothing"
-) -> str:
-    """Tell that a pattern of the settings matches nothing, and which names are near it.
+def unique_name(name: str, taken: set[str]) -> str:
+    """The name, numbered from 2 where it is taken, as in ``wall#2``; taken from now on."""
+    candidate, count = name, 1
+    while candidate in taken:
+        count += 1
+        candidate = f"{name}#{count}"
+    taken.add(candidate)
+    return candidate
 
-    Args:
-        setting: where the pattern stands, such as ``rooms.geoms``.
-        pattern: what was looked for.
-        known: all names that there are.
-        matches: what it does match.
-    """
+
+def warn_unmatched(setting: str, pattern: str, known: Iterable[str], found: str = "nothing") -> str:
+    """The warning that a pattern of a setting matches none of the known names, with near ones."""
     names = sorted({name for name in known if name})
     near = difflib.get_close_matches(pattern.strip("*"), names, n=3, cutoff=0.4)
     hint = f"; near names are {', '.join(near)}" if near else ""
-    return f"`{setting}` pattern {pattern!r} matches {matches}{hint}"
+    return f"`{setting}` pattern {pattern!r} matches {found}{hint}"

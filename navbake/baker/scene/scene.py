@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +13,14 @@ from numpy.typing import NDArray
 
 from navbake.baker.scene.choice import Choice, choose_geoms
 from navbake.baker.scene.collect import TYPE_NAMES, collect_shapes
-from navbake.baker.scene.mesh_scene import MESH_SUFFIXES
-from navbake.baker.scene.meshes.part import MeshPart
-from navbake.baker.scene.model import PosedModel, load_model
-from navbake.baker.scene.model import mujoco_library as mujoco_library
-from navbake.baker.scene.model import mujoco_version as mujoco_version
+from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart
+from navbake.baker.scene.model import catch_warnings, load_model
 from navbake.baker.scene.names import name_at, names_of
+from navbake.baker.scene.pose import pose_model, warn_out_of_range
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.scene import SceneSettings
 from navbake.errors import SceneError
-
-# Files whose format says that y is up
-Y_UP_SUFFIXES = (".glb", ".gltf")
-LYING = (
-    "glTF files are y up by their specification, and `scene.up` is z: if the scene lies on its "
-    "side, set it to y (z silences this)"
-)
+from navbake.types import Float
 
 
 @dataclass(frozen=True)
@@ -71,55 +63,53 @@ class Scene:
         model: the compiled mujoco.MjModel.
         data: its mujoco.MjData in the pose that is baked.
         choices: what becomes of each geom, by geom id.
-        parts: meshes that are known better than the model has them, by geom id.
+        parts: the meshes of a mesh file by geom id, world frame, exact: the model rounds them to
+            float32 in frames of its own.
     """
 
     id: str
     geoms: list[GeomReport]
     shapes: Shapes
-    bounds: NDArray[np.float64] | None
+    bounds: Float | None
     digest: str
-    warnings: list[str] = field(default_factory=list)
-    model: Any = None
-    data: Any = None
-    choices: list[Choice] = field(default_factory=list)
-    parts: dict[int, MeshPart] = field(default_factory=dict)
+    warnings: list[str]
+    model: Any
+    data: Any
+    choices: list[Choice]
+    parts: dict[int, MeshPart]
 
 
 def load_scene(settings: SceneSettings) -> Scene:
-    """Load a scene, pose it and choose the geoms that count.
-
-    Args:
-        settings: the `scene` part of the configuration.
-
-    Returns:
-        The scene. Nothing of it changes later.
+    """Load a scene, pose it and choose the geoms that count. Nothing of it changes later.
 
     Raises:
         SceneError: the file is missing or broken, or holds no geom that counts.
         ConfigError: the settings ask for a keyframe or joint that isn't there.
     """
-    posed = load_model(settings)
-    choices, notes = choose_geoms(posed.model, settings)
+    with catch_warnings() as warned:
+        model, parts = load_model(settings, warned)
+        data = pose_model(model, settings)
+    choices, notes = choose_geoms(model, settings)
     if not any(choice.counted for choice in choices):
         raise SceneError(_nothing_counts(settings, choices))
     try:
-        collected = collect_shapes(posed.model, posed.data, choices, posed.parts)
+        collected = collect_shapes(model, data, choices, parts)
     except SceneError as error:
         raise SceneError(f"{error}, in {settings.path}") from error
-    from_mujoco = [f"MuJoCo: {' '.join(warning.split())}" for warning in posed.warnings]
-    idle, unusable = _find_idle(settings), _find_unusable(posed.model)
+    warnings = [f"MuJoCo: {' '.join(warning.split())}" for warning in warned]
+    warnings += [*warn_out_of_range(model, settings), *_find_unusable(model)]
+    warnings += [*_find_unused_settings(settings), *notes, *collected.notes]
     return Scene(
         id=settings.id or Path(settings.path).stem,
-        geoms=_report_geoms(posed.model, choices, collected.kinds),
+        geoms=_report_geoms(model, choices, collected.kinds),
         shapes=collected.shapes,
         bounds=collected.shapes.bounds(),
-        digest=_digest(posed),
-        warnings=[*from_mujoco, *posed.notes, *unusable, *idle, *notes, *collected.notes],
-        model=posed.model,
-        data=posed.data,
+        digest=_digest(model, data, parts),
+        warnings=warnings,
+        model=model,
+        data=data,
         choices=choices,
-        parts=posed.parts,
+        parts=parts,
     )
 
 
@@ -127,17 +117,8 @@ def _report_geoms(model: Any, choices: list[Choice], kinds: list[str]) -> list[G
     reports = []
     for geom, (choice, kind) in enumerate(zip(choices, kinds, strict=True)):
         names = names_of(model, geom)
-        reports.append(
-            GeomReport(
-                id=geom,
-                name=names.geom,
-                body=names.body,
-                type=TYPE_NAMES.get(int(model.geom_type[geom]), "unknown"),
-                counted=choice.counted,
-                shape=kind,
-                reason=choice.reason,
-            )
-        )
+        known = geom, names.geom, names.body, TYPE_NAMES.get(int(model.geom_type[geom]), "unknown")
+        reports.append(GeomReport(*known, choice.counted, kind, choice.reason))
     return reports
 
 
@@ -152,7 +133,7 @@ def _nothing_counts(settings: SceneSettings, choices: list[Choice]) -> str:
 
 
 def _find_unusable(model: Any) -> list[str]:
-    """Name what can't be baked."""
+    """Warn of geometry that cannot be baked."""
     return [
         f"{kind} can't be baked and is left out: "
         + ", ".join(name_at(model, start) or f"{kind} {i}" for i, start in enumerate(starts))
@@ -161,12 +142,16 @@ def _find_unusable(model: Any) -> list[str]:
     ]
 
 
-def _find_idle(settings: SceneSettings) -> list[str]:
-    """Name settings that do nothing for this kind of file, and one that may be missing."""
+def _find_unused_settings(settings: SceneSettings) -> list[str]:
+    """Warn of settings that do nothing for this kind of file, and of one that may be missing."""
     suffix = Path(settings.path).suffix.lower()
     if suffix in MESH_SUFFIXES:
-        is_lying = suffix in Y_UP_SUFFIXES and "up" not in settings.model_fields_set
-        return [LYING] if is_lying else []
+        is_y_up = suffix in (".glb", ".gltf") and "up" not in settings.model_fields_set
+        lying = (
+            "glTF files are y up by their specification, and `scene.up` is z: if the scene lies on "
+            "its side, set it to y (z silences this)"
+        )
+        return [lying] if is_y_up else []
     given = {"up": settings.up != "z", "unit": settings.unit != 1.0}
     return [
         f"`scene.{name}` is for mesh files and does nothing here"
@@ -175,21 +160,19 @@ def _find_idle(settings: SceneSettings) -> list[str]:
     ]
 
 
-def _digest(posed: PosedModel) -> str:
+def _digest(model: Any, data: Any, parts: dict[int, MeshPart]) -> str:
     """sha256 of what the bake can see of a posed model, wherever it was loaded from."""
     digest = hashlib.sha256()
-    for geom in range(posed.model.ngeom):
-        names = names_of(posed.model, geom)
-        digest.update("\0".join((names.geom, names.mesh, names.body)).encode() + b"\n")
-    for number, array in enumerate(_digest_arrays(posed)):
+    for geom in range(model.ngeom):
+        digest.update("\0".join(names_of(model, geom)).encode() + b"\n")
+    for number, array in enumerate(_digest_arrays(model, data, parts)):
         array = np.ascontiguousarray(array)
         digest.update(f"{number} {array.dtype.str} {array.shape}\n".encode())
         digest.update(array.tobytes())
     return digest.hexdigest()
 
 
-def _digest_arrays(posed: PosedModel) -> Iterator[NDArray[Any]]:
-    model, data = posed.model, posed.data
+def _digest_arrays(model: Any, data: Any, parts: dict[int, MeshPart]) -> Iterator[NDArray[Any]]:
     yield from (model.geom_type, model.geom_size, model.geom_dataid, model.geom_bodyid)
     yield from (model.geom_contype, model.geom_conaffinity, model.geom_group)
     yield from (model.geom_rgba, model.geom_matid, model.mat_rgba)
@@ -204,5 +187,5 @@ def _digest_arrays(posed: PosedModel) -> Iterator[NDArray[Any]]:
     yield from (model.mesh_vertadr, model.mesh_faceadr, model.mesh_vert, model.mesh_face)
     yield from (model.mesh_graphadr, model.mesh_graph)
     yield from (model.hfield_nrow, model.hfield_ncol, model.hfield_size, model.hfield_data)
-    for geom in sorted(posed.parts):
-        yield from (np.array([geom]), posed.parts[geom].vertices, posed.parts[geom].faces)
+    for geom in sorted(parts):
+        yield from (np.array([geom]), parts[geom].vertices, parts[geom].faces)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,11 +36,6 @@ class Solids(NamedTuple):
     size: Float
     bounds: Float
 
-    def only(self, geoms: Bool) -> Solids:
-        """Those of the geoms that are marked, shape (ngeom,), bool."""
-        kept = geoms[self.geom]
-        return Solids._make(array[kept] for array in self)
-
 
 class Planes(NamedTuple):
     """Infinite planes: half-spaces, solid behind their normal (the third column of `mat`).
@@ -60,11 +55,6 @@ class Planes(NamedTuple):
         """Unit normals, shape (n, 3), float64."""
         return np.ascontiguousarray(self.mat[:, [2, 5, 8]])
 
-    def only(self, geoms: Bool) -> Planes:
-        """Those of the geoms that are marked, shape (ngeom,), bool."""
-        kept = geoms[self.geom]
-        return Planes._make(array[kept] for array in self)
-
 
 class Triangles(NamedTuple):
     """Triangles of meshes, hulls, height fields and finite planes.
@@ -82,10 +72,8 @@ class Triangles(NamedTuple):
         """Boxes round them, shape (m, 6), float64: lower corner, upper corner [m]."""
         return np.concatenate([self.corners.min(axis=1), self.corners.max(axis=1)], axis=1)
 
-    def only(self, geoms: Bool) -> Triangles:
-        """Those of the geoms that are marked, shape (ngeom,), bool."""
-        kept = geoms[self.geom]
-        return Triangles._make(array[kept] for array in self)
+
+Items = TypeVar("Items", Solids, Planes, Triangles)
 
 
 @dataclass(frozen=True)
@@ -119,52 +107,41 @@ class Shapes:
 
     def only(self, geoms: Bool) -> Shapes:
         """The geometry of the geoms that are marked, shape (ngeom,), bool."""
+
+        def marked(items: Items) -> Items:
+            kept = geoms[items.geom]
+            return type(items)._make(array[kept] for array in items)
+
         return Shapes(
-            self.solids.only(geoms),
-            self.planes.only(geoms),
-            self.triangles.only(geoms),
+            marked(self.solids),
+            marked(self.planes),
+            marked(self.triangles),
             np.where(geoms, self.closed, np.uint8(0)),
             self.endless & geoms,
         )
 
 
 def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
-    """The exact axis-aligned boxes of primitive solids.
-
-    Args:
-        kind: MuJoCo's geom types, shape (n,).
-        pos: centres, shape (n, 3) [m].
-        mat: rotation matrices, shape (n, 9).
-        size: MuJoCo's sizes, shape (n, 3) [m].
-
-    Returns:
-        Lower and upper corners, shape (n, 6), float64 [m].
-    """
+    """Exact boxes of solids from the fields of `Solids`: lower and upper corners, (n, 6) [m]."""
     rotation = mat.reshape(-1, 3, 3)
     axis = np.abs(rotation[:, :, 2])
     radius = size[:, :1]
-    half = np.zeros_like(pos)
     by_kind = {
-        SPHERE: radius + np.zeros_like(pos),
+        SPHERE: radius,
         CAPSULE: radius + axis * size[:, 1:2],
         ELLIPSOID: np.sqrt(np.square(rotation * size[:, None, :]).sum(axis=2)),
         CYLINDER: axis * size[:, 1:2] + radius * np.sqrt(np.clip(1.0 - np.square(axis), 0.0, None)),
         BOX: (np.abs(rotation) * size[:, None, :]).sum(axis=2),
     }
-    for number, extent in by_kind.items():
-        chosen = kind == number
-        half[chosen] = extent[chosen]
+    half = np.select([(kind == number)[:, None] for number in by_kind], list(by_kind.values()))
     return np.concatenate([pos - half, pos + half], axis=1)
 
 
 def plane_triangles(half: Float) -> Float:
-    """A plane with a finite side as a rectangle in its geom's frame.
+    """A plane with a finite side as two triangles that face its z, in its geom's frame.
 
     Args:
         half: its half-sizes, shape (2,) [m]; 0 for infinite.
-
-    Returns:
-        Corners, shape (2, 3, 3), float64, facing its z [m].
     """
     x, y = np.where(half > 0, half, FAR)
     corners = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
@@ -190,7 +167,6 @@ def height_field_triangles(heights: Float, size: Float) -> Float:
     base = np.stack([x, y, np.full_like(x, -size[3])], axis=-1)
     a, b, c, d = top[:-1, :-1], top[:-1, 1:], top[1:, 1:], top[1:, :-1]
     parts = [np.stack([a, b, c], axis=-2), np.stack([a, c, d], axis=-2)]
-    corner = base[0, 0], base[0, -1], base[-1, -1], base[-1, 0]
     border_top = [top[0], top[:, -1], top[-1, ::-1], top[::-1, 0]]
     border_base = [base[0], base[:, -1], base[-1, ::-1], base[::-1, 0]]
     for upper, lower in zip(border_top, border_base, strict=True):
@@ -198,32 +174,25 @@ def height_field_triangles(heights: Float, size: Float) -> Float:
         parts.append(np.stack([lower[:-1], upper[1:], upper[:-1]], axis=-2))
     # the bottom is fanned over the same border points, so that every edge is met from both sides
     ring = np.concatenate([line[:-1] for line in border_base])
-    middle = np.broadcast_to((corner[0] + corner[2]) / 2, ring.shape)
+    middle = np.broadcast_to((base[0, 0] + base[-1, -1]) / 2, ring.shape)
     parts.append(np.stack([middle, np.roll(ring, -1, axis=0), ring], axis=-2))
     return np.concatenate([part.reshape(-1, 3, 3) for part in parts])
 
 
 def hull_triangles(vertices: Float) -> Float | None:
-    """The convex hull of points, as outward triangles.
-
-    Args:
-        vertices: shape (n, 3), float64 [m].
+    """The convex hull of points, shape (n, 3); None if they lie in a plane.
 
     Returns:
-        Corners, shape (m, 3, 3), float64, counter-clockwise from outside; None where the points
-        lie in a plane, so that there is no hull.
+        Corners, shape (m, 3, 3), float64, counter-clockwise from outside.
     """
     try:
         hull = ConvexHull(vertices)
     except (QhullError, ValueError):  # flat, or fewer than four
         return None
-    return _face_outward(vertices[hull.simplices], hull.equations[:, :3])
-
-
-def _face_outward(corners: Float, outward: Float) -> Float:
-    """Turn the triangles over that face against the given directions, shape (m, 3)."""
+    corners: Float = vertices[hull.simplices]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inward = np.einsum("ij,ij->i", cross, outward) < 0
+    # Qhull's simplices turn either way round, but its equations point outward
+    inward = np.einsum("ij,ij->i", cross, hull.equations[:, :3]) < 0
     corners[inward] = corners[inward][:, ::-1]
     return corners
 
@@ -232,19 +201,13 @@ def is_closed_solid(vertices: Float, faces: NDArray[np.integer[Any]]) -> bool:
     """Whether triangles enclose a volume from outside.
 
     They do when every directed edge is met as often in the other direction, and the volume that
-    they sum up to is positive. A room drawn from inside (its triangles facing in)
-    is none. Vertices at one place count as one.
-
-    Args:
-        vertices: shape (n, 3), float64.
-        faces: shape (m, 3), indices into `vertices`.
+    they sum up to is positive. A room drawn from inside (its triangles facing in) encloses none.
+    Vertices at one place count as one.
     """
     if len(faces) < 4:
         return False
     face = _number_points(vertices)[faces]
     start, end = face.ravel(), np.roll(face, -1, axis=1).ravel()
-    distinct = start != end
-    start, end = start[distinct], end[distinct]
     num = int(face.max()) + 1
     forward, backward = np.sort(start * num + end), np.sort(end * num + start)
     if not np.array_equal(forward, backward):

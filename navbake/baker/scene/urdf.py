@@ -3,27 +3,14 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from dataclasses import dataclass
 from pathlib import Path
 
+from navbake.baker.scene.names import unique_name
 from navbake.errors import SceneError
 
 
-@dataclass(frozen=True)
-class Urdf:
-    """A URDF whose meshes have names that MuJoCo can carry.
-
-    Attributes:
-        text: the XML; its mesh files are keys of `meshes`.
-        meshes: where each mesh file is.
-    """
-
-    text: str
-    meshes: dict[str, Path]
-
-
-def read_urdf(path: Path) -> Urdf:
-    """Read a URDF and find its meshes.
+def read_urdf(path: Path) -> tuple[str, dict[str, Path]]:
+    """Read a URDF: its XML for MuJoCo, and the file of each mesh by its key in that XML.
 
     Unless the file's own ``<mujoco><compiler/>`` says otherwise, visuals are kept and links that
     hang on a fixed joint keep their bodies and names, both against MuJoCo's defaults.
@@ -31,24 +18,21 @@ def read_urdf(path: Path) -> Urdf:
     A mesh is looked for as it is written, then, from the URDF's folder up, by the tail of its
     path, the longest first: that finds ``package://pkg/meshes/a.dae`` without ROS.
 
-    Args:
-        path: the file.
-
     Raises:
-        SceneError: it is no XML, or a mesh is missing.
+        SceneError: the file is no XML, or a mesh is missing.
     """
     try:
         root = ElementTree.parse(path).getroot()
-        meshes: dict[str, Path] = {}
+        taken: set[str] = set()
         keys: dict[Path, str] = {}
         for mesh in root.iter("mesh"):
             found = _find_mesh(path, mesh.get("filename", ""))
-            if found not in keys:
-                keys[found] = _free_key(found, meshes)
-                meshes[keys[found]] = found
+            if found not in keys:  # MuJoCo names a mesh by the stem of its file
+                keys[found] = f"{unique_name(found.stem, taken)}.mesh"
             mesh.set("filename", keys[found])
         _set_compiler(root)
-        return Urdf(ElementTree.tostring(root, encoding="unicode"), meshes)
+        text = ElementTree.tostring(root, encoding="unicode")
+        return text, {key: found for found, key in keys.items()}
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise SceneError(f"broken XML in {path}: {error}") from error
     except RecursionError as error:
@@ -63,27 +47,13 @@ def _find_mesh(urdf: Path, filename: str) -> Path:
             candidate = folder.joinpath(*bare.parts[first:])
             if candidate.is_file():
                 return candidate
-    raise SceneError(f"mesh {filename!r} of {urdf} not found there, nor in the folders above it")
-
-
-def _free_key(found: Path, taken: dict[str, Path]) -> str:
-    """A file name without folders, and unlike the others; MuJoCo names meshes by its stem."""
-    key, count = f"{found.stem}.mesh", 1
-    while key in taken:
-        count += 1
-        key = f"{found.stem}#{count}.mesh"
-    return key
+    raise SceneError(f"mesh {filename!r} of {urdf} not found there or in the folders above it")
 
 
 def _set_compiler(root: ElementTree.Element) -> None:
-    extension = root.find("mujoco")
-    if extension is None:
-        extension = ElementTree.SubElement(root, "mujoco")
-    compiler = extension.find("compiler")
-    if compiler is None:
-        compiler = ElementTree.SubElement(extension, "compiler")
-    for key in ("discardvisual", "fusestatic"):
-        if compiler.get(key) is None:
-            compiler.set(key, "false")
-    compiler.set("meshdir", "")
-    compiler.attrib.pop("assetdir", None)
+    place = root
+    for tag in ("mujoco", "compiler"):
+        found = place.find(tag)
+        place = ElementTree.SubElement(place, tag) if found is None else found
+    place.attrib = {"discardvisual": "false", "fusestatic": "false", **place.attrib, "meshdir": ""}
+    place.attrib.pop("assetdir", None)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.baker.kernels.arrays import Tiles
 from navbake.baker.kernels.constants import TOUCH
-from navbake.baker.scene.model import data_of_qpos, pose_model
+from navbake.baker.scene.pose import data_of_qpos, pose_model
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.baker.scene.shapes import solid_bounds
 from navbake.baker.voxelize.kernels.fill import Voxels, fill_voxels

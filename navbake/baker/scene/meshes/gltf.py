@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +22,6 @@ UNREAD = {
 def check_gltf(path: Path) -> None:
     """Refuse a glTF or GLB file that trimesh would read as something else.
 
-    Args:
-        path: the file.
-
     Raises:
         SceneError: it is cut off or none, uses an extension that changes its shape, or numbers
             that trimesh reads wrongly (normalized, sparse).
@@ -35,8 +33,7 @@ def check_gltf(path: Path) -> None:
             raise ValueError("its JSON is no object")
         problem = _find_problem(header, len(data))
     except (ValueError, RecursionError, KeyError, IndexError, TypeError, AttributeError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise SceneError(f"broken glTF {path}: {reason}") from error
+        raise SceneError(f"broken glTF {path}: {' '.join(str(error).split())[:200]}") from error
     if problem:
         raise SceneError(f"cannot read {path}: {problem}")
 
@@ -44,9 +41,7 @@ def check_gltf(path: Path) -> None:
 def _json_chunk(data: bytes) -> bytes:
     if len(data) < 20 or not data.startswith(b"glTF"):
         raise ValueError("it has no GLB header")
-    version, length, json_length, kind = (
-        int.from_bytes(data[at : at + 4], "little") for at in (4, 8, 12, 16)
-    )
+    version, length, json_length, kind = struct.unpack_from("<4I", data, 4)
     if version != 2:
         raise ValueError(f"expected version 2, got {version}")
     if length > len(data):
@@ -69,9 +64,9 @@ def _find_problem(header: dict[str, Any], size: int) -> str:
             if primitive.get("mode") == TRIANGLE_FAN:
                 return "it has triangle fans: export them as triangles"
             used = [primitive["attributes"].get("POSITION"), primitive.get("indices")]
-            for index in used:
-                if index is not None and "sparse" in accessors[index]:
+            for accessor in (accessors[index] for index in used if index is not None):
+                if "sparse" in accessor:
                     return "it has sparse accessors: export them as plain ones"
-                if index is not None and accessors[index].get("normalized"):
+                if accessor.get("normalized"):
                     return "its positions are normalized integers: export it unquantized"
     return ""

@@ -8,7 +8,6 @@ from pathlib import Path
 from navbake.errors import SceneError
 
 STL_HEADER, STL_TRIANGLE = 84, 50  # [bytes]
-STL_WORDS = (b"solid", b"endsolid")
 
 
 def prepare_obj(path: Path) -> bytes:
@@ -16,9 +15,6 @@ def prepare_obj(path: Path) -> bytes:
 
     trimesh counts relative indices from the end of the file, not from where they stand, and
     passes over lines that are indented.
-
-    Args:
-        path: the file.
 
     Raises:
         SceneError: a face counts from 0, or from before the first vertex.
@@ -54,18 +50,13 @@ def _absolute(reference: bytes, num_vertices: int, where: str) -> bytes:
 
 
 def prepare_stl(path: Path) -> bytes:
-    """An STL, which is whole.
-
-    Args:
-        path: the file.
-
-    Raises:
-        SceneError: it is cut off, or neither text nor binary.
-    """
+    """An STL's bytes; refuses one that is cut off, or neither text nor binary."""
     data = path.read_bytes()
     words = data.lower()
     if words.lstrip().startswith(b"solid") and b"facet" in words:
-        num_solids, num_ends = (len(re.findall(rb"(?m)^\s*" + w, words)) for w in STL_WORDS)
+        num_solids, num_ends = (
+            len(re.findall(rb"(?m)^\s*" + word, words)) for word in (b"solid", b"endsolid")
+        )
         if num_ends < num_solids:
             raise SceneError(f"{path} is cut off: its last solid has no end")
         return _as_utf8(data)
@@ -80,26 +71,13 @@ def prepare_stl(path: Path) -> bytes:
 
 
 def prepare_ply(path: Path) -> bytes:
-    """A PLY, as UTF-8 if it is text.
-
-    Args:
-        path: the file.
-    """
+    """A PLY's bytes, as UTF-8 if it is text."""
     data = path.read_bytes()
     return _as_utf8(data) if b"format ascii" in data[:200] else data
 
 
 def check_ply(path: Path, num_vertices: int, num_faces: int) -> None:
-    """Refuse a PLY of which trimesh found less than its header says.
-
-    Args:
-        path: the file.
-        num_vertices: how many trimesh found.
-        num_faces: how many triangles it found; polygons have more than one.
-
-    Raises:
-        SceneError: something is missing.
-    """
+    """Refuse a PLY of which trimesh found fewer vertices or triangles than its header says."""
     header = path.read_bytes().partition(b"end_header")[0]
     for name, found in ((b"vertex", num_vertices), (b"face", num_faces)):
         said = re.search(rb"element %s (\d+)" % name, header)

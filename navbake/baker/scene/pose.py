@@ -1,0 +1,124 @@
+"""Poses of a compiled model: keyframes and joint values, checked against its joints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from navbake.baker.kernels.constants import BALL, FREE, HINGE, SLIDE
+from navbake.baker.scene.names import name_at
+from navbake.config.scene import SceneSettings
+from navbake.errors import ConfigError, SceneError
+from navbake.types import Int32
+
+# How far beyond its range a joint may be told to go, for angles that someone rounded [rad or m]
+RANGE_SLACK = 1e-4
+UNITS = {SLIDE: "m", HINGE: "rad"}
+EXPECTED = {
+    FREE: "7 numbers (x, y, z [m], quaternion w, x, y, z)",
+    BALL: "4 numbers (quaternion w, x, y, z)",
+    SLIDE: "1 number [m]",
+    HINGE: "1 number [rad]",
+}
+
+
+def pose_model(model: Any, settings: SceneSettings) -> Any:
+    """The model's data, with all geoms placed by the keyframe and the joint values asked for."""
+    try:
+        data = mujoco.MjData(model)
+        if settings.keyframe is not None:
+            mujoco.mj_resetDataKeyframe(model, data, _keyframe_id(model, settings))
+        for name, value in settings.joints.items():
+            _set_joint(model, data, settings, name, value)
+        mujoco.mj_kinematics(model, data)
+    except (mujoco.FatalError, mujoco.UnexpectedError, ValueError) as error:
+        reason = " ".join(str(error).split())[:400]
+        raise SceneError(f"MuJoCo cannot pose {settings.path}: {reason}") from error
+    return data
+
+
+def _keyframe_id(model: Any, settings: SceneSettings) -> int:
+    key = settings.keyframe
+    if isinstance(key, int):
+        if key < model.nkey:
+            return key
+        raise ConfigError(
+            f"no keyframe {key} for `scene.keyframe`: {settings.path} has {model.nkey} of them, "
+            f"counted from 0"
+        )
+    found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, key)
+    if found >= 0:
+        return int(found)
+    names = _listed(model, model.name_keyadr)
+    raise ConfigError(f"no keyframe {key!r} for `scene.keyframe`: {settings.path} has {names}")
+
+
+def _set_joint(
+    model: Any, data: Any, settings: SceneSettings, name: str, value: float | list[float]
+) -> None:
+    joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+    if joint < 0:
+        names = _listed(model, model.name_jntadr)
+        raise ConfigError(f"no joint {name!r} for `scene.joints`: {settings.path} has {names}")
+    expected = EXPECTED[int(model.jnt_type[joint])]
+    values = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    if len(values) != int(expected[0]):
+        raise ConfigError(f"expected {expected} at `scene.joints.{name}`, got {len(values)}")
+    if len(values) >= 4 and not values[-4:].any():
+        raise ConfigError(f"expected a quaternion that is not 0 at `scene.joints.{name}`")
+    address = int(model.jnt_qposadr[joint])
+    data.qpos[address : address + len(values)] = values
+
+
+def warn_out_of_range(model: Any, settings: SceneSettings) -> list[str]:
+    """Warn of joints that the settings move out of their range."""
+    notes = []
+    for name, value in settings.joints.items():
+        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        unit = UNITS.get(int(model.jnt_type[joint]))
+        if unit is None or not model.jnt_limited[joint]:
+            continue
+        position = float(np.ravel(value)[0])
+        low, high = (float(v) for v in model.jnt_range[joint])
+        if not low - RANGE_SLACK <= position <= high + RANGE_SLACK:
+            notes.append(
+                f"joint {name!r} ranges from {low:.6g} to {high:.6g} {unit}, got {position:.6g} "
+                f"at `scene.joints.{name}`: it is posed there anyway"
+            )
+    return notes
+
+
+def _listed(model: Any, addresses: Int32) -> str:
+    named = [name for address in addresses if (name := name_at(model, address))]
+    if not named:
+        return "none with a name"
+    return ", ".join(named[:20]) + (f" and {len(named) - 20} more" if len(named) > 20 else "")
+
+
+def data_of_qpos(model: Any, qpos: ArrayLike) -> Any:
+    """A model's data with all joints at positions of shape (nq,), and all geoms placed."""
+    try:
+        positions = np.asarray(qpos, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"expected {model.nq} joint positions (nq), got {qpos!r}") from error
+    if positions.shape != (model.nq,):
+        raise ConfigError(f"expected {model.nq} joint positions (nq), got {positions.shape}")
+    data = mujoco.MjData(model)
+    data.qpos[:] = positions
+    mujoco.mj_kinematics(model, data)
+    return data
+
+
+def data_with_joints(model: Any, data: Any, positions: Mapping[int, float]) -> Any:
+    """A copy of a model's data with hinges and slides moved, by their ids [rad or m]."""
+    moved = mujoco.MjData(model)
+    moved.qpos[:] = data.qpos
+    moved.mocap_pos[:], moved.mocap_quat[:] = data.mocap_pos, data.mocap_quat
+    for joint, position in positions.items():
+        moved.qpos[model.jnt_qposadr[joint]] = position
+    mujoco.mj_kinematics(model, moved)
+    return moved
