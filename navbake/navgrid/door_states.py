@@ -17,7 +17,7 @@ from navbake.errors import QueryError
 from navbake.navgrid.block_state import BLOCKED, OCCUPIED
 from navbake.navgrid.doors import STATES, Door
 from navbake.navgrid.islands import add_layers
-from navbake.navgrid.user_data import UserData
+from navbake.navgrid.user_data import NAMES, UserData
 from navbake.types import Bool, Json
 
 if TYPE_CHECKING:
@@ -25,19 +25,15 @@ if TYPE_CHECKING:
 
 AnyGrid = TypeVar("AnyGrid", bound="GridBase")
 
-NAMES = ("doors", "objects", "walls")
-"""Keys of a cell's user data that list what stands in it."""
-
 
 def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
     """The same grid with doors in other states: equal to a bake with them in these states.
 
     Args:
-        grid: the grid.
         states: ``modelled``, ``open``, ``closed`` or ``removed``, by a door's id or for all.
 
     Raises:
-        QueryError: there is no such door, or no such state, or the grid was inflated.
+        QueryError: a door or a state does not exist, or the grid was inflated.
     """
     if "inflation" in grid.metadata:
         raise QueryError(
@@ -103,40 +99,13 @@ def _rebuild(grid: AnyGrid, doors: Sequence[Door], occupied: list[Bool]) -> AnyG
 def name_door_cells(
     user_data: UserData, doors: Sequence[Door], level: int, num_levels: int
 ) -> UserData:
-    """Write the doors of each cell into a level's user data.
+    """The user data of a level with the doors of each cell, by ascending cell id.
 
     A cell is in a door where the door blocks it when closed, or as it stands. Where it blocks as
     it stands, the door is one of the cell's objects, too.
-
-    Args:
-        user_data: what else is known of the level's cells; not changed.
-        doors: the grid's doors.
-        level: which level.
-        num_levels: how many the grid has.
-
-    Returns:
-        User data with `doors` where a cell is in one, by ascending cell id.
     """
-    if not doors:
-        return user_data
-    names, standing = _doors_by_cell(doors, level, num_levels)
-    ids = {door.id for door in doors}
-    known = user_data.find(np.fromiter(names, dtype=np.int64, count=len(names)))
-    changed: dict[int, Json] = {}
-    for (cell, found), before in zip(names.items(), known, strict=True):
-        entry = _without_doors(before, ids)
-        changed[cell] = _with_doors(entry, found, standing.get(cell, set())) if found else entry
-    return user_data.replaced(changed)
-
-
-def _doors_by_cell(
-    doors: Sequence[Door], level: int, num_levels: int
-) -> tuple[dict[int, set[str]], dict[int, set[str]]]:
-    """The doors that each cell is in, and those that block it.
-
-    The former has all cells that a door blocks in any state, most with no door at all: the user
-    data may be from that state.
-    """
+    # All cells that a door blocks in any state, most of them with no door: the user data may be
+    # from that state.
     names: dict[int, set[str]] = {}
     standing: dict[int, set[str]] = {}
     for door in doors:
@@ -147,7 +116,13 @@ def _doors_by_cell(
                     found.add(door.id)
                 if state == door.state:
                     standing.setdefault(cell, set()).add(door.id)
-    return names, standing
+    ids = {door.id for door in doors}
+    known = user_data.find(np.fromiter(names, dtype=np.int64, count=len(names)))
+    changed: dict[int, Json] = {}
+    for (cell, found), before in zip(names.items(), known, strict=True):
+        entry = _without_doors(before, ids)
+        changed[cell] = _with_doors(entry, found, standing.get(cell, set())) if found else entry
+    return user_data.replaced(changed) if doors else user_data
 
 
 def _without_doors(entry: Json, ids: set[str]) -> Json:

@@ -1,12 +1,12 @@
 """The doors of a grid, as a file states them: the cells that each blocks, by state and level.
 
-The file carries, for each door and state, the cells that only this door blocks. So
-another state needs no scene and no new bake, see `navbake.navgrid.door_states`.
+The file carries, for each door and state, the cells that only this door blocks. So another state
+needs no scene and no new bake, see `navbake.navgrid.door_states`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,17 +24,15 @@ Runs = list[int]
 
 def to_runs(cells: Int) -> Runs:
     """Pack ascending cell ids, shape (n,), into runs."""
-    if not len(cells):
-        return []
-    breaks = np.flatnonzero(np.diff(cells) != 1) + 1  # where a run begins, except the first
-    first = np.concatenate([[0], breaks])
-    count = np.diff(np.concatenate([first, [len(cells)]]))
-    return [int(v) for v in np.stack([cells[first], count], axis=1).ravel()]
+    starts = np.flatnonzero(np.diff(cells, prepend=-2) != 1)
+    counts = np.diff(starts, append=len(cells))
+    runs: Runs = np.stack([cells[starts], counts], axis=1).ravel().tolist()
+    return runs
 
 
-def from_runs(runs: Iterable[int]) -> Int:
+def from_runs(runs: Sequence[int]) -> Int:
     """Unpack runs into ascending cell ids, shape (n,), int64."""
-    pairs = np.asarray(list(runs), dtype=np.int64).reshape(-1, 2)
+    pairs = np.array(runs, dtype=np.int64).reshape(-1, 2)
     parts = [np.arange(first, first + count) for first, count in pairs]
     return np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)
 
@@ -94,15 +92,9 @@ class Door:
 
 
 def parse_doors(stated: Any, num_cells: Sequence[int]) -> tuple[Door, ...]:
-    """Read the doors of a file.
+    """Read and check the doors at ``metadata.navbake.doors``.
 
-    Args:
-        stated: what stands at ``metadata.navbake.doors``.
-        num_cells: number of cells of each level.
-
-    Raises:
-        FormatError: a door names no cells, or cells that the grid doesn't have, or a level twice
-            for a state, or two doors share an id.
+    `num_cells` counts the cells of each level; the doors' cells have to be among them.
     """
     if not isinstance(stated, list | tuple):
         raise FormatError(f"expected a list at `{WHERE}`, got {type(stated).__name__}")

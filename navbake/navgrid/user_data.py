@@ -1,8 +1,8 @@
-"""User data of cells: parsed, or made, when somebody asks for them.
+"""Per-cell user data, parsed or made on first use.
 
-Names of what stands in each cell make up most of a grid's file, and few who load a grid ask for
-them. Many cells share what they have, too. So `UserData` holds them as they came, unread or shared,
-until somebody looks at single cells: those can be written to, and what was written is saved.
+Names of what stands in each cell make up most of a grid's file, few who load a grid ask for them,
+and many cells share theirs. So `UserData` holds them as they came, unread or shared, until a caller
+looks at single cells: those can be written to, and what was written is saved.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ class Unread(Protocol):
     """User data in the form in which they were stored."""
 
     def read(self) -> dict[int, Json]:
-        """Read them.
+        """Read and check them."""
 
-        Raises:
-            FormatError: they don't follow the format.
-        """
+
+NAMES = ("doors", "objects", "walls")
+"""Keys of a cell's user data that list what stands in it."""
 
 
 class Shared(NamedTuple):
@@ -55,17 +55,16 @@ class Shared(NamedTuple):
     entries: Sequence[Json]
 
     def read(self) -> dict[int, Json]:
-        """Make them a dictionary; each cell gets an entry of its own, as from a file."""
+        """Give each cell an entry of its own, as from a file."""
         entries = [_copy_json(self.entries[k]) for k in self.number.tolist()]
         return dict(zip(self.cells.tolist(), entries, strict=True))
 
 
 class UserData(MutableMapping[int, Json]):
-    """What is kept for single cells, by cell id (col + row * width).
+    """User data by cell id (col + row * width).
 
-    Args:
-        source: a dictionary, which is written to; or what becomes one when somebody looks at
-            single cells: `Unread` or `Shared` data, or a function that makes `Shared` ones.
+    They come from a dictionary, which is written to; or from what becomes one when a caller looks
+    at single cells: `Unread` or `Shared` data, or a function that makes `Shared` ones.
     """
 
     def __init__(
@@ -80,7 +79,7 @@ class UserData(MutableMapping[int, Json]):
 
     @property
     def is_read(self) -> bool:
-        """Whether somebody looked at single cells, and so may have changed them."""
+        """Whether a caller looked at single cells, and so may have changed them."""
         return isinstance(self._source, MutableMapping)
 
     @property
@@ -93,7 +92,7 @@ class UserData(MutableMapping[int, Json]):
 
     @property
     def _cells(self) -> MutableMapping[int, Json]:
-        """The dictionary; read now if it wasn't."""
+        """The dictionary; what it is made from is read now."""
         if not self.is_read:
             with collector_off():
                 self._source = self.source.read()  # type: ignore[union-attr]
@@ -129,19 +128,17 @@ class UserData(MutableMapping[int, Json]):
         if not isinstance(self.source, Shared):
             return [self._cells.get(cell, {}) for cell in cells.tolist()]
         known, number, entries = self.source
-        if not len(known):
-            return [{}] * len(cells)
-        place = np.minimum(np.searchsorted(known, cells), len(known) - 1)
-        is_known = (known[place] == cells).tolist()
-        numbers = number[place].tolist()
-        return [entries[k] if here else {} for k, here in zip(numbers, is_known, strict=True)]
+        place = np.searchsorted(known, cells)
+        # one more at the end, for cells beyond the last one that has an entry
+        is_known = np.append(known, -1)[place] == cells
+        numbers = np.where(is_known, np.append(number, -1)[place], -1)
+        with_none = [*entries, {}]
+        return [with_none[k] for k in numbers.tolist()]
 
     def replaced(self, changed: Mapping[int, Json]) -> UserData:
         """The same with other entries in some cells, by ascending cell id.
 
-        Args:
-            changed: entries by cell id; they must not be modified. Cells whose entry is empty
-                drop out.
+        Cells whose new entry is empty drop out. The entries must not be modified.
         """
         if not isinstance(self.source, Shared):
             merged = {**self._cells, **changed}

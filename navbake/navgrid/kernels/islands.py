@@ -1,7 +1,5 @@
 """The connected parts of free cells, through all levels: connected components by union-find."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 
@@ -18,7 +16,7 @@ def label_islands(start, width, free, floor, limit, links):
     Args:
         start: first flat id of each level, and one past the last, shape (num_levels + 1,), int64.
         width: number of columns of each level, shape (num_levels,), int64.
-        free: by flat id, shape (n,), bool.
+        free: by flat id, shape (n,), bool, n >= 1.
         floor: by flat id, shape (n,), float32 or float64.
         limit: in the unit of the floors.
         links: flat ids of two cells each, shape (m, 2), int64.
@@ -65,17 +63,11 @@ def _rank(parent):
         elif parent[cell] >= 0:
             parent[cell] = parent[parent[cell]]  # the cells before this one point at their roots
             number[cell] = number[parent[cell]]
-    size = np.zeros(num_parts + 1, dtype=np.int64)
-    for cell in range(len(parent)):
-        if number[cell] > 0:
-            size[number[cell]] += 1
-    order = np.argsort(-size[1:], kind="mergesort")
+    size = np.bincount(number)
+    size[0] = 0
+    # a stable sort, so that equal parts stay in the order of their roots; part 0 stays first
+    order = np.argsort(-size[1:], kind="mergesort") + 1
     rank = np.zeros(num_parts + 1, dtype=np.int32)
-    for i in range(num_parts):
-        rank[order[i] + 1] = i + 1
-    for cell in range(len(parent)):
-        number[cell] = rank[number[cell]]
-    sorted_size = np.zeros(num_parts + 1, dtype=np.int64)
-    for i in range(num_parts):
-        sorted_size[i + 1] = size[order[i] + 1]
-    return number, sorted_size
+    rank[order] = np.arange(1, num_parts + 1)
+    size[1:] = size[order]
+    return rank[number], size

@@ -6,8 +6,6 @@ root is the first member of its set, whatever the order in which sets were joine
 that follow the roots depend on nothing else. Path halving alone keeps the trees shallow enough.
 """
 
-from __future__ import annotations
-
 from numba import njit
 
 
