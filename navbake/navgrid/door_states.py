@@ -1,8 +1,4 @@
-"""The same grid with its doors in other states.
-
-A file states for each door and state the cells that only this door blocks. So another state needs
-no scene and no new bake.
-"""
+"""The same grid with its doors in other states, from the cells that a file states for each."""
 
 from __future__ import annotations
 
@@ -73,16 +69,16 @@ def _check_state(name: str, state: str, doors: Mapping[str, Door], scene_id: str
 def _rebuild(grid: AnyGrid, doors: Sequence[Door], occupied: list[Bool]) -> AnyGrid:
     levels = []
     for number, (level, mask) in enumerate(zip(grid.levels, occupied, strict=True)):
-        is_occupied, is_blocked = mask.reshape(level.shape), np.zeros(level.shape, dtype=np.bool_)
-        if level.block_state is not None:
-            is_occupied |= level.block_state.held(level, OCCUPIED)
-            is_blocked = level.block_state.held(level, BLOCKED)
-        was_occupied = level.occupancy.astype(np.bool_)
+        is_occupied, was_occupied = mask.reshape(level.shape), level.occupancy.astype(np.bool_)
+        state = level.block_state
+        if state is not None:
+            is_occupied |= state.held(level, OCCUPIED)
         weights = level.weights.copy()
         # cells that no door changes keep their weight, whatever it is
         weights[is_occupied & ~was_occupied] = np.inf
         weights[~is_occupied & was_occupied] = 1.0
-        weights[is_blocked] = np.inf
+        if state is not None:
+            weights[state.held(level, BLOCKED)] = np.inf
         named = None
         if grid.navbake.get("names", True):
             named = name_door_cells(UserData.of(level.user_data), doors, number, len(occupied))

@@ -128,28 +128,24 @@ def _parse(entry: Any, num_cells: Sequence[int], here: str) -> Door:
 def _parse_cells(entries: list[Any], num_cells: Sequence[int], where: str) -> dict[int, Runs]:
     per_level: dict[int, Runs] = {}
     for entry in entries:
-        if not _is_entry(entry, num_cells):
+        level, runs = entry if isinstance(entry, list) and len(entry) == 2 else (-1, [])
+        is_level = type(level) is int and 0 <= level < len(num_cells)
+        if not is_level or not _are_runs(runs, num_cells[level]):
             raise FormatError(
                 f"expected [level, [first cell, count, …]] within the grid at {where}"
             )
-        level, runs = entry
         if level in per_level:
             raise FormatError(f"expected one entry a level, got level {level} twice at {where}")
         per_level[level] = runs
     return per_level
 
 
-def _is_entry(entry: Any, num_cells: Sequence[int]) -> bool:
-    if not isinstance(entry, list) or len(entry) != 2:
-        return False
-    level, runs = entry
-    if type(level) is not int or not 0 <= level < len(num_cells):
-        return False
+def _are_runs(runs: Any, num_cells: int) -> bool:
     if not isinstance(runs, list) or len(runs) % 2 or any(type(v) is not int for v in runs):
         return False
     end = 0  # runs ascend and don't overlap
     for first, count in zip(runs[::2], runs[1::2], strict=True):
-        if first < end or not 0 < count <= num_cells[level] - first:
+        if first < end or not 0 < count <= num_cells - first:
             return False
         end = first + count
     return True

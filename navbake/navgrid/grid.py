@@ -72,11 +72,9 @@ class SceneGrid2D(GridBase):
 
     @property
     def levels(self) -> list[SceneGrid2D]:
-        """The levels, lowest first: this one."""
         return [self]
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
-        """The one level given, with other metadata if they are given."""
         (level,) = levels
         derived: Any = level if metadata is None else level.with_layers(metadata=metadata)
         own: Self = derived
@@ -195,7 +193,6 @@ class MultiLevelGrid(GridBase):
 
     @property
     def levels(self) -> list[SceneGrid2D]:
-        """The levels, lowest first."""
         return self.grids
 
     def takes_over(self, number: int, level: SceneGrid2D) -> bool:
@@ -203,7 +200,6 @@ class MultiLevelGrid(GridBase):
         return level.metadata == self._handed_down[number]
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
-        """The same grid with other levels; see `GridBase.with_levels`."""
         grids = [
             level.with_layers(metadata={}) if self.takes_over(number, level) else level
             for number, level in enumerate(levels)

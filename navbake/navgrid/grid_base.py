@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 
 Table = TypeVar("Table")
 
-DEFAULT_HEIGHT = 1.14  # of an agent [m], where a file has no agentHeight
-DEFAULT_STEP = 0.25  # [m], where a file has no traversableFloorHeight
-
 
 @dataclass(eq=False, kw_only=True)
 class GridBase:
@@ -42,8 +39,7 @@ class GridBase:
         metadata: as in the file.
         timings: as in the file; two grids that differ in it only are the same grid.
         extra: fields of the file that are not the format's own; they are written back.
-        found_islands: what `navbake.navgrid.islands.islands_of` found last, and a digest of what
-            it follows from.
+        found_islands: what `navbake.navgrid.islands.islands_of` found last, after its digest.
     """
 
     cell_size: float
@@ -98,7 +94,7 @@ class GridBase:
     @property
     def agent_height(self) -> float:
         """Height of the agent that the grid is for [m]; 1.14 where the file states none."""
-        return self._metres("agentHeight") or DEFAULT_HEIGHT
+        return self._metres("agentHeight") or 1.14
 
     @property
     def agent_radius(self) -> float:
@@ -109,7 +105,7 @@ class GridBase:
     def max_step(self) -> float:
         """The highest step that the agent takes [m]; 0.25 where the file states none."""
         stated = self._metres("traversableFloorHeight")
-        return DEFAULT_STEP if stated is None else stated
+        return 0.25 if stated is None else stated
 
     def _metres(self, key: str) -> float | None:
         """A length of the metadata [m]; None where they have no number >= 0."""

@@ -17,6 +17,8 @@ import numpy as np
 
 from navbake.types import Int, Json
 
+NAMES = ("doors", "objects", "walls")  # keys of a cell's user data that list what stands in it
+
 
 @contextmanager
 def collector_off() -> Iterator[None]:
@@ -35,10 +37,6 @@ class Unread(Protocol):
 
     def read(self) -> dict[int, Json]:
         """Read and check them."""
-
-
-NAMES = ("doors", "objects", "walls")
-"""Keys of a cell's user data that list what stands in it."""
 
 
 class Shared(NamedTuple):
@@ -145,16 +143,15 @@ class UserData(MutableMapping[int, Json]):
             kept = (cell for cell in sorted(merged) if cell not in changed or changed[cell])
             return UserData({cell: merged[cell] for cell in kept})
         cells, number, known = self.source
-        kept_cells = ~np.isin(cells, np.fromiter(changed, dtype=np.int64, count=len(changed)))
-        added = {cell: entry for cell, entry in changed.items() if entry}
-        own = np.fromiter(added, dtype=np.int64, count=len(added))
+        is_kept = ~np.isin(cells, np.fromiter(changed, dtype=np.int64, count=len(changed)))
+        number = number[is_kept]
         # entries that no cell has any more are left out, or they would pile up
-        is_used = np.zeros(len(known), dtype=np.bool_)
-        is_used[number[kept_cells]] = True
+        is_used = np.bincount(number, minlength=len(known)) > 0
         entries = list(compress(known, is_used))
-        number = (np.cumsum(is_used) - 1)[number[kept_cells]]
-        number = np.concatenate([number, len(entries) + np.arange(len(own))])
-        cells = np.concatenate([cells[kept_cells], own])
+        added = {cell: entry for cell, entry in changed.items() if entry}
+        new = len(entries) + np.arange(len(added))
+        number = np.concatenate([(np.cumsum(is_used) - 1)[number], new])
+        cells = np.concatenate([cells[is_kept], np.fromiter(added, dtype=np.int64)])
         order = np.argsort(cells)
         return UserData(Shared(cells[order], number[order], [*entries, *added.values()]))
 

@@ -8,23 +8,15 @@ from navbake.navgrid.kernels.union_find import unite
 
 @njit(cache=True)
 def label_islands(start, width, free, floor, limit, links):
-    """Number the connected parts of free cells, the largest first.
+    """Number the parts by the rule of `navbake.navgrid.islands.find_islands`.
 
-    Two free cells are joined where they share an edge and their floors differ by at most `limit`,
-    or where a link leads. NaN differs from nothing.
-
-    Args:
-        start: first flat id of each level, and one past the last, shape (num_levels + 1,), int64.
-        width: number of columns of each level, shape (num_levels,), int64.
-        free: by flat id, shape (n,), bool, n >= 1.
-        floor: by flat id, shape (n,), float32 or float64.
-        limit: in the unit of the floors.
-        links: flat ids of two cells each, shape (m, 2), int64.
+    The cells of all levels are in one row, by flat id: those of level i from ``start[i]`` to
+    ``start[i + 1]``, in rows of ``width[i]``. `limit` is in the unit of the floors, and `links`
+    are pairs of flat ids, shape (m, 2), int64.
 
     Returns:
-        Shape (n,), int32: 0 where the cell isn't free, else its part from 1; and the number of
-        cells of each part, shape (num_parts + 1,), int64, 0 for part 0. Of parts of equal size,
-        the one with the lowest flat id comes first.
+        The part of each cell, shape (n,), int32, 0 where it isn't free; and the number of cells
+        of each part, shape (num_parts + 1,), int64, 0 for part 0.
     """
     parent = np.empty(len(free), dtype=np.int32)
     for level in range(len(width)):

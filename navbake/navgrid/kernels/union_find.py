@@ -11,12 +11,7 @@ from numba import njit
 
 @njit(cache=True)
 def find_root(parent, item):
-    """The root of an item's set: its lowest member.
-
-    Args:
-        parent: (n,) integers, the parent of each item; a root is its own.
-        item: which item.
-    """
+    """The root of an item's set, its lowest member; of roots, `parent` has themselves."""
     while parent[item] != item:
         parent[item] = parent[parent[item]]
         item = parent[item]
