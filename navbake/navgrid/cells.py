@@ -97,31 +97,32 @@ def position_of(grid: GridBase, cells: Cell | Cells) -> Float:
     Raises:
         QueryError: a cell does not exist.
     """
-    level, row, col = check_cells(cells)
+    level, row, col = check_cells(grid, cells)
     positions = np.empty((*level.shape, 3), dtype=np.float64)
-    known = np.zeros(level.shape, dtype=np.bool_)
     for number, part in enumerate(grid.levels):
-        here = (level == number) & (row >= 0) & (row < part.height)
-        here &= (col >= 0) & (col < part.width)
+        here = level == number
         floor = _floors(part, row[here], col[here])
         positions[here, :2] = part.lattice.positions(row[here], col[here])
         positions[here, 2] = np.where(np.isnan(floor), part.ground, floor)
-        known |= here
-    if not known.all():
-        first = tuple(int(v[~known].ravel()[0]) for v in (level, row, col))
-        raise QueryError(f"no cell (level, row, col) = {first} in {grid.scene_id!r}")
     return positions
 
 
-def check_cells(cells: Cell | Cells) -> Cells:
-    """Bring cells into one shape, int64; whether the grid has them is not checked."""
+def check_cells(grid: GridBase, cells: Cell | Cells) -> Cells:
+    """Check that cells exist, and bring them into one shape, int64."""
     try:
         arrays = np.broadcast_arrays(*(np.asarray(v) for v in cells))
     except (TypeError, ValueError):
         arrays = ()
     if len(arrays) != 3 or any(v.dtype.kind not in "iu" and v.size for v in arrays):
         raise QueryError(f"expected cells as (level, row, col), whole numbers, got {cells!r}")
-    return Cells(*(v.astype(np.int64) for v in arrays))
+    level, row, col = found = Cells(*(v.astype(np.int64) for v in arrays))
+    known = (level >= 0) & (level < len(grid.levels)) & (row >= 0) & (col >= 0)
+    shapes = np.array([part.shape for part in grid.levels])[np.where(known, level, 0)]
+    known &= (row < shapes[..., 0]) & (col < shapes[..., 1])
+    if not known.all():
+        first = tuple(int(v[~known].ravel()[0]) for v in found)
+        raise QueryError(f"no cell (level, row, col) = {first} in {grid.scene_id!r}")
+    return found
 
 
 def check_positions(positions: ArrayLike, num_levels: int, level: int | None = None) -> Float:
