@@ -69,7 +69,7 @@ _LAZY = {
 # where the functions behind methods of grids and voxels are
 OPERATIONS |= {
     "grid.at": "navbake.runtime.places.place:place_at",
-    "grid.block": "navbake.runtime.blocks.blocking:block",
+    "grid.block": "navbake.runtime.blocks.block:block",
     "grid.describe_cell": "navbake.views.why:describe_cell",
     "grid.inflate": "navbake.runtime.inflation.inflate:inflate",
     "grid.inflate_footprint": "navbake.runtime.inflation.footprint:inflate_footprint",

@@ -172,6 +172,32 @@ def test_no_folder_has_more_than_16_modules():
         assert count <= 16, f"{folder} has {count} modules"
 
 
+@pytest.mark.parametrize("name", MODULES)
+def test_an_import_inside_a_function_says_what_it_saves(name):
+    """In a comment beside it or above it, or once for the module: ``# Functions import …``."""
+    text = MODULES[name].read_text(encoding="utf-8")
+    lines = text.splitlines()
+    if any(line.startswith("# Functions import ") for line in lines):
+        return
+    for function in ast.walk(ast.parse(text)):
+        if not isinstance(function, ast.FunctionDef):
+            continue
+        for node in ast.walk(function):
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                here, above = lines[node.lineno - 1], lines[node.lineno - 2].strip()
+                assert "#" in here or above.startswith("#"), f"{name}:{node.lineno} {here.strip()}"
+
+
+def test_no_function_takes_more_than_10_parameters():
+    for name, path in MODULES.items():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef):
+                given = node.args
+                parameters = [*given.posonlyargs, *given.args, *given.kwonlyargs]
+                count = sum(parameter.arg not in ("self", "cls") for parameter in parameters)
+                assert count <= 10, f"{name}.{node.name} takes {count} parameters"
+
+
 def loaded_after(code):
     """Names of all modules that are loaded in a fresh process after some code."""
     script = f"{code}\nimport sys\nprint(' '.join(sys.modules))"

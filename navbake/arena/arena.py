@@ -11,7 +11,18 @@ from navbake.arena.map_descriptor import MOST, SQUARE
 from navbake.errors import QueryError
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.lattice import CELL_SLACK, Lattice, num_cells
-from navbake.types import Bool, Int
+from navbake.types import Bool, Float, Int
+from navbake.voxels.placement import finite_array
+
+
+def check_squares(square: float, corner: ArrayLike) -> Float:
+    """The corner as an array, shape (2,); a QueryError if it or the edge of squares is wrong."""
+    if not (np.isfinite(square) and square > 0):
+        raise QueryError(f"expected squares with an edge > 0 m, got {square:g}")
+    place = finite_array(corner, (2,))
+    if place is None:
+        raise QueryError(f"expected the arena's lower left corner as x, y [m], got {corner!r}")
+    return place
 
 
 def place_squares(
@@ -24,7 +35,7 @@ def place_squares(
     """Lay the squares of an arena over a level.
 
     Args:
-        level: the level.
+        level: what the squares cover; they may reach beyond it.
         square: edge of a square [m], > 0.
         corner: the arena's lower left corner, x and y, world frame [m]; the level's if None.
         shape: rows and columns, >= 1 each; as many as cover the rest of the level if None.
@@ -32,21 +43,17 @@ def place_squares(
     Raises:
         QueryError: a number is wrong, or the arena lies beside the level.
     """
-    if not (np.isfinite(square) and square > 0):
-        raise QueryError(f"expected squares with an edge > 0 m, got {square:g}")
     x0, y0, x1, y1 = level.lattice.bounds
-    place = np.array([x0, y0]) if corner is None else np.asarray(corner, dtype=np.float64)
-    if place.shape != (2,) or not np.isfinite(place).all():
-        raise QueryError(f"expected the arena's lower left corner as x, y [m], got {corner!r}")
+    left, bottom = check_squares(square, (x0, y0) if corner is None else corner).tolist()
     if shape is None:
-        if not (place[0] < x1 and place[1] < y1):
+        if not (left < x1 and bottom < y1):
             raise QueryError(
-                f"the corner ({place[0]:g}, {place[1]:g}) leaves nothing of the level, which ends "
+                f"the corner ({left:g}, {bottom:g}) leaves nothing of the level, which ends "
                 f"at ({x1:g}, {y1:g})"
             )
-        if max(x1 - place[0], y1 - place[1]) > MOST * square:
+        if max(x1 - left, y1 - bottom) > MOST * square:
             raise QueryError(f"expected larger squares: the level has over {MOST} of {square:g} m")
-        shape = (num_cells(y1 - place[1], square), num_cells(x1 - place[0], square))
+        shape = num_cells(y1 - bottom, square), num_cells(x1 - left, square)
     rows, cols = shape
     if rows < 1 or cols < 1:
         raise QueryError(f"expected rows and columns >= 1, got {rows} and {cols}")
@@ -55,7 +62,7 @@ def place_squares(
             f"expected at most {MOST} squares, got {rows} × {cols} of {square:g} m: "
             f"take larger squares, or a part of the level"
         )
-    squares = Lattice(float(place[0]), float(place[1] + rows * square), square, cols, rows)
+    squares = Lattice(left, bottom + rows * square, square, cols, rows)
     left, bottom, right, top = squares.bounds
     if left >= x1 or bottom >= y1 or right <= x0 or top <= y0:
         raise QueryError(
@@ -66,17 +73,10 @@ def place_squares(
 
 
 def find_obstacles(level: SceneGrid2D, squares: Lattice) -> Bool:
-    """Mark the squares that hold an obstacle in any part.
+    """Mark the squares that hold an obstacle in any part: (rows, cols), bool, row 0 at the top.
 
     Obstacles are occupied cells, and what lies beside the level. A cell that only touches a
     square isn't in it.
-
-    Args:
-        level: the level.
-        squares: see `place_squares`.
-
-    Returns:
-        Shape (rows, cols), bool, row 0 at the top.
     """
     lattice = level.lattice
     filled = np.pad(level.occupancy != 0, 1, constant_values=True)

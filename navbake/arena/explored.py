@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from navbake.arena.arena import check_squares
 from navbake.arena.map_descriptor import ARENA, SQUARE, check_shape, decode, draw, encode
 from navbake.errors import QueryError
 from navbake.navgrid.lattice import Lattice
@@ -47,13 +48,8 @@ class ExploredMap:
             QueryError: a number is wrong.
         """
         rows, cols = check_shape(shape)
-        if not (np.isfinite(square) and square > 0):
-            raise QueryError(f"expected squares with an edge > 0 m, got {square:g}")
-        if not np.isfinite(corner).all() or len(corner) != 2:
-            raise QueryError(f"expected the lower left corner as x, y [m], got {corner}")
-        self.lattice = Lattice(
-            float(corner[0]), float(corner[1]) + rows * square, square, cols, rows
-        )
+        left, bottom = check_squares(square, corner).tolist()
+        self.lattice = Lattice(left, bottom + rows * square, square, cols, rows)
         self.explored = np.zeros((rows, cols), dtype=np.bool_)
         self.obstacles = np.zeros((rows, cols), dtype=np.bool_)
 
@@ -110,19 +106,18 @@ class ExploredMap:
         self._square_at(x, y)
         ways, lengths = _check_rays(angles, max_range), _numbers(ranges, "ranges [m]")
         if ways.shape != lengths.shape:
-            raise QueryError(
-                f"expected as many angles as ranges, got {len(ways)} and {len(lengths)}"
-            )
+            counts = f"{len(ways)} and {len(lengths)}"
+            raise QueryError(f"expected as many angles as ranges, got {counts}")
         if (lengths < 0).any():
             raise QueryError(f"expected ranges >= 0 m, got {np.nanmin(lengths):g}")
         passed, hit = np.zeros_like(self.explored), np.zeros_like(self.explored)
-        for angle, length in zip(ways, lengths, strict=True):
-            if not np.isnan(length):
-                is_hit = length < max_range
-                rows, cols, starts = self._trace(x, y, angle, min(length, max_range), is_hit)
-                ends = is_hit & (starts >= length - HAIR)
-                passed[rows[~ends], cols[~ends]] = True
-                hit[rows[ends], cols[ends]] = True
+        is_measured = ~np.isnan(lengths)
+        for angle, length in zip(ways[is_measured], lengths[is_measured], strict=True):
+            is_hit = length < max_range
+            rows, cols, starts = self._trace(x, y, angle, min(length, max_range), is_hit)
+            ends = is_hit & (starts >= length - HAIR)
+            passed[rows[~ends], cols[~ends]] = True
+            hit[rows[ends], cols[ends]] = True
         self.explored |= passed | hit
         self.obstacles[passed] = False
         self.obstacles[hit] = True
@@ -146,17 +141,16 @@ class ExploredMap:
         if filled.shape != self.explored.shape:
             raise QueryError(f"expected `truth` of shape {self.explored.shape}, got {filled.shape}")
         self._square_at(x, y)
-        ranges = []
         ways = _check_rays(angles, max_range)
-        for angle in ways:
+        ranges = np.full(len(ways), np.inf)
+        for i, angle in enumerate(ways):
             rows, cols, starts = self._trace(x, y, angle, max_range, False)
-            blocked = np.flatnonzero(filled[rows, cols])
-            ranges.append(float(starts[blocked[0]]) if len(blocked) else np.inf)
+            ranges[i] = min(starts[filled[rows, cols]], default=np.inf)
         self.observe(x, y, ways, ranges, max_range)
-        return np.array(ranges)
+        return ranges
 
     def descriptor(self) -> tuple[str, str]:
-        """The map descriptor as it stands now: part 1 and part 2."""
+        """Part 1 and part 2 of the map descriptor."""
         return encode(self.explored, self.obstacles)
 
     def __str__(self) -> str:
@@ -165,7 +159,7 @@ class ExploredMap:
 
     def _square_at(self, x: float, y: float) -> tuple[int, int]:
         if np.isfinite([x, y]).all():
-            row, col = (int(n) for n in self.lattice.rows_cols([x, y]))
+            row, col = map(int, self.lattice.rows_cols([x, y]))
             if 0 <= row < self.lattice.height and 0 <= col < self.lattice.width:
                 return row, col
         x0, y0, x1, y1 = self.lattice.bounds
@@ -177,7 +171,7 @@ class ExploredMap:
     def _trace(
         self, x: float, y: float, angle: float, length: float, beyond: bool
     ) -> tuple[Int, Int, Float]:
-        """The squares of the arena along a ray, nearest first, and where it enters each [m].
+        """The rows and columns of squares along a ray, nearest first, and where it enters them [m].
 
         With `beyond`, the square that holds or follows the ray's end comes with the ray's
         length or more, once.
@@ -198,10 +192,9 @@ class ExploredMap:
         # each piece between two crossings lies in one square: that of its middle
         t = np.unique(np.concatenate(stops).clip(0.0, far))
         t = t[np.append(True, np.diff(t) > HAIR / size / 2)]
-        starts, middles = t[:-1], (t[:-1] + t[1:]) / 2
+        starts, middles = t[:-1] * size, (t[:-1] + t[1:]) / 2
         places = (start[:, None] + way[:, None] * middles).clip(-1.0, 2.0**31)
         cols, rows = np.floor(places).astype(np.int64)
-        starts = starts * size
         if beyond and len(starts):
             last = (rows == rows[-1]) & (cols == cols[-1])
             starts = np.where(last, np.maximum(starts, length), starts)

@@ -11,6 +11,7 @@ Arrays are ``[row, col]`` with row 0 at the top, as one draws a map and as all o
 from __future__ import annotations
 
 from collections.abc import Sequence
+from string import hexdigits
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +23,6 @@ ARENA = (20, 15)  # rows and columns of the arena that the format is for
 SQUARE = 0.1  # edge of its squares [m]
 PAD = np.array([1, 1], dtype=np.uint8)
 MOST = 10**8  # squares that a map may have
-HEX = set("0123456789abcdefABCDEF")
 
 UNEXPLORED, FREE, OBSTACLE = "?", ".", "#"
 
@@ -42,10 +42,8 @@ def encode(explored: ArrayLike, obstacles: ArrayLike) -> tuple[str, str]:
     """
     known, filled = _flags(explored, "explored"), _flags(obstacles, "obstacles")
     if known.shape != filled.shape:
-        raise FormatError(
-            f"expected explored and obstacles of one shape (rows, cols), "
-            f"got {known.shape} and {filled.shape}"
-        )
+        both = f"{known.shape} and {filled.shape}"
+        raise FormatError(f"expected explored and obstacles of one shape (rows, cols), got {both}")
     # the format goes from the bottom row up, arrays from the top row down
     squares, content = known[::-1].ravel(), filled[::-1].ravel()
     part1 = np.concatenate([PAD, squares, PAD])
@@ -69,25 +67,21 @@ def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, 
         FormatError: a string isn't hexadecimal, too short or too long, or its padding is wrong.
     """
     rows, cols = check_shape(shape)
-    bits = _from_hex(part1, "part 1")
+    bits, got = _from_hex(part1, "part 1")
     count = rows * cols + 4
     digits = 2 * -(-count // 8)
-    if len(part1.strip()) != digits:
-        raise FormatError(
-            f"expected {digits} digits in part 1 for {rows} × {cols} squares, "
-            f"got {len(part1.strip())}"
-        )
-    for name, pad in (("first", bits[:2]), ("last", bits[count - 2 : count])):
-        if not pad.all():
-            raise FormatError(
-                f"expected the {name} two bits of part 1 to be 11, got {pad[0]}{pad[1]}"
-            )
+    if got != digits:
+        squares = f"{rows} × {cols} squares"
+        raise FormatError(f"expected {digits} digits in part 1 for {squares}, got {got}")
+    for name, (a, b) in (("first", bits[:2]), ("last", bits[count - 2 : count])):
+        if not (a and b):
+            raise FormatError(f"expected the {name} two bits of part 1 to be 11, got {a}{b}")
     if bits[count:].any():
         raise FormatError("expected 0s after the closing 11 of part 1, got others")
-    squares = bits[2 : count - 2].astype(np.bool_)
+    explored = bits[2 : count - 2].astype(np.bool_)
     obstacles = np.zeros(rows * cols, dtype=np.bool_)
-    obstacles[squares] = _read_part2(part2, int(squares.sum()))
-    return squares.reshape(rows, cols)[::-1].copy(), obstacles.reshape(rows, cols)[::-1].copy()
+    obstacles[explored] = _read_part2(part2, int(explored.sum()))
+    return explored.reshape(rows, cols)[::-1].copy(), obstacles.reshape(rows, cols)[::-1].copy()
 
 
 def draw(explored: ArrayLike, obstacles: ArrayLike) -> str:
@@ -98,21 +92,16 @@ def draw(explored: ArrayLike, obstacles: ArrayLike) -> str:
 
 
 def _read_part2(part2: str, count: int) -> Bool:
-    bits = _from_hex(part2, "part 2")
+    bits, got = _from_hex(part2, "part 2")
     digits, whole = -(-count // 4), 2 * -(-count // 8)
-    got = len(part2.strip())
     if got not in (digits, whole):
         expected = f"{whole}" if digits == whole else f"{whole} (or {digits})"
-        longer = "more than" if got > whole else "fewer than"
-        raise FormatError(
-            f"expected {expected} digits in part 2 for the {count} squares that part 1 has "
-            f"explored, got {got}: {longer} it has"
-        )
+        squares = f"the {count} squares that part 1 has explored"
+        got_what = f"{got}: {'more' if got > whole else 'fewer'} than it has"
+        raise FormatError(f"expected {expected} digits in part 2 for {squares}, got {got_what}")
     if bits[count:].any():
-        raise FormatError(
-            f"expected 0s after the {count} bits of part 2, got more: it is longer than the "
-            f"squares that part 1 has explored"
-        )
+        why = "it is longer than the squares that part 1 has explored"
+        raise FormatError(f"expected 0s after the {count} bits of part 2, got more: {why}")
     return bits[:count].astype(np.bool_)
 
 
@@ -129,11 +118,7 @@ def _flags(values: ArrayLike, name: str) -> Bool:
 
 
 def check_shape(shape: Sequence[int]) -> tuple[int, int]:
-    """Rows and columns of a map.
-
-    Raises:
-        FormatError: they aren't two whole numbers >= 1, or too many.
-    """
+    """Rows and columns of a map; a FormatError if they aren't whole numbers >= 1, or too many."""
     sizes = list(shape) if np.iterable(shape) else [shape]
     if len(sizes) != 2 or not all(isinstance(n, int | np.integer) and n >= 1 for n in sizes):
         raise FormatError(f"expected a shape (rows, cols), each >= 1, got {sizes}")
@@ -147,12 +132,13 @@ def _to_hex(bits: NDArray[np.generic]) -> str:
     return np.packbits(bits.astype(np.uint8)).tobytes().hex().upper()
 
 
-def _from_hex(text: str, name: str) -> NDArray[np.uint8]:
+def _from_hex(text: str, name: str) -> tuple[NDArray[np.uint8], int]:
+    """The bits, filled up to a full byte, and how many digits there are."""
     if not isinstance(text, str):
         raise FormatError(f"expected {name} as a string of hexadecimal digits, got {text!r}")
     digits = text.strip()
-    bad = next((c for c in digits if c not in HEX), None)
-    if bad is not None:
-        raise FormatError(f"expected hexadecimal digits in {name}, got {bad!r}")
+    for digit in digits:
+        if digit not in hexdigits:
+            raise FormatError(f"expected hexadecimal digits in {name}, got {digit!r}")
     data = bytes.fromhex(digits + "0" * (len(digits) % 2))
-    return np.unpackbits(np.frombuffer(data, dtype=np.uint8))
+    return np.unpackbits(np.frombuffer(data, dtype=np.uint8)), len(digits)

@@ -7,18 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from navbake._version import __version__
+from navbake.baker.lattice import Window, bounding_window, cut_cells
 from navbake.baker.scene.model import mujoco_version
 from navbake.baker.stages import Stages
 from navbake.config.settings import settings_digest
-from navbake.navgrid.door_states import name_door_cells
-from navbake.navgrid.doors import Door
+from navbake.navgrid.door_states import with_door_names
+from navbake.navgrid.doors import Door, to_runs
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.user_data import UserData
-from navbake.types import Float, Int, Json, Vector3
-
-Window = tuple[slice, slice]
-"""Rows and columns of the whole lattice."""
+from navbake.types import Int, Json, Vector3
 
 Box = tuple[Vector3, Vector3]
 """Lower and upper corner, file frame (y up) [m]."""
@@ -33,15 +31,11 @@ def build_grid(stages: Stages) -> SceneGrid2D | MultiLevelGrid:
     if len(levels) == 1:
         windows = [(slice(0, lattice.height), slice(0, lattice.width))]
     else:
-        windows = [_floor_window(level.floor) for level in levels]
+        windows = [bounding_window(~np.isnan(level.floor)) for level in levels]
     doors = _cut_doors(stages, windows)
     metadata = _metadata(stages, windows, doors)
-    grids = [
-        _level_grid(stages, number, window, box, doors, metadata)
-        for number, (window, box) in enumerate(
-            zip(windows, _level_boxes(stages, windows), strict=True)
-        )
-    ]
+    places = enumerate(zip(windows, _level_boxes(stages, windows), strict=True))
+    grids = [_level_grid(stages, number, *place, doors, metadata) for number, place in places]
     grid: SceneGrid2D | MultiLevelGrid = grids[0]
     if len(grids) > 1:
         grid = MultiLevelGrid(grids=grids, metadata=metadata, cell_size=lattice.cell_size)
@@ -50,12 +44,7 @@ def build_grid(stages: Stages) -> SceneGrid2D | MultiLevelGrid:
 
 
 def _level_grid(
-    stages: Stages,
-    number: int,
-    window: Window,
-    box: Box,
-    doors: Sequence[Door],
-    metadata: Json,
+    stages: Stages, number: int, window: Window, box: Box, doors: Sequence[Door], metadata: Json
 ) -> SceneGrid2D:
     """One level's grid, blocked by the doors in their states."""
     level, part = stages.floors.levels[number], stages.lattice.cut(*window)
@@ -66,7 +55,7 @@ def _level_grid(
     user_data = UserData()
     if stages.config.names.enabled and stages.contents is not None:
         contents = stages.contents.user_data(number, window)  # read on first use
-        user_data = name_door_cells(contents, doors, number, num_levels)
+        user_data = with_door_names(contents, doors, number, num_levels)
     return SceneGrid2D(
         width=part.width,
         height=part.height,
@@ -82,14 +71,6 @@ def _level_grid(
         user_data=user_data,
         metadata=metadata,
     )
-
-
-def _floor_window(floor: Float) -> Window:
-    """The smallest rectangle that holds all cells with a floor."""
-    has_floor = ~np.isnan(floor)
-    rows = np.flatnonzero(has_floor.any(axis=1))
-    cols = np.flatnonzero(has_floor.any(axis=0))
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
 
 
 def _level_boxes(stages: Stages, windows: list[Window]) -> list[Box]:
@@ -111,7 +92,8 @@ def _level_boxes(stages: Stages, windows: list[Window]) -> list[Box]:
 
 
 def _metadata(stages: Stages, windows: list[Window], doors: Sequence[Door]) -> Json:
-    agent = stages.config.agent
+    config, agent = stages.config, stages.config.agent
+    closed = {door.id: door.closed_cells for door in stages.doors.placed}
     return {
         "sceneId": stages.scene.id,
         "cellAttributes": [
@@ -123,66 +105,48 @@ def _metadata(stages: Stages, windows: list[Window], doors: Sequence[Door]) -> J
         "agentRadius": agent.radius,
         "traversableFloorHeight": agent.traversable_floor_height,
         "useCellFloorHeight": True,
-        "navbake": _own_metadata(stages, windows, doors),
-    }
-
-
-def _own_metadata(stages: Stages, windows: list[Window], doors: Sequence[Door]) -> Json:
-    """The part of the metadata that is not in the format, but navbake's own."""
-    config, levels = stages.config, stages.floors.levels
-    placed = stages.doors.placed
-    rooms = stages.rooms.with_doors({door.id: door.closed_cells for door in placed})
-    return {
-        "version": __version__,
-        "mujoco": mujoco_version(),
-        "sceneDigest": stages.scene.digest,
-        "settingsDigest": settings_digest(config),
-        "worldFrame": {
-            "up": "z",
-            "unit": "m",
-            "handedness": "right",
-            "fileFromWorld": "(X, Y, Z) = (x, z, -y)",
+        # what the format doesn't know
+        "navbake": {
+            "version": __version__,
+            "mujoco": mujoco_version(),
+            "sceneDigest": stages.scene.digest,
+            "settingsDigest": settings_digest(config),
+            "worldFrame": {
+                "up": "z",
+                "unit": "m",
+                "handedness": "right",
+                "fileFromWorld": "(X, Y, Z) = (x, z, -y)",
+            },
+            "maxSlope": agent.max_slope,
+            "levels": [{"name": lv.name, "ground": lv.ground} for lv in stages.floors.levels],
+            "links": _cut_links(stages.floors.links, windows, stages.lattice.width).tolist(),
+            "names": config.names.enabled,
+            "rooms": [room.to_json() for room in stages.rooms.with_doors(closed).table],
+            "doors": [_door_entry(door) for door in doors],
         },
-        "maxSlope": config.agent.max_slope,
-        "levels": [{"name": level.name, "ground": level.ground} for level in levels],
-        "links": _cut_links(stages.floors.links, windows, stages.lattice.width).tolist(),
-        "names": config.names.enabled,
-        "rooms": [room.to_json() for room in rooms.table],
-        "doors": [_door_entry(door) for door in doors],
     }
 
 
 def _door_entry(door: Door) -> Json:
     """A door as the file states it; see `navbake.navgrid.doors.parse_doors`."""
-    return {
-        "id": door.id,
-        "joint": door.joint,
-        "rooms": list(door.rooms),
-        "state": door.state,
-        "cells": {
-            state: [[level, runs] for level, runs in per_level.items()]
-            for state, per_level in door.cells.items()
-        },
-    }
+    cells = {state: list(map(list, runs.items())) for state, runs in door.cells.items()}
+    stated = {"id": door.id, "joint": door.joint, "rooms": list(door.rooms)}
+    return {**stated, "state": door.state, "cells": cells}
 
 
 def _cut_doors(stages: Stages, windows: list[Window]) -> list[Door]:
     """The doors in the wanted state, with cells counted on each level's own rectangle."""
 
-    def cut(level: int, cells: Int) -> Int:
-        return _cut_cells(cells, windows[level], stages.lattice.width)
+    def to_file(levels: list[Int]) -> dict[int, list[int]]:
+        cut = (cut_cells(*pair, width)[0] for pair in zip(levels, windows, strict=True))
+        return {number: to_runs(cells) for number, cells in enumerate(cut) if len(cells)}
 
-    wanted = stages.config.doors.state
-    return [door.on_grid(wanted, cut) for door in stages.doors.placed]
-
-
-def _cut_cells(cells: Int, window: Window, width: int) -> Int:
-    """Cells of the whole lattice as cells of a level's rectangle; those beside it drop out."""
-    rows, cols = window
-    row, col = np.divmod(cells, width)
-    inside = (row >= rows.start) & (row < rows.stop) & (col >= cols.start) & (col < cols.stop)
-    cut: Int = ((row - rows.start) * (cols.stop - cols.start) + col - cols.start)[inside]
-    return cut
+    width, wanted = stages.lattice.width, stages.config.doors.state
+    doors = []
+    for door in stages.doors.placed:
+        cells = {state: to_file(levels) for state, levels in door.cells.items()}
+        doors.append(Door(door.id, door.joint, door.rooms, door.state(wanted), cells))
+    return doors
 
 
 def _cut_links(links: Int, windows: list[Window], width: int) -> Int:
@@ -192,5 +156,5 @@ def _cut_links(links: Int, windows: list[Window], width: int) -> Int:
         for level, cell in ((0, 1), (2, 3)):
             here = links[:, level] == number
             # a linked cell has a floor, so that none drops out
-            links[here, cell] = _cut_cells(links[here, cell], window, width)
+            links[here, cell] = cut_cells(links[here, cell], window, width)[0]
     return links

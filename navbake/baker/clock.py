@@ -11,10 +11,9 @@ Progress = Callable[[str, float], None]
 
 
 class StageClock:
-    """Times the stages of a bake.
+    """Times the stages of a bake: `seconds` of each by its name, in the order in which they ended.
 
-    Attributes:
-        seconds: of each stage, in the order in which they ended; runs of one stage are added up.
+    Runs of one stage are added up.
     """
 
     def __init__(self, progress: Progress | None = None) -> None:

@@ -11,21 +11,14 @@ from navbake.baker.kernels.arrays import Band, Crossings, Facets, Tiles
 from navbake.baker.kernels.rays import cast_lines, load_mujoco_library
 from navbake.baker.kernels.tiles import bin_boxes
 from navbake.baker.scene.scene import mujoco_library
-from navbake.baker.scene.shapes import Planes, Shapes, Triangles
+from navbake.baker.scene.shapes import Shapes, Triangles
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Float, Int, Int32
 
 
 @dataclass(frozen=True)
 class TiledShapes:
-    """Shapes on a lattice, listed by the tiles of cells that they lie over.
-
-    Attributes:
-        shapes: the geometry.
-        lattice: the cells.
-        facets: its triangles, as kernels want them.
-        tiles: which solids and triangles lie over each tile.
-    """
+    """Shapes on a lattice, listed by the tiles of cells that they lie over."""
 
     shapes: Shapes
     lattice: Lattice
@@ -67,13 +60,7 @@ class Columns:
 
 
 def tile_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> TiledShapes:
-    """List the shapes by tiles.
-
-    Args:
-        shapes: the geometry.
-        lattice: the cells.
-        reach: how far beyond its centre a cell looks for geometry [m].
-    """
+    """List the shapes by tiles; `reach` is how far beyond its centre a cell looks for them [m]."""
     facets = _facets_of(shapes.triangles)
     solids = bin_boxes(shapes.solids.bounds, reach, lattice)
     triangles = bin_boxes(facets.bounds, reach, lattice)
@@ -83,21 +70,16 @@ def tile_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> TiledShapes:
 def cast_columns(tiled: TiledShapes) -> Columns:
     """Cross the vertical line through every cell's centre with all geometry.
 
-    Solids and infinite planes answer to MuJoCo's own rays. Each solid is crossed twice, from
+    Rays against solids and infinite planes are MuJoCo's own. Each solid is crossed twice, from
     above and from below; planes from their front only. Lines within 1e-7 m of a rim cross it,
     so that a seam between two geoms never leaks.
-
-    Args:
-        tiled: the geometry on its lattice.
-
-    Returns:
-        The columns; the same whatever the number of threads.
     """
     lattice, shapes = tiled.lattice, tiled.shapes
     load_mujoco_library(mujoco_library())
-    heights = _height_range(shapes, shapes.planes, lattice)
+    heights = _height_range(shapes, lattice)
     geometry = (lattice, shapes.solids, tiled.facets, shapes.planes, tiled.tiles, heights)
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
+    # without room for them, the crossings are only counted
     cast_lines(*geometry, _empty_crossings(start, 0, shapes))
     np.cumsum(start, out=start)
     crossings = _empty_crossings(start, int(start[-1]), shapes)
@@ -107,13 +89,8 @@ def cast_columns(tiled: TiledShapes) -> Columns:
 
 
 def _empty_crossings(start: Int, count: int, shapes: Shapes) -> Crossings:
-    return Crossings(
-        start=start,
-        z=np.empty(count, dtype=np.float64),
-        normal=np.empty((count, 3), dtype=np.float32),
-        geom=np.empty(count, dtype=np.int32),
-        closed=shapes.closed,
-    )
+    z, normal = np.empty(count), np.empty((count, 3), dtype=np.float32)
+    return Crossings(start, z, normal, np.empty(count, dtype=np.int32), shapes.closed)
 
 
 def _facets_of(triangles: Triangles) -> Facets:
@@ -125,13 +102,13 @@ def _facets_of(triangles: Triangles) -> Facets:
     return Facets(triangles.geom, corners, np.ascontiguousarray(normal), triangles.bounds)
 
 
-def _height_range(shapes: Shapes, planes: Planes, lattice: Lattice) -> Band:
+def _height_range(shapes: Shapes, lattice: Lattice) -> Band:
     """Heights below and above everything over the lattice, infinite planes included [m]."""
     bounds = shapes.bounds()
     heights = [0.0] if bounds is None else [float(bounds[0, 2]), float(bounds[1, 2])]
     x0, y0, x1, y1 = lattice.bounds
     corners = np.array([[x0, y0], [x0, y1], [x1, y0], [x1, y1]])
-    for pos, normal in zip(planes.pos, planes.normal, strict=True):
+    for pos, normal in zip(shapes.planes.pos, shapes.planes.normal, strict=True):
         if abs(normal[2]) > 1e-6:
             heights.extend(pos[2] - (corners - pos[:2]) @ normal[:2] / normal[2])
     return Band(float(min(heights)) - 1.0, float(max(heights)) + 1.0)

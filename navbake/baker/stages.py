@@ -159,14 +159,9 @@ class Stages:
         with self.clock.stage("contents"):
             if not config.names.enabled and not config.rooms.sources:
                 return None
+            shapes = self.columns, self.tiled
             return find_contents(
-                self.doorless,
-                self.columns,
-                self.tiled,
-                floors,
-                occupied,
-                config.agent,
-                config.names,
+                self.doorless, *shapes, floors, occupied, config.agent, config.names
             )
 
     @cached_property

@@ -12,16 +12,12 @@ from navbake.errors import ConfigError
 
 @contextmanager
 def limit_threads(count: int | None) -> Iterator[None]:
-    """Run what is inside on at most `count` threads, >= 1; None changes nothing.
-
-    Raises:
-        ConfigError: `count` is less than 1.
-    """
+    """Run what is inside on at most `count` threads, or a ConfigError; None changes nothing."""
     before = numba.get_num_threads()
     if count is not None:
-        most = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
         if count < 1:
             raise ConfigError(f"expected a number of threads >= 1, got {count}")
+        most = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
         numba.set_num_threads(min(count, most))
     try:
         yield

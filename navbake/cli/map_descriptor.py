@@ -15,6 +15,8 @@ from navbake.errors import ConfigError, FormatError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+# Functions import what reads grids when they run: --help stays quick.
+
 
 class Squares(NamedTuple):
     """Options that lay the descriptor's squares over a level."""

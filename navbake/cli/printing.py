@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
-# rich is imported by functions: without it, --help starts a fifth sooner.
+# Functions import rich when they run: without it, --help starts a fifth sooner.
 if TYPE_CHECKING:
     from rich.table import Table
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import orjson
@@ -28,32 +28,21 @@ VALUES_PER_BYTE = 256  # house-100 at 0.05 m without names has 5
 
 @dataclass
 class Allowance:
-    """A limit on the memory that reading a file takes; what is read is subtracted.
+    """A limit on the memory that reading a file takes; what is read is subtracted."""
 
-    Attributes:
-        max_cells: how many cells all levels together may have.
-        cells: cells that further levels may have.
-        values: values that further arrays may have.
-        rule: why there are no more values, and what helps, for errors.
-    """
-
-    max_cells: int
-    cells: int
-    values: int
-    rule: tuple[str, str]
+    max_cells: int  # that all levels together may have
+    cells: int  # that further levels may have
+    values: int  # that further arrays may have
+    rule: tuple[str, str]  # why there are no more values, and what helps, for errors
 
     @classmethod
     def of_file(cls, num_bytes: int, max_cells: int | None) -> Allowance:
-        """The limit for a file.
+        """The limit for a file of so many bytes of JSON.
 
         Runs have any length, so a short file can claim any number of values. A file may have
         `FREE_VALUES`, and `VALUES_PER_BYTE` more for each of its bytes; files that navbake bakes
         stay far below. If the caller gives `max_cells`, only `VALUES_PER_CELL` times that number
         limits the values.
-
-        Args:
-            num_bytes: length of its JSON.
-            max_cells: the limit that the caller set, if any.
         """
         if max_cells is not None:
             rule = (f"than max_cells = {max_cells} allows", "raise max_cells if that is meant")
@@ -94,35 +83,34 @@ def decode_array(
 ) -> NDArray[Any]:
     """Read an array: an object with ``data``, or a bare list, which is raw.
 
-    ``null`` becomes `null` in raw data as in runs. (The original client does so in runs only
-    and leaves it as it is in raw data, where arithmetic takes it for 0.)
+    Of ``{"datatype", "length", "encoding", "data"}``, only ``data`` must be there; ``dataType``
+    is taken for ``datatype``. ``null`` becomes `null` in raw data as in runs. (The original
+    client does so in runs only and leaves it as it is in raw data, where arithmetic takes it
+    for 0.) Integers have none.
 
     Args:
-        value: what the file has: ``{"datatype", "length", "encoding", "data"}``, of which only
-            ``data`` must be there; ``dataType`` is taken for ``datatype``.
+        value: what the file has there.
         place: where in the file.
         shape: (height, width) of the level, one value a cell.
         allowance: what the file may still fill.
         default: the type that the metadata give for it; float64 if they don't either.
-        null: what ``null`` stands for in floats; integers have none.
-
-    Returns:
-        Shape (height, width), in the datatype that the file names.
-
-    Raises:
-        FormatError: it has another length, or a value that its datatype does not have.
+        null: what ``null`` stands for in floats.
     """
+    data_place = place if isinstance(value, list) else place["data"]
     if isinstance(value, list):
         value = {"data": value}
-        data_place = place
-    else:
-        data_place = place["data"]
     if not isinstance(value, dict):
         place.refuse("an array", value)
     if value.get("type") not in (None, "array"):
         place["type"].refuse("'array'", value["type"])
     dtype, num_cells = _read_datatype(value, place, default), math.prod(shape)
-    _check_length(value, place, num_cells, allowance)
+    if value.get("length") is not None:
+        length = whole_number(value["length"], place["length"], 0)
+        if length > allowance.max_cells:
+            place["length"].refuse(f"at most max_cells = {allowance.max_cells}", length)
+        if length != num_cells:
+            place["length"].refuse(f"{num_cells}, which is width × height", length)
+    allowance.take_values(num_cells, place)
     data = value.get("data", MISSING)
     if not isinstance(data, list):
         data_place.refuse("a list", data)
@@ -137,20 +125,10 @@ def decode_array(
 
 
 def encode_array(array: NDArray[Any], place: JsonPath) -> bytes:
-    """Write an array as the JSON list of its runs.
+    """Write an array as the JSON list of its runs, ``[value,count,value,count,…]``.
 
     NaN and infinities become ``null``, -0.0 becomes 0, whole floats lose their ".0", and a
     float32 gets its own shortest decimal.
-
-    Args:
-        array: any shape, of one of `DATATYPES`.
-        place: where in the file, for errors.
-
-    Returns:
-        ``[value,count,value,count,…]`` in JSON.
-
-    Raises:
-        FormatError: it has another dtype.
     """
     if array.dtype.name not in DATATYPES:
         place.fail(f"expected a dtype of {', '.join(DATATYPES)}, got {array.dtype}")
@@ -189,43 +167,26 @@ def _read_datatype(value: Json, place: JsonPath, default: object) -> np.dtype[An
     return np.dtype(name)
 
 
-def _check_length(value: Json, place: JsonPath, num_cells: int, allowance: Allowance) -> None:
-    if value.get("length") is not None:
-        length = whole_number(value["length"], place["length"], 0)
-        if length > allowance.max_cells:
-            place["length"].refuse(f"at most max_cells = {allowance.max_cells}", length)
-        if length != num_cells:
-            place["length"].refuse(f"{num_cells}, which is width × height", length)
-    allowance.take_values(num_cells, place)
-
-
 def _decode_runs(
     data: list[Any], place: JsonPath, num_cells: int, dtype: np.dtype[Any], null: float
 ) -> NDArray[Any]:
     if len(data) % 2:
         place.fail(f"expected pairs of value and count, got an odd number ({len(data)}) of entries")
-    counts = _to_float64(data[1::2], place, 2, 1, "a count, a whole number >= 0", (int, float))
+    expected = "a count, a whole number >= 0"
+    counts = _to_float64(data, place, slice(1, None, 2), expected, (int, float))
     bad = (counts < 0) | (counts != np.floor(counts))
     if bad.any():
         index = 2 * int(np.argmax(bad)) + 1
-        place[index].refuse("a count, a whole number >= 0", data[index])
+        place[index].refuse(expected, data[index])
     # checked before anything of that size is made: counts are as large as a file likes
-    total = counts.cumsum()
-    if total.size == 0 or total[-1] != num_cells:
-        _refuse_cover(data, total, place, num_cells)
+    is_over = counts.cumsum() > num_cells
+    if is_over.any():
+        run = int(np.argmax(is_over))
+        left, index = num_cells - int(counts[:run].sum()), 2 * run + 1
+        place[index].refuse(f"a count <= {left}, what the array has left", data[index])
+    if counts.sum() != num_cells:
+        place.fail(f"expected runs over {num_cells} cells, got runs over {int(counts.sum())}")
     return np.repeat(_cast(data, place, 2, dtype, null), counts.astype(np.int64))
-
-
-def _refuse_cover(data: list[Any], total: Float, place: JsonPath, num_cells: int) -> NoReturn:
-    """Raise for runs that don't end at the last cell; name the run that goes too far, if any."""
-    over = total > num_cells
-    if not over.any():
-        covered = int(total[-1]) if total.size else 0
-        place.fail(f"expected runs over {num_cells} cells, got runs over {covered}")
-    run = int(np.argmax(over))
-    before = int(total[run - 1]) if run else 0
-    index = 2 * run + 1
-    place[index].refuse(f"a count <= {num_cells - before}, what the array has left", data[index])
 
 
 def _cast(
@@ -233,7 +194,7 @@ def _cast(
 ) -> NDArray[Any]:
     """Turn every step-th entry into the dtype; raise for the first that does not fit."""
     kinds = (int, float, type(None)) if dtype.kind == "f" else (int, float)
-    values = _to_float64(data[::step], place, step, 0, f"a value of {dtype}", kinds)
+    values = _to_float64(data, place, slice(0, None, step), f"a value of {dtype}", kinds)
     if dtype.kind == "f":
         # JSON has no infinity, so one comes from a number beyond the dtype
         with np.errstate(over="ignore"):
@@ -250,15 +211,11 @@ def _cast(
 
 
 def _to_float64(
-    entries: list[Any],
-    place: JsonPath,
-    step: int,
-    offset: int,
-    expected: str,
-    kinds: tuple[type, ...],
+    data: list[Any], place: JsonPath, part: slice, expected: str, kinds: tuple[type, ...]
 ) -> Float:
-    """Turn a list of numbers and None (NaN) into an array; entry i stands at offset + i * step."""
+    """Turn a part of a list of numbers and None (NaN) into an array."""
+    entries = data[part]
     if not set(map(type, entries)) <= set(kinds):  # bool is no int here
-        index = next(i for i, entry in enumerate(entries) if type(entry) not in kinds)
-        place[offset + index * step].refuse(expected, entries[index])
+        index = next(i for i in range(len(data))[part] if type(data[i]) not in kinds)
+        place[index].refuse(expected, data[index])
     return np.array(entries, dtype=np.float64)

@@ -15,56 +15,42 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from os import PathLike
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
 from navbake.formats.bytes_file import read_bytes, read_header
+from navbake.types import Vector3
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import check_memory, check_three
 
-Layout = Literal["auto", "binvox", "airsim"]
+# Functions import kernels when they run: numba takes long to load.
+
+IdMapping: TypeAlias = Mapping[int, int] | Literal["compact"]
+Layout: TypeAlias = Literal["auto", "binvox", "airsim"]
 LAYOUTS = ("auto", "binvox", "airsim")
 VERSIONS = (1, 2)
 MOST = 255  # greatest value of a voxel
 NEAR = 1e-4  # relative; AirSim writes six digits
 
 
-@dataclass(frozen=True)
-class Header:
-    """What stands before the data.
-
-    Attributes:
-        version: 1 or 2.
-        dim: as stated: nx, nz, ny.
-        translate: shape (3,) [m].
-        scale: [m]; in AirSim's layout [1/m].
-        end: where the data begin in the file.
-    """
+class Header(NamedTuple):
+    """What stands before the data."""
 
     version: int
-    dim: tuple[int, int, int]
-    translate: tuple[float, float, float]
-    scale: float
-    end: int
+    dim: tuple[int, int, int]  # nx, nz, ny
+    translate: Vector3  # [m]
+    scale: float  # [m]; in AirSim's layout [1/m]
+    end: int  # where the data begin
 
 
-# ---------------------------------------------------------------- writing
+def with_mapping(grid: VoxelGrid, mapping: IdMapping | None) -> VoxelGrid:
+    """The grid with the IDs that binvox is to hold, 0 to 255.
 
-
-def with_mapping(
-    grid: VoxelGrid, mapping: Mapping[int, int] | Literal["compact"] | None
-) -> VoxelGrid:
-    """The grid with the IDs that binvox is to hold.
-
-    Args:
-        grid: the voxels.
-        mapping: what to write for each ID, 0 to 255; ``compact`` numbers the IDs that occur
-            from 1, in their order.
+    ``compact`` numbers the IDs that occur from 1, in their order.
 
     Raises:
         FormatError: the mapping isn't to 0 … 255, or leaves an ID out that occurs.
@@ -81,12 +67,10 @@ def with_mapping(
             raise FormatError(f"the mapping says nothing of ID {missing[0]}, which occurs")
     else:
         raise FormatError(f"expected a mapping of IDs, or 'compact', got {mapping!r}")
-    bad = next((new for new in ids.values() if not 0 <= new <= MOST), None)
-    if bad is not None:
-        raise FormatError(
-            f"binvox holds values up to {MOST}, and the mapping has {bad}"
-            + (f": {len(present)} IDs occur; write .npz" if mapping == "compact" else "")
-        )
+    bad = [new for new in ids.values() if not 0 <= new <= MOST]
+    if bad:
+        remedy = f": {len(present)} IDs occur; write .npz" if mapping == "compact" else ""
+        raise FormatError(f"binvox holds values up to {MOST}, and the mapping has {bad[0]}{remedy}")
     return grid.with_ids(ids)
 
 
@@ -101,19 +85,15 @@ def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox
     Raises:
         FormatError: there are IDs above 255.
     """
-    from navbake.formats.kernels.runs import encode_runs
+    from navbake.formats.kernels.runs import encode_runs  # numba loads slowly
 
-    values = _as_bytes(grid)
-    sizes = [n * grid.res for n in grid.shape]
-    if layout == "airsim":
-        order = values[:, ::-1].transpose(1, 2, 0)  # east, up, north; east is -y
-        translate, scale = [-size / 2 for size in sizes], 1.0 / sizes[0]
-    elif layout == "binvox":
-        order = values.transpose(0, 2, 1)
-        translate, scale = list(grid.origin), grid.res * max(grid.shape)
-    else:
+    if layout not in LAYOUTS[1:]:
         raise FormatError(f"expected layout binvox or airsim, got {layout!r}")
+    order = _in_file_order(_as_bytes(grid), layout == "airsim")
     nx, ny, nz = grid.shape
+    translate, scale = list(grid.origin), grid.res * max(grid.shape)
+    if layout == "airsim":
+        translate, scale = [-n * grid.res / 2 for n in grid.shape], 1.0 / (nx * grid.res)
     header = (
         f"#binvox {2 if grid.is_segmented else 1}\ndim {nx} {nz} {ny}\n"
         f"translate {' '.join(_text(t) for t in translate)}\nscale {_text(scale)}\ndata\n"
@@ -121,6 +101,13 @@ def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox
     pairs = np.empty(encode_runs(order, np.empty(0, np.uint8)), np.uint8)
     encode_runs(order, pairs)
     return header.encode() + pairs.tobytes()
+
+
+def _in_file_order(values: NDArray[np.uint8], is_airsim: bool) -> NDArray[np.uint8]:
+    """A view in which the file's voxels follow each other, so that filling it fills `values`."""
+    if is_airsim:
+        return values[:, ::-1].transpose(1, 2, 0)  # east, up, north; east is -y
+    return values.transpose(0, 2, 1)
 
 
 def _as_bytes(grid: VoxelGrid) -> NDArray[np.uint8]:
@@ -133,16 +120,13 @@ def _as_bytes(grid: VoxelGrid) -> NDArray[np.uint8]:
             f"or give a mapping ('compact', --compact, numbers the {len(grid.ids())} IDs "
             f"that occur from 1)"
         )
-    return np.asarray(grid.values.astype(np.uint8, copy=False))
+    values: NDArray[np.uint8] = grid.values.astype(np.uint8, copy=False)
+    return values
 
 
 def _text(value: float) -> str:
     """A number to 12 decimals, so that a multiple of the edge is written without its rounding."""
-    rounded = round(value, 12)
-    return repr(rounded + 0.0) if rounded else "0.0"
-
-
-# ---------------------------------------------------------------- reading
+    return repr(round(value, 12) + 0.0)  # + 0.0: without a minus before 0
 
 
 def read_binvox(
@@ -154,9 +138,9 @@ def read_binvox(
 ) -> VoxelGrid:
     """Read a binvox file, versions 1 and 2.
 
-    Empty runs, and comment lines in the header, are skipped. Version 1 gives True
-    and False, version 2 IDs as uint8, and so does a version 1 with other values than 0 and 1, as
-    segmenting simulators write it.
+    Empty runs, and comment lines in the header, are skipped. Version 1 gives True and False,
+    version 2 IDs as uint8, and so does a version 1 with other values than 0 and 1, as segmenting
+    simulators write it.
 
     Args:
         source: a path, or a file's content.
@@ -179,25 +163,20 @@ def read_binvox(
     check_memory((nx, ny, nz), 1)
     is_airsim = layout == "airsim" or (layout == "auto" and _looks_like_airsim(header))
     values = np.zeros((nx, ny, nz), dtype=np.uint8)
-    # a view in the file's order, so that filling it writes to the world's
-    order = values[:, ::-1].transpose(1, 2, 0) if is_airsim else values.transpose(0, 2, 1)
-    _fill(order, data, header, name)
+    _fill(_in_file_order(values, is_airsim), data, header, name)
     notes = []
     if header.version == 1 and values.max() > 1:
         notes.append(f"{name}: version 1 with values above 1, read as IDs")
     elif header.version == 1:
         values = values.view(np.bool_)
-    if not is_airsim:
-        edge = header.scale / max(header.dim)
-        return VoxelGrid(values=values, origin=header.translate, res=edge, notes=notes)
-    edge, assumed = _airsim_edge(header, res, name)
-    first = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * edge  # its middle
-    center = check_three(position, "the position to be x, y, z [m]")
-    low = center + first - edge / 2
-    around = ", ".join(f"{p:g}" for p in center)
-    notes.append(f"{assumed}, round ({around})")
-    values = np.ascontiguousarray(values)
-    return VoxelGrid(values=values, origin=(low[0], low[1], low[2]), res=edge, notes=notes)
+    edge, origin = header.scale / max(header.dim), header.translate
+    if is_airsim:
+        edge, assumed = _airsim_edge(header, res, name)
+        first = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * edge  # its middle
+        center = check_three(position, "the position to be x, y, z [m]")
+        origin = tuple((center + first - edge / 2).tolist())
+        notes.append(f"{assumed}, round ({', '.join(f'{p:g}' for p in center)})")
+    return VoxelGrid(values=values, origin=origin, res=edge, notes=notes)
 
 
 def _airsim_edge(header: Header, res: float | None, source: str) -> tuple[float, str]:
@@ -241,18 +220,17 @@ def _fill(order: NDArray[np.uint8], data: bytes, header: Header, source: str) ->
     held = int(decode_runs(pairs, order))
     if held != order.size or len(pairs) % 2:
         found = "half a run" if len(pairs) % 2 else f"{held} voxels"
-        more = "too many" if held > order.size else "too few"
-        raise FormatError(
-            f"expected runs of {order.size} voxels in {source} (dim "
-            f"{' '.join(map(str, header.dim))}), got {found}"
-            + ("" if len(pairs) % 2 and held == order.size else f": {more}")
-        )
+        if held != order.size:
+            found += ": too many" if held > order.size else ": too few"
+        where = f"{source} (dim {' '.join(map(str, header.dim))})"
+        raise FormatError(f"expected runs of {order.size} voxels in {where}, got {found}")
 
 
 def _read_header(data: bytes, source: str) -> Header:
     if not data.startswith(b"#binvox"):
         raise FormatError(f"expected a binvox file that begins with #binvox, got {source}")
     lines, end = read_header(data, source)
+    lines = {"translate": ["0"] * 3, "scale": ["1"]} | lines  # both may be missing
     lines["version"] = lines.pop("#binvox", [])
     known = {"version", "dim", "translate", "scale", ""}
     unknown = sorted(name for name in lines if name not in known and not name.startswith("#"))
@@ -264,17 +242,15 @@ def _read_header(data: bytes, source: str) -> Header:
     nx, nz, ny = _numbers(lines, "dim", 3, int, source)
     if min(nx, nz, ny) < 1:
         raise FormatError(f"expected `dim` of numbers >= 1, got {[nx, nz, ny]} in {source}")
-    x, y, z = _numbers({"translate": ["0"] * 3} | lines, "translate", 3, float, source)
-    (scale,) = _numbers({"scale": ["1"]} | lines, "scale", 1, float, source)
+    x, y, z = _numbers(lines, "translate", 3, float, source)
+    (scale,) = _numbers(lines, "scale", 1, float, source)
     if not scale > 0:
         raise FormatError(f"expected `scale` > 0, got {scale:g} in {source}")
     return Header(version, (nx, nz, ny), (x, y, z), scale, end)
 
 
-def _numbers(
-    lines: Mapping[str, list[str]], name: str, count: int, kind: type, source: str
-) -> list[Any]:
-    """The numbers of a line of the header."""
+def _numbers(lines: dict[str, list[str]], name: str, count: int, kind: type, source: str) -> Any:
+    """The numbers of a line of the header, a list."""
     if name not in lines:
         raise FormatError(f"no line `{name}` in the header of {source}")
     words = lines[name]

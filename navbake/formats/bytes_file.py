@@ -4,38 +4,22 @@ from __future__ import annotations
 
 import os
 from os import PathLike
-from pathlib import Path
 
 from navbake.errors import FormatError
 from navbake.files import write_whole
-from navbake.formats.source import os_message, path_name
+from navbake.formats.source import open_source, os_message, path_name
 
 HEADER_LIMIT = 65536  # longest header, comments included [bytes]
 
 
 def read_bytes(source: str | PathLike[str] | bytes) -> tuple[bytes, str]:
-    """Read a file whole, if it isn't given already.
-
-    Returns:
-        The file's content, and its name for messages.
-
-    Raises:
-        FormatError: it can't be read.
-    """
-    if isinstance(source, bytes):
-        return source, "the bytes given"
-    try:
-        return Path(source).read_bytes(), str(source)
-    except (OSError, ValueError) as error:  # ValueError: a path with a NUL
-        raise FormatError(f"cannot read {path_name(source)}: {os_message(error)}") from error
+    """Read a file whole, if it isn't given already: its content, and its name for messages."""
+    with open_source(source) as (file, name):
+        return file.read(), name
 
 
 def write_bytes(data: bytes, path: str | PathLike[str]) -> None:
-    """Write a file as a whole or not at all: under another name first, which is then changed.
-
-    Raises:
-        FormatError: it can't be written.
-    """
+    """Write a file as a whole or not at all, with the system's errors as FormatErrors."""
     try:
         write_whole(data, path)
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL
@@ -48,16 +32,9 @@ def write_bytes(data: bytes, path: str | PathLike[str]) -> None:
 def read_header(data: bytes, source: str) -> tuple[dict[str, list[str]], int]:
     """Read the lines of text that stand before the data of a voxel file.
 
-    Args:
-        data: the file.
-        source: its name, for messages.
-
     Returns:
         The further words of each line by its first word, comments (``#``) included; and where the
         data begin, after the line ``data``.
-
-    Raises:
-        FormatError: no line ``data`` ends the header.
     """
     lines: dict[str, list[str]] = {}
     start = 0

@@ -23,23 +23,18 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
 
     Coordinates are world x, y in metres; a third one is left out. Of the properties, ``name``
     (text) and ``level`` (a number from 0, or a name; 0 if missing) count. A MultiPolygon is one
-    room. Rings may be closed or not.
+    room. Rings may be closed or not. Errors name the feature.
 
     Returns:
         ``name``, ``level``, ``points`` (the first outline) and ``rings`` (holes and further
         parts) of each.
-
-    Raises:
-        FormatError: the file can't be read, is no GeoJSON, or holds something else than
-            polygons; the message names the feature.
     """
     content = _parse(Path(path))
     kind = content.get("type") if isinstance(content, dict) else None
-    if kind == "FeatureCollection" and isinstance(content.get("features"), list):
-        features = content["features"]
-    elif kind == "Feature":
-        features = [content]
-    else:
+    features = [content] if kind == "Feature" else None
+    if kind == "FeatureCollection":
+        features = content.get("features")
+    if not isinstance(features, list):
         raise FormatError(f"expected a GeoJSON FeatureCollection in {path}, got {_shown(kind)}")
     return [_read_feature(feature, number, path) for number, feature in enumerate(features)]
 
@@ -71,10 +66,8 @@ def _read_feature(feature: Any, number: int, path: str | os.PathLike[str]) -> Js
         level = int(level)
     is_number = isinstance(level, int) and not isinstance(level, bool) and level >= 0
     if not is_number and not (isinstance(level, str) and level):
-        raise FormatError(
-            f"expected a level's number from 0, or its name, at `properties.level`, "
-            f"got {_shown(level)} in {where}"
-        )
+        expected = "a level's number from 0, or its name, at `properties.level`"
+        raise FormatError(f"expected {expected}, got {_shown(level)} in {where}")
     rings = [_read_ring(ring, where) for polygon in _polygons(feature, where) for ring in polygon]
     if not rings:
         raise FormatError(f"expected an outline, got none in {where}")
@@ -83,8 +76,8 @@ def _read_feature(feature: Any, number: int, path: str | os.PathLike[str]) -> Js
 
 def _polygons(feature: Json, where: str) -> list[list[Any]]:
     geometry = feature.get("geometry")
-    kind = geometry.get("type") if isinstance(geometry, dict) else None
-    coordinates = geometry.get("coordinates") if isinstance(geometry, dict) else None
+    geometry = geometry if isinstance(geometry, dict) else {}
+    kind, coordinates = geometry.get("type"), geometry.get("coordinates")
     if kind not in ("Polygon", "MultiPolygon"):
         raise FormatError(f"expected a Polygon or MultiPolygon, got {_shown(kind)} in {where}")
     polygons = [coordinates] if kind == "Polygon" else coordinates
@@ -94,25 +87,21 @@ def _polygons(feature: Json, where: str) -> list[list[Any]]:
 
 
 def _read_ring(ring: Any, where: str) -> Ring:
-    if not isinstance(ring, list) or not all(_is_position(position) for position in ring):
+    if not isinstance(ring, list) or not all(map(_is_position, ring)):
         raise FormatError(f"expected a ring of positions [x, y] in {where}")
-    points = [[float(position[0]), float(position[1])] for position in ring]
+    points = [[float(x), float(y)] for x, y, *_ in ring]
     if len(points) > 1 and points[0] == points[-1]:
         points.pop()
     if len(points) < 3:
         raise FormatError(f"expected a ring of 3 corners or more, got {len(points)} in {where}")
-    fault = find_fault(points)
-    if fault:
+    if fault := find_fault(points):
         raise FormatError(f"expected a simple outline, got {fault} in {where}")
     return points
 
 
 def _is_position(value: Any) -> bool:
-    return (
-        isinstance(value, list)
-        and len(value) >= 2
-        and all(type(v) in (int, float) and math.isfinite(v) for v in value[:2])
-    )
+    is_list = isinstance(value, list) and len(value) >= 2
+    return is_list and all(type(v) in (int, float) and math.isfinite(v) for v in value[:2])
 
 
 def _shown(value: Any) -> str:

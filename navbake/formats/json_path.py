@@ -37,15 +37,10 @@ def shown(value: object) -> str:
 
 @dataclass(frozen=True)
 class JsonPath:
-    """A location in a file, as errors name it.
-
-    Attributes:
-        file: the file's name.
-        path: the JSON path inside, as in ``grids[1].weights.data[17]``; "" for the top.
-    """
+    """A location in a file, as errors name it."""
 
     file: str
-    path: str = ""
+    path: str = ""  # as in ``grids[1].weights.data[17]``; "" for the top
 
     def __getitem__(self, key: str | int) -> JsonPath:
         if isinstance(key, int):

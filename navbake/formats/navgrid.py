@@ -62,10 +62,16 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
     allowance = Allowance.of_file(len(content_bytes), max_cells)
     kind = content.get("type", MISSING)
     if kind == "SceneGrid2D":
-        return _check_own(_read_level(content, top, allowance, {}, {}), top)
-    if kind == "MultiLevelGrid":
-        return _check_own(_read_levels(content, top, allowance), top)
-    top["type"].refuse("'SceneGrid2D' or 'MultiLevelGrid'", kind)
+        grid: NavGrid = _read_level(content, top, allowance, {}, {})
+    elif kind == "MultiLevelGrid":
+        grid = _read_levels(content, top, allowance)
+    else:
+        top["type"].refuse("'SceneGrid2D' or 'MultiLevelGrid'", kind)
+    try:
+        _ = grid.link_array, grid.doors, grid.stated_rooms  # checks them
+    except FormatError as error:
+        raise FormatError(f"{error} in {top.file}") from None
+    return grid
 
 
 def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
@@ -112,10 +118,10 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
             ],
             "timings": plain(grid.timings, top["timings"]),
         } | _extra(grid.extra, MULTI_FIELDS, top)
-    return _dump(fields, top) + b"\n"
-
-
-# Reading
+    try:  # OPT_SERIALIZE_NUMPY for np.float64 alone
+        return orjson.dumps(fields, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_APPEND_NEWLINE)
+    except orjson.JSONEncodeError as error:  # an integer of over 64 bits, half a surrogate
+        raise FormatError(f"cannot write the grid as JSON: {error}") from error
 
 
 def _read_levels(content: Json, top: JsonPath, allowance: Allowance) -> MultiLevelGrid:
@@ -143,15 +149,6 @@ def _read_levels(content: Json, top: JsonPath, allowance: Allowance) -> MultiLev
     )
 
 
-def _check_own(grid: NavGrid, top: JsonPath) -> NavGrid:
-    """Check navbake's part of the metadata: links, rooms, doors."""
-    try:
-        _ = grid.link_array, grid.doors, grid.stated_rooms
-    except FormatError as error:
-        raise FormatError(f"{error} in {top.file}") from None
-    return grid
-
-
 def _read_level(
     content: Json, place: JsonPath, allowance: Allowance, inherited: Json, metadata: Json
 ) -> SceneGrid2D:
@@ -159,17 +156,15 @@ def _read_level(
     width = whole_number(content.get("width", MISSING), place["width"], 1)
     height = whole_number(content.get("height", MISSING), place["height"], 1)
     allowance.take_cells(width * height, place)
-    cell_size = _inherit(content, "cellSize", inherited, MISSING, place)
-    unit = _inherit(content, "unit", inherited, 1, place)
     shape = height, width
     attributes = _read_attributes(content, place, shape, allowance, own_metadata)
     return SceneGrid2D(
         width=width,
         height=height,
-        cell_size=cell_size,
+        cell_size=_inherit(content, "cellSize", inherited, MISSING, place),
         min_yup=vector(content.get("min", MISSING), place["min"]),
         bbox_yup=_read_bbox(content, place["bbox"]),
-        unit=unit,
+        unit=_inherit(content, "unit", inherited, 1, place),
         weights=_read_weights(content, place, shape, allowance, attributes),
         attributes=attributes,
         user_data=read_user_data(content.get("userData"), place["userData"], width * height),
@@ -188,17 +183,14 @@ def _inherit(content: Json, key: str, inherited: Json, default: object, place: J
 
 def _read_metadata(content: Json, place: JsonPath) -> Json:
     metadata = _optional(content, "metadata", place)
-    place = place["metadata"]
-    _optional(metadata, "navbake", place)
-    entries = metadata.get("cellAttributes")
-    if entries is not None:
-        if not isinstance(entries, list):
-            place["cellAttributes"].refuse("a list", entries)
-        for i, entry in enumerate(entries):
-            where = place["cellAttributes"][i]
-            name = json_object(entry, where).get("name", MISSING)
-            if not isinstance(name, str):
-                where["name"].refuse("a string", name)
+    _optional(metadata, "navbake", place["metadata"])
+    entries, place = metadata.get("cellAttributes"), place["metadata"]["cellAttributes"]
+    if not isinstance(entries, list | None):
+        place.refuse("a list", entries)
+    for i, entry in enumerate(entries or []):
+        name = json_object(entry, place[i]).get("name", MISSING)
+        if not isinstance(name, str):
+            place[i]["name"].refuse("a string", name)
     return metadata
 
 
@@ -232,9 +224,8 @@ def _read_weights(
 def _read_bbox(content: Json, place: JsonPath) -> tuple[Vector3, Vector3] | None:
     if content.get("bbox") is None:
         return None
-    box = json_object(content["bbox"], place)
-    low, high = (vector(box.get(key, MISSING), place[key]) for key in ("min", "max"))
-    return low, high
+    low, high = (json_object(content["bbox"], place).get(key, MISSING) for key in ("min", "max"))
+    return vector(low, place["min"]), vector(high, place["max"])
 
 
 def _optional(content: Json, key: str, place: JsonPath) -> Json:
@@ -247,19 +238,16 @@ def _unknown(content: Json, known: tuple[str, ...], place: JsonPath) -> Json:
     return {key: plain(content[key], place[key]) for key in content if key not in known}
 
 
-# Writing
-
-
 def _level_fields(grid: SceneGrid2D, place: JsonPath, metadata: Json | None) -> Json:
     fields: Json = {"type": "SceneGrid2D"}
     if metadata is not None:
         fields["metadata"] = _metadata(grid, place)
     attributes = place["tileAttributes"]
     fields |= {
-        "weights": _runs(grid, grid.weights.astype(np.float64, copy=False), place["weights"]),
+        "weights": _runs(grid.weights.astype(np.float64, copy=False), grid.shape, place["weights"]),
         "userData": encode_user_data(grid, place["userData"]),
         "tileAttributes": {
-            name: _runs(grid, array, attributes[name], array.dtype.name)
+            name: _runs(array, grid.shape, attributes[name], datatype=array.dtype.name)
             for name, array in grid.attributes.items()
         },
         "width": whole_number(int(grid.width), place["width"], 1),
@@ -269,8 +257,8 @@ def _level_fields(grid: SceneGrid2D, place: JsonPath, metadata: Json | None) -> 
         "unit": number(grid.unit, place["unit"], positive=True),
     }
     if grid.bbox_yup is not None:
-        corners = zip(("min", "max"), grid.bbox_yup, strict=True)
-        fields["bbox"] = {key: _vector(v, place["bbox"][key]) for key, v in corners}
+        (low, high), box = grid.bbox_yup, place["bbox"]
+        fields["bbox"] = {"min": _vector(low, box["min"]), "max": _vector(high, box["max"])}
     fields["timings"] = plain(grid.timings, place["timings"])
     return fields | _extra(grid.extra, SCENE_FIELDS, place)
 
@@ -279,13 +267,10 @@ def _vector(values: Vector3, place: JsonPath) -> list[float]:
     return [number(value, place[i]) for i, value in enumerate(values)]
 
 
-def _runs(
-    grid: SceneGrid2D, array: NDArray[Any], place: JsonPath, datatype: str | None = None
-) -> Json:
-    if array.shape != grid.shape:
-        place.fail(f"expected shape (height, width) = {grid.shape}, got {array.shape}")
+def _runs(array: NDArray[Any], shape: Shape, place: JsonPath, **stated: str) -> Json:
+    if array.shape != shape:
+        place.fail(f"expected shape (height, width) = {shape}, got {array.shape}")
     data = orjson.Fragment(encode_array(array, place["data"]))
-    stated = {} if datatype is None else {"datatype": datatype}
     return {"type": "array", **stated, "length": array.size, "encoding": "rle", "data": data}
 
 
@@ -312,10 +297,3 @@ def _extra(extra: Json, known: tuple[str, ...], place: JsonPath) -> Json:
         if key in extra:
             place[key].fail("extra fields can't stand in for one of the format's own")
     return {key: plain(extra[key], place[key]) for key in extra}
-
-
-def _dump(fields: Json, top: JsonPath) -> bytes:
-    try:
-        return orjson.dumps(fields, option=orjson.OPT_SERIALIZE_NUMPY)  # for np.float64 alone
-    except orjson.JSONEncodeError as error:  # an integer of over 64 bits, half a surrogate
-        raise FormatError(f"cannot write the grid as JSON: {error}") from error

@@ -38,20 +38,16 @@ def encode_npz(grid: VoxelGrid) -> bytes:
 
 
 def read_npz(path: str | PathLike[str]) -> VoxelGrid:
-    """Read voxels from a ``.npz`` that `encode_npz` made.
-
-    Raises:
-        FormatError: it is no such archive, or broken.
-    """
+    """Read voxels from a ``.npz`` that `encode_npz` made."""
     data, _ = read_bytes(path)
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
     except Exception as error:  # a broken archive raises whatever zipfile, zlib and numpy raise
         raise FormatError(f"expected a .npz of voxels, {path} can't be read: {error}") from error
-    missing = [name for name in ("values", "origin", "res") if name not in arrays]
-    if missing:
-        raise FormatError(f"expected voxels in {path}, it has no array `{missing[0]}`")
+    for name in ("values", "origin", "res"):
+        if name not in arrays:
+            raise FormatError(f"expected voxels in {path}, it has no array `{name}`")
     try:
         ids, names = arrays.get("ids", np.zeros(0)), arrays.get("names", np.zeros(0))
         table = {int(i): str(n) for i, n in zip(ids.tolist(), names.tolist(), strict=True)}

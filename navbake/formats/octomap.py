@@ -11,10 +11,9 @@ order of the nodes, and the log-odds of what is certain.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import partial
 from os import PathLike
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +22,9 @@ from navbake.errors import FormatError
 from navbake.formats.bytes_file import read_bytes, read_header
 from navbake.types import Int, Int32
 from navbake.voxels.grid import VoxelGrid
-from navbake.voxels.placement import check_memory
+from navbake.voxels.placement import check_memory, finite_array
+
+# Functions import kernels when they run: numba takes long to load.
 
 DEPTH = 16
 CENTER = 2 ** (DEPTH - 1)  # key of the world's origin
@@ -34,8 +35,7 @@ OFF = 1e-3  # of a voxel: what a grid may lie off the tree's lattice
 # OctoMap's clamping thresholds: the log-odds of what is certainly free or occupied
 FREE_ODDS, OCCUPIED_ODDS = (math.log(p / (1 - p)) for p in (0.1192, 0.971))
 
-
-# ---------------------------------------------------------------- writing
+Box = tuple[Int, tuple[int, int, int]]  # first key along each axis, and counts of voxels
 
 
 def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
@@ -49,22 +49,19 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     Raises:
         FormatError: the grid doesn't lie on the tree's lattice, or reaches beyond it.
     """
-    from navbake.formats.kernels.octree import write_odds, write_tree
+    from navbake.formats.kernels.octree import write_odds, write_tree  # numba loads slowly
 
     if kind not in FIRST_LINES:
         raise FormatError(f"expected an octree as bt or ot, got {kind!r}")
     first = _first_key(grid)
     levels = _build_pyramid(grid, first, free)
-    none = np.empty(0, np.uint8)
-    if kind == "bt":
-        num_bytes, num_nodes = write_tree(levels, first, none)
-        nodes = np.empty(num_bytes, np.uint8)
-        write_tree(levels, first, nodes)
-    else:
+    write: Any = write_tree
+    if kind == "ot":
         odds = np.array([0.0, FREE_ODDS, OCCUPIED_ODDS], dtype="<f4").view(np.uint8).reshape(3, 4)
-        num_bytes, num_nodes = write_odds(levels, first, odds, none)
-        nodes = np.empty(num_bytes, np.uint8)
-        write_odds(levels, first, odds, nodes)
+        write = partial(write_odds, odds)
+    num_bytes, num_nodes = write(levels, first, np.empty(0, np.uint8))
+    nodes = np.empty(num_bytes, np.uint8)
+    write(levels, first, nodes)
     header = (
         f"{FIRST_LINES[kind]}\n{COMMENT}\nid OcTree\nsize {num_nodes}\n"
         f"res {_text(grid.res)}\ndata\n"
@@ -74,17 +71,17 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
 
 def _build_pyramid(grid: VoxelGrid, first: Int, free: bool) -> tuple[NDArray[np.uint8], ...]:
     """The states of all nodes over the grid, from the voxels up to the root."""
-    from navbake.formats.kernels.octree import join_states, state_voxels
+    from navbake.formats.kernels.octree import OCCUPIED, join_states
 
-    known = np.zeros((0, 0, 0), dtype=np.bool_) if grid.known is None else grid.known
-    states = np.empty(grid.shape, np.uint8)
-    state_voxels(grid.occupied, known, free, states)
-    levels: list[NDArray[np.uint8]] = [states]
+    states = grid.occupied.astype(np.uint8)
+    states *= OCCUPIED
+    if free:  # the numbers of the states ascend: UNKNOWN, FREE, OCCUPIED
+        np.maximum(states, True if grid.known is None else grid.known, out=states)
+    levels = [states]
     # level k has the nodes from `first >> k` to `last >> k`, whole multiples of 2**k voxels
     last = first + np.array(grid.shape) - 1
     for level in range(1, DEPTH + 1):
-        shape = (last >> level) - (first >> level) + 1
-        above = np.empty(tuple(int(n) for n in shape), np.uint8)
+        above = np.empty((last >> level) - (first >> level) + 1, np.uint8)
         join_states(levels[-1], first >> (level - 1), above)
         levels.append(above)
     return tuple(levels)
@@ -94,18 +91,18 @@ def _first_key(grid: VoxelGrid) -> Int:
     """The tree's key of the first voxel along each axis."""
     place = np.array(grid.origin) / grid.res
     whole = np.round(place)
-    off = np.abs(place - whole).max() * grid.res
-    if off > OFF * grid.res:
+    off = np.abs(place - whole).max()
+    if off > OFF:
         raise FormatError(
             f"an octree's voxels lie on whole multiples of their edge {grid.res:g} m, and this "
-            f"grid's lower corner ({', '.join(f'{c:g}' for c in grid.origin)}) is {off:.3g} m off: "
-            f"make the grid with align=True (--align)"
+            f"grid's lower corner ({', '.join(f'{c:g}' for c in grid.origin)}) is "
+            f"{off * grid.res:.3g} m off: make the grid with align=True (--align)"
         )
     if (np.abs(whole) > CENTER).any() or (np.abs(whole + grid.shape) > CENTER).any():
-        reach = CENTER * grid.res
         raise FormatError(
-            f"an octree reaches {reach:g} m from the origin with voxels of {grid.res:g} m, and "
-            f"this grid goes beyond: expected larger voxels or a grid nearer to the origin"
+            f"an octree reaches {CENTER * grid.res:g} m from the origin with voxels of "
+            f"{grid.res:g} m, and this grid goes beyond: expected larger voxels or a grid nearer "
+            f"to the origin"
         )
     return np.asarray(whole.astype(np.int64) + CENTER)
 
@@ -116,15 +113,11 @@ def _text(res: float) -> str:
     return short if math.isclose(float(short), res, rel_tol=1e-12) else repr(res)
 
 
-# ---------------------------------------------------------------- reading
-
-
-@dataclass(frozen=True)
-class _Header:
+class _Header(NamedTuple):
     kind: str
-    size: int
+    size: int  # number of nodes, as stated
     res: float
-    end: int
+    end: int  # where the data begin
 
 
 def read_octomap(
@@ -143,26 +136,18 @@ def read_octomap(
         FormatError: it is no such file, or broken.
         ConfigError: the grid would need more memory than there is.
     """
-    from navbake.formats.kernels.octree import fill_leaves  # numba takes a while to load
+    from navbake.formats.kernels.octree import fill_leaves
 
     data, name = read_bytes(source)
     header = _read_header(data, name)
     leaves, notes = _read_leaves(data, header, name)
-    if bounds is None:
-        first, shape = _box_leaves(leaves)
-    else:
-        first, shape = _box_keys(bounds, header.res)
+    first, shape = _box_leaves(leaves) if bounds is None else _box_keys(bounds, header.res)
     check_memory(shape, 2)
     values, known = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
     fill_leaves(leaves, first, values, known)
-    x, y, z = ((first - CENTER) * header.res).tolist()
-    return VoxelGrid(
-        values=values,
-        origin=(x, y, z),
-        res=header.res,
-        known=None if known.all() else known,
-        notes=notes,
-    )
+    origin = tuple(((first - CENTER) * header.res).tolist())
+    unsure = None if known.all() else known
+    return VoxelGrid(values=values, origin=origin, res=header.res, known=unsure, notes=notes)
 
 
 def _read_leaves(data: bytes, header: _Header, source: str) -> tuple[Int32, list[str]]:
@@ -177,15 +162,14 @@ def _read_leaves(data: bytes, header: _Header, source: str) -> tuple[Int32, list
         whole = nodes[: len(nodes) // 5 * 5].reshape(-1, 5)
         odds = np.ascontiguousarray(whole[:, :4]).view("<f4").ravel()
         read = partial(read_odds, odds)
-    # counted first: what the header says may be wrong
+    # leaves are counted first: the size in the header may be wrong
     num_leaves, num_bytes, num_nodes = read(nodes, empty)
     if num_leaves < 0:
         what = "a tree deeper than 16" if num_leaves == TOO_DEEP else "an end within the tree"
         raise FormatError(f"expected {header.size} nodes in {source}, got {what}")
     if num_bytes != len(nodes):
-        raise FormatError(
-            f"expected {num_bytes} bytes of nodes in {source}, got {len(nodes)}: data run over"
-        )
+        got = f"got {len(nodes)}: data run over"
+        raise FormatError(f"expected {num_bytes} bytes of nodes in {source}, {got}")
     leaves = np.empty((num_leaves, 5), np.int32)
     read(nodes, leaves)
     if num_nodes != header.size:
@@ -193,33 +177,28 @@ def _read_leaves(data: bytes, header: _Header, source: str) -> tuple[Int32, list
     return leaves, []
 
 
-def _box_leaves(leaves: Int32) -> tuple[Int, tuple[int, int, int]]:
-    """The keys that leaves cover: the first along each axis, and how many."""
+def _box_leaves(leaves: Int32) -> Box:
+    """The box of all leaves; a single voxel if there are none."""
     if not len(leaves):
         return np.full(3, CENTER), (1, 1, 1)
-    first = leaves[:, :3].min(axis=0).astype(np.int64)
-    end = (leaves[:, :3].astype(np.int64) + (1 << leaves[:, 3:4].astype(np.int64))).max(axis=0)
-    nx, ny, nz = (end - first).tolist()
+    low = leaves[:, :3].astype(np.int64)
+    first = low.min(axis=0)
+    nx, ny, nz = ((low + (1 << leaves[:, 3:4])).max(axis=0) - first).tolist()
     return first, (nx, ny, nz)
 
 
-def _box_keys(bounds: ArrayLike, res: float) -> tuple[Int, tuple[int, int, int]]:
-    try:
-        box = np.asarray(bounds, dtype=np.float64)
-    except (TypeError, ValueError):
-        box = np.empty(0)
-    if box.shape != (2, 3) or not np.isfinite(box).all() or not (box[0] < box[1]).all():
+def _box_keys(bounds: ArrayLike, res: float) -> Box:
+    """The box that a user asked for, (2, 3) [m]; voxels that it reaches into by a hair are out."""
+    box = finite_array(bounds, (2, 3))
+    if box is None or not (box[0] < box[1]).all():
         raise FormatError(f"expected bounds as (lower, upper) corner [m], got {bounds!r}")
     place = np.clip(box / res + CENTER, -1.0, 2.0 * CENTER + 1.0)  # whole numbers hold no more
     first = np.clip(np.floor(place[0] + OFF), 0, None).astype(np.int64)
     end = np.clip(np.ceil(place[1] - OFF), None, 2 * CENTER).astype(np.int64)
     end = np.where(end == first, first + 1, end)  # a box within a hair of a face
     if (end <= first).any() or (end > 2 * CENTER).any():
-        reach = CENTER * res
-        raise FormatError(
-            f"expected bounds within {reach:g} m of the origin, where the tree reaches, "
-            f"got {box.tolist()}"
-        )
+        expected = f"bounds within {CENTER * res:g} m of the origin, where the tree reaches"
+        raise FormatError(f"expected {expected}, got {box.tolist()}")
     nx, ny, nz = (end - first).tolist()
     return first, (nx, ny, nz)
 
@@ -240,10 +219,8 @@ def _number(fields: dict[str, str], name: str, source: str) -> float:
     try:
         number = float(fields[name])
     except (KeyError, ValueError):
-        number = math.nan
+        number = math.nan  # refused below
     if not math.isfinite(number) or number < 0 or (name == "res" and number == 0):
-        raise FormatError(
-            f"expected a number > 0 at `{name}` in the header of {source}, "
-            f"got {fields.get(name, 'none')!r}"
-        )
+        got = repr(fields.get(name, "none"))
+        raise FormatError(f"expected a number > 0 at `{name}` in the header of {source}, got {got}")
     return number

@@ -28,11 +28,8 @@ def read_source(source: Source) -> tuple[bytes, JsonPath]:
 
     Returns:
         Its content without a byte order mark, and the place that errors name for it.
-
-    Raises:
-        FormatError: it can't be read, is longer than such a file may be, or is no JSON object.
     """
-    with _open(source) as (stream, name):
+    with open_source(source) as (stream, name):
         top = JsonPath(name)
         return _read_bytes(stream, top).removeprefix(b"\xef\xbb\xbf"), top
 
@@ -49,7 +46,7 @@ def os_message(error: Exception) -> str:
 
 
 @contextmanager
-def _open(source: Source) -> Iterator[tuple[BinaryIO, str]]:
+def open_source(source: Source) -> Iterator[tuple[BinaryIO, str]]:
     """Open a source; what the system refuses becomes a FormatError."""
     if isinstance(source, bytes | bytearray | memoryview):
         yield io.BytesIO(source), "the bytes given"
@@ -69,12 +66,11 @@ def _read_bytes(stream: BinaryIO, top: JsonPath) -> bytes:
     head = stream.peek(1) if is_buffered else stream.read(CHUNK)  # type: ignore[attr-defined]
     if not isinstance(head, bytes):
         top.fail("expected a file opened in binary mode, got text")
-    if not head.startswith(b"\x1f\x8b"):
+    is_packed = head.startswith(b"\x1f\x8b")
+    if not is_packed:
         _check_head(head, top)
     content = _read_rest(b"" if is_buffered else head, stream, MAX_BYTES, top)
-    if not head.startswith(b"\x1f\x8b"):
-        return content
-    return _unpack(content, top)
+    return _unpack(content, top) if is_packed else content
 
 
 def _unpack(packed: bytes, top: JsonPath) -> bytes:

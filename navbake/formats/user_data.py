@@ -27,36 +27,23 @@ KEY = b'"userData":'
 
 @dataclass(frozen=True)
 class UnreadPiece:
-    """The user data of a level as a piece of a file's JSON that was not parsed.
+    """The user data of a level as a piece of a file's JSON that was not parsed."""
 
-    Attributes:
-        text: the piece, one whole value; a view, as a copy of so much takes its time.
-        line: where it starts, from 1.
-        column: where it starts in that line, from 1.
-        place: where in the file it stands.
-        num_cells: of its level.
-    """
-
-    text: bytes | memoryview
-    line: int
+    text: bytes | memoryview  # one whole value; a view, because copies of so much take long
+    line: int  # where it starts, from 1
     column: int
     place: JsonPath
-    num_cells: int = 0
+    num_cells: int = 0  # of its level
 
     def __reduce__(self) -> tuple[type[UnreadPiece], tuple[Any, ...]]:
         own = bytes(self.text), self.line, self.column, self.place, self.num_cells
         return UnreadPiece, own  # views can't be pickled
 
     def read(self) -> dict[int, Json]:
-        """Read and check them."""
         return check_user_data(self._parse(), self.place, self.num_cells)
 
     def encode(self, num_cells: int) -> bytes | None:
-        """The piece itself, None if it isn't what would be written for a level of so many cells.
-
-        Raises:
-            FormatError: it doesn't follow the format.
-        """
+        """The piece itself, None if it isn't what would be written for a level of so many cells."""
         if num_cells != self.num_cells:
             return None
         with collector_off():
@@ -118,10 +105,8 @@ def find_spans(content: bytes) -> list[tuple[int, int]]:
         end = int(closing[last]) + 2
         if end - start >= DEFER_BYTES:
             # a backslash may hide a quote, so that a bracket is within a string
-            if (
-                not _separates_entries(text, closing[first:last])
-                or content.find(b"\\", start, end) >= 0
-            ):
+            has_backslash = content.find(b"\\", start, end) >= 0
+            if has_backslash or not _separates_entries(text, closing[first:last]):
                 return []
             spans.append((start, end))
         start = content.find(KEY + b'{"', end)
@@ -140,10 +125,7 @@ def _parse_around(content: bytes, spans: list[tuple[int, int]], top: JsonPath) -
 
     In JSON, the quoted word ``"userData"`` is a key, or a string that says it. Where there are as
     many of these words as levels, and each level has the key, each word is the key of one level,
-    in their order. So it is known whose each span is.
-
-    Returns:
-        None where the rest is no JSON, or it is not known whose the spans are.
+    in their order. So it is known whose each span is. None where it is not, or the rest is no JSON.
     """
     rest, pieces = bytearray(), {}
     end = 0
@@ -182,16 +164,7 @@ def _levels(parsed: Any) -> list[Json]:
 
 
 def read_user_data(value: Any, place: JsonPath, num_cells: int) -> UserData:
-    """Read user data, or keep them for later.
-
-    Args:
-        value: what the file has, as `parse_file` gives it.
-        place: where in the file.
-        num_cells: of the level.
-
-    Raises:
-        FormatError: they don't follow the format.
-    """
+    """Read user data as `parse_file` gives them; an `UnreadPiece` is kept for later."""
     if isinstance(value, UnreadPiece):
         return UserData(replace(value, place=place, num_cells=num_cells))
     stored = {} if value is None else json_object(plain(value, place), place)
@@ -199,11 +172,7 @@ def read_user_data(value: Any, place: JsonPath, num_cells: int) -> UserData:
 
 
 def check_user_data(stored: Json, place: JsonPath, num_cells: int) -> dict[int, Json]:
-    """Turn the keys of user data into cell ids.
-
-    Raises:
-        FormatError: a key is not a cell's id, or an entry not an object.
-    """
+    """Turn the keys of user data into cell ids, and check that entries are objects."""
     ids = [int(key) if key.isdecimal() and len(key) <= 15 else -1 for key in stored]
     for key, cell_id in zip(stored, ids, strict=True):
         if not 0 <= cell_id < num_cells or str(cell_id) != key:
@@ -220,23 +189,18 @@ def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> orjson.Fragment:
     num_cells = grid.width * grid.height
     user_data = UserData.of(grid.user_data)
     source = user_data.source
-    if isinstance(source, UnreadPiece):
-        text = source.encode(num_cells)
-        if text is not None:
-            return orjson.Fragment(text)
+    if isinstance(source, UnreadPiece) and (text := source.encode(num_cells)) is not None:
+        return orjson.Fragment(text)
     if isinstance(source, Shared):
-        shared = source
-        plain(list(shared.entries), place)
+        cells, number, distinct = source
+        plain(list(distinct), place)
     else:
-        shared = _share(user_data, num_cells, place)
-    cells = shared.cells
+        cells, number, distinct = _share(user_data, num_cells, place)
     if len(cells) and not 0 <= cells[0] <= cells[-1] < num_cells:
         place.fail(f"expected cell ids from 0 to {num_cells - 1}, got {cells[[0, -1]]}")
-    encoded = [orjson.dumps(entry) for entry in shared.entries]
-    entries = map(
-        b'"%d":%b'.__mod__,
-        zip(cells.tolist(), map(encoded.__getitem__, shared.number.tolist()), strict=True),
-    )
+    encoded = [orjson.dumps(entry) for entry in distinct]
+    values = map(encoded.__getitem__, number.tolist())
+    entries = map(b'"%d":%b'.__mod__, zip(cells.tolist(), values, strict=True))
     return orjson.Fragment(b"{%b}" % b",".join(entries))
 
 
@@ -251,7 +215,5 @@ def _share(user_data: Mapping[int, Json], num_cells: int, place: JsonPath) -> Sh
         distinct.setdefault(id(value), (len(distinct), int(cell_id), value))
     plain({str(cell_id): value for _, cell_id, value in distinct.values()}, place)
     cells: Int = np.array(sorted(user_data), dtype=np.int64)
-    number = [distinct[id(user_data[cell])][0] for cell in cells.tolist()]
-    return Shared(
-        cells, np.array(number, dtype=np.int64), [value for _, _, value in distinct.values()]
-    )
+    number: Int = np.array([distinct[id(user_data[cell])][0] for cell in cells.tolist()], np.int64)
+    return Shared(cells, number, [value for _, _, value in distinct.values()])

@@ -33,14 +33,10 @@ def json_object(value: object, place: JsonPath) -> Json:
 
 def number(value: object, place: JsonPath, *, positive: bool = False) -> float:
     """Check a finite number; whole ones become int, so that JSON has no .0."""
-    expected = "a number > 0" if positive else "a finite number"
-    if isinstance(value, bool | np.bool_) or not isinstance(
-        value, int | float | np.integer | np.floating
-    ):
-        place.refuse(expected, value)
-    checked = float(value)
+    is_number = isinstance(value, int | float | np.integer | np.floating)
+    checked = float(value) if is_number and type(value) is not bool else math.nan  # type: ignore[arg-type]
     if not math.isfinite(checked) or (positive and checked <= 0):
-        place.refuse(expected, value)
+        place.refuse("a number > 0" if positive else "a finite number", value)
     return int(checked) if checked.is_integer() and abs(checked) < 2**53 else checked
 
 

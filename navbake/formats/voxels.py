@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Literal
 
 from navbake.errors import FormatError
-from navbake.formats.binvox import encode_binvox, read_binvox, with_mapping
+from navbake.formats.binvox import IdMapping, encode_binvox, read_binvox, with_mapping
 from navbake.formats.bytes_file import write_bytes
 from navbake.formats.npz import encode_npz, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
@@ -25,7 +24,7 @@ def write_voxels(
     *,
     free: bool = False,
     layout: Literal["binvox", "airsim"] = "binvox",
-    mapping: Mapping[int, int] | Literal["compact"] | None = None,
+    mapping: IdMapping | None = None,
 ) -> None:
     """Write a voxel file, and beside one that holds IDs the table of what they stand for.
 
@@ -38,7 +37,7 @@ def write_voxels(
     Raises:
         FormatError: the format can't hold the grid.
     """
-    suffix = check_suffix(path)
+    suffix = _check_suffix(path)
     if suffix in (".bt", ".ot"):
         write_bytes(encode_octomap(grid, suffix[1:], free=free), path)
         return
@@ -48,7 +47,9 @@ def write_voxels(
     else:
         write_bytes(encode_npz(grid), path)
     if grid.is_segmented:
-        write_bytes(_table(grid), names_path(path))
+        ids = {str(number): grid.names[number] for number in sorted(grid.names)}
+        table = json.dumps({"rule": RULE, "ids": ids}, indent=2, ensure_ascii=False)
+        write_bytes(f"{table}\n".encode(), names_path(path))
 
 
 def read_voxels(path: str | PathLike[str]) -> VoxelGrid:
@@ -57,24 +58,18 @@ def read_voxels(path: str | PathLike[str]) -> VoxelGrid:
     Raises:
         FormatError: the file is broken, or of no format that is known.
     """
-    suffix = check_suffix(path)
+    suffix = _check_suffix(path)
     if suffix == ".npz":
         return read_npz(path)
-    if suffix == ".binvox":
-        grid = read_binvox(path)
-        beside = names_path(path)
-        if grid.is_segmented and beside.exists():
-            grid.names = _read_table(beside)
-        return grid
-    return read_octomap(path)
+    if suffix != ".binvox":
+        return read_octomap(path)
+    grid, beside = read_binvox(path), names_path(path)
+    if grid.is_segmented and beside.exists():
+        grid.names = _read_table(beside)
+    return grid
 
 
-def check_suffix(path: str | PathLike[str]) -> str:
-    """The suffix of a voxel file.
-
-    Raises:
-        FormatError: it is none of `SUFFIXES`.
-    """
+def _check_suffix(path: str | PathLike[str]) -> str:
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
         raise FormatError(f"expected a name that ends in {', '.join(SUFFIXES)}, got {path}")
@@ -84,12 +79,6 @@ def check_suffix(path: str | PathLike[str]) -> str:
 def names_path(path: str | PathLike[str]) -> Path:
     """Where the table of a file's IDs is: ``a.npz.names.json`` beside ``a.npz``."""
     return Path(f"{path}.names.json")
-
-
-def _table(grid: VoxelGrid) -> bytes:
-    ids = {str(number): grid.names[number] for number in sorted(grid.names)}
-    text = json.dumps({"rule": RULE, "ids": ids}, indent=2, ensure_ascii=False)
-    return (text + "\n").encode()
 
 
 def _read_table(path: Path) -> dict[int, str]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from navbake.errors import QueryError
+from navbake.known_names import suggest
 from navbake.navgrid.block_state import BLOCKED, OCCUPIED
 from navbake.navgrid.doors import STATES, Door
 from navbake.navgrid.islands import add_layers
@@ -55,10 +55,7 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
 def _check_state(name: str, state: str, doors: Mapping[str, Door], scene_id: str | None) -> None:
     """Raise for an unknown door, or a state that the door can't be in."""
     if name not in doors:
-        near = get_close_matches(name, doors, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        known = ", ".join(sorted(doors)) or "none"
-        raise QueryError(f"no door {name!r} in {scene_id!r}: {hint}it has {known}")
+        raise QueryError(f"no door {name!r} in {scene_id!r}: {suggest(name, sorted(doors))}")
     if state not in STATES:
         raise QueryError(f"expected one of {', '.join(STATES)} for {name!r}, got {state!r}")
     if state not in doors[name].states:
@@ -81,7 +78,7 @@ def _rebuild(grid: AnyGrid, doors: Sequence[Door], occupied: list[Bool]) -> AnyG
             weights[state.held(level, BLOCKED)] = np.inf
         named = None
         if grid.navbake.get("names", True):
-            named = name_door_cells(UserData.of(level.user_data), doors, number, len(occupied))
+            named = with_door_names(UserData.of(level.user_data), doors, number, len(occupied))
         attributes = {"occupancy": is_occupied.astype(np.uint8)}
         levels.append(level.with_layers(weights=weights, attributes=attributes, user_data=named))
     stated = zip(grid.navbake.get("doors", []), doors, strict=True)
@@ -92,7 +89,7 @@ def _rebuild(grid: AnyGrid, doors: Sequence[Door], occupied: list[Bool]) -> AnyG
     return rebuilt
 
 
-def name_door_cells(
+def with_door_names(
     user_data: UserData, doors: Sequence[Door], level: int, num_levels: int
 ) -> UserData:
     """The user data of a level with the doors of each cell, by ascending cell id.

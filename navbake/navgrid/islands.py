@@ -31,7 +31,7 @@ def find_islands(grid: GridBase) -> list[Int32]:
         One array a level, shape (height, width), int32: 0 where the cell isn't free, else the
         number of its part. Parts of equal size are numbered by their lowest (level, cell id).
     """
-    from navbake.navgrid.kernels.islands import label_islands  # saves numba at start-up
+    from navbake.navgrid.kernels.islands import label_islands  # numba loads slowly
 
     levels = grid.levels
     start = np.cumsum([0] + [level.width * level.height for level in levels], dtype=np.int64)

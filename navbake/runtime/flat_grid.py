@@ -74,21 +74,12 @@ class FlatGrid:
         return Cell(*(int(v) for v in self.split(cell)))
 
     def cells_at(self, positions: ArrayLike, level: int | None = None) -> Int:
-        """The flat ids of `navbake.navgrid.cells.cells_at`, and faster; -1 where there is no cell.
+        """`navbake.navgrid.cells.cells_at`, faster: flat ids, shape (...), -1 for no cell."""
+        return self._cells_at(check_positions(positions, self.num_levels, level), level)
 
-        Args:
-            positions: world x, y, z [m], shape (..., 3); (..., 2) is enough on one level.
-            level: which level all are on; then z is ignored.
-
-        Returns:
-            Shape (...), int64.
-
-        Raises:
-            QueryError: there is no such level, or a position is not valid.
-        """
+    def _cells_at(self, p: Float, level: int | None) -> Int:
         from navbake.runtime.kernels.locate import locate, locate_on  # saves numba at start-up
 
-        p = check_positions(positions, self.num_levels, level)
         points = np.ascontiguousarray(p.reshape(-1, p.shape[-1]))
         if level is not None or p.shape[-1] == 2:
             cells = np.empty(len(points), dtype=np.int64)
@@ -97,21 +88,32 @@ class FlatGrid:
             cells, _ = locate(self.layout, self.floors, points)
         return cells.reshape(p.shape[:-1])
 
+    def locate(
+        self, position: ArrayLike, level: int | None = None, what: str = "position"
+    ) -> tuple[Float, int | None]:
+        """One position as float64, and the flat id of its cell, None for none."""
+        p = check_positions(position, self.num_levels, level)
+        if p.ndim != 1:
+            raise QueryError(f"expected one {what}, got an array of shape {p.shape}")
+        cell = int(self._cells_at(p, level))
+        return p, cell if cell >= 0 else None
+
     def cell_at(self, position: ArrayLike, level: int | None = None) -> int | None:
-        """The flat id of the cell that one position is in; None for none. See `cells_at`."""
-        cells = self.cells_at(position, level)
-        if cells.ndim:
-            raise QueryError(f"expected one position, got an array of shape {np.shape(position)}")
-        return int(cells) if cells >= 0 else None
+        """The flat id of the cell that one position is in; None for none."""
+        return self.locate(position, level)[1]
+
+    def free_cell_at(self, position: ArrayLike, level: int | None = None) -> tuple[Float, int]:
+        """As `locate`; raises QueryError where no agent can stand."""
+        p, cell = self.locate(position, level)
+        if cell is None or not self.free[cell]:
+            where = ", ".join(f"{v:g}" for v in p)
+            raise QueryError(f"no agent can stand at {where}: snap it to the nearest place first")
+        return p, cell
 
     def positions(self, cells: Int | int) -> Float:
-        """World positions of cells' centres on the floor [m].
+        """World positions of cells' centres on the floor, or else the level's ground [m].
 
-        Args:
-            cells: flat ids, shape (...).
-
-        Returns:
-            Shape (..., 3), float64; where there is no floor height, at the level's ground.
+        Shape (..., 3), float64, of flat ids of shape (...).
         """
         level = self.level_of(cells)
         row, col = np.divmod(cells - self.layout.start[level], self.layout.width[level])
@@ -134,25 +136,18 @@ class FlatGrid:
 
 
 def flatten(grid: NavGrid) -> FlatGrid:
-    """Lay the levels of a grid out as one row of cells.
-
-    Args:
-        grid: a grid of one or several levels.
-
-    Returns:
-        Copies: what happens to the grid later does not reach them.
-    """
+    """Copy the levels of a grid into one row of cells; later changes of the grid don't matter."""
     from navbake.runtime.kernels.arrays import Floors, Layout, Links  # saves numba at start-up
 
     levels = grid.levels
     lattices = [level.lattice for level in levels]
     layout = Layout(
         start=np.cumsum([0] + [level.width * level.height for level in levels], dtype=np.int64),
-        width=np.array([lattice.width for lattice in lattices], dtype=np.int64),
-        height=np.array([lattice.height for lattice in lattices], dtype=np.int64),
-        x_min=np.array([lattice.x_min for lattice in lattices], dtype=np.float64),
-        y_max=np.array([lattice.y_max for lattice in lattices], dtype=np.float64),
-        cell_size=np.array([lattice.cell_size for lattice in lattices], dtype=np.float64),
+        width=np.array([v.width for v in lattices], dtype=np.int64),
+        height=np.array([v.height for v in lattices], dtype=np.int64),
+        x_min=np.array([v.x_min for v in lattices], dtype=np.float64),
+        y_max=np.array([v.y_max for v in lattices], dtype=np.float64),
+        cell_size=np.array([v.cell_size for v in lattices], dtype=np.float64),
     )
     floors = Floors(
         z=np.concatenate([_flat_floor(level) for level in levels]),
@@ -162,6 +157,7 @@ def flatten(grid: NavGrid) -> FlatGrid:
     weight = np.concatenate([level.weights.ravel().astype(np.float64) for level in levels])
     free = np.isfinite(weight)
     weight[~free] = np.inf
+    # the lengths need the cells' positions, which need a FlatGrid
     cell, start, target = _link_lists(grid.link_array, layout.start)
     links = Links(cell, start, target, np.empty(0))
     flat = FlatGrid(layout, links, floors, free, weight)

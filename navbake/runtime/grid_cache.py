@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +12,6 @@ from navbake.runtime.paths.door_map import DoorMap, map_doors
 from navbake.runtime.paths.search import Search
 from navbake.runtime.places.island_map import IslandMap, map_islands
 from navbake.runtime.places.room_map import RoomMap, map_rooms
-from navbake.runtime.places.sight import find_occupied
 from navbake.types import Bool
 
 if TYPE_CHECKING:
@@ -24,17 +24,11 @@ class GridCache:
 
     What blocks change (the search, islands, occupied cells) is brought up to date when it is
     asked for again; rooms and doors stay.
-
-    Args:
-        grid: a grid of one or several levels.
-        cut_corners: let diagonal steps pass blocked corners.
     """
 
     def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
         self.grid = grid
         self._search = Search(grid, cut_corners=cut_corners)
-        self._rooms: RoomMap | None = None
-        self._doors: DoorMap | None = None
         self._occupied: tuple[int, Bool] | None = None  # each with the search's version then
         self._islands: tuple[int, IslandMap] | None = None
 
@@ -49,19 +43,15 @@ class GridCache:
         """The cells, with what is blocked now."""
         return self.search.flat
 
-    @property
+    @cached_property
     def rooms(self) -> RoomMap:
         """The rooms of the grid and of each cell."""
-        if self._rooms is None:
-            self._rooms = map_rooms(self.grid)
-        return self._rooms
+        return map_rooms(self.grid)
 
-    @property
+    @cached_property
     def doors(self) -> DoorMap:
         """The doors that each cell is in."""
-        if self._doors is None:
-            self._doors = map_doors(self.grid, self._search.flat)
-        return self._doors
+        return map_doors(self.grid, self._search.flat)
 
     @property
     def islands(self) -> IslandMap:
@@ -74,20 +64,21 @@ class GridCache:
 
     @property
     def occupied(self) -> Bool:
-        """Where something stands now or there is no floor, by flat id, shape (n,), bool."""
+        """Where something stands now or there is no floor, by flat id, shape (n,), bool.
+
+        In a file without ``occupancy``, where weights are infinite. What a larger radius takes
+        from an agent is not occupied.
+        """
         version = self.search.version
         if self._occupied is None or self._occupied[0] != version:
-            self._occupied = (version, find_occupied(self.grid))
+            occupied = np.concatenate([v.occupancy.ravel() != 0 for v in self.grid.levels])
+            self._occupied = (version, occupied)
         return self._occupied[1]
 
     def allowed(
         self, *, level: int | None = None, room: str | None = None, island: int | None = None
     ) -> Bool:
-        """The free cells that are on a level, in a room and on an island, by flat id.
-
-        Raises:
-            QueryError: there is no such level, room or island.
-        """
+        """The free cells that are on a level, in a room and on an island, by flat id."""
         flat = self.flat
         allowed = flat.free
         if level is not None:

@@ -20,7 +20,7 @@ from navbake.runtime.places.island_map import IslandMap
 from navbake.runtime.places.navigable import MAX_DROP, is_navigable
 from navbake.runtime.places.obstacle import Obstacle, nearest_obstacle
 from navbake.runtime.places.room_map import RoomMap
-from navbake.runtime.places.sampler import Pose, Sampler
+from navbake.runtime.places.sample import Pose, cells_near, draw_places, draw_pose
 from navbake.runtime.places.sight import Sight, line_of_sight
 from navbake.runtime.places.snap import nearest_on_level, snap_to
 from navbake.runtime.places.step import try_step
@@ -60,7 +60,6 @@ class PathFinder:
         self.grid = grid
         self._cache = GridCache(grid, cut_corners=cut_corners)
         self._planner = Planner(self._cache)
-        self._sampler = Sampler(self._cache)
 
     # --- paths -----------------------------------------------------------------------------
 
@@ -84,11 +83,10 @@ class PathFinder:
     def why_not(self, start: ArrayLike, goal: Goal, *, level: int | None = None) -> str | None:
         """Say why there is no path: in one sentence, with positions and figures.
 
-        The sentence names a start or goal that isn't free and the nearest cell that is; or the
-        islands that they are in and how near these come, and then what is between: cells that
-        are blocked for now, doors, a gap that is too narrow for the agent (known of grids that
-        were inflated), steps between levels that can't be taken, or the names of what stands
-        there.
+        It names a start or goal that isn't free, and the nearest cell that is; or else the islands
+        of both, how near these come, and the first of these that is between them: cells that are
+        blocked for now, doors, a gap that is too narrow for the agent (known of inflated grids),
+        steps between levels that can't be taken, the names of what stands there.
 
         Args:
             start: world position [m].
@@ -235,7 +233,7 @@ class PathFinder:
         Raises:
             QueryError: no agent can stand at the start.
         """
-        return try_step(self._cache.flat, start, end, slide=slide, level=level)
+        return try_step(self._cache.flat, start, end, slide, level)
 
     def line_of_sight(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
         """Whether the straight line between two positions meets nothing that is occupied.
@@ -326,13 +324,13 @@ class PathFinder:
                 not a generator.
         """
         if reachable_from is not None:
-            home = self._sampler.home_island(reachable_from)
+            home = int(self.islands.number[self._cache.flat.free_cell_at(reachable_from)[1]])
             if island not in (None, home):
                 raise QueryError(f"island {island} can't be reached: the position is on {home}")
             island = home
         cells = np.flatnonzero(self._cache.allowed(level=level, room=room, island=island))
         limits = {"level": level, "room": room, "island": island}
-        return self._sampler.draw(cells, rng, count, anywhere, limits)
+        return draw_places(self._cache, cells, rng, count, anywhere, limits)
 
     def random_point_near(
         self,
@@ -369,11 +367,11 @@ class PathFinder:
             QueryError: as `random_point`; or the distances are not 0 <= minimum <= maximum.
         """
         distances = (min_distance, max_distance)
-        cells = self._sampler.cells_near(position, distances, straight, level)
+        cells = cells_near(self._cache, position, distances, straight, level)
         if room is not None:
             cells = cells[self.rooms.number[cells] == self.rooms.find(room)]
         limits = {"room": room, "distance [m]": f"{min_distance:g} to {max_distance:g}"}
-        return self._sampler.draw(cells, rng, count, anywhere, limits)
+        return draw_places(self._cache, cells, rng, count, anywhere, limits)
 
     def any_free_in_annulus(
         self,
@@ -385,7 +383,7 @@ class PathFinder:
     ) -> bool:
         """Whether a free cell's centre is so far from a position, on the map of its level [m]."""
         distances = (min_distance, max_distance)
-        return len(self._sampler.cells_near(position, distances, True, level)) > 0
+        return len(cells_near(self._cache, position, distances, True, level)) > 0
 
     def random_pose(
         self,
@@ -411,9 +409,10 @@ class PathFinder:
         Raises:
             QueryError: see `random_point_near`.
         """
-        return self._sampler.pose(
-            rng, target, (min_distance, max_distance), in_sight=in_sight, same_room=same_room,
-            level=level,
+        distances = (min_distance, max_distance)
+        return draw_pose(
+            self._cache, rng, target, distances,
+            in_sight=in_sight, same_room=same_room, level=level,
         )  # fmt: skip
 
     # --- islands and rooms -----------------------------------------------------------------
@@ -491,8 +490,6 @@ class PathFinder:
 
     def room_of(self, name: str) -> str | None:
         """The id of the room that most cells of an object are in, by its name; None for none."""
-        start = self._cache.flat.layout.start
-        cells = [start[k] + c for k, c in enumerate(cells_named(self.grid, name))]
-        numbers = self.rooms.number[np.concatenate(cells)]
+        numbers = self.rooms.number[cells_named(self.grid, self._cache.flat, name)]
         counts = np.bincount(numbers[numbers > 0], minlength=1)
         return self.rooms.id_of(int(np.argmax(counts)))

@@ -32,7 +32,7 @@ def cut_band(
     """Cut voxels at a band of heights: is anything in it?
 
     Args:
-        voxels: the voxels.
+        voxels: of any dtype; all that are not 0 count.
         low, high: the band [m]: world z, or over the floor if one is given.
         floor: world z of each cell's floor, shape (ny, nx) [m]; no floor, NaN, is occupied.
         whole: count only voxels that lie in the band as a whole, not those that reach into it.
@@ -74,7 +74,7 @@ def plan_of(
     Holes in the floor are not detected, because voxels don't show where an agent can stand.
 
     Args:
-        voxels: the voxels.
+        voxels: occupied where an agent can't be.
         floor: world z of the floor [m].
         step: what an agent steps over [m].
         height: its height [m], > step.
@@ -85,13 +85,13 @@ def plan_of(
     occupancy = cut_band(voxels, floor + step, floor + height)
     lattice = lattice_of(voxels)
     x0, y0, x1, y1 = lattice.bounds
-    top = floor + height
+    low = x0, floor, 0.0 - y1
     return SceneGrid2D(
         width=lattice.width,
         height=lattice.height,
         cell_size=voxels.res,
-        min_yup=(x0, floor, 0.0 - y1),
-        bbox_yup=((x0, floor, 0.0 - y1), (x1, top, 0.0 - y0)),
+        min_yup=low,
+        bbox_yup=(low, (x1, floor + height, 0.0 - y0)),
         weights=np.where(occupancy == 0, np.float32(1), np.float32(np.inf)),
         attributes={
             "floorHeight": np.full(lattice.shape, floor, dtype=np.float32),
@@ -108,7 +108,7 @@ def voxels_of(level: SceneGrid2D, *, step: float = 0.25, height: float = 1.14) -
     cell's band is filled. What the level says of its rooms and weights is left out.
 
     Args:
-        level: the level.
+        level: with ``occupancy`` and ``floorHeight``.
         step: what an agent steps over, as in the level's settings [m].
         height: its height, as in the level's settings [m], > step.
 

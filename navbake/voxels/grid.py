@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.errors import FormatError, QueryError
 from navbake.navgrid.operations import operation
 from navbake.types import Bool, Float, Int, Vector3
+from navbake.voxels.placement import finite_array
 
-# What voxels may be, and the greatest ID that each integer holds
-DTYPES = {"bool": 1, "uint8": 2**8 - 1, "uint16": 2**16 - 1, "uint32": 2**32 - 1}
+DTYPES = ("bool", "uint8", "uint16", "uint32")  # of voxels; integers hold IDs
 
 
 @dataclass(eq=False, kw_only=True)
@@ -43,19 +43,17 @@ class VoxelGrid:
     notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        if self.values.ndim != 3 or 0 in self.values.shape:
-            raise FormatError(
-                f"expected voxels of shape (nx, ny, nz), each >= 1, got {self.values.shape}"
-            )
-        if self.values.dtype.name not in DTYPES:
-            raise FormatError(
-                f"expected voxels of dtype {', '.join(DTYPES)}, got {self.values.dtype}"
-            )
-        if self.known is not None and self.known.shape != self.values.shape:
-            raise FormatError(
-                f"expected `known` of the voxels' shape {self.values.shape}, got {self.known.shape}"
-            )
-        self.origin = _check_origin(self.origin)
+        shape, dtype, known = self.values.shape, self.values.dtype, self.known
+        if len(shape) != 3 or 0 in shape:
+            raise FormatError(f"expected voxels of shape (nx, ny, nz), each >= 1, got {shape}")
+        if dtype.name not in DTYPES:
+            raise FormatError(f"expected voxels of dtype {', '.join(DTYPES)}, got {dtype}")
+        if known is not None and known.shape != shape:
+            raise FormatError(f"expected `known` of the voxels' shape {shape}, got {known.shape}")
+        corner = finite_array(self.origin, (3,))
+        if corner is None:
+            raise FormatError(f"expected a lower corner x, y, z [m], got {self.origin!r}")
+        self.origin = tuple(corner.tolist())
         self.res = float(self.res)
         if not (np.isfinite(self.res) and self.res > 0):
             raise FormatError(f"expected a voxel's edge > 0 m, got {self.res:g}")
@@ -84,29 +82,19 @@ class VoxelGrid:
 
     def centers(self) -> Float:
         """The middles of the occupied voxels, shape (n, 3), float64, world frame [m]."""
-        middles = (np.argwhere(self.values) + 0.5) * self.res + np.array(self.origin)
-        return np.asarray(middles, dtype=np.float64)
+        middles: Float = (np.argwhere(self.values) + 0.5) * self.res + np.array(self.origin)
+        return middles
 
     def indices(self, xyz: ArrayLike) -> Int:
-        """The voxels that hold positions; outside the grid, indices are extrapolated.
+        """The voxels, (..., 3) int64, that hold positions, (..., 3), world frame [m].
 
-        Args:
-            xyz: shape (..., 3), world frame [m].
-
-        Returns:
-            Shape (..., 3), int64.
+        Outside the grid, indices are extrapolated.
         """
         place = (np.asarray(xyz, dtype=np.float64) - self.origin) / self.res
         return np.floor(place).astype(np.int64)
 
     def at(self, xyz: ArrayLike) -> NDArray[Any]:
-        """What the voxels at positions hold.
-
-        Args:
-            xyz: shape (..., 3), world frame [m].
-
-        Returns:
-            Shape (...), in the dtype of `values`.
+        """What the voxels at positions, (..., 3), world frame [m], hold, in the dtype of `values`.
 
         Raises:
             QueryError: a position is beside the grid, or no number.
@@ -117,11 +105,9 @@ class VoxelGrid:
         index = self.indices(places)
         beside = ((index < 0) | (index >= self.shape)).any(axis=-1)
         if beside.any():
-            first = places.reshape(-1, 3)[int(np.argmax(beside.ravel()))]
-            low, high = self.bounds
-            raise QueryError(
-                f"no voxel at ({_text(first)}): the grid is from ({_text(low)}) to ({_text(high)})"
-            )
+            corners = places.reshape(-1, 3)[int(np.argmax(beside.ravel()))], *self.bounds
+            first, low, high = (", ".join(f"{value:.6g}" for value in xyz) for xyz in corners)
+            raise QueryError(f"no voxel at ({first}): the grid is from ({low}) to ({high})")
         return np.asarray(self.values[index[..., 0], index[..., 1], index[..., 2]])
 
     def ids(self) -> list[int]:
@@ -162,17 +148,5 @@ class VoxelGrid:
 
 
 def dtype_of(most: int) -> np.dtype[Any]:
-    """The smallest dtype of `DTYPES` for IDs up to a number."""
-    name = next(name for name, limit in DTYPES.items() if limit >= most and name != "bool")
-    return np.dtype(name)
-
-
-def _check_origin(origin: ArrayLike) -> Vector3:
-    corner = np.asarray(origin, dtype=np.float64)
-    if corner.shape != (3,) or not np.isfinite(corner).all():
-        raise FormatError(f"expected a lower corner x, y, z [m], got {origin!r}")
-    return float(corner[0]), float(corner[1]), float(corner[2])
-
-
-def _text(xyz: Float) -> str:
-    return ", ".join(f"{value:.6g}" for value in xyz)
+    """The smallest dtype for IDs up to a number, below 2**32."""
+    return np.min_scalar_type(most)

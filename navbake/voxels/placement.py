@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,13 +23,9 @@ FINEST = 1e-5  # least edge of a voxel, well above what counts as touching [m]
 
 @dataclass(frozen=True)
 class Placement:
-    """A box of voxels.
+    """A box of voxels from its lower corner `origin`, (3,), on; `moved` from where it was asked.
 
-    Attributes:
-        origin: its lower corner, shape (3,), float64, world frame [m].
-        res: edge of a voxel [m].
-        shape: voxels along x, y and z.
-        moved: how far it lies from where it was asked for [m].
+    World frame; metres.
     """
 
     origin: Float
@@ -47,17 +45,10 @@ def place_grid(
 ) -> Placement:
     """Place a voxel grid.
 
-    With a centre it covers ``cells * res`` round it. With a size, it has as many cells as cover
-    that. With neither it covers the scene's box, its corners on whole multiples of `res`.
-
-    Args:
-        position: the centre, shape (3,), world frame [m]; the middle of the scene's box if None.
-        cells: voxels along x, y and z, >= 1 each.
-        size: or what they cover [m], > 0 each.
-        res: edge of a voxel [m], >= 1e-5.
-        bounds: the scene's box, shape (2, 3) [m], or None if it is endless.
-        align: move the grid by half a voxel at most, so that its corners lie on whole multiples
-            of `res`, as the voxels of an octree do.
+    The box round the centre `position` (the middle of the scene's box if None) is ``cells * res``,
+    or as many whole voxels as cover `size`. Without both it covers the scene's box `bounds`,
+    (2, 3) [m], None if endless, with corners on whole multiples of `res`. `align` moves
+    any box onto such multiples, as octrees need it: by half a voxel at most.
 
     Raises:
         ConfigError: a number is wrong, or both cells and size are given, or a centre alone.
@@ -83,22 +74,14 @@ def place_grid(
 
 
 def check_memory(shape: Sequence[int], itemsize: int) -> None:
-    """Raise for a grid that does not fit into free memory.
-
-    Raises:
-        ConfigError: it needs more than there is.
-    """
+    """Raise a ConfigError for a grid that does not fit into free memory."""
     needed, free = min(math.prod(shape) * itemsize, MANY), _free_memory()
     if needed > free:
+        counts = (str(n) if n < 10**15 else f"{min(n, MANY):.3g}" for n in shape)
         raise ConfigError(
-            f"a grid of {' × '.join(_short(n) for n in shape)} voxels takes "
-            f"{needed / 2**30:.3g} GiB, and "
+            f"a grid of {' × '.join(counts)} voxels takes {needed / 2**30:.3g} GiB, and "
             f"{free / 2**30:.3g} GiB of memory are free: expected fewer or larger voxels"
         )
-
-
-def _short(count: int) -> str:
-    return str(count) if count < 10**15 else f"{min(count, MANY):.3g}"
 
 
 def _cover(bounds: Float, res: float) -> Placement:
@@ -108,25 +91,19 @@ def _cover(bounds: Float, res: float) -> Placement:
     return Placement(first * res, res, (nx, ny, nz))
 
 
-def _check_res(res: Any) -> float:
-    try:
-        edge = float(res)
-    except (TypeError, ValueError):
-        edge = math.nan
-    if not (math.isfinite(edge) and edge >= FINEST):
+def _check_res(res: float) -> float:
+    edge = finite_array(res, ())
+    if edge is None or edge < FINEST:
         raise ConfigError(f"expected `res`, the edge of a voxel, to be >= {FINEST:g} m, got {res}")
-    return edge
+    return float(edge)
 
 
 def _check_cells(cells: Sequence[Any]) -> tuple[int, int, int]:
     counts = list(cells) if np.iterable(cells) else [cells]
-    whole = all(
-        isinstance(n, int | np.integer) and not isinstance(n, bool) and n >= 1 for n in counts
-    )
-    if len(counts) != 3 or not whole:
+    whole = [int(n) for n in counts if isinstance(n, int | np.integer) and n is not True and n > 0]
+    if len(counts) != 3 or len(whole) != 3:
         raise ConfigError(f"expected 3 counts of cells, whole numbers >= 1, got {counts}")
-    nx, ny, nz = (int(n) for n in counts)
-    return nx, ny, nz
+    return whole[0], whole[1], whole[2]
 
 
 def _count_cells(size: ArrayLike | None, res: float) -> tuple[int, int, int]:
@@ -137,50 +114,43 @@ def _count_cells(size: ArrayLike | None, res: float) -> tuple[int, int, int]:
     return nx, ny, nz
 
 
-def check_three(value: ArrayLike | None, expected: str) -> Float:
-    """Three finite numbers, shape (3,), float64.
-
-    Raises:
-        ConfigError: they are not; the message says what was `expected`.
-    """
+def finite_array(value: object, shape: tuple[int, ...]) -> Float | None:
+    """A value as float64 if it is finite numbers of that shape, else None."""
     try:
         numbers = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
-        numbers = np.full(0, np.nan)
-    if numbers.shape != (3,) or not np.isfinite(numbers).all():
+        return None
+    return numbers if numbers.shape == shape and np.isfinite(numbers).all() else None
+
+
+def check_three(value: ArrayLike | None, expected: str) -> Float:
+    """Three finite numbers, or a ConfigError that says what was `expected`."""
+    numbers = finite_array(value, (3,))
+    if numbers is None:
         raise ConfigError(f"expected {expected}, got {value!r}")
     return numbers
 
 
 def _check_bounds(bounds: Float | None) -> Float:
     if bounds is None:
-        raise ConfigError(
-            "only infinite planes count in the scene, so its box has no end: "
-            "give a centre, and counts of cells or a size"
-        )
+        why = "only infinite planes count in the scene, so its box has no end"
+        raise ConfigError(f"{why}: give a centre, and counts of cells or a size")
     if not np.isfinite(bounds).all():
-        raise ConfigError(
-            "the scene has geoms with a pose that is not finite: give a centre and a size"
-        )
+        why = "the scene has geoms with a pose that is not finite"
+        raise ConfigError(f"{why}: give a centre and a size")
     return bounds
 
 
 def _free_memory() -> int:
     """Memory that can be had without swapping [bytes]; 2**62 where the system does not say."""
     free = 2**62
-    try:
-        with open("/sys/fs/cgroup/memory.max", encoding="ascii") as file:  # a container's
-            free = int(file.read())
-    except (OSError, ValueError):  # ValueError: "max"
-        pass
-    try:
-        with open("/proc/meminfo", encoding="ascii") as file:
-            for line in file:
-                if line.startswith("MemAvailable:"):
-                    return min(free, int(line.split()[1]) * 1024)
-    except (OSError, ValueError, IndexError):
-        pass
-    try:
-        return min(free, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    except (AttributeError, ValueError, OSError):  # not on Windows
-        return free
+    # ValueError: a container's limit is "max"; IndexError: a line without a number
+    with suppress(OSError, ValueError):
+        free = int(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii"))
+    with suppress(OSError, ValueError, IndexError):
+        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                return min(free, int(line.split()[1]) * 1024)
+    with suppress(AttributeError, ValueError, OSError):  # there is no sysconf on Windows
+        free = min(free, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    return free

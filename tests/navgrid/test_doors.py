@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from navbake.errors import FormatError, QueryError
-from navbake.navgrid.door_states import name_door_cells
+from navbake.navgrid.door_states import with_door_names
 from navbake.navgrid.doors import from_runs, parse_doors, to_runs
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.user_data import Shared, UserData
@@ -91,7 +91,7 @@ def test_names_follow_the_doors():
         7: {"objects": ["gate post"], "blockers": ["gate post", "ivy"]},
     }
     things = UserData(things)
-    named = name_door_cells(things, parse_doors([GATE, HATCH], [8]), 0, 1)
+    named = with_door_names(things, parse_doors([GATE, HATCH], [8]), 0, 1)
     assert named == {
         1: {"doors": ["gate"], "objects": ["gate", "lamp"], "blockers": ["gate"]},
         2: {"doors": ["gate", "hatch"], "objects": ["gate"], "blockers": ["gate"]},
@@ -105,9 +105,9 @@ def test_names_follow_the_doors():
         5: {"doors": ["gate"], "objects": ["gate"], "walls": ["beam"], "blockers": ["gate"]},
         7: things[7],
     }
-    assert name_door_cells(things, opened, 0, 1) == expected
-    assert name_door_cells(named, opened, 0, 1) == expected
-    assert name_door_cells(UserData(expected), parse_doors([GATE, HATCH], [8]), 0, 1) == named
+    assert with_door_names(things, opened, 0, 1) == expected
+    assert with_door_names(named, opened, 0, 1) == expected
+    assert with_door_names(UserData(expected), parse_doors([GATE, HATCH], [8]), 0, 1) == named
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -120,13 +120,13 @@ def test_names_follow_the_doors_where_cells_share_entries(seed):
     plain = UserData(shared.source.read())
     before = copy.deepcopy(entries)
     doors = parse_doors([GATE, HATCH], [8])
-    named = name_door_cells(shared, doors, 0, 1)
+    named = with_door_names(shared, doors, 0, 1)
     assert not shared.is_read and entries == before
-    assert list(named.source.read().items()) == list(name_door_cells(plain, doors, 0, 1).items())
-    again = name_door_cells(shared, doors, 0, 1)
+    assert list(named.source.read().items()) == list(with_door_names(plain, doors, 0, 1).items())
+    again = with_door_names(shared, doors, 0, 1)
     for state in ("open", "modelled") * 3:
         changed = parse_doors([{**GATE, "state": state}, HATCH], [8])
-        again = name_door_cells(again, changed, 0, 1)
+        again = with_door_names(again, changed, 0, 1)
     assert len(again.source.entries) <= len(again.source.cells)  # none is kept that no cell has
     assert again == named
 

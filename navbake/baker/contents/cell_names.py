@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.kernels.lists import number_lists
+from navbake.baker.lattice import Window, cut_cells
 from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Int
 
-Window = tuple[slice, slice]
 Names = dict[str, list[str]]
 
-# Bits that tell how a geom is in a cell, and the keys of user data that they end up under
+# Bits: how a geom is in a cell, and the keys of user data that they end up under
 OBJECTS, WALLS, BLOCKERS = 1, 2, 4
 KEYS = {"objects": OBJECTS, "walls": WALLS}
 NAMED = OBJECTS | WALLS
@@ -48,25 +48,24 @@ def name_cells(
     """Write the names of geoms in cells as user data.
 
     Args:
-        cell: cell ids on the lattice, shape (n,).
-        geom: the geom in each, shape (n,).
+        cell, geom: cells on the lattice, and a geom in each, shape (n,).
         bits: how it is there, of OBJECTS, WALLS and BLOCKERS, shape (n,); none if 0.
         names: by geom id.
-        lattice: the cells.
-        window: rows and columns of the lattice that the grid holds.
+        lattice, window: the cells, and those that the grid holds.
 
     Returns:
         Cell ids on the window, ascending; which entry each has; and the entries: sorted names
         under each key that has any, and ``blockers`` where they aren't all the other names. See
         `navbake.navgrid.user_data.Shared`.
     """
-    cell, name, bits = _merge(cell, _number_names(names)[geom], bits, len(names))
+    # names are numbered by their first geoms, so that they keep the order of the scene's geoms
+    numbers: dict[str, int] = {}
+    number_of = np.array([numbers.setdefault(name, k) for k, name in enumerate(names)], np.int64)
+    cell, name, bits = _merge(cell, number_of[geom], bits, len(names))
     token = name * ALL_BITS + bits
     if window != (slice(0, lattice.height), slice(0, lattice.width)):
-        row, col = np.divmod(cell, lattice.width)
-        (top, bottom), (left, right) = ((side.start, side.stop) for side in window)
-        inside = (row >= top) & (row < bottom) & (col >= left) & (col < right)
-        cell, token = ((row - top) * (right - left) + col - left)[inside], token[inside]
+        cell, inside = cut_cells(cell, window, lattice.width)
+        token = token[inside]
     first = np.flatnonzero(np.diff(cell, prepend=-1))
     start = np.append(first, len(cell))
     number = np.empty(len(first), dtype=np.int64)
@@ -105,21 +104,11 @@ def _describe(token: Int, begin: Int, end: Int, names: Sequence[str]) -> list[Na
 def _describe_mixed(names: Sequence[str], bits: Sequence[int]) -> Names:
     """The user data of a cell that holds names under different keys."""
     pairs = sorted(zip(names, bits, strict=True))
-    data = {
-        key: found for key, bit in KEYS.items() if (found := [name for name, b in pairs if b & bit])
-    }
+    data = {key: [name for name, b in pairs if b & bit] for key, bit in KEYS.items()}
     if any(bool(b & BLOCKERS) != bool(b & NAMED) for b in bits):
-        blockers = [name for name, b in pairs if b & BLOCKERS]
-        if blockers:
-            data["blockers"] = blockers
-    return data
+        data["blockers"] = [name for name, b in pairs if b & BLOCKERS]
+    return {key: listed for key, listed in data.items() if listed}
 
 
 # The keys of a cell whose names all have the same bits
 _KEYS_OF = [list(_describe_mixed(["name"], [bits])) for bits in range(ALL_BITS)]
-
-
-def _number_names(names: Sequence[str]) -> Int:
-    """Number the names by their first geoms, so that a scene's order of geoms is theirs, too."""
-    first: dict[str, int] = {}
-    return np.array([first.setdefault(name, k) for k, name in enumerate(names)], dtype=np.int64)

@@ -11,15 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.columns import Columns, TiledShapes
-from navbake.baker.contents.cell_names import (
-    BLOCKERS,
-    OBJECTS,
-    WALLS,
-    Window,
-    name_cells,
-    name_geoms,
-)
-from navbake.baker.contents.structure import Carriers, FloorSupport, find_carriers, find_ceilings
+from navbake.baker.contents.cell_names import BLOCKERS, OBJECTS, WALLS, name_cells, name_geoms
+from navbake.baker.contents.structure import FloorSupport, find_carriers, find_ceilings
 from navbake.baker.contents.walls import (
     BUILDING,
     OBJECT,
@@ -35,29 +28,25 @@ from navbake.baker.contents.walls import (
 )
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.floors.sheets import agent_limits
+from navbake.baker.kernels import contents as kernels
 from navbake.baker.kernels.arrays import Probe, StoreyCells
 from navbake.baker.kernels.constants import TOUCH
-from navbake.baker.kernels.contents import (
-    count_candidates,
-    describe_floors,
-    list_geoms,
-    measure_over_floors,
-)
 from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS, UNPROVED
+from navbake.baker.lattice import Window
 from navbake.baker.occupancy.occupancy import Footprint
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings, NameSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import Shared, UserData
-from navbake.types import Bool, Float, Int, Int32
+from navbake.types import Bool, Int, Int32
 
 
 class LevelContents(NamedTuple):
     """The geoms of a storey's cells, ragged: cell i holds ``[start[i], start[i + 1])``.
 
     Attributes:
-        lattice: the cells, the whole lattice.
+        lattice: the whole lattice.
         start: shape (cells + 1,), int64.
         geom: MuJoCo's geom ids, ascending in a cell, shape (n,), int32.
         stands: whether the geom meets the cell's square between floor and ceiling, shape (n,).
@@ -89,23 +78,16 @@ class Contents:
         levels: the storeys' cells, lowest first.
         kinds: by geom id, OBJECT, WALL, STRUCTURE or BUILDING, shape (ngeom,), uint8.
         names: by geom id, see `name_geoms`.
-        extents: the geoms'.
         warnings: what the user should know, one line each.
     """
 
     levels: list[LevelContents]
     kinds: NDArray[np.uint8]
     names: list[str]
-    extents: Extents
     warnings: list[str]
 
     def wall_cells(self, level: int) -> Bool:
-        """Mark the cells of a storey that a wall stands in and blocks.
-
-        Returns:
-            Shape (height, width) of the whole lattice, bool. Cells without a floor are not
-            among them.
-        """
+        """Mark the cells with a floor that a wall stands in and blocks, on the whole lattice."""
         listed = self.levels[level]
         chosen = self._is_wall(listed) & listed.stands & listed.blocks
         cells = np.zeros(len(listed.start) - 1, dtype=np.bool_)
@@ -119,16 +101,11 @@ class Contents:
         `walls` are the walls; `blockers` are the names of all that blocks the cell, where that
         isn't the same as all of the former. Of what carries a floor, only things are named
         where one stands on them (rugs, pallets). Doors are no part of the contents: see
-        `navbake.navgrid.door_states.name_door_cells`.
+        `navbake.navgrid.door_states.with_door_names`.
 
-        Args:
-            level: its number.
-            window: rows and columns of the lattice that its grid holds.
-
-        Returns:
-            By cell id on the window: sorted names under each key that has any.
+        The data is by cell id on the window: sorted names under each key that has any.
         """
-        # it takes a while, and who only plans or plots needs none of it
+        # deferred: it takes a while, and planning and plotting don't need it
         return UserData(partial(self._name_cells, level, window))
 
     def _name_cells(self, level: int, window: Window) -> Shared:
@@ -162,56 +139,33 @@ def find_contents(
 ) -> Contents:
     """List what stands in every cell with a floor, and classify each geom.
 
-    Args:
-        scene: the scene.
-        columns: all surfaces.
-        tiled: the geometry on its lattice.
-        floors: the storeys.
-        occupied: their occupancy, shape (height, width) each, bool.
-        agent: its size, step and slope.
-        settings: what the user says of walls.
+    The scene and what was found in it are without doors; occupied cells are those of each storey.
     """
-    num = len(scene.geoms)
-    extents = measure_geoms(scene.shapes, num)
+    extents = measure_geoms(scene.shapes, len(scene.geoms))
     candidates = wall_candidates(scene, extents)
-    tops = _level_tops(scene, floors)
+    # each storey ends at the next one's ground, the last one at the scene's top [m]
+    highest = -np.inf if scene.bounds is None else float(scene.bounds[1, 2])
+    tops = [*(level.ground for level in floors.levels[1:]), highest]
     levels = [
         _list_level(columns, tiled, level, top, mask, agent, candidates)
         for level, top, mask in zip(floors.levels, tops, occupied, strict=True)
     ]
     supports = [listed.support for listed in levels]
-    carriers = find_carriers(floors, supports, extents, agent, columns.lattice)
+    step = agent.traversable_floor_height
+    carriers = find_carriers(floors, supports, extents, step, columns.lattice)
     over_floors = _measure_over_floors(levels, floors, extents)
-    kinds = _classify(scene, extents, over_floors, carriers, agent)
-    named, warnings = match_walls(scene, settings.walls)
-    if settings.walls:
+    buildings = find_buildings(scene, extents, over_floors)
+    ceilings = find_ceilings(extents, over_floors.base, is_static(scene), agent)
+    kinds = np.full(len(scene.geoms), OBJECT, dtype=np.uint8)
+    kinds[carriers.building | ceilings] = STRUCTURE
+    kinds[find_walls(scene, extents, over_floors, carriers, buildings)] = WALL
+    kinds[buildings] = BUILDING
+    warnings: list[str] = []
+    if settings.walls:  # walls of the settings replace those by shape
+        named, warnings = match_walls(scene, settings.walls)
         kinds[kinds == WALL] = OBJECT
         kinds[named] = WALL
-    return Contents(levels, kinds, name_geoms(scene), extents, warnings)
-
-
-def _classify(
-    scene: Scene,
-    extents: Extents,
-    over_floors: GeomsOverFloors,
-    carriers: Carriers,
-    agent: AgentSettings,
-) -> NDArray[np.uint8]:
-    """What each geom is, walls by their shape."""
-    buildings = find_buildings(scene, extents, over_floors)
-    walls = find_walls(scene, extents, over_floors, carriers, buildings)
-    kinds = np.full(len(extents.thin), OBJECT, dtype=np.uint8)
-    ceilings = find_ceilings(extents, over_floors.base, is_static(scene), agent)
-    kinds[carriers.building | ceilings] = STRUCTURE
-    kinds[walls] = WALL
-    kinds[buildings] = BUILDING
-    return kinds
-
-
-def _level_tops(scene: Scene, floors: Floors) -> list[float]:
-    """The height where each storey ends: the next one's ground, or the scene's top [m]."""
-    top = -np.inf if scene.bounds is None else float(scene.bounds[1, 2])
-    return [*(level.ground for level in floors.levels[1:]), top]
+    return Contents(levels, kinds, name_geoms(scene), warnings)
 
 
 def _list_level(
@@ -229,37 +183,25 @@ def _list_level(
     footprint = Footprint.of(agent, lattice.cell_size)
     floor = level.floor.ravel()
     ceiling = np.maximum(top, floor + agent.height) - TOUCH
-    slot, none = np.zeros(len(floor) + 1, dtype=np.int64), np.zeros(0)
-    cells = StoreyCells(
-        floor, ceiling, occupied.ravel(), slot, none.astype(np.int32), none.astype(np.uint8)
-    )
-    count_candidates(lattice, *geometry, footprint.reach, cells)
+    slot = np.zeros(len(floor) + 1, dtype=np.int64)
+    lists = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint8)  # no room yet
+    cells = StoreyCells(floor, ceiling, occupied.ravel(), slot, *lists)
+    kernels.count_candidates(lattice, *geometry, footprint.reach, cells)
     np.cumsum(slot, out=slot)
     geom, flags = np.empty(slot[-1], dtype=np.int32), np.zeros(slot[-1], dtype=np.uint8)
     cells = cells._replace(geom=geom, flags=flags)
     probe = Probe(WALL_BAND[0] + TOUCH, WALL_BAND[1] - TOUCH, probed)
-    list_geoms(lattice, columns.crossings, *geometry, footprint, probe, cells)
+    kernels.list_geoms(lattice, columns.crossings, *geometry, footprint, probe, cells)
     kept = flags > 0
     start, flags = np.concatenate([[0], np.cumsum(kept)])[slot], flags[kept]
     unproved = np.flatnonzero(flags & UNPROVED)
     if len(unproved):  # what FCL found out about the cell decides
         inside = np.searchsorted(start, unproved, side="right") - 1
         flags[unproved[occupied.ravel()[inside]]] |= BLOCKS
-    return LevelContents(
-        lattice=lattice,
-        start=start,
-        geom=geom[kept],
-        stands=(flags & STANDS) > 0,
-        blocks=(flags & BLOCKS) > 0,
-        upper=(flags & PROBED) > 0,
-        support=_support(columns, floor, agent),
-    )
-
-
-def _support(columns: Columns, floor: Float, agent: AgentSettings) -> FloorSupport:
+    stands, blocks, upper = ((flags & flag) > 0 for flag in (STANDS, BLOCKS, PROBED))
     support = FloorSupport(np.empty(len(floor), dtype=np.int32), np.empty(len(floor)))
-    describe_floors(floor, columns.crossings, agent_limits(agent).min_up, support)
-    return support
+    kernels.describe_floors(floor, columns.crossings, agent_limits(agent).min_up, support)
+    return LevelContents(lattice, start, geom[kept], stands, blocks, upper, support)
 
 
 def _measure_over_floors(
@@ -267,11 +209,10 @@ def _measure_over_floors(
 ) -> GeomsOverFloors:
     num = len(extents.low)
     base, rise = np.full(num, np.inf), np.full(num, -np.inf)
-    area, upper_area = np.zeros(num), np.zeros(num)
-    for listed, level in zip(levels, floors.levels, strict=True):
-        cells, upper = np.zeros(num, dtype=np.int64), np.zeros(num, dtype=np.int64)
-        measure_over_floors(listed, level.floor.ravel(), extents, base, rise, cells, upper)
-        square = listed.lattice.cell_size**2
-        area = np.maximum(area, cells * square)
-        upper_area = np.maximum(upper_area, upper * square)
+    # cells that a geom stands in, and those where it does so in the walls' band, by storey
+    cells = np.zeros((2, len(levels), num), dtype=np.int64)
+    for listed, level, in_all, in_band in zip(levels, floors.levels, *cells, strict=True):
+        floor = level.floor.ravel()
+        kernels.measure_over_floors(listed, floor, extents, base, rise, in_all, in_band)
+    area, upper_area = cells.max(axis=1) * levels[0].lattice.cell_size ** 2
     return GeomsOverFloors(base, rise, area, upper_area)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from navbake.baker.floors.levels import Floors
 from navbake.baker.kernels.constants import SAME, SLACK
 from navbake.baker.kernels.contents import count_supports
+from navbake.baker.lattice import EDGES
 from navbake.baker.scene.extents import Extents
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
@@ -28,10 +28,10 @@ CEILING_WIDTH = 1.5
 
 
 class FloorSupport(NamedTuple):
-    """What carries the floor of a storey.
+    """What carries the floor of a storey's cells.
 
     Attributes:
-        geom: the geom whose surface each cell's floor is, shape (cells,), int32, -1 for none.
+        geom: the geom whose surface the floor is, shape (cells,), int32, -1 for none.
         gap: how far the next geom's floor lies below, shape (cells,), float64, inf for none [m].
     """
 
@@ -40,7 +40,7 @@ class FloorSupport(NamedTuple):
 
 
 class SupportCounts(NamedTuple):
-    """By geom id: the cells whose floor it carries, shape (ngeom,), int64.
+    """By geom id, shape (ngeom,), int64: the cells whose floor it carries.
 
     Attributes:
         cells: how many there are.
@@ -62,8 +62,8 @@ class Carriers:
     Attributes:
         building: those that belong to the building.
         things: those that only lie on its floors.
-        stood_on: those of both that one can stand on somewhere; the others carry no more than
-            what goes on of a floor under something.
+        stood_on: those of both that one can stand on somewhere; the others only carry floor
+            that continues under something.
     """
 
     building: Bool
@@ -72,25 +72,14 @@ class Carriers:
 
 
 def find_carriers(
-    floors: Floors,
-    supports: Sequence[FloorSupport],
-    extents: Extents,
-    agent: AgentSettings,
-    lattice: Lattice,
+    floors: Floors, supports: list[FloorSupport], extents: Extents, step: float, lattice: Lattice
 ) -> Carriers:
-    """Part the geoms that carry floors into those of the building and things on its floors.
+    """Classify geoms that carry floors as parts of the building or things on its floors.
 
     A thing (a rug, a pallet, a low box, a boulder) is at most 4 m² large together with what
-    goes on at its height, lies over another floor, at most 1 m higher or solid down to it, and
-    leads nowhere: no step goes on from it to a floor of the building. All else is the
-    building's: floors, stairs, ramps, platforms, terrain.
-
-    Args:
-        floors: the storeys.
-        supports: what carries them.
-        extents: the geoms'.
-        agent: its step.
-        lattice: the cells.
+    continues at its height, lies over another floor, at most 1 m higher or solid down to it, and
+    no step leads from it to a higher floor of the building. All else is the building's: floors,
+    stairs, ramps, platforms, terrain.
     """
     num = len(extents.thin)
     cells, over, near = (np.zeros(num, dtype=np.int64) for _ in range(3))
@@ -102,60 +91,47 @@ def find_carriers(
     low, high, rise = _steps(floors, np.stack([support.geom for support in supports]), lattice)
     area = _plateau_cells(low, high, rise, cells) * lattice.cell_size**2
     things = carries & (area <= THING_AREA + SLACK) & is_over
-    is_step = (rise > SAME) & (rise <= agent.traversable_floor_height + SLACK) & ~covering[low]
+    is_step = (rise > SAME) & (rise <= step + SLACK) & ~covering[low]
     low, high = low[is_step], high[is_step]
+    # a thing that leads to the building is part of it, and may make another one lead there
     while (leads_up := np.unique(low[things[low] & ~things[high]])).size:
         things[leads_up] = False
     return Carriers(carries & ~things, things, counts.stood_on)
 
 
 def find_ceilings(extents: Extents, base: Float, static: Bool, agent: AgentSettings) -> Bool:
-    """Mark ceilings and roofs: static, wide both ways, no taller than wide, and over all heads.
+    """Mark ceilings and roofs: static, wide both ways, no taller than wide, and above head height.
 
-    Args:
-        extents: the geoms'.
-        base: least height of each geom over a floor that it hangs over, inf for none [m].
-        static: which geoms can't move.
-        agent: its height.
+    `base` is the least height of each geom over a floor that it hangs over, inf for none [m].
     """
-    with np.errstate(invalid="ignore"):
-        flat = extents.high - extents.low <= extents.thin
-        wide = extents.thin >= CEILING_WIDTH
-    ceilings: Bool = static & wide & flat & (base >= agent.height - SLACK)
+    flat = extents.high - extents.low <= extents.thin
+    high = base >= agent.height - SLACK
+    ceilings: Bool = static & (extents.thin >= CEILING_WIDTH) & flat & high
     return ceilings
 
 
 def _steps(floors: Floors, carrier: Int32, lattice: Lattice) -> tuple[Int, Int, Float]:
-    """Pairs of geoms whose floors lie side by side: the lower, the higher, and by how much.
+    """Pairs of geoms whose floors lie side by side: the lower, the higher, and by how much [m].
 
-    Args:
-        floors: the storeys.
-        carrier: what carries them, shape (levels, cells), -1 for none.
-        lattice: the cells.
+    `carrier` is the geom that carries each floor, shape (levels, cells), -1 for none.
     """
-    floor = np.stack([level.floor.ravel() for level in floors.levels])
-    links = floors.links
-    ones = [carrier[links[:, 0], links[:, 1]]]
-    others = [carrier[links[:, 2], links[:, 3]]]
-    rises = [floor[links[:, 2], links[:, 3]] - floor[links[:, 0], links[:, 1]]]
-    for number in range(len(carrier)):
-        grid = carrier[number].reshape(lattice.shape)
-        for beside, one, other in (
-            (1, grid[:, :-1], grid[:, 1:]),
-            (lattice.width, grid[:-1], grid[1:]),
-        ):
-            row, col = np.nonzero((one != other) & (one >= 0) & (other >= 0))
-            a = row * lattice.width + col
-            ones.append(carrier[number, a])
-            others.append(carrier[number, a + beside])
-            rises.append(floor[number, a + beside] - floor[number, a])
-    first, second, rise = np.concatenate(ones), np.concatenate(others), np.concatenate(rises)
-    low, high = np.where(rise >= 0, first, second), np.where(rise >= 0, second, first)
-    return low.astype(np.int64), high.astype(np.int64), np.abs(rise)
+    floor = np.concatenate([level.floor.ravel() for level in floors.levels])
+    # cells of all levels are numbered on
+    place = np.arange(carrier.size).reshape(-1, *lattice.shape)
+    pairs = [floors.links[:, [0, 2]] * carrier.shape[1] + floors.links[:, [1, 3]]]
+    for cell, geom in zip(place, carrier.reshape(place.shape), strict=True):
+        for one, other in EDGES:
+            meet = (geom[one] != geom[other]) & (geom[one] >= 0) & (geom[other] >= 0)
+            pairs.append(np.stack([cell[one][meet], cell[other][meet]], axis=1))
+    cells = np.concatenate(pairs)
+    rise = floor[cells[:, 1]] - floor[cells[:, 0]]
+    geoms = carrier.ravel()[cells].astype(np.int64)
+    geoms[rise < 0] = geoms[rise < 0, ::-1]
+    return geoms[:, 0], geoms[:, 1], np.abs(rise)
 
 
 def _plateau_cells(low: Int, high: Int, rise: Float, cells: Int) -> Int:
-    """How many cells each geom carries together with all that go on at the same height."""
+    """How many cells each geom carries together with all that continue at the same height."""
     level = rise <= SAME
     pairs = np.ones(int(level.sum())), (low[level], high[level])
     graph = coo_array(pairs, shape=(len(cells), len(cells)))

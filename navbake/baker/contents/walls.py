@@ -1,13 +1,13 @@
-"""What counts as wall, and what all the other geoms are."""
+"""Which geoms are walls, or meshes that hold a whole building."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.contents.structure import Carriers
 from navbake.baker.scene.bodies import find_subtree_ends, geoms_of_bodies
@@ -21,22 +21,23 @@ OBJECT, WALL, STRUCTURE, BUILDING = range(4)
 
 HINTS = ("wall", "partition")  # in the names of walls, whatever the case
 
-# A wall rises from near a floor (or a window from its sill), at least this high [m] ...
+# A wall begins at most this far over a floor (as a window over its sill), and is this high [m]
 NEAR_FLOOR, TALL = 0.6, 1.5
-# ... and is thin and long, so much or (a thick one) so much [m, m, ratio]
+# Most thickness, least length and least ratio of both, of a thin wall and of a thick one [m, m, 1]
 THIN = ((0.25, 0.5, 3.0), (0.5, 3.0, 6.0))
-# With a wall's name, it is tall from here; from LOW, if it is as thin and as long as a wall [m]
+# Least heights of what is named like a wall, and of that if it is thin and long, too [m]
 NAMED_TALL, LOW = 1.0, 0.5
-# What has more depth than a panel of it by this, and is no larger, is a piece of furniture [m]
+# A body that is deeper than its panel by this, and at most so deep, long [m] and made of so many
+# geoms, is furniture
 DEEPER, FURNITURE_DEPTH, FURNITURE_LENGTH, FURNITURE_PARTS = 0.1, 1.2, 3.0, 200
-# A piece that goes on in a wall's line lies within the wall by this much, and touches it so [m]
+# What continues a wall is thicker by at most this on a side, and at most so far from its end [m]
 IN_LINE, TOUCHING = 0.03, 0.05
-PAIRS = 1_000_000  # of walls and pieces that are looked at together
-# A mesh that holds a building is at least this wide both ways, and so much of it is hollow [m]
+PAIRS = 1_000_000  # of walls and pieces that are compared at once, for the memory they take
+# Least width both ways of a mesh that holds a building [m], and share of it that is filled at most
 BUILDING_WIDTH, HOLLOW = 2.0, 0.5
-# It is wall where it meets this band over the floor [m] ...
+# Heights over a floor where such a mesh is wall [m]
 WALL_BAND = (1.5, 1.8)
-# ... and what is a wall by its shape meets it in this share of the cells it stands in
+# Least share of its cells in which a wall reaches that band
 UPRIGHT = 0.5
 
 
@@ -48,9 +49,8 @@ class GeomsOverFloors:
         base: least height of its bottom over a floor of a cell it stands in, inf for none [m].
         rise: greatest height of its top over its bottom or such a floor, whichever is higher,
             -inf for none [m].
-        area: how much of a storey it stands in at most [m²].
-        upper_area: how much of a storey it stands in between the heights of `WALL_BAND`, at
-            most; known for `wall_candidates` only [m²].
+        area: how much of a storey it stands in, at most [m²].
+        upper_area: the same within `WALL_BAND`; known for `wall_candidates` only [m²].
     """
 
     base: Float
@@ -61,22 +61,14 @@ class GeomsOverFloors:
 
 def wall_candidates(scene: Scene, extents: Extents) -> Bool:
     """Mark the geoms that may be walls or hold a building, by their own shape alone."""
-    with np.errstate(invalid="ignore"):
-        tall = extents.high - extents.low >= TALL
-        large = extents.thin >= BUILDING_WIDTH
-    candidates: Bool = tall & (
-        (is_static(scene) & _is_slender(extents)) | (_is_surface(scene) & large)
-    )
-    return candidates
+    tall = extents.high - extents.low >= TALL
+    return tall & is_static(scene) & _is_slender(extents) | _may_hold_building(scene, extents)
 
 
 def find_buildings(scene: Scene, extents: Extents, over_floors: GeomsOverFloors) -> Bool:
     """Mark the meshes that hold a whole building: surfaces, tall, wide both ways, and hollow."""
-    with np.errstate(invalid="ignore"):
-        large = (extents.thin >= BUILDING_WIDTH) & (extents.high - extents.low >= TALL)
-        hollow = over_floors.upper_area < HOLLOW * extents.thin * extents.long
-    buildings: Bool = _is_surface(scene) & large & hollow
-    return buildings
+    hollow = over_floors.upper_area < HOLLOW * extents.thin * extents.long
+    return _may_hold_building(scene, extents) & hollow
 
 
 def is_static(scene: Scene) -> Bool:
@@ -90,17 +82,14 @@ def is_static(scene: Scene) -> Bool:
 def match_walls(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[str]]:
     """Mark the geoms whose own, mesh's or body's name matches, up to the topmost body.
 
-    Returns:
-        By geom id, shape (ngeom,), bool; and a warning for each pattern that matches nothing,
-        with the nearest names.
+    Also warns of each pattern that matches nothing.
     """
     matched = np.zeros(len(scene.geoms), dtype=np.bool_)
     warnings: list[str] = []
-    if not patterns:
-        return matched, warnings
-    by_geom = [
-        {*_names(scene, report.id), *_bodies_above(scene, report.id)} for report in scene.geoms
-    ]
+    by_geom = []
+    for geom in range(len(scene.geoms)):
+        above = (body_name(scene.model, body) for body in _bodies_above(scene.model, geom))
+        by_geom.append({*_names(scene, geom), *above})
     known = sorted(set().union(*by_geom))
     for pattern in patterns:
         hits = {name for name in known if fnmatchcase(name, pattern)}
@@ -118,24 +107,12 @@ def find_walls(
     A wall is static, rises from near a floor over 1.5 m, straight up, and is thin (0.25 m) and
     long; a thicker one (0.5 m) is longer. A panel of a deeper piece of furniture is none. With
     `wall` or `partition` in its geom's, mesh's or body's name 1 m is tall enough, however thick
-    it is; and 0.5 m for something thin and long. What goes on in the line of a wall is wall,
-    too: parapets, lintels, stubs, windows.
-
-    Args:
-        scene: the scene.
-        extents: the geoms'.
-        over_floors: how they stand over floors.
-        carriers: what carries floors: no wall where one can stand on it unless it is named so,
-            and no piece in a wall's line.
-        excluded: what is no wall by itself, such as a mesh that holds a whole building.
+    it is; and 0.5 m for something thin and long. What continues in the line of a wall is wall,
+    too: parapets, lintels, stubs, windows. Something that one can stand on is a wall only if it
+    is named so, and what carries floors continues no wall. Geoms that are excluded are no walls.
     """
-    hinted = np.array(
-        [
-            any(hint in name.lower() for name in _names(scene, report.id) for hint in HINTS)
-            for report in scene.geoms
-        ],
-        dtype=np.bool_,
-    )
+    named_by_geom = [" ".join(_names(scene, report.id)).lower() for report in scene.geoms]
+    hinted = np.array([any(hint in names for hint in HINTS) for names in named_by_geom])
     static, slender = is_static(scene) & ~excluded, _is_slender(extents)
     stands = static & (over_floors.base <= NEAR_FLOOR)
     named = stands & hinted
@@ -150,24 +127,24 @@ def find_walls(
 
 
 def _is_slender(extents: Extents) -> Bool:
-    with np.errstate(invalid="ignore"):
-        slender = [
-            (extents.thin <= thin) & (extents.long >= np.maximum(long, ratio * extents.thin))
-            for thin, long, ratio in THIN
-        ]
+    slender = [
+        (extents.thin <= thin) & (extents.long >= np.maximum(long, ratio * extents.thin))
+        for thin, long, ratio in THIN
+    ]
     return np.logical_or(*slender)
 
 
-def _is_surface(scene: Scene) -> Bool:
-    return np.array([report.shape in ("surface", "closed surface") for report in scene.geoms])
+def _may_hold_building(scene: Scene, extents: Extents) -> Bool:
+    surface = np.array([report.shape in ("surface", "closed surface") for report in scene.geoms])
+    tall = extents.high - extents.low >= TALL
+    return surface & tall & (extents.thin >= BUILDING_WIDTH)
 
 
 def _in_line(walls: Bool, candidates: Bool, extents: Extents) -> Bool:
-    """Add the pieces that touch a thin wall and go on in its line, no thicker than it is."""
+    """Add the pieces that touch a thin wall and continue in its line, no thicker than it is."""
     walls = walls.copy()
-    with np.errstate(invalid="ignore"):
-        thin = extents.thin <= THIN[-1][0]
-        candidates = candidates & thin
+    thin = extents.thin <= THIN[-1][0]
+    candidates = candidates & thin
     new = np.flatnonzero(walls & thin)
     while len(new):
         thickest = extents.thin[new].max() + 2 * IN_LINE
@@ -178,28 +155,20 @@ def _in_line(walls: Bool, candidates: Bool, extents: Extents) -> Bool:
             across, along = extents.across[wall], extents.along[wall]
             beyond = np.abs((offset * across).sum(axis=1)) + extents.half_widths(piece, across)
             gap = np.abs((offset * along).sum(axis=1)) - extents.half_widths(piece, along)
-            fits = (beyond <= extents.thin[wall] / 2 + IN_LINE) & (
-                gap <= extents.long[wall] / 2 + TOUCHING
-            )
+            fits = beyond <= extents.thin[wall] / 2 + IN_LINE
+            fits &= gap <= extents.long[wall] / 2 + TOUCHING
             found[piece[fits]] = True
         new = np.flatnonzero(found)
         walls |= found
     return walls
 
 
-def _near_pairs(
-    walls: NDArray[np.intp], pieces: NDArray[np.intp], extents: Extents
-) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+def _near_pairs(walls: Int, pieces: Int, extents: Extents) -> Iterator[tuple[Int, Int]]:
     """Pairs of walls and pieces whose boxes touch, a block of walls at a time."""
     geoms = np.arange(len(extents.thin))
     center = np.column_stack([extents.center, (extents.low + extents.high) / 2])
-    reach = np.column_stack(
-        [
-            extents.half_widths(geoms, np.array([1.0, 0.0])),
-            extents.half_widths(geoms, np.array([0.0, 1.0])),
-            (extents.high - extents.low) / 2,
-        ]
-    )
+    x, y = (extents.half_widths(geoms, axis) for axis in np.eye(2))
+    reach = np.column_stack([x, y, (extents.high - extents.low) / 2])
     for block in np.array_split(walls, len(walls) * len(pieces) // PAIRS + 1):
         touch = np.ones((len(block), len(pieces)), dtype=np.bool_)
         for axis in range(3):
@@ -212,8 +181,7 @@ def _near_pairs(
 def _is_furniture_panel(scene: Scene, extents: Extents, geom: int, ends: Int) -> bool:
     """Whether a body that holds the geom is deeper than it, and as large as furniture is."""
     model = scene.model
-    body = int(model.geom_bodyid[geom])
-    while body > 0:
+    for body in _bodies_above(model, geom):
         inside = geoms_of_bodies(model, body, int(ends[body]))
         parts = inside[~np.isnan(extents.thin[inside])]
         if len(parts) > FURNITURE_PARTS:
@@ -225,7 +193,6 @@ def _is_furniture_panel(scene: Scene, extents: Extents, geom: int, ends: Int) ->
         is_deeper = extents.thin[geom] + DEEPER <= sides[0] <= FURNITURE_DEPTH
         if is_deeper and sides[1] <= FURNITURE_LENGTH:
             return True
-        body = int(model.body_parentid[body])
     return False
 
 
@@ -235,10 +202,9 @@ def _names(scene: Scene, geom: int) -> list[str]:
     return [name for name in (names.geom, names.body, names.mesh) if name]
 
 
-def _bodies_above(scene: Scene, geom: int) -> Iterator[str]:
-    """The names of the bodies from a geom's up to the topmost."""
-    model = scene.model
+def _bodies_above(model: Any, geom: int) -> Iterator[int]:
+    """The bodies from a geom's up to the topmost."""
     body = int(model.geom_bodyid[geom])
     while body > 0:
-        yield body_name(model, body)
+        yield body
         body = int(model.body_parentid[body])

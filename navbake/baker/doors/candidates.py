@@ -39,8 +39,7 @@ class DoorCandidate:
         id: its body's name, or ``body <id>``; with the body's number where two look the same.
         joint: its joint's name, or ``joint <id>``; None where it can't move.
         geoms: ids of the counted geoms of the body and its descendants, shape (n,), int64.
-        positions: the joint's position in each state but removed [rad or m]; empty where it
-            can't move.
+        positions: the joint's position in each state but removed [rad or m]; empty for no joint.
         joint_id: MuJoCo's id of the joint, -1 for none.
         named: whether a pattern names it; else it was found by its joint and shape.
     """
@@ -62,28 +61,29 @@ class DoorCandidate:
 
 
 def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCandidate], list[str]]:
-    """Find the bodies that may be doors: by name, or by their joint and shape.
+    """Find bodies that may be doors, by name or by joint and shape; warn of unused patterns.
 
-    Args:
-        scene: the scene.
-        settings: patterns, and whether to look for leaves.
-
-    Returns:
-        The candidates, by body id, and warnings. Descendants of a candidate are part of it.
+    The candidates are sorted by body id. Descendants of one are part of it.
     """
     if not settings.patterns and not settings.find:
         return [], []
     model = scene.model
     names = [body_name(model, body) for body in range(model.nbody)]
-    search = _BodySearch(scene, settings, _match(names, settings.patterns))
+    # by body id, the patterns that match its name; none for the world
+    matches = [[p for p in settings.patterns if fnmatchcase(name, p)] for name in names[1:]]
+    search = _BodySearch(scene, settings, [[], *matches])
     found: list[int] = []
     end = 0  # of the bodies of the last candidate
     for body in range(1, model.nbody):
         if body >= end and search.is_candidate(body):
             found.append(body)
             end = int(search.ends[body])
-    ids = _distinct([names[body] for body in found], found)
-    candidates = [search.describe(name, body) for name, body in zip(ids, found, strict=True)]
+    count = Counter(names[body] for body in found)
+    candidates = []
+    for body in found:
+        # names that aren't UTF-8 may look the same
+        suffix = f" (body {body})" if count[names[body]] > 1 else ""
+        candidates.append(search.describe(names[body] + suffix, body))
     return candidates, _warn_unmatched(settings.patterns, names, found, search)
 
 
@@ -112,9 +112,7 @@ def pose_doors(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Shap
 class _BodySearch:
     """Decides of single bodies whether they may be doors."""
 
-    def __init__(
-        self, scene: Scene, settings: DoorSettings, matches: Sequence[Sequence[str]]
-    ) -> None:
+    def __init__(self, scene: Scene, settings: DoorSettings, matches: list[list[str]]) -> None:
         self._scene, self._settings, self.matches = scene, settings, matches
         self._counted = np.array([report.counted for report in scene.geoms], dtype=np.bool_)
         self.ends = find_subtree_ends(scene.model)
@@ -163,8 +161,7 @@ class _BodySearch:
 
     def _looks_like_leaf(self, geoms: Int) -> bool:
         """Whether the largest geom is tall, thin and as wide as a door, as it is modelled."""
-        extents = self._extents
-        leaf = largest_side(extents, geoms)
+        extents, leaf = self._extents, largest_side(self._extents, geoms)
         return bool(
             extents.high[leaf] - extents.low[leaf] >= MIN_HEIGHT - ROUNDING
             and MIN_WIDTH - ROUNDING <= extents.long[leaf] <= MAX_WIDTH + ROUNDING
@@ -195,25 +192,6 @@ def _mark_geoms(num_geoms: int, doors: Sequence[DoorCandidate]) -> Bool:
     return mask
 
 
-def _distinct(names: Sequence[str], bodies: Sequence[int]) -> list[str]:
-    """Add the body's number to names that several have, as names that aren't UTF-8 may."""
-    count = Counter(names)
-    return [
-        name if count[name] == 1 else f"{name} (body {body})"
-        for name, body in zip(names, bodies, strict=True)
-    ]
-
-
-# ---------------------------------------------------------------- patterns
-
-
-def _match(names: Sequence[str], patterns: Sequence[str]) -> list[list[str]]:
-    """By body id, the patterns that match its name; none for the world."""
-    found = [[p for p in patterns if fnmatchcase(name, p)] for name in names]
-    found[0] = []
-    return found
-
-
 def _warn_unmatched(
     patterns: Sequence[str], names: Sequence[str], found: Sequence[int], search: _BodySearch
 ) -> list[str]:
@@ -229,11 +207,9 @@ def _warn_unmatched(
             continue
         parts = [body for body in bodies if len(search.geoms(body))]
         kind = "parts of other doors" if parts else "bodies without geoms that count"
-        text = f"only {kind}: {_list_some([names[body] for body in parts or bodies])}"
+        matched = [names[body] for body in parts or bodies]
+        more = ", …" if matched[MAX_LISTED:] else ""
+        text = f"only {kind}: {', '.join(matched[:MAX_LISTED])}{more}"
         others = [name for body, name in enumerate(names) if body and body not in bodies]
         warnings.append(warn_unmatched("doors.patterns", pattern, others, text))
     return warnings
-
-
-def _list_some(names: Sequence[str]) -> str:
-    return ", ".join(names[:MAX_LISTED]) + (", …" if len(names) > MAX_LISTED else "")

@@ -7,7 +7,7 @@ everything else occupies, so that a grid with a door in another state equals a b
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,8 +20,7 @@ from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
-from navbake.navgrid.doors import STATES, Door, to_runs
-from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.doors import STATES
 from navbake.types import Bool, Float, Int
 
 RoomPair = tuple[str | None, str | None]
@@ -38,8 +37,7 @@ class PlacedDoor:
     """A door on the whole lattice.
 
     Attributes:
-        id: its body's name.
-        joint: its joint's name, or None.
+        id, joint: as of its candidate.
         rooms: the ids of the rooms on its two sides, None for the outside.
         cells: by state, for each level the cells that the door blocks and nothing else does,
             ascending.
@@ -55,19 +53,6 @@ class PlacedDoor:
     def state(self, wanted: str) -> str:
         """The wanted state if the door has it, else modelled."""
         return wanted if wanted == "removed" or wanted in self.cells else "modelled"
-
-    def on_grid(self, wanted: str, cut: Callable[[int, Int], Int]) -> Door:
-        """The door of a grid, in the wanted state if it has that, else as modelled.
-
-        Args:
-            wanted: one of `STATES`.
-            cut: turns a level and cells of the whole lattice into cells of the level's grid.
-        """
-        cells = {
-            state: {level: to_runs(cut(level, ids)) for level, ids in enumerate(levels) if len(ids)}
-            for state, levels in self.cells.items()
-        }
-        return Door(self.id, self.joint, self.rooms, self.state(wanted), cells)
 
 
 @dataclass(frozen=True)
@@ -88,24 +73,12 @@ class Doors:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What doors stand in: what was found in the scene without them.
-
-    Attributes:
-        floors: the storeys.
-        occupied: per storey, shape (height, width), bool.
-        rooms: the rooms.
-        footprint: the agent's volume.
-    """
+    """What doors stand in: what was found in the scene without them."""
 
     floors: Sequence[LevelFloor]
     occupied: Sequence[Bool]
     rooms: Rooms
     footprint: Footprint
-
-    @property
-    def lattice(self) -> Lattice:
-        """The whole lattice."""
-        return self.rooms.lattice
 
 
 def place_doors(scene: Scene, candidates: Sequence[DoorCandidate], around: Surroundings) -> Doors:
@@ -113,12 +86,7 @@ def place_doors(scene: Scene, candidates: Sequence[DoorCandidate], around: Surro
 
     A candidate that no pattern names is a door when it stands between two rooms, or between a
     room and the outside. One that stands beside the lattice, as modelled, is left out: it is no
-    door of the grid, and nothing of the grid changes with it.
-
-    Args:
-        scene: the whole scene, as modelled.
-        candidates: what may be doors.
-        around: what was found without them.
+    door of the grid, and nothing of the grid changes with it. The scene is the whole one.
     """
     if not candidates:
         return Doors([], [])
@@ -134,15 +102,9 @@ def place_doors(scene: Scene, candidates: Sequence[DoorCandidate], around: Surro
             if _is_on_lattice(candidate.only(posed["modelled"]), around):
                 rejected.append(candidate)
             continue
-        placed.append(
-            PlacedDoor(
-                id=candidate.id,
-                joint=candidate.joint,
-                rooms=rooms or (None, None),
-                cells={state: _only_free(cells, around) for state, cells in blocked.items()},
-                closed_cells=blocked["closed"],
-            )
-        )
+        cells = {state: _only_free(levels, around) for state, levels in blocked.items()}
+        names = candidate.id, candidate.joint
+        placed.append(PlacedDoor(*names, rooms or (None, None), cells, blocked["closed"]))
     return Doors(placed, rejected)
 
 
@@ -179,30 +141,26 @@ def _blocked_by_state(
 
 def _only_free(cells: list[Int], around: Surroundings) -> list[Int]:
     """For each level, the cells that nothing else occupies."""
-    return [
-        of_level[~occupied.ravel()[of_level]]
-        for of_level, occupied in zip(cells, around.occupied, strict=True)
-    ]
+    levels = zip(cells, around.occupied, strict=True)
+    return [ids[~occupied.ravel()[ids]] for ids, occupied in levels]
 
 
 def _is_on_lattice(shapes: Shapes, around: Surroundings) -> bool:
     bounds = shapes.bounds()
-    return bounds is None or around.lattice.window(bounds, around.footprint.reach) is not None
+    return bounds is None or around.rooms.lattice.window(bounds, around.footprint.reach) is not None
 
 
 def _blocked_cells(shapes: Shapes, around: Surroundings) -> list[Int]:
     """For each level, the cells with a floor whose volume the shapes meet."""
-    lattice, footprint = around.lattice, around.footprint
-    none: Int = np.empty(0, dtype=np.int64)
+    lattice, footprint = around.rooms.lattice, around.footprint
     bounds = shapes.bounds()
     window = None if bounds is None else lattice.window(bounds, footprint.reach)
     if window is None:
-        return [none] * len(around.floors)
+        return [np.empty(0, dtype=np.int64)] * len(around.floors)
     # only the cells near the door are looked at
     rows, cols = window
     tiled = tile_shapes(shapes, lattice.cut(rows, cols), footprint.reach)
-    columns = cast_columns(tiled)
-    width = cols.stop - cols.start
+    columns, width = cast_columns(tiled), cols.stop - cols.start
     blocked = []
     for level in around.floors:
         floor = level.floor[rows, cols].ravel()
@@ -224,8 +182,8 @@ def _rooms_beside(
     if not any(sizes) or not np.isfinite(extents.center[leaf]).all():
         return None
     level = int(np.argmax(sizes))
-    sight = _lines_of_sight(leaf, extents, around.lattice.cell_size / 2)
-    rows, cols = around.lattice.rows_cols(sight)
+    sight = _lines_of_sight(leaf, extents, around.rooms.lattice.cell_size / 2)
+    rows, cols = around.rooms.lattice.rows_cols(sight)
     one, other = (_room_in_sight(rows[side], cols[side], level, around) for side in (0, 1))
     return (one, other) if one != other else None
 
@@ -243,7 +201,7 @@ def _lines_of_sight(leaf: int, extents: Extents, step: float) -> Float:
 
 def _room_in_sight(rows: Int, cols: Int, level: int, around: Surroundings) -> str | None:
     """The room that most lines of sight, (lines, steps) cells of a level, end in; None for none."""
-    lattice, floor = around.lattice, around.floors[level].floor
+    lattice, floor = around.rooms.lattice, around.floors[level].floor
     votes: Counter[str | None] = Counter()
     for line in zip(rows.tolist(), cols.tolist(), strict=True):
         seen: str | None = None

@@ -10,6 +10,7 @@ from navbake.baker.columns import Columns, cast_columns, tile_shapes
 from navbake.baker.doors.candidates import DoorCandidate, pose_doors
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.kernels.constants import SLACK
+from navbake.baker.lattice import EDGES
 from navbake.baker.scene.extents import measure_geoms
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
@@ -31,17 +32,8 @@ def warn_walkable_doors(
     """Warn of doors that carry 0.5 m² of floor or more, in any of their states.
 
     Floor is what faces up within the agent's slope and has its headroom. It has to lie no more
-    than a step from a floor beside it, and not on a floor, as a mat does.
-
-    Args:
-        scene: the whole scene, as modelled.
-        doors: the doors.
-        columns: all surfaces of the scene without doors.
-        floors: the storeys, without doors.
-        agent: its height, step and slope.
-
-    Returns:
-        A warning for each such door, one line, in the order of the doors.
+    than a step from a floor beside it, and not on a floor, as a mat does. The columns and floors
+    are without doors.
     """
     warnings: dict[str, str] = {}
     for state, when in WHEN.items():
@@ -68,19 +60,17 @@ def _walkable_area(
     shapes: Shapes, columns: Columns, floors: Sequence[LevelFloor], agent: AgentSettings
 ) -> float:
     """How much of the top of a door an agent can stand on, if a step leads there [m²]."""
-    lattice = columns.lattice
-    bounds = shapes.bounds()
-    window = None if bounds is None else lattice.window(bounds, 0.0)
+    lattice, bounds = columns.lattice, shapes.bounds()
+    window = None if bounds is None else lattice.window(bounds)
     if window is None:
         return 0.0
     top = _level_tops(shapes, lattice.cut(*window), agent)
     rows, cols = window
     step = agent.traversable_floor_height + SLACK
     parts = [level.floor[window] for level in floors]
-    for floor in parts:
+    for floor in parts:  # what lies on a floor is a mat
         top[np.abs(top - floor) <= step] = np.nan
-    row, col = np.nonzero(~np.isnan(top))
-    for r, c in zip(row.tolist(), col.tolist(), strict=True):
+    for r, c in np.argwhere(~np.isnan(top)).tolist():
         cell = (r + rows.start) * lattice.width + c + cols.start
         above = columns.z[columns.start[cell] : columns.start[cell + 1]]
         above = above[above > top[r, c] + SLACK]
@@ -104,10 +94,5 @@ def _level_tops(shapes: Shapes, lattice: Lattice, agent: AgentSettings) -> Float
 
 def _is_beside(top: Float, floor: Float, step: float) -> bool:
     """Whether a floor lies no more than a step from a top in the next cell."""
-    pairs = [
-        (top[:, :-1], floor[:, 1:]),
-        (top[:, 1:], floor[:, :-1]),
-        (top[:-1], floor[1:]),
-        (top[1:], floor[:-1]),
-    ]
-    return any(bool((np.abs(one - other) <= step).any()) for one, other in pairs)
+    sides = [(a, b) for one, other in EDGES for a, b in ((one, other), (other, one))]
+    return any(bool((np.abs(top[a] - floor[b]) <= step).any()) for a, b in sides)

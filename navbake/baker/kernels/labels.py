@@ -219,7 +219,7 @@ def find_passes(label, distance):
 
 
 @njit(cache=True)
-def measure_rooms(index, floor, center_x, center_y, num_rooms):
+def sum_rooms(index, floor, center_x, center_y, num_rooms):
     """Count the cells of each room, and sum where they are.
 
     Args:

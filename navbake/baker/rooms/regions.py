@@ -28,7 +28,7 @@ class Regions:
     """The region that was filled from each seed, and which regions have been joined.
 
     Args:
-        label: the region of each cell from 1, shape (height, width), int32, 0 for none.
+        label: the region of each cell from 1, 0 for none.
         distance: squared distance to the walls of each node, see `wall_nodes` [half cells].
         num_wide: regions up to this one hold discs wider than a door; the others are narrow.
     """
@@ -68,12 +68,10 @@ class Regions:
             if a < b
         ]
         for negative, first, second in sorted(passes):  # the widest pass first
-            a, b = self._whole[first], self._whole[second]
-            if a == b:
-                continue
+            a, b = sorted((self._whole[first], self._whole[second]))
             choose = max if self._narrow[a] or self._narrow[b] else min
-            if choose(self._peak[a], self._peak[b]) + negative <= ROUGHNESS + ROUNDING:
-                self._join(min(a, b), max(a, b))
+            if a != b and choose(self._peak[a], self._peak[b]) + negative <= ROUGHNESS + ROUNDING:
+                self._join(a, b)
 
     def join_junctions(self) -> None:
         """Join narrow regions round the bends and crossings between them.
@@ -102,16 +100,14 @@ class Regions:
         junctions = {region for region in crossings if len(ends[region]) >= 2}
         for region in sorted(junctions):
             for other in ends[region]:
-                a, b = self._whole[region], self._whole[other]
+                a, b = sorted((self._whole[region], self._whole[other]))
                 if a != b and other not in crossings - junctions:
-                    self._join(min(a, b), max(a, b))
+                    self._join(a, b)
 
     def join_stairs(self, num_steep: Int, heights: Float) -> None:
         """Join a stair to the region that it opens to over its full width; of several, the lowest.
 
-        Args:
-            num_steep: how many cells of each region are as steep as stairs.
-            heights: sum of the heights of each region's cells [m].
+        Regions are stairs by their number of steep cells; `heights` are sums over their cells [m].
         """
         cells = list(self._cells)
         for region in range(1, len(cells)):

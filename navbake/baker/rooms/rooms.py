@@ -7,17 +7,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.columns import Columns
 from navbake.baker.floors.levels import Floors
-from navbake.baker.rooms.openings import (
-    Opening,
-    RoomKey,
-    find_openings,
-    find_room_links,
-    match_doors,
-)
+from navbake.baker.rooms import openings
+from navbake.baker.rooms.openings import Opening, RoomIndex, RoomKey
 from navbake.baker.rooms.segmentation import labels_in_order, segment_rooms, share_rest
 from navbake.baker.rooms.sources import MarkedRooms, RoomMarkers
 from navbake.baker.rooms.table import NamedRoom, describe_rooms, name_neighbours
@@ -38,7 +32,7 @@ class Rooms:
 
     Attributes:
         index: the room of each cell by level, shape (height, width) of the whole lattice,
-            uint16, 1-based, 0 for none.
+            uint16, 0 for none.
         table: the rooms by level and index; doors between neighbours are not named until
             `with_doors`.
         openings: where rooms of a level meet.
@@ -47,7 +41,7 @@ class Rooms:
         warnings: what the user should know, one line each.
     """
 
-    index: list[NDArray[np.uint16]]
+    index: list[RoomIndex]
     table: list[Room]
     openings: list[Opening]
     links: list[tuple[RoomKey, RoomKey]]
@@ -56,21 +50,15 @@ class Rooms:
 
     def room_at(self, level: int, cell: int) -> str | None:
         """The id of the room of a level's cell, counted on the whole lattice; None for none."""
-        index = int(self.index[level].flat[cell])
-        return self._ids.get((level, index))
+        return self._ids.get((level, int(self.index[level].flat[cell])))
 
     @cached_property
     def _ids(self) -> dict[RoomKey, str]:
         return {(room.level, room.index): room.id for room in self.table}
 
     def with_doors(self, doors: Mapping[str, Sequence[Int]]) -> Rooms:
-        """The same rooms, with the doors between neighbours named in the table.
-
-        Args:
-            doors: by a door's id, the cells it blocks when closed, by level, ids on the whole
-                lattice.
-        """
-        named = match_doors(self.openings, doors, self.lattice)
+        """The same rooms, with the doors between neighbours in the table; see `match_doors`."""
+        named = openings.match_doors(self.openings, doors, self.lattice)
         return replace(self, table=name_neighbours(self.table, self.openings, self.links, named))
 
 
@@ -89,14 +77,6 @@ def find_rooms(
     first cells in reading order: from large y to small, from small x to large. A room that
     reaches over several levels is one room on each.
 
-    Args:
-        scene: the scene.
-        columns: all surfaces.
-        floors: the storeys and the steps between them.
-        walls: by level, the cells that a wall stands in, shape (height, width), bool.
-        settings: the sources and their settings.
-        agent: its height and step.
-
     Raises:
         ConfigError: a polygon names a level that does not exist.
         SceneError: a level has more than 65,535 rooms.
@@ -111,19 +91,14 @@ def find_rooms(
         else:
             assignment.add(markers.mark(source), source)
     index, named = assignment.number()
-    openings = find_openings(index, floors, agent.traversable_floor_height)
-    links = find_room_links(index, floors)
-    table = describe_rooms(index, named, floors, lattice)
-    table = name_neighbours(table, openings, links, {})
-    return Rooms(index, table, openings, links, lattice, assignment.warnings)
+    found = openings.find_openings(index, floors, agent.traversable_floor_height)
+    links = openings.find_room_links(index, floors)
+    table = name_neighbours(describe_rooms(index, named, floors, lattice), found, links, {})
+    return Rooms(index, table, found, links, lattice, assignment.warnings)
 
 
 class _Assignment:
-    """The room of each cell as the sources add rooms; the first source that has one keeps it.
-
-    Attributes:
-        warnings: what the user should know, one line each.
-    """
+    """The room of each cell as the sources add rooms; the first source that has one keeps it."""
 
     def __init__(self, open_cells: Sequence[Bool]) -> None:
         self._open = open_cells
@@ -149,9 +124,8 @@ class _Assignment:
         labels = []
         names: list[str | None] = []
         for number, open_cells in enumerate(self._open):
-            segment = segment_rooms(
-                open_cells, cell_size, settings.door_width, settings.min_area, floors[number]
-            )
+            widths = settings.door_width, settings.min_area
+            segment = segment_rooms(open_cells, cell_size, *widths, floors[number])
             owner = self._owner[number]
             if owner.any():
                 least = settings.min_area / cell_size**2
@@ -160,7 +134,7 @@ class _Assignment:
             names += [None] * int(segment.max(initial=0))
         self.add(MarkedRooms(names, labels), "auto")
 
-    def number(self) -> tuple[list[NDArray[np.uint16]], list[list[NamedRoom]]]:
+    def number(self) -> tuple[list[RoomIndex], list[list[NamedRoom]]]:
         """Number the rooms of each level from 1, by their first cells; also list them so."""
         index, rooms = [], []
         for level, owner in enumerate(self._owner):

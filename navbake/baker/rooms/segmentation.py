@@ -10,15 +10,10 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from navbake.baker.kernels.labels import (
-    cells_of_nodes,
-    first_cells,
-    label_parts,
-    measure_regions,
-    measure_slopes,
-)
+from navbake.baker.kernels import labels
+from navbake.baker.kernels.labels import label_parts, measure_regions
 from navbake.baker.kernels.watershed import flood, squared_distances
-from navbake.baker.rooms.openings import EDGES
+from navbake.baker.lattice import EDGES, bounding_window
 from navbake.baker.rooms.regions import ROUGHNESS, ROUNDING, Regions
 from navbake.types import Bool, Float, Int, Int32
 
@@ -47,10 +42,9 @@ def segment_rooms(
     `door_width` fits (the level, opened morphologically by that disc). What is narrower all along,
     such as a corridor, is a room of its own where it continues behind the discs. From these seeds
     a watershed fills everything in the order of the distance to the walls, so that two rooms meet
-    where their doorway is narrowest, or in the middle of it if it is equally narrow all the way
-    through. A cell as near to two rooms goes to the one with more space for discs. A region
-    smaller than `min_area` joins the room that it opens to the widest; if it opens to none, it is
-    no room.
+    where their doorway is narrowest, or in the middle of that part. A cell as near to two rooms
+    goes to the one with more space for discs. A region smaller than `min_area` joins the room
+    that it opens to the widest; if it opens to none, it is no room.
 
     Widths are exact for walls along the lattice. Other walls make them vary by a cell. So a gap
     does not separate rooms where its sides come only half a cell nearer to its middle than the
@@ -63,23 +57,20 @@ def segment_rooms(
         cell_size: edge of a cell [m].
         door_width: the widest gap that separates rooms [m], > 0.
         min_area: what a room has at least [m²], >= 0.
-        floor: heights of the floor, shape (height, width) [m]. With it, stairs are part of the
-            room that they open to.
+        floor: heights of the floor, shape (height, width) [m]; None for one without stairs.
 
     Returns:
-        Shape (height, width), int32: the room of each cell from 1, 0 for none; numbered by the
-        first cell of each in reading order.
+        The room of each cell from 1, by the first cell of each in reading order; 0 for none.
 
     Source:
         Morphological and distance-transform segmentation as in Bormann et al., "Room
         segmentation: survey, implementation, and analysis" (ICRA 2016); with one threshold, the
         door's width, for all rooms, and the watershed for what it leaves.
     """
-    rows, cols = (np.flatnonzero(open_cells.any(axis=axis)) for axis in (1, 0))
     rooms = np.zeros(open_cells.shape, dtype=np.int32)
-    if not len(rows):
+    if not open_cells.any():
         return rooms
-    window = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
+    window = bounding_window(open_cells)
     open_cells = np.ascontiguousarray(open_cells[window])
     # the door's half width, in half cells; nothing fits beside one that is as wide as the map
     width = min(door_width / cell_size, float(min(open_cells.shape) + 2))
@@ -94,7 +85,8 @@ def segment_rooms(
     if floor is not None:
         steps = max(1, round(SLOPE_REACH / cell_size))
         rise = STEEPNESS * 2 * steps * cell_size
-        regions.join_stairs(*measure_slopes(label, floor[window], steps, rise, int(label.max())))
+        slopes = labels.measure_slopes(label, floor[window], steps, rise, int(label.max()))
+        regions.join_stairs(*slopes)
     regions.join_small(least)
     rooms[window] = renumber(regions.wholes(least)[label])
     return rooms
@@ -105,20 +97,14 @@ def wall_nodes(open_cells: Bool) -> Bool:
 
     Node (2 r + 1, 2 c + 1) is the centre of cell (r, c); the others are edges' middles and
     corners. The nearest point of a closed cell is as far from a node as the nearest marked node.
-    So gaps can be measured to half a cell. Beyond the lattice nothing is open.
-
-    Returns:
-        Shape (2 height + 1, 2 width + 1), bool.
+    So gaps can be measured to half a cell. Beyond the lattice nothing is open. The result has
+    the shape (2 height + 1, 2 width + 1).
     """
-    height, width = open_cells.shape
     closed = np.pad(~open_cells, 1, constant_values=True)
-    nodes = np.empty((2 * height + 1, 2 * width + 1), dtype=np.bool_)
-    above = closed[:-1] | closed[1:]
-    nodes[::2, ::2] = above[:, :-1] | above[:, 1:]
-    nodes[::2, 1::2] = above[:, 1:-1]
-    nodes[1::2, ::2] = closed[1:-1, :-1] | closed[1:-1, 1:]
-    nodes[1::2, 1::2] = closed[1:-1, 1:-1]
-    return nodes
+    rows = closed.repeat(2, axis=0)[1:-1]
+    rows = rows[:-1] | rows[1:]  # each row's upper edge, its centre, …, the last one's lower edge
+    cols = rows.repeat(2, axis=1)[:, 1:-1]
+    return cols[:, :-1] | cols[:, 1:]
 
 
 def share_rest(owner: Int32, segment: Int32, least: float) -> tuple[Int32, Int32]:
@@ -128,8 +114,7 @@ def share_rest(owner: Int32, segment: Int32, least: float) -> tuple[Int32, Int32
     touches most if marked rooms hold most of the segment, or if it is too small for a room.
 
     Args:
-        owner: the marked room of each cell, shape (height, width), int32, 0 for none.
-        segment: the segment of each cell, shape (height, width), int32, 0 for none.
+        owner, segment: the marked room and the segment of each cell, 0 for none.
         least: cells that a room has at least.
 
     Returns:
@@ -161,19 +146,18 @@ def renumber(label: Int32) -> Int32:
 
 def labels_in_order(label: Int32) -> Int:
     """The labels that are used, but 0, by their first cells in reading order."""
-    first = first_cells(label, int(label.max(initial=0)) + 1)[1:]
+    first = labels.first_cells(label, int(label.max(initial=0)) + 1)[1:]
     return 1 + np.argsort(first, kind="stable")[: np.count_nonzero(first < label.size)]
 
 
 def _find_seeds(open_cells: Bool, distance: Int32, width: float, least: float) -> tuple[Int32, int]:
     """Label where discs wider than the door fit, and the narrow regions that they leave.
 
-    Returns:
-        Labels of cells, wide regions before narrow ones, then by size, then by distance to the
-        walls; and the number of wide regions.
+    Wide regions come before narrow ones, then the larger, then those with more space for discs.
+    Also tells the number of wide regions.
     """
     wide, num_wide = label_parts(distance > int((width + ROUNDING) ** 2))
-    label = cells_of_nodes(wide)
+    label = labels.cells_of_nodes(wide)
     narrow, num_narrow = _find_narrow(open_cells, distance, wide > 0, width, least)
     if num_narrow:
         label = np.where(narrow > 0, narrow + np.int32(num_wide), label)
@@ -189,12 +173,8 @@ def _find_narrow(
 ) -> tuple[Int32, int]:
     """Label and count the narrow regions that continue behind the discs, except cracks.
 
-    Args:
-        open_cells: shape (height, width).
-        distance: of nodes to the walls, shape (2 height + 1, 2 width + 1).
-        is_wide: where discs fit, nodes of the same shape.
-        width: of a door [half cells, on both sides of its middle].
-        least: cells that a room has at least.
+    Nodes have a `distance` to the walls, and are wide where a disc fits that is wider than a door
+    [half cells, on both sides of its middle]. A room has at least so many cells.
     """
     behind = (width * (1 + 2 * NARROW_GAP)) ** 2
     to_wide = squared_distances(is_wide, int(behind**0.5) + 1, 1, 2)[:, 1::2]
@@ -211,19 +191,15 @@ def _find_narrow(
 
 def _label_equal(label: Int32) -> Int32:
     """Number the parts of equal labels that are connected over edges; 0 stays."""
-    cells = np.flatnonzero(label)
-    node = np.full(label.shape, -1, dtype=np.int64)
-    node.ravel()[cells] = np.arange(len(cells))
+    cell = np.arange(label.size).reshape(label.shape)
     pairs = []
     for one, other in EDGES:
         same = (label[one] == label[other]) & (label[one] > 0)
-        pairs.append(np.stack([node[one][same], node[other][same]]))
-    sources, targets = np.concatenate(pairs, axis=1)
-    edges = np.ones(len(sources), dtype=np.bool_), (sources, targets)
-    _, number = connected_components(coo_array(edges, shape=(len(cells),) * 2), directed=False)
-    part = np.zeros(label.shape, dtype=np.int32)
-    part.ravel()[cells] = number + 1
-    return part
+        pairs.append(np.stack([cell[one][same], cell[other][same]]))
+    ends = np.concatenate(pairs, axis=1)
+    edges = coo_array((np.ones(ends.shape[1], dtype=np.bool_), ends), shape=(label.size,) * 2)
+    _, number = connected_components(edges, directed=False)
+    return np.where(label > 0, number.reshape(label.shape) + 1, 0).astype(np.int32)
 
 
 def _most_touched(part: Int32, owner: Int32, count: int) -> Int32:

@@ -27,7 +27,7 @@ from navbake.types import Bool, Float, Int, Int32
 
 # A room's floor geom lies at most this far below the walkable floor, as under a rug [m]
 BELOW = 0.05
-# or this far above it, as a floor that is only drawn over the one that collides [m]
+# Or this far above it, as a floor that is only drawn over the one that collides [m]
 ABOVE = 0.005
 # A site's volume may begin this far above the floor [m]
 OFF_FLOOR = 0.05
@@ -45,8 +45,7 @@ class MarkedRooms:
 
     Attributes:
         names: a room's name, or None; the room of ``names[k]`` has the number k + 1.
-        labels: the room of each cell by level, shape (height, width), int32, 0 for none.
-        warnings: what the user should know, one line each.
+        labels: the number of each cell's room by level, shape (height, width), 0 for none.
     """
 
     names: list[str | None]
@@ -56,15 +55,7 @@ class MarkedRooms:
 
 @dataclass(frozen=True)
 class RoomMarkers:
-    """What marks rooms in a scene.
-
-    Attributes:
-        scene: the scene.
-        columns: all surfaces of the geoms that count.
-        levels: the storeys.
-        settings: the patterns and polygons of markers.
-        agent: its height and step.
-    """
+    """Finds the rooms that geoms, sites and polygons mark in a scene."""
 
     scene: Scene
     columns: Columns
@@ -73,23 +64,17 @@ class RoomMarkers:
     agent: AgentSettings
 
     def mark(self, source: str) -> MarkedRooms:
-        """The rooms of geoms, sites or polygons.
-
-        Raises:
-            ConfigError: a polygon's level is none of the levels.
-        """
-        by_source = {"geoms": self._geoms, "sites": self._sites, "polygons": self._polygons}
-        return by_source[source]()
+        """The rooms of geoms, sites or polygons; a ConfigError where a polygon has no level."""
+        return {"geoms": self._geoms, "sites": self._sites, "polygons": self._polygons}[source]()
 
     def _geoms(self) -> MarkedRooms:
         """Give each cell the room whose geom is its floor.
 
         Of the geoms that match, that is the one whose surface lies highest from 5 cm below the
-        floor to 5 mm above it. So a rug does not hide the room's floor, and a geom may be a floor
-        that is only drawn and does not count in the bake. Of several at one height the first
-        counts. Meshes are taken as their triangles. Furniture may be named like a room: so a geom
-        counts as a floor only if half of its upper side is floor, or lies up to a step under one
-        (a carpet, a podium).
+        floor to 5 mm above it, and of several at one height the first. So a rug does not hide the
+        room's floor, and a floor may be only drawn and not count in the bake. Meshes are taken as
+        their triangles. Furniture may be named like a room: so a geom counts as a floor only if
+        half of its upper side is floor, or lies up to a step under one (a carpet, a podium).
         """
         model = self.scene.model
         names = [name_at(model, address) for address in model.name_geomadr]
@@ -122,7 +107,8 @@ class RoomMarkers:
         Of volumes that overlap the first counts. A site that marks less than `rooms.min_area` of
         floor, on all levels together, is no room.
         """
-        model, lattice, least = self.scene.model, self.columns.lattice, self.settings.min_area
+        model, lattice = self.scene.model, self.columns.lattice
+        height, least = self.agent.height, self.settings.min_area
         names = [name_at(model, address) for address in model.name_siteadr]
         chosen, warnings = _match(names, self.settings.sites, DEFAULT_SITES, "sites")
         labels = self._no_rooms()
@@ -130,9 +116,7 @@ class RoomMarkers:
         small: list[str] = []
         for site in chosen:
             solid = _site_solid(model, self.scene.data, site)
-            masks = [
-                _stands_in(solid, level.floor, lattice, self.agent.height) for level in self.levels
-            ]
+            masks = [_stands_in(solid, level.floor, lattice, height) for level in self.levels]
             if sum(int(mask.sum()) for mask in masks) * lattice.cell_size**2 < least:
                 small.append(names[site])
                 continue
@@ -173,24 +157,21 @@ def _upward_surfaces(
 
     The columns have those that count already, but hulls cover more than the meshes do.
     """
-    known = [geom for geom in chosen if scene.geoms[geom].shape not in ("", "hull")]
+    num = len(scene.geoms)
+    known = {geom for geom in chosen if scene.geoms[geom].shape not in ("", "hull")}
     parts = [(columns, known)]
-    others = set(chosen) - set(known)
-    if others:
-        choices = [
-            Choice(geom in others, "marks a room", "surface") for geom in range(len(scene.geoms))
-        ]
+    if others := set(chosen) - known:
+        choices = [Choice(geom in others, "marks a room", "surface") for geom in range(num)]
         shapes = collect_shapes(scene.model, scene.data, choices, {}).shapes
-        parts.append((cast_columns(tile_shapes(shapes, columns.lattice, 0.0)), sorted(others)))
+        parts.append((cast_columns(tile_shapes(shapes, columns.lattice, 0.0)), others))
     found = []
     for surfaces, geoms in parts:
-        is_meant = np.zeros(len(scene.geoms), dtype=np.bool_)
-        is_meant[geoms] = True
+        is_meant = np.isin(np.arange(num), list(geoms))
         at = np.flatnonzero(is_meant[surfaces.geom] & (surfaces.normal[:, 2] > 0))
         cell = np.searchsorted(surfaces.start, at, side="right") - 1
         found.append((cell, surfaces.z[at], surfaces.geom[at]))
-    cells, heights, geoms_of = zip(*found, strict=True)
-    return np.concatenate(cells), np.concatenate(heights), np.concatenate(geoms_of)
+    cells, heights, owners = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+    return cells, heights, owners
 
 
 def _match(
@@ -208,21 +189,15 @@ def _match(
 
 
 def _room_name(geom: str) -> str:
-    for prefix in FLOOR_PREFIXES:
-        if geom.startswith(prefix) and geom != prefix:
-            return geom.removeprefix(prefix)
-    return geom
+    without = (geom[len(prefix) :] for prefix in FLOOR_PREFIXES if geom.startswith(prefix))
+    return next(filter(None, without), geom)
 
 
 def _site_solid(model: Any, data: Any, site: int) -> Solids:
     """A site's volume, as a single solid."""
-    pos = data.site_xpos[[site]].astype(np.float64)
-    mat = data.site_xmat[[site]].astype(np.float64)
-    kinds = np.array([model.site_type[site]], dtype=np.int32)
-    size = model.site_size[[site]].astype(np.float64)
-    return Solids(
-        np.array([site], dtype=np.int32), kinds, pos, mat, size, solid_bounds(kinds, pos, mat, size)
-    )
+    number, kind = (np.array([v], dtype=np.int32) for v in (site, model.site_type[site]))
+    place = data.site_xpos[[site]], data.site_xmat[[site]], model.site_size[[site]]
+    return Solids(number, kind, *place, solid_bounds(kind, *place))
 
 
 def _stands_in(solid: Solids, floor: Float, lattice: Lattice, agent_height: float) -> Bool:
@@ -245,18 +220,15 @@ def _stands_in(solid: Solids, floor: Float, lattice: Lattice, agent_height: floa
     low, high = vertical_chords(solid, x, y)
     inside = np.minimum(high, top) - np.maximum(low, bottom)
     enough = STANDING_SHARE * np.minimum(high - low, agent_height)
-    with np.errstate(invalid="ignore"):
-        mask[rows, cols] = (high > low) & (inside >= enough - SAME)
+    mask[rows, cols] = (high > low) & (inside >= enough - SAME)
     return mask
 
 
 def _find_level(polygon: RoomPolygon, number: int, levels: Sequence[LevelFloor]) -> int:
-    names = [level.name for level in levels]
-    if isinstance(polygon.level, int) and polygon.level < len(levels):
-        return polygon.level
-    if polygon.level in names:
-        return names.index(str(polygon.level))
-    listed = ", ".join(f"{k} ({name})" for k, name in enumerate(names))
+    for k, level in enumerate(levels):
+        if polygon.level in (k, level.name):
+            return k
+    listed = ", ".join(f"{k} ({level.name})" for k, level in enumerate(levels))
     raise ConfigError(
         f"no level {polygon.level!r} for room {_called(polygon, number)} of `rooms.polygons`: "
         f"there are {listed}"

@@ -8,12 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from navbake.baker.floors.levels import Floors
-from navbake.baker.kernels.labels import measure_rooms
-from navbake.baker.rooms.openings import Opening, RoomKey
+from navbake.baker.kernels.labels import sum_rooms
+from navbake.baker.rooms.openings import Opening, RoomIndex, RoomKey
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Neighbour, Room
 
@@ -29,41 +26,27 @@ class NamedRoom(NamedTuple):
 
 
 def describe_rooms(
-    index: Sequence[NDArray[np.uint16]],
+    index: Sequence[RoomIndex],
     rooms: Sequence[Sequence[NamedRoom]],
     floors: Floors,
     lattice: Lattice,
 ) -> list[Room]:
-    """Describe each room but for its neighbours.
+    """Describe each room but for its neighbours; `rooms` has those of each level, from index 1 on.
 
     A room's id is its name where no other room has that, else ``<level>:<index>``.
-
-    Args:
-        index: the room of each cell by level, shape (height, width), 0 for none.
-        rooms: by level, its rooms from index 1 on.
-        floors: the storeys.
-        lattice: the cells.
     """
     names = Counter(name for level in rooms for name, _ in level)
     table = []
     for number, (label, level) in enumerate(zip(index, floors.levels, strict=True)):
-        count, *center = measure_rooms(
+        count, *center = sum_rooms(
             label, level.floor, lattice.center_x(), lattice.center_y(), len(rooms[number])
         )
         for k, (name, source) in enumerate(rooms[number], 1):
             is_unique = names[name] == 1 and not ID_LIKE.fullmatch(name or "")
             x, y, z = (round(float(c[k] / count[k]), 6) + 0.0 for c in center)  # no -0.0
-            room = Room(
-                index=k,
-                id=name if name is not None and is_unique else f"{number}:{k}",
-                name=name,
-                level=number,
-                area=round(float(count[k]) * lattice.cell_size**2, 6),
-                centroid=(x, y, z),
-                source=source,
-                neighbours=(),
-            )
-            table.append(room)
+            area = round(float(count[k]) * lattice.cell_size**2, 6)
+            room_id = name if name is not None and is_unique else f"{number}:{k}"
+            table.append(Room(k, room_id, name, number, area, (x, y, z), source, ()))
     return table
 
 
@@ -75,11 +58,7 @@ def name_neighbours(
 ) -> list[Room]:
     """Add to each room the rooms that it opens to: freely, through a door, or by a link.
 
-    Args:
-        table: the rooms.
-        openings: where rooms of a level meet.
-        links: pairs of rooms of two levels between which a step leads.
-        doors: by the number of an opening, the ids of the doors in it.
+    `doors` has, by the number of an opening, the ids of the doors in it; see `match_doors`.
     """
     ids = {(room.level, room.index): room.id for room in table}
     found: dict[RoomKey, set[tuple[RoomKey, str, str]]] = {room: set() for room in ids}
@@ -92,13 +71,9 @@ def name_neighbours(
     for a, b in links:
         found[a].add((b, "link", ""))
         found[b].add((a, "link", ""))
-    return [
-        replace(
-            room,
-            neighbours=tuple(
-                Neighbour(room=ids[other], kind=kind, door=door or None)
-                for other, kind, door in sorted(found[room.level, room.index])
-            ),
-        )
-        for room in table
-    ]
+    described = []
+    for room in table:
+        ways = sorted(found[room.level, room.index])
+        neighbours = tuple(Neighbour(ids[to], kind, door or None) for to, kind, door in ways)
+        described.append(replace(room, neighbours=neighbours))
+    return described

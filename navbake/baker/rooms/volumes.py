@@ -12,15 +12,11 @@ Chords = tuple[Float, Float]
 
 
 def vertical_chords(solid: Solids, x: Float, y: Float) -> Chords:
-    """Cross vertical lines with one solid.
-
-    Args:
-        solid: a single sphere, capsule, ellipsoid, cylinder or box.
-        x, y: where the lines are, world frame, shape (...) [m].
+    """Cross vertical lines at world x, y, shape (...), with a single solid [m].
 
     Returns:
-        Heights where each line enters and leaves it, shape (...), float64 [m]; the lower one is
-        the higher number where it doesn't.
+        Heights where each line enters and leaves it, shape (...), float64 [m]; where it misses
+        the solid, the former is the greater.
     """
     rotation = solid.mat[0].reshape(3, 3)
     point = np.stack([x, y, np.zeros_like(x)], axis=-1) - solid.pos[0]
@@ -38,9 +34,7 @@ def vertical_chords(solid: Solids, x: Float, y: Float) -> Chords:
     body = _within([pipe, _slab(start[..., 2], way[2], half)])
     if kind == CYLINDER:
         return body
-    ends = [
-        _ball((start - np.array([0.0, 0.0, end])) / radius, way / radius) for end in (half, -half)
-    ]
+    ends = [_ball((start - [0.0, 0.0, end]) / radius, way / radius) for end in (half, -half)]
     return _around([body, *ends])
 
 
@@ -73,7 +67,6 @@ def _within(chords: list[Chords]) -> Chords:
 
 def _around(chords: list[Chords]) -> Chords:
     """From the first entry to the last exit of parts that make up one convex body."""
-    hit = [high >= low for low, high in chords]
-    low = np.min([np.where(h, c[0], np.inf) for h, c in zip(hit, chords, strict=True)], axis=0)
-    high = np.max([np.where(h, c[1], -np.inf) for h, c in zip(hit, chords, strict=True)], axis=0)
-    return low, high
+    enter = np.min([np.where(high >= low, low, np.inf) for low, high in chords], axis=0)
+    leave = np.max([np.where(high >= low, high, -np.inf) for low, high in chords], axis=0)
+    return enter, leave

@@ -3,12 +3,10 @@
 Built bottom up: a pyramid holds the state of every node over the grid, level by level, 0 the
 voxels, 16 the root. Arrays of a level begin at its own first node, ``first key >> level``. Trees
 are written and read depth first, in OctoMap's order (child 0 first; child number x + 2 y + 4 z),
-with a stack of our own: 8 children wait at each of 17 levels at most.
+with a stack of our own, of (level, x, y, z).
 
 Source: OctoMap 1.9, `OcTreeBaseImpl::pruneRecurs`, `OccupancyOcTreeBase::writeBinaryNode`.
 """
-
-from __future__ import annotations
 
 import numpy as np
 from numba import njit, prange
@@ -19,35 +17,8 @@ OVERRUN, TOO_DEEP = -1, -2
 
 
 @njit(cache=True, parallel=True)
-def state_voxels(occupied, known, free, states):
-    """The states of voxels.
-
-    Args:
-        occupied: (nx, ny, nz) bool.
-        known: the same, or empty if all is known.
-        free: whether what is known and not occupied is FREE, or else UNKNOWN.
-        states: (nx, ny, nz) uint8, receives them.
-    """
-    for i in prange(occupied.shape[0]):
-        for j in range(occupied.shape[1]):
-            for k in range(occupied.shape[2]):
-                if occupied[i, j, k]:
-                    states[i, j, k] = OCCUPIED
-                elif free and (known.shape[0] == 0 or known[i, j, k]):
-                    states[i, j, k] = FREE
-                else:
-                    states[i, j, k] = UNKNOWN
-
-
-@njit(cache=True, parallel=True)
 def join_states(below, first, above):
-    """The states of a level's nodes from those of the level below.
-
-    Args:
-        below: (a, b, c) uint8.
-        first: (3,) int64, the first node of the level below.
-        above: uint8, receives the states.
-    """
+    """Find the states of a level's nodes from those below, whose first node is `first`."""
     nx, ny, nz = below.shape
     for i in prange(above.shape[0]):
         for j in range(above.shape[1]):
@@ -56,7 +27,7 @@ def join_states(below, first, above):
                 x = 2 * (first[0] // 2 + i) - first[0]
                 y = 2 * (first[1] // 2 + j) - first[1]
                 z = 2 * (first[2] // 2 + k) - first[2]
-                one, most, same = 0, 0, True
+                one, is_occupied, same = 0, False, True
                 for child in range(8):
                     cx, cy, cz = x + (child & 1), y + (child >> 1 & 1), z + (child >> 2)
                     state = 0
@@ -65,13 +36,12 @@ def join_states(below, first, above):
                     if child == 0:
                         one = state
                     same = same and state == one and state < MIXED_FREE
-                    if state in (OCCUPIED, MIXED):
-                        most = OCCUPIED
+                    is_occupied |= state in (OCCUPIED, MIXED)
                 # eight equal leaves are pruned: their parent is a leaf of that state
                 if same:
                     above[i, j, k] = one
                 else:
-                    above[i, j, k] = MIXED if most == OCCUPIED else MIXED_FREE
+                    above[i, j, k] = MIXED if is_occupied else MIXED_FREE
 
 
 @njit(cache=True)
@@ -86,12 +56,6 @@ def _state(levels, first, level, x, y, z):
 @njit(cache=True)
 def _child(x, y, z, child):
     return 2 * x + (child & 1), 2 * y + (child >> 1 & 1), 2 * z + (child >> 2)
-
-
-@njit(cache=True)
-def _push(stack, depth, level, x, y, z):
-    stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3] = level, x, y, z
-    return depth + 1
 
 
 @njit(cache=True)
@@ -114,13 +78,12 @@ def write_tree(levels, first, out):
     Returns:
         The number of bytes, and of all nodes.
     """
-    stack = np.empty((8 * (DEPTH + 1), 4), np.int64)
-    depth, num_bytes, num_nodes = 0, 0, 0
-    if _state(levels, first, DEPTH, 0, 0, 0) != UNKNOWN:
-        depth = num_nodes = _push(stack, 0, DEPTH, 0, 0, 0)
-    while depth > 0:
-        depth -= 1
-        level, x, y, z = stack[depth]
+    if _state(levels, first, DEPTH, 0, 0, 0) == UNKNOWN:
+        return 0, 0
+    stack = [(DEPTH, 0, 0, 0)]
+    num_bytes, num_nodes = 0, 1
+    while stack:
+        level, x, y, z = stack.pop()
         bits = 0
         # from the last child to the first, so that the first is taken from the stack next
         for child in range(7, -1, -1):
@@ -130,7 +93,7 @@ def write_tree(levels, first, out):
             if state != UNKNOWN:
                 num_nodes += 1
             if state >= MIXED_FREE:
-                depth = _push(stack, depth, level - 1, cx, cy, cz)
+                stack.append((level - 1, cx, cy, cz))
         if out.shape[0] > 0:
             out[num_bytes], out[num_bytes + 1] = bits & 255, bits >> 8
         num_bytes += 2
@@ -138,27 +101,18 @@ def write_tree(levels, first, out):
 
 
 @njit(cache=True)
-def write_odds(levels, first, odds, out):
+def write_odds(odds, levels, first, out):
     """Write a pyramid's nodes as an ``.ot`` has them: 4 bytes of log-odds, 1 of children.
 
-    An inner node has the greatest log-odds of its children.
-
-    Args:
-        levels: the 17 levels.
-        first: (3,) int64, the key of the first voxel.
-        odds: (3, 4) uint8: the bytes of the log-odds of UNKNOWN, FREE and OCCUPIED.
-        out: uint8, receives the bytes; empty to count them only.
-
-    Returns:
-        The number of bytes, and of all nodes.
+    `odds` (3, 4) uint8 are the bytes of the log-odds of UNKNOWN, FREE and OCCUPIED. An inner node
+    has the greatest of its children's. See `write_tree`.
     """
-    stack = np.empty((8 * (DEPTH + 1), 4), np.int64)
-    depth, num_nodes = 0, 0
-    if _state(levels, first, DEPTH, 0, 0, 0) != UNKNOWN:
-        depth = _push(stack, 0, DEPTH, 0, 0, 0)
-    while depth > 0:
-        depth -= 1
-        level, x, y, z = stack[depth]
+    if _state(levels, first, DEPTH, 0, 0, 0) == UNKNOWN:
+        return 0, 0
+    stack = [(DEPTH, 0, 0, 0)]
+    num_nodes = 0
+    while stack:
+        level, x, y, z = stack.pop()
         state = _state(levels, first, level, x, y, z)
         children = 0
         if state >= MIXED_FREE:
@@ -166,11 +120,10 @@ def write_odds(levels, first, odds, out):
                 cx, cy, cz = _child(x, y, z, child)
                 if _state(levels, first, level - 1, cx, cy, cz) != UNKNOWN:
                     children |= 1 << child
-                    depth = _push(stack, depth, level - 1, cx, cy, cz)
+                    stack.append((level - 1, cx, cy, cz))
         if out.shape[0] > 0:
             value = OCCUPIED if state in (OCCUPIED, MIXED) else FREE
-            for k in range(4):
-                out[5 * num_nodes + k] = odds[value, k]
+            out[5 * num_nodes : 5 * num_nodes + 4] = odds[value]
             out[5 * num_nodes + 4] = children
         num_nodes += 1
     return 5 * num_nodes, num_nodes
@@ -189,12 +142,10 @@ def read_tree(data, leaves):
         The number of leaves, of bytes, and of all nodes; the first is OVERRUN or TOO_DEEP where
         the data are wrong.
     """
-    stack = np.empty((8 * (DEPTH + 1), 4), np.int64)
-    depth = _push(stack, 0, DEPTH, 0, 0, 0)
+    stack = [(DEPTH, 0, 0, 0)]
     place, num_leaves, num_nodes = 0, 0, 1
-    while depth > 0:
-        depth -= 1
-        level, x, y, z = stack[depth]
+    while stack:
+        level, x, y, z = stack.pop()
         if place + 2 > data.shape[0]:
             return OVERRUN, place, num_nodes
         bits = np.int64(data[place]) | (np.int64(data[place + 1]) << 8)
@@ -208,7 +159,7 @@ def read_tree(data, leaves):
             if state == 3:
                 if level == 1:
                     return TOO_DEEP, place, num_nodes
-                depth = _push(stack, depth, level - 1, cx, cy, cz)
+                stack.append((level - 1, cx, cy, cz))
                 continue
             num_leaves = _put_leaf(leaves, num_leaves, level - 1, cx, cy, cz, state)
     return num_leaves, place, num_nodes
@@ -216,22 +167,14 @@ def read_tree(data, leaves):
 
 @njit(cache=True)
 def read_odds(odds, data, leaves):
-    """Read an ``.ot``'s nodes.
+    """Read an ``.ot``'s nodes, 5 bytes each, like `read_tree`.
 
-    Args:
-        odds: float32, the nodes' log-odds.
-        data: uint8, 5 bytes a node.
-        leaves: see `read_tree`; log-odds of 0 and more are OCCUPIED, others FREE.
-
-    Returns:
-        See `read_tree`.
+    `odds`, float32, are their log-odds; leaves of 0 and more are OCCUPIED, others FREE.
     """
-    stack = np.empty((8 * (DEPTH + 1), 4), np.int64)
-    depth = _push(stack, 0, DEPTH, 0, 0, 0)
+    stack = [(DEPTH, 0, 0, 0)]
     num_leaves, num_nodes = 0, 0
-    while depth > 0:
-        depth -= 1
-        level, x, y, z = stack[depth]
+    while stack:
+        level, x, y, z = stack.pop()
         if 5 * num_nodes + 5 > data.shape[0]:
             return OVERRUN, 5 * num_nodes, num_nodes
         children = data[5 * num_nodes + 4]
@@ -245,19 +188,13 @@ def read_odds(odds, data, leaves):
         for child in range(7, -1, -1):
             if children >> child & 1:
                 cx, cy, cz = _child(x, y, z, child)
-                depth = _push(stack, depth, level - 1, cx, cy, cz)
+                stack.append((level - 1, cx, cy, cz))
     return num_leaves, 5 * num_nodes, num_nodes
 
 
 @njit(cache=True)
 def fill_leaves(leaves, first, values, known):
-    """Write leaves into voxels, as far as these reach.
-
-    Args:
-        leaves: see `read_tree`.
-        first: (3,) int64, the key of the first voxel.
-        values, known: (nx, ny, nz) bool, receive whether voxels are occupied, and known.
-    """
+    """Write leaves into voxels, occupied or not, and known; `first` is the first voxel's key."""
     num_x, num_y, num_z = values.shape
     for n in range(leaves.shape[0]):
         size = 1 << leaves[n, 3]

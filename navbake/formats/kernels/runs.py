@@ -1,7 +1,5 @@
 """Runs of equal bytes, as pairs of value and count up to 255, in any order of a 3-D array."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 
@@ -10,14 +8,9 @@ LONGEST = 255
 
 @njit(cache=True)
 def encode_runs(values, out):
-    """Write the runs of a 3-D array, its last index first.
+    """Write the runs of a 3-D array of uint8, last index fastest, to `out`; return their bytes.
 
-    Args:
-        values: (a, b, c) uint8; a transposed view will do.
-        out: uint8, receives pairs of value and count; empty to count them only.
-
-    Returns:
-        How many bytes that are.
+    An empty `out` only counts them.
     """
     writing = out.shape[0] > 0
     num = 0
@@ -40,14 +33,9 @@ def encode_runs(values, out):
 
 @njit(cache=True)
 def decode_runs(pairs, values):
-    """Fill a 3-D array from runs, its last index first; empty runs are skipped.
+    """Fill a 3-D array of zeros from runs, last index fastest; return how many values they hold.
 
-    Args:
-        pairs: uint8, value and count in turn.
-        values: (a, b, c) uint8, zeros; a transposed view will do. Runs beyond it are counted.
-
-    Returns:
-        How many values the runs hold.
+    Empty runs are skipped. Values beyond the array are only counted.
     """
     rows, cols = values.shape[1], values.shape[2]
     size = values.shape[0] * rows * cols

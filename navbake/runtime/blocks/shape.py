@@ -1,4 +1,4 @@
-"""Which cells a thing that stands somewhere takes from an agent."""
+"""Which cells an obstacle of a given shape blocks."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Margins:
-    """How far away an agent's centre has to be from a thing [m].
+    """How far from an obstacle a cell's centre has to be [m].
 
     Attributes:
-        center: to stand at a cell's centre.
+        center: for an agent to stand there.
         diagonal: to step diagonally from there.
-        off_center: from the centre of a cell, to be anywhere in it.
+        off_center: to be anywhere in the cell.
     """
 
     center: float
@@ -32,12 +32,12 @@ class Margins:
 
 @dataclass(frozen=True)
 class Shape:
-    """An upright thing, seen from above: a rectangle, rounded off.
+    """An upright obstacle, seen from above: a rectangle grown by a radius.
 
     Attributes:
-        x_min, y_min, x_max, y_max: the rectangle, a point for a disc, world frame [m].
-        radius: of the rounding [m], >= 0.
-        bottom, top: where it begins and ends, world z [m]; infinite if it fills the level.
+        x_min, y_min, x_max, y_max: the rectangle, a point for a disc, world [m].
+        radius: by how much it is grown [m], >= 0.
+        bottom, top: world z [m]; infinite if it fills the level.
     """
 
     x_min: float
@@ -52,18 +52,10 @@ class Shape:
 def cells_of_shape(
     level: SceneGrid2D, shape: Shape, margins: Margins, step: float, height: float
 ) -> Layers:
-    """Find the cells that a thing takes.
+    """Find the cells that an obstacle blocks for an agent of a height that steps over `step` [m].
 
-    It takes those where an agent that stands on the floor would meet it: where it reaches into
-    the height from `step` to `height` above the floor, and meets the cell's square or the disc
-    of a margin round its centre.
-
-    Args:
-        level: one level.
-        shape: the thing.
-        margins: of the agent.
-        step: what is lower than this above the floor can be stepped over [m].
-        height: of the agent [m].
+    There the obstacle reaches into the heights from `step` to `height` above the floor, and meets
+    the cell's square or the disc of a margin round its centre.
     """
     lattice = level.lattice
     size = lattice.cell_size
@@ -74,16 +66,15 @@ def cells_of_shape(
     row0, row1 = max(int(rows[0]), 0), min(int(rows[1]) + 1, level.height)
     col0, col1 = max(int(cols[0]), 0), min(int(cols[1]) + 1, level.width)
     if row0 >= row1 or col0 >= col1:
-        return [np.empty(0, dtype=np.int64)] * NUM_LAYERS
+        return cells_alone(np.empty(0, dtype=np.int64))
     x = lattice.center_x()[col0:col1]
     y = lattice.center_y()[row0:row1, None]
     floor = level.floor_height[row0:row1, col0:col1].astype(np.float64) * level.unit
     floor = np.where(np.isnan(floor), level.ground, floor)
     in_band = (shape.bottom < floor + height) & (shape.top > floor + step)
-    meets = in_band & (_distance(shape, x, y, size / 2) < shape.radius)
-    if shape.radius == 0:
-        meets = in_band & (_distance(shape, x, y, size / 2) <= 0)
-    gap = _distance(shape, x, y, 0.0)
+    to_square, gap = _distance(shape, x, y, size / 2), _distance(shape, x, y, 0.0)
+    # a disc is open: it may touch a square. A box is closed, so that a flat one has cells, too.
+    meets = in_band & (to_square < shape.radius if shape.radius > 0 else to_square <= 0)
     ids = np.arange(row0, row1)[:, None] * level.width + np.arange(col0, col1)
     return [
         ids[meets | (in_band & (gap < shape.radius + margin))]
@@ -92,7 +83,7 @@ def cells_of_shape(
 
 
 def cells_alone(cells: Int) -> Layers:
-    """Cells that are taken by themselves, without an agent's margin around them."""
+    """Cells that are blocked by themselves, without an agent's margin around them."""
     return [np.unique(cells)] * NUM_LAYERS
 
 

@@ -1,7 +1,4 @@
-"""Discs on cells: how far the square of a cell is from the centre of another, and what that is.
-
-Lengths are compared as whole numbers: squares of distances in half cells.
-"""
+"""Which cells a disc round a cell's centre reaches: exact, in squares of whole half cells."""
 
 from __future__ import annotations
 
@@ -14,22 +11,6 @@ from navbake.types import Int, Int32
 TOUCH = 1e-9  # share of a radius by which a disc may be over what it touches
 
 
-def square_limit(radius: float) -> float:
-    """Up to which squared distance in half cells an open disc of a radius in cells reaches."""
-    return (2 * radius) ** 2 * (1 - TOUCH)
-
-
-def to_square(steps: Int) -> Int:
-    """Half cells along an axis from a centre to the nearest side of a square so many cells on."""
-    half_cells: Int = np.maximum(2 * np.abs(steps) - 1, 0)
-    return half_cells
-
-
-def to_centre(steps: Int) -> Int:
-    """Half cells along an axis from a centre to the centre so many cells on."""
-    return 2 * np.abs(steps)
-
-
 def half_widths(radius: float, shape: tuple[int, int], *, of_squares: bool = True) -> Int32:
     """How wide a disc is, row by row, as `navbake.runtime.kernels.inflation.dilate` takes it.
 
@@ -37,33 +18,34 @@ def half_widths(radius: float, shape: tuple[int, int], *, of_squares: bool = Tru
         radius: [cells].
         shape: (rows, cols) of the cells that it is for; it need not be wider.
         of_squares: whether it reaches a cell when it meets its square, or covers its centre.
-
-    Returns:
-        Number of columns to each side, (n,) int32, by the distance in rows; -1 for none.
     """
-    measure = to_square if of_squares else to_centre
-    limit = square_limit(radius)
-    rows = measure(np.arange(min(math.ceil(radius) + 1, shape[0]) + 1)) ** 2
-    cols = measure(np.arange(min(math.ceil(radius) + 1, shape[1]) + 1)) ** 2
-    widths = np.searchsorted(cols, limit - rows, side="left") - 1
+    reaches = [min(math.ceil(radius) + 1, size) for size in shape]
+    rows, cols = (_squares(np.arange(reach + 1), of_squares) for reach in reaches)
+    widths = np.searchsorted(cols, _square_limit(radius) - rows, side="left") - 1
     return np.append(widths[widths >= 0], -1).astype(np.int32)
 
 
 def disc_offsets(
     radius: float, shape: tuple[int, int], *, of_squares: bool = True
 ) -> tuple[Int, Int]:
-    """Steps from a cell to those that a disc round its centre reaches, the nearest first.
-
-    Args:
-        radius, shape, of_squares: as of `half_widths`.
+    """Steps from a cell to those that a disc round its centre reaches, as in `half_widths`.
 
     Returns:
-        Rows and columns, (n, 2) int64; and their squared distances in half cells, (n,) int64.
+        Rows and columns, (n, 2) int64, the nearest first; and their squares in half cells.
     """
-    measure = to_square if of_squares else to_centre
     rows, cols = (np.arange(-n, n + 1) for n in (min(math.ceil(radius) + 1, s) for s in shape))
-    squares = measure(rows)[:, None] ** 2 + measure(cols)[None] ** 2
-    row, col = np.nonzero(squares < square_limit(radius))
+    squares = _squares(rows, of_squares)[:, None] + _squares(cols, of_squares)
+    row, col = np.nonzero(squares < _square_limit(radius))
     found = squares[row, col]
     order = np.argsort(found, kind="stable")
     return np.stack([rows[row], cols[col]], axis=1)[order], found[order]
+
+
+def _square_limit(radius: float) -> float:
+    return (2 * radius) ** 2 * (1 - TOUCH)  # the disc is open: what only touches is not reached
+
+
+def _squares(steps: Int, of_squares: bool) -> Int:
+    """Squared half cells along an axis to the near side, or to the centre, of squares."""
+    half_cells: Int = 2 * np.abs(steps)
+    return np.maximum(half_cells - 1, 0) ** 2 if of_squares else half_cells**2

@@ -1,8 +1,8 @@
 """Where an agent that isn't round can stand, heading by heading.
 
 As with a disc, the polygon must not meet the square of an occupied cell; floors more than a step
-higher and the cells of other levels count as `navbake.runtime.inflation.inflate` says. What
-only touches does not meet. Floor is asked for under the agent's origin alone.
+higher and the cells of other levels count as in `navbake.runtime.inflation.inflate`. Touching is
+not meeting. A floor is needed under the agent's origin only.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from navbake.errors import QueryError
 from navbake.navgrid.polygon import find_fault
 from navbake.runtime.inflation.inflate import block_by_others
-from navbake.runtime.inflation.surroundings import Surroundings, find_surroundings
+from navbake.runtime.inflation.surroundings import find_surroundings
 from navbake.types import Bool, Float, Int
 
 if TYPE_CHECKING:
@@ -24,17 +24,18 @@ if TYPE_CHECKING:
 
 MAX_HEADINGS = 720
 MAX_REACH = 1000  # [cells]
-TOUCH = 1e-9  # [cells] what a polygon may overlap of a square that it touches
+TOUCH = 1e-9  # [cells] by which a polygon may overlap a square that it touches
 
 
 def inflate_footprint(grid: NavGrid, polygon: ArrayLike, num_headings: int = 16) -> list[Bool]:
-    """Where an agent of a polygon's shape can stand; see `SceneGrid2D.inflate_footprint`."""
+    """See `SceneGrid2D.inflate_footprint`."""
+    from navbake.runtime.kernels.inflation import meets_runs  # saves numba at start-up
+
     outline = _check_polygon(polygon)
     if not isinstance(num_headings, int | np.integer) or not 1 <= num_headings <= MAX_HEADINGS:
         raise QueryError(f"expected 1 to {MAX_HEADINGS} headings, got {num_headings!r}")
     masks = []
     for number, level in enumerate(grid.levels):
-        cells = outline / level.lattice.cell_size
         radius = float(np.hypot(*outline.T).max())
         reach = math.ceil(radius / level.lattice.cell_size) + 1
         if reach > MAX_REACH:
@@ -42,25 +43,22 @@ def inflate_footprint(grid: NavGrid, polygon: ArrayLike, num_headings: int = 16)
         around = find_surroundings(grid, number, reach)
         free = np.empty((num_headings, *level.shape), dtype=np.bool_)
         for k in range(num_headings):
-            offsets = footprint_offsets(_turn(cells, 2 * math.pi * k / num_headings))
-            free[k] = level.free & ~_find_blocked(around, radius, offsets)
+            turned = _turn(outline / level.lattice.cell_size, 2 * math.pi * k / num_headings)
+            offsets = _footprint_offsets(turned)
+            blocked = meets_runs(around.occupied[around.level], _to_runs(offsets))
+            block_by_others(around, radius, offsets, blocked)
+            free[k] = level.free & ~blocked[around.rows, around.cols]
         masks.append(free)
     return masks
 
 
-def footprint_offsets(outline: Float) -> Int:
-    """Steps from a cell to those whose squares a polygon on its centre meets.
+def _footprint_offsets(outline: Float) -> Int:
+    """Steps (row, col) from a cell to those whose squares a polygon on its centre meets.
 
-    A polygon meets a square where an edge runs through the square's inside, or where the
-    square's centre is within the polygon.
-
-    Args:
-        outline: shape (n, 2), x and y in cells, the cell's centre at the origin.
-
-    Returns:
-        Rows and columns, (m, 2) int64, by row, then column.
+    A polygon [cells] meets a square where an edge runs through the square's inside, or where the
+    square's centre is within the polygon. Sorted by row, then column.
     """
-    x, y = outline[:, 0], -outline[:, 1]  # y against the rows
+    x, y = outline[:, 0], -outline[:, 1]  # rows run against y
     low, high = math.floor(min(y.min(), 0) - 0.5), math.ceil(max(y.max(), 0) + 0.5)
     left, right = math.floor(min(x.min(), 0) - 0.5), math.ceil(max(x.max(), 0) + 0.5)
     rows, cols = np.mgrid[low : high + 1, left : right + 1].astype(np.float64)
@@ -72,7 +70,7 @@ def footprint_offsets(outline: Float) -> Int:
 
 
 def _is_within(px: Float, py: Float, x: Float, y: Float) -> Bool:
-    """Whether points are inside a polygon, by the crossings of a ray."""
+    """Whether points are inside a polygon, by the parity of a ray's crossings."""
     inside = np.zeros(px.shape, dtype=np.bool_)
     for k in range(len(x)):
         x0, y0, x1, y1 = x[k - 1], y[k - 1], x[k], y[k]
@@ -83,7 +81,7 @@ def _is_within(px: Float, py: Float, x: Float, y: Float) -> Bool:
 
 
 def _runs_through(px: Float, py: Float, a: tuple[float, float], b: tuple[float, float]) -> Bool:
-    """Whether a segment has points inside the squares round some centres; by clipping it."""
+    """Whether a segment has points inside of squares round some centres (Liang and Barsky 1984)."""
     enters, leaves = np.zeros(px.shape), np.ones(px.shape)
     half = 0.5 - TOUCH
     for start, end, centre in ((a[0], b[0], px), (a[1], b[1], py)):
@@ -95,17 +93,6 @@ def _runs_through(px: Float, py: Float, a: tuple[float, float], b: tuple[float, 
         enters = np.maximum(enters, np.minimum(near, far))
         leaves = np.minimum(leaves, np.maximum(near, far))
     return np.asarray(enters < leaves)
-
-
-def _find_blocked(around: Surroundings, radius: float, offsets: Int) -> Bool:
-    """Find the cells of a level at which what covers these steps would meet something."""
-    from navbake.runtime.kernels.inflation import meets_runs
-
-    occupied = around.occupied[around.level]
-    blocked = np.zeros(occupied.shape, dtype=np.bool_)
-    meets_runs(occupied, _to_runs(offsets), blocked)
-    block_by_others(around, radius, offsets, blocked)
-    return blocked[around.rows, around.cols]
 
 
 def _to_runs(offsets: Int) -> Int:

@@ -2,21 +2,19 @@
 
 How `exact` decides, for an agent whose centre is on a cell's centre:
 
-- The agent must not meet the square of an occupied cell. The bake has made a cell occupied where
-  something meets its square or the disc of the baked radius round its centre, so whatever the
-  bake saw lies in an occupied square. The baked radius is replaced, not added to.
-- A floor that the agent meets may be a step higher than its own, not more: a ledge is a wall from
-  below, and so is the next tread but one, for an agent that is too large for the stair. Up to the
-  baked radius the bake has decided this, more precisely than the squares of cells can. Lower
-  floors are ignored.
-- Near another level the cells of both levels count, each where its floor is as high as the
-  agent's (less than the body's height apart). So what is under a landing does not block the
-  stair to it.
-- Beyond the rectangle of a single level the bake saw nothing, and nothing blocks. Each of several
+- Occupied cells: the agent must not meet their squares. The bake has made a cell occupied where
+  something meets its square or the disc of the baked radius round its centre, so all baked
+  geometry lies in occupied squares. The baked radius is replaced, not added to.
+- Higher floors that the agent meets: at most a step above its own. A ledge is a wall from below,
+  and so is the step after the next one for an agent too large for the stair. Up to the baked
+  radius the bake has decided this, more precisely than squares can. Lower floors are ignored.
+- Other levels: the cells of both levels count, each where its floor is as high as the agent's
+  (less than the body's height apart). So a thing under a landing does not block the stair to it.
+- Outside of the grid: beyond a single level nothing was baked, and nothing blocks. Each of several
   levels is cut to the cells with a floor; beyond these is no floor, which counts as occupied.
-- Cells without floor that are not occupied occur in others' files. They count as in the original
-  client: of the cells that the disc covers, at least 0.7 must have a floor. Here this must hold for
-  every smaller radius too, so that a larger agent is never free where a smaller one isn't.
+- Cells without floor that are not occupied, in files of other programs: as in the original client,
+  at least 0.7 of the cells that the disc covers must have a floor. Here this must hold for every
+  smaller radius too, so that a larger agent is never free where a smaller one isn't.
 
 Source: ``refine`` of the original client (sstk, ``NavScene.js``) for `minos` and the share of
 floor; the inflation layer of nav2 (``nav2_costmap_2d``) for `costs="nav2"`.
@@ -37,7 +35,7 @@ from navbake.runtime.inflation.surroundings import SLAB, Surroundings, find_surr
 from navbake.types import Bool, Float, Int
 
 if TYPE_CHECKING:
-    from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+    from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
 
     AnyGrid = TypeVar("AnyGrid", SceneGrid2D, MultiLevelGrid)
 
@@ -59,11 +57,11 @@ def inflate(
     costs: str = "step",
     scaling: float = SCALING,
 ) -> AnyGrid:
-    """The same grid for an agent of another radius; see `SceneGrid2D.inflate`."""
+    """See `SceneGrid2D.inflate`."""
     check_arguments(radius, clearance, mode, costs, scaling)
     if clearance is None:
-        falls_off = math.log(LETHAL_COST) / scaling  # how far costs reach 1
-        clearance = min(falls_off, MAX_RADIUS) if costs == "nav2" else 0.0
+        reaches_1 = math.log(LETHAL_COST) / scaling  # distance at which nav2's costs fall to 1
+        clearance = min(reaches_1, MAX_RADIUS) if costs == "nav2" else 0.0
     weights = []
     for number, level in enumerate(grid.levels):
         cell = level.lattice.cell_size
@@ -73,7 +71,8 @@ def inflate(
         blocked = find_blocked(grid, number, radius)
         soft = level.weights
         if costs == "nav2":
-            soft = np.maximum(soft, nav2_weights(level, radius, clearance, scaling))
+            falling = nav2_costs(level, radius, radius + clearance, scaling)
+            soft = np.maximum(soft, np.clip(falling, 1.0, LETHAL_COST))
         elif clearance > 0:
             near = find_blocked(grid, number, radius + clearance)
             soft = np.where(near, np.maximum(soft, STEP_COST), soft)
@@ -84,19 +83,12 @@ def inflate(
     return _with_weights(grid, weights, done)
 
 
-def find_blocked(grid: SceneGrid2D | MultiLevelGrid, number: int, radius: float) -> Bool:
-    """Find the cells of a level where an agent would meet something; see the module's head.
+def find_blocked(grid: NavGrid, number: int, radius: float) -> Bool:
+    """Find the cells of a level that `exact` blocks for a radius [m]; see the module's head.
 
-    Args:
-        grid: the grid.
-        number: which level.
-        radius: of the agent [m], >= 0.
-
-    Returns:
-        Shape (height, width), bool, True where `exact` blocks; cells that are not free as they
-        are may be either.
+    Cells that are not free before may be either.
     """
-    from navbake.runtime.kernels.inflation import dilate
+    from navbake.runtime.kernels.inflation import dilate  # saves numba at start-up
 
     cells = radius / grid.levels[number].lattice.cell_size
     around = find_surroundings(grid, number, math.ceil(cells) + 1)
@@ -109,15 +101,12 @@ def find_blocked(grid: SceneGrid2D | MultiLevelGrid, number: int, radius: float)
 
 
 def block_by_others(around: Surroundings, radius: float, offsets: Int, blocked: Bool) -> None:
-    """Block what other levels and higher floors block, and free what they free.
+    """Add what other levels and higher floors block to `blocked`, and free what they free.
 
-    Args:
-        around: the level and its surroundings.
-        radius: of the agent, or of a circle around it [m].
-        offsets: steps from an agent's cell to those that it meets, (n, 2).
-        blocked: what the level's own occupied cells block, shape of the surroundings; changed.
+    `blocked` holds what the level's own occupied cells block, `offsets` the steps from an agent's
+    cell to those that it meets; the radius [m] is the agent's, or of a circle around it.
     """
-    from navbake.runtime.kernels.inflation import block_across, block_below_floors
+    from navbake.runtime.kernels.inflation import block_across, block_below_floors  # saves numba
 
     floor, level = around.floor, around.level
     reach = int(np.abs(offsets).max(initial=0))
@@ -130,8 +119,8 @@ def block_by_others(around: Surroundings, radius: float, offsets: Int, blocked: 
 
 
 def _block_by_holes(around: Surroundings, cells: float, blocked: Bool) -> None:
-    """Block cells round which too little has a floor, by holes that are not occupied."""
-    from navbake.runtime.kernels.inflation import block_near_holes, dilate
+    """Block cells round which holes that are not occupied leave too little floor."""
+    from navbake.runtime.kernels.inflation import block_near_holes, dilate  # saves numba
 
     has_floor = ~np.isnan(around.floor[around.level])
     holes = ~has_floor & (around.occupied[around.level] == 0)
@@ -148,7 +137,7 @@ def _refined(level: SceneGrid2D, radius: float, clearance: float) -> Float:
 
     Source: sstk, ``NavScene.js``; the window leaves out its far row and column, as there.
     """
-    from navbake.runtime.kernels.inflation import refine_window
+    from navbake.runtime.kernels.inflation import refine_window  # saves numba at start-up
 
     occupied = np.ascontiguousarray(level.occupancy)
     reach = math.ceil(radius + clearance - 0.5)
@@ -166,23 +155,15 @@ def nav2_costs(
 ) -> NDArray[np.uint8]:
     """The costs that nav2's inflation layer gives the cells of a level.
 
-    Args:
-        level: one level.
-        radius: the inscribed radius [m].
-        inflation_radius: up to where there are costs [m], measured from the centre of the
-            nearest occupied cell.
-        scaling: how fast they fall [1/m].
-
-    Returns:
-        254 on occupied cells, 253 up to the radius, else ``floor(252 exp(-scaling (d -
-        radius)))``, 0 beyond the inflation radius; shape (height, width), uint8.
+    254 on occupied cells, 253 up to the inscribed radius, then ``floor(252 exp(-scaling (d -
+    radius)))`` [1/m], 0 beyond the inflation radius [m]; d to the nearest occupied cell's centre.
     """
-    from navbake.runtime.kernels.inflation import squared_distances
+    from navbake.runtime.kernels.inflation import squared_distances  # saves numba at start-up
 
     cell = level.lattice.cell_size
     reach = min(math.ceil(inflation_radius / cell) + 1, sum(level.shape))
     squares = squared_distances(np.ascontiguousarray(level.occupancy), reach)
-    # there are few different distances, so each is worked out once
+    # there are few different distances, so each cost is computed once and looked up
     known = np.sqrt(np.arange(2 * (reach + 1) ** 2 + 1)) * cell
     known[(reach + 1) ** 2 :] = np.inf
     slack = 1e-9 * cell
@@ -194,14 +175,8 @@ def nav2_costs(
     return costs
 
 
-def nav2_weights(level: SceneGrid2D, radius: float, clearance: float, scaling: float) -> Float:
-    """nav2's costs as weights: the cost where it is over 1, else 1."""
-    costs = np.minimum(nav2_costs(level, radius, radius + clearance, scaling), LETHAL_COST)
-    return np.maximum(costs, 1.0)
-
-
 def check_radius(radius: float, name: str = "radius") -> None:
-    """Refuse, with a QueryError, what is no number from 0 to 10,000 m."""
+    """Raise a QueryError for anything but a number from 0 to 10,000 m."""
     is_number = isinstance(radius, int | float | np.integer | np.floating)
     if not is_number or isinstance(radius, bool) or not 0 <= radius <= MAX_RADIUS:
         raise QueryError(f"expected 0 to {MAX_RADIUS:,.0f} m as {name}, got {radius!r}")
@@ -210,7 +185,7 @@ def check_radius(radius: float, name: str = "radius") -> None:
 def check_arguments(
     radius: float, clearance: float | None, mode: str, costs: str, scaling: float
 ) -> None:
-    """Refuse, with a QueryError, what `inflate` can't do."""
+    """Raise a QueryError for what `inflate` can't do."""
     check_radius(radius)
     if clearance is not None:
         check_radius(clearance, "clearance")
@@ -228,17 +203,14 @@ def _with_weights(grid: AnyGrid, weights: list[Float], done: dict[str, Any]) -> 
     """The grid with other weights, layers that follow from them, and a note in its metadata."""
     levels = []
     for level, weight in zip(grid.levels, weights, strict=True):
-        # what would else follow from the weights is kept as the bake had it, so that an inflated
-        # grid knows what stands there and can be inflated again
-        baked: dict[str, NDArray[Any]] = {
-            "occupancy": level.occupancy,
-            "floorHeight": level.floor_height,
-        }
+        # Attributes that a file without them would derive from the weights are stored first, so
+        # that inflating does not change them, and the grid can be inflated again.
+        baked: dict[str, Any] = {"occupancy": level.occupancy, "floorHeight": level.floor_height}
         kept = {key: v.copy() for key, v in baked.items() if key not in level.attributes}
         noted = _noted(level.metadata, done)
         levels.append(level.with_layers(weights=weight, attributes=kept, metadata=noted))
     inflated = grid.with_levels(levels, _noted(grid.metadata, done))
-    if grid.navbake:  # in others' files these names may mean anything
+    if grid.navbake:  # in files of other programs these names may mean anything
         names = {name for level in levels for name in level.attributes}
         add_layers(inflated, names & {"island", "clearance"})
     return inflated

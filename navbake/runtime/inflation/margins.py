@@ -1,16 +1,14 @@
-"""How much room an agent of a known radius needs to move, not only to stand.
+"""Clearances that an agent of a known radius needs to move, not only to stand.
 
-An inflated grid tells where an agent may stand at a cell's centre. On the way from one centre to
-the next, or anywhere else in a cell, it may be nearer to what is beside it. So diagonal steps
-need cells that would be free for a radius so much larger that the discs round both ends cover the
-way; and straight lines off the centres need cells in which the agent may be anywhere.
+In an inflated grid, an agent may stand at the centres of free cells. Between them, or anywhere
+else in a cell, it may be nearer to an obstacle. So diagonal steps need cells that would be free
+for a radius so much larger that the discs round both ends cover the way; and straight lines off
+the centres need cells in which the agent may be anywhere. Straight steps need nothing more: a
+square beside such a step is straight beside one of its ends, and as near to it.
 
 Floors are known at cells' centres: where one is a step higher than the next, the edge between
 them may be half a cell off, and so may the edges beside it. There, steps go straight from centre
 to centre, as the bake knows them.
-
-Straight steps need nothing more: a square beside such a step is straight beside one of its ends,
-and as near to it.
 """
 
 from __future__ import annotations
@@ -31,35 +29,20 @@ STEEP = 1.001  # rise, in cells, over which neighbours are a step, not a slope
 
 
 def exact_radius(grid: NavGrid) -> float:
-    """The radius that the grid was inflated for, exactly [m]; 0 if it wasn't."""
-    done = grid.metadata.get("inflation")
-    return max(
-        (
-            float(entry["radius"])
-            for entry in (done if isinstance(done, list) else [])
-            if isinstance(entry, dict)
-            and entry.get("mode") == "exact"
-            and isinstance(entry.get("radius"), int | float)
-        ),
-        default=0.0,
-    )
+    """The radius that the grid was inflated for in mode `exact` [m]; 0 if it wasn't."""
+    done = grid.metadata.get("inflation")  # in files of other programs this may be anything
+    entries = [e for e in done if isinstance(e, dict)] if isinstance(done, list) else []
+    radii = [entry.get("radius") for entry in entries if entry.get("mode") == "exact"]
+    return max((float(r) for r in radii if isinstance(r, int | float)), default=0.0)
 
 
 def agent_radius(grid: NavGrid) -> float:
-    """The radius that the grid is for [m]: that of its inflation, or else of its bake."""
+    """The radius of the agent [m]: that of the inflation, else that of the bake."""
     return exact_radius(grid) or grid.agent_radius
 
 
 def margins_of(grid: NavGrid, radius: float | None = None) -> Margins:
-    """How far an agent has to stay away from things that come later.
-
-    Args:
-        grid: the grid.
-        radius: of the agent [m]; the grid's if None.
-
-    Raises:
-        QueryError: the radius is no length.
-    """
+    """How far an agent of a radius [m], by default the grid's, has to stay away from blocks."""
     if radius is not None:
         check_radius(radius, "margin")
     radius = agent_radius(grid) if radius is None else float(radius)
@@ -69,11 +52,9 @@ def margins_of(grid: NavGrid, radius: float | None = None) -> Margins:
 
 
 def find_room(grid: NavGrid) -> tuple[Bool, Bool] | None:
-    """Find the cells with room to step diagonally, and those with room off their centres.
+    """Find the cells clear enough to step diagonally, and those clear off their centres.
 
-    Returns:
-        Two masks by flat id; free cells only count where they are free. None where no radius is
-        known, so that the cells are all that there is to go by.
+    Two masks by flat id; they say nothing of cells that are not free. None without a radius.
     """
     radius = exact_radius(grid)
     if radius == 0.0:
@@ -87,7 +68,7 @@ def find_room(grid: NavGrid) -> tuple[Bool, Bool] | None:
 
 
 def _at_edges(level: SceneGrid2D) -> Bool:
-    """Cells from which the floor of one beside is a step higher or lower, not a slope."""
+    """Cells with a neighbour whose floor is a step higher or lower, not a slope."""
     floor = level.floor_height.astype(np.float64)
     at_edge = np.zeros(level.shape, dtype=np.bool_)
     for near, far in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
@@ -98,7 +79,7 @@ def _at_edges(level: SceneGrid2D) -> Bool:
 
 
 def _larger(radius: float, cell_size: float) -> tuple[float, float]:
-    """Radii that cover a diagonal step's way, and all places of a cell [m]."""
+    """Radii [m] at a cell's centre that make a diagonal step, or any position in the cell, free."""
     # Halfway along a diagonal step, half a diagonal from both ends, a point at distance r from the
     # way is the farthest from them: sqrt(r² + (s / sqrt 2)²). A corner of the cell is s / sqrt 2
     # from its centre.

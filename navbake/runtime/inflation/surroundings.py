@@ -1,4 +1,4 @@
-"""What an agent on a level may run into: the level's cells and those of the levels around."""
+"""The cells of a level and of the levels around it that can block an agent on it."""
 
 from __future__ import annotations
 
@@ -15,21 +15,20 @@ if TYPE_CHECKING:
     from navbake.navgrid.lattice import Lattice
 
 SLAB = 0.3  # [m] how thick the floor of a level above may be
-ALIGNED = 1e-3  # of a cell: levels this little off each other's cells share one lattice
+ALIGNED = 1e-3  # of a cell: levels offset by less share one lattice
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """A piece of the scene's lattice around one level, with what all levels have in it.
+    """A window of the scene's lattice around one level, with the cells of all levels in it.
 
     Attributes:
-        level: which of the arrays' levels is meant.
-        rows, cols: where the level's own rectangle is in the arrays.
-        floor: shape (levels, rows, cols), float32: world z of the floor [m], NaN for none.
-        occupied: likewise, uint8; 1 beyond a level's rectangle.
+        level: index of the level in the arrays.
+        rows, cols: the level's own rectangle in the arrays.
+        floor: world z of the floor [m], NaN for none, shape (levels, rows, cols).
+        occupied: 1 beyond a level's rectangle, shape (levels, rows, cols).
         step: by how much floors of neighbours may differ [m].
-        height: of the agent [m].
-        baked_radius: of the agent [m]; 0 where a file doesn't tell.
+        height, baked_radius: of the agent [m]; the radius is 0 where the file has none.
     """
 
     level: int
@@ -43,19 +42,11 @@ class Surroundings:
 
 
 def find_surroundings(grid: NavGrid, number: int, reach: int) -> Surroundings:
-    """Collect what an agent on a level may run into.
+    """Collect the cells that an agent on a level may meet, which reaches some cells from its own.
 
-    A single level is the whole lattice: beyond it the bake saw nothing. Each of several levels is
-    cut to the cells with a floor; beyond these is no floor, which counts as occupied. Levels on
-    other lattices are left out.
-
-    Args:
-        grid: the grid.
-        number: which level.
-        reach: how far an agent reaches from its cell, in cells.
-
-    Returns:
-        For a grid of one level, its own arrays.
+    A single level is its own surroundings: nothing was baked beyond it. Several levels are pasted
+    into one window, in which cells beyond a level count as occupied; levels on other lattices are
+    left out.
     """
     level = grid.levels[number]
     agent = step_limit(grid) * grid.unit, grid.agent_height, grid.agent_radius
@@ -87,7 +78,7 @@ def _floor(level: SceneGrid2D) -> NDArray[np.float32]:
 
 
 def _shift(a: Lattice, b: Lattice) -> tuple[int, int] | None:
-    """Row and column in lattice a of lattice b's cell 0; None if they have no cells in common."""
+    """Row and column in lattice a of b's cell (0, 0); None if the cells do not coincide."""
     col, row = (b.x_min - a.x_min) / a.cell_size, (a.y_max - b.y_max) / a.cell_size
     size = abs(b.cell_size / a.cell_size - 1) * max(*a.shape, *b.shape)
     off = max(abs(row - round(row)), abs(col - round(col)), size)
@@ -95,10 +86,8 @@ def _shift(a: Lattice, b: Lattice) -> tuple[int, int] | None:
 
 
 def _paste(canvas: NDArray, piece: NDArray, row: int, col: int) -> None:  # type: ignore[type-arg]
-    """Copy a piece to a place on a canvas, as far as they overlap."""
-    rows = slice(max(row, 0), max(min(row + piece.shape[0], canvas.shape[0]), 0))
-    cols = slice(max(col, 0), max(min(col + piece.shape[1], canvas.shape[1]), 0))
-    if rows.start < rows.stop and cols.start < cols.stop:
-        canvas[rows, cols] = piece[
-            rows.start - row : rows.stop - row, cols.start - col : cols.stop - col
-        ]
+    """Copy a piece to a position on a canvas, as far as they overlap."""
+    height, width = canvas.shape
+    inside = piece[max(-row, 0) : max(height - row, 0), max(-col, 0) : max(width - col, 0)]
+    row, col = max(row, 0), max(col, 0)
+    canvas[row : row + inside.shape[0], col : col + inside.shape[1]] = inside

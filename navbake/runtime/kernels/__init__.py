@@ -7,7 +7,7 @@ from navbake.compiled import drop_stale_caches
 
 @njit(cache=True)
 def _cached() -> None:
-    """Tells where numba keeps the kernels of this folder."""
+    """Does nothing; numba says where its cached code is."""
 
 
 drop_stale_caches(_cached)

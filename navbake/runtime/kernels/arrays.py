@@ -1,4 +1,4 @@
-"""What the kernels of the run time take, and how a cell is found in it.
+"""The arrays that the kernels of the run time take, and how a cell is found in them.
 
 The cells of all levels stand in one row: the flat id of a cell is ``start[level] + row *
 width[level] + col``. "By cell" means: one entry for each flat id.
@@ -21,17 +21,13 @@ EDGE = 1e-6  # of a cell: how far inside of its edges a point is put
 
 
 class Layout(NamedTuple):
-    """Where the cells of each level lie.
+    """Where the cells of each level lie; rows run towards smaller y.
 
     Attributes:
-        start: first flat id of each level, and one past the last, shape (num_levels + 1,), int64.
-        width: number of columns of each level, shape (num_levels,), int64.
-        height: number of rows of each level, shape (num_levels,), int64.
-        x_min: world x of the outer edge of column 0 of each level [m], float64.
-        y_max: world y of the outer edge of row 0 of each level [m], float64; rows run towards
-            smaller y.
-        cell_size: edge of a cell of each level [m], float64; the same on all levels of a grid
-            that navbake baked.
+        start: first flat id of each level, and one past the last, shape (num_levels + 1,).
+        width, height: number of columns and of rows, by level.
+        x_min, y_max: outer corner of cell (0, 0), by level, world [m].
+        cell_size: edge of a cell, by level [m]; levels of other programs' files may differ.
     """
 
     start: Int
@@ -46,11 +42,10 @@ class Links(NamedTuple):
     """Steps between cells that are not neighbours on one level; each is listed both ways.
 
     Attributes:
-        cell: flat ids of the cells that links lead from, shape (m,), ascending, each once, int64.
-        start: shape (m + 1,), int64: from ``cell[i]`` links lead to
-            ``target[start[i]:start[i + 1]]``.
-        target: flat ids, ascending for each cell, int64.
-        length: of each link [m], as `target`, float64.
+        cell: flat ids of the cells that links lead from, shape (m,), ascending, each once.
+        start: shape (m + 1,): from ``cell[i]``, links lead to ``target[start[i]:start[i + 1]]``.
+        target: flat ids, ascending for each cell.
+        length: of each link [m], as `target`.
     """
 
     cell: Int
@@ -63,12 +58,10 @@ class Floors(NamedTuple):
     """The heights of floors, world z [m].
 
     Attributes:
-        z: by cell, float64, NaN where there is no floor; the ground on a level whose file has no
-            floor heights.
-        ground: of each level, float64: the floor of free cells that have none of their own.
+        z: by cell, NaN where there is no floor; the ground on a level whose file has no heights.
+        ground: by level: the floor of free cells that have none of their own.
         max_step: by how much the floors of neighbours may differ, slack included; see
-            `navbake.navgrid.islands.step_limit`. A cell without floor is level with all of its
-            neighbours.
+            `navbake.navgrid.islands.step_limit`. Any step to or from a cell without floor is flat.
     """
 
     z: Float
@@ -80,8 +73,8 @@ class Space(NamedTuple):
     """What a straight line may run through.
 
     Attributes:
-        layout, links, floors: of the grid; with a `max_step` of infinity, heights are ignored.
-        passable: by cell, bool.
+        floors: with a `max_step` of infinity, heights are not compared.
+        passable: by cell.
     """
 
     layout: Layout
@@ -94,13 +87,11 @@ class Graph(NamedTuple):
     """The steps of an agent and what they cost: the length [m] times the target's weight.
 
     Attributes:
-        layout, links: of the grid.
-        moves: by cell, uint8: see `navbake.runtime.kernels.moves`.
-        weight: by cell, float64, inf where it isn't free.
+        moves: by cell, see `navbake.runtime.kernels.moves`.
+        weight: by cell, inf where it isn't free.
         same_weight: the weight of all free cells, 0 where they differ.
         least_weight: the smallest weight of a free cell, >= 0.
-        bucket: width of the buckets of the queue, see `navbake.runtime.kernels.buckets`.
-        num_buckets: how many there are, a power of two.
+        bucket, num_buckets: of the queue, see `navbake.runtime.kernels.buckets.bucket_width`.
     """
 
     layout: Layout
@@ -114,7 +105,7 @@ class Graph(NamedTuple):
 
 
 class Entries(NamedTuple):
-    """Room for the entries of a queue, see `navbake.runtime.kernels.buckets`; of one length."""
+    """Memory for the entries of a queue, see `navbake.runtime.kernels.buckets`; of one length."""
 
     cell: Int32
     next: Int32
@@ -124,9 +115,9 @@ class Visits(NamedTuple):
     """How a search reached the cells; kept from search to search, so that none has to clear it.
 
     Attributes:
-        mark: by cell, int32: see `navbake.runtime.kernels.route`.
-        cost: by cell, float64, valid where `mark` is of this search.
-        link_from: by place in ``links.cell``, int64: where the link that was taken leads from.
+        mark: by cell, see `navbake.runtime.kernels.route`.
+        cost: by cell, valid where `mark` is of this search.
+        link_from: by index in ``links.cell``: where the link that was taken leads from.
     """
 
     mark: Int32
@@ -138,9 +129,9 @@ class Line(NamedTuple):
     """A line over cells, seen from above.
 
     Attributes:
-        points: world x, y [m], shape (n, 2), float64, each in a cell of its level.
-        levels: of the points, shape (n,), int64.
-        is_link: whether a link leads from a point to the next, shape (n - 1,), bool.
+        points: world x, y [m], shape (n, 2), each in a cell of its level.
+        levels: of the points, shape (n,).
+        is_link: whether a link leads from a point to the next, shape (n - 1,).
     """
 
     points: Float
@@ -160,7 +151,7 @@ class Rect(NamedTuple):
 def level_of(start, cell):
     """The level of a flat id."""
     level = 0
-    while cell >= start[level + 1]:
+    while cell >= start[level + 1]:  # levels are few, so that no search is faster
         level += 1
     return level
 
@@ -195,12 +186,11 @@ def center(layout, cell):
 
 @njit(cache=True)
 def put_into(layout, cell, x, y):
-    """The point of a cell's square that is the nearest to x, y; a little inside of its edges."""
+    """The point of a cell's square nearest to x, y, EDGE inside of its edges."""
     middle_x, middle_y = center(layout, cell)
     half = (0.5 - EDGE) * layout.cell_size[level_of(layout.start, cell)]
     x = min(max(x, middle_x - half), middle_x + half)
-    y = min(max(y, middle_y - half), middle_y + half)
-    return x, y
+    return x, min(max(y, middle_y - half), middle_y + half)
 
 
 @njit(cache=True, error_model="numpy")

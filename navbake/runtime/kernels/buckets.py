@@ -1,19 +1,13 @@
-"""A queue of cells by cost: Dial's buckets (1969), each as wide as a share of the cheapest step.
+"""A bucket queue of cells by cost (Dial 1969), each bucket as wide as a share of the cheapest step.
 
 Dial's algorithm has one bucket for each whole cost. Here costs are real numbers, so a bucket
 holds a range of them and its cells come out in any order: the "untidy" priority queue of Yatziv,
 Bartesaghi and Sapiro (2006). Unlike there, the answer stays exact, because a cell that gets
 cheaper after it was taken out is put in again (label correcting).
 
-The buckets are used in a circle, which is long enough for the dearest step. Each is a chain of
-entries that works as a stack. Entries that were taken out are used again, so the queue stays as
-small as its longest wave, and in the processor's cache.
-
-The functions take the queue's arrays by themselves: looking into a tuple of arrays counts
-references, which costs more than the rest of a step.
+The buckets are used in a circle, which is long enough for the dearest step. Each is a linked
+stack; freed entries are reused, so the queue stays small, and in the processor's cache.
 """
-
-from __future__ import annotations
 
 import math
 
@@ -21,7 +15,7 @@ import numpy as np
 from numba import njit
 
 DIAGONAL = math.sqrt(2.0)
-SHARE = 0.5  # of the cheapest step: up to 1, few cells are worked off twice
+SHARE = 0.5  # of the cheapest step: up to 1, few cells are expanded twice
 MAX_BUCKETS = 1 << 16
 SPARE, USED, OPEN = 0, 1, 2  # first entry to use again, entries ever used, entries in the queue
 
@@ -30,14 +24,12 @@ SPARE, USED, OPEN = 0, 1, 2  # first entry to use again, entries ever used, entr
 def bucket_width(size, least, most, longest_link):
     """Width of the buckets, and how many of them a circle needs: a power of two.
 
-    Args:
-        size: the smallest edge of a cell [m].
-        least, most: the smallest and the largest weight of free cells.
-        longest_link: [m].
+    Of the smallest edge of a cell [m], the smallest and the largest weight of free cells, and the
+    longest link [m].
     """
     farthest = 2.0 * most * max(DIAGONAL * size, longest_link)  # from a bucket to a new entry
     width = max(SHARE * size * least, farthest / (MAX_BUCKETS - 4))
-    if not width > 0.0:
+    if not width > 0.0:  # all steps are free of cost: one bucket holds everything
         return 1.0, 4
     count = 4
     while count < farthest / width + 3:
@@ -53,7 +45,7 @@ def make_queue(num_buckets):
 
 @njit(cache=True, error_model="numpy")
 def push(head, state, entry_cell, entry_next, bucket, cell):
-    """Put a cell into a bucket; there is room for it."""
+    """Put a cell into a bucket; the caller has checked that an entry is left."""
     slot = bucket & (head.shape[0] - 1)  # the remainder, as the number is a power of two
     entry = state[SPARE]
     if entry >= 0:

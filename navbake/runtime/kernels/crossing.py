@@ -1,12 +1,10 @@
-"""Straight lines over the cells of a grid, edge by edge, from level to level where links lead.
+"""Traverses cells along a straight line, edge by edge, from level to level where links lead.
 
 The line goes from cell to cell as in Amanatides and Woo, "A Fast Voxel Traversal Algorithm for
 Ray Tracing" (1987): of the cell's next vertical and next horizontal edge, the one that the line
-meets first is crossed. Unlike there, each crossing is worked out anew from the cell's own edge,
+meets first is crossed. Unlike there, each crossing is computed from the cell's own edge,
 not summed up, because a link may lead to a level whose cells lie elsewhere.
 """
-
-from __future__ import annotations
 
 import numpy as np
 from numba import njit
@@ -16,31 +14,19 @@ from navbake.runtime.kernels.arrays import center, find_slot, level_of, put_into
 
 @njit(cache=True)
 def cross(layout, links, passable, floor, max_step, cell, down, across):
-    """The cell over one edge of a cell.
+    """The passable cell over one edge of a cell, -1 for none; of `down`, `across` one is 0, one ±1.
 
-    That is the neighbour on the same level, or the cell on another level that a link leads to at
-    the same place. It must be passable; on the same level, floors may differ by `max_step`.
-
-    Args:
-        layout, links, passable, floor, max_step: the parts of a
-            `navbake.runtime.kernels.arrays.Space`, taken out of it once for many calls.
-        cell: flat id.
-        down, across: one of them 0, the other 1 or -1: by how many rows and columns.
-
-    Returns:
-        Flat id, -1 where nothing leads over the edge.
+    That is the neighbour on the same level, whose floor may differ by `max_step`, or the cell on
+    another level that a link leads to at the neighbour's position.
     """
-    level = level_of(layout.start, cell)
-    columns, size = layout.width[level], layout.cell_size[level]
-    row, col = divmod(cell - layout.start[level], columns)
-    if 0 <= row + down < layout.height[level] and 0 <= col + across < columns:
-        other = cell + down * columns + across
-        # written so that NaN, no floor, is no step
-        if passable[other] and not abs(floor[cell] - floor[other]) > max_step:
-            return other
+    other = _beside(layout, cell, down, across)
+    # written so that NaN, no floor, is no step
+    if other >= 0 and passable[other] and not abs(floor[cell] - floor[other]) > max_step:
+        return other
     slot = find_slot(links.cell, cell)
     if slot < 0:
         return np.int64(-1)
+    size = layout.cell_size[level_of(layout.start, cell)]
     x, y = center(layout, cell)
     x, y, near = x + across * size, y - down * size, 0.25 * size
     for i in range(links.start[slot], links.start[slot + 1]):
@@ -54,20 +40,11 @@ def cross(layout, links, passable, floor, max_step, cell, down, across):
 
 @njit(cache=True)
 def walk_line(space, room, cell, x0, y0, x1, y1):
-    """Walk from a point straight to another, as far as cells let one pass.
+    """Walk from a point in a cell straight to another: to which cell, and what share of the way.
 
-    Through a corner of four cells, one of the two beside the line has to be passable.
-
-    Args:
-        space: a `navbake.runtime.kernels.arrays.Space`.
-        room: by cell, or empty. If not empty, the line may start in cells that are not passable,
-            and go on in them as long as they are of the first one's room, until it comes out of
-            them.
-        cell: flat id of the cell that holds x0, y0.
-        x0, y0, x1, y1: the two points, world [m].
-
-    Returns:
-        Flat id of the last cell, and the share of the way walked: 1 for all of it.
+    Through a corner of four cells, one of the two beside the line has to be passable. If `room`,
+    by cell, is not empty, the line may start in cells that are not passable, and continue in them
+    as long as they are of the first one's room, until it leaves them.
     """
     layout, links, floors, passable = space
     floor, max_step = floors.z, floors.max_step
@@ -94,12 +71,11 @@ def walk_line(space, room, cell, x0, y0, x1, y1):
             over_x = (to_x <= to_y) == (turn == 0)
             if following >= 0 or (turn == 1 and to_x != to_y):
                 break
-            step_down, step_across = (0, across) if over_x else (down, 0)
-            following = cross(
-                layout, links, passable, floor, max_step, cell, step_down, step_across
-            )
+            dr, dc = (0, across) if over_x else (down, 0)
+            following = cross(layout, links, passable, floor, max_step, cell, dr, dc)
             if following < 0 and leaving:
-                following = _stay(layout, room, home, cell, step_down, step_across)
+                beside = _beside(layout, cell, dr, dc)
+                following = beside if beside >= 0 and room[beside] == room[home] else following
         if following < 0:
             return cell, share
         cell = following
@@ -107,15 +83,13 @@ def walk_line(space, room, cell, x0, y0, x1, y1):
 
 
 @njit(cache=True)
-def _stay(layout, room, home, cell, down, across):
-    """The neighbour on the same level, if it is of a cell's room; else -1."""
+def _beside(layout, cell, down, across):
+    """The neighbour on the same level, -1 beyond its rim."""
     level = level_of(layout.start, cell)
     columns = layout.width[level]
     row, col = divmod(cell - layout.start[level], columns)
     if 0 <= row + down < layout.height[level] and 0 <= col + across < columns:
-        other = cell + down * columns + across
-        if room[other] == room[home]:
-            return other
+        return cell + down * columns + across
     return np.int64(-1)
 
 

@@ -1,11 +1,9 @@
 """What the cheapest route to the nearest of several goals costs, from every cell.
 
 Dijkstra's algorithm (1959) from all goals at once, backwards, with a bucket queue, see
-`navbake.runtime.kernels.buckets`. A cell that gets cheaper after it was worked off is worked off
+`navbake.runtime.kernels.buckets`. A cell that gets cheaper after it was expanded is expanded
 again, so the costs are exact.
 """
-
-from __future__ import annotations
 
 import math
 
@@ -19,16 +17,9 @@ from navbake.runtime.kernels.moves import COL_STEP, ROW_STEP
 
 @njit(cache=True, error_model="numpy")
 def find_field(graph, goals, field, entries):
-    """Find the cost of the cheapest route from every cell to the nearest goal.
+    """Write the cost from every cell to the nearest of some free goals into `field`, inf before.
 
-    Args:
-        graph: a `navbake.runtime.kernels.arrays.Graph`.
-        goals: free cells.
-        field: by cell, float64, inf. Receives the costs.
-        entries: a `navbake.runtime.kernels.arrays.Entries`: room for open cells.
-
-    Returns:
-        Whether there was room enough for the open cells.
+    False if there are too few entries for the open cells.
     """
     start, width, cell_size = graph.layout.start, graph.layout.width, graph.layout.cell_size
     link_cell, link_start, link_target, link_length = graph.links

@@ -1,4 +1,4 @@
-"""Which cells an agent can't stand on because of what is near them. All distances in cells.
+"""Finds cells where an agent can't stand because of what is near. All distances in cells.
 
 Distances are found in two passes, as in the exact transforms of Saito and Toriwaki (1994) and
 Meijster, Roerdink and Hesselink (2000): along the columns first, then along the rows. Instead of
@@ -7,9 +7,11 @@ searches no farther than the best so far, which is quicker for the few cells tha
 
 Floors of several levels are compared cell by cell, but only in tiles whose ranges of heights make
 a conflict possible: one step of a min-max pyramid.
-"""
 
-from __future__ import annotations
+Arrays have the shape (rows, cols), `floor` (levels, rows, cols) and float32 [m], NaN for none;
+`occupied` is uint8. `offsets` are the steps from an agent's cell to the cells that it meets,
+(n, 2) int64, and `reach` is the longest of them along an axis. `blocked` is bool and written.
+"""
 
 import numpy as np
 from numba import njit
@@ -22,16 +24,11 @@ def dilate(occupied, half_width):
     """Find the cells near an occupied one, by a shape that is as wide as a table says.
 
     First each cell's distance to the nearest occupied one of its column; then each row is the
-    union of the intervals that such distances stand for. Exact for any shape that is symmetric
-    and narrows with the distance from its middle. The time doesn't depend on the shape's size.
+    union of one interval per distance. Exact for any shape that is symmetric and narrows with the
+    distance from its middle. The time doesn't depend on the shape's size.
 
-    Args:
-        occupied: shape (rows, cols), uint8, not 0 where it is.
-        half_width: (n,) int32: how many columns to each side of itself an occupied cell makes
-            near, by the number of rows between; -1 for none. The last entry is -1.
-
-    Returns:
-        Shape (rows, cols), bool.
+    `half_width` says how many columns to each side of itself an occupied cell makes near, by the
+    number of rows between, int32; -1 for none, as in its last entry.
     """
     rows, cols = occupied.shape
     column = _column_distances(occupied, half_width.shape[0] - 1)
@@ -72,14 +69,9 @@ def _column_distances(occupied, far):
 
 @njit(cache=True)
 def squared_distances(occupied, reach):
-    """Measure from each cell's centre to that of the nearest occupied one.
+    """Squared distance from each cell's centre to that of the nearest occupied one, int64.
 
-    Args:
-        occupied: shape (rows, cols), uint8, not 0 where it is.
-        reach: up to how many cells along an axis to measure, >= 1.
-
-    Returns:
-        Squares, shape (rows, cols), int64; more than reach² where all are farther than that.
+    Where all are farther than `reach` cells, >= 1, it is some value over reach².
     """
     rows, cols = occupied.shape
     column = _column_distances(occupied, reach + 1)
@@ -102,15 +94,8 @@ def squared_distances(occupied, reach):
 def refine_window(occupied, has_floor, radius, clearance, reach, least, weights):
     """Weigh each cell by the cells of a window around it, as the original client does.
 
-    The window runs from `reach` before the cell to `reach` - 1 after it, along both axes.
-
-    Args:
-        occupied: shape (rows, cols), uint8.
-        has_floor: likewise, bool.
-        radius, clearance: of the agent, and beyond it.
-        reach: see above, >= 1.
-        least: share of the cells within the radius that must have a floor.
-        weights: (rows, cols) float64, written.
+    The window runs from `reach` before the cell to `reach` - 1 after it, along both axes; `least`
+    is the share of the cells within the radius that must have a floor. Writes `weights`, float64.
     """
     rows, cols = occupied.shape
     inner, outer = radius * radius, (radius + clearance) * (radius + clearance)
@@ -139,15 +124,9 @@ def _weigh(occupied, has_floor, row, col, inner, outer, reach, least):
 
 @njit(cache=True)
 def block_near_holes(has_floor, todo, offsets, squares, least, blocked):
-    """Block cells around which too few cells have a floor, within any distance up to the last.
+    """Block cells of `todo` with a share under `least` of cells with a floor, within any distance.
 
-    Args:
-        has_floor: shape (rows, cols), bool.
-        todo: likewise, which cells to ask for.
-        offsets: (n, 2) int64, steps to the cells around, the nearest first.
-        squares: (n,) int64, their squared lengths.
-        least: share of the cells that must have a floor.
-        blocked: (rows, cols) bool, written.
+    The offsets come with their squared lengths, the nearest first.
     """
     rows, cols = has_floor.shape
     for row in range(rows):
@@ -171,18 +150,12 @@ def block_near_holes(has_floor, todo, offsets, squares, least, blocked):
 
 @njit(cache=True)
 def block_below_floors(floor, level, offsets, reach, step, top, blocked):
-    """Block cells of a level from which a floor that they meet is more than a step higher.
+    """Block cells of a level from which a floor that they meet is more than a step higher [m].
 
-    Args:
-        floor: shape (levels, rows, cols), float32 [m], NaN for none.
-        level: which of them.
-        offsets: (n, 2) int64, steps from an agent's cell to the cells whose squares it meets.
-        reach: the longest step along an axis.
-        step: highest step [m].
-        top: how much higher the floor of another level may be to be still in the way [m].
-        blocked: (rows, cols) bool, written.
+    The floor of another level that is `top` higher [m] or more is not in the way.
     """
     levels, rows, cols = floor.shape
+    own = floor[level]
     low, high = _tile_ranges(floor)
     tiles = (reach + TILE - 1) // TILE
     for upper in range(levels):
@@ -199,9 +172,7 @@ def block_below_floors(floor, level, offsets, reach, step, top, blocked):
                     for col in range(tile_col * TILE, min((tile_col + 1) * TILE, cols)):
                         height = floor[upper, row, col]
                         if height - lowest > step and height - highest < limit:
-                            _block_lower(
-                                floor[level], height, row, col, offsets, step, limit, blocked
-                            )
+                            _block_lower(own, height, row, col, offsets, step, limit, blocked)
 
 
 @njit(cache=True)
@@ -226,21 +197,15 @@ def _block_lower(floor, height, row, col, offsets, step, limit, blocked):
 
 @njit(cache=True)
 def block_across(floor, occupied, level, offsets, overlap, reach, blocked):
-    """Decide anew for the cells of a level near which another one has floors as high as theirs.
+    """Decide again for the cells of a level near which another one has floors as high as theirs.
 
-    In each column that an agent meets, what its own level has there counts, and what every other
-    level has there whose floor is as high as the agent's; but its own does not where only
-    another level's is as high. Cells that are occupied themselves stay as they are.
-
-    Args:
-        floor: shape (levels, rows, cols), float32 [m], NaN for none.
-        occupied: likewise, uint8.
-        level: which of them.
-        offsets: (n, 2) int64, steps from an agent's cell to the cells whose squares it meets.
-        overlap: floors less than this apart are as high [m].
-        reach: the longest step along an axis.
-        blocked: (rows, cols) bool, written.
+    Floors less than `overlap` apart are as high [m]. Cells that are occupied themselves stay as
+    they are.
     """
+    # What counts in a column that an agent meets, by whose floors are as high as the agent's:
+    #   own level's only, or none   the own level
+    #   own and others'             the own level and these others
+    #   only others'                these others
     _, rows, cols = floor.shape
     low, high = _tile_ranges(floor)
     tiles = (reach + TILE - 1) // TILE
@@ -275,7 +240,7 @@ def _tile_ranges(floor):
 
 @njit(cache=True)
 def _tiles_meet(low, high, level, row, col, tiles, overlap):
-    """Whether some other level may have a floor as high as this tile's, this near."""
+    """Whether some other level may have a floor as high as this tile's, within some tiles."""
     bottom, top = low[level, row, col] - overlap, high[level, row, col] + overlap
     for other in range(low.shape[0]):
         if other == level:
@@ -308,15 +273,10 @@ def _meets_any(floor, occupied, level, row, col, offsets, overlap):
 
 
 @njit(cache=True)
-def meets_runs(occupied, runs, blocked):
-    """Find the cells at which a shape made of runs meets an occupied cell.
-
-    Args:
-        occupied: shape (rows, cols), uint8.
-        runs: (n, 3) int64: a row relative to the shape's cell, its first column and its last.
-        blocked: (rows, cols) bool, written.
-    """
+def meets_runs(occupied, runs):
+    """Find the cells at which a shape of runs (row, first column, last column) meets something."""
     rows, cols = occupied.shape
+    meets = np.zeros((rows, cols), dtype=np.bool_)
     before = np.zeros((rows, cols + 1), dtype=np.int32)  # running sums: a run is one difference
     for row in range(rows):
         for col in range(cols):
@@ -330,4 +290,5 @@ def meets_runs(occupied, runs, blocked):
             for col in range(cols):
                 begin, end = max(col + first, 0), min(col + last + 1, cols)
                 if end > begin and line[end] > line[begin]:
-                    blocked[row, col] = True
+                    meets[row, col] = True
+    return meets

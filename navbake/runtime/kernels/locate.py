@@ -1,11 +1,9 @@
-"""Which cells positions are in, and whether an agent can stand there.
+"""Finds the cells that positions are in, and whether an agent can stand there.
 
 Plain search: of the levels' floors in a position's column, the highest at or below it. Positions
-are worked off in blocks, level by level. A look-up at a random place waits for the memory; with a
-block, many such waits run side by side.
+are taken in blocks, level by level: a look-up at a random address waits for the memory, and in a
+block many such waits overlap.
 """
-
-from __future__ import annotations
 
 import math
 
@@ -17,18 +15,11 @@ BLOCK = 512  # positions; what a block needs stays in the processor's first cach
 
 @njit(cache=True)
 def locate(layout, floors, positions):
-    """Find the cells whose floors are the nearest at or below positions.
+    """Find the cells whose floors are the nearest at or below positions, shape (n, 3) [m].
 
     A floor may be `max_step` above its position. Where no level has such a floor in a position's
-    column, the level counts whose ground is.
-
-    Args:
-        layout, floors: see `navbake.runtime.kernels.arrays`.
-        positions: shape (n, 3), float64 [m].
-
-    Returns:
-        Flat ids, shape (n,), int64, -1 where there is none; and the first position that is not
-        finite, or -1.
+    column, the level counts whose ground is. Returns flat ids, -1 for none, and the index of the
+    first position that is not finite, or -1.
     """
     cells = np.empty(len(positions), dtype=np.int64)
     z = np.empty(BLOCK)
@@ -42,16 +33,7 @@ def locate(layout, floors, positions):
 
 @njit(cache=True)
 def stand_on(layout, floors, free, max_drop, positions):
-    """Find out at which positions an agent can stand.
-
-    Args:
-        layout, floors, positions: see `locate`.
-        free: by cell, bool.
-        max_drop: how far below a position its floor may be [m].
-
-    Returns:
-        Shape (n,), bool; and the first position that is not finite, or -1.
-    """
+    """Mark the positions at most `max_drop` above a free floor [m]; then as `locate`."""
     answers = np.zeros(len(positions), dtype=np.bool_)
     cells, z = np.empty(BLOCK, dtype=np.int64), np.empty(BLOCK)
     for begin in range(0, len(positions), BLOCK):
@@ -80,7 +62,7 @@ def _locate_block(layout, floors, positions, cells, z):
         cells[i], z[i] = -1, -np.inf
     for level in range(len(layout.width)):
         locate_on(layout, level, positions, at)
-        for i in range(count):  # few branches: no processor guesses where positions are
+        for i in range(count):  # few branches: where positions are can't be predicted
             height, limit = floor[max(at[i], 0)], positions[i, 2] + slack
             is_nearer = (at[i] >= 0) & (height > z[i]) & (height <= limit)
             cells[i] = at[i] if is_nearer else cells[i]
@@ -95,14 +77,7 @@ def _locate_block(layout, floors, positions, cells, z):
 
 @njit(cache=True)
 def locate_on(layout, level, positions, cells):
-    """Find the cells of one level that positions are in.
-
-    Args:
-        layout: see `navbake.runtime.kernels.arrays`.
-        level: which level.
-        positions: shape (n, 2) or (n, 3), float64, finite [m].
-        cells: at least n, int64; receives flat ids, -1 beside the level.
-    """
+    """Write the flat ids of a level's cells that finite positions are in, -1 beside the level."""
     first, rows, cols = layout.start[level], layout.height[level], layout.width[level]
     x0, y1, size = layout.x_min[level], layout.y_max[level], layout.cell_size[level]
     for i in range(len(positions)):

@@ -1,8 +1,8 @@
 """The nearest cell of a mask to a point, ring by ring; and the first of some cells in sight.
 
-Cells are looked at in squares round the point's cell, each a cell farther out, until no cell of
-the next ring can be nearer than the best so far. That is quicker than any index where the mask is
-dense near the point, as free and occupied cells are, and needs none that a block would outdate.
+Cells are tested in squares round the point's cell, each a cell farther out, until no cell of the
+next ring can be nearer than the best so far. Where the mask is dense near the point, as free and
+occupied cells are, that is quicker than any index, and a block outdates nothing.
 """
 
 from __future__ import annotations
@@ -13,23 +13,22 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from navbake.runtime.kernels.arrays import Layout, center
+from navbake.runtime.kernels.arrays import Layout, center, in_cells
 from navbake.runtime.kernels.crossing import is_in_sight
 from navbake.types import Bool, Float
 
 TO_CENTER, IN_SPACE, TO_OBSTACLE = 0, 1, 2  # what is measured
-FAR_OFF = 64.0  # cells beside a level from which on rings don't pay
+FAR_OFF = 64.0  # cells: farther from a level than this, all its rows are scanned, not rings
 
 
 class Wanted(NamedTuple):
     """Cells that are looked for, and how their distance is measured.
 
     Attributes:
-        layout: of the grid, a `navbake.runtime.kernels.arrays.Layout`.
-        mask: by cell, bool: the cells that count.
-        floor: by cell [m], float64, NaN where there is none.
+        mask: by cell: the cells that count.
+        floor: by cell [m], NaN where there is none.
         measure: TO_CENTER on the map; IN_SPACE to the centre, on the floor; TO_OBSTACLE to the
-            square on the map, but not of cells over or under which another level goes on at the
+            square on the map, except of cells over or under which another level continues at the
             point's height.
         height: for TO_OBSTACLE, floors less than this apart are at one height; for IN_SPACE,
             where cells without floor are taken to be [m].
@@ -44,21 +43,14 @@ class Wanted(NamedTuple):
 
 @njit(cache=True)
 def nearest_cell(wanted, level, point, farthest):
-    """Find the cell of a level that is the nearest to a point.
+    """The cell of a level nearest to x, y, z within `farthest`, -1 for none, and its distance [m].
 
-    Args:
-        wanted: a `Wanted`.
-        level: which level.
-        point: x, y, z [m], float64; for TO_OBSTACLE, z is the floor's there.
-        farthest: the largest distance that counts [m].
-
-    Returns:
-        Its flat id, -1 for none, and the distance [m]; of equally near ones, the lowest id.
+    Of equally near ones, the lowest id. For TO_OBSTACLE, z is the floor's at the point.
     """
     layout = wanted.layout
     rows, cols, size = layout.height[level], layout.width[level], layout.cell_size[level]
-    v = np.floor((layout.y_max[level] - point[1]) / size)
-    u = np.floor((point[0] - layout.x_min[level]) / size)
+    u, v = in_cells(layout, level, point[0], point[1])
+    u, v = np.floor(u), np.floor(v)
     best = (farthest * farthest, np.int64(-1))
     beside = max(0.0, -v, v - rows + 1, -u, u - cols + 1)
     if beside > FAR_OFF:
@@ -84,7 +76,7 @@ def nearest_cell(wanted, level, point, farthest):
 
 @njit(cache=True)
 def _look(wanted, level, point, span, best):
-    """The better of the best so far and some cells of a row: squared distance, flat id."""
+    """The better of the best so far and every `stride`-th cell of a row: squared distance, id."""
     row, first, last, stride = span
     d2_best, found = best
     layout, mask, floor, measure, height = wanted
@@ -111,15 +103,14 @@ def _look(wanted, level, point, span, best):
 
 @njit(cache=True)
 def _is_elsewhere(wanted, level, cell, z):
-    """Whether another level, and not this one, is clear and goes on at a height in a column."""
+    """Whether another level, but not this one, has a clear floor near a height in the column."""
     layout, floor = wanted.layout, wanted.floor
     if abs(floor[cell] - z) < wanted.height:  # False for NaN
         return False
     x, y = center(layout, cell)
     for other in range(len(layout.width)):
-        width, size = layout.width[other], layout.cell_size[other]
-        row = np.floor((layout.y_max[other] - y) / size)
-        col = np.floor((x - layout.x_min[other]) / size)
+        width = layout.width[other]
+        col, row = in_cells(layout, other, x, y)
         if other != level and 0 <= row < layout.height[other] and 0 <= col < width:
             there = layout.start[other] + np.int64(row) * width + np.int64(col)
             if not wanted.mask[there] and abs(floor[there] - z) < wanted.height:
@@ -129,14 +120,9 @@ def _is_elsewhere(wanted, level, cell, z):
 
 @njit(cache=True)
 def first_in_sight(space, room, cell, x, y, candidates):
-    """The first of some cells whose centre is in sight of a point, -1 for none.
+    """The first of some cells whose centre is in sight of x, y in a cell, -1 for none.
 
-    Args:
-        space: where nothing stands, a `navbake.runtime.kernels.arrays.Space`.
-        room: see `navbake.runtime.kernels.crossing.walk_line`.
-        cell: flat id of the cell that holds x, y.
-        x, y: the point [m].
-        candidates: flat ids, int64.
+    See `navbake.runtime.kernels.crossing.walk_line` for `room`.
     """
     for candidate in candidates:
         to_x, to_y = center(space.layout, candidate)

@@ -6,11 +6,9 @@ is estimated by the octile distance to the box round them times the smallest wei
 never too much, so the answer is the cheapest route. On another level the same estimate holds
 along x and y, since a link costs at least what it covers there.
 
-Cells of a bucket may get cheaper while it is being worked off, and are then looked at again, so
-the width of the buckets changes the time, not the answer.
+Cells of a bucket may get cheaper while it is being emptied, and are then expanded again, so the
+width of the buckets changes the time, not the answer.
 """
-
-from __future__ import annotations
 
 import math
 
@@ -21,9 +19,11 @@ from navbake.runtime.kernels.arrays import center, find_slot, in_cells, level_of
 from navbake.runtime.kernels.buckets import DIAGONAL, OPEN, USED, make_queue, pop, push
 from navbake.runtime.kernels.moves import COL_STEP, ROW_STEP
 
-# What `mark` holds of a cell: the way it was reached (a direction, START, LINK or NONE) in the
-# lowest four bits, whether it is a goal, whether it was worked off, and the number of the search
-# that wrote it, so that nothing has to be cleared between searches.
+# The bits of a cell's `mark`:
+#   0 to 3   the way it was reached: a direction, START, LINK or NONE
+#   4        whether it is a goal
+#   5        whether it was expanded
+#   6 on     the number of the search that wrote it, so that nothing is cleared between searches
 WAY, GOAL, CLOSED, SEARCH = 15, 16, 32, 64
 START, LINK, NONE = 8, 9, 15
 NO_ROOM = -2
@@ -31,11 +31,7 @@ NO_ROOM = -2
 
 @njit(cache=True, error_model="numpy")
 def _goal_box(layout, goals):
-    """The box round goals, in rows and columns of each level.
-
-    Returns:
-        First and last row, first and last column, shape (num_levels, 4), float64.
-    """
+    """The box round goals by level: first and last row, first and last column, (num_levels, 4)."""
     x0, x1, y0, y1 = np.inf, -np.inf, np.inf, -np.inf
     for goal in goals:
         x, y = center(layout, goal)
@@ -49,7 +45,7 @@ def _goal_box(layout, goals):
 
 
 @njit(cache=True, error_model="numpy")
-def _at_least(row, col, box, scale):
+def _lower_bound(row, col, box, scale):
     """What a route from a cell to the goals' box costs at least: the octile distance."""
     a = max(box[0] - row, row - box[1], 0.0)
     b = max(box[2] - col, col - box[3], 0.0)
@@ -58,19 +54,13 @@ def _at_least(row, col, box, scale):
 
 @njit(cache=True, error_model="numpy")
 def find_route(graph, origin, goals, number, visits, entries):
-    """Find the cheapest route from a cell to the cheapest of several goals.
+    """Find the cheapest route from a free cell to the cheapest of several free goals.
 
-    Args:
-        graph: a `navbake.runtime.kernels.arrays.Graph`.
-        origin: a free cell.
-        goals: free cells, at least one.
-        number: of this search, larger than any that wrote into ``visits.mark``.
-        visits: a `navbake.runtime.kernels.arrays.Visits`; written.
-        entries: a `navbake.runtime.kernels.arrays.Entries`: room for open cells.
+    The search's number must be larger than any that wrote into ``visits.mark``.
 
     Returns:
-        The goal that was reached, -1 for none, NO_ROOM if the room for open cells is too small;
-        and how many cells were worked off.
+        The goal that was reached, -1 for none, NO_ROOM if there are too few entries for the open
+        cells; and how many cells were expanded.
     """
     start, width, cell_size = graph.layout.start, graph.layout.width, graph.layout.cell_size
     link_cell, link_start, link_target, link_length = graph.links
@@ -92,7 +82,7 @@ def find_route(graph, origin, goals, number, visits, entries):
     level = level_of(start, origin)
     first, columns, size = start[level], width[level], cell_size[level]
     row, col = divmod(origin - first, columns)
-    at = np.int64(_at_least(row, col, box[level], size * least_weight) * per_bucket)
+    at = np.int64(_lower_bound(row, col, box[level], size * least_weight) * per_bucket)
     push(head, state, entry_cell, entry_next, at, origin)
     while state[OPEN] > 0:
         cell = pop(head, state, entry_cell, entry_next, at)
@@ -139,28 +129,18 @@ def find_route(graph, origin, goals, number, visits, entries):
                 goal = mark[target] & GOAL
             if way >= 8:
                 link_from[find_slot(link_cell, target)] = cell
-            # without CLOSED: a cell that got cheaper is worked off again
+            # without CLOSED: a cell that got cheaper is expanded again
             mark[target], cost[target] = mine | goal | (way if way < 8 else LINK), there
             if goal and there < best:
                 best, reached = there, target
-            scale = cell_size[on] * least_weight
-            total = there + _at_least(r, c, box[on], scale)
+            total = there + _lower_bound(r, c, box[on], cell_size[on] * least_weight)
             push(head, state, entry_cell, entry_next, max(np.int64(total * per_bucket), at), target)
     return reached, count
 
 
 @njit(cache=True, error_model="numpy")
 def trace_route(layout, links, visits, reached):
-    """The cells of the route that a search has found, from its origin to the goal.
-
-    Args:
-        layout, links: as the search had them.
-        visits: as it left them.
-        reached: the goal.
-
-    Returns:
-        Flat ids, shape (n,), int64.
-    """
+    """The flat ids of the route that a search has found, from its origin to the goal."""
     route = np.empty(256, np.int64)
     count, cell = 0, np.int64(reached)
     while True:

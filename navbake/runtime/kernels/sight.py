@@ -1,12 +1,10 @@
 """Straight lines over a level: what they touch, what they run through, what they cost.
 
-Lines are in the level's own units: u in columns, v in rows, so that cell (row, col) is the square
-from (col, row) to (col + 1, row + 1). `is_walkable` is a supercover line, row by row: all cells
-that meet the line count, where Bresenham's line and the traversal of Amanatides and Woo leave out
-those that it only touches.
+The ends of lines are pairs u, v in the level's own units, columns and rows: cell (row, col) is the
+square from (col, row) to (col + 1, row + 1). `is_walkable` is a supercover line, row by row: all
+cells that meet the line count, where Bresenham's line and the traversal of Amanatides and Woo
+leave out those that it only touches.
 """
-
-from __future__ import annotations
 
 import math
 
@@ -35,12 +33,7 @@ def is_walkable(a, b, rect, moves, anywhere):
     """Whether an agent may be anywhere in all cells that a line touches, and step between them.
 
     A line touches a cell where it meets the cell's closed square: over a corner, all four.
-
-    Args:
-        a, b: the line's ends, u and v.
-        rect: the level, a `navbake.runtime.kernels.arrays.Rect`.
-        moves: by cell, see `navbake.runtime.kernels.moves`.
-        anywhere: by cell, bool: free cells in which an agent may also be off the centre.
+    `anywhere` marks the free cells in which an agent may also be off the centre.
     """
     (_, v0), (_, v1) = a, b
     top, bottom = math.floor(min(v0, v1) - TOUCH), math.floor(max(v0, v1) + TOUCH)
@@ -67,34 +60,25 @@ def is_walkable(a, b, rect, moves, anywhere):
 
 @njit(cache=True, error_model="numpy")
 def crossed_cells(a, b, rect):
-    """The cells that a line runs through, in order, and where it enters each.
+    """The cells that a line runs through, in order, and the share of it before each, 1 at the end.
 
-    Args:
-        a, b: the line's ends, u and v.
-        rect: the level, a `navbake.runtime.kernels.arrays.Rect`.
-
-    Returns:
-        Flat ids, int64, and the share of the line before each, float64, with 1 at the end, so one
-        longer. Cells that it only touches at a corner are left out.
+    So there is one share more. Cells that the line only touches at a corner are left out.
     """
     (u0, v0), (u1, v1) = a, b
     du, dv = u1 - u0, v1 - v0
     size = abs(math.floor(u1) - math.floor(u0)) + abs(math.floor(v1) - math.floor(v0)) + 2
     cuts = np.empty(size, np.float64)  # where the line crosses an edge of the lattice
-    num = 0
-    cuts[num] = 0.0
-    num += 1
+    cuts[0], num = 0.0, 1
     for start, end, d in ((u0, u1, du), (v0, v1, dv)):
         for line in range(math.floor(min(start, end)) + 1, math.ceil(max(start, end))):
             cuts[num] = (line - start) / d
             num += 1
     cuts[num] = 1.0
-    num += 1
-    cuts = np.sort(cuts[:num])
+    cuts = np.sort(cuts[: num + 1])
     cells, enter = np.empty(num, np.int64), np.empty(num + 1, np.float64)
     count = 0
-    for i in range(num - 1):
-        if cuts[i + 1] - cuts[i] <= 1e-12 and num != 2:
+    for i in range(num):
+        if cuts[i + 1] - cuts[i] <= 1e-12 and num > 1:  # two edges at once: a corner
             continue
         middle = (cuts[i] + cuts[i + 1]) / 2.0  # inside of the cell, so rounding does no harm
         row = min(max(math.floor(v0 + middle * dv), 0), rect.height - 1)

@@ -1,39 +1,28 @@
-"""Sliding along what is in the way: the nearest point to an end that a short walk leads to.
+"""Slides along obstacles: finds the point nearest to the end that a short walk reaches.
 
 A flood over the free cells within reach, with lengths that are corrected until none gets shorter
 (Bellman and Ford with a queue): on a window of some dozen cells that is quicker than a heap. Of
 every cell that is reached, the point that is the nearest to the end is a candidate.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 from numba import njit
 
-from navbake.runtime.kernels.arrays import level_of, put_into
+from navbake.runtime.kernels.arrays import in_cells, level_of, put_into
+from navbake.runtime.kernels.buckets import DIAGONAL
 from navbake.runtime.kernels.crossing import cross
 
-DIAGONAL = math.sqrt(2.0)
 ROUNDING = 1.09  # a walk over eight neighbours is at most so much longer than a straight line
 
 
 @njit(cache=True)
 def slide(space, cell, x0, y0, x1, y1):
-    """Go on from a point where a straight walk ended to where the end is the nearest.
+    """Continue from x0, y0 in a cell, where a straight walk to x1, y1 ended, to the nearest point.
 
-    Cells that count are those which a walk over free neighbours leads to that is no longer than
-    what is left of the way, and there only points no farther off than that.
-
-    Args:
-        space: a `navbake.runtime.kernels.arrays.Space`.
-        cell: flat id of the cell that holds x0, y0.
-        x0, y0: where the straight walk ended, world [m].
-        x1, y1: the end of the way.
-
-    Returns:
-        Flat id of the last cell, and x, y in it.
+    A cell counts if a walk over free neighbours to it is no longer than what is left of the way,
+    and there only points at most as far away as that. Returns its flat id, and x, y in it.
     """
     layout, links, floors, passable = space
     floor, max_step = floors.z, floors.max_step
@@ -96,19 +85,16 @@ def _find_neighbours(layout, links, passable, floor, max_step, cell, around):
 
 @njit(cache=True)
 def _make_window(layout, x, y, reach):
-    """The cells of each level within so many rows and columns of a point.
+    """The cells of each level within `reach` rows and columns of a point.
 
-    Returns:
-        First row and column, rows, columns, and the slot of the first of them, by level, shape
-        (5, num_levels + 1), int64; the number of all slots is at [0, -1].
+    By level, shape (5, num_levels + 1): first row and column, number of rows and of columns, slot
+    of the first cell. The number of all slots is at [0, -1].
     """
-    num_levels = len(layout.width)
+    num_levels, slots = len(layout.width), 0
     window = np.zeros((5, num_levels + 1), dtype=np.int64)
-    slots = 0
     for level in range(num_levels):
-        size = layout.cell_size[level]
-        row = np.int64(math.floor((layout.y_max[level] - y) / size))
-        col = np.int64(math.floor((x - layout.x_min[level]) / size))
+        u, v = in_cells(layout, level, x, y)
+        row, col = np.int64(math.floor(v)), np.int64(math.floor(u))
         row0, row1 = max(0, row - reach), min(layout.height[level], row + reach + 1)
         col0, col1 = max(0, col - reach), min(layout.width[level], col + reach + 1)
         window[0, level], window[1, level] = row0, col0
@@ -121,7 +107,7 @@ def _make_window(layout, x, y, reach):
 
 @njit(cache=True)
 def _slot(layout, window, cell):
-    """Where a cell is in a window, -1 outside."""
+    """Index of a cell in a window, -1 outside."""
     level = level_of(layout.start, cell)
     row, col = divmod(cell - layout.start[level], layout.width[level])
     row, col = row - window[0, level], col - window[1, level]

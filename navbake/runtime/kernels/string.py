@@ -6,8 +6,6 @@ search, Bentley and Yao 1976), so that few lines have to be looked at. A funnel 
 1984) would need a corridor of portals, and could not tell what a line costs where weights differ.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -22,14 +20,7 @@ GAIN = 1e-9  # share of its cost by which rounding may make a straight line dear
 
 @njit(cache=True, error_model="numpy")
 def can_pass(a, b, level, graph, anywhere):
-    """Whether a straight line between two points of a level stays free.
-
-    Args:
-        a, b: world x, y [m].
-        level: the level of both.
-        graph: a `navbake.runtime.kernels.arrays.Graph`.
-        anywhere: by cell, see `navbake.runtime.kernels.sight.is_walkable`.
-    """
+    """Whether a line between two points x, y of a level [m] is walkable, see `is_walkable`."""
     start = in_cells(graph.layout, level, a[0], a[1])
     end = in_cells(graph.layout, level, b[0], b[1])
     return is_walkable(start, end, rect_of(graph.layout, level), graph.moves, anywhere)
@@ -37,18 +28,10 @@ def can_pass(a, b, level, graph, anywhere):
 
 @njit(cache=True, error_model="numpy")
 def pull_string(line, graph, anywhere):
-    """Choose the points of a route that straight lines between them can do with.
+    """Mark the few points of a route whose connecting lines stay free, see `is_walkable`.
 
     A straight line never costs more than what it replaces, each part counted by the weight of its
     cell, and never runs over a link.
-
-    Args:
-        line: the route, a `navbake.runtime.kernels.arrays.Line`, each point in a free cell.
-        graph: a `navbake.runtime.kernels.arrays.Graph`.
-        anywhere: by cell, see `navbake.runtime.kernels.sight.is_walkable`.
-
-    Returns:
-        Which points to keep, shape (n,), bool.
     """
     num = line.points.shape[0]
     spent = np.zeros(num)  # cost of the route up to each point
@@ -64,22 +47,17 @@ def pull_string(line, graph, anywhere):
         last = here + 1  # before the next link
         while last < num - 1 and not line.is_link[here] and not line.is_link[last]:
             last += 1
-        # `good` can be reached, `bad` can't: doubling moves them apart, halving brings them
-        # together. Sight is not monotonous, so the point found need not be the very farthest.
+        # `good` can be reached, `bad` can't: doubling until a line fails moves them apart, halving
+        # brings them together. Sight is not monotonous, so the point found need not be the very
+        # farthest.
         good, bad, reach = here + 1, last + 1, 2
-        while good < last and bad > last:
-            there = min(here + reach, last)
+        while bad - good > 1:
+            there = min(here + reach, last) if bad > last else (good + bad) // 2
             if _is_shortcut(here, there, line, spent, graph, anywhere):
                 good = there
             else:
                 bad = there
             reach *= 2
-        while bad - good > 1:
-            there = (good + bad) // 2
-            if _is_shortcut(here, there, line, spent, graph, anywhere):
-                good = there
-            else:
-                bad = there
         here = good
         kept[here] = True
     return kept
@@ -110,15 +88,8 @@ def lay_on_floor(line, layout, floors, tolerance):
 
     The line runs through the middle of its part in each cell that it crosses, at the cell's
     floor; between two that differ by more than a cell is wide, which is steeper than any slope,
-    straight up or down at their edge, or halfway over a link. Points that are within `tolerance`
-    of the line through those that are left go.
-
-    Args:
-        line, layout, floors: see `navbake.runtime.kernels.arrays`.
-        tolerance: [m].
-
-    Returns:
-        World x, y, z [m], shape (m, 3), float64, and the level of each, int64.
+    straight up or down at their edge, or halfway over a link. Points within `tolerance` [m] of
+    the line through the remaining ones are dropped. Returns world x, y, z [m], and the levels.
     """
     points, num = line.points, line.points.shape[0]
     out, on, count = np.empty((4 * num + 16, 3)), np.empty(4 * num + 16, np.int64), 0
@@ -155,26 +126,21 @@ def _profile(a, b, level, layout, floors):
     """The floor under a line, its ends in cells: shares of it and heights there, (n, 2)."""
     rect = rect_of(layout, level)
     cells, enter = crossed_cells(a, b, rect)
-    cells[0] = _cell_of(a[0], a[1], rect)  # an end on an edge is in the cell that it was found in
-    line = np.empty((3 * cells.shape[0] + 1, 2))
+    last = cells.shape[0] - 1
+    cells[last] = _cell_of(b[0], b[1], rect)  # ends on edges are in the cells they were found in
+    cells[0] = _cell_of(a[0], a[1], rect)
+    line = np.empty((3 * last + 4, 2))
     count, before = 0, 0.0
-    for k in range(cells.shape[0]):
-        if k == cells.shape[0] - 1 and k > 0:
-            cells[k] = _cell_of(b[0], b[1], rect)
+    for k in range(last + 1):
         z = _height(cells[k], level, floors)
         if k > 0 and abs(z - before) > layout.cell_size[level] * STEEP:
             line[count, 0], line[count, 1] = enter[k], before
             line[count + 1, 0], line[count + 1, 1] = enter[k], z
             count += 2
-        share = (enter[k] + enter[k + 1]) / 2.0
-        if k == 0:
-            share = 0.0
-        elif k == cells.shape[0] - 1:
-            share = 1.0
+        share = (enter[k] + enter[k + 1]) / 2.0 if 0 < k < last else min(k, 1.0)
         line[count, 0], line[count, 1] = share, z
-        count += 1
-        before = z
-    if cells.shape[0] == 1 and (a[0] != b[0] or a[1] != b[1]):
+        count, before = count + 1, z
+    if last == 0 and (a[0] != b[0] or a[1] != b[1]):
         line[count, 0], line[count, 1] = 1.0, before
         count += 1
     return line[:count]
@@ -193,7 +159,7 @@ def _height(cell, level, floors):
 
 @njit(cache=True, error_model="numpy")
 def _next_bend(profile, here, tolerance):
-    """The last point to which all in between are within a tolerance of a straight line.
+    """The last point to whose straight line all points before it are near enough.
 
     Each point allows a range of slopes from `here`; as long as the next point's slope is in the
     ranges of all before it, the line to it passes them all closely enough (cone intersection,

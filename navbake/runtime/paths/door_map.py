@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from navbake.types import Int
 
 if TYPE_CHECKING:
@@ -16,33 +18,28 @@ DoorMap = dict[int, list[str]]
 
 
 def map_doors(grid: NavGrid, flat: FlatGrid) -> DoorMap:
-    """Lay out the doors of a grid: the cells that each blocks when closed, or as it stands.
+    """Find the cells that each door blocks when closed or as it stands.
 
-    Of a file without a table of doors, what its user data say.
+    In files of other programs, the user data of the cells name the doors.
     """
     found: DoorMap = {}
-    start = flat.layout.start
+    start = flat.layout.start.tolist()
     for door in grid.doors:
-        cells: set[int] = set()
-        for state in ("closed", door.state):
-            for level, ids in enumerate(door.cells_in(state, flat.num_levels)):
-                cells.update((ids + start[level]).tolist())
-        for cell in sorted(cells):
+        states = (door.cells_in(state, flat.num_levels) for state in ("closed", door.state))
+        cells = [start[k] + ids for by_level in states for k, ids in enumerate(by_level)]
+        for cell in np.unique(np.concatenate(cells)).tolist():
             found.setdefault(cell, []).append(door.id)
     if not grid.doors and not grid.navbake:
         for level, part in enumerate(grid.levels):
             for cell, entry in part.user_data.items():
-                stored = entry.get("doors")
-                if not isinstance(stored, list):
-                    continue
-                names = [name for name in stored if isinstance(name, str)]
-                if names:
-                    found[int(start[level]) + cell] = names
+                if isinstance(stored := entry.get("doors"), list):
+                    names = [name for name in stored if isinstance(name, str)]
+                    found[start[level] + cell] = names
     return found
 
 
 def doors_on(doors: DoorMap, cells: Int) -> list[str]:
-    """The doors that a route goes through, in order; one that is entered again is there again."""
+    """The doors that a route goes through, in order; a door that is entered again is repeated."""
     passed: list[str] = []
     current: Iterable[str] = ()
     for cell in cells.tolist():

@@ -23,28 +23,17 @@ MAX_STOPS = 200  # cells that are looked at for the narrowest one
 
 @dataclass(frozen=True, eq=False)
 class Gap:
-    """The narrowest place on the widest way.
+    """The narrowest place on the widest way."""
 
-    Attributes:
-        width: between what stands on both sides [m]; an agent on the centres of cells may need
-            up to a cell more.
-        position: world x, y, z of a cell there [m], shape (3,).
-    """
-
-    width: float
-    position: Float
+    width: float  # between the obstacles [m]; on the centres of cells, up to a cell more is needed
+    position: Float  # world x, y, z of a cell there [m], shape (3,)
 
 
 def find_gap(grid: NavGrid, flat: FlatGrid, origin: int, goals: Int) -> Gap | None:
-    """Find what keeps an agent of the grid's radius from a goal that a smaller one would reach.
+    """Find the gap that keeps an agent of an inflated grid's radius from a goal.
 
-    Args:
-        grid: an inflated grid.
-        flat: its cells.
-        origin, goals: flat ids of free cells, no two of which are joined.
-
-    Returns:
-        None if the grid isn't inflated, or no radius passes.
+    Origin and goals are free cells, by flat id, in different islands. None if the grid isn't
+    inflated, or no smaller radius passes.
     """
     radius = exact_radius(grid)
     plain = deflated(grid.without_blocks())
@@ -117,31 +106,24 @@ def deflated(grid: NavGrid) -> NavGrid:
     """The grid as it was before it was inflated, with weights of 1; itself if it wasn't."""
     if "inflation" not in grid.metadata:
         return grid
-    free = np.concatenate(
-        [
-            ((p.occupancy == 0) & ~np.isnan(p.floor_height)).ravel() | p.free.ravel()
-            for p in grid.levels
-        ]
-    )
-    return _with_free(grid, free)
+    free = [(v.occupancy == 0) & ~np.isnan(v.floor_height) | v.free for v in grid.levels]
+    return _with_free(grid, np.concatenate([mask.ravel() for mask in free]))
 
 
 def _with_free(grid: NavGrid, free: Bool) -> NavGrid:
-    """The grid with other free cells, by flat id, all of weight 1, and no word of inflation."""
+    """The grid with other free cells, by flat id, all of weight 1, as if never inflated."""
     metadata = {key: value for key, value in grid.metadata.items() if key != "inflation"}
-    levels, first = [], 0
-    for level in grid.levels:
-        size = level.width * level.height
-        weights = np.where(free[first : first + size], 1.0, np.inf).reshape(level.shape)
-        levels.append(level.with_layers(weights=weights))
-        first += size
-    return grid.with_levels(levels, metadata)
+    ends = np.cumsum([level.width * level.height for level in grid.levels])
+    weights = np.split(np.where(free, 1.0, np.inf), ends[:-1])
+    pairs = zip(grid.levels, weights, strict=True)
+    return grid.with_levels(
+        [level.with_layers(weights=w.reshape(level.shape)) for level, w in pairs], metadata
+    )
 
 
 def _free_for(grid: NavGrid, radius: float) -> Bool:
-    return np.concatenate(
-        [p.free.ravel() & ~find_blocked(grid, k, radius).ravel() for k, p in enumerate(grid.levels)]
-    )
+    free = [v.free & ~find_blocked(grid, k, radius) for k, v in enumerate(grid.levels)]
+    return np.concatenate([mask.ravel() for mask in free])
 
 
 def _joins(grid: NavGrid, flat: FlatGrid, radius: float, origin: int, goals: Int) -> bool:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
+from navbake.known_names import suggest
 from navbake.navgrid.cells import check_positions
+from navbake.navgrid.user_data import NAMES
 from navbake.types import Bool, Float, Int
 
 if TYPE_CHECKING:
@@ -22,26 +23,16 @@ if TYPE_CHECKING:
 Goal: TypeAlias = ArrayLike | str
 """A position, several of them, ``room:NAME`` or ``object:NAME``."""
 
-KINDS = ("room", "object")
-NAMED = ("objects", "doors", "walls")  # where the user data of a cell names what stands in it
-MAX_LISTED = 12
 MAX_REACH = 1.0  # metres that a place next to an object may be away from it
 
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Cells that a path may lead to.
+    """Cells that a path may lead to."""
 
-    Attributes:
-        name: what they are, for messages.
-        cells: flat ids, free or not; -1 for positions in no cell.
-        positions: world positions that they were given by, shape (n, 2) or (n, 3); None for
-            rooms and objects.
-    """
-
-    name: str
-    cells: Int
-    positions: Float | None = None
+    name: str  # what they are, for messages
+    cells: Int  # flat ids, free or not; -1 for positions in no cell
+    positions: Float | None = None  # that they were given by, world, shape (n, 2) or (n, 3)
 
     def free_cells(self, flat: FlatGrid) -> Int:
         """Those that are free, ascending and each once."""
@@ -56,17 +47,7 @@ class Target:
 
 
 def find_target(cache: GridCache, goal: Goal, level: int | None = None) -> Target:
-    """Find the cells of a goal.
-
-    Args:
-        cache: the grid and what follows from it.
-        goal: world position, shape (3,) [m]; several, shape (n, 3); ``room:`` and the id or name
-            of a room; ``object:`` and a name of the grid's user data.
-        level: which level positions are on; then z is ignored.
-
-    Raises:
-        QueryError: a position is not valid, or there is no such room or object.
-    """
+    """Find the cells of a goal, see `PathFinder`; raises QueryError for an unknown or wrong one."""
     flat = cache.flat
     if isinstance(goal, str):
         kind, _, name = goal.partition(":")
@@ -84,54 +65,42 @@ def find_target(cache: GridCache, goal: Goal, level: int | None = None) -> Targe
 
 
 def cells_around(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
-    """The free cells next to an object, or on it where it is no obstacle.
+    """The free cells next to an object, or on it where it is no obstacle; flat ids, ascending.
 
     On each level they are looked for ring by ring from the cells that carry the name, over cells
     in which nothing stands, so never through a wall: the nearest ring with a free cell and the
     one after it, at most 1 m away. In an inflated grid, that is as near as the agent gets.
-
-    Args:
-        grid: the grid.
-        flat: its cells.
-        name: of an object, a door or a wall in the grid's user data.
-
-    Returns:
-        Flat ids, ascending.
-
-    Raises:
-        QueryError: no cell carries the name.
     """
-    found = []
-    for number, (level, cells) in enumerate(zip(grid.levels, cells_named(grid, name), strict=True)):
+    named, found = cells_named(grid, flat, name), []
+    for number, level in enumerate(grid.levels):
+        part = flat.cells_of(number)
+        cells = named[(named >= part.start) & (named < part.stop)] - part.start
         if len(cells):
-            free = flat.free[flat.cells_of(number)].reshape(level.shape)
-            found.append(flat.layout.start[number] + _nearest_ring(level, cells, free))
+            free = flat.free[part].reshape(level.shape)
+            found.append(part.start + _nearest_ring(level, cells, free))
     return np.concatenate(found)
 
 
-def cells_named(grid: NavGrid, name: str) -> list[Int]:
-    """The cells of each level that an object, a door or a wall is in, by its name.
-
-    Raises:
-        QueryError: no cell carries the name.
-    """
+def cells_named(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
+    """The cells that an object, a door or a wall is in, by its name: flat ids, at least one."""
     if not isinstance(name, str):
         raise QueryError(f"expected the name of an object, got {name!r}")
-    found = [
-        [
-            cell
-            for cell, entry in level.user_data.items()
-            if any(isinstance(v := entry.get(key), list) and name in v for key in NAMED)
-        ]
-        for level in grid.levels
+    cells = [
+        start + cell
+        for level, start in zip(grid.levels, flat.layout.start.tolist(), strict=False)
+        for cell, entry in level.user_data.items()
+        if any(isinstance(v := entry.get(key), list) and name in v for key in NAMES)
     ]
-    if not any(found):
-        raise QueryError(f"no object {name!r} in {grid.scene_id!r}: {_known(grid, name)}")
-    return [np.array(cells, dtype=np.int64) for cells in found]
+    if not cells:
+        entries = (entry for level in grid.levels for entry in level.user_data.values())
+        lists = (entry.get(key) for entry in entries for key in NAMES)
+        known = {n for v in lists if isinstance(v, list) for n in v if isinstance(n, str)}
+        raise QueryError(f"no object {name!r} in {grid.scene_id!r}: {suggest(name, sorted(known))}")
+    return np.array(cells, dtype=np.int64)
 
 
 def _nearest_ring(level: SceneGrid2D, cells: Int, free: Bool) -> Int:
-    from scipy.ndimage import binary_dilation
+    from scipy.ndimage import binary_dilation  # saves scipy at start-up
 
     reached = np.zeros(level.shape, dtype=np.bool_)
     reached.ravel()[cells] = True
@@ -144,20 +113,3 @@ def _nearest_ring(level: SceneGrid2D, cells: Int, free: Bool) -> Int:
     else:
         return np.empty(0, dtype=np.int64)
     return np.flatnonzero(binary_dilation(reached) & passable & free)
-
-
-def _known(grid: NavGrid, name: str) -> str:
-    names = {
-        n
-        for level in grid.levels
-        for entry in level.user_data.values()
-        for key in NAMED
-        if isinstance(listed := entry.get(key), list)
-        for n in listed
-        if isinstance(n, str)
-    }
-    near = get_close_matches(name, names, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    known = sorted(names)
-    more = f", and {len(known) - MAX_LISTED} more" if len(known) > MAX_LISTED else ""
-    return f"{hint}it has {', '.join(known[:MAX_LISTED]) or 'none'}{more}"

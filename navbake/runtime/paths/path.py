@@ -35,10 +35,10 @@ class Path:
     doors: list[str]
 
     def at(self, distance: float) -> Float:
-        """The position so far along the path, seen from above.
+        """The position at a distance along the path, seen from above.
 
         Args:
-            distance: from the start [m]; what is beyond an end is that end.
+            distance: from the start [m], limited to 0 and the length of the path.
 
         Returns:
             World x, y, z [m], shape (3,), float64.

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navbake.errors import QueryError
-from navbake.navgrid.cells import check_positions
 from navbake.runtime.paths.door_map import doors_on
 from navbake.runtime.paths.goals import Goal, Target, find_target
 from navbake.runtime.paths.path import Path, path_length
@@ -22,7 +20,7 @@ MAX_FIELDS = 8  # distance fields that are kept
 
 
 class Planner:
-    """Plans for `PathFinder`, whose methods `find_path` and so on say what and how."""
+    """Plans paths for `PathFinder`."""
 
     def __init__(self, cache: GridCache) -> None:
         self._cache = cache
@@ -46,6 +44,7 @@ class Planner:
         """The costs of `PathFinder.distance_field`, by flat id; read-only."""
         search = self._cache.search
         goals = find_target(self._cache, goal, level).free_cells(search.flat)
+        # goals in other words but of the same cells share a field; blocks make a new version
         key = (search.version, weighted, goals.tobytes())
         field = self._fields.pop(key, None)
         if field is None:
@@ -58,11 +57,8 @@ class Planner:
 
     def find_ends(self, start: ArrayLike, goal: Goal, level: int | None) -> tuple[int, Target]:
         """The flat id of a start's cell, -1 for none, and where a goal is."""
-        flat = self._cache.flat
-        p = check_positions(start, flat.num_levels, level)
-        if p.ndim != 1:
-            raise QueryError(f"expected one start, got an array of shape {p.shape}")
-        return int(flat.cells_at(p, level)), find_target(self._cache, goal, level)
+        _, cell = self._cache.flat.locate(start, level, "start")
+        return (-1 if cell is None else cell), find_target(self._cache, goal, level)
 
     def _make_path(self, route: Int, start: Float, target: Target, smooth: bool) -> Path:
         search, rooms = self._cache.search, self._cache.rooms

@@ -1,4 +1,4 @@
-"""A grid made ready to be searched: its cells, the moves of each, and room to work in."""
+"""A grid prepared for searches: flat cells, the moves of each, and scratch arrays."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from navbake.types import Bool, Float, Int
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid, SceneGrid2D
 
+# Functions import kernels when they run: numba takes long to load.
+
 LAST_SEARCH = 2**31 // 64 - 2  # `mark` is int32 and holds the number of a search times 64
 FIRST_ROOM = 1 << 15  # entries for open cells at first
 
@@ -28,7 +30,6 @@ class Search:
     `update`.
 
     Attributes:
-        grid: the grid.
         flat: the cells; those that are blocked are not free.
         graph: the steps between them and what they cost, a
             `navbake.runtime.kernels.arrays.Graph`.
@@ -82,7 +83,7 @@ class Search:
     def _copy_changes(
         self, number: int, level: SceneGrid2D, changes: BlockState, window: Window
     ) -> None:
-        """Copy a window of a level that changed, and find the moves in and round it anew."""
+        """Copy a window of a level that changed, and find the moves in and round it again."""
         row0, row1, col0, col1 = window
         inside, flat = np.s_[row0:row1, col0:col1], self.flat
 
@@ -118,40 +119,34 @@ class Search:
         find_moves(footing, rect, (*rows, *cols), self.graph.moves)
 
     def route(self, origin: int, goals: Int) -> Int | None:
-        """Find the cheapest route to the cheapest of several goals.
-
-        Args:
-            origin: flat id of a free cell.
-            goals: flat ids of free cells, shape (n,), n >= 1.
+        """Find the cheapest route from a free cell to the cheapest of several, by flat ids.
 
         Returns:
             Flat ids of the cells from the origin to the goal, shape (m,); None for no route.
         """
         from navbake.runtime.kernels.route import NO_ROOM, find_route, trace_route
 
-        while True:
-            self._next_number()
+        reached = NO_ROOM
+        while reached == NO_ROOM:
+            # marks of earlier searches stay, as each search has its own number
+            self._number += 1
+            if self._number > LAST_SEARCH:
+                self._visits.mark[:] = 0
+                self._number = 1
             reached, _ = find_route(
                 self.graph, origin, goals, self._number, self._visits, self._entries
             )
-            if reached != NO_ROOM:
-                break
-            self._make_room(4 * len(self._entries.cell))
+            if reached == NO_ROOM:
+                self._make_room(4 * len(self._entries.cell))
         if reached < 0:
             return None
         cells: Int = trace_route(self.flat.layout, self.flat.links, self._visits, reached)
         return cells
 
     def field(self, goals: Int, *, weighted: bool = True) -> Float:
-        """Find the cost of the cheapest route from every cell to the nearest of several goals.
+        """Find the cost of the cheapest route from every cell to any of several free cells.
 
-        Args:
-            goals: flat ids of free cells, shape (n,).
-            weighted: count each step times the weight of the cell that it leads to; else its
-                length alone.
-
-        Returns:
-            By flat id, shape (num_cells,), float64; inf where no route leads to a goal.
+        By flat id, float64, inf for no route. Unless weighted, steps count by their length [m].
         """
         from navbake.runtime.kernels.field import find_field
 
@@ -168,8 +163,11 @@ class Search:
         is_diagonal = (np.diff(row) != 0) & (np.diff(col) != 0)
         size = self.flat.layout.cell_size[level[1:]]
         length: Float = size * np.where(is_diagonal, math.sqrt(2.0), 1.0)
+        links = self.flat.links
         for i in np.flatnonzero(self.are_links(cells)):
-            length[i] = self._length_of_link(cells[i], cells[i + 1])
+            slot = np.searchsorted(links.cell, cells[i])
+            of_cell = slice(*links.start[slot : slot + 2])
+            length[i] = links.length[of_cell][links.target[of_cell] == cells[i + 1]][0]
         return length
 
     def are_links(self, cells: Int) -> Bool:
@@ -180,19 +178,16 @@ class Search:
         far = (np.abs(row) > 1) | (np.abs(col) > 1)
         return np.asarray((level != 0) | far)
 
-    def _length_of_link(self, cell: int, target: int) -> float:
-        links = self.flat.links
-        slot = int(np.searchsorted(links.cell, cell))
-        first, last = links.start[slot : slot + 2]
-        return float(links.length[first:last][links.target[first:last] == target][0])
-
     def _make_room(self, size: int) -> None:
         from navbake.runtime.kernels.arrays import Entries  # saves numba at start-up
 
         self._entries = Entries(np.empty(size, dtype=np.int32), np.empty(size, dtype=np.int32))
 
     def _make_graph(self) -> None:
-        """The graph, still without moves; what is blocked later takes no weight out of it."""
+        """Make the graph, still without moves, and twice: with weights and for lengths alone.
+
+        Its buckets fit the weights of all cells, whatever is blocked later.
+        """
         from navbake.runtime.kernels.arrays import Graph  # saves numba at start-up
         from navbake.runtime.kernels.buckets import bucket_width
 
@@ -208,13 +203,8 @@ class Search:
             flat.layout, flat.links, moves, flat.weight, same, least,
             *bucket_width(size, least, most, longest),
         )  # fmt: skip
+        # the same moves, but every weight counts as 1
         bucket, num_buckets = bucket_width(size, 1.0, 1.0, longest)
         self._lengths_only = self.graph._replace(
             same_weight=1.0, least_weight=1.0, bucket=bucket, num_buckets=num_buckets
         )
-
-    def _next_number(self) -> None:
-        self._number += 1
-        if self._number > LAST_SEARCH:
-            self._visits.mark[:] = 0
-            self._number = 1

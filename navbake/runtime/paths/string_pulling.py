@@ -7,6 +7,8 @@ import numpy as np
 from navbake.runtime.paths.search import Search
 from navbake.types import Float, Int
 
+# Functions import kernels when they run: numba takes long to load.
+
 SAME = 1e-9  # metres between two points that are one
 BEND = 1e-3  # metres that a line may be off the height of the floor in the middle of a cell
 
@@ -14,22 +16,13 @@ BEND = 1e-3  # metres that a line may be off the height of the floor in the midd
 def pull_route(
     search: Search, route: Int, *, smooth: bool, start: Float | None, end: Float | None
 ) -> tuple[Float, Int]:
-    """Lay a line along a route.
+    """Make a line along a route: world x, y, floor z [m], shape (m, 3), and the level of each.
 
     It runs through the cells' centres or, if smooth, straight on wherever all cells that it
     touches are free, all steps between them small enough, the obstacles as far away as the grid
-    asks for, and the way no dearer. Over a link it runs as the route does.
-
-    Args:
-        search: the cells.
-        route: flat ids, shape (n,).
-        smooth: pull the line straight.
-        start: where in the first cell it begins, world x, y [m]; at its centre if None, or if
-            obstacles are too near there.
-        end: likewise in the last cell.
-
-    Returns:
-        World x, y, z on the floor [m], shape (m, 3), and the level of each, shape (m,).
+    asks for, and the cost no higher. Over a link it runs as the route does. It begins and ends at
+    `start` and `end`, world x, y [m] in the first and last cell; at the cell's centre if None, or
+    if obstacles are too near there.
     """
     from navbake.runtime.kernels.arrays import Line  # saves numba at start-up
     from navbake.runtime.kernels.string import lay_on_floor, pull_string

@@ -19,59 +19,50 @@ if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
     from navbake.runtime.grid_cache import GridCache
 
+# Functions import scipy when they run: it takes long to load, and few need it.
+
 MAX_NAMES = 4  # of what blocks, listed in a sentence
-RISE = 0.05  # metres over which the floor rises beside what is called stairs
-BESIDE = 3  # cells along a route that are beside
+RISE = 0.05  # metres: where the floor rises by more, the way is called stairs
+BESIDE = 3  # cells along a route, before and after what blocks it, that show whether it rises
 
 
 def why_not(cache: GridCache, start: Float, origin: int, target: Target) -> str | None:
-    """Say why there is no path.
-
-    Args:
-        cache: the grid and what follows from it.
-        start: world position [m].
-        origin: flat id of its cell, -1 for none.
-        target: where to.
-
-    Returns:
-        One sentence; None if there is a path.
-    """
+    """`PathFinder.why_not`, from a world position and the flat id of its cell, -1 for none."""
     search = cache.search
     if origin < 0 or not search.flat.free[origin]:
-        return f"the start {_trouble(cache, start, origin)}"
+        return f"the start {_why_not_free(cache, start, origin)}"
     goals = target.free_cells(search.flat)
     if not len(goals):
         return _goals_trouble(cache, target)
     if search.route(origin, goals) is not None:
         return None
-    parted, cells = _parted(cache, origin, goals)
+    apart, cells = _apart(cache, origin, goals)
     because = (
         _blocked_for_now(cache, origin, goals)
         or _doors(cache, origin, goals)
         or _gap(cache, origin, goals)
         or _links(cache, origin, goals)
-        or _between(cache, cells)
+        or _obstacles_between(cache, cells)
     )
-    return f"{parted}; {because}" if because else parted
+    return f"{apart}; {because}" if because else apart
 
 
 def _goals_trouble(cache: GridCache, target: Target) -> str:
-    if target.positions is not None and len(target.positions) == 1:
-        return f"the goal {_trouble(cache, target.positions[0], int(target.cells[0]))}"
     if target.positions is not None:
-        first = _trouble(cache, target.positions[0], int(target.cells[0]))
+        first = _why_not_free(cache, target.positions[0], int(target.cells[0]))
+        if len(target.positions) == 1:
+            return f"the goal {first}"
         return f"none of the {len(target.positions)} goals is free: the first {first}"
-    if target.name.startswith("room"):
-        return f"no cell of {target.name} is free for a radius of {_radius(cache.grid)}"
-    return f"no cell within 1 m of {target.name} is free for a radius of {_radius(cache.grid)}"
+    where = "of" if target.name.startswith("room") else "within 1 m of"
+    return f"no cell {where} {target.name} is free for a radius of {_radius(cache.grid)}"
 
 
 def _radius(grid: NavGrid) -> str:
     return f"{agent_radius(grid):g} m"
 
 
-def _trouble(cache: GridCache, position: Float, cell: int) -> str:
-    """What is wrong with a place, and where the nearest good one is."""
+def _why_not_free(cache: GridCache, position: Float, cell: int) -> str:
+    """Why no agent can stand at a position, and where the nearest free cell is."""
     grid, flat = cache.grid, cache.flat
     here = _text(position)
     if cell < 0:
@@ -83,7 +74,7 @@ def _trouble(cache: GridCache, position: Float, cell: int) -> str:
         else:
             what = f"{here} lies beside the grid, x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
     else:
-        what = f"{here} {_not_free(cache, cell)}"
+        what = f"{here} {_what_blocks(cache, cell)}"
     free = np.flatnonzero(flat.free)
     if not len(free):
         return f"{what}, and no cell is free at all"
@@ -95,7 +86,7 @@ def _trouble(cache: GridCache, position: Float, cell: int) -> str:
     return f"{what}; the nearest free cell is at {_text(places[k])}, {distance[k]:.2f} m away"
 
 
-def _not_free(cache: GridCache, cell: int) -> str:
+def _what_blocks(cache: GridCache, cell: int) -> str:
     """What keeps an agent out of a cell."""
     place = place_in(cache.grid, cache.flat.cell(cell))
     if place.is_blocked:
@@ -108,8 +99,8 @@ def _not_free(cache: GridCache, cell: int) -> str:
     return f"is too near to what stands beside it for a radius of {_radius(cache.grid)}"
 
 
-def _parted(cache: GridCache, origin: int, goals: Int) -> tuple[str, Int | None]:
-    """Name the two islands, and find the cells where they are nearest, if on one level."""
+def _apart(cache: GridCache, origin: int, goals: Int) -> tuple[str, Int | None]:
+    """Name the two islands, and find their two nearest cells, if on one level."""
     from scipy.spatial import cKDTree
 
     flat, islands = cache.flat, cache.islands
@@ -150,15 +141,15 @@ def _blocked_for_now(cache: GridCache, origin: int, goals: Int) -> str | None:
     stops = np.flatnonzero(~flat.free[route])
     around = route[max(stops[0] - BESIDE, 0) : stops[-1] + BESIDE + 1]
     heights = flat.positions(around)[:, 2]
-    what = "the stairs" if np.ptp(heights) > RISE else "the way"
-    text = f"{what} at {_text(flat.positions(route[stops[0]]))}"
-    if what == "the stairs":
+    is_stairs = np.ptp(heights) > RISE
+    text = f"the {'stairs' if is_stairs else 'way'} at {_text(flat.positions(route[stops[0]]))}"
+    if is_stairs:
         levels = np.unique(flat.level_of(route))
         if len(levels) > 1:
             text += f" between {_level(grid, int(levels[0]))} and {_level(grid, int(levels[-1]))}"
     for low, high, total in _closed_links(cache):
         text += f", {_steps(grid, low, high, total)},"
-    return f"{text.rstrip(',')} {'are' if what == 'the stairs' else 'is'} blocked for now"
+    return f"{text.rstrip(',')} {'are' if is_stairs else 'is'} blocked for now"
 
 
 def _doors(cache: GridCache, origin: int, goals: Int) -> str | None:
@@ -173,8 +164,7 @@ def _doors(cache: GridCache, origin: int, goals: Int) -> str | None:
     route = Search(without, cut_corners=cache.search.cut_corners).route(origin, goals)
     if route is None:
         return None
-    passed = doors_on(cache.doors, route[~flat.free[route]])
-    names = list(dict.fromkeys(passed))
+    names = list(dict.fromkeys(doors_on(cache.doors, route[~flat.free[route]])))
     if not names:
         return None
     states = {door.id: door.state for door in grid.doors}
@@ -217,14 +207,14 @@ def _closed_links(cache: GridCache) -> list[tuple[int, int, int]]:
     low, high = flat.level_of(source), flat.level_of(target)
     is_open = flat.free[source] & flat.free[target]
     closed = []
-    for a, b in sorted(set(zip(low.tolist(), high.tolist(), strict=True))):
+    for a, b in np.unique(np.stack([low, high], axis=1)[low < high], axis=0).tolist():
         of_pair = (low == a) & (high == b)
-        if a < b and not is_open[of_pair].any():
+        if not is_open[of_pair].any():
             closed.append((a, b, int(of_pair.sum())))
     return closed
 
 
-def _between(cache: GridCache, cells: Int | None) -> str | None:
+def _obstacles_between(cache: GridCache, cells: Int | None) -> str | None:
     """What stands on the straight line between the nearest cells."""
     if cells is None:
         return None
@@ -242,20 +232,17 @@ def _names(cache: GridCache, cells: Int) -> str:
     """The names of what blocks cells, as far as the file tells."""
     grid, flat = cache.grid, cache.flat
     names: dict[str, None] = {}
-    for cell in cells.tolist():
-        level = int(flat.level_of(cell))
-        x, y, _ = flat.positions(cell)
-        if not flat.free[cell]:
-            names.update(dict.fromkeys(grid.blockers(float(x), float(y), level)))
+    for cell in cells[~flat.free[cells]].tolist():
+        x, y, _ = flat.positions(cell).tolist()
+        names.update(dict.fromkeys(grid.blockers(x, y, int(flat.level_of(cell)))))
     listed = list(names)
     more = f" and {len(listed) - MAX_NAMES} more" if len(listed) > MAX_NAMES else ""
     return ", ".join(listed[:MAX_NAMES]) + more
 
 
 def _steps(grid: NavGrid, low: int, high: int, total: int) -> str:
-    if total == 1:
-        return f"the step from {_level(grid, low)} to {_level(grid, high)}"
-    return f"all {total} steps from {_level(grid, low)} to {_level(grid, high)}"
+    steps = "the step" if total == 1 else f"all {total} steps"
+    return f"{steps} from {_level(grid, low)} to {_level(grid, high)}"
 
 
 def _level(grid: NavGrid, number: int) -> str:

@@ -1,4 +1,4 @@
-"""Refuses what is no distance and no source of random numbers."""
+"""Checks distances and sources of random numbers; raises QueryError."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ REAL = int | float | np.integer | np.floating
 
 
 def check_generator(rng: object) -> np.random.Generator:
-    """Refuse, with a QueryError, what draws no numbers of its own, such as a seed."""
+    """Raise for anything but a generator, such as a seed."""
     if isinstance(rng, np.random.Generator):
         return rng
     raise QueryError(
@@ -19,13 +19,13 @@ def check_generator(rng: object) -> np.random.Generator:
 
 
 def check_distance(distance: float, name: str = "max_distance") -> None:
-    """Refuse, with a QueryError, what is no number, negative, or NaN."""
+    """Raise for anything but a number >= 0."""
     if not (isinstance(distance, REAL) and distance >= 0):
         raise QueryError(f"expected a {name} >= 0 m, got {distance!r}")
 
 
 def check_distances(min_distance: float, max_distance: float) -> None:
-    """Refuse, with a QueryError, what are no numbers, negative, not in order, or NaN."""
+    """Raise for anything but two numbers >= 0 in order."""
     numbers = isinstance(min_distance, REAL) and isinstance(max_distance, REAL)
     if not (numbers and 0 <= min_distance <= max_distance):
         raise QueryError(

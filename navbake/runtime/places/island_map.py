@@ -14,6 +14,8 @@ from navbake.types import Float, Int, Int32
 if TYPE_CHECKING:
     from navbake.runtime.flat_grid import FlatGrid
 
+# Functions import kernels when they run: numba takes long to load.
+
 
 @dataclass(frozen=True, eq=False)
 class IslandMap:
@@ -21,7 +23,7 @@ class IslandMap:
 
     Attributes:
         number: of each cell, by flat id, shape (n,), int32; 0 where it isn't free.
-        areas: of each island [m²], shape (num_islands + 1,), float64; 0 for number 0.
+        areas: of each island [m²], shape (count + 1,), float64; 0 for number 0.
     """
 
     number: Int32
@@ -33,11 +35,7 @@ class IslandMap:
         return len(self.areas) - 1
 
     def check(self, island: int) -> int:
-        """Refuse the number of an island that there is not.
-
-        Raises:
-            QueryError: there is none of this number.
-        """
+        """Raise QueryError for the number of an unknown island."""
         if isinstance(island, int | np.integer) and 1 <= island <= self.count:
             return int(island)
         there_are = f"1 to {self.count}, 1 the largest" if self.count else "none"
@@ -47,10 +45,8 @@ class IslandMap:
 def map_islands(flat: FlatGrid, corners: NDArray[np.uint8] | None = None) -> IslandMap:
     """Find the islands of a grid, by the rule of `navbake.navgrid.islands.find_islands`.
 
-    Args:
-        flat: the cells.
-        corners: the moves of each cell, see `navbake.runtime.kernels.moves`, where corners may be
-            cut: then diagonal ones join cells that nothing else does.
+    `corners` are the moves of each cell, see `navbake.runtime.kernels.moves`, where corners may be
+    cut: then diagonal ones join cells that nothing else does.
     """
     from navbake.navgrid.kernels.islands import label_islands  # saves numba at start-up
 

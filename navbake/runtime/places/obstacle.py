@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
-from navbake.navgrid.cells import check_positions
 from navbake.runtime.places.checks import check_distance
 from navbake.types import Bool, Float
 
@@ -24,8 +23,8 @@ class Obstacle:
 
     Attributes:
         distance: to it, on the map [m].
-        position: world x, y, z [m] of the point, shape (3,), float64; z is that of the floor
-            below the asker.
+        position: world x, y, z [m] of the point, shape (3,), float64; z is the floor's at the
+            position that was asked about.
     """
 
     distance: float
@@ -46,8 +45,7 @@ def nearest_obstacle(
     from navbake.runtime.kernels.nearest import TO_OBSTACLE, Wanted, nearest_cell
 
     check_distance(max_distance)
-    p = check_positions(position, flat.num_levels, level)
-    home = flat.cell_at(p, level)
+    p, home = flat.locate(position, level)
     if home is None:
         raise QueryError(f"{', '.join(f'{v:g}' for v in p)} lies beside the grid: no obstacles")
     z = flat.positions(home)[2]

@@ -1,16 +1,17 @@
-"""What a grid holds at a position: one after the other, or one layer for many at once."""
+"""What a grid holds at one position, or one layer of it at many positions."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
+from navbake.known_names import suggest
 from navbake.navgrid.block_state import BLOCKED
 from navbake.navgrid.cells import Cell, cell_at, cells_at
 from navbake.navgrid.islands import clearance, islands_of
@@ -18,7 +19,19 @@ from navbake.navgrid.islands import clearance, islands_of
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
 
-LAYERS = ("floor", "free", "occupancy", "weight", "room", "island", "clearance")
+LAYERS: dict[str, tuple[Callable[[NavGrid], list[NDArray[Any]]], float]] = {
+    "floor": (
+        lambda grid: [v.floor_height.astype(np.float64) * v.unit for v in grid.levels],
+        np.nan,
+    ),
+    "free": (lambda grid: [level.free for level in grid.levels], False),
+    "occupancy": (lambda grid: [level.occupancy for level in grid.levels], 1),
+    "weight": (lambda grid: [level.weights.astype(np.float64) for level in grid.levels], np.inf),
+    "room": (lambda grid: [level.room_index for level in grid.levels], 0),
+    "island": (lambda grid: list(islands_of(grid)), 0),
+    "clearance": (lambda grid: [clearance(level) for level in grid.levels], 0),
+}
+"""How each layer is made, one array a level, and its value where there is no cell."""
 
 
 @dataclass(frozen=True)
@@ -58,15 +71,11 @@ class Place:
 
 
 def place_at(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Place | None:
-    """Look up what a grid holds at a position.
+    """Look up what a grid holds in the cell of a position; None for no cell.
 
     Args:
-        grid: the grid.
         position: world x, y, z [m]; x, y are enough on one level.
         level: which level; then z is ignored.
-
-    Returns:
-        None where `navbake.navgrid.cells.cell_at` finds no cell.
 
     Raises:
         QueryError: there is no such level, or the position is not valid.
@@ -81,23 +90,16 @@ def place_in(grid: NavGrid, cell: Cell) -> Place:
     floor, weight = float(part.floor_height[at]), float(part.weights[at])
     free = math.isfinite(weight)
     index = int(part.room_index[at])
+    of_table = (r.id for r in grid.stated_rooms or () if (r.level, r.index) == (cell.level, index))
     return Place(
         cell=cell,
         floor=None if math.isnan(floor) else floor * part.unit,
         free=free,
         occupied=bool(part.occupancy[at]),
         weight=weight if free else math.inf,
-        room=room_id(grid, cell.level, index) if index else None,
+        room=next(of_table, f"{cell.level}:{index}") if index else None,
         grid=grid,
     )
-
-
-def room_id(grid: NavGrid, level: int, index: int) -> str:
-    """The id of a room by its level and its number there; ``level:number`` if no table has it."""
-    for room in grid.stated_rooms or ():
-        if (room.level, room.index) == (level, index):
-            return room.id
-    return f"{level}:{index}"
 
 
 def values_at(
@@ -106,7 +108,6 @@ def values_at(
     """Look up one layer at many positions.
 
     Args:
-        grid: the grid.
         layer: ``floor`` (world z [m], float64), ``free`` (bool), ``occupancy`` (uint8),
             ``weight`` (float64), ``room`` (its number on its level, uint16), ``island`` (int32),
             ``clearance`` ([m], float32, as `navbake.navgrid.islands.clearance`), or an attribute by
@@ -122,7 +123,11 @@ def values_at(
         QueryError: there is no such layer or level, or a position is not valid.
     """
     cells = cells_at(grid, positions, level)
-    arrays, outside = _layer(grid, layer)
+    if layer in LAYERS:
+        find, outside = LAYERS[layer]
+        arrays = find(grid)
+    else:
+        arrays, outside = _attribute(grid, layer)
     values = np.full(cells.level.shape, outside, dtype=arrays[0].dtype)
     for number, array in enumerate(arrays):
         here = cells.level == number
@@ -130,36 +135,14 @@ def values_at(
     return values
 
 
-def _layer(grid: NavGrid, layer: str) -> tuple[list[NDArray[Any]], Any]:
-    """A layer of all levels, in one dtype, and its value outside."""
-    levels = grid.levels
-    if layer == "floor":
-        return [part.floor_height.astype(np.float64) * part.unit for part in levels], np.nan
-    if layer == "free":
-        return [part.free for part in levels], False
-    if layer == "occupancy":
-        return [part.occupancy for part in levels], 1
-    if layer == "weight":
-        return [part.weights.astype(np.float64) for part in levels], np.inf
-    if layer == "room":
-        return [part.room_index for part in levels], 0
-    if layer == "island":
-        return list(islands_of(grid)), 0
-    if layer == "clearance":
-        return [clearance(part) for part in levels], 0
-    return _attribute(grid, layer)
-
-
-def _attribute(grid: NavGrid, name: str) -> tuple[list[NDArray[Any]], Any]:
+def _attribute(grid: NavGrid, name: str) -> tuple[list[NDArray[Any]], float]:
+    """An attribute of all levels in one dtype, and its value outside and where a level has none."""
     stored = [part.attributes.get(name) for part in grid.levels]
     dtypes = [array.dtype for array in stored if array is not None]
     if not dtypes:
-        known = [*LAYERS, *dict.fromkeys(key for part in grid.levels for key in part.attributes)]
-        near = get_close_matches(str(name), known, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        raise QueryError(
-            f"no layer {name!r} in {grid.scene_id!r}: {hint}there are {', '.join(known)}"
-        )
+        known = [*LAYERS, *(key for part in grid.levels for key in part.attributes)]
+        hint = suggest(name, known, limit=len(known))
+        raise QueryError(f"no layer {name!r} in {grid.scene_id!r}: {hint}")
     dtype = np.result_type(*dtypes)
     outside = np.nan if dtype.kind == "f" else 0
     arrays = [

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navbake.navgrid.cells import check_positions
 from navbake.runtime.places.checks import check_distance
 from navbake.runtime.places.navigable import MAX_DROP
 from navbake.runtime.places.sample import cells_in_annulus
@@ -18,6 +16,8 @@ from navbake.types import Bool, Float
 if TYPE_CHECKING:
     from navbake.runtime.flat_grid import FlatGrid
     from navbake.runtime.places.sight import Sight
+
+# Functions import kernels when they run: numba takes long to load.
 
 FIRST_LOOK = 1.0  # metres round a position that are searched first for what is in sight
 
@@ -32,15 +32,13 @@ def snap_to(
     sight: Sight | None = None,
     max_distance: float = math.inf,
 ) -> Float | None:
-    """`PathFinder.snap`, to the allowed cells of a mask, by flat id.
-
-    With `sight`, nothing may stand between the position and the place.
-    """
+    """`PathFinder.snap`, to the allowed cells of a mask; in sight, if `sight` is given."""
     check_distance(max_distance)
-    p = check_positions(position, flat.num_levels, level)
-    home = flat.cell_at(p, level)
-    if home is not None and allowed[home] and _is_on_floor(flat, p, home, level):
-        return np.append(p[:2], flat.positions(home)[2])
+    p, home = flat.locate(position, level)
+    if home is not None and allowed[home]:
+        floor = flat.positions(home)[2]
+        if level is not None or len(p) == 2 or p[2] - floor <= MAX_DROP:
+            return np.append(p[:2], floor)
     if level is None and home is not None:
         level = int(flat.level_of(home))
     on_map = level is not None and (same_level or len(p) == 2)
@@ -60,44 +58,24 @@ def nearest_on_level(
     level: int | None = None,
     max_distance: float = math.inf,
 ) -> int | None:
-    """The cell of a mask whose centre is the nearest on the map, on the position's level.
-
-    None for none, and for a position that is in no cell.
-    """
+    """The cell of a mask with the nearest centre on the position's level; None for none."""
     check_distance(max_distance)
-    p = check_positions(position, flat.num_levels, level)
-    home = flat.cell_at(p, level)
+    p, home = flat.locate(position, level)
     if home is None:
         return None
     cell = _Nearby(flat, p, mask, [int(flat.level_of(home))], float(max_distance), True).nearest()
     return cell if cell >= 0 else None
 
 
-def _is_on_floor(flat: FlatGrid, p: Float, cell: int, level: int | None) -> bool:
-    if level is not None or len(p) == 2:
-        return True
-    return bool(p[2] - flat.positions(cell)[2] <= MAX_DROP)
-
-
-@dataclass(frozen=True, eq=False)
-class _Nearby:
-    """Looks for the allowed cell that is the nearest to a position.
-
-    Attributes:
-        flat: the grid.
-        p: world x, y, z [m].
-        allowed: by flat id, bool.
-        levels: where to look.
-        max_distance: farther cells are ignored [m].
-        on_map: whether distances are measured on the map, or in space.
-    """
+class _Nearby(NamedTuple):
+    """Looks for the allowed cell that is the nearest to a position."""
 
     flat: FlatGrid
-    p: Float
-    allowed: Bool
+    p: Float  # world x, y, z [m]; x, y are enough on the map
+    allowed: Bool  # by flat id
     levels: list[int]
-    max_distance: float
-    on_map: bool
+    max_distance: float  # farther cells are ignored [m]
+    on_map: bool  # distances are measured on the map, else in space
 
     def nearest(self) -> int:
         """The nearest allowed cell, -1 for none."""
@@ -130,13 +108,12 @@ class _Nearby:
         farthest = min(self.max_distance, self._farthest())
         while done < farthest:
             radius = min(reach, farthest)
-            rings = [
-                cells_in_annulus(flat, k, p[:2], (0.0, radius), self.allowed) for k in self.levels
-            ]
-            cells = np.concatenate(rings)
+            discs = (cells_in_annulus(flat, k, p, (0.0, radius), self.allowed) for k in self.levels)
+            cells = np.concatenate(list(discs))
             offset = flat.positions(cells) - p
             distance = np.linalg.norm(offset[:, :2] if self.on_map else offset, axis=1)
             near = np.flatnonzero((distance > done) & (distance <= radius))
+            # stable, so that of equally near cells the lowest id comes first
             ordered = cells[near[np.argsort(distance[near], kind="stable")]]
             found = first_in_sight(space, sight.room, home, p[0], p[1], ordered)
             if found >= 0:
@@ -145,7 +122,7 @@ class _Nearby:
         return -1
 
     def _farthest(self) -> float:
-        """No cell of the levels is farther from the position [m]."""
+        """A distance [m] from the position that no cell of the levels exceeds."""
         layout, floors, p = self.flat.layout, self.flat.floors, self.p
         x1 = layout.x_min + layout.width * layout.cell_size
         y0 = layout.y_max - layout.height * layout.cell_size
@@ -154,5 +131,6 @@ class _Nearby:
         farthest = float(np.hypot(across, along)[self.levels].max())
         if self.on_map:
             return farthest
+        # by the triangle inequality: across the map, then up or down
         heights = np.append(floors.z, floors.ground)
         return farthest + float(np.nanmax(np.abs(heights - p[2])))

@@ -15,41 +15,31 @@ from navbake.types import Float
 if TYPE_CHECKING:
     from navbake.runtime.flat_grid import FlatGrid
 
+# Functions import kernels when they run: numba takes long to load.
+
 FARTHEST = 1e6  # metres
 
 
 def try_step(
-    flat: FlatGrid,
-    start: ArrayLike,
-    end: ArrayLike,
-    *,
-    slide: bool = True,
-    level: int | None = None,
+    flat: FlatGrid, start: ArrayLike, end: ArrayLike, slide: bool, level: int | None
 ) -> Float:
     """`PathFinder.try_step`."""
-    p = check_positions(start, flat.num_levels, level)
+    from navbake.runtime.kernels.arrays import Space, put_into  # saves numba at start-up
+    from navbake.runtime.kernels.crossing import walk_line
+    from navbake.runtime.kernels.slide import slide as slide_along
+
+    p, cell = flat.free_cell_at(start, level)
     q = check_positions(end, flat.num_levels, 0)  # wherever the way leads, its level follows
     if q.ndim != 1:
         raise QueryError(f"expected one end, got an array of shape {q.shape}")
-    home = flat.cell_at(p, level)
-    if home is None or not flat.free[home]:
-        where = ", ".join(f"{v:g}" for v in p)
-        raise QueryError(f"no agent can stand at {where}: snap it to the nearest place first")
-    way = q[:2] - p[:2]
+    p, q = p[:2], q[:2]
+    way = q - p
     farthest = float(np.abs(way).max())
     if farthest > FARTHEST:  # beyond all grids, so no need to count cells up to there
-        q = p[:2] + way * (FARTHEST / farthest)
-    return _move(flat, home, p[:2], q[:2], slide)
-
-
-def _move(flat: FlatGrid, cell: int, p: Float, q: Float, slides: bool) -> Float:
-    from navbake.runtime.kernels.arrays import Space, put_into  # saves numba at start-up
-    from navbake.runtime.kernels.crossing import walk_line
-    from navbake.runtime.kernels.slide import slide
-
+        q = p + way * (FARTHEST / farthest)
     space = Space(flat.layout, flat.links, flat.floors, flat.free)
     cell, share = walk_line(space, NO_ROOMS, cell, *p, *q)
     x, y = put_into(flat.layout, cell, *(p + share * (q - p)))
-    if share < 1.0 and slides:
-        cell, x, y = slide(space, cell, x, y, *q)
+    if share < 1.0 and slide:
+        cell, x, y = slide_along(space, cell, x, y, *q)
     return np.array([x, y, flat.positions(cell)[2]])

@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 MAX_PIXELS = 1 << 28
 
 
-def draw_top_down(
-    flat: FlatGrid, level: int, metres_per_pixel: float | None = None
-) -> NDArray[np.uint8]:
+def draw_top_down(flat: FlatGrid, level: int, metres_per_pixel: float | None) -> NDArray[np.uint8]:
     """`PathFinder.top_down`."""
     if level is None:
         raise QueryError(f"expected a level, 0 to {flat.num_levels - 1}, got None")
@@ -32,8 +30,7 @@ def draw_top_down(
     kind = np.where(flat.free[cells], 0, np.where(has_floor, 1, 2)).reshape(shape)
     if metres_per_pixel is not None:
         cell = float(flat.layout.cell_size[level])
-        is_number = isinstance(metres_per_pixel, REAL)
-        if not (is_number and 0 < metres_per_pixel < math.inf):
+        if not (isinstance(metres_per_pixel, REAL) and 0 < metres_per_pixel < math.inf):
             raise QueryError(f"expected metres_per_pixel > 0, got {metres_per_pixel!r}")
         pixels = [math.ceil(n * cell / metres_per_pixel - 1e-6) for n in shape]
         if math.prod(pixels) > MAX_PIXELS:
