@@ -17,7 +17,7 @@ from navbake.errors import (
     QueryError,
     SceneError,
 )
-from navbake.navgrid.operations import register, resolve
+from navbake.navgrid.operations import OPERATIONS, resolve
 
 if TYPE_CHECKING:
     from navbake.arena.explored import ExploredMap
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
     from navbake.runtime.path_finder import PathFinder
     from navbake.voxels.grid import VoxelGrid
-
 
 __all__ = [
     "BakeConfig",
@@ -67,18 +66,17 @@ _LAZY = {
     "load_voxels": "navbake.formats.voxels:read_voxels",
 }
 
-register(
-    {
-        "grid.at": "navbake.runtime.places.place:place_at",
-        "grid.block": "navbake.runtime.blocks.block:block",
-        "grid.describe_cell": "navbake.views.why:describe_cell",
-        "grid.inflate": "navbake.runtime.inflation.inflate:inflate",
-        "grid.inflate_footprint": "navbake.runtime.inflation.footprint:inflate_footprint",
-        "grid.save": "navbake.formats.navgrid:write_navgrid",
-        "grid.values_at": "navbake.runtime.places.place:values_at",
-        "voxels.save": "navbake.formats.voxels:write_voxels",
-    }
-)
+# where the functions behind methods of grids and voxels are
+OPERATIONS |= {
+    "grid.at": "navbake.runtime.places.place:place_at",
+    "grid.block": "navbake.runtime.blocks.block:block",
+    "grid.describe_cell": "navbake.views.why:describe_cell",
+    "grid.inflate": "navbake.runtime.inflation.inflate:inflate",
+    "grid.inflate_footprint": "navbake.runtime.inflation.footprint:inflate_footprint",
+    "grid.save": "navbake.formats.navgrid:write_navgrid",
+    "grid.values_at": "navbake.runtime.places.place:values_at",
+    "voxels.save": "navbake.formats.voxels:write_voxels",
+}
 
 
 def __getattr__(name: str) -> Any:

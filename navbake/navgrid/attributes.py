@@ -20,15 +20,10 @@ def datatype_name(stated: str) -> str:
 
 
 def describe_attributes(metadata: Json, levels: Sequence[SceneGrid2D]) -> list[Json]:
-    """List the attributes that levels have, as ``metadata.cellAttributes`` does.
+    """List ``{"name", "type", "dataType", …}`` of the levels' attributes, in their order.
 
-    Args:
-        metadata: an entry that it has for an attribute is kept, except a ``type`` that is not
-            that of the array.
-        levels: whose attributes; where two differ in dtype, the first counts.
-
-    Returns:
-        ``{"name", "type", "dataType", …}`` of each, in the order of the levels' attributes.
+    An entry of the metadata is kept, except a ``type`` that is not that of the array. Where two
+    levels differ in dtype, the first counts.
     """
     entries = metadata.get("cellAttributes")
     stated = {

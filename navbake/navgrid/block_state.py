@@ -8,19 +8,20 @@ what follows from them, like a `PathFinder`, asks for the windows that changed s
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from navbake.navgrid.islands import clearance, clearance_of
+from navbake.navgrid.islands import clearance
 from navbake.types import Bool, Int
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import SceneGrid2D
 
-# What a block takes: cells that the thing is in; where an agent can't stand; where it can't step
-# diagonally; where it can't be beside the cell's centre. Each holds the one before, but for the
-# first two.
+# The layers of a block: cells that the thing is in; where an agent can't stand; where it can't
+# step diagonally; where it can't be beside the cell's centre. From the second on, each includes
+# the one before.
 OCCUPIED, BLOCKED, NO_DIAGONAL, NO_OFF_CENTER = range(4)
 NUM_LAYERS = 4
 
@@ -35,7 +36,7 @@ MAX_JOURNAL = 1024  # changes that a level remembers; a reader that missed more 
 
 
 class BlockState:
-    """The blocks of one level: how many hold each cell, and what the cells hold without them.
+    """The blocks of one level.
 
     Making one gives the level arrays of its own, because blocks write to them in place.
 
@@ -76,44 +77,43 @@ class BlockState:
             return None
         return self._journal[len(self._journal) - missed :]
 
+    def _changed(self, level: SceneGrid2D) -> list[tuple[int, NDArray[Any], NDArray[Any], float]]:
+        """Layer, the level's array, its values without blocks and that of a cell of the layer."""
+        changed = [(BLOCKED, level.weights, self.weights, np.inf)]
+        if self.occupancy is not None:
+            changed.append((OCCUPIED, level.attributes["occupancy"], self.occupancy, 1))
+        return changed
+
     def hold(self, level: SceneGrid2D, cells: Layers) -> None:
         """Block cells."""
         for layer, ids in enumerate(cells):
             self.count[layer, ids] += 1
-        # what was there is read again with the first block: others may have written to it since
-        weights, taken = level.weights.reshape(-1), cells[BLOCKED]
-        taken = taken[self.count[BLOCKED, taken] == 1]
-        self.weights[taken] = weights[taken]
-        weights[taken] = np.inf
-        if self.occupancy is not None:
-            occupancy, taken = level.attributes["occupancy"].reshape(-1), cells[OCCUPIED]
-            taken = taken[self.count[OCCUPIED, taken] == 1]
-            self.occupancy[taken] = occupancy[taken]
-            occupancy[taken] = 1
+        for layer, array, clean, value in self._changed(level):
+            # what was there is read again with the first block: others may have written to it
+            first = cells[layer][self.count[layer, cells[layer]] == 1]
+            clean[first] = array.reshape(-1)[first]
+            array.reshape(-1)[first] = value
         self._note(level, cells)
 
     def release(self, level: SceneGrid2D, cells: Layers) -> None:
         """Take back what `hold` did."""
         for layer, ids in enumerate(cells):
             self.count[layer, ids] -= 1
-        left = cells[BLOCKED][self.count[BLOCKED, cells[BLOCKED]] == 0]
-        level.weights.reshape(-1)[left] = self.weights[left]
-        if self.occupancy is not None:
-            left = cells[OCCUPIED][self.count[OCCUPIED, cells[OCCUPIED]] == 0]
-            level.attributes["occupancy"].reshape(-1)[left] = self.occupancy[left]
+        for layer, array, clean, _ in self._changed(level):
+            left = cells[layer][self.count[layer, cells[layer]] == 0]
+            array.reshape(-1)[left] = clean[left]
         self._note(level, cells)
 
     def without_blocks(self, level: SceneGrid2D) -> SceneGrid2D:
-        """The level as it is when nobody blocks it; itself if nobody does."""
+        """The level as it is when nothing blocks it; itself if nothing does."""
         if not self.is_blocked:
             return level
-        weights = np.where(self.count[BLOCKED] > 0, self.weights, level.weights.ravel())
-        attributes = {}
-        if self.occupancy is not None:
-            stored = level.attributes["occupancy"].ravel()
-            occupancy = np.where(self.count[OCCUPIED] > 0, self.occupancy, stored)
-            attributes["occupancy"] = occupancy.reshape(level.shape)
-        return level.with_layers(weights=weights.reshape(level.shape), attributes=attributes)
+        weights, *occupancy = (
+            np.where(self.held(level, layer), clean.reshape(level.shape), array)
+            for layer, array, clean, _ in self._changed(level)
+        )
+        attributes = {"occupancy": occupancy[0]} if occupancy else {}
+        return level.with_layers(weights=weights, attributes=attributes)
 
     def _note(self, level: SceneGrid2D, cells: Layers) -> None:
         # one window for all layers; a reader that is that far behind copies it as a whole
@@ -127,49 +127,32 @@ class BlockState:
 
 
 def _farthest(level: SceneGrid2D) -> float | None:
-    """The largest clearance of a level, in cells; None if it has no such layer.
-
-    In others' files ``clearance`` may mean anything: it has to be what it should be.
-    """
+    """The largest clearance of a level, in cells; None if it has no such layer."""
     stored = level.attributes.get("clearance")
     if stored is None:
         return None
     measured = clearance(level)
+    # in files of other programs, a layer of this name may mean anything
     if stored.dtype != measured.dtype or not np.allclose(stored, measured, atol=1e-5):
         return None
     return float(measured.max(initial=0)) / level.lattice.cell_size
 
 
 def _measure_again(level: SceneGrid2D, window: Window, farthest: float) -> None:
-    """Measure the clearance where it may have changed.
+    """Measure the clearance again around a window of cells that changed.
 
-    No cell is farther from what blocks than it was when nothing was blocked, so cells farther
-    from the window than that keep their clearance.
-
-    Args:
-        level: its layer `clearance` is changed.
-        window: where cells changed.
-        farthest: the largest clearance when nothing is blocked, in cells.
+    No cell is farther from what blocks than without blocks, at most `farthest` cells. So cells
+    farther from the window than that keep their clearance.
     """
     reach = math.ceil(farthest) + 2
     # the nearest blocked cell of one at the rim of `inner` may be a whole reach further out
     outer, inner = (_grown(window, k * reach, level) for k in (2, 1))
-    row0, row1, col0, col1 = outer
-    closed = (
-        (int(row0 == 0), int(row1 == level.height)),
-        (int(col0 == 0), int(col1 == level.width)),
-    )
-    metres = clearance_of(level.free[row0:row1, col0:col1], level.lattice.cell_size, closed)
-    rows, cols = slice(inner[0], inner[1]), slice(inner[2], inner[3])
-    here = np.s_[inner[0] - row0 : inner[1] - row0, inner[2] - col0 : inner[3] - col0]
-    level.attributes["clearance"][rows, cols] = metres[here]
+    row0, row1, col0, col1 = inner
+    here = np.s_[row0 - outer[0] : row1 - outer[0], col0 - outer[2] : col1 - outer[2]]
+    level.attributes["clearance"][row0:row1, col0:col1] = clearance(level, outer)[here]
 
 
 def _grown(window: Window, by: int, level: SceneGrid2D) -> Window:
     row0, row1, col0, col1 = window
-    return (
-        max(row0 - by, 0),
-        min(row1 + by, level.height),
-        max(col0 - by, 0),
-        min(col1 + by, level.width),
-    )
+    rows = max(row0 - by, 0), min(row1 + by, level.height)
+    return *rows, max(col0 - by, 0), min(col1 + by, level.width)

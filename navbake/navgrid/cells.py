@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.navgrid.islands import STEP_SLACK
-from navbake.types import Bool, Float, Int
+from navbake.types import Float, Int
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import SceneGrid2D
@@ -47,7 +47,6 @@ def cell_at(grid: GridBase, position: ArrayLike, level: int | None = None) -> Ce
     one whose ground is.
 
     Args:
-        grid: the grid.
         position: world x, y, z [m]; x, y will do on one level.
         level: which level, 0 is the lowest; then z does not count.
 
@@ -55,12 +54,11 @@ def cell_at(grid: GridBase, position: ArrayLike, level: int | None = None) -> Ce
         None beside the grid, and below all of its floors.
 
     Raises:
-        QueryError: there is no such level, or the position is none.
+        QueryError: the level does not exist, or the position is invalid.
     """
-    p = check_positions(position, len(grid.levels), level)
-    if p.ndim != 1:
-        raise QueryError(f"expected one position, got an array of shape {p.shape}")
-    found = cells_at(grid, p, level)
+    found = cells_at(grid, position, level)
+    if found.level.ndim:
+        raise QueryError(f"expected one position, got an array of shape {np.shape(position)}")
     cell = Cell(*(int(v) for v in found))
     return cell if cell.level >= 0 else None
 
@@ -69,7 +67,6 @@ def cells_at(grid: GridBase, positions: ArrayLike, level: int | None = None) -> 
     """Find the cells that positions are in; `cell_at` of each.
 
     Args:
-        grid: the grid.
         positions: world x, y, z [m], shape (..., 3); (..., 2) will do on one level.
         level: which level all are on; then z does not count.
 
@@ -84,8 +81,7 @@ def cells_at(grid: GridBase, positions: ArrayLike, level: int | None = None) -> 
     if level is None and p.shape[-1] == 3:
         found = _cells_under(grid, flat)
     else:
-        found = _no_cells(len(flat))
-        _keep(found, level or 0, *_cells_of_level(grid.levels[level or 0], flat))
+        found = _cells_on(grid, level or 0, flat)
     return Cells(*(v.reshape(p.shape[:-1]) for v in found))
 
 
@@ -93,66 +89,46 @@ def position_of(grid: GridBase, cells: Cell | Cells) -> Float:
     """World positions of cells' centres, on the floor.
 
     Args:
-        grid: the grid.
         cells: one, or many of shape (...); (level, row, col) will do.
 
     Returns:
         x, y, z [m], shape (..., 3), float64; z is the level's ground where there is no floor.
 
     Raises:
-        QueryError: there is no such cell.
+        QueryError: a cell does not exist.
     """
-    level, row, col = check_cells(cells)
+    level, row, col = check_cells(grid, cells)
     positions = np.empty((*level.shape, 3), dtype=np.float64)
-    known = np.zeros(level.shape, dtype=np.bool_)
     for number, part in enumerate(grid.levels):
-        here = (level == number) & (row >= 0) & (row < part.height)
-        here &= (col >= 0) & (col < part.width)
+        here = level == number
         floor = _floors(part, row[here], col[here])
         positions[here, :2] = part.lattice.positions(row[here], col[here])
         positions[here, 2] = np.where(np.isnan(floor), part.ground, floor)
-        known |= here
-    if not known.all():
-        first = tuple(int(v[~known].ravel()[0]) for v in (level, row, col))
-        raise QueryError(f"no cell (level, row, col) = {first} in {grid.scene_id!r}")
     return positions
 
 
-def check_cells(cells: Cell | Cells) -> Cells:
-    """Check the form of cells; whether the grid has them is not checked.
-
-    Args:
-        cells: level, row and column, whole numbers or arrays of them.
-
-    Returns:
-        The three, int64, of one shape.
-
-    Raises:
-        QueryError: they are not three, no whole numbers, or of shapes that don't go together.
-    """
+def check_cells(grid: GridBase, cells: Cell | Cells) -> Cells:
+    """Check that cells exist, and bring them into one shape, int64."""
     try:
         arrays = np.broadcast_arrays(*(np.asarray(v) for v in cells))
     except (TypeError, ValueError):
         arrays = ()
     if len(arrays) != 3 or any(v.dtype.kind not in "iu" and v.size for v in arrays):
         raise QueryError(f"expected cells as (level, row, col), whole numbers, got {cells!r}")
-    return Cells(*(v.astype(np.int64) for v in arrays))
+    level, row, col = found = Cells(*(v.astype(np.int64) for v in arrays))
+    known = (level >= 0) & (level < len(grid.levels)) & (row >= 0) & (col >= 0)
+    shapes = np.array([part.shape for part in grid.levels])[np.where(known, level, 0)]
+    known &= (row < shapes[..., 0]) & (col < shapes[..., 1])
+    if not known.all():
+        first = tuple(int(v[~known].ravel()[0]) for v in found)
+        raise QueryError(f"no cell (level, row, col) = {first} in {grid.scene_id!r}")
+    return found
 
 
 def check_positions(positions: ArrayLike, num_levels: int, level: int | None = None) -> Float:
-    """Check the form of positions.
+    """Check world positions of shape (..., 3) [m], and turn them into float64.
 
-    Args:
-        positions: world x, y, z [m], shape (..., 3); (..., 2) on one level or a given one.
-        num_levels: how many levels the grid has.
-        level: the level that they are all on, if given.
-
-    Returns:
-        The positions, float64.
-
-    Raises:
-        QueryError: there is no such level, a number is missing or not finite, or z is missing
-            where it decides the level.
+    Shape (..., 2) will do on a grid of one level, or where the level is given.
     """
     check_level(level, num_levels)
     try:
@@ -176,62 +152,44 @@ def check_positions(positions: ArrayLike, num_levels: int, level: int | None = N
 
 
 def check_level(level: int | None, num_levels: int) -> None:
-    """Raise for an unknown level.
-
-    Raises:
-        QueryError: there is none of this number.
-    """
+    """Raise for an unknown level."""
     if level is not None and not (isinstance(level, int | np.integer) and 0 <= level < num_levels):
         raise QueryError(f"no level {level!r}: expected 0 to {num_levels - 1}")
 
 
-def _cells_under(grid: GridBase, p: Float) -> Cells:
-    """The cells of the nearest floors at or below positions, shape (n, 3)."""
-    z = p[:, 2]
+def _cells_under(grid: GridBase, p: Float) -> Int:
+    """The cells of the nearest floors at or below positions, shape (n, 3), as `_cells_on`."""
     # float32 moved the floors, in proportion to their height
-    limit = z + grid.max_step + STEP_SLACK + np.abs(z) * ROUNDING
-    found, on_ground = _no_cells(len(p)), _no_cells(len(p))
-    highest, highest_ground = np.full(len(p), -np.inf), np.full(len(p), -np.inf)
+    limit = p[:, 2] + grid.max_step + STEP_SLACK + np.abs(p[:, 2]) * ROUNDING
+    found, on_ground = np.full((2, 3, len(p)), -1, dtype=np.int64)
+    highest, highest_ground = np.full((2, len(p)), -np.inf)
     # of each position the highest floor so far that is not above the limit; grounds count only
     # where no level has such a floor
     for number, part in enumerate(grid.levels):
-        inside, rows, cols = _cells_of_level(part, p)
+        cells = _cells_on(grid, number, p)
+        inside = cells[0] >= 0
         floor = np.full(len(p), np.nan)
-        floor[inside] = _floors(part, rows[inside], cols[inside])
+        floor[inside] = _floors(part, *cells[1:, inside])
         nearer = (floor <= limit) & (floor > highest)  # False for NaN
-        highest[nearer] = floor[nearer]
-        _keep(found, number, nearer, rows, cols)
+        highest[nearer], found[:, nearer] = floor[nearer], cells[:, nearer]
         nearer = inside & np.isnan(floor) & (part.ground <= limit) & (part.ground > highest_ground)
-        highest_ground[nearer] = part.ground
-        _keep(on_ground, number, nearer, rows, cols)
-    has_floor = found.level >= 0
-    return Cells(*(np.where(has_floor, a, b) for a, b in zip(found, on_ground, strict=True)))
+        highest_ground[nearer], on_ground[:, nearer] = part.ground, cells[:, nearer]
+    return np.where(found[0] >= 0, found, on_ground)
 
 
-def _cells_of_level(part: SceneGrid2D, p: Float) -> tuple[Bool, Int, Int]:
-    """Which positions are over a level's rectangle, and rows and columns of these; else 0."""
-    lattice = part.lattice
-    row = np.floor((lattice.y_max - p[..., 1]) / lattice.cell_size)
-    col = np.floor((p[..., 0] - lattice.x_min) / lattice.cell_size)
+def _cells_on(grid: GridBase, level: int, p: Float) -> Int:
+    """Level, row and column of positions on one level, shape (3, n); -1 beside its rectangle."""
+    x_min, y_max, cell_size, width, height = grid.levels[level].lattice
+    row = np.floor((y_max - p[:, 1]) / cell_size)
+    col = np.floor((p[:, 0] - x_min) / cell_size)
     # compared as floats: int64 could not hold what is far away
-    inside = (row >= 0) & (row < part.height) & (col >= 0) & (col < part.width)
-    rows, cols = (np.where(inside, v, 0.0).astype(np.int64) for v in (row, col))
-    return np.asarray(inside), rows, cols
+    inside = (row >= 0) & (row < height) & (col >= 0) & (col < width)
+    return np.where(inside, (np.full(len(p), level), row, col), -1.0).astype(np.int64)
 
 
-def _floors(part: SceneGrid2D, rows: Int, cols: Int) -> Float:
+def _floors(level: SceneGrid2D, rows: Int, cols: Int) -> Float:
     """Floors of cells [m]; without the layer, the ground everywhere."""
-    stored = part.attributes.get("floorHeight")
+    stored = level.attributes.get("floorHeight")
     if stored is None:
-        return np.full(rows.shape, part.ground)
-    return stored[rows, cols].astype(np.float64) * part.unit
-
-
-def _no_cells(count: int) -> Cells:
-    return Cells(*(np.full(count, -1, dtype=np.int64) for _ in range(3)))
-
-
-def _keep(found: Cells, level: int, mask: Bool, rows: Int, cols: Int) -> None:
-    found.level[mask] = level
-    found.row[mask] = rows[mask]
-    found.col[mask] = cols[mask]
+        return np.full(rows.shape, level.ground)
+    return stored[rows, cols].astype(np.float64) * level.unit

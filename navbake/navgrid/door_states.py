@@ -1,8 +1,4 @@
-"""The same grid with its doors in other states.
-
-A file states for each door and state the cells that only this door blocks. So another state needs
-no scene and no new bake.
-"""
+"""The same grid with its doors in other states, from the cells that a file states for each."""
 
 from __future__ import annotations
 
@@ -17,7 +13,7 @@ from navbake.known_names import suggest
 from navbake.navgrid.block_state import BLOCKED, OCCUPIED
 from navbake.navgrid.doors import STATES, Door
 from navbake.navgrid.islands import add_layers
-from navbake.navgrid.user_data import UserData
+from navbake.navgrid.user_data import NAMES, UserData
 from navbake.types import Bool, Json
 
 if TYPE_CHECKING:
@@ -25,19 +21,15 @@ if TYPE_CHECKING:
 
 AnyGrid = TypeVar("AnyGrid", bound="GridBase")
 
-NAMES = ("doors", "objects", "walls")
-"""Keys of a cell's user data that list what stands in it."""
-
 
 def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
     """The same grid with doors in other states: equal to a bake with them in these states.
 
     Args:
-        grid: the grid.
         states: ``modelled``, ``open``, ``closed`` or ``removed``, by a door's id or for all.
 
     Raises:
-        QueryError: there is no such door, or no such state, or the grid was inflated.
+        QueryError: a door or a state does not exist, or the grid was inflated.
     """
     if "inflation" in grid.metadata:
         raise QueryError(
@@ -74,16 +66,16 @@ def _check_state(name: str, state: str, doors: Mapping[str, Door], scene_id: str
 def _rebuild(grid: AnyGrid, doors: Sequence[Door], occupied: list[Bool]) -> AnyGrid:
     levels = []
     for number, (level, mask) in enumerate(zip(grid.levels, occupied, strict=True)):
-        is_occupied, is_blocked = mask.reshape(level.shape), np.zeros(level.shape, dtype=np.bool_)
-        if level.block_state is not None:
-            is_occupied |= level.block_state.held(level, OCCUPIED)
-            is_blocked = level.block_state.held(level, BLOCKED)
-        was_occupied = level.occupancy.astype(np.bool_)
+        is_occupied, was_occupied = mask.reshape(level.shape), level.occupancy.astype(np.bool_)
+        state = level.block_state
+        if state is not None:
+            is_occupied |= state.held(level, OCCUPIED)
         weights = level.weights.copy()
         # cells that no door changes keep their weight, whatever it is
         weights[is_occupied & ~was_occupied] = np.inf
         weights[~is_occupied & was_occupied] = 1.0
-        weights[is_blocked] = np.inf
+        if state is not None:
+            weights[state.held(level, BLOCKED)] = np.inf
         named = None
         if grid.navbake.get("names", True):
             named = with_door_names(UserData.of(level.user_data), doors, number, len(occupied))
@@ -100,40 +92,13 @@ def _rebuild(grid: AnyGrid, doors: Sequence[Door], occupied: list[Bool]) -> AnyG
 def with_door_names(
     user_data: UserData, doors: Sequence[Door], level: int, num_levels: int
 ) -> UserData:
-    """Write the doors of each cell into a level's user data.
+    """The user data of a level with the doors of each cell, by ascending cell id.
 
     A cell is in a door where the door blocks it when closed, or as it stands. Where it blocks as
     it stands, the door is one of the cell's objects, too.
-
-    Args:
-        user_data: what else is known of the level's cells; not changed.
-        doors: the grid's doors.
-        level: which level.
-        num_levels: how many the grid has.
-
-    Returns:
-        User data with `doors` where a cell is in one, by ascending cell id.
     """
-    if not doors:
-        return user_data
-    names, standing = _doors_by_cell(doors, level, num_levels)
-    ids = {door.id for door in doors}
-    known = user_data.find(np.fromiter(names, dtype=np.int64, count=len(names)))
-    changed: dict[int, Json] = {}
-    for (cell, found), before in zip(names.items(), known, strict=True):
-        entry = _without_doors(before, ids)
-        changed[cell] = _with_doors(entry, found, standing.get(cell, set())) if found else entry
-    return user_data.replaced(changed)
-
-
-def _doors_by_cell(
-    doors: Sequence[Door], level: int, num_levels: int
-) -> tuple[dict[int, set[str]], dict[int, set[str]]]:
-    """The doors that each cell is in, and those that block it.
-
-    The former has all cells that a door blocks in any state, most with no door at all: the user
-    data may be from that state.
-    """
+    # All cells that a door blocks in any state, most of them with no door: the user data may be
+    # from that state.
     names: dict[int, set[str]] = {}
     standing: dict[int, set[str]] = {}
     for door in doors:
@@ -144,7 +109,13 @@ def _doors_by_cell(
                     found.add(door.id)
                 if state == door.state:
                     standing.setdefault(cell, set()).add(door.id)
-    return names, standing
+    ids = {door.id for door in doors}
+    known = user_data.find(np.fromiter(names, dtype=np.int64, count=len(names)))
+    changed: dict[int, Json] = {}
+    for (cell, found), before in zip(names.items(), known, strict=True):
+        entry = _without_doors(before, ids)
+        changed[cell] = _with_doors(entry, found, standing.get(cell, set())) if found else entry
+    return user_data.replaced(changed) if doors else user_data
 
 
 def _without_doors(entry: Json, ids: set[str]) -> Json:

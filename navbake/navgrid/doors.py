@@ -1,12 +1,12 @@
 """The doors of a grid, as a file states them: the cells that each blocks, by state and level.
 
-The file carries, for each door and state, the cells that only this door blocks. So
-another state needs no scene and no new bake, see `navbake.navgrid.door_states`.
+The file carries, for each door and state, the cells that only this door blocks. So another state
+needs no scene and no new bake, see `navbake.navgrid.door_states`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,17 +24,15 @@ Runs = list[int]
 
 def to_runs(cells: Int) -> Runs:
     """Pack ascending cell ids, shape (n,), into runs."""
-    if not len(cells):
-        return []
-    breaks = np.flatnonzero(np.diff(cells) != 1) + 1  # where a run begins, except the first
-    first = np.concatenate([[0], breaks])
-    count = np.diff(np.concatenate([first, [len(cells)]]))
-    return [int(v) for v in np.stack([cells[first], count], axis=1).ravel()]
+    starts = np.flatnonzero(np.diff(cells, prepend=-2) != 1)
+    counts = np.diff(starts, append=len(cells))
+    runs: Runs = np.stack([cells[starts], counts], axis=1).ravel().tolist()
+    return runs
 
 
-def from_runs(runs: Iterable[int]) -> Int:
+def from_runs(runs: Sequence[int]) -> Int:
     """Unpack runs into ascending cell ids, shape (n,), int64."""
-    pairs = np.asarray(list(runs), dtype=np.int64).reshape(-1, 2)
+    pairs = np.array(runs, dtype=np.int64).reshape(-1, 2)
     parts = [np.arange(first, first + count) for first, count in pairs]
     return np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)
 
@@ -94,15 +92,9 @@ class Door:
 
 
 def parse_doors(stated: Any, num_cells: Sequence[int]) -> tuple[Door, ...]:
-    """Read the doors of a file.
+    """Read and check the doors at ``metadata.navbake.doors``.
 
-    Args:
-        stated: what stands at ``metadata.navbake.doors``.
-        num_cells: number of cells of each level.
-
-    Raises:
-        FormatError: a door names no cells, or cells that the grid doesn't have, or a level twice
-            for a state, or two doors share an id.
+    `num_cells` counts the cells of each level; the doors' cells have to be among them.
     """
     if not isinstance(stated, list | tuple):
         raise FormatError(f"expected a list at `{WHERE}`, got {type(stated).__name__}")
@@ -136,28 +128,24 @@ def _parse(entry: Any, num_cells: Sequence[int], here: str) -> Door:
 def _parse_cells(entries: list[Any], num_cells: Sequence[int], where: str) -> dict[int, Runs]:
     per_level: dict[int, Runs] = {}
     for entry in entries:
-        if not _is_entry(entry, num_cells):
+        level, runs = entry if isinstance(entry, list) and len(entry) == 2 else (-1, [])
+        is_level = type(level) is int and 0 <= level < len(num_cells)
+        if not is_level or not _are_runs(runs, num_cells[level]):
             raise FormatError(
                 f"expected [level, [first cell, count, …]] within the grid at {where}"
             )
-        level, runs = entry
         if level in per_level:
             raise FormatError(f"expected one entry a level, got level {level} twice at {where}")
         per_level[level] = runs
     return per_level
 
 
-def _is_entry(entry: Any, num_cells: Sequence[int]) -> bool:
-    if not isinstance(entry, list) or len(entry) != 2:
-        return False
-    level, runs = entry
-    if type(level) is not int or not 0 <= level < len(num_cells):
-        return False
+def _are_runs(runs: Any, num_cells: int) -> bool:
     if not isinstance(runs, list) or len(runs) % 2 or any(type(v) is not int for v in runs):
         return False
     end = 0  # runs ascend and don't overlap
     for first, count in zip(runs[::2], runs[1::2], strict=True):
-        if first < end or not 0 < count <= num_cells[level] - first:
+        if first < end or not 0 < count <= num_cells - first:
             return False
         end = first + count
     return True

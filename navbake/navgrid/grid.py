@@ -72,11 +72,9 @@ class SceneGrid2D(GridBase):
 
     @property
     def levels(self) -> list[SceneGrid2D]:
-        """The levels, lowest first: this one."""
         return [self]
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
-        """The one level given, with other metadata if there are any."""
         (level,) = levels
         derived: Any = level if metadata is None else level.with_layers(metadata=metadata)
         own: Self = derived
@@ -92,14 +90,8 @@ class SceneGrid2D(GridBase):
     ) -> Self:
         """The same level with other layers; what isn't given is as it is now.
 
-        The new level shares arrays with this one, except those that `block` changes in place
-        once it was called here.
-
-        Args:
-            weights: shape (height, width).
-            attributes: layers to add or to replace.
-            user_data: by cell id.
-            metadata: of the new level.
+        `attributes` are added or replaced one by one. The new level shares arrays with this one,
+        except those that `block` changes in place once it was called here.
         """
         kept = dict(self.attributes)
         if self.block_state is not None:
@@ -121,13 +113,9 @@ class SceneGrid2D(GridBase):
     @property
     def lattice(self) -> Lattice:
         """Where the cells lie in the world [m]."""
-        return Lattice(
-            x_min=self.min_yup[0] * self.unit,
-            y_max=0.0 - self.min_yup[2] * self.unit,
-            cell_size=self.cell_size * self.unit,
-            width=self.width,
-            height=self.height,
-        )
+        # 0.0 - z, because -z would turn 0.0 into -0.0
+        x_min, y_max = self.min_yup[0] * self.unit, 0.0 - self.min_yup[2] * self.unit
+        return Lattice(x_min, y_max, self.cell_size * self.unit, self.width, self.height)
 
     @property
     def ground(self) -> float:
@@ -205,7 +193,6 @@ class MultiLevelGrid(GridBase):
 
     @property
     def levels(self) -> list[SceneGrid2D]:
-        """The levels, lowest first."""
         return self.grids
 
     def takes_over(self, number: int, level: SceneGrid2D) -> bool:
@@ -213,14 +200,11 @@ class MultiLevelGrid(GridBase):
         return level.metadata == self._handed_down[number]
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
-        """The same grid with other levels; see `GridBase.with_levels`."""
-        following = [
+        grids = [
             level.with_layers(metadata={}) if self.takes_over(number, level) else level
             for number, level in enumerate(levels)
         ]
-        return replace(
-            self, grids=following, metadata=self.metadata if metadata is None else metadata
-        )
+        return replace(self, grids=grids, metadata=self.metadata if metadata is None else metadata)
 
 
 def _derived(array: NDArray[Any]) -> NDArray[Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from numpy.typing import ArrayLike, NDArray
@@ -27,9 +28,6 @@ if TYPE_CHECKING:
 
 Table = TypeVar("Table")
 
-DEFAULT_HEIGHT = 1.14  # of an agent [m], where a file doesn't tell its agentHeight
-DEFAULT_STEP = 0.25  # [m], where a file doesn't tell its traversableFloorHeight
-
 
 @dataclass(eq=False, kw_only=True)
 class GridBase:
@@ -41,8 +39,7 @@ class GridBase:
         metadata: as in the file.
         timings: as in the file; two grids that differ in it only are the same grid.
         extra: fields of the file that are not the format's own; they are written back.
-        found_islands: what `navbake.navgrid.islands.islands_of` found last, and a digest of what
-            it follows from.
+        found_islands: what `navbake.navgrid.islands.islands_of` found last, after its digest.
     """
 
     cell_size: float
@@ -54,7 +51,7 @@ class GridBase:
     _tables: dict[str, tuple[Any, Any]] = field(default_factory=dict, init=False, repr=False)
 
     def __getstate__(self) -> Json:
-        """Copies and pickles have neither caches nor blocks of their own."""
+        """Copies and pickles leave out caches and blocks."""
         return {**self.__dict__, "found_islands": None, "_tables": {}, "block_state": None}
 
     @property
@@ -72,17 +69,21 @@ class GridBase:
         """
         raise NotImplementedError
 
+    @property
+    def is_blocked(self) -> bool:
+        """Whether any cell is blocked now."""
+        return any(level.block_state and level.block_state.is_blocked for level in self.levels)
+
     def without_blocks(self) -> Self:
         """The grid as it is when nothing is blocked; itself if nothing is."""
-        states = [level.block_state for level in self.levels]
-        if not any(state is not None and state.is_blocked for state in states):
+        if not self.is_blocked:
             return self
-        return self.with_levels(
-            [
-                level if state is None else state.without_blocks(level)
-                for level, state in zip(self.levels, states, strict=True)
-            ]
-        )
+        states = [level.block_state for level in self.levels]
+        clean = [
+            level if state is None else state.without_blocks(level)
+            for level, state in zip(self.levels, states, strict=True)
+        ]
+        return self.with_levels(clean)
 
     @property
     def scene_id(self) -> str | None:
@@ -92,21 +93,26 @@ class GridBase:
 
     @property
     def agent_height(self) -> float:
-        """Height of the agent that the grid is for [m]; 1.14 where the file doesn't tell."""
-        stated = _number(self.metadata.get("agentHeight"))
-        return stated * self.unit if stated > 0 else DEFAULT_HEIGHT
+        """Height of the agent that the grid is for [m]; 1.14 where the file states none."""
+        return self._metres("agentHeight") or 1.14
 
     @property
     def agent_radius(self) -> float:
-        """Radius of the agent that the grid was baked for [m]; 0 where the file doesn't tell."""
-        stated = _number(self.metadata.get("agentRadius"))
-        return stated * self.unit if stated > 0 else 0.0
+        """Radius of the agent that the grid was baked for [m]; 0 where the file states none."""
+        return self._metres("agentRadius") or 0.0
 
     @property
     def max_step(self) -> float:
-        """The highest step that the agent takes [m]; 0.25 where the file doesn't tell."""
-        stated = _number(self.metadata.get("traversableFloorHeight"))
-        return stated * self.unit if stated >= 0 else DEFAULT_STEP
+        """The highest step that the agent takes [m]; 0.25 where the file states none."""
+        stated = self._metres("traversableFloorHeight")
+        return 0.25 if stated is None else stated
+
+    def _metres(self, key: str) -> float | None:
+        """A length of the metadata [m]; None where they have no number >= 0."""
+        stated = self.metadata.get(key)
+        if not isinstance(stated, int | float) or not stated >= 0:
+            return None
+        return float(stated) * self.unit
 
     @property
     def navbake(self) -> Json:
@@ -127,7 +133,7 @@ class GridBase:
         if stated is not None:
             return stated
         rooms = (measure_rooms(level, number) for number, level in enumerate(self.levels))
-        return tuple(room for of_level in rooms for room in of_level)
+        return tuple(chain.from_iterable(rooms))
 
     @property
     def stated_rooms(self) -> tuple[Room, ...] | None:
@@ -178,20 +184,18 @@ class GridBase:
         """The levels' names, lowest first; ``level 0``, ``level 1``, … where none is stated."""
         stated = self.navbake.get("levels")
         entries = stated if isinstance(stated, list) else []
-        names = [entry.get("name") if isinstance(entry, dict) else None for entry in entries]
-        names += [None] * len(self.levels)
-        return [
-            name if isinstance(name, str) and name else f"level {number}"
-            for number, name in enumerate(names[: len(self.levels)])
-        ]
+        names = [f"level {number}" for number in range(len(self.levels))]
+        for number, entry in enumerate(entries[: len(names)]):
+            name = entry.get("name") if isinstance(entry, dict) else None
+            names[number] = name if isinstance(name, str) and name else names[number]
+        return names
 
     @property
     def cell_attributes(self) -> list[Json]:
         """What the metadata say of each attribute, completed where they say nothing."""
         return describe_attributes(self.metadata, self.levels)
 
-    # functions of modules that a grid is built on, with their docstrings: the grid is what they
-    # take first
+    # functions that take the grid first, as methods, with their docstrings
     cell_at = cells.cell_at
     cells_at = cells.cells_at
     position_of = cells.position_of
@@ -335,14 +339,8 @@ class GridBase:
 
         Takes and raises what `describe_cell` does.
         """
-        blockers: list[str] = self.describe_cell(x, y, level)["blockers"]
-        return blockers
+        return list(self.describe_cell(x, y, level)["blockers"])
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a NavGrid file, gzipped if its name ends in ``.gz``."""
         operation("grid.save")(self, path)
-
-
-def _number(value: Any) -> float:
-    """A number of a file; -1 for what is none."""
-    return float(value) if isinstance(value, int | float) else -1.0

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from hashlib import blake2b
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.types import Bool, Int32
+from navbake.types import Int32
 
 if TYPE_CHECKING:
+    from navbake.navgrid.block_state import Window
     from navbake.navgrid.grid import SceneGrid2D
     from navbake.navgrid.grid_base import GridBase
 
@@ -26,9 +27,6 @@ def find_islands(grid: GridBase) -> list[Int32]:
     grid's `traversableFloorHeight` (plus 1e-6 m and what float32 rounds off), or where a link
     joins them. A free cell without floor height is level with each of its neighbours.
 
-    Args:
-        grid: a grid of one or several levels.
-
     Returns:
         One array a level, shape (height, width), int32: 0 where the cell isn't free, else the
         number of its part. Parts of equal size are numbered by their lowest (level, cell id).
@@ -40,10 +38,9 @@ def find_islands(grid: GridBase) -> list[Int32]:
     width = np.array([level.width for level in levels], dtype=np.int64)
     free = np.concatenate([level.free.ravel() for level in levels])
     floor = np.concatenate([level.floor_height.ravel() for level in levels])
-    links = grid.link_array
-    pairs = np.stack([start[links[:, 0]] + links[:, 1], start[links[:, 2]] + links[:, 3]], axis=1)
     # one row of cells for all levels, so that links join cells like edges do
-    islands, _ = label_islands(start, width, free, floor, step_limit(grid), pairs)
+    links = start[grid.link_array[:, ::2]] + grid.link_array[:, 1::2]
+    islands, _ = label_islands(start, width, free, floor, step_limit(grid), links)
     return [islands[start[i] : start[i + 1]].reshape(level.shape) for i, level in enumerate(levels)]
 
 
@@ -51,69 +48,42 @@ def islands_of(grid: GridBase) -> list[Int32]:
     """The islands as the file has them, or else as `find_islands` finds them, kept for next time.
 
     A stored layer ``island`` is used only in files that navbake wrote, and only while nothing is
-    blocked: in files of other programs it may mean anything.
-
-    Args:
-        grid: a grid of one or several levels.
-
-    Returns:
-        As `find_islands`; not to be written to.
+    blocked: in files of other programs it may mean anything. The arrays must not be modified.
     """
-    states = [level.block_state for level in grid.levels]
-    is_blocked = any(state is not None and state.is_blocked for state in states)
     stored = [level.attributes.get("island") for level in grid.levels]
     if (
         grid.navbake
-        and not is_blocked
+        and not grid.is_blocked
         and all(s is not None and s.max(initial=0) < TOO_MANY for s in stored)
     ):
         return [np.asarray(s).astype(np.int32) for s in stored]
-    digest = _digest(grid)
-    if grid.found_islands is None or grid.found_islands[0] != digest:
-        grid.found_islands = (digest, find_islands(grid))
-    return grid.found_islands[1]
-
-
-def _digest(grid: GridBase) -> bytes:
-    """A hash of all that the islands depend on, because a grid's arrays can be written to."""
+    # a hash of all that the islands depend on, because a grid's arrays can be written to
     digest = blake2b(repr((step_limit(grid), grid.link_array.tolist())).encode())
     for level in grid.levels:
         digest.update(np.packbits(level.free).tobytes())
         digest.update(np.ascontiguousarray(level.floor_height).data)
-    return digest.digest()
+    if grid.found_islands is None or grid.found_islands[0] != digest.digest():
+        grid.found_islands = (digest.digest(), find_islands(grid))
+    return grid.found_islands[1]
 
 
-def clearance(level: SceneGrid2D) -> NDArray[np.float32]:
-    """Measure the distance from each free cell to the nearest cell that is not free.
+def clearance(level: SceneGrid2D, window: Window | None = None) -> NDArray[np.float32]:
+    """Measure the distance from each free cell to the nearest cell that is not free [m].
 
-    From centre to centre, less half a cell; what lies outside the grid counts as not free.
-
-    Args:
-        level: one level.
-
-    Returns:
-        Metres, shape (height, width), float32; 0 where the cell itself is not free.
-    """
-    return clearance_of(level.free, level.lattice.cell_size)
-
-
-def clearance_of(
-    free: Bool, cell_size: float, closed: Sequence[tuple[int, int]] = ((1, 1), (1, 1))
-) -> NDArray[np.float32]:
-    """Measure the clearance of cells, see `clearance`.
-
-    Args:
-        free: the cells.
-        cell_size: [m].
-        closed: whether the first and the last row, and the first and the last column, are at the
-            grid's edge: 1 or 0.
+    From centre to centre, less half a cell; what lies outside the grid counts as not free. Shape
+    of the level or of the window, float32; 0 where the cell itself is not free. In a window, cells
+    outside it are not seen.
     """
     from scipy.ndimage import distance_transform_edt  # scipy loads slowly, and few ask for this
 
-    (top, _), (left, _) = closed
-    cells = distance_transform_edt(np.pad(free, closed))
+    row0, row1, col0, col1 = window or (0, level.height, 0, level.width)
+    free = level.free[row0:row1, col0:col1]
+    # one closed cell beyond each side that is at the grid's edge
+    top, left = int(row0 == 0), int(col0 == 0)
+    sides = (top, int(row1 == level.height)), (left, int(col1 == level.width))
+    cells = distance_transform_edt(np.pad(free, sides))
     cells = cells[top : top + free.shape[0], left : left + free.shape[1]]
-    return np.where(free, (cells - 0.5) * cell_size, 0.0).astype(np.float32)
+    return np.where(free, (cells - 0.5) * level.lattice.cell_size, 0.0).astype(np.float32)
 
 
 def step_limit(grid: GridBase) -> float:
@@ -131,10 +101,8 @@ def step_limit(grid: GridBase) -> float:
 def add_layers(grid: GridBase, names: Iterable[str]) -> None:
     """Compute layers and store them in a grid, in place of those that it has.
 
-    Args:
-        grid: changed in place.
-        names: some of ``island`` (uint16; what lies beyond number 65535 shares it) and
-            ``clearance`` (float32 [m]).
+    Of `names`, ``island`` (uint16; what lies beyond number 65535 shares it) and ``clearance``
+    (float32 [m]) count.
     """
     if "island" in names:
         for level, island in zip(grid.levels, find_islands(grid), strict=True):

@@ -18,33 +18,6 @@ from navbake.types import Float, Int
 CELL_SLACK = 1e-6  # of a cell: an extent this little over n cells still makes n cells
 
 
-def world_to_yup(xyz: ArrayLike) -> Float:
-    """Turn world positions into file coordinates.
-
-    Args:
-        xyz: positions, shape (..., 3), world frame [m].
-
-    Returns:
-        The same positions as (x, z, -y), shape (..., 3), float64.
-    """
-    p = np.asarray(xyz, dtype=np.float64)
-    # 0.0 - y, because -y would turn 0.0 into -0.0, which JSON shows
-    return np.stack([p[..., 0], p[..., 2], 0.0 - p[..., 1]], axis=-1)
-
-
-def yup_to_world(xyz: ArrayLike) -> Float:
-    """Turn file coordinates into world positions; the inverse of `world_to_yup`.
-
-    Args:
-        xyz: positions, shape (..., 3), file frame (y up).
-
-    Returns:
-        The same positions as (X, -Z, Y), shape (..., 3), float64.
-    """
-    p = np.asarray(xyz, dtype=np.float64)
-    return np.stack([p[..., 0], 0.0 - p[..., 2], p[..., 1]], axis=-1)
-
-
 def num_cells(extent: float, cell_size: float) -> int:
     """Count the cells that cover an extent: ``ceil(extent / cell_size)``, at least 1.
 
@@ -73,25 +46,18 @@ class Lattice(NamedTuple):
 
     @classmethod
     def cover(cls, bounds: Sequence[float], cell_size: float, margin: float = 0.0) -> Lattice:
-        """Lay the lattice of a scene: ``ceil(extent / cell_size)`` cells an axis, centred.
+        """Make the lattice of a scene: ``ceil(extent / cell_size)`` cells an axis, centred.
 
-        Args:
-            bounds: (x_min, y_min, x_max, y_max), world frame [m].
-            cell_size: edge of a cell [m], > 0.
-            margin: what is added on each side of the bounds first [m], >= 0.
+        `bounds` are (x_min, y_min, x_max, y_max), world frame [m]; the margin [m] is added to each
+        side of them first.
         """
         x0, y0, x1, y1 = bounds
         width = num_cells(x1 - x0 + 2 * margin, cell_size)
         height = num_cells(y1 - y0 + 2 * margin, cell_size)
         # what whole cells have too much is shared by both sides
         x_mid, y_mid = (x0 + x1) / 2, (y0 + y1) / 2
-        return cls(
-            x_min=x_mid - width * cell_size / 2,
-            y_max=y_mid + height * cell_size / 2,
-            cell_size=cell_size,
-            width=width,
-            height=height,
-        )
+        x_min, y_max = x_mid - width * cell_size / 2, y_mid + height * cell_size / 2
+        return cls(x_min, y_max, cell_size, width, height)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -117,13 +83,9 @@ class Lattice(NamedTuple):
         return self.y_max - (np.arange(self.height, dtype=np.float64) + 0.5) * self.cell_size
 
     def rows_cols(self, xy: ArrayLike) -> tuple[Int, Int]:
-        """Find the cells that hold positions; outside the lattice, indices are extrapolated.
+        """Row and column of finite positions, shape (..., 2) or (..., 3), world frame [m].
 
-        Args:
-            xy: positions, shape (..., 2) or (..., 3), world frame [m]; finite.
-
-        Returns:
-            Row and column of each, shape (...), int64, not clipped to the lattice.
+        Each has shape (...), int64; outside the lattice, indices are extrapolated.
         """
         p = np.asarray(xy, dtype=np.float64)
         rows = np.floor((self.y_max - p[..., 1]) / self.cell_size).astype(np.int64)
@@ -139,12 +101,8 @@ class Lattice(NamedTuple):
     def window(self, bounds: Float, reach: float = 0.0) -> tuple[slice, slice] | None:
         """Find the rows and columns whose cells are near a box, one more on each side.
 
-        Args:
-            bounds: lower and upper corner, shape (2, 2) or (2, 3), world frame [m].
-            reach: how much larger the box is taken to be on each side [m].
-
-        Returns:
-            Rows and columns on the lattice; None where the box lies beside it.
+        Its corners are `bounds`, shape (2, 2) or (2, 3), world frame [m], each moved out by
+        `reach` [m]. None where the box lies beside the lattice.
         """
         (x0, y0), (x1, y1) = bounds[0, :2] - reach, bounds[1, :2] + reach
         row, col = self.rows_cols([[x0, y1], [x1, y0]])
@@ -154,10 +112,9 @@ class Lattice(NamedTuple):
 
     def cut(self, rows: slice, cols: slice) -> Lattice:
         """The part of this lattice in ``[rows, cols]``, cells in the same places."""
-        return Lattice(
+        return self._replace(
             x_min=self.x_min + cols.start * self.cell_size,
             y_max=self.y_max - rows.start * self.cell_size,
-            cell_size=self.cell_size,
             width=cols.stop - cols.start,
             height=rows.stop - rows.start,
         )

@@ -1,7 +1,7 @@
-"""What of a scene's metadata is about one of its levels.
+"""Cuts the metadata of a grid of several levels to one of them.
 
-A level of a file with several takes over the metadata of the whole. What navbake states there of
-levels (rooms, doors, links, names) is cut to the one level, so that the level is a grid by itself.
+A level of a file takes over the metadata of the whole. What navbake states there of levels
+(rooms, doors, links, names) is cut to the one level, so that the level is a grid by itself.
 """
 
 from __future__ import annotations
@@ -12,16 +12,10 @@ from navbake.types import Json
 
 
 def cut_metadata(metadata: Json, level: int) -> Json:
-    """Cut the metadata of a grid of several levels to one of them, which becomes level 0.
+    """Cut metadata to one level, which becomes level 0: without rooms and doors of other levels.
 
-    Args:
-        metadata: of the whole grid; not changed. What is broken in it stays as it is: the whole
-            grid says what is wrong.
-        level: which level.
-
-    Returns:
-        The metadata: without the rooms of other levels, ways to these, doors that stand on other
-        levels alone, and links. `metadata` itself where navbake states nothing in it.
+    Neighbours on other levels and links go, too. What is broken stays as it is: the whole grid
+    says what is wrong. `metadata` is not changed, and returned where navbake states nothing in it.
     """
     own = metadata.get("navbake")
     if not isinstance(own, dict) or not own:
@@ -44,15 +38,14 @@ def _are_objects(value: Any) -> bool:
 
 def _cut_rooms(rooms: list[Json], level: int) -> list[Json]:
     elsewhere = {str(room.get("id")) for room in rooms if room.get("level") != level}
-    cut = []
-    for room in rooms:
-        if room.get("level") == level:
-            # copied before it is changed: the whole keeps its table
-            room = {**room, "level": 0}
-            if _are_objects(room.get("neighbours")):
-                ways = [way for way in room["neighbours"] if str(way.get("room")) not in elsewhere]
-                room["neighbours"] = ways
-            cut.append(room)
+    # copied before they are changed: the whole keeps its table
+    cut = [{**room, "level": 0} for room in rooms if room.get("level") == level]
+    for room in cut:
+        if _are_objects(room.get("neighbours")):
+            near = [
+                other for other in room["neighbours"] if str(other.get("room")) not in elsewhere
+            ]
+            room["neighbours"] = near
     return cut
 
 
@@ -63,13 +56,9 @@ def _cut_doors(doors: list[Json], level: int) -> list[Json]:
         if isinstance(cells, dict) and all(isinstance(entry, list) for entry in cells.values()):
             # a door on two levels (beside a stair) is on both, with the cells of each
             here = {
-                state: [[0, *entry[1:]] for entry in entries if _is_on(entry, level)]
+                state: [[0, *e[1:]] for e in entries if isinstance(e, list) and e[:1] == [level]]
                 for state, entries in cells.items()
             }
             if any(here.values()):
                 cut.append({**door, "cells": here})
     return cut
-
-
-def _is_on(entry: Any, level: int) -> bool:
-    return isinstance(entry, list) and entry[:1] == [level]

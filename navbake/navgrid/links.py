@@ -28,17 +28,10 @@ class Link:
 
 
 def parse_links(stated: Any, num_cells: Sequence[int]) -> Int:
-    """Read links: a flat list of whole numbers, four a link, or a list of lists of four.
+    """Read ``metadata.navbake.links``, None for nothing, on levels of so many cells.
 
-    Args:
-        stated: what stands at ``metadata.navbake.links``, None for nothing.
-        num_cells: number of cells of each level.
-
-    Returns:
-        Shape (n, 4), int64, read-only: the fields of a `Link` in each row.
-
-    Raises:
-        FormatError: the form is wrong, or a level or a cell does not exist.
+    They are a flat list of whole numbers, four a link, or a list of lists of four. The result has
+    the fields of a `Link` in each row, shape (n, 4), int64, read-only.
     """
     where = "at `metadata.navbake.links`"
     numbers = [] if stated is None else stated

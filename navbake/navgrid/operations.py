@@ -1,4 +1,4 @@
-"""What grids can do through code that is built on them, by name.
+"""Operations of grids that live in modules above the grid, found by name.
 
 A grid has methods like `inflate`, `block` and `save` for convenience, and the run time, the views
 and the formats import the grid. So the grid may not import them. It calls them by name instead:
@@ -8,20 +8,14 @@ imported when it is first called.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from functools import cache
 from importlib import import_module
 from typing import Any
 
 OPERATIONS: dict[str, str] = {}
 """Where the function of each operation is: ``module:function`` by ``grid.METHOD`` or
 ``voxels.METHOD``."""
-
-_found: dict[str, Callable[..., Any]] = {}
-
-
-def register(operations: Mapping[str, str]) -> None:
-    """Register where functions of operations are; nothing is imported yet."""
-    OPERATIONS.update(operations)
 
 
 def resolve(where: str) -> Any:
@@ -30,8 +24,8 @@ def resolve(where: str) -> Any:
     return getattr(import_module(module), name)
 
 
+@cache
 def operation(name: str) -> Callable[..., Any]:
     """The function of an operation, which takes the object itself first."""
-    if name not in _found:
-        _found[name] = resolve(OPERATIONS[name])
-    return _found[name]
+    found: Callable[..., Any] = resolve(OPERATIONS[name])
+    return found

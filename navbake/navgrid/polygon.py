@@ -12,27 +12,21 @@ from navbake.types import Bool, Float
 
 
 def find_fault(points: ArrayLike) -> str | None:
-    """Find what is wrong with an outline: no area, or two sides that cross each other.
+    """Say what is wrong with an outline: no area, or two sides that cross; None if nothing is.
 
-    Sides may touch; a repeated corner is no fault.
-
-    Args:
-        points: the corners in order, shape (n, 2), the first not repeated at the end.
-
-    Returns:
-        The fault in words, or None.
+    Its corners are in order, shape (n, 2), the first not repeated at the end. Sides may touch; a
+    repeated corner is no fault.
     """
     corners = np.asarray(points, dtype=np.float64).reshape(-1, 2)
-    spread = corners - corners[0]
-    if np.linalg.matrix_rank(spread) < 2:
+    if np.linalg.matrix_rank(corners - corners[0]) < 2:
         return "corners that all lie in a line"
-    ends = np.roll(corners, -1, axis=0)
-    for side in range(len(corners) - 2):
-        crossed = _crosses(corners[side], ends[side], corners[side + 2 :], ends[side + 2 :])
+    sides = np.hstack([corners, np.roll(corners, -1, axis=0)])
+    for side in range(len(sides) - 2):
+        crossed = _crosses(sides[side], sides[side + 2 :])
         if crossed.any():
             other = side + 2 + int(np.argmax(crossed))
-            named = (_name_side(corners[k], ends[k]) for k in (side, other))
-            return "sides that cross: {} and {}".format(*named)
+            named = [f"[{a:g}, {b:g}] to [{c:g}, {d:g}]" for a, b, c, d in sides[[side, other]]]
+            return "sides that cross: " + " and ".join(named)
     return None
 
 
@@ -40,14 +34,8 @@ def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
     """Mark the cells whose centres lie in a polygon, by the even-odd rule.
 
     A centre on a lower or left side is inside, one on an upper or right side isn't; so of two
-    polygons with a side in common, each centre on it is in one.
-
-    Args:
-        rings: outlines, holes and further parts, each of shape (n, 2), world x, y [m].
-        lattice: the cells.
-
-    Returns:
-        Shape (height, width), bool.
+    polygons with a side in common, each centre on it is in one. `rings` are outlines, holes and
+    further parts, each of shape (n, 2), world x, y [m].
     """
     # Each side toggles all cells of its rows right of it: marks where the toggles are, then a
     # running sum along each row; odd sums are inside (scan conversion by edge flags, Ackland and
@@ -68,19 +56,16 @@ def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
     return inside
 
 
-def _crosses(start: Float, end: Float, starts: Float, ends: Float) -> Bool:
-    """Which segments a segment crosses: each has the other's end points on different sides."""
+def _crosses(one: Float, others: Float) -> Bool:
+    """Which segments x0, y0, x1, y1 another one crosses: each has the other's ends on two sides."""
 
-    def side(a: Float, b: Float, p: Float) -> Float:
-        turned: Float = (b[..., 0] - a[..., 0]) * (p[..., 1] - a[..., 1]) - (
-            b[..., 1] - a[..., 1]
-        ) * (p[..., 0] - a[..., 0])
+    def side(segment: Float, x: Float, y: Float) -> Float:
+        x0, y0, x1, y1 = segment.T
+        turned: Float = (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)
         return np.sign(turned)
 
-    apart = side(start, end, starts) * side(start, end, ends) < 0
-    crossed: Bool = apart & (side(starts, ends, start) * side(starts, ends, end) < 0)
-    return crossed
+    def is_split(segment: Float, by: Float) -> Bool:
+        x0, y0, x1, y1 = segment.T
+        return np.asarray(side(by, x0, y0) * side(by, x1, y1) < 0)
 
-
-def _name_side(start: Float, end: Float) -> str:
-    return f"[{start[0]:g}, {start[1]:g}] to [{end[0]:g}, {end[1]:g}]"
+    return is_split(others, one) & is_split(one, others)

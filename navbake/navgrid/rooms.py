@@ -62,16 +62,8 @@ class Room:
 
     def to_json(self) -> Json:
         """The room as a file has it."""
-        return {
-            "index": self.index,
-            "id": self.id,
-            "name": self.name,
-            "level": self.level,
-            "area": self.area,
-            "centroid": list(self.centroid),
-            "source": self.source,
-            "neighbours": [neighbour.to_json() for neighbour in self.neighbours],
-        }
+        neighbours = [neighbour.to_json() for neighbour in self.neighbours]
+        return {**vars(self), "centroid": list(self.centroid), "neighbours": neighbours}
 
 
 # what a field of a room's entry may be; `source` may be missing as well
@@ -87,18 +79,7 @@ FIELDS: dict[str, tuple[type, ...]] = {
 
 
 def parse_rooms(stated: Any, num_levels: int) -> tuple[Room, ...]:
-    """Read a file's table of rooms.
-
-    Args:
-        stated: what stands at ``metadata.navbake.rooms``.
-        num_levels: how many levels the grid has.
-
-    Returns:
-        The rooms by level and index.
-
-    Raises:
-        FormatError: the table is broken.
-    """
+    """Read and check the table at ``metadata.navbake.rooms``; the rooms by level and index."""
     if not isinstance(stated, list | tuple):
         raise FormatError(f"expected a list at `{WHERE}`, got {type(stated).__name__}")
     rooms = [_parse(entry, f"{WHERE}[{i}]", num_levels) for i, entry in enumerate(stated)]
@@ -142,14 +123,9 @@ def _parse_neighbour(entry: Any, where: str) -> Neighbour:
 
 
 def measure_rooms(level: SceneGrid2D, number: int) -> list[Room]:
-    """Describe the rooms of a level from its `room_index` alone.
+    """Describe the rooms of a level, the `number`-th of its grid, from its `room_index` alone.
 
-    Args:
-        level: one level.
-        number: which level of its grid it is.
-
-    Returns:
-        The rooms by index, with the id ``level:index``, and neither name nor neighbours.
+    They are sorted by index, have the id ``level:index``, and neither name nor neighbours.
     """
     x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
     floor = level.floor_height.astype(np.float64) * level.unit
@@ -165,7 +141,7 @@ def measure_rooms(level: SceneGrid2D, number: int) -> list[Room]:
             name=None,
             level=number,
             area=round(float(count[room]) * level.lattice.cell_size**2, 6),
-            centroid=_rounded(*(total[room] / count[room] for total in sums)),
+            centroid=_rounded(*(float(total[room] / count[room]) for total in sums)),
             source=None,
             neighbours=(),
         )
@@ -176,4 +152,4 @@ def measure_rooms(level: SceneGrid2D, number: int) -> list[Room]:
 
 def _rounded(x: float, y: float, z: float) -> Vector3:
     """To a micrometre, and without -0.0."""
-    return round(float(x), 6) + 0.0, round(float(y), 6) + 0.0, round(float(z), 6) + 0.0
+    return round(x, 6) + 0.0, round(y, 6) + 0.0, round(z, 6) + 0.0

@@ -1,8 +1,8 @@
-"""User data of cells: parsed, or made, when somebody asks for them.
+"""Per-cell user data, parsed or made on first use.
 
-Names of what stands in each cell make up most of a grid's file, and few who load a grid ask for
-them. Many cells share what they have, too. So `UserData` holds them as they came, unread or shared,
-until somebody looks at single cells: those can be written to, and what was written is saved.
+Names of what stands in each cell make up most of a grid's file, few who load a grid ask for them,
+and many cells share theirs. So `UserData` holds them as they came, unread or shared, until a caller
+looks at single cells: those can be written to, and what was written is saved.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from navbake.types import Int, Json
+
+NAMES = ("doors", "objects", "walls")  # keys of a cell's user data that list what stands in it
 
 
 @contextmanager
@@ -34,11 +36,7 @@ class Unread(Protocol):
     """User data in the form in which they were stored."""
 
     def read(self) -> dict[int, Json]:
-        """Read them.
-
-        Raises:
-            FormatError: they don't follow the format.
-        """
+        """Read and check them."""
 
 
 class Shared(NamedTuple):
@@ -55,17 +53,16 @@ class Shared(NamedTuple):
     entries: Sequence[Json]
 
     def read(self) -> dict[int, Json]:
-        """Make them a dictionary; each cell gets an entry of its own, as from a file."""
+        """Give each cell an entry of its own, as from a file."""
         entries = [_copy_json(self.entries[k]) for k in self.number.tolist()]
         return dict(zip(self.cells.tolist(), entries, strict=True))
 
 
 class UserData(MutableMapping[int, Json]):
-    """What is kept for single cells, by cell id (col + row * width).
+    """User data by cell id (col + row * width).
 
-    Args:
-        source: a dictionary, which is written to; or what becomes one when somebody looks at
-            single cells: `Unread` or `Shared` data, or a function that makes `Shared` ones.
+    They come from a dictionary, which is written to; or from what becomes one when a caller looks
+    at single cells: `Unread` or `Shared` data, or a function that makes `Shared` ones.
     """
 
     def __init__(
@@ -80,7 +77,7 @@ class UserData(MutableMapping[int, Json]):
 
     @property
     def is_read(self) -> bool:
-        """Whether somebody looked at single cells, and so may have changed them."""
+        """Whether a caller looked at single cells, and so may have changed them."""
         return isinstance(self._source, MutableMapping)
 
     @property
@@ -93,7 +90,7 @@ class UserData(MutableMapping[int, Json]):
 
     @property
     def _cells(self) -> MutableMapping[int, Json]:
-        """The dictionary; read now if it wasn't."""
+        """The dictionary; what it is made from is read now."""
         if not self.is_read:
             with collector_off():
                 self._source = self.source.read()  # type: ignore[union-attr]
@@ -129,35 +126,32 @@ class UserData(MutableMapping[int, Json]):
         if not isinstance(self.source, Shared):
             return [self._cells.get(cell, {}) for cell in cells.tolist()]
         known, number, entries = self.source
-        if not len(known):
-            return [{}] * len(cells)
-        place = np.minimum(np.searchsorted(known, cells), len(known) - 1)
-        is_known = (known[place] == cells).tolist()
-        numbers = number[place].tolist()
-        return [entries[k] if here else {} for k, here in zip(numbers, is_known, strict=True)]
+        place = np.searchsorted(known, cells)
+        # one more at the end, for cells beyond the last one that has an entry
+        is_known = np.append(known, -1)[place] == cells
+        numbers = np.where(is_known, np.append(number, -1)[place], -1)
+        with_none = [*entries, {}]
+        return [with_none[k] for k in numbers.tolist()]
 
     def replaced(self, changed: Mapping[int, Json]) -> UserData:
         """The same with other entries in some cells, by ascending cell id.
 
-        Args:
-            changed: entries by cell id; they must not be modified. Cells whose entry is empty
-                drop out.
+        Cells whose new entry is empty drop out. The entries must not be modified.
         """
         if not isinstance(self.source, Shared):
             merged = {**self._cells, **changed}
             kept = (cell for cell in sorted(merged) if cell not in changed or changed[cell])
             return UserData({cell: merged[cell] for cell in kept})
         cells, number, known = self.source
-        kept_cells = ~np.isin(cells, np.fromiter(changed, dtype=np.int64, count=len(changed)))
-        added = {cell: entry for cell, entry in changed.items() if entry}
-        own = np.fromiter(added, dtype=np.int64, count=len(added))
+        is_kept = ~np.isin(cells, np.fromiter(changed, dtype=np.int64, count=len(changed)))
+        number = number[is_kept]
         # entries that no cell has any more are left out, or they would pile up
-        is_used = np.zeros(len(known), dtype=np.bool_)
-        is_used[number[kept_cells]] = True
+        is_used = np.bincount(number, minlength=len(known)) > 0
         entries = list(compress(known, is_used))
-        number = (np.cumsum(is_used) - 1)[number[kept_cells]]
-        number = np.concatenate([number, len(entries) + np.arange(len(own))])
-        cells = np.concatenate([cells[kept_cells], own])
+        added = {cell: entry for cell, entry in changed.items() if entry}
+        new = len(entries) + np.arange(len(added))
+        number = np.concatenate([(np.cumsum(is_used) - 1)[number], new])
+        cells = np.concatenate([cells[is_kept], np.fromiter(added, dtype=np.int64)])
         order = np.argsort(cells)
         return UserData(Shared(cells[order], number[order], [*entries, *added.values()]))
 

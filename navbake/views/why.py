@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from navbake.errors import QueryError
 from navbake.navgrid.cells import check_positions
-from navbake.navgrid.door_states import NAMES
+from navbake.navgrid.user_data import NAMES
 from navbake.runtime.places.place import place_at
 from navbake.types import Json
 

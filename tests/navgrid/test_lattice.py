@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from navbake.navgrid.lattice import Lattice, num_cells, world_to_yup, yup_to_world
+from navbake.navgrid.grid import SceneGrid2D
+from navbake.navgrid.lattice import Lattice, num_cells
 
 CELL_SIZES = st.sampled_from([0.05, 0.1, 0.25, 0.3, 1.0])
 EDGES = st.floats(-50, 50).map(lambda x: round(x, 3))
@@ -23,21 +24,22 @@ def lattices(draw) -> Lattice:
 
 
 def test_the_formats_own_example_comes_out_of_its_box():
-    low = yup_to_world([-42.658744811854994, -1.862645572503485e-09, -44.06613540649414])
-    high = yup_to_world([-35.95526123046875, 2.734999938867986, -36.685002136230466])
-    lattice = Lattice.cover((low[0], high[1], high[0], low[1]), 0.1)
+    # of the file's box x, y, z, lower and upper corner; z is -y of the world
+    low, high = (-42.658744811854994, -44.06613540649414), (-35.95526123046875, -36.685002136230466)
+    lattice = Lattice.cover((low[0], -high[1], high[0], -low[1]), 0.1)
     assert (lattice.width, lattice.height) == (68, 74)
     assert lattice.x_min == pytest.approx(-42.707003021161874, abs=1e-12)
     assert -lattice.y_max == pytest.approx(-44.075568771362306, abs=1e-12)
 
 
-def test_frames_are_a_rotation_and_its_inverse():
-    turn = world_to_yup(np.eye(3))  # rows: where the world's axes go
-    assert turn.tolist() == [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
-    assert np.linalg.det(turn) == 1
-    positions = np.random.default_rng(0).normal(size=(4, 5, 3))
-    np.testing.assert_array_equal(yup_to_world(world_to_yup(positions)), positions)
-    assert math.copysign(1, world_to_yup([0.0, 0.0, 0.0])[2]) == 1
+def test_file_frame_is_y_up():
+    grid = SceneGrid2D(
+        width=1, height=1, cell_size=2.0, unit=0.5, min_yup=(1.0, 2.0, 3.0), weights=np.ones((1, 1))
+    )
+    assert (grid.lattice.x_min, grid.lattice.y_max, grid.ground) == (0.5, -1.5, 1.0)
+    assert grid.lattice.cell_size == 1.0
+    grid.min_yup = (0.0, 0.0, 0.0)
+    assert math.copysign(1, grid.lattice.y_max) == 1
 
 
 @given(lattices())

@@ -1,7 +1,5 @@
 """The connected parts of free cells, through all levels: connected components by union-find."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 
@@ -10,23 +8,15 @@ from navbake.navgrid.kernels.union_find import unite
 
 @njit(cache=True)
 def label_islands(start, width, free, floor, limit, links):
-    """Number the connected parts of free cells, the largest first.
+    """Number the parts by the rule of `navbake.navgrid.islands.find_islands`.
 
-    Two free cells are joined where they share an edge and their floors differ by at most `limit`,
-    or where a link leads. NaN differs from nothing.
-
-    Args:
-        start: first flat id of each level, and one past the last, shape (num_levels + 1,), int64.
-        width: number of columns of each level, shape (num_levels,), int64.
-        free: by flat id, shape (n,), bool.
-        floor: by flat id, shape (n,), float32 or float64.
-        limit: in the unit of the floors.
-        links: flat ids of two cells each, shape (m, 2), int64.
+    The cells of all levels are in one row, by flat id: those of level i from ``start[i]`` to
+    ``start[i + 1]``, in rows of ``width[i]``. `limit` is in the unit of the floors, and `links`
+    are pairs of flat ids, shape (m, 2), int64.
 
     Returns:
-        Shape (n,), int32: 0 where the cell isn't free, else its part from 1; and the number of
-        cells of each part, shape (num_parts + 1,), int64, 0 for part 0. Of parts of equal size,
-        the one with the lowest flat id comes first.
+        The part of each cell, shape (n,), int32, 0 where it isn't free; and the number of cells
+        of each part, shape (num_parts + 1,), int64, 0 for part 0.
     """
     parent = np.empty(len(free), dtype=np.int32)
     for level in range(len(width)):
@@ -65,17 +55,11 @@ def _rank(parent):
         elif parent[cell] >= 0:
             parent[cell] = parent[parent[cell]]  # the cells before this one point at their roots
             number[cell] = number[parent[cell]]
-    size = np.zeros(num_parts + 1, dtype=np.int64)
-    for cell in range(len(parent)):
-        if number[cell] > 0:
-            size[number[cell]] += 1
-    order = np.argsort(-size[1:], kind="mergesort")
+    size = np.bincount(number)
+    size[0] = 0
+    # a stable sort, so that equal parts stay in the order of their roots; part 0 stays first
+    order = np.argsort(-size[1:], kind="mergesort") + 1
     rank = np.zeros(num_parts + 1, dtype=np.int32)
-    for i in range(num_parts):
-        rank[order[i] + 1] = i + 1
-    for cell in range(len(parent)):
-        number[cell] = rank[number[cell]]
-    sorted_size = np.zeros(num_parts + 1, dtype=np.int64)
-    for i in range(num_parts):
-        sorted_size[i + 1] = size[order[i] + 1]
-    return number, sorted_size
+    rank[order] = np.arange(1, num_parts + 1)
+    size[1:] = size[order]
+    return rank[number], size

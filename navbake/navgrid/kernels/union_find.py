@@ -6,19 +6,12 @@ root is the first member of its set, whatever the order in which sets were joine
 that follow the roots depend on nothing else. Path halving alone keeps the trees shallow enough.
 """
 
-from __future__ import annotations
-
 from numba import njit
 
 
 @njit(cache=True)
 def find_root(parent, item):
-    """The root of an item's set: its lowest member.
-
-    Args:
-        parent: (n,) integers, the parent of each item; a root is its own.
-        item: which item.
-    """
+    """The root of an item's set, its lowest member; of roots, `parent` has themselves."""
     while parent[item] != item:
         parent[item] = parent[parent[item]]
         item = parent[item]

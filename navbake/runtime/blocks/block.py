@@ -79,18 +79,11 @@ def block(
 
 
 def _given_cells(grid: NavGrid, cells: Cell | Cells) -> list[Layers]:
-    level, row, col = (np.atleast_1d(v) for v in check_cells(cells))
-    layers = []
-    known = np.zeros(level.shape, dtype=np.bool_)
-    for number, part in enumerate(grid.levels):
-        here = (level == number) & (row >= 0) & (row < part.height)
-        here &= (col >= 0) & (col < part.width)
-        layers.append(cells_alone(row[here] * part.width + col[here]))
-        known |= here
-    if not known.all():
-        first = tuple(int(v[~known].ravel()[0]) for v in (level, row, col))
-        raise QueryError(f"no cell (level, row, col) = {first} in {grid.scene_id!r} to block")
-    return layers
+    level, row, col = check_cells(grid, cells)
+    return [
+        cells_alone((row * part.width + col)[level == number])
+        for number, part in enumerate(grid.levels)
+    ]
 
 
 def _disc(

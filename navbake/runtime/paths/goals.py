@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.navgrid.cells import check_positions
-from navbake.navgrid.door_states import NAMES
+from navbake.navgrid.user_data import NAMES
 from navbake.types import Bool, Float, Int
 
 if TYPE_CHECKING:
