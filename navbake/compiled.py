@@ -5,8 +5,6 @@ another file would keep that one's old code after an edit or an upgrade. So the 
 modules that use a changed one are dropped, before the first kernel of a folder is loaded.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

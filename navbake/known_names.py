@@ -1,7 +1,5 @@
 """What an error about an unknown name adds: the nearest known name, and which ones there are."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from difflib import get_close_matches
 

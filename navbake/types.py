@@ -1,7 +1,5 @@
 """Array types by the names that the whole package uses for them."""
 
-from __future__ import annotations
-
 from typing import Any, TypeAlias
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A level's obstacles in the squares of an arena, as map descriptors have them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -8,8 +8,6 @@ in part 1; other sizes get 0s after the closing 11, up to a full byte.
 Arrays are ``[row, col]`` with row 0 at the top, as one draws a map and as all of navbake's are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from string import hexdigits
 

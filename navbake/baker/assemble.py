@@ -1,7 +1,5 @@
 """The grid that is written: levels, occupancy, rooms, doors and what made them, put together."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The time that each stage of a bake takes, told to whoever watches."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

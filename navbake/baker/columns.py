@@ -1,7 +1,5 @@
 """Columns: every crossing of every cell's vertical line with the scene."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

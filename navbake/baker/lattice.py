@@ -1,7 +1,5 @@
 """The lattice that a scene is baked on."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

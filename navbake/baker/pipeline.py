@@ -1,7 +1,5 @@
 """The bake, end to end: its stages, and the grid that they make."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from os import PathLike

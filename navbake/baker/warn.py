@@ -1,7 +1,5 @@
 """The warnings of a bake, one line each."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from navbake.baker.floors.levels import DroppedSheet, Floors

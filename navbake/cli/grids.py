@@ -1,7 +1,5 @@
 """The commands that look at a grid: `navbake info`, `rooms`, `why` and `plot`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from typer import BadParameter, Option

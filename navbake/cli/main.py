@@ -3,8 +3,6 @@
 Only the modules of `navbake.cli` print, and only this one ends the process.
 """
 
-from __future__ import annotations
-
 import io
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Arguments and options that several commands share, and what checks them."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable
 from functools import wraps

@@ -1,7 +1,5 @@
 """The commands before a bake: `navbake init` and `navbake geoms`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from typer import Argument, Option

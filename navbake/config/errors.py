@@ -1,7 +1,5 @@
 """Words pydantic's errors as one line: what was expected, what was found, where."""
 
-from __future__ import annotations
-
 import difflib
 import json
 from collections.abc import Mapping, Sequence

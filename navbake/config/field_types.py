@@ -4,8 +4,6 @@ A message reads ``expected <text>, got <value> at `<key>` in <file>``: the types
 part, `navbake.config.errors` the rest.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from os import PathLike

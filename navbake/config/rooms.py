@@ -1,7 +1,5 @@
 """The settings of the rooms: which sources divide the floor into rooms, in which order."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from os import PathLike
 from typing import Annotated, Any, Literal

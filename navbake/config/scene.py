@@ -1,7 +1,5 @@
 """The settings of the scene: its file, which of its geoms count, and its pose."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path

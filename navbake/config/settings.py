@@ -3,8 +3,6 @@
 Lengths are in metres, positions in the world frame (z up), unless a description says otherwise.
 """
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import json

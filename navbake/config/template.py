@@ -1,7 +1,5 @@
 """Writes YAML to start from: every setting with its meaning, unit, range and default."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Reads YAML that people write by hand: plain scalars as in YAML 1.2, and no key twice."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path

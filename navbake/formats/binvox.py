@@ -11,8 +11,6 @@ is taken at ``(i - n // 2) * res``, so grids of even counts lie half a voxel off
 north, east and up, which is (x, -y, z) here.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from os import PathLike

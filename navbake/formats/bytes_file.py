@@ -1,7 +1,5 @@
 """Reads and writes files whole, with the system's errors as FormatErrors; reads text headers."""
 
-from __future__ import annotations
-
 import os
 from os import PathLike
 

@@ -1,7 +1,5 @@
 """GeoJSON (RFC 7946), as far as it holds rooms: polygons with a name and a level, in metres."""
 
-from __future__ import annotations
-
 import math
 import os
 from pathlib import Path

@@ -4,8 +4,6 @@ What the format does not know is kept and written back: fields of a grid, of its
 its metadata, and further tile attributes; not so fields inside of an array or a bbox.
 """
 
-from __future__ import annotations
-
 import gzip
 import io
 import math

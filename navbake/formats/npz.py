@@ -1,7 +1,5 @@
 """Voxels as a NumPy archive: ``values``, ``origin``, ``res``, and what the IDs stand for."""
 
-from __future__ import annotations
-
 import io
 from os import PathLike
 

@@ -8,8 +8,6 @@ Source: OctoMap 1.9 (`AbstractOcTree.cpp`, `OccupancyOcTreeBase.hxx`): the heade
 order of the nodes, and the log-odds of what is certain.
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from os import PathLike

@@ -1,7 +1,5 @@
 """The bytes of a file to be read: from a path, bytes or a stream, plain or gzipped, bounded."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import os

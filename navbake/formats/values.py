@@ -1,7 +1,5 @@
 """Single values of a JSON file, checked: numbers, vectors, objects, JSON of any kind."""
 
-from __future__ import annotations
-
 import math
 from itertools import chain
 from typing import Any

@@ -1,7 +1,5 @@
 """Voxel files, told by their suffix, and the table of their IDs beside them."""
 
-from __future__ import annotations
-
 import json
 from os import PathLike
 from pathlib import Path

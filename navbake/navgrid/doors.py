@@ -4,8 +4,6 @@ The file carries, for each door and state, the cells that only this door blocks.
 needs no scene and no new bake, see `navbake.navgrid.door_states`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -4,8 +4,6 @@ A level of a file takes over the metadata of the whole. What navbake states ther
 (rooms, doors, links, names) is cut to the one level, so that the level is a grid by itself.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from navbake.types import Json

@@ -1,7 +1,5 @@
 """The links between levels, as a file's metadata state them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

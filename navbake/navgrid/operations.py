@@ -6,8 +6,6 @@ and the formats import the grid. So the grid may not import them. It calls them 
 imported when it is first called.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Polygons in the horizontal plane: what is wrong with one, and which cells it covers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The colours of pictures, as ``#rrggbb``."""
 
-from __future__ import annotations
-
 import colorsys
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Converts voxels to a floor plan over a band of heights, and a level to voxels."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

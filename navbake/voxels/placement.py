@@ -1,7 +1,5 @@
 """Where a voxel grid lies: from a centre and counts, a size in metres, or a whole scene's box."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Sequence

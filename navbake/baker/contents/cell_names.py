@@ -1,7 +1,5 @@
 """User data: what stands in each cell, by name."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

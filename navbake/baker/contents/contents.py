@@ -1,7 +1,5 @@
 """What stands in each cell: which geoms, what they are, and under which names."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial

@@ -1,7 +1,5 @@
 """What the building itself is made of: floors, stairs, ceilings and roofs, but not its walls."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Which geoms are walls, or meshes that hold a whole building."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase

@@ -1,7 +1,5 @@
 """Door candidates: bodies that a pattern names, or with the joint and shape of a door's leaf."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

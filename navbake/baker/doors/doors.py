@@ -4,8 +4,6 @@ Floors, levels and rooms are found without the doors. The cells of a door are la
 everything else occupies, so that a grid with a door in another state equals a bake of it.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field

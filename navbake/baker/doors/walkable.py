@@ -1,7 +1,5 @@
 """Doors that an agent could walk on, such as trapdoors and bridges; the grid has no floor there."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Grounds: at which heights the storeys begin, and which surface is on which storey."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from navbake.baker.floors.sheets import AreaTest, Standable, mask_window, shrink_mask

@@ -1,7 +1,5 @@
 """Levels and floors: from the surfaces of all columns to the floors of each storey."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

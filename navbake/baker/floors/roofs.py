@@ -1,7 +1,5 @@
 """Roofs: sheets that are open to the sky over an enclosed level, and so no levels themselves."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias

@@ -1,7 +1,5 @@
 """Asks FCL whether a solid meets a cell's prism. Only this module imports fcl."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import fcl

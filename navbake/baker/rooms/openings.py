@@ -1,7 +1,5 @@
 """Where rooms open to each other, and which of these openings have a door."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

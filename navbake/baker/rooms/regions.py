@@ -5,8 +5,6 @@ contracted to one node, as in region merging after a watershed (Vincent and Soil
 watershed; Haris et al., 1998, on merging by the region adjacency graph).
 """
 
-from __future__ import annotations
-
 import heapq
 
 import numpy as np

@@ -4,8 +4,6 @@
 segments to rooms that are marked.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components

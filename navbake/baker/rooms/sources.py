@@ -1,7 +1,5 @@
 """Rooms marked by floor geoms, by sites and by polygons."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase

@@ -1,7 +1,5 @@
 """The table of rooms: what the file states of each room."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Intersections of vertical lines with solids, for sites that mark a volume."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE

@@ -1,7 +1,5 @@
 """The tree of a model's bodies."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which geoms of a model count, by the settings, and why. Does not import mujoco."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from fnmatch import fnmatchcase
 from typing import Any, Literal, NamedTuple

@@ -1,7 +1,5 @@
 """The geometry of a model's counted geoms, gathered into shapes. Does not import mujoco."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Upright boxes round geoms, turned as the geoms lie."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

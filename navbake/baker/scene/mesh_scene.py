@@ -1,7 +1,5 @@
 """Reads mesh files as named parts in the world frame. Only this module imports trimesh."""
 
-from __future__ import annotations
-
 import io
 import logging
 import re

@@ -1,7 +1,5 @@
 """The compiled MuJoCo model of any scene file: MJCF, URDF, MJB or a mesh."""
 
-from __future__ import annotations
-
 import threading
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Names of a model's geoms, bodies and joints, and the warning when no name matches."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable
 from typing import Any, NamedTuple

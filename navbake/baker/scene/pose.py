@@ -1,7 +1,5 @@
 """Poses of a compiled model: keyframes and joint values, checked against its joints."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A scene as the bake sees it: which geoms count, as what, and where."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """URDF made ready for MuJoCo: visuals kept, links not fused, mesh files found."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Which cells a disc round a cell's centre reaches: exact, in squares of whole half cells."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

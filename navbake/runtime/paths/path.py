@@ -1,7 +1,5 @@
 """A path that was found: where it runs, what it costs, what it goes through."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

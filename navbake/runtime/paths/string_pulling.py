@@ -1,7 +1,5 @@
 """Turns a route over cells into a line on the floor, straight where it can be."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from navbake.runtime.paths.search import Search

@@ -1,7 +1,5 @@
 """Checks distances and sources of random numbers; raises QueryError."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from navbake.errors import QueryError

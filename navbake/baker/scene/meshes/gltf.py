@@ -1,7 +1,5 @@
 """What a glTF or GLB holds that trimesh would leave out or misplace in silence."""
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

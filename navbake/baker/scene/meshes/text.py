@@ -1,7 +1,5 @@
 """OBJ, STL and PLY files made ready for trimesh, which reads some of them wrongly in silence."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
