@@ -9,8 +9,6 @@ there. Kernels also take tuples that only callers make: `Lattice`, `Solids`,
 `Planes`, `Footprint` and others.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

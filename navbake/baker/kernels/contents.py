@@ -5,8 +5,6 @@ so that the second knows where each cell may write. A geom's triangles are looke
 behind the box of those that lie over the tile.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ the shapes' own tests in `overlap` (clipping) and `solids` (closed forms, then G
 adds flags to those that are known already.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from numba import njit

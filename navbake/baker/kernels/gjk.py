@@ -14,8 +14,6 @@ inside of a tetrahedron of the difference, or nearer than NEAR to a point of it.
 leaves neither (`v` grows, or a support comes again), the answer is UNDECIDED; FCL decides then.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ clipping, 1974); half-spaces are told by their deepest point (the separating axi
 normal). A prism is open: what only touches it is outside.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -10,8 +10,6 @@ whatever it passes within RIM, so that no seam leaks; where that makes two cross
 neighbouring triangles, one is dropped.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ A cell survives when all cells nearer than the limit belong to the mask. Asked c
 only until enough have survived, that is cheaper than a transform of the whole lattice.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

@@ -9,8 +9,6 @@ The flood is a watershed by flooding from markers (Meyer, 1991; Vincent and Soil
 one bucket for each height in place of a priority queue.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

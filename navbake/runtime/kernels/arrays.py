@@ -7,8 +7,6 @@ Looking an array up in a tuple counts a reference, which costs more than a step 
 kernels with a hot loop take the arrays out of their tuples first and hand them on one by one.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

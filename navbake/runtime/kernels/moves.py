@@ -4,8 +4,6 @@ Eight bits a cell make the graph that the searches run on: a step costs them one
 place of looking at floors and corners again.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

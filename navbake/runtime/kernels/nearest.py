@@ -5,8 +5,6 @@ next ring can be nearer than the best so far. Where the mask is dense near the p
 occupied cells are, that is quicker than any index, and a block outdates nothing.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -13,8 +13,6 @@ and Muecke, 1990). What rounding still tears open shows as crossings that don't 
 the column is asked again on another line.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

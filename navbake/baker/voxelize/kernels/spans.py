@@ -11,8 +11,6 @@ counts: a candidate outside it belongs to no part of the column. Squares and hei
 to the solid's centre. An empty span has the upper end -inf.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
