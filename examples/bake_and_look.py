@@ -21,7 +21,7 @@ for number, level in enumerate(grid.levels):
     print(f"  free: {area:.1f} m2, occupied: {level.occupancy.mean():.0%} of the cells")
 
 for room in grid.rooms:
-    reached = ", ".join(f"{n.room} ({n.kind})" for n in room.neighbours)
+    reached = ", ".join(f"{n.room} ({n.door or n.kind})" for n in room.neighbours)
     print(f"room {room.id}: {room.area:.1f} m2, leads to {reached}")
 
 # Arrays are [row, col]; the lattice translates between cells and the world (z up, metres).

@@ -2,7 +2,8 @@
 
 numba's cache on disk checks only the file that defines a kernel. A kernel that calls one of
 another file would keep that one's old code after an edit or an upgrade. So the caches of all
-modules that use a changed one are dropped, before the first kernel of a folder is loaded.
+modules that use a changed one are dropped, before the first kernel of a folder is loaded. So are
+all caches where a named tuple has other fields: compiled code knows fields by their places.
 """
 
 import hashlib
@@ -10,11 +11,14 @@ import json
 import os
 import re
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 PACKAGE = Path(__file__).parent
 IMPORT = re.compile(r"^from (navbake\.[\w.]*\bkernels\.\w+) import", re.MULTILINE)
+TUPLE = re.compile(r"^class \w+\(NamedTuple\):\n(?:(?:    .*)?\n)*", re.MULTILINE)
+FIELD = re.compile(r"^    (\w+): ", re.MULTILINE)
 STAMP = "navbake-kernels.json"
 
 
@@ -29,7 +33,7 @@ def drop_stale_caches(cached: Callable[..., Any]) -> None:
     package = cached.__module__
     digests = {
         name.removeprefix(f"{package}."): digest
-        for name, digest in digest_modules(PACKAGE).items()
+        for name, digest in _own_digests().items()
         if name.rpartition(".")[0] == package
     }
     stamp = Path(place) / STAMP
@@ -53,13 +57,25 @@ def drop_stale_caches(cached: Callable[..., Any]) -> None:
         beside.unlink(missing_ok=True)
 
 
+@cache
+def _own_digests() -> dict[str, str]:
+    return digest_modules(PACKAGE)
+
+
 def digest_modules(package: Path) -> dict[str, str]:
-    """Hash each module of kernels, by its dotted name, with all modules of kernels it uses."""
+    """Hash each module of kernels, by its dotted name, with all that its compiled code depends on.
+
+    That is the modules of kernels that it uses, and the fields of the package's named tuples.
+    """
+    sources = {path: path.read_bytes() for path in sorted(package.rglob("*.py"))}
     texts = {
-        ".".join(path.relative_to(package.parent).with_suffix("").parts): path.read_bytes()
-        for path in package.rglob("kernels/*.py")
-        if path.stem != "__init__"
+        ".".join(path.relative_to(package.parent).with_suffix("").parts): text
+        for path, text in sources.items()
+        if path.parent.name == "kernels" and path.stem != "__init__"
     }
+    has_tuples = [text.decode() for text in sources.values() if b"(NamedTuple)" in text]
+    tuples = [found for text in has_tuples for found in TUPLE.findall(text)]
+    fields = repr([(t.partition("(")[0], FIELD.findall(t)) for t in tuples]).encode()
     uses = {name: set(IMPORT.findall(text.decode())) for name, text in texts.items()}
     digests = {}
     for name in texts:
@@ -69,6 +85,6 @@ def digest_modules(package: Path) -> dict[str, str]:
             new = uses.get(left.pop(), set()) - found
             found |= new
             left += new
-        parts = b"\0".join(texts.get(used, b"") for used in sorted(found))
+        parts = b"\0".join([fields, *(texts.get(used, b"") for used in sorted(found))])
         digests[name] = hashlib.sha256(parts).hexdigest()
     return digests

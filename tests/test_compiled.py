@@ -79,3 +79,16 @@ def test_digests_follow_what_is_used(package):
     after = digest_modules(package.parent)
     changed = {name for name in before if before[name] != after[name]}
     assert changed == {"navbake.kernels.inner", "navbake.kernels.outer"}
+
+
+def test_digests_follow_the_fields_of_named_tuples(package):
+    """Compiled code reads a field by its place, so that swapping two would mix them up."""
+    text = "from typing import NamedTuple\n\nclass Ball(NamedTuple):\n    '''A ball.'''\n\n"
+    ball = package.parent / "ball.py"
+    ball.write_text(text + "    radius: float\n    mass: float\n")
+    before = digest_modules(package.parent)
+    ball.write_text(text + "    radius: float\n    mass: float\n\n\nWEIGHT = 1\n")
+    assert digest_modules(package.parent) == before
+    ball.write_text(text + "    mass: float\n    radius: float\n")
+    after = digest_modules(package.parent)
+    assert all(before[name] != after[name] for name in before)

@@ -54,7 +54,6 @@ def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, 
     Small letters, and a part 2 that is filled up to a digit instead of a byte, are read too.
 
     Args:
-        part1, part2: the strings.
         shape: rows and columns, >= 1 each.
 
     Returns:

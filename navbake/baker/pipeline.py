@@ -63,7 +63,6 @@ def run_bake(
     """Bake a scene into a navigation grid.
 
     Args:
-        config: all settings.
         threads: how many to use, >= 1; all cores if None. It never changes the result.
         progress: called with each stage's name, and 0 when it begins or 1 when it ends.
 

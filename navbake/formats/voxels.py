@@ -27,7 +27,6 @@ def write_voxels(
     """Write a voxel file, and beside one that holds IDs the table of what they stand for.
 
     Args:
-        grid: the voxels.
         path: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``. The table of `a.npz` is `a.npz.names.json`.
         free: of octrees: see `encode_octomap`.
         layout, mapping: of binvox: see `encode_binvox` and `with_mapping`.

@@ -1,22 +1,17 @@
 """What a `PathFinder` works out of its grid once and keeps for all of its parts."""
 
-from __future__ import annotations
-
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from navbake.navgrid.cells import check_level
+from navbake.navgrid.grid import NavGrid
+from navbake.runtime.flat_grid import FlatGrid
 from navbake.runtime.paths.door_map import DoorMap, map_doors
 from navbake.runtime.paths.search import Search
 from navbake.runtime.places.island_map import IslandMap, map_islands
 from navbake.runtime.places.room_map import RoomMap, map_rooms
 from navbake.types import Bool
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid
-    from navbake.runtime.flat_grid import FlatGrid
 
 
 class GridCache:

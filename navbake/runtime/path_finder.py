@@ -1,15 +1,13 @@
 """Plans paths on a grid, and answers questions about places on it."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
 from navbake.navgrid.cells import Cell
+from navbake.navgrid.grid import NavGrid
 from navbake.runtime.grid_cache import GridCache
 from navbake.runtime.paths.goals import Goal, cells_named
 from navbake.runtime.paths.path import Path
@@ -26,9 +24,6 @@ from navbake.runtime.places.snap import nearest_on_level, snap_to
 from navbake.runtime.places.step import try_step
 from navbake.runtime.places.top_down import draw_top_down
 from navbake.types import Bool, Float
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid
 
 
 class PathFinder:
@@ -307,7 +302,6 @@ class PathFinder:
         """Draw places where an agent can stand, each as likely as its area has it.
 
         Args:
-            rng: draws.
             count: how many, with repetition; one unless given.
             level: on this level.
             room: in this room, by id or name.
@@ -351,7 +345,6 @@ class PathFinder:
         through walls as well. They are measured to the cells' centres.
 
         Args:
-            rng: draws.
             position: world position [m]; with paths, one where an agent can stand.
             max_distance: [m].
             count: how many, with repetition; one unless given.
@@ -399,7 +392,6 @@ class PathFinder:
         """Draw where an agent stands and looks: at a target, if there is one.
 
         Args:
-            rng: draws.
             target: world position [m], which may be in something; the agent stands on its level.
             max_distance, min_distance: from the target, straight on the map [m].
             in_sight: nothing stands between, but for what the target is in, as with `snap`.

@@ -1,16 +1,10 @@
 """Summarises what a grid holds: levels, areas, doors, and what made it."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import find_islands
 from navbake.types import Int32, Json
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid, SceneGrid2D
 
 MADE_BY = {
     "version": "navbake",

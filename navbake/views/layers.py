@@ -1,21 +1,17 @@
 """What a picture shows of each level: a colour or a value for every cell, and labels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import QueryError
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
+from navbake.navgrid.rooms import Room
 from navbake.types import Bool
 from navbake.views.colors import DARKER, DOOR, FREE, NO_FLOOR, OCCUPIED, make_palette, rgb_of
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid, SceneGrid2D
-    from navbake.navgrid.rooms import Room
 
 FURNITURE = 0.75  # brightness of a room's colour where something stands in it
 BLOCKED_LEGEND = (("occupied", OCCUPIED), ("no floor", NO_FLOOR))

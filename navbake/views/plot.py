@@ -1,24 +1,20 @@
 """Pictures of a grid: layers of each level, in world metres."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from navbake.errors import MissingDependencyError, NavbakeError, QueryError
 from navbake.files import write_whole
 from navbake.navgrid.cells import check_level
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.runtime.paths.path import Path as Route
 from navbake.views.colors import ROUTE
 from navbake.views.layers import Label, Panel, make_panels
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid, SceneGrid2D
-    from navbake.runtime.paths.path import Path as Route
 
 # Functions import matplotlib when they draw: it is an extra, and takes half a second to load.
 

@@ -1,17 +1,11 @@
 """What a grid knows of one cell, and why an agent can't stand there; from the file alone."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from navbake.errors import QueryError
 from navbake.navgrid.cells import check_positions
+from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.user_data import NAMES
 from navbake.runtime.places.place import place_at
 from navbake.types import Json
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid
 
 
 def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -> Json:

@@ -137,8 +137,6 @@ def line_is_blocked(crossings, cell, band, only):
     above, more of them were entered than left (the winding number of the line's ray up).
 
     Args:
-        crossings: all columns' crossings.
-        cell: which column.
         band: what has the heights `low` and `high` [m].
         only: the geom that is asked about, ANY_GEOM for all.
     """

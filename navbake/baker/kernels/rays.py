@@ -284,8 +284,6 @@ def cast_lines(lattice, solids, facets, planes, tiles, heights, crossings):
     """Cross every cell's vertical line with all geometry; twice: to count, then to write.
 
     Args:
-        lattice: the cells.
-        solids, facets, planes, tiles: the geometry.
         heights: a `Band` below and above everything [m].
         crossings: in the first call `z`, `normal` and `geom` are empty, and ``start[cell + 1]``
             receives the number of crossings; in the second, the running sums stand there, and

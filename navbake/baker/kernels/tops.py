@@ -63,7 +63,6 @@ def count_drops(standable, members, crossings, step, reach, at_cell):
     Args:
         standable: all standable surfaces; a sheet counts while it has members.
         members: the sheet's surfaces, (m,) int64.
-        crossings: the columns.
         step: [m].
         reach: how many cells one looks out, >= 1.
         at_cell: (cells,) int64, all -1; receives the sheet's surface in each of its cells, and

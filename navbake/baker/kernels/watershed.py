@@ -100,7 +100,6 @@ def flood(label, fillable, height, highest):
         label: shape (rows, cols), int32: > 0 in seeds, else 0; is filled.
         fillable: shape (rows, cols), bool.
         height: shape (rows, cols), int32, 0 to `highest`.
-        highest: the largest height.
     """
     rows, cols = label.shape
     labels, heights = label.ravel(), height.ravel()

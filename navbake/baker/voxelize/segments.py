@@ -45,7 +45,6 @@ def label_geoms(scene: Scene, segments: Segments) -> Labels:
     and what none matches gets the greatest of their IDs and 1, under the name ``other``.
 
     Args:
-        scene: the scene.
         segments: ``geom``, ``body``, ``top``, a mapping of name patterns (``*``, ``?``, ``[…]``)
             to IDs from 1, or a list of patterns, whose IDs are 1, 2, 3, ….
 

@@ -84,7 +84,6 @@ def write_tree(levels, first, out):
     """Write a pyramid's nodes as a ``.bt`` has them: 2 bits a child, 2 bytes an inner node.
 
     Args:
-        levels: the 17 levels.
         first: (3,) int64, the key of the first voxel.
         out: uint8, receives the bytes; empty to count them only.
 

@@ -1,18 +1,13 @@
 """Which cells an obstacle of a given shape blocks."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from navbake.navgrid.block_state import NUM_LAYERS, Layers
+from navbake.navgrid.grid import SceneGrid2D
 from navbake.types import Float, Int
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import SceneGrid2D
 
 
 @dataclass(frozen=True)

@@ -5,22 +5,17 @@ higher and the cells of other levels count as in `navbake.runtime.inflation.infl
 not meeting. A floor is needed under the agent's origin only.
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
+from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.polygon import find_fault
 from navbake.runtime.inflation.inflate import block_by_others
 from navbake.runtime.inflation.surroundings import find_surroundings
 from navbake.types import Bool, Float, Int
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid
 
 MAX_HEADINGS = 720
 MAX_REACH = 1000  # [cells]

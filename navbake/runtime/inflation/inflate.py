@@ -20,24 +20,20 @@ Source: ``refine`` of the original client (sstk, ``NavScene.js``) for `minos` an
 floor; the inflation layer of nav2 (``nav2_costmap_2d``) for `costs="nav2"`.
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import QueryError
+from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.runtime.inflation.discs import disc_offsets, half_widths
 from navbake.runtime.inflation.surroundings import SLAB, Surroundings, find_surroundings
 from navbake.types import Bool, Float, Int
 
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
-
-    AnyGrid = TypeVar("AnyGrid", SceneGrid2D, MultiLevelGrid)
+AnyGrid = TypeVar("AnyGrid", SceneGrid2D, MultiLevelGrid)
 
 MODES = ("exact", "minos")
 COSTS = ("step", "nav2")

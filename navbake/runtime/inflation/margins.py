@@ -11,19 +11,14 @@ them may be half a cell off, and so may the edges beside it. There, steps go str
 to centre, as the bake knows them.
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.runtime.blocks.shape import Margins
 from navbake.runtime.inflation.inflate import check_radius, find_blocked
 from navbake.types import Bool
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid, SceneGrid2D
 
 STEEP = 1.001  # rise, in cells, over which neighbours are a step, not a slope
 

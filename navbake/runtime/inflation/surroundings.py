@@ -1,18 +1,13 @@
 """The cells of a level and of the levels around it that can block an agent on it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import step_limit
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid, SceneGrid2D
-    from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.lattice import Lattice
 
 SLAB = 0.3  # [m] how thick the floor of a level above may be
 ALIGNED = 1e-3  # of a cell: levels offset by less share one lattice

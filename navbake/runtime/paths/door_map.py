@@ -1,17 +1,12 @@
 """The doors that each cell is in."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from navbake.navgrid.grid import NavGrid
+from navbake.runtime.flat_grid import FlatGrid
 from navbake.types import Int
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid
-    from navbake.runtime.flat_grid import FlatGrid
 
 DoorMap = dict[int, list[str]]
 """The ids of the doors of each cell that is in one, by flat id."""

@@ -1,21 +1,16 @@
 """How wide the way between two places is at its narrowest."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from navbake.navgrid.grid import NavGrid
+from navbake.runtime.flat_grid import FlatGrid
 from navbake.runtime.inflation.inflate import find_blocked
 from navbake.runtime.inflation.margins import exact_radius
 from navbake.runtime.paths.search import Search
 from navbake.runtime.places.island_map import map_islands
 from navbake.types import Bool, Float, Int
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid
-    from navbake.runtime.flat_grid import FlatGrid
 
 FINE = 1e-3  # metres to which a radius is found
 MAX_STOPS = 200  # cells that are looked at for the narrowest one

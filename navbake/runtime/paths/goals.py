@@ -1,10 +1,8 @@
 """What a path may lead to: positions, a room, an object."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,13 +10,11 @@ from numpy.typing import ArrayLike
 from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.navgrid.cells import check_positions
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.user_data import NAMES
+from navbake.runtime.flat_grid import FlatGrid
+from navbake.runtime.grid_cache import GridCache
 from navbake.types import Bool, Float, Int
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid, SceneGrid2D
-    from navbake.runtime.flat_grid import FlatGrid
-    from navbake.runtime.grid_cache import GridCache
 
 Goal: TypeAlias = ArrayLike | str
 """A position, several of them, ``room:NAME`` or ``object:NAME``."""

@@ -1,20 +1,14 @@
 """Plans paths between positions and goals, and keeps the fields of the last few goals."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import ArrayLike
 
+from navbake.runtime.grid_cache import GridCache
 from navbake.runtime.paths.door_map import doors_on
 from navbake.runtime.paths.goals import Goal, Target, find_target
 from navbake.runtime.paths.path import Path, path_length
 from navbake.runtime.paths.string_pulling import pull_route
 from navbake.types import Float, Int
-
-if TYPE_CHECKING:
-    from navbake.runtime.grid_cache import GridCache
 
 MAX_FIELDS = 8  # distance fields that are kept
 

@@ -1,21 +1,17 @@
 """A grid prepared for searches: flat cells, the moves of each, and scratch arrays."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import QueryError
 from navbake.navgrid.block_state import NO_DIAGONAL, NO_OFF_CENTER, BlockState, Window
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.runtime.flat_grid import flatten
 from navbake.runtime.inflation.margins import find_room
 from navbake.types import Bool, Float, Int
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid, SceneGrid2D
 
 # Functions import kernels when they run: numba takes long to load.
 

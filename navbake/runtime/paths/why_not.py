@@ -1,12 +1,10 @@
 """Says in one sentence why there is no path."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import ArrayLike
 
+from navbake.navgrid.grid import NavGrid
+from navbake.runtime.grid_cache import GridCache
 from navbake.runtime.inflation.margins import agent_radius, exact_radius
 from navbake.runtime.paths.door_map import doors_on
 from navbake.runtime.paths.gap import deflated, find_gap
@@ -14,10 +12,6 @@ from navbake.runtime.paths.goals import Target
 from navbake.runtime.paths.search import Search
 from navbake.runtime.places.place import place_in
 from navbake.types import Float, Int
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid
-    from navbake.runtime.grid_cache import GridCache
 
 # Functions import scipy when they run: it takes long to load, and few need it.
 

@@ -1,18 +1,13 @@
 """The connected parts of a grid as it is now, and their areas."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import QueryError
+from navbake.runtime.flat_grid import FlatGrid
 from navbake.types import Float, Int, Int32
-
-if TYPE_CHECKING:
-    from navbake.runtime.flat_grid import FlatGrid
 
 # Functions import kernels when they run: numba takes long to load.
 

@@ -1,18 +1,14 @@
 """Whether an agent can stand at positions."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.navgrid.cells import check_positions
+from navbake.runtime.flat_grid import FlatGrid
 from navbake.runtime.places.checks import check_distance
 from navbake.types import Bool
-
-if TYPE_CHECKING:
-    from navbake.runtime.flat_grid import FlatGrid
 
 MAX_DROP = 0.5  # metres
 

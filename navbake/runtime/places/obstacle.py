@@ -1,20 +1,15 @@
 """How far away the nearest obstacle is, and where."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
+from navbake.runtime.flat_grid import FlatGrid
 from navbake.runtime.places.checks import check_distance
 from navbake.types import Bool, Float
-
-if TYPE_CHECKING:
-    from navbake.runtime.flat_grid import FlatGrid
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,11 +1,9 @@
 """What a grid holds at one position, or one layer of it at many positions."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,10 +12,8 @@ from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.navgrid.block_state import BLOCKED
 from navbake.navgrid.cells import Cell, cell_at, cells_at
+from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.islands import clearance, islands_of
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid
 
 LAYERS: dict[str, tuple[Callable[[NavGrid], list[NDArray[Any]]], float]] = {
     "floor": (

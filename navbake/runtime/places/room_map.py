@@ -1,19 +1,14 @@
 """The rooms of a grid by name, and the room of each cell."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from navbake.errors import QueryError
 from navbake.known_names import suggest
+from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.rooms import Room, measure_rooms
 from navbake.types import Int, Int32
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,21 +1,17 @@
 """Draws random places where an agent can stand, and poses; see the methods of `PathFinder`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
+from navbake.runtime.flat_grid import FlatGrid
+from navbake.runtime.grid_cache import GridCache
 from navbake.runtime.places.checks import check_distances, check_generator
 from navbake.types import Bool, Float, Int
-
-if TYPE_CHECKING:
-    from navbake.runtime.flat_grid import FlatGrid
-    from navbake.runtime.grid_cache import GridCache
 
 INSIDE = 1e-6  # of a cell: how far from its edges a point stays
 SLACK = 1e-9  # metres

@@ -1,16 +1,12 @@
 """What stands between two positions."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from navbake.runtime.flat_grid import FlatGrid
 from navbake.types import Bool, Int32
-
-if TYPE_CHECKING:
-    from navbake.runtime.flat_grid import FlatGrid
 
 
 class Sight(NamedTuple):

@@ -1,21 +1,17 @@
 """The nearest place where an agent can stand."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from navbake.runtime.flat_grid import FlatGrid
 from navbake.runtime.places.checks import check_distance
 from navbake.runtime.places.navigable import MAX_DROP
 from navbake.runtime.places.sample import cells_in_annulus
+from navbake.runtime.places.sight import Sight
 from navbake.types import Bool, Float
-
-if TYPE_CHECKING:
-    from navbake.runtime.flat_grid import FlatGrid
-    from navbake.runtime.places.sight import Sight
 
 # Functions import kernels when they run: numba takes long to load.
 

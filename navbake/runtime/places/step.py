@@ -1,19 +1,13 @@
 """Moving straight towards a point, as far as free cells go, and sliding along what is there."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.navgrid.cells import check_positions
+from navbake.runtime.flat_grid import FlatGrid
 from navbake.runtime.places.sight import NO_ROOMS
 from navbake.types import Float
-
-if TYPE_CHECKING:
-    from navbake.runtime.flat_grid import FlatGrid
 
 # Functions import kernels when they run: numba takes long to load.
 

@@ -1,20 +1,15 @@
 """A picture of a level from above, as an array."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import QueryError
 from navbake.navgrid.cells import check_level
+from navbake.runtime.flat_grid import FlatGrid
 from navbake.runtime.places.checks import REAL
 from navbake.views.colors import FREE, NO_FLOOR, OCCUPIED, rgb_of
-
-if TYPE_CHECKING:
-    from navbake.runtime.flat_grid import FlatGrid
 
 MAX_PIXELS = 1 << 28
 

@@ -322,7 +322,6 @@ def fill_voxels(voxels, solids, planes, triangles, tiles, closed, labels):
     """Label all voxels that geoms meet; labels are added to what the grid holds.
 
     Args:
-        voxels: the grid.
         solids, planes, triangles: the geometry; the triangles sorted by geom.
         tiles: what lies over each tile of columns.
         closed: by geom id, what its triangles enclose, see `constants`, uint8.
