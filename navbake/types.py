@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 Bool: TypeAlias = NDArray[np.bool_]
 Float: TypeAlias = NDArray[np.float64]
 Int: TypeAlias = NDArray[np.int64]
-Int32: TypeAlias = NDArray[np.int32]
-"""int32: labels, MuJoCo's ids."""
-Json: TypeAlias = dict[str, Any]
-"""A JSON object."""
+Int32: TypeAlias = NDArray[np.int32]  # labels, MuJoCo's ids
+Json: TypeAlias = dict[str, Any]  # a JSON object
 Vector3: TypeAlias = tuple[float, float, float]

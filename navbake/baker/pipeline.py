@@ -37,9 +37,7 @@ class BakeResult:
 
 
 def bake(
-    config: BakeConfig | str | PathLike[str] | Mapping[str, Any],
-    *,
-    threads: int | None = None,
+    config: BakeConfig | str | PathLike[str] | Mapping[str, Any], *, threads: int | None = None
 ) -> SceneGrid2D | MultiLevelGrid:
     """Bake a scene.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from typer import BadParameter, Option
 
@@ -11,9 +11,6 @@ import navbake
 from navbake.cli.options import Overrides, SceneOrConfig, check_output
 from navbake.cli.printing import print_warnings
 from navbake.formats.suffixes import OCTREES, VOXELS
-
-if TYPE_CHECKING:
-    from navbake.voxels.grid import VoxelGrid
 
 Triple = tuple[float, float, float]  # navbake.types would load numpy
 
@@ -98,7 +95,7 @@ def voxelize(
     )
 
 
-def _write(grid: VoxelGrid, output: Path, layout: Layout) -> None:
+def _write(grid: navbake.VoxelGrid, output: Path, layout: Layout) -> None:
     from navbake.formats.voxels import names_path, write_voxels  # loads numpy
 
     is_binvox = output.suffix.lower() == ".binvox"

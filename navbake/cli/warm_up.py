@@ -9,12 +9,8 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import navbake
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid
 
 # Two storeys joined by stairs, with geoms of all kinds and a door
 SCENE = """<mujoco model="warm-up">
@@ -97,7 +93,7 @@ def compile_all(progress: Callable[[str, float], None]) -> None:
         progress("voxels", 1.0)
 
 
-def _use_run_time(grid: NavGrid) -> None:
+def _use_run_time(grid: navbake.SceneGrid2D | navbake.MultiLevelGrid) -> None:
     """Call whatever of the run time has kernels."""
     import numpy as np  # --help does without it
 

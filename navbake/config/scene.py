@@ -29,10 +29,7 @@ def _check_id(value: str) -> str:
 
 
 ScenePath = Annotated[
-    Path,
-    BeforeValidator(to_path),
-    expects("the path of a scene file"),
-    AfterValidator(resolve),
+    Path, BeforeValidator(to_path), expects("the path of a scene file"), AfterValidator(resolve)
 ]
 SceneId = Annotated[
     str,

@@ -168,10 +168,7 @@ class BakeConfig(Settings):
             Literal["auto"], expects("auto or a list of {ground: …, top: …, name: …}"), Tag("=auto")
         ]
         | Annotated[
-            list[LevelSettings],
-            Field(min_length=1),
-            AfterValidator(_check_ascending),
-            Tag("=list"),
+            list[LevelSettings], Field(min_length=1), AfterValidator(_check_ascending), Tag("=list")
         ],
         Discriminator(lambda value: "=list" if isinstance(value, list) and value else "=auto"),
     ] = setting(

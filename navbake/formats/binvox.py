@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
-from navbake.formats.bytes_file import read_bytes, read_header
+from navbake.formats.source import read_bytes, read_header
 from navbake.types import Vector3
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import check_memory, check_three

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from navbake.errors import FormatError
 from navbake.formats.arrays import Allowance, decode_array, encode_array
-from navbake.formats.bytes_file import write_bytes
 from navbake.formats.json_path import MISSING, JsonPath
-from navbake.formats.source import Source, read_source
+from navbake.formats.source import Source, read_source, write_bytes
 from navbake.formats.user_data import encode_user_data, parse_file, read_user_data
 from navbake.formats.values import json_object, number, plain, vector, whole_number
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D

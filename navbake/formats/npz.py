@@ -6,7 +6,7 @@ from os import PathLike
 import numpy as np
 
 from navbake.errors import FormatError
-from navbake.formats.bytes_file import read_bytes
+from navbake.formats.source import read_bytes
 from navbake.types import Json
 from navbake.voxels.grid import VoxelGrid
 

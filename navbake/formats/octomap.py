@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
-from navbake.formats.bytes_file import read_bytes, read_header
+from navbake.formats.source import read_bytes, read_header
 from navbake.types import Int, Int32
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import check_memory, finite_array

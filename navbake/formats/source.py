@@ -1,4 +1,4 @@
-"""The bytes of a file to be read: from a path, bytes or a stream, plain or gzipped, bounded."""
+"""Files read and written whole: paths, bytes or streams; JSON plain or gzipped, and bounded."""
 
 import gzip
 import io
@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import BinaryIO, TypeAlias
 
 from navbake.errors import FormatError
+from navbake.files import write_whole
 from navbake.formats.json_path import JsonPath, shown
 
 Source: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO
@@ -19,6 +20,7 @@ MAX_BYTES = 4 << 30  # of JSON
 UNPACKED_BYTES = 64 << 20  # what any gzipped file may unpack to; beyond it, UNPACKED_RATIO counts
 UNPACKED_RATIO = 200
 CHUNK = 1 << 20
+HEADER_LIMIT = 65536  # longest header, comments included [bytes]
 
 
 def read_source(source: Source) -> tuple[bytes, JsonPath]:
@@ -114,3 +116,40 @@ def _bytes_left(stream: BinaryIO | gzip.GzipFile) -> int:
         return max(0, status.st_size - stream.tell()) if stat.S_ISREG(status.st_mode) else 0
     except OSError:  # a stream over no file, or one that can't tell where it is
         return 0
+
+
+def read_bytes(source: str | os.PathLike[str] | bytes) -> tuple[bytes, str]:
+    """Read a file whole, if it isn't given already: its content, and its name for messages."""
+    with open_source(source) as (file, name):
+        return file.read(), name
+
+
+def write_bytes(data: bytes, path: str | os.PathLike[str]) -> None:
+    """Write a file as a whole or not at all, with the system's errors as FormatErrors."""
+    try:
+        write_whole(data, path)
+    except (OSError, ValueError) as error:  # ValueError: a path with a NUL
+        why = os_message(error)
+        if isinstance(error, FileNotFoundError):
+            why = f"there is no folder {path_name(os.path.dirname(os.path.realpath(path)))}"
+        raise FormatError(f"cannot write {path_name(path)}: {why}") from error
+
+
+def read_header(data: bytes, source: str) -> tuple[dict[str, list[str]], int]:
+    """Read the lines of text that stand before the data of a voxel file.
+
+    Returns:
+        The further words of each line by its first word, comments (``#``) included; and where the
+        data begin, after the line ``data``.
+    """
+    lines: dict[str, list[str]] = {}
+    start = 0
+    while True:
+        end = data.find(b"\n", start, HEADER_LIMIT)
+        if end < 0:
+            raise FormatError(f"no line `data` ends the header of {source}")
+        first, *words = data[start:end].decode("ascii", errors="replace").split() or [""]
+        start = end + 1
+        if first == "data":
+            return lines, start
+        lines[first] = words

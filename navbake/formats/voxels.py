@@ -7,9 +7,9 @@ from typing import Literal
 
 from navbake.errors import FormatError
 from navbake.formats.binvox import IdMapping, encode_binvox, read_binvox, with_mapping
-from navbake.formats.bytes_file import write_bytes
 from navbake.formats.npz import encode_npz, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
+from navbake.formats.source import write_bytes
 from navbake.formats.suffixes import VOXELS
 from navbake.voxels.grid import VoxelGrid
 

@@ -1,16 +1,14 @@
 """Describes the attributes of cells, as ``metadata.cellAttributes`` does."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.types import Json
 
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import SceneGrid2D
+Arrays = Mapping[str, NDArray[Any]]
 
 
 def datatype_name(stated: str) -> str:
@@ -19,7 +17,7 @@ def datatype_name(stated: str) -> str:
     return "uint8" if name == "uint8clamped" else name
 
 
-def describe_attributes(metadata: Json, levels: Sequence[SceneGrid2D]) -> list[Json]:
+def describe_attributes(metadata: Json, levels: Iterable[Arrays]) -> list[Json]:
     """List ``{"name", "type", "dataType", …}`` of the levels' attributes, in their order.
 
     An entry of the metadata is kept, except a ``type`` that is not that of the array. Where two
@@ -32,8 +30,8 @@ def describe_attributes(metadata: Json, levels: Sequence[SceneGrid2D]) -> list[J
         if isinstance(entry, dict) and isinstance(entry.get("name"), str)
     }
     described: dict[str, Json] = {}
-    for grid in levels:
-        for name, array in grid.attributes.items():
+    for arrays in levels:
+        for name, array in arrays.items():
             described.setdefault(name, _describe(name, array.dtype, stated.get(name, {})))
     return list(described.values())
 

@@ -193,7 +193,7 @@ class GridBase:
     @property
     def cell_attributes(self) -> list[Json]:
         """What the metadata say of each attribute, completed where they say nothing."""
-        return describe_attributes(self.metadata, self.levels)
+        return describe_attributes(self.metadata, [level.attributes for level in self.levels])
 
     # functions that take the grid first, as methods, with their docstrings
     cell_at = cells.cell_at
