@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,9 +14,9 @@ from navbake.baker.scene.mesh_scene import read_mesh_parts
 from navbake.baker.scene.scene import load_scene
 from navbake.config.scene import SceneSettings
 from navbake.errors import SceneError
+from project_paths import SHARED_DATA
 from scene_files import WEDGE, write_dae
 
-SHARED = Path("/work/shared/data")
 IN_Z_UP = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])  # (x, y, z) of y up to (x, -z, y)
 
 
@@ -514,10 +513,10 @@ def test_flat_meshes_have_no_hull(tmp_path):
 # ---------------------------------------------------------------- what others made
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason="no shared data here")
+@pytest.mark.skipif(not SHARED_DATA.is_dir(), reason="no shared data here")
 def test_real_files():
     def facts(name, **settings):
-        parts = read_mesh_parts(SHARED / name, **settings)
+        parts = read_mesh_parts(SHARED_DATA / name, **settings)
         corners = np.concatenate([triangles(part) for part in parts])
         return len(parts), len(corners), corners.reshape(-1, 3)
 
