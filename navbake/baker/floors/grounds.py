@@ -2,9 +2,14 @@
 
 import numpy as np
 
+from navbake.baker.floors.kernels.sheets import (
+    find_links,
+    group_members,
+    join_by_steps,
+    place_on_levels,
+)
 from navbake.baker.floors.sheets import AreaTest, Standable, mask_window, shrink_mask
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.kernels.sheets import find_links, group_members, join_by_steps, place_on_levels
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.types import Bool, Float, Int
 

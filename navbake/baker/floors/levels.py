@@ -6,10 +6,10 @@ import numpy as np
 
 from navbake.baker.columns import Columns
 from navbake.baker.floors.grounds import assign_levels, find_grounds, lower_grounds
+from navbake.baker.floors.kernels.sheets import find_links, grow_floor
 from navbake.baker.floors.roofs import OccupancyTest, drop_roofs, is_walled
 from navbake.baker.floors.sheets import Standable, drop_furniture, drop_tops, find_standable
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.kernels.sheets import find_links, grow_floor
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError

@@ -9,11 +9,11 @@ import numpy as np
 from scipy import ndimage
 
 from navbake.baker.columns import Columns
+from navbake.baker.floors.kernels.sheets import group_members, join_by_steps, mark_surfaces
+from navbake.baker.floors.kernels.shrink import count_inner, near_offsets
+from navbake.baker.floors.kernels.tops import count_covered, count_drops
 from navbake.baker.kernels.arrays import AgentLimits
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.kernels.sheets import group_members, join_by_steps, mark_surfaces
-from navbake.baker.kernels.shrink import count_inner, near_offsets
-from navbake.baker.kernels.tops import count_covered, count_drops
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice

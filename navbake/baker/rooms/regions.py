@@ -9,7 +9,7 @@ import heapq
 
 import numpy as np
 
-from navbake.baker.kernels.labels import find_passes, measure_regions
+from navbake.baker.rooms.kernels.labels import find_passes, measure_regions
 from navbake.types import Float, Int, Int32
 
 # How much wider a disc fits where corridors cross than in them

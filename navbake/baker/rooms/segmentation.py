@@ -8,10 +8,10 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from navbake.baker.kernels import labels
-from navbake.baker.kernels.labels import label_parts, measure_regions
-from navbake.baker.kernels.watershed import flood, squared_distances
 from navbake.baker.lattice import EDGES, bounding_window
+from navbake.baker.rooms.kernels import labels
+from navbake.baker.rooms.kernels.labels import label_parts, measure_regions
+from navbake.baker.rooms.kernels.watershed import flood, squared_distances
 from navbake.baker.rooms.regions import ROUGHNESS, ROUNDING, Regions
 from navbake.types import Bool, Float, Int, Int32
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from navbake.baker.floors.levels import Floors
-from navbake.baker.kernels.labels import sum_rooms
+from navbake.baker.rooms.kernels.labels import sum_rooms
 from navbake.baker.rooms.openings import Opening, RoomIndex, RoomKey
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Neighbour, Room

@@ -10,8 +10,8 @@ import math
 import numpy as np
 from numba import njit
 
+from navbake.baker.floors.kernels.sheets import neighbour
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.kernels.sheets import neighbour
 
 # `at_cell` where a sheet is not; one looked over a cell from a surface where it is less
 NOT_THERE = -1

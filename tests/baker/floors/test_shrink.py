@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from navbake.baker.kernels.shrink import count_inner, near_offsets
+from navbake.baker.floors.kernels.shrink import count_inner, near_offsets
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from navbake.baker.kernels.watershed import flood, squared_distances
+from navbake.baker.rooms.kernels.watershed import flood, squared_distances
 
 
 @pytest.mark.parametrize("reach", [0, 1, 7, 40])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from navbake.baker.kernels.labels import (
+from navbake.baker.rooms.kernels.labels import (
     cells_of_nodes,
     find_passes,
     first_cells,
