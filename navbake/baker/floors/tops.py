@@ -5,7 +5,7 @@ import numpy as np
 from navbake.baker.columns import Columns
 from navbake.baker.floors.outline import DROP, OccupancyTest, find_edges, find_endings
 from navbake.baker.floors.sheets import Standable
-from navbake.baker.kernels.constants import TOUCH
+from navbake.baker.kernels.constants import SLACK, TOUCH
 from navbake.baker.kernels.occupancy import lines_blocked
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.types import Float, Int
@@ -26,9 +26,9 @@ def drop_tops(
     """Drop the tops of what stands on a floor: beds, blocks, counters, walls that are metres thick.
 
     A sheet that no step reaches is such a top when at least a quarter of its outline drops to a
-    floor that an agent could stand on, beside it (see `find_endings`), and when under most of it,
-    at the height of that floor, there is no room for an agent. So a house's floor on its plinth
-    is none, because it ends at walls; nor is a mezzanine, because one can stand below.
+    floor that an agent could stand on, beside it (see `find_endings`), and when there is no room
+    for an agent under most of it, from the height of that floor up. So a house's floor on its
+    plinth is none, because it ends at walls; nor is a mezzanine, because one can stand below.
 
     Args:
         settings: `shrink`, how far from the sheet's edge the floor may begin [m].
@@ -65,14 +65,18 @@ def _medians(group: Int, values: Float, count: Int) -> Float:
 def _count_over_room(
     standable: Standable, columns: Columns, beside: Float, agent: AgentSettings
 ) -> Int:
-    """Count the cells of each sheet below which an agent could be, at the height of what is beside.
+    """Count the cells of each sheet under which there is room for an agent.
 
-    `beside`, shape (sheets,), is NaN for sheets that are not asked for [m].
+    It stands there at the height of the floor beside, shape (sheets,), or on a floor above that
+    [m]; NaN for sheets that are not asked for.
     """
-    sheet = standable.sheet
-    asked = ~np.isnan(beside[sheet])
-    sheet, cells, floor = sheet[asked], standable.cell[asked], beside[sheet[asked]]
-    low, high = floor + agent.traversable_floor_height + TOUCH, floor + agent.height - TOUCH
+    asked = np.flatnonzero(~np.isnan(beside[standable.sheet]))
+    sheet, cells = standable.sheet[asked], standable.cell[asked]
+    floor, step = beside[sheet], agent.traversable_floor_height
+    below = asked - 1
+    has_floor = (below >= 0) & (standable.cell[below] == cells)
+    has_floor &= standable.z[below] >= floor - step - SLACK
     blocked = np.zeros(len(cells), dtype=np.bool_)
+    low, high = floor + step + TOUCH, floor + agent.height - TOUCH
     lines_blocked(cells, low, high, columns.crossings, blocked)
-    return np.bincount(sheet[~blocked], minlength=len(beside))
+    return np.bincount(sheet[has_floor | ~blocked], minlength=len(beside))
