@@ -6,7 +6,7 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from navbake.errors import FormatError, NavbakeError
@@ -302,9 +302,8 @@ def test_binvox2bt_is_right_exactly_where_it_needs_no_offset(tmp_path, res, cell
     for number, offset in enumerate((None, f"{res / 2}")):
         options = [] if offset is None else ["--offset", *[offset] * 3]
         tree = tmp_path / f"{number}.bt"
-        tree.unlink(missing_ok=True)
-        subprocess.run(["binvox2bt", *options, "-o", tree, path], capture_output=True)
-        assume(tree.exists())  # it ends without a file where the data begin as white space does
+        # it divides by zero where there are fewer than 20 voxels
+        subprocess.run(["binvox2bt", *options, "-o", tree, path], capture_output=True, check=True)
         trees.append(read_octomap(tree))
     plain, right = trees
     same = plain.shape == right.shape and (plain.values == right.values).all()

@@ -19,12 +19,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import navbake
 from differences import first_difference
 from navbake.errors import FormatError
 from navbake.formats import arrays
 from navbake.formats import source as file_source
 from navbake.formats.navgrid import dumps_navgrid, read_navgrid, write_navgrid
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+from navbake.runtime.flat_grid import flatten
 
 INF, NAN = np.inf, np.nan
 DTYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
