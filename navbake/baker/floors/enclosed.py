@@ -14,9 +14,9 @@ from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.types import Bool
 
 # A floor that goes on beyond this share of its outline is what a closed thing stands on
-GOES_ON = 0.5
+GOES_ON = 0.25
 # Unless the thing is so large that it may well be a building [m2]
-BUILDING = 20.0
+BUILDING = 50.0
 
 
 def find_enclosed(

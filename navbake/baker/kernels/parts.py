@@ -3,9 +3,9 @@
 Triangles with a bare edge, on which no other one ends, are peeled off, and so are those whose edges
 that lays bare, as a queue has them: of a sheet nothing is left, of a closed surface all. What is
 left falls into parts by union-find over the edges. A part is closed when each of its edges is met
-as often in one direction as in the other. Whether a point is inside of one is told by the solid
-angle under which it sees the triangles (Van Oosterom and Strackee, The solid angle of a plane
-triangle, 1983).
+as often in one direction as in the other. Whether a part is inside of another is told by the solid
+angle under which a point of it sees the other's triangles (Van Oosterom and Strackee, The solid
+angle of a plane triangle, 1983).
 """
 
 import math
@@ -17,6 +17,45 @@ from navbake.navgrid.kernels.union_find import find_root, unite
 
 # What a triangle is when it belongs to no closed part: one of a sheet, or a copy of another
 SHEET, COPY = np.int64(-1), np.int64(-2)
+
+
+@njit(cache=True)
+def _sort_by(key, order, num):
+    """Sort items by a key below num, stable: a counting sort. Returns the new order."""
+    start = np.zeros(num + 1, np.int64)
+    for item in order:
+        start[key[item] + 1] += 1
+    for k in range(num):
+        start[k + 1] += start[k]
+    out = np.empty_like(order)
+    for item in order:
+        out[start[key[item]]] = item
+        start[key[item]] += 1
+    return out
+
+
+@njit(cache=True)
+def list_edges(faces, num):
+    """Number the undirected edges of triangles whose corners are numbers below num.
+
+    Returns:
+        edge, start and half, as `find_parts` takes them.
+    """
+    size = 3 * faces.shape[0]
+    low, high = np.empty(size, np.int64), np.empty(size, np.int64)
+    for h in range(size):
+        one, other = faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3]
+        low[h], high[h] = min(one, other), max(one, other)
+    half = _sort_by(low, _sort_by(high, np.arange(size), num), num)
+    edge, start = np.empty(size, np.int64), np.empty(size + 1, np.int64)
+    count = 0
+    for i in range(size):
+        if i == 0 or low[half[i]] != low[half[i - 1]] or high[half[i]] != high[half[i - 1]]:
+            start[count] = i
+            count += 1
+        edge[half[i]] = count - 1
+    start[count] = size
+    return edge, start[: count + 1].copy(), half
 
 
 @njit(inline="always")
@@ -137,25 +176,88 @@ def find_parts(faces, edge, start, half):
 
 
 @njit(cache=True)
-def winding_number(point, corners):
-    """How often closed triangles, (m, 3, 3) float64 [m], wind round a point, (3,): 0 outside."""
+def _winding_number(point, corners, items):
+    """How often closed triangles wind round a point, (3,) float64 [m]: 0 outside."""
     total = 0.0
-    for t in range(corners.shape[0]):
-        ax, ay, az = corners[t, 0, 0], corners[t, 0, 1], corners[t, 0, 2]
-        bx, by, bz = corners[t, 1, 0], corners[t, 1, 1], corners[t, 1, 2]
-        cx, cy, cz = corners[t, 2, 0], corners[t, 2, 1], corners[t, 2, 2]
-        ax, ay, az = ax - point[0], ay - point[1], az - point[2]
-        bx, by, bz = bx - point[0], by - point[1], bz - point[2]
-        cx, cy, cz = cx - point[0], cy - point[1], cz - point[2]
+    x, y, z = point[0], point[1], point[2]
+    for t in items:
+        c = corners[t]
+        ax, ay, az = c[0, 0] - x, c[0, 1] - y, c[0, 2] - z
+        bx, by, bz = c[1, 0] - x, c[1, 1] - y, c[1, 2] - z
+        cx, cy, cz = c[2, 0] - x, c[2, 1] - y, c[2, 2] - z
         a = math.sqrt(ax * ax + ay * ay + az * az)
         b = math.sqrt(bx * bx + by * by + bz * bz)
-        c = math.sqrt(cx * cx + cy * cy + cz * cz)
+        c_ = math.sqrt(cx * cx + cy * cy + cz * cz)
         volume = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-        across = (
-            a * b * c
-            + (ax * bx + ay * by + az * bz) * c
-            + (ax * cx + ay * cy + az * cz) * b
-            + (bx * cx + by * cy + bz * cz) * a
-        )
+        across = a * b * c_ + (ax * bx + ay * by + az * bz) * c_
+        across += (ax * cx + ay * cy + az * cz) * b + (bx * cx + by * cy + bz * cz) * a
         total += 2.0 * math.atan2(volume, across)
     return total / (4.0 * math.pi)
+
+
+@njit(cache=True)
+def find_cavities(start, member, corners, point, encloses, facing_in):
+    """Mark parts that face in and lie inside of one that encloses something, in `encloses`.
+
+    Args:
+        start, member: the triangles of each part, ragged, int64.
+        corners: of all triangles, (m, 3, 3) float64 [m].
+        point: a point of each part, (parts, 3) float64 [m].
+        encloses, facing_in: by part, bool.
+    """
+    num = start.shape[0] - 1
+    box = np.empty((num, 6), np.float64)
+    box[:, :3], box[:, 3:] = math.inf, -math.inf
+    for p in range(num):
+        for t in member[start[p] : start[p + 1]]:
+            for corner in range(3):
+                for k in range(3):
+                    value = corners[t, corner, k]
+                    box[p, k], box[p, 3 + k] = min(box[p, k], value), max(box[p, 3 + k], value)
+    outer = np.flatnonzero(encloses)
+    for p in range(num):
+        if not facing_in[p]:
+            continue
+        for q in outer:
+            is_around = True
+            for k in range(3):
+                is_around &= box[q, k] <= box[p, k] and box[q, 3 + k] >= box[p, 3 + k]
+            if is_around:
+                items = member[start[q] : start[q + 1]]
+                if _winding_number(point[p], corners, items) > 0.5:
+                    encloses[p] = True
+                    break
+
+
+@njit(cache=True)
+def weld_points(points):
+    """Number points, (n, 3) float64, so that equal ones have equal numbers, by first appearance.
+
+    A hash table with open addressing over the coordinates' bits. Returns (n,) int64.
+    """
+    num = points.shape[0]
+    size = 16
+    while size < 2 * num:  # at most half full, so that probing stays short
+        size *= 2
+    bits = (points + 0.0).view(np.uint64)  # -0.0 is 0.0
+    table = np.full(size, -1, np.int64)
+    number = np.empty(num, np.int64)
+    count = 0
+    for i in range(num):
+        key = np.uint64(1469598103934665603)
+        for k in range(3):
+            key = (key ^ bits[i, k]) * np.uint64(1099511628211)
+            key ^= key >> np.uint64(29)
+        place = np.int64(key & np.uint64(size - 1))
+        while table[place] >= 0:
+            j = table[place]
+            if bits[j, 0] == bits[i, 0] and bits[j, 1] == bits[i, 1] and bits[j, 2] == bits[i, 2]:
+                break
+            place = (place + 1) & (size - 1)
+        if table[place] < 0:
+            table[place] = i
+            number[i] = count
+            count += 1
+        else:
+            number[i] = number[table[place]]
+    return number

@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE
-from navbake.baker.kernels.parts import COPY, SHEET, find_parts, winding_number
+from navbake.baker.kernels.parts import (
+    COPY,
+    SHEET,
+    find_cavities,
+    find_parts,
+    list_edges,
+    weld_points,
+)
 from navbake.types import Float, Int, Int32
 
 # A part that encloses less than this times its area is a sheet with two sides [m]
@@ -54,10 +61,10 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
         vertices: shape (n, 3), float64 [m].
         faces: shape (m, 3), indices, counter-clockwise from the front.
     """
-    point = number_points(vertices)[faces] if len(faces) else np.zeros((0, 3), dtype=np.int64)
+    point = weld_points(np.ascontiguousarray(vertices, dtype=np.float64))[faces]
     has_area = (point != np.roll(point, -1, axis=1)).all(axis=1)
     faces, point = faces[has_area], point[has_area]
-    found = find_parts(point, *_edges(point)) if len(faces) else np.zeros(0, dtype=np.int64)
+    found = find_parts(point, *list_edges(point, int(point.max(initial=0)) + 1))
     kept = found != COPY
     faces, found = faces[kept], found[kept]
     roots, part = np.unique(found, return_inverse=True)
@@ -69,18 +76,6 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     number = np.where(encloses, np.cumsum(encloses), 0)[part].astype(np.int32)
     closed = np.where(number > 0, CLOSED_SURFACE, OPEN_SURFACE).astype(np.uint8)
     return MeshParts(faces, number, closed)
-
-
-def _edges(point: Int) -> tuple[Int, Int, Int]:
-    """Number the edges of triangles; see `find_parts`."""
-    start, end = point.ravel(), np.roll(point, -1, axis=1).ravel()
-    num = int(point.max()) + 1
-    key = np.minimum(start, end) * num + np.maximum(start, end)
-    half = np.argsort(key, kind="stable")
-    is_new = np.diff(key[half], prepend=-1) != 0
-    edge = np.empty(len(key), dtype=np.int64)
-    edge[half] = np.cumsum(is_new) - 1
-    return edge, np.append(np.flatnonzero(is_new), len(key)), half
 
 
 def _find_enclosing(
@@ -95,42 +90,13 @@ def _find_enclosing(
     volume = np.bincount(part, np.einsum("ij,ij->i", corners[:, 0], cross), num + 1) / 6
     area = np.bincount(part, np.linalg.norm(cross, axis=1), num + 1) / 2
     encloses[1:] = volume[1:] > THICKNESS * area[1:]
-    cavities = np.flatnonzero(volume < -THICKNESS * area)
-    cavities = cavities[cavities > 0]
-    if len(cavities) and encloses.any():
-        encloses[_inside_of(cavities, encloses.copy(), corners, part)] = True
+    facing_in = volume < -THICKNESS * area
+    facing_in[0] = False
+    if facing_in.any() and encloses.any():
+        member = np.argsort(part, kind="stable")
+        start = np.searchsorted(part[member], np.arange(num + 2))
+        point = np.zeros((num + 1, 3))
+        by_size = np.argsort(np.linalg.norm(cross, axis=1), kind="stable")
+        point[part[by_size]] = corners[by_size].mean(axis=1)  # of its largest triangle
+        find_cavities(start, member, corners, point, encloses, facing_in)
     return encloses
-
-
-def _inside_of(cavities: Int, outward: NDArray[np.bool_], corners: Float, part: Int) -> list[int]:
-    """Of closed parts that face in, those that lie inside of one that faces out."""
-    order = np.argsort(part, kind="stable")
-    first = np.searchsorted(part[order], np.arange(len(outward) + 1))
-    members = {p: order[first[p] : first[p + 1]] for p in range(1, len(outward))}
-    of_outward = np.flatnonzero(outward)
-    boxes = np.stack([_box(corners[members[p]]) for p in of_outward.tolist()])
-    found = []
-    for cavity in cavities.tolist():
-        own = corners[members[cavity]]
-        low, high = _box(own)
-        around = (boxes[:, 0] <= low).all(axis=1) & (boxes[:, 1] >= high).all(axis=1)
-        normal = np.cross(own[:, 1] - own[:, 0], own[:, 2] - own[:, 0])
-        point = own[np.linalg.norm(normal, axis=1).argmax()].mean(axis=0)
-        for outer in of_outward[around].tolist():
-            if winding_number(point, corners[members[outer]]) > 0.5:
-                found.append(cavity)
-                break
-    return found
-
-
-def _box(corners: Float) -> Float:
-    return np.stack([corners.min(axis=(0, 1)), corners.max(axis=(0, 1))])
-
-
-def number_points(points: Float) -> Int:
-    """Number points so that equal ones have equal numbers; faster than a unique over rows."""
-    number = np.zeros(len(points), dtype=np.int64)
-    for axis in range(3):
-        values, index = np.unique(points[:, axis], return_inverse=True)
-        _, number = np.unique(number * len(values) + index, return_inverse=True)
-    return number.astype(np.int64)
