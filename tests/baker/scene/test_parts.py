@@ -114,7 +114,7 @@ def test_boxes_that_touch_stay_closed():
     assert codes(box(), box(at=(1, 1, 0))) == [True, True]
     assert codes(box(), box(at=(1, 1, 1))) == [True, True]
     side = box()
-    mirror = turned(side * [-1, 1, 1]) + [1, 0, 0]
+    mirror = turned(side * [-1, 1, 1]) + np.array([1, 0, 0])
     assert codes(side, mirror) == [True, True]
 
 
