@@ -64,7 +64,7 @@ def bake_stages(
 def take_first_look(config: BakeConfig, clock: StageClock) -> Stages:
     """Load a scene, and give the stages of a bake that takes every candidate for a door."""
     with clock.stage("scene"):
-        scene = load_scene(config.scene)
+        scene = load_scene(config.scene, config.agent, config.floors)
         lattice = lay_lattice(scene, config)
         candidates, unmatched = find_candidates(scene, config.doors)
     return Stages(config, scene, lattice, candidates, unmatched, clock)

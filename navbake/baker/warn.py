@@ -40,6 +40,12 @@ def warn_missing_floors(scene: Scene, floors: Floors, config: BakeConfig) -> lis
             f"left out as a roof, though it has walls: the top of {roofs}; it is open to the sky "
             "and no step leads there: `floors.roofs: true` keeps it"
         )
+    if floors.enclosed:
+        meshes = _describe_tops(scene, floors.enclosed)
+        warnings.append(
+            f"no floor, because it lies inside of a closed mesh: {meshes}; `scene.meshes: shell` "
+            "makes meshes hollow, all or by pattern"
+        )
     return [*warnings, *_warn_hidden_ground(scene, floors, config)]
 
 
