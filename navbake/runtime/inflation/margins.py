@@ -18,17 +18,30 @@ import numpy as np
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.runtime.blocks.shape import Margins
 from navbake.runtime.inflation.inflate import check_radius, find_blocked
-from navbake.types import Bool
+from navbake.types import Bool, Json
 
 STEEP = 1.001  # rise, in cells, over which neighbours are a step, not a slope
 
 
 def exact_radius(grid: NavGrid) -> float:
     """The radius that the grid was inflated for in mode `exact` [m]; 0 if it wasn't."""
+    radii = [entry.get("radius") for entry in _exact_entries(grid)]
+    return max((float(r) for r in radii if isinstance(r, int | float)), default=0.0)
+
+
+def _exact_entries(grid: NavGrid) -> list[Json]:
     done = grid.metadata.get("inflation")  # in files of other programs this may be anything
     entries = [e for e in done if isinstance(e, dict)] if isinstance(done, list) else []
-    radii = [entry.get("radius") for entry in entries if entry.get("mode") == "exact"]
-    return max((float(r) for r in radii if isinstance(r, int | float)), default=0.0)
+    return [entry for entry in entries if entry.get("mode") == "exact"]
+
+
+def ledges_of(grid: NavGrid) -> str:
+    """Whether the grid's inflation avoids ledges: ``avoid`` or ``ignore``.
+
+    Files that were inflated before there was a choice say nothing, and ignore them.
+    """
+    avoids = any(entry.get("ledges") == "avoid" for entry in _exact_entries(grid))
+    return "avoid" if avoids else "ignore"
 
 
 def agent_radius(grid: NavGrid) -> float:

@@ -91,14 +91,15 @@ def squared_distances(occupied, reach):
 
 
 @njit(cache=True)
-def refine_window(occupied, has_floor, radius, clearance, reach, least, weights):
+def refine_window(occupied, has_floor, radius, far, reach, least, weights):
     """Weigh each cell by the cells of a window around it, as the original client does.
 
     The window runs from `reach` before the cell to `reach` - 1 after it, along both axes; `least`
-    is the share of the cells within the radius that must have a floor. Writes `weights`, float64.
+    is the share of the cells within the radius that must have a floor; `far` is the radius plus
+    the clearance. Writes `weights`, float64.
     """
     rows, cols = occupied.shape
-    inner, outer = radius * radius, (radius + clearance) * (radius + clearance)
+    inner, outer = radius * radius, far * far
     for row in range(rows):
         for col in range(cols):
             weights[row, col] = _weigh(occupied, has_floor, row, col, inner, outer, reach, least)
@@ -192,6 +193,58 @@ def _block_lower(floor, height, row, col, offsets, step, limit, blocked):
     for k in range(offsets.shape[0]):
         r, c = row - offsets[k, 0], col - offsets[k, 1]
         if 0 <= r < rows and 0 <= c < cols and step < height - floor[r, c] < limit:
+            blocked[r, c] = True
+
+
+@njit(cache=True)
+def block_above_drops(floor, level, offsets, reach, step, blocked):
+    """Block cells of a level that meet a column whose floor is more than a step lower [m].
+
+    A column is a drop for an agent where some level's floor lies more than a step below its own,
+    and no level's within a step of it.
+    """
+    levels, rows, cols = floor.shape
+    own = floor[level]
+    low, high = _tile_ranges(floor)
+    tiles = (reach + TILE - 1) // TILE
+    for tile_row in range(low.shape[1]):
+        for tile_col in range(low.shape[2]):
+            lowest, highest = _range_near(low[level], high[level], tile_row, tile_col, tiles)
+            if not low[:, tile_row, tile_col].min() < highest - step:
+                continue
+            for row in range(tile_row * TILE, min((tile_row + 1) * TILE, rows)):
+                for col in range(tile_col * TILE, min((tile_col + 1) * TILE, cols)):
+                    if _may_be_drop(floor, row, col, lowest, highest, step):
+                        _block_higher(floor, level, row, col, offsets, step, blocked)
+
+
+@njit(cache=True)
+def _may_be_drop(floor, row, col, lowest, highest, step):
+    """Whether a column may be a drop from some height in a range."""
+    is_below = False
+    for other in range(floor.shape[0]):
+        height = floor[other, row, col]
+        if highest - step <= height <= lowest + step:
+            return False  # it carries agents of all heights in the range
+        is_below = is_below or height < highest - step
+    return is_below
+
+
+@njit(cache=True)
+def _block_higher(floor, level, row, col, offsets, step, blocked):
+    """Block the cells round a column from which it is a drop."""
+    levels, rows, cols = floor.shape
+    for k in range(offsets.shape[0]):
+        r, c = row - offsets[k, 0], col - offsets[k, 1]
+        if not (0 <= r < rows and 0 <= c < cols) or blocked[r, c]:
+            continue
+        height = floor[level, r, c]
+        is_below, is_carried = False, False
+        for other in range(levels):
+            rise = floor[other, row, col] - height
+            is_below = is_below or rise < -step
+            is_carried = is_carried or abs(rise) <= step
+        if is_below and not is_carried:
             blocked[r, c] = True
 
 

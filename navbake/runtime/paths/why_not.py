@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike
 
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.grid_cache import GridCache
-from navbake.runtime.inflation.margins import agent_radius, exact_radius
+from navbake.runtime.inflation.margins import agent_radius, exact_radius, ledges_of
 from navbake.runtime.paths.door_map import doors_on
 from navbake.runtime.paths.gap import deflated, find_gap
 from navbake.runtime.paths.goals import Target
@@ -154,7 +154,7 @@ def _doors(cache: GridCache, origin: int, goals: Int) -> str | None:
     radius = exact_radius(grid)
     without = deflated(grid.without_blocks()).with_doors("removed")
     if radius:
-        without = without.inflate(radius)
+        without = without.inflate(radius, ledges=ledges_of(grid))
     route = Search(without, cut_corners=cache.search.cut_corners).route(origin, goals)
     if route is None:
         return None
