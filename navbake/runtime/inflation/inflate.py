@@ -27,6 +27,7 @@ floor; the inflation layer of nav2 (``nav2_costmap_2d``) for `costs="nav2"`.
 """
 
 import math
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -103,6 +104,25 @@ def find_blocked(grid: NavGrid, number: int, radius: float, ledges: str = "avoid
     if cells > 0:
         block_by_others(around, radius, disc_offsets(cells, occupied.shape)[0], ledges, blocked)
         _block_by_holes(around, cells, blocked)
+    return blocked[around.rows, around.cols]
+
+
+def find_blocked_by_others(
+    grid: NavGrid, number: int, radius: float, ledges: str = "avoid"
+) -> Bool:
+    """Find the cells of a level within a radius [m] of anything but its own occupied cells.
+
+    That is what `find_blocked` finds without them, and wherever another level's cells count.
+    """
+    cells = radius / grid.levels[number].lattice.cell_size
+    around = find_surroundings(grid, number, math.ceil(cells) + 1)
+    blocked: Bool = np.zeros(around.occupied.shape[1:], dtype=np.bool_)
+    _block_by_holes(around, cells, blocked)
+    # as if only other levels were occupied, and these wherever they have a floor
+    others = np.ones_like(around.occupied)
+    others[around.level] = 0
+    offsets = disc_offsets(cells, blocked.shape)[0]
+    block_by_others(replace(around, occupied=others), radius, offsets, ledges, blocked)
     return blocked[around.rows, around.cols]
 
 
