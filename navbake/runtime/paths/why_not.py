@@ -47,8 +47,13 @@ def _goals_trouble(cache: GridCache, target: Target) -> str:
         if len(target.positions) == 1:
             return f"the goal {first}"
         return f"none of the {len(target.positions)} goals is free: the first {first}"
-    where = "of" if target.name.startswith("room") else "within 1 m of"
-    return f"no cell {where} {target.name} is free for a radius of {_radius(cache.grid)}"
+    radius = _radius(cache.grid)
+    if target.name.startswith("room"):
+        return f"no cell of {target.name} is free for a radius of {radius}"
+    return (
+        f"no cell within 1 m of {target.name}, not counting those behind walls, is free for a "
+        f"radius of {radius}"
+    )
 
 
 def _radius(grid: NavGrid) -> str:
