@@ -1,8 +1,10 @@
 """The grid that is written: levels, occupancy, rooms, doors and what made them, put together."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake._version import __version__
 from navbake.baker.lattice import Window, bounding_window, cut_cells
@@ -50,7 +52,7 @@ def _level_grid(
     occupied = stages.occupancy.levels[number][window].copy()
     for door in doors:
         occupied.ravel()[door.cells_in(door.state, num_levels)[number]] = True
-    attributes = {
+    attributes: dict[str, NDArray[Any]] = {
         "floorHeight": level.floor[window].astype(np.float32),
         "roomIndex": np.ascontiguousarray(stages.rooms.index[number][window]),
         "occupancy": occupied.astype(np.uint8),

@@ -129,9 +129,7 @@ def _parse(entry: Any, num_cells: Sequence[int], here: str) -> Door:
     return Door(entry["id"], joint, tuple(rooms), entry["state"], cells, solid)
 
 
-def _parse_states(
-    stated: Any, num_cells: Sequence[int], where: str
-) -> dict[str, dict[int, Runs]]:
+def _parse_states(stated: Any, num_cells: Sequence[int], where: str) -> dict[str, dict[int, Runs]]:
     if not isinstance(stated, dict):
         raise FormatError(f"expected an object by state at `{where}`")
     cells = {}

@@ -153,7 +153,7 @@ class SceneGrid2D(GridBase):
 
     @property
     def solid(self) -> NDArray[np.uint8]:
-        """1 where a geom meets the cell's square or there is no floor, shape (height, width), uint8.
+        """1 where a geom meets the cell's square or there is no floor, uint8 as `occupancy`.
 
         A bake stores it where the disc of its `agentRadius` reaches beyond the square; everywhere
         else it is `occupancy`. What depends on the size of another agent is measured from it.

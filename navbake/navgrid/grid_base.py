@@ -231,13 +231,15 @@ class GridBase:
 
         ``exact``: a cell stays free if the open disc of the radius round its centre meets no
         occupied cell's square, and no floor more than a step higher or lower. So no baked geometry
-        is ever hit, and the radius replaces the baked one. See `navbake.runtime.inflation.inflate` for steps, other levels, the edges of the grid
-        and cells without floor. ``minos``: the weights that the original client's ``refine`` gives,
+        is ever hit, and the radius replaces the baked one. See
+        `navbake.runtime.inflation.inflate` for steps, other levels, the edges of the grid and cells
+        without floor. ``minos``: the weights that the original client's ``refine`` gives,
         cell for cell.
 
         A cell that isn't free stays so, unless only the baked disc closed it (see
-        `SceneGrid2D.solid`; or in ``refine`` at radius 0 with a clearance). Occupancy stays as baked, so a grid can be inflated again; a grid without layers for
-        occupancy or floors gets them, as they followed from its weights.
+        `SceneGrid2D.solid`; or in ``refine`` at radius 0 with a clearance). Occupancy stays as
+        baked, so a grid can be inflated again; a grid without layers for occupancy or floors gets
+        them, as they followed from its weights.
 
         Args:
             radius: of the agent [m], 0 to 10,000.

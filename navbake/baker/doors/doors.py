@@ -106,9 +106,10 @@ def place_doors(scene: Scene, candidates: Sequence[DoorCandidate], around: Surro
             continue
         occupied, squares = around.occupancy.levels, around.occupancy.solid
         cells = {state: _only_free(levels, occupied) for state, levels in blocked.items()}
-        solid = {} if squares is None else {
-            state: _only_free(levels, squares) for state, (_, levels) in by_state.items()
-        }
+        solid = {}
+        if squares is not None:
+            met = {state: levels for state, (_, levels) in by_state.items()}
+            solid = {state: _only_free(levels, squares) for state, levels in met.items()}
         names = candidate.id, candidate.joint
         placed.append(PlacedDoor(*names, rooms or (None, None), cells, blocked["closed"], solid))
     return Doors(placed, rejected)
@@ -152,8 +153,8 @@ def _only_free(cells: list[Int], occupied: Sequence[Bool]) -> list[Int]:
 
 
 def _is_on_lattice(shapes: Shapes, around: Surroundings) -> bool:
-    bounds = shapes.bounds()
-    return bounds is None or around.rooms.lattice.window(bounds, around.footprints.whole.reach) is not None
+    bounds, reach = shapes.bounds(), around.footprints.whole.reach
+    return bounds is None or around.rooms.lattice.window(bounds, reach) is not None
 
 
 def _blocked_cells(shapes: Shapes, around: Surroundings) -> tuple[list[Int], list[Int]]:

@@ -154,7 +154,7 @@ def check_occupancy(
 def _check(
     columns: Columns, tiled: TiledShapes, footprint: Footprint, cells: Int, floors: Float
 ) -> tuple[Bool, Bool, int]:
-    """See `check_occupancy`; also which cells their lines proved occupied, and how many FCL decided."""
+    """See `check_occupancy`; also which cells a ray proved occupied, and how many FCL decided."""
     geometry = (tiled.shapes.solids, tiled.facets, tiled.shapes.planes, tiled.tiles)
     queries = Queries(cells, floors, np.zeros(len(cells), np.uint8), np.zeros(len(cells), np.bool_))
     check_cells(columns.lattice, columns.crossings, *geometry, footprint, queries)

@@ -1,8 +1,8 @@
 """Where an agent that isn't round can stand, heading by heading.
 
 As with a disc, the polygon must not meet the square of an occupied cell; floors more than a step
-higher or lower and the cells of other levels count as in `navbake.runtime.inflation.inflate`. Touching is
-not meeting. A floor is needed under the agent's origin only.
+higher or lower and the cells of other levels count as in `navbake.runtime.inflation.inflate`.
+Touching is not meeting. A floor is needed under the agent's origin only.
 """
 
 import math

@@ -3,9 +3,10 @@
 In an inflated grid, an agent may stand at the centres of free cells. Between them, or anywhere
 else in a cell, it may be nearer to an obstacle. So diagonal steps need cells that would be free
 for a radius so much larger that the discs round both ends cover the way. Straight lines off the
-centres need cells in which the agent may be anywhere; or cells near which nothing but solid squares
-of their own level is in the way, so that a sweep of the disc along the line tells. Straight steps need nothing more: a
-square beside such a step is straight beside one of its ends, and as near to it.
+centres need cells in which the agent may be anywhere; or cells near which nothing but solid
+squares of their own level is in the way, so that a sweep of the disc along the line tells. Straight
+steps need nothing more: a square beside such a step is straight beside one of its ends, and as near
+to it.
 
 Floors are known at cells' centres: where one is a step higher than the next, the edge between
 them may be half a cell off, and so may the edges beside it. There, steps go straight from centre

@@ -203,8 +203,7 @@ def block_above_drops(floor, level, offsets, reach, step, blocked):
     A column is a drop for an agent where some level's floor lies more than a step below its own,
     and no level's within a step of it.
     """
-    levels, rows, cols = floor.shape
-    own = floor[level]
+    _, rows, cols = floor.shape
     low, high = _tile_ranges(floor)
     tiles = (reach + TILE - 1) // TILE
     for tile_row in range(low.shape[1]):

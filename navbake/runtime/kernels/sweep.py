@@ -53,10 +53,9 @@ def _farthest(u0, v0, u1, v1, low, high, reach):
     """The largest u of a swept disc between two v that it reaches."""
     # Towards larger v the edge first moves out, up to the middle of the disc at the line's
     # farther end, and then back in. So the v nearest to that one has the largest u.
-    if u0 == u1:
+    peak = v1 if u1 > u0 else v0
+    if u0 == u1:  # all along the line it is as far
         peak = min(max(low, min(v0, v1)), max(v0, v1))
-    else:
-        peak = v1 if u1 > u0 else v0
     v = min(max(peak, low), high)
     du, dv = u1 - u0, v1 - v0
     t = 1.0 if u1 > u0 else 0.0

@@ -122,7 +122,9 @@ def _free_for(grid: NavGrid, radius: float, ledges: str) -> Bool:
     return np.concatenate([mask.ravel() for mask in free])
 
 
-def _joins(grid: NavGrid, radius: float, ledges: str, flat: FlatGrid, ends: tuple[int, Int]) -> bool:
+def _joins(
+    grid: NavGrid, radius: float, ledges: str, flat: FlatGrid, ends: tuple[int, Int]
+) -> bool:
     """Whether an agent of a radius gets to a goal."""
     origin, goals = ends
     islands = map_islands(replace(flat, free=_free_for(grid, radius, ledges))).number

@@ -65,7 +65,9 @@ def test_inflated_from_any_bake_is_inflated_from_radius_0(tmp_path, seed):
 
 @pytest.mark.parametrize("offset", [0.0, 0.005, 0.01, 0.02, 0.035])
 def test_a_door_that_lets_an_agent_through_when_baked_does_so_when_inflated(tmp_path, offset):
-    walls = box("", -2, -0.05, 0, offset - 0.35, 0.05, 2) + box("", offset + 0.35, -0.05, 0, 2, 0.05, 2)
+    walls = box("", -2, -0.05, 0, offset - 0.35, 0.05, 2) + box(
+        "", offset + 0.35, -0.05, 0, 2, 0.05, 2
+    )
     content = box("floor", -2, -1, -0.1, 2, 1, 0) + walls
     for radius in (0.0, 0.05, 0.2, 0.3):
         grid = bake(tmp_path, content, radius, 0.05).inflate(0.3)
@@ -135,7 +137,9 @@ def test_blocks_are_laid_over_the_squares_too(tmp_path):
         np.testing.assert_array_equal(wide.solid, point.occupancy)
         assert same_free(wide.inflate(0.2), point.inflate(0.2))
         assert same_free(wide.inflate(0.4), point.inflate(0.4))
-        assert same_free(wide.without_blocks().inflate(0.2), bake(tmp_path, content, 0.2).inflate(0.2))
+        assert same_free(
+            wide.without_blocks().inflate(0.2), bake(tmp_path, content, 0.2).inflate(0.2)
+        )
     np.testing.assert_array_equal(wide.solid, before)
 
 

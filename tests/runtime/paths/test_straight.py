@@ -115,7 +115,12 @@ def test_the_ring_round_an_object_goes_through_no_wall(tmp_path):
         + "".join(
             box(f"shelf{k}", *sides, 0, *ends, 2)
             for k, (sides, ends) in enumerate(
-                (((-2, 0.1), (2, 1)), ((-2, 1), (-1.4, 2)), ((-1.4, 1.9), (2, 2)), ((1.9, 1), (2, 2)))
+                (
+                    ((-2, 0.1), (2, 1)),
+                    ((-2, 1), (-1.4, 2)),
+                    ((-1.4, 1.9), (2, 2)),
+                    ((1.9, 1), (2, 2)),
+                )
             )
         )
         + box("lamp", -1.0, 0.3, 2, -0.9, 0.4, 2.1)
