@@ -74,7 +74,9 @@ def inflate(
             weights.append(_refined(level, radius / cell, (radius + clearance) / cell))
             continue
         blocked = find_blocked(grid, number, radius, ledges)
-        soft = np.where(level.free_for_point & ~level.free, 1.0, level.weights)
+        soft = level.weights
+        if "solid" in level.attributes:
+            soft = np.where(level.free_for_point & ~level.free, 1.0, soft)
         if costs == "nav2":
             falling = nav2_costs(level, radius, radius + clearance, scaling)
             soft = np.maximum(soft, np.clip(falling, 1.0, LETHAL_COST))
@@ -138,18 +140,20 @@ def block_by_others(
         block_above_drops,
         block_across,
         block_below_floors,
+        tile_ranges,
     )
 
     floor, level = around.floor, around.level
+    ranges = tile_ranges(floor)
     reach = int(np.abs(offsets).max(initial=0))
     if len(floor) > 1:
         overlap = around.height - around.step
-        block_across(floor, around.occupied, level, offsets, overlap, reach, blocked)
+        block_across(floor, around.occupied, ranges, level, offsets, overlap, reach, blocked)
     if radius > around.baked_radius:
         top = around.height + SLAB
-        block_below_floors(floor, level, offsets, reach, around.step, top, blocked)
+        block_below_floors(floor, ranges, level, offsets, reach, around.step, top, blocked)
     if ledges == "avoid":
-        block_above_drops(floor, level, offsets, reach, around.step, blocked)
+        block_above_drops(floor, ranges, level, offsets, reach, around.step, blocked)
 
 
 def _block_by_holes(around: Surroundings, cells: float, blocked: Bool) -> None:
