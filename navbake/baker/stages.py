@@ -146,7 +146,7 @@ class Stages:
 
         def is_occupied(cells: Int, floors: Float, band: Band | None = None, /) -> Bool:
             volume = narrow if band is None else narrow.between(band)
-            return check_occupancy(columns, tiled, volume, cells, floors)
+            return check_occupancy(columns, tiled, volume, cells, floors).occupied
 
         with self.clock.stage("floors"), self._errors_say_where():
             return find_floors(

@@ -140,7 +140,7 @@ def check_footprints(
 
 def check_occupancy(
     columns: Columns, tiled: TiledShapes, footprint: Footprint, cells: Int, floors: Float
-) -> Bool:
+) -> Answers:
     """Check for cells and floor heights, shape (n,), whether a geom meets the volume above.
 
     The volume stands over the cell's footprint, between the floor plus the traversable height
@@ -148,11 +148,8 @@ def check_occupancy(
     or runs inside of one, proves it occupied. Otherwise each geom nearby is proved apart or
     overlapping; where rounding leaves no proof, FCL decides. Geoms that reach in by less than
     TOUCH only touch.
-
-    Returns:
-        Which cells are occupied, shape (n,).
     """
-    return _check(columns, tiled, footprint, cells, floors)[0]
+    return check_footprints(columns, tiled, Footprints(footprint, None), cells, floors)
 
 
 def _check(
