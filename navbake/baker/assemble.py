@@ -1,8 +1,10 @@
 """The grid that is written: levels, occupancy, rooms, doors and what made them, put together."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake._version import __version__
 from navbake.baker.boxes import Box, written_ground
@@ -11,7 +13,7 @@ from navbake.baker.scene.model import mujoco_version
 from navbake.baker.stages import Stages
 from navbake.config.settings import settings_digest
 from navbake.navgrid.door_states import with_door_names
-from navbake.navgrid.doors import Door, to_runs
+from navbake.navgrid.doors import Door, Runs, to_runs
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.user_data import UserData
@@ -41,6 +43,16 @@ def _level_grid(
     occupied = stages.occupancy.levels[number][window].copy()
     for door in doors:
         occupied.ravel()[door.cells_in(door.state, num_levels)[number]] = True
+    attributes: dict[str, NDArray[Any]] = {
+        "floorHeight": level.floor[window].astype(np.float32),
+        "roomIndex": np.ascontiguousarray(stages.rooms.index[number][window]),
+        "occupancy": occupied.astype(np.uint8),
+    }
+    if stages.occupancy.solid is not None:
+        solid = stages.occupancy.solid[number][window].copy()
+        for door in doors:
+            solid.ravel()[door.solid_in(door.state, num_levels)[number]] = True
+        attributes["solid"] = solid.astype(np.uint8)
     user_data = UserData()
     if stages.config.names.enabled and stages.contents is not None:
         contents = stages.contents.user_data(number, window)  # read on first use
@@ -52,11 +64,7 @@ def _level_grid(
         min_yup=(part.x_min, written_ground(level), 0.0 - part.y_max),
         bbox_yup=box,
         weights=np.where(occupied, np.inf, 1.0),
-        attributes={
-            "floorHeight": level.floor[window].astype(np.float32),
-            "roomIndex": np.ascontiguousarray(stages.rooms.index[number][window]),
-            "occupancy": occupied.astype(np.uint8),
-        },
+        attributes=attributes,
         user_data=user_data,
         metadata=metadata,
     )
@@ -103,9 +111,17 @@ def _metadata(stages: Stages, windows: list[Window], doors: Sequence[Door]) -> J
 
 def _door_entry(door: Door) -> Json:
     """A door as the file states it; see `navbake.navgrid.doors.parse_doors`."""
-    cells = {state: list(map(list, runs.items())) for state, runs in door.cells.items()}
     stated = {"id": door.id, "joint": door.joint, "rooms": list(door.rooms)}
-    return {**stated, "state": door.state, "cells": cells}
+    return {
+        **stated,
+        "state": door.state,
+        "cells": _by_state(door.cells),
+        **({"solid": _by_state(door.solid)} if door.solid else {}),
+    }
+
+
+def _by_state(cells: Mapping[str, Mapping[int, Runs]]) -> Json:
+    return {state: list(map(list, runs.items())) for state, runs in cells.items()}
 
 
 def _cut_doors(stages: Stages, windows: list[Window]) -> list[Door]:
@@ -118,8 +134,11 @@ def _cut_doors(stages: Stages, windows: list[Window]) -> list[Door]:
     width, wanted = stages.lattice.width, stages.config.doors.state
     doors = []
     for door in stages.doors.placed:
-        cells = {state: to_file(levels) for state, levels in door.cells.items()}
-        doors.append(Door(door.id, door.joint, door.rooms, door.state(wanted), cells))
+        cells, solid = (
+            {state: to_file(levels) for state, levels in by_state.items()}
+            for by_state in (door.cells, door.solid)
+        )
+        doors.append(Door(door.id, door.joint, door.rooms, door.state(wanted), cells, solid))
     return doors
 
 

@@ -24,7 +24,13 @@ from navbake.baker.doors.walkable import warn_walkable_doors
 from navbake.baker.floors.levels import Floors, find_floors
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.lattice import lay_lattice
-from navbake.baker.occupancy.occupancy import Footprint, Occupancy, check_occupancy, find_occupancy
+from navbake.baker.occupancy.occupancy import (
+    Footprint,
+    Footprints,
+    Occupancy,
+    check_occupancy,
+    find_occupancy,
+)
 from navbake.baker.rooms.rooms import Rooms, find_rooms
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.baker.threads import limit_threads
@@ -109,9 +115,9 @@ class Stages:
     clock: StageClock = field(default_factory=StageClock, repr=False)
 
     @cached_property
-    def footprint(self) -> Footprint:
+    def footprints(self) -> Footprints:
         """The volume over a cell's floor that has to be free."""
-        return Footprint.of(self.config.agent, self.lattice.cell_size)
+        return Footprints.of(self.config.agent, self.lattice.cell_size)
 
     @cached_property
     def doorless(self) -> Scene:
@@ -121,7 +127,7 @@ class Stages:
     @cached_property
     def tiled(self) -> TiledShapes:
         """The geometry of the scene without doors, listed by tiles of the lattice."""
-        return tile_shapes(self.doorless.shapes, self.lattice, self.footprint.reach)
+        return tile_shapes(self.doorless.shapes, self.lattice, self.footprints.whole.reach)
 
     @cached_property
     def columns(self) -> Columns:
@@ -152,7 +158,7 @@ class Stages:
         """The cells of each storey that are occupied."""
         floors, columns = self.floors, self.columns
         with self.clock.stage("occupancy"):
-            return find_occupancy(floors, columns, self.tiled, self.footprint)
+            return find_occupancy(floors, columns, self.tiled, self.footprints)
 
     @cached_property
     def contents(self) -> Contents | None:
@@ -183,7 +189,7 @@ class Stages:
     def doors(self) -> Doors:
         """What each door blocks in each state, and which candidates are no doors."""
         config, levels = self.config, self.floors.levels
-        around = Surroundings(levels, self.occupancy.levels, self.rooms, self.footprint)
+        around = Surroundings(levels, self.occupancy, self.rooms, self.footprints)
         # a door is too small to be worth more than one thread
         with self.clock.stage("doors"), limit_threads(1):
             doors = place_doors(self.scene, self.candidates, around)

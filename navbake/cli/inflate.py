@@ -27,15 +27,18 @@ def inflate(
         "step", help="Cost of cells within the clearance: step (10), or nav2 (exponential)."
     ),
     scaling: float = Option(10.0, help="How fast nav2 costs fall, its cost_scaling_factor [1/m]."),
+    ledges: str = Option(
+        "avoid", help="avoid (no drop of more than a step within the radius) or ignore."
+    ),
 ) -> None:
     """Inflate the obstacles of a grid for an agent of another radius."""
     from navbake.runtime.inflation.inflate import check_arguments  # loads numpy
 
     # The arguments are checked before the grid is read: a large one takes seconds.
-    check_arguments(radius, clearance, mode, costs, scaling)
+    check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     check_output(output)
     before = navbake.load(grid)
-    after = before.inflate(radius, clearance, mode, costs=costs, scaling=scaling)
+    after = before.inflate(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     after.save(output)
     areas = [
         sum(int(level.free.sum()) * level.lattice.cell_size**2 for level in content.levels)

@@ -31,7 +31,8 @@ Layers = list[Int]
 Window = tuple[int, int, int, int]
 """First and last row, first and last column, the last ones excluded."""
 
-CHANGING = {"occupancy", "clearance"}  # attributes that are changed in place
+CHANGING = {"occupancy", "solid", "clearance"}  # attributes that are changed in place
+OCCUPIED_LAYERS = ("occupancy", "solid")  # attributes that are 1 where the thing is
 MAX_JOURNAL = 1024  # changes that a level remembers; a reader that missed more reads all of it
 
 
@@ -43,7 +44,7 @@ class BlockState:
     Attributes:
         count: how many blocks hold a cell, by layer and cell id, uint16.
         weights: what the cells weigh without blocks, by cell id.
-        occupancy: of the cells without blocks, by cell id; None if the level has no such layer.
+        occupied: the layers `OCCUPIED_LAYERS` that the level has, without blocks, by cell id.
         revision: how many times something changed.
     """
 
@@ -57,8 +58,11 @@ class BlockState:
         for name in CHANGING & level.attributes.keys():
             level.attributes[name] = np.array(level.attributes[name], order="C")
         self.weights = level.weights.ravel().copy()
-        stored = level.attributes.get("occupancy")
-        self.occupancy = None if stored is None else stored.ravel().copy()
+        self.occupied = {
+            name: level.attributes[name].ravel().copy()
+            for name in OCCUPIED_LAYERS
+            if name in level.attributes
+        }
         self._farthest = _farthest(level)
 
     @property
@@ -79,10 +83,10 @@ class BlockState:
 
     def _changed(self, level: SceneGrid2D) -> list[tuple[int, NDArray[Any], NDArray[Any], float]]:
         """Layer, the level's array, its values without blocks and that of a cell of the layer."""
-        changed = [(BLOCKED, level.weights, self.weights, np.inf)]
-        if self.occupancy is not None:
-            changed.append((OCCUPIED, level.attributes["occupancy"], self.occupancy, 1))
-        return changed
+        of_layers = [
+            (OCCUPIED, level.attributes[name], clean, 1.0) for name, clean in self.occupied.items()
+        ]
+        return [(BLOCKED, level.weights, self.weights, np.inf), *of_layers]
 
     def hold(self, level: SceneGrid2D, cells: Layers) -> None:
         """Block cells."""
@@ -108,11 +112,11 @@ class BlockState:
         """The level as it is when nothing blocks it; itself if nothing does."""
         if not self.is_blocked:
             return level
-        weights, *occupancy = (
+        weights, *occupied = (
             np.where(self.held(level, layer), clean.reshape(level.shape), array)
             for layer, array, clean, _ in self._changed(level)
         )
-        attributes = {"occupancy": occupancy[0]} if occupancy else {}
+        attributes = dict(zip(self.occupied, occupied, strict=True))
         return level.with_layers(weights=weights, attributes=attributes)
 
     def _note(self, level: SceneGrid2D, cells: Layers) -> None:

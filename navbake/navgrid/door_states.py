@@ -14,7 +14,7 @@ from navbake.navgrid.block_state import BLOCKED, OCCUPIED
 from navbake.navgrid.doors import STATES, Door
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.user_data import NAMES, UserData
-from navbake.types import Bool, Json
+from navbake.types import Bool, Int, Json
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid_base import GridBase
@@ -43,13 +43,21 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
     for name, state in wanted.items():
         _check_state(name, state, before, grid.scene_id)
     after = [replace(door, state=wanted.get(door.id, door.state)) for door in before.values()]
-    occupied = [level.occupancy.astype(np.bool_).ravel() for level in grid.levels]
+    occupied, solid = (
+        [layer.astype(np.bool_).ravel() for layer in layers]
+        for layers in zip(*((level.occupancy, level.solid) for level in grid.levels), strict=True)
+    )
     # doors may overlap: all are taken out before any is put in
     for doors, is_there in ((before.values(), False), (after, True)):
         for door in doors:
-            for mask, cells in zip(occupied, door.cells_in(door.state, len(occupied)), strict=True):
-                mask[cells] = is_there
-    return _rebuild(grid, after, occupied)
+            _put(door.cells_in(door.state, len(occupied)), occupied, is_there)
+            _put(door.solid_in(door.state, len(solid)), solid, is_there)
+    return _rebuild(grid, after, occupied, solid)
+
+
+def _put(cells: list[Int], masks: list[Bool], is_there: bool) -> None:
+    for ids, mask in zip(cells, masks, strict=True):
+        mask[ids] = is_there
 
 
 def _check_state(name: str, state: str, doors: Mapping[str, Door], scene_id: str | None) -> None:
@@ -63,13 +71,17 @@ def _check_state(name: str, state: str, doors: Mapping[str, Door], scene_id: str
         raise QueryError(f"door {name!r} can't be {state}: it can be {possible}")
 
 
-def _rebuild(grid: AnyGrid, doors: Sequence[Door], occupied: list[Bool]) -> AnyGrid:
+def _rebuild(
+    grid: AnyGrid, doors: Sequence[Door], occupied: list[Bool], solid: list[Bool]
+) -> AnyGrid:
     levels = []
     for number, (level, mask) in enumerate(zip(grid.levels, occupied, strict=True)):
         is_occupied, was_occupied = mask.reshape(level.shape), level.occupancy.astype(np.bool_)
+        is_solid = solid[number].reshape(level.shape)
         state = level.block_state
         if state is not None:
             is_occupied |= state.held(level, OCCUPIED)
+            is_solid |= state.held(level, OCCUPIED)
         weights = level.weights.copy()
         # cells that no door changes keep their weight, whatever it is
         weights[is_occupied & ~was_occupied] = np.inf
@@ -80,6 +92,8 @@ def _rebuild(grid: AnyGrid, doors: Sequence[Door], occupied: list[Bool]) -> AnyG
         if grid.navbake.get("names", True):
             named = with_door_names(UserData.of(level.user_data), doors, number, len(occupied))
         attributes = {"occupancy": is_occupied.astype(np.uint8)}
+        if "solid" in level.attributes:
+            attributes["solid"] = is_solid.astype(np.uint8)
         levels.append(level.with_layers(weights=weights, attributes=attributes, user_data=named))
     stated = zip(grid.navbake.get("doors", []), doors, strict=True)
     tables = [{**entry, "state": door.state} for entry, door in stated]

@@ -5,7 +5,7 @@ needs no scene and no new bake, see `navbake.navgrid.door_states`.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,10 @@ def from_runs(runs: Sequence[int]) -> Int:
     return np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)
 
 
+def _unpack(per_level: Mapping[int, Runs], num_levels: int) -> list[Int]:
+    return [from_runs(per_level.get(level, ())) for level in range(num_levels)]
+
+
 @dataclass(frozen=True)
 class Door:
     """A door of a grid.
@@ -45,6 +49,7 @@ class Door:
         rooms: ids of the two rooms that it joins, None for the outside; () where nothing says so.
         state: what it is in now, one of `STATES`.
         cells: what it blocks, by state and level, as runs of cell ids.
+        solid: the same of the cells whose squares it meets, of a grid with a layer ``solid``.
     """
 
     id: str
@@ -52,6 +57,7 @@ class Door:
     rooms: tuple[str | None, ...]
     state: str
     cells: Mapping[str, Mapping[int, Runs]]
+    solid: Mapping[str, Mapping[int, Runs]] = field(default_factory=dict)
 
     @property
     def levels(self) -> list[int]:
@@ -73,8 +79,11 @@ class Door:
 
     def cells_in(self, state: str, num_levels: int) -> list[Int]:
         """The cells that only this door blocks in a state: ascending ids by level."""
-        per_level = self.cells.get(state, {})
-        return [from_runs(per_level.get(level, ())) for level in range(num_levels)]
+        return _unpack(self.cells.get(state, {}), num_levels)
+
+    def solid_in(self, state: str, num_levels: int) -> list[Int]:
+        """The cells whose squares only this door meets in a state: ascending ids by level."""
+        return _unpack(self.solid.get(state, {}), num_levels)
 
     def to_json(self) -> Json:
         """Summarise the door in values that JSON can hold: all but its cells."""
@@ -115,12 +124,20 @@ def _parse(entry: Any, num_cells: Sequence[int], here: str) -> Door:
     are_rooms = isinstance(rooms, list | tuple) and all(isinstance(r, str | None) for r in rooms)
     if not isinstance(joint, str | None) or not are_rooms:
         raise FormatError(f"expected `joint` to be a name and `rooms` to be ids at `{here}`")
+    cells = _parse_states(entry["cells"], num_cells, f"{here}.cells")
+    solid = _parse_states(entry.get("solid", {}), num_cells, f"{here}.solid")
+    return Door(entry["id"], joint, tuple(rooms), entry["state"], cells, solid)
+
+
+def _parse_states(stated: Any, num_cells: Sequence[int], where: str) -> dict[str, dict[int, Runs]]:
+    if not isinstance(stated, dict):
+        raise FormatError(f"expected an object by state at `{where}`")
     cells = {}
-    for state, entries in entry["cells"].items():
+    for state, entries in stated.items():
         if state not in STATES or not isinstance(entries, list):
-            raise FormatError(f"expected a list for a known state at `{here}.cells`")
-        cells[state] = _parse_cells(entries, num_cells, f"`{here}.cells.{state}`")
-    return Door(entry["id"], joint, tuple(rooms), entry["state"], cells)
+            raise FormatError(f"expected a list for a known state at `{where}`")
+        cells[state] = _parse_cells(entries, num_cells, f"`{where}.{state}`")
+    return cells
 
 
 def _parse_cells(entries: list[Any], num_cells: Sequence[int], where: str) -> dict[int, Runs]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
-from navbake.navgrid.block_state import CHANGING, BlockState
+from navbake.navgrid.block_state import BLOCKED, CHANGING, BlockState
 from navbake.navgrid.grid_base import GridBase
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.level_metadata import cut_metadata
@@ -161,6 +161,34 @@ class SceneGrid2D(GridBase):
         if stored is None:
             return _derived((~self.free).astype(np.uint8))
         return stored if stored.dtype == np.uint8 else _derived((stored != 0).astype(np.uint8))
+
+    @property
+    def solid(self) -> NDArray[np.uint8]:
+        """1 where a geom meets the cell's square or there is no floor, uint8 as `occupancy`.
+
+        A bake stores it where the disc of its `agentRadius` reaches beyond the square; everywhere
+        else it is `occupancy`. What depends on the size of another agent is measured from it.
+        Read-only unless it is the attribute itself.
+        """
+        stored = self.attributes.get("solid")
+        if stored is None or not self.navbake:  # other programs may call anything so
+            return self.occupancy
+        return stored if stored.dtype == np.uint8 else _derived((stored != 0).astype(np.uint8))
+
+    @property
+    def free_for_point(self) -> Bool:
+        """Where an agent without a radius can stand, as far as the grid tells; bool.
+
+        These are the free cells and, with a layer ``solid``, those that only the disc of the baked
+        radius closed, or the margin of a block. What an inflation closed stays closed.
+        """
+        free = self.free
+        if "solid" not in self.attributes or not self.navbake or "inflation" in self.metadata:
+            return free
+        by_radius = self.occupancy != 0
+        if self.block_state is not None:
+            by_radius |= self.block_state.held(self, BLOCKED)
+        return np.asarray(free | (by_radius & (self.solid == 0)))
 
     @property
     def room_index(self) -> NDArray[np.uint16]:

@@ -225,18 +225,21 @@ class GridBase:
         *,
         costs: str = "step",
         scaling: float = 10.0,
+        ledges: str = "avoid",
     ) -> Self:
         """The same grid for an agent of another radius.
 
         ``exact``: a cell stays free if the open disc of the radius round its centre meets no
-        occupied cell's square. So no baked geometry is ever hit, and the radius replaces the baked
-        one. See `navbake.runtime.inflation.inflate` for steps, other levels, the edges of the grid
-        and cells without floor. ``minos``: the weights that the original client's ``refine`` gives,
+        occupied cell's square, and no floor more than a step higher or lower. So no baked geometry
+        is ever hit, and the radius replaces the baked one. See
+        `navbake.runtime.inflation.inflate` for steps, other levels, the edges of the grid and cells
+        without floor. ``minos``: the weights that the original client's ``refine`` gives,
         cell for cell.
 
-        A cell that isn't free stays so (except in ``refine`` at radius 0 with a clearance).
-        Occupancy stays as baked, so a grid can be inflated again; a grid without layers for
-        occupancy or floors gets them, as they followed from its weights.
+        A cell that isn't free stays so, unless only the baked disc closed it (see
+        `SceneGrid2D.solid`; or in ``refine`` at radius 0 with a clearance). Occupancy stays as
+        baked, so a grid can be inflated again; a grid without layers for occupancy or floors gets
+        them, as they followed from its weights.
 
         Args:
             radius: of the agent [m], 0 to 10,000.
@@ -247,6 +250,8 @@ class GridBase:
                 inflation layer, ``floor(252 exp(-scaling (d - radius)))``, d from the centre of
                 the nearest occupied cell of the level.
             scaling: of ``nav2`` [1/m], > 0.
+            ledges: of ``exact``: ``avoid`` keeps the disc off floors more than a step lower,
+                ``ignore`` lets it hang over them.
 
         Returns:
             A new grid; its metadata list what was done under ``inflation``.
@@ -255,11 +260,13 @@ class GridBase:
             QueryError: an argument is out of its range.
         """
         inflated: Self = operation("grid.inflate")(
-            self, radius, clearance, mode, costs=costs, scaling=scaling
+            self, radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges
         )
         return inflated
 
-    def inflate_footprint(self, polygon: ArrayLike, num_headings: int = 16) -> list[Bool]:
+    def inflate_footprint(
+        self, polygon: ArrayLike, num_headings: int = 16, *, ledges: str = "avoid"
+    ) -> list[Bool]:
         """Where an agent that isn't round can stand, heading by heading.
 
         Args:
@@ -267,6 +274,7 @@ class GridBase:
                 y to the left, its centre at the origin. Without crossings.
             num_headings: how many headings; number k looks along ``2 π k / num_headings``,
                 counter-clockwise from the world's x.
+            ledges: as of `inflate`.
 
         Returns:
             For each level, shape (num_headings, height, width), bool: whether the cell is free
@@ -276,7 +284,9 @@ class GridBase:
         Raises:
             QueryError: the polygon is none, or there is no heading.
         """
-        masks: list[Bool] = operation("grid.inflate_footprint")(self, polygon, num_headings)
+        masks: list[Bool] = operation("grid.inflate_footprint")(
+            self, polygon, num_headings, ledges=ledges
+        )
         return masks
 
     def block(

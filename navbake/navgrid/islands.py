@@ -70,18 +70,20 @@ def islands_of(grid: GridBase) -> list[Int32]:
 def clearance(level: SceneGrid2D, window: Window | None = None) -> NDArray[np.float32]:
     """Measure the distance from each free cell to the nearest cell that is not free [m].
 
-    From centre to centre, less half a cell; what lies outside the grid counts as not free. Shape
-    of the level or of the window, float32; 0 where the cell itself is not free. In a window, cells
-    outside it are not seen.
+    From centre to centre, less half a cell; what lies outside the grid counts as not free. A cell
+    that only the disc of the baked radius closed counts as free: see
+    `SceneGrid2D.free_for_point`. Shape of the level or of the window, float32; 0 where the cell
+    itself is not free. In a window, cells outside it are not seen.
     """
     from scipy.ndimage import distance_transform_edt  # scipy loads slowly, and few ask for this
 
     row0, row1, col0, col1 = window or (0, level.height, 0, level.width)
     free = level.free[row0:row1, col0:col1]
+    is_open = level.free_for_point[row0:row1, col0:col1]
     # one closed cell beyond each side that is at the grid's edge
     top, left = int(row0 == 0), int(col0 == 0)
     sides = (top, int(row1 == level.height)), (left, int(col1 == level.width))
-    cells = distance_transform_edt(np.pad(free, sides))
+    cells = distance_transform_edt(np.pad(is_open, sides))
     cells = cells[top : top + free.shape[0], left : left + free.shape[1]]
     return np.where(free, (cells - 0.5) * level.lattice.cell_size, 0.0).astype(np.float32)
 

@@ -50,13 +50,20 @@ def _cut_rooms(rooms: list[Json], level: int) -> list[Json]:
 def _cut_doors(doors: list[Json], level: int) -> list[Json]:
     cut = []
     for door in doors:
-        cells = door.get("cells")
-        if isinstance(cells, dict) and all(isinstance(entry, list) for entry in cells.values()):
-            # a door on two levels (beside a stair) is on both, with the cells of each
-            here = {
-                state: [[0, *e[1:]] for e in entries if isinstance(e, list) and e[:1] == [level]]
-                for state, entries in cells.items()
-            }
-            if any(here.values()):
-                cut.append({**door, "cells": here})
+        # a door on two levels (beside a stair) is on both, with the cells of each
+        here = {
+            key: {state: _cells_on(level, entries) for state, entries in door[key].items()}
+            for key in ("cells", "solid")
+            if _are_by_state(door.get(key))
+        }
+        if any(any(by_state.values()) for by_state in here.values()):
+            cut.append({**door, **here})
     return cut
+
+
+def _are_by_state(cells: Any) -> bool:
+    return isinstance(cells, dict) and all(isinstance(entry, list) for entry in cells.values())
+
+
+def _cells_on(level: int, entries: list[Any]) -> list[Any]:
+    return [[0, *e[1:]] for e in entries if isinstance(e, list) and e[:1] == [level]]

@@ -61,12 +61,13 @@ class GridCache:
     def occupied(self) -> Bool:
         """Where something stands now or there is no floor, by flat id, shape (n,), bool.
 
+        Something stands in a cell where it meets the cell's square, see `SceneGrid2D.solid`.
         In a file without ``occupancy``, where weights are infinite. What a larger radius takes
         from an agent is not occupied.
         """
         version = self.search.version
         if self._occupied is None or self._occupied[0] != version:
-            occupied = np.concatenate([v.occupancy.ravel() != 0 for v in self.grid.levels])
+            occupied = np.concatenate([v.solid.ravel() != 0 for v in self.grid.levels])
             self._occupied = (version, occupied)
         return self._occupied[1]
 

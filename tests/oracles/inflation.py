@@ -27,13 +27,14 @@ def exact_free(level, radius: float) -> np.ndarray:
     return free
 
 
-def stacked_free(grid, radius: float, extent: int) -> list[np.ndarray]:
+def stacked_free(grid, radius: float, extent: int, ledges: str = "avoid") -> list[np.ndarray]:
     """The cells that stay free on several levels of one lattice; rectangles, floors, ledges.
 
     Args:
         grid: levels of the same cell size, whole cells apart.
         radius: [m].
         extent: how far round each level to look, in cells.
+        ledges: whether lower floors block.
     """
     origin = grid.levels[0].lattice
     cell = origin.cell_size
@@ -56,35 +57,57 @@ def stacked_free(grid, radius: float, extent: int) -> list[np.ndarray]:
     for number, level in enumerate(grid.levels):
         free = level.free.copy()
         for place, (floor, _, own) in known[number].items():
-            if free[own] and _is_hit(known, number, place, floor, radius, cell, extent):
+            reached = _reached(place, radius, cell, extent)
+            if free[own] and (
+                _is_hit(known, number, reached, floor, radius)
+                or (ledges == "avoid" and _hangs_over(known, reached, floor))
+            ):
                 free[own] = False
         result.append(free)
     return result
 
 
-def _is_hit(known, number, place, floor, radius, cell, extent) -> bool:
-    nothing = (math.nan, True, None)
-    for dr in range(-extent, extent + 1):
-        for dc in range(-extent, extent + 1):
-            if not square_distance(dr, dc) * cell < radius * (1 - 1e-9):
-                continue
-            there = (place[0] + dr, place[1] + dc)
-            own_floor, own_occupied, _ = known[number].get(there, nothing)
-            others = [
-                cells[there]
-                for i, cells in enumerate(known)
-                if i != number and there in cells and abs(cells[there][0] - floor) < HEIGHT - STEP
-            ]
-            if any(occupied for _, occupied, _ in others):
-                return True
-            own_counts = not others or abs(own_floor - floor) < HEIGHT - STEP
-            if own_occupied and own_counts:
-                return True
-            if radius > BAKED and any(
-                _is_in_the_way(cells.get(there, nothing)[0] - floor, i == number)
-                for i, cells in enumerate(known)
-            ):
-                return True
+NOTHING = (math.nan, True, None)
+
+
+def _reached(place, radius, cell, extent) -> list[tuple[int, int]]:
+    span = range(-extent, extent + 1)
+    return [
+        (place[0] + dr, place[1] + dc)
+        for dr in span
+        for dc in span
+        if square_distance(dr, dc) * cell < radius * (1 - 1e-9)
+    ]
+
+
+def _is_hit(known, number, reached, floor, radius) -> bool:
+    for there in reached:
+        own_floor, own_occupied, _ = known[number].get(there, NOTHING)
+        others = [
+            cells[there]
+            for i, cells in enumerate(known)
+            if i != number and there in cells and abs(cells[there][0] - floor) < HEIGHT - STEP
+        ]
+        if any(occupied for _, occupied, _ in others):
+            return True
+        own_counts = not others or abs(own_floor - floor) < HEIGHT - STEP
+        if own_occupied and own_counts:
+            return True
+        if radius > BAKED and any(
+            _is_in_the_way(cells.get(there, NOTHING)[0] - floor, i == number)
+            for i, cells in enumerate(known)
+        ):
+            return True
+    return False
+
+
+def _hangs_over(known, reached, floor) -> bool:
+    """Whether the highest floor of a column that is no obstacle is more than a step lower."""
+    for there in reached:
+        heights = [cells.get(there, NOTHING)[0] for cells in known]
+        below = [h for h in heights if h <= floor + STEP + 1e-5]
+        if below and max(below) < floor - STEP - 1e-5:
+            return True
     return False
 
 
@@ -97,7 +120,7 @@ def refine(level, radius: float, clearance: float) -> np.ndarray:
     cell = level.lattice.cell_size
     occupied, floor = level.occupancy, level.floor_height
     reach = math.ceil((radius + clearance) / cell - 0.5)
-    inner, outer = (radius / cell) ** 2, (radius / cell + clearance / cell) ** 2
+    inner, outer = (radius / cell) ** 2, ((radius + clearance) / cell) ** 2
     weights = np.ones(level.shape)
     for row, col in np.ndindex(level.shape):
         if reach == 0:

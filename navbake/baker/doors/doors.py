@@ -13,7 +13,7 @@ import numpy as np
 from navbake.baker.columns import cast_columns, tile_shapes
 from navbake.baker.doors.candidates import DoorCandidate, largest_side, pose_doors
 from navbake.baker.floors.levels import LevelFloor
-from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
+from navbake.baker.occupancy.occupancy import Footprints, Occupancy, check_footprints
 from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
@@ -40,6 +40,8 @@ class PlacedDoor:
         cells: by state, for each level the cells that the door blocks and nothing else does,
             ascending.
         closed_cells: for each level, the cells that the closed door blocks, whatever else does.
+        solid: as `cells`, of the cells whose squares the door meets and nothing else does; empty
+            where the footprint is the square.
     """
 
     id: str
@@ -47,6 +49,7 @@ class PlacedDoor:
     rooms: RoomPair
     cells: dict[str, list[Int]]
     closed_cells: list[Int]
+    solid: dict[str, list[Int]] = field(default_factory=dict)
 
     def state(self, wanted: str) -> str:
         """The wanted state if the door has it, else modelled."""
@@ -74,9 +77,9 @@ class Surroundings:
     """What doors stand in: what was found in the scene without them."""
 
     floors: Sequence[LevelFloor]
-    occupied: Sequence[Bool]
+    occupancy: Occupancy
     rooms: Rooms
-    footprint: Footprint
+    footprints: Footprints
 
 
 def place_doors(scene: Scene, candidates: Sequence[DoorCandidate], around: Surroundings) -> Doors:
@@ -93,16 +96,22 @@ def place_doors(scene: Scene, candidates: Sequence[DoorCandidate], around: Surro
     placed: list[PlacedDoor] = []
     rejected: list[DoorCandidate] = []
     for candidate in candidates:
-        blocked = _blocked_by_state(posed, candidate, around)
+        by_state = _blocked_by_state(posed, candidate, around)
+        blocked = {state: cells for state, (cells, _) in by_state.items()}
         leaf = largest_side(extents, candidate.geoms)
         rooms = _rooms_beside(leaf, extents, blocked["closed"], around)
         if rooms is None and not candidate.named:
             if _is_on_lattice(candidate.only(posed["modelled"]), around):
                 rejected.append(candidate)
             continue
-        cells = {state: _only_free(levels, around) for state, levels in blocked.items()}
+        occupied, squares = around.occupancy.levels, around.occupancy.solid
+        cells = {state: _only_free(levels, occupied) for state, levels in blocked.items()}
+        solid = {}
+        if squares is not None:
+            met = {state: levels for state, (_, levels) in by_state.items()}
+            solid = {state: _only_free(levels, squares) for state, levels in met.items()}
         names = candidate.id, candidate.joint
-        placed.append(PlacedDoor(*names, rooms or (None, None), cells, blocked["closed"]))
+        placed.append(PlacedDoor(*names, rooms or (None, None), cells, blocked["closed"], solid))
     return Doors(placed, rejected)
 
 
@@ -121,12 +130,13 @@ def warn_immovable_doors(doors: Sequence[PlacedDoor], state: str) -> list[str]:
 
 def _blocked_by_state(
     posed: dict[str, Shapes], candidate: DoorCandidate, around: Surroundings
-) -> dict[str, list[Int]]:
+) -> dict[str, tuple[list[Int], list[Int]]]:
     """For each state that the door has, and each level, the cells that it blocks.
 
-    A door that can't move is closed as it is modelled.
+    First those that it blocks with the whole footprint, then those whose squares it meets. A door
+    that can't move is closed as it is modelled.
     """
-    blocked: dict[str, list[Int]] = {}
+    blocked: dict[str, tuple[list[Int], list[Int]]] = {}
     state_at: dict[float | None, str] = {}
     for state, shapes in posed.items():
         # states at one position of the joint are found once
@@ -137,36 +147,38 @@ def _blocked_by_state(
     return blocked
 
 
-def _only_free(cells: list[Int], around: Surroundings) -> list[Int]:
+def _only_free(cells: list[Int], occupied: Sequence[Bool]) -> list[Int]:
     """For each level, the cells that nothing else occupies."""
-    levels = zip(cells, around.occupied, strict=True)
-    return [ids[~occupied.ravel()[ids]] for ids, occupied in levels]
+    return [ids[~mask.ravel()[ids]] for ids, mask in zip(cells, occupied, strict=True)]
 
 
 def _is_on_lattice(shapes: Shapes, around: Surroundings) -> bool:
-    bounds = shapes.bounds()
-    return bounds is None or around.rooms.lattice.window(bounds, around.footprint.reach) is not None
+    bounds, reach = shapes.bounds(), around.footprints.whole.reach
+    return bounds is None or around.rooms.lattice.window(bounds, reach) is not None
 
 
-def _blocked_cells(shapes: Shapes, around: Surroundings) -> list[Int]:
-    """For each level, the cells with a floor whose volume the shapes meet."""
-    lattice, footprint = around.rooms.lattice, around.footprint
+def _blocked_cells(shapes: Shapes, around: Surroundings) -> tuple[list[Int], list[Int]]:
+    """For each level, the cells with a floor whose volume the shapes meet; and over the square."""
+    lattice, reach = around.rooms.lattice, around.footprints.whole.reach
     bounds = shapes.bounds()
-    window = None if bounds is None else lattice.window(bounds, footprint.reach)
+    window = None if bounds is None else lattice.window(bounds, reach)
     if window is None:
-        return [np.empty(0, dtype=np.int64)] * len(around.floors)
+        nothing = [np.empty(0, dtype=np.int64)] * len(around.floors)
+        return nothing, nothing
     # only the cells near the door are looked at
     rows, cols = window
-    tiled = tile_shapes(shapes, lattice.cut(rows, cols), footprint.reach)
+    tiled = tile_shapes(shapes, lattice.cut(rows, cols), reach)
     columns, width = cast_columns(tiled), cols.stop - cols.start
-    blocked = []
+    blocked, solid = [], []
     for level in around.floors:
         floor = level.floor[rows, cols].ravel()
         local: Int = np.flatnonzero(~np.isnan(floor))
-        answer = check_occupancy(columns, tiled, footprint, local, floor[local]).occupied
-        row, col = np.divmod(local[answer], width)
-        blocked.append((row + rows.start) * lattice.width + col + cols.start)
-    return blocked
+        answers = check_footprints(columns, tiled, around.footprints, local, floor[local])
+        row, col = np.divmod(local, width)
+        ids = (row + rows.start) * lattice.width + col + cols.start
+        blocked.append(ids[answers.occupied])
+        solid.append(ids[answers.solid])
+    return blocked, solid
 
 
 # ---------------------------------------------------------------- what a door joins

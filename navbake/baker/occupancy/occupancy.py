@@ -52,12 +52,37 @@ class Footprint(NamedTuple):
         return self._replace(low=band.low + TOUCH, high=band.high - TOUCH)
 
 
+class Footprints(NamedTuple):
+    """The footprint that is baked, and the cell's square alone.
+
+    Attributes:
+        whole: the square joined with the agent's disc.
+        square: the square alone; None where the disc doesn't reach beyond it.
+    """
+
+    whole: Footprint
+    square: Footprint | None
+
+    @classmethod
+    def of(cls, agent: AgentSettings, cell_size: float) -> Footprints:
+        """The footprints of an agent on cells of a size [m]."""
+        whole = Footprint.of(agent, cell_size)
+        point = agent.model_copy(update={"radius": 0.0})
+        return cls(whole, Footprint.of(point, cell_size) if whole.radius > 0.0 else None)
+
+
 class Answers(NamedTuple):
-    """Which cells are occupied, shape (n,), bool; how many of them a ray alone proved so, and how
-    many had no proof either way, so that FCL decided.
+    """What a check of cells found.
+
+    Attributes:
+        occupied: which cells are occupied, shape (n,), bool.
+        solid: the same for their squares alone.
+        by_ray: how many cells a ray alone proved occupied.
+        by_fcl: how many had no proof either way, so that FCL decided.
     """
 
     occupied: Bool
+    solid: Bool
     by_ray: int
     by_fcl: int
 
@@ -69,26 +94,48 @@ class Occupancy(NamedTuple):
         levels: of each storey, shape (height, width) of the whole lattice, bool: a geom meets
             the volume over the cell's floor, or there is no floor.
         by_ray, by_fcl: how many cells were decided so, see `Answers`.
+        solid: the same for the volume over the cell's square alone; None where the agent's disc
+            doesn't reach beyond it.
     """
 
     levels: list[Bool]
     by_ray: int
     by_fcl: int
+    solid: list[Bool] | None
 
 
 def find_occupancy(
-    floors: Floors, columns: Columns, tiled: TiledShapes, footprint: Footprint
+    floors: Floors, columns: Columns, tiled: TiledShapes, footprints: Footprints
 ) -> Occupancy:
-    """Decide for every cell of every storey whether it is occupied; see `check_occupancy`."""
-    levels, by_ray, by_fcl = [], 0, 0
+    """Decide for every cell of every storey whether it is occupied; see `check_footprints`."""
+    levels, solids, by_ray, by_fcl = [], [], 0, 0
     for level in floors.levels:
         occupied = np.isnan(level.floor)
         cells = np.flatnonzero(~occupied)
-        answers = check_occupancy(columns, tiled, footprint, cells, level.floor.ravel()[cells])
-        occupied.flat[cells] = answers.occupied
+        answers = check_footprints(columns, tiled, footprints, cells, level.floor.ravel()[cells])
+        solid = occupied.copy()
+        occupied.flat[cells], solid.flat[cells] = answers.occupied, answers.solid
         levels.append(occupied)
+        solids.append(solid)
         by_ray, by_fcl = by_ray + answers.by_ray, by_fcl + answers.by_fcl
-    return Occupancy(levels, by_ray, by_fcl)
+    return Occupancy(levels, by_ray, by_fcl, None if footprints.square is None else solids)
+
+
+def check_footprints(
+    columns: Columns, tiled: TiledShapes, footprints: Footprints, cells: Int, floors: Float
+) -> Answers:
+    """Check the whole footprint and the square alone, see `check_occupancy`.
+
+    The square is part of the footprint, and a cell's own line is part of the square: so only the
+    cells that are occupied, and not by their line, are asked again.
+    """
+    occupied, by_line, by_fcl = _check(columns, tiled, footprints.whole, cells, floors)
+    solid = occupied
+    if footprints.square is not None:
+        asked = np.flatnonzero(occupied & ~by_line)
+        solid = by_line.copy()
+        solid[asked], *_ = _check(columns, tiled, footprints.square, cells[asked], floors[asked])
+    return Answers(occupied, solid, int(by_line.sum()), by_fcl)
 
 
 def check_occupancy(
@@ -102,6 +149,13 @@ def check_occupancy(
     overlapping; where rounding leaves no proof, FCL decides. Geoms that reach in by less than
     TOUCH only touch.
     """
+    return check_footprints(columns, tiled, Footprints(footprint, None), cells, floors)
+
+
+def _check(
+    columns: Columns, tiled: TiledShapes, footprint: Footprint, cells: Int, floors: Float
+) -> tuple[Bool, Bool, int]:
+    """See `check_occupancy`; also which cells a ray proved occupied, and how many FCL decided."""
     geometry = (tiled.shapes.solids, tiled.facets, tiled.shapes.planes, tiled.tiles)
     queries = Queries(cells, floors, np.zeros(len(cells), np.uint8), np.zeros(len(cells), np.bool_))
     check_cells(columns.lattice, columns.crossings, *geometry, footprint, queries)
@@ -110,7 +164,7 @@ def check_occupancy(
     for n in undecided:
         if _ask_fcl(tiled, footprint, int(cells[n]), float(floors[n])):
             state[n] = MEETS
-    return Answers(state == MEETS, int(queries.by_line.sum()), len(undecided))
+    return state == MEETS, queries.by_line, len(undecided)
 
 
 def _ask_fcl(tiled: TiledShapes, footprint: Footprint, cell: int, floor: float) -> bool:

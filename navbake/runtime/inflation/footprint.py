@@ -1,8 +1,8 @@
 """Where an agent that isn't round can stand, heading by heading.
 
 As with a disc, the polygon must not meet the square of an occupied cell; floors more than a step
-higher and the cells of other levels count as in `navbake.runtime.inflation.inflate`. Touching is
-not meeting. A floor is needed under the agent's origin only.
+higher or lower and the cells of other levels count as in `navbake.runtime.inflation.inflate`.
+Touching is not meeting. A floor is needed under the agent's origin only.
 """
 
 import math
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from navbake.errors import QueryError
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.polygon import find_fault
-from navbake.runtime.inflation.inflate import block_by_others
+from navbake.runtime.inflation.inflate import block_by_others, check_ledges
 from navbake.runtime.inflation.surroundings import find_surroundings
 from navbake.types import Bool, Float, Int
 
@@ -22,11 +22,14 @@ MAX_REACH = 1000  # [cells]
 TOUCH = 1e-9  # [cells] by which a polygon may overlap a square that it touches
 
 
-def inflate_footprint(grid: NavGrid, polygon: ArrayLike, num_headings: int = 16) -> list[Bool]:
+def inflate_footprint(
+    grid: NavGrid, polygon: ArrayLike, num_headings: int = 16, *, ledges: str = "avoid"
+) -> list[Bool]:
     """See `SceneGrid2D.inflate_footprint`."""
     from navbake.runtime.kernels.inflation import meets_runs  # saves numba at start-up
 
     outline = _check_polygon(polygon)
+    check_ledges(ledges)
     if not isinstance(num_headings, int | np.integer) or not 1 <= num_headings <= MAX_HEADINGS:
         raise QueryError(f"expected 1 to {MAX_HEADINGS} headings, got {num_headings!r}")
     masks = []
@@ -41,8 +44,8 @@ def inflate_footprint(grid: NavGrid, polygon: ArrayLike, num_headings: int = 16)
             turned = _turn(outline / level.lattice.cell_size, 2 * math.pi * k / num_headings)
             offsets = _footprint_offsets(turned)
             blocked = meets_runs(around.occupied[around.level], _to_runs(offsets))
-            block_by_others(around, radius, offsets, blocked)
-            free[k] = level.free & ~blocked[around.rows, around.cols]
+            block_by_others(around, radius, offsets, ledges, blocked)
+            free[k] = level.free_for_point & ~blocked[around.rows, around.cols]
         masks.append(free)
     return masks
 

@@ -2,9 +2,11 @@
 
 In an inflated grid, an agent may stand at the centres of free cells. Between them, or anywhere
 else in a cell, it may be nearer to an obstacle. So diagonal steps need cells that would be free
-for a radius so much larger that the discs round both ends cover the way; and straight lines off
-the centres need cells in which the agent may be anywhere. Straight steps need nothing more: a
-square beside such a step is straight beside one of its ends, and as near to it.
+for a radius so much larger that the discs round both ends cover the way. Straight lines off the
+centres need cells in which the agent may be anywhere; or cells near which nothing but solid
+squares of their own level is in the way, so that a sweep of the disc along the line tells. Straight
+steps need nothing more: a square beside such a step is straight beside one of its ends, and as near
+to it.
 
 Floors are known at cells' centres: where one is a step higher than the next, the edge between
 them may be half a cell off, and so may the edges beside it. There, steps go straight from centre
@@ -17,18 +19,35 @@ import numpy as np
 
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.runtime.blocks.shape import Margins
-from navbake.runtime.inflation.inflate import check_radius, find_blocked
-from navbake.types import Bool
+from navbake.runtime.inflation.inflate import (
+    check_radius,
+    find_blocked,
+    find_blocked_by_others,
+)
+from navbake.types import Bool, Json
 
 STEEP = 1.001  # rise, in cells, over which neighbours are a step, not a slope
 
 
 def exact_radius(grid: NavGrid) -> float:
     """The radius that the grid was inflated for in mode `exact` [m]; 0 if it wasn't."""
+    radii = [entry.get("radius") for entry in _exact_entries(grid)]
+    return max((float(r) for r in radii if isinstance(r, int | float)), default=0.0)
+
+
+def _exact_entries(grid: NavGrid) -> list[Json]:
     done = grid.metadata.get("inflation")  # in files of other programs this may be anything
     entries = [e for e in done if isinstance(e, dict)] if isinstance(done, list) else []
-    radii = [entry.get("radius") for entry in entries if entry.get("mode") == "exact"]
-    return max((float(r) for r in radii if isinstance(r, int | float)), default=0.0)
+    return [entry for entry in entries if entry.get("mode") == "exact"]
+
+
+def ledges_of(grid: NavGrid) -> str:
+    """Whether the grid's inflation avoids ledges: ``avoid`` or ``ignore``.
+
+    Files that were inflated before there was a choice say nothing, and ignore them.
+    """
+    avoids = any(entry.get("ledges") == "avoid" for entry in _exact_entries(grid))
+    return "avoid" if avoids else "ignore"
 
 
 def agent_radius(grid: NavGrid) -> float:
@@ -46,20 +65,26 @@ def margins_of(grid: NavGrid, radius: float | None = None) -> Margins:
     return Margins(radius, *_larger(radius, max(p.lattice.cell_size for p in grid.levels)))
 
 
-def find_room(grid: NavGrid) -> tuple[Bool, Bool] | None:
+def find_room(grid: NavGrid) -> tuple[Bool, Bool, Bool] | None:
     """Find the cells clear enough to step diagonally, and those clear off their centres.
 
-    Two masks by flat id; they say nothing of cells that are not free. None without a radius.
+    Of the latter, first those that are clear, then with those where only squares of their own
+    level may be in the way. Masks by flat id; they say nothing of cells that are not free. None
+    without a radius.
     """
     radius = exact_radius(grid)
     if radius == 0.0:
         return None
-    masks: tuple[list[Bool], list[Bool]] = ([], [])
+    ledges, masks = ledges_of(grid), []
     for number, level in enumerate(grid.levels):
-        at_edge = _at_edges(level)
-        for mask, larger in zip(masks, _larger(radius, level.lattice.cell_size), strict=True):
-            mask.append(~(find_blocked(grid, number, larger) | at_edge).ravel())
-    return np.concatenate(masks[0]), np.concatenate(masks[1])
+        inside = ~_at_edges(level)
+        diagonal, anywhere = _larger(radius, level.lattice.cell_size)
+        is_clear = inside & ~find_blocked(grid, number, anywhere, ledges)
+        by_squares = inside & ~find_blocked_by_others(grid, number, anywhere, ledges)
+        can_turn = inside & ~find_blocked(grid, number, diagonal, ledges)
+        masks.append([mask.ravel() for mask in (can_turn, is_clear, is_clear | by_squares)])
+    one, two, three = (np.concatenate(parts) for parts in zip(*masks, strict=True))
+    return one, two, three
 
 
 def _at_edges(level: SceneGrid2D) -> Bool:

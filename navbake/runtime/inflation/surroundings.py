@@ -21,9 +21,11 @@ class Surroundings:
         level: index of the level in the arrays.
         rows, cols: the level's own rectangle in the arrays.
         floor: world z of the floor [m], NaN for none, shape (levels, rows, cols).
-        occupied: 1 beyond a level's rectangle, shape (levels, rows, cols).
+        occupied: `SceneGrid2D.solid`, and 1 beyond a level's rectangle, shape (levels, rows, cols).
         step: by how much floors of neighbours may differ [m].
-        height, baked_radius: of the agent [m]; the radius is 0 where the file has none.
+        height: of the agent [m].
+        baked_radius: of the disc that is part of `occupied` [m]; 0 where the file has none, or
+            the squares alone in a layer ``solid``.
     """
 
     level: int
@@ -44,10 +46,12 @@ def find_surroundings(grid: NavGrid, number: int, reach: int) -> Surroundings:
     left out.
     """
     level = grid.levels[number]
-    agent = step_limit(grid) * grid.unit, grid.agent_height, grid.agent_radius
+    has_solid = bool(level.navbake) and "solid" in level.attributes
+    baked_radius = 0.0 if has_solid else grid.agent_radius
+    agent = step_limit(grid) * grid.unit, grid.agent_height, baked_radius
     if len(grid.levels) == 1:
         inside = slice(0, level.height), slice(0, level.width)
-        floor, occupied = _floor(level)[None], np.ascontiguousarray(level.occupancy)[None]
+        floor, occupied = _floor(level)[None], np.ascontiguousarray(level.solid)[None]
         return Surroundings(0, *inside, floor, occupied, *agent)
     shifts = [_shift(level.lattice, other.lattice) for other in grid.levels]
     together = [i for i, shift in enumerate(shifts) if shift is not None]
@@ -61,7 +65,7 @@ def find_surroundings(grid: NavGrid, number: int, reach: int) -> Surroundings:
     occupied = np.ones(shape, dtype=np.uint8)
     for i, (part, row, col) in enumerate(placed):
         _paste(floor[i], _floor(part), row - top, col - left)
-        _paste(occupied[i], part.occupancy, row - top, col - left)
+        _paste(occupied[i], part.solid, row - top, col - left)
     rows, cols = slice(-top, level.height - top), slice(-left, level.width - left)
     return Surroundings(together.index(number), rows, cols, floor, occupied, *agent)
 

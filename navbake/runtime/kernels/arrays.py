@@ -102,6 +102,25 @@ class Graph(NamedTuple):
     num_buckets: int
 
 
+class OffCenter(NamedTuple):
+    """Where an agent of a radius may be off the centres of cells.
+
+    Attributes:
+        anywhere: by cell: free, wherever in the cell the agent is.
+        by_squares: by cell: so, or free and in the way of nothing but solid squares of its own
+            level, so that a sweep of the disc decides.
+        solid_before: see `navbake.runtime.kernels.sweep`.
+        radius: of the agent [m]; 0 if only free cells count.
+        is_closed: whether all beyond a level's cells is solid.
+    """
+
+    anywhere: Bool
+    by_squares: Bool
+    solid_before: Int32
+    radius: float
+    is_closed: bool
+
+
 class Entries(NamedTuple):
     """Memory for the entries of a queue, see `navbake.runtime.kernels.buckets`; of one length."""
 

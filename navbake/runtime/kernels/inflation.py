@@ -10,7 +10,8 @@ a conflict possible: one step of a min-max pyramid.
 
 Arrays have the shape (rows, cols), `floor` (levels, rows, cols) and float32 [m], NaN for none;
 `occupied` is uint8. `offsets` are the steps from an agent's cell to the cells that it meets,
-(n, 2) int64, and `reach` is the longest of them along an axis. `blocked` is bool and written.
+(n, 2) int64, and `reach` is the longest of them along an axis; `ranges` are those of `tile_ranges`.
+`blocked` is bool and written.
 """
 
 import numpy as np
@@ -91,14 +92,15 @@ def squared_distances(occupied, reach):
 
 
 @njit(cache=True)
-def refine_window(occupied, has_floor, radius, clearance, reach, least, weights):
+def refine_window(occupied, has_floor, radius, far, reach, least, weights):
     """Weigh each cell by the cells of a window around it, as the original client does.
 
     The window runs from `reach` before the cell to `reach` - 1 after it, along both axes; `least`
-    is the share of the cells within the radius that must have a floor. Writes `weights`, float64.
+    is the share of the cells within the radius that must have a floor; `far` is the radius plus
+    the clearance. Writes `weights`, float64.
     """
     rows, cols = occupied.shape
-    inner, outer = radius * radius, (radius + clearance) * (radius + clearance)
+    inner, outer = radius * radius, far * far
     for row in range(rows):
         for col in range(cols):
             weights[row, col] = _weigh(occupied, has_floor, row, col, inner, outer, reach, least)
@@ -149,14 +151,14 @@ def block_near_holes(has_floor, todo, offsets, squares, least, blocked):
 
 
 @njit(cache=True)
-def block_below_floors(floor, level, offsets, reach, step, top, blocked):
+def block_below_floors(floor, ranges, level, offsets, reach, step, top, blocked):
     """Block cells of a level from which a floor that they meet is more than a step higher [m].
 
     The floor of another level that is `top` higher [m] or more is not in the way.
     """
     levels, rows, cols = floor.shape
     own = floor[level]
-    low, high = _tile_ranges(floor)
+    low, high = ranges
     tiles = (reach + TILE - 1) // TILE
     for upper in range(levels):
         limit = np.inf if upper == level else top
@@ -196,7 +198,114 @@ def _block_lower(floor, height, row, col, offsets, step, limit, blocked):
 
 
 @njit(cache=True)
-def block_across(floor, occupied, level, offsets, overlap, reach, blocked):
+def block_above_drops(floor, ranges, level, offsets, reach, step, blocked):
+    """Block cells of a level that meet a column whose floor is more than a step lower [m].
+
+    A column is a drop for an agent where some level's floor lies more than a step below its own,
+    and no level's within a step of it.
+    """
+    low, high = ranges
+    tiles = (reach + TILE - 1) // TILE
+    for tile_row in range(low.shape[1]):
+        for tile_col in range(low.shape[2]):
+            lowest, highest = _range_near(low[level], high[level], tile_row, tile_col, tiles)
+            bottom = low[:, tile_row, tile_col].min()
+            if not bottom < highest - step:
+                continue
+            # Few cells that are high enough, or few columns that may be low enough: the fewer are
+            # looked at one by one.
+            if _num_above(floor[level], tile_row, tile_col, reach, bottom + step) < TILE * TILE:
+                _block_upper_cells(
+                    floor, level, tile_row, tile_col, offsets, reach, bottom, step, blocked
+                )
+                continue
+            for row in range(tile_row * TILE, min((tile_row + 1) * TILE, floor.shape[1])):
+                for col in range(tile_col * TILE, min((tile_col + 1) * TILE, floor.shape[2])):
+                    if _may_be_drop(floor, row, col, lowest, highest, step):
+                        _block_higher(floor, level, row, col, offsets, step, blocked)
+
+
+@njit(cache=True)
+def _grown(tile_row, tile_col, reach, shape):
+    """First and last rows and columns, the last ones excluded, of a tile and what is round it."""
+    row, col = tile_row * TILE, tile_col * TILE
+    return (
+        max(row - reach, 0),
+        min(row + TILE + reach, shape[0]),
+        max(col - reach, 0),
+        min(col + TILE + reach, shape[1]),
+    )
+
+
+@njit(cache=True)
+def _num_above(own, tile_row, tile_col, reach, limit):
+    """How many cells within reach of a tile are higher than a limit."""
+    row0, row1, col0, col1 = _grown(tile_row, tile_col, reach, own.shape)
+    num = 0
+    for row in range(row0, row1):
+        for col in range(col0, col1):
+            num += own[row, col] > limit
+    return num
+
+
+@njit(cache=True)
+def _block_upper_cells(floor, level, tile_row, tile_col, offsets, reach, bottom, step, blocked):
+    """Block the cells round a tile, whose lowest floor is `bottom`, that meet a drop in it."""
+    own = floor[level]
+    row0, row1, col0, col1 = _grown(tile_row, tile_col, reach, own.shape)
+    for row in range(row0, row1):
+        for col in range(col0, col1):
+            height = own[row, col]
+            if blocked[row, col] or not height - bottom > step:
+                continue
+            for k in range(offsets.shape[0]):
+                r, c = row + offsets[k, 0], col + offsets[k, 1]
+                # columns of other tiles have their own turn
+                if r // TILE != tile_row or c // TILE != tile_col:
+                    continue
+                if r < own.shape[0] and c < own.shape[1] and _is_drop(floor, r, c, height, step):
+                    blocked[row, col] = True
+                    break
+
+
+@njit(inline="always")
+def _is_drop(floor, row, col, height, step):
+    """Whether a column is a drop from a height."""
+    is_below = False
+    for other in range(floor.shape[0]):
+        rise = floor[other, row, col] - height
+        if abs(rise) <= step:
+            return False
+        is_below = is_below or rise < -step
+    return is_below
+
+
+@njit(cache=True)
+def _may_be_drop(floor, row, col, lowest, highest, step):
+    """Whether a column may be a drop from some height in a range."""
+    is_below = False
+    for other in range(floor.shape[0]):
+        height = floor[other, row, col]
+        if highest - step <= height <= lowest + step:
+            return False  # it carries agents of all heights in the range
+        is_below = is_below or height < highest - step
+    return is_below
+
+
+@njit(cache=True)
+def _block_higher(floor, level, row, col, offsets, step, blocked):
+    """Block the cells round a column from which it is a drop."""
+    _, rows, cols = floor.shape
+    for k in range(offsets.shape[0]):
+        r, c = row - offsets[k, 0], col - offsets[k, 1]
+        if not (0 <= r < rows and 0 <= c < cols) or blocked[r, c]:
+            continue
+        if _is_drop(floor, row, col, floor[level, r, c], step):
+            blocked[r, c] = True
+
+
+@njit(cache=True)
+def block_across(floor, occupied, ranges, level, offsets, overlap, reach, blocked):
     """Decide again for the cells of a level near which another one has floors as high as theirs.
 
     Floors less than `overlap` apart are as high [m]. Cells that are occupied themselves stay as
@@ -207,7 +316,7 @@ def block_across(floor, occupied, level, offsets, overlap, reach, blocked):
     #   own and others'             the own level and these others
     #   only others'                these others
     _, rows, cols = floor.shape
-    low, high = _tile_ranges(floor)
+    low, high = ranges
     tiles = (reach + TILE - 1) // TILE
     for tile_row in range(low.shape[1]):
         for tile_col in range(low.shape[2]):
@@ -222,7 +331,7 @@ def block_across(floor, occupied, level, offsets, overlap, reach, blocked):
 
 
 @njit(cache=True)
-def _tile_ranges(floor):
+def tile_ranges(floor):
     """The lowest and the highest floor in each tile of each level; inf and -inf for none."""
     levels, rows, cols = floor.shape
     shape = (levels, (rows + TILE - 1) // TILE, (cols + TILE - 1) // TILE)

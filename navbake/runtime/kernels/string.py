@@ -13,22 +13,37 @@ from numba import njit
 
 from navbake.runtime.kernels.arrays import in_cells, rect_of
 from navbake.runtime.kernels.sight import crossed_cells, is_walkable, line_cost
+from navbake.runtime.kernels.sweep import disc_passes
 
 STEEP = 1.001  # rise, in cells, over which neighbours are a step, not a slope
+IN_LINE = 1e-9  # metres that a point of a straight line may be off it
 GAIN = 1e-9  # share of its cost by which rounding may make a straight line dearer
 
 
 @njit(cache=True, error_model="numpy")
-def can_pass(a, b, level, graph, anywhere):
-    """Whether a line between two points x, y of a level [m] is walkable, see `is_walkable`."""
+def can_pass(a, b, level, graph, off_center):
+    """Whether an agent can move along a line between two points x, y of a level [m].
+
+    It can where it may be anywhere in all cells that the line touches, or where these are free,
+    nothing but squares is near, and its disc meets none of them; see `is_walkable`.
+    """
     start = in_cells(graph.layout, level, a[0], a[1])
     end = in_cells(graph.layout, level, b[0], b[1])
-    return is_walkable(start, end, rect_of(graph.layout, level), graph.moves, anywhere)
+    rect, moves = rect_of(graph.layout, level), graph.moves
+    if is_walkable(start, end, rect, moves, off_center.anywhere):
+        return True
+    if off_center.radius == 0.0:
+        return False
+    if not is_walkable(start, end, rect, moves, off_center.by_squares):
+        return False
+    radius = off_center.radius / graph.layout.cell_size[level]
+    before, is_closed = off_center.solid_before, off_center.is_closed
+    return disc_passes(start, end, rect, before, radius, is_closed)
 
 
 @njit(cache=True, error_model="numpy")
-def pull_string(line, graph, anywhere):
-    """Mark the few points of a route whose connecting lines stay free, see `is_walkable`.
+def pull_string(line, graph, off_center):
+    """Mark the few points of a route whose connecting lines stay free, see `can_pass`.
 
     A straight line never costs more than what it replaces, each part counted by the weight of its
     cell, and never runs over a link.
@@ -53,14 +68,36 @@ def pull_string(line, graph, anywhere):
         good, bad, reach = here + 1, last + 1, 2
         while bad - good > 1:
             there = min(here + reach, last) if bad > last else (good + bad) // 2
-            if _is_shortcut(here, there, line, spent, graph, anywhere):
+            if _is_shortcut(here, there, line, spent, graph, off_center):
                 good = there
             else:
                 bad = there
             reach *= 2
         here = good
         kept[here] = True
+    _merge_in_line(line, kept)
     return kept
+
+
+@njit(cache=True, error_model="numpy")
+def _merge_in_line(line, kept):
+    """Unmark points on the straight line between those before and after, but for ends of links."""
+    points, num = line.points, line.points.shape[0]
+    before, here = 0, -1
+    for after in range(1, num):
+        if not kept[after]:
+            continue
+        if here >= 0:
+            way, part = points[after] - points[before], points[here] - points[before]
+            length = math.hypot(way[0], way[1])
+            off = abs(way[0] * part[1] - way[1] * part[0])
+            share = way[0] * part[0] + way[1] * part[1]
+            is_end = line.is_link[here - 1] or line.is_link[here]
+            if is_end or off > IN_LINE * length or not 0.0 <= share <= length * length:
+                before = here
+            else:
+                kept[here] = False
+        here = after
 
 
 @njit(cache=True, error_model="numpy")
@@ -72,10 +109,10 @@ def _cost(a, b, level, graph):
 
 
 @njit(cache=True, error_model="numpy")
-def _is_shortcut(i, j, line, spent, graph, anywhere):
+def _is_shortcut(i, j, line, spent, graph, off_center):
     """Whether the straight line between two points of a route is free and no dearer."""
     a, b, level = line.points[i], line.points[j], line.levels[i]
-    if not can_pass(a, b, level, graph, anywhere):
+    if not can_pass(a, b, level, graph, off_center):
         return False
     if graph.same_weight > 0.0:
         return True

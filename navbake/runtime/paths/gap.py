@@ -7,7 +7,7 @@ import numpy as np
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.flat_grid import FlatGrid
 from navbake.runtime.inflation.inflate import find_blocked
-from navbake.runtime.inflation.margins import exact_radius
+from navbake.runtime.inflation.margins import exact_radius, ledges_of
 from navbake.runtime.paths.search import Search
 from navbake.runtime.places.island_map import map_islands
 from navbake.types import Bool, Float, Int
@@ -31,24 +31,24 @@ def find_gap(grid: NavGrid, flat: FlatGrid, origin: int, goals: Int) -> Gap | No
     inflated, or no smaller radius passes.
     """
     radius = exact_radius(grid)
-    plain = deflated(grid.without_blocks())
-    if radius == 0.0 or not _joins(plain, flat, 0.0, origin, goals):
+    plain, ledges = deflated(grid.without_blocks()), ledges_of(grid)
+    if radius == 0.0 or not _joins(plain, 0.0, ledges, flat, (origin, goals)):
         return None
     # bisection: a radius that passes lets all smaller ones pass, as no larger one frees a cell
     low, high = 0.0, radius
     while high - low > FINE:
         middle = (low + high) / 2
-        if _joins(plain, flat, middle, origin, goals):
+        if _joins(plain, middle, ledges, flat, (origin, goals)):
             low = middle
         else:
             high = middle
-    free = _free_for(plain, low)
+    free = _free_for(plain, low, ledges)
     route = Search(_with_free(plain, free)).route(origin, goals)
     if route is None:
         return None
     # of the widest way, the cells that a slightly larger agent loses: the gap is one of them
     taken = _with_flanks(flat, route)
-    stops = taken[~_free_for(plain, high)[taken]]
+    stops = taken[~_free_for(plain, high, ledges)[taken]]
     return _measure(plain, flat, stops, low) if len(stops) else None
 
 
@@ -90,7 +90,7 @@ def _squares_near(
     level, size = grid.levels[number], flat.layout.cell_size[number]
     span = int(reach / size) + 2
     row0, col0 = max(row - span, 0), max(col - span, 0)
-    occupied = level.occupancy[row0 : row + span + 1, col0 : col + span + 1]
+    occupied = level.solid[row0 : row + span + 1, col0 : col + span + 1]
     rows, cols = np.nonzero(occupied)
     centers = level.lattice.positions(rows + row0, cols + col0)
     here = level.lattice.positions(row, col)
@@ -98,10 +98,10 @@ def _squares_near(
 
 
 def deflated(grid: NavGrid) -> NavGrid:
-    """The grid as it was before it was inflated, with weights of 1; itself if it wasn't."""
+    """The grid for an agent without a radius, with weights of 1; itself if it wasn't inflated."""
     if "inflation" not in grid.metadata:
         return grid
-    free = [(v.occupancy == 0) & ~np.isnan(v.floor_height) | v.free for v in grid.levels]
+    free = [(v.solid == 0) & ~np.isnan(v.floor_height) | v.free for v in grid.levels]
     return _with_free(grid, np.concatenate([mask.ravel() for mask in free]))
 
 
@@ -116,12 +116,16 @@ def _with_free(grid: NavGrid, free: Bool) -> NavGrid:
     )
 
 
-def _free_for(grid: NavGrid, radius: float) -> Bool:
-    free = [v.free & ~find_blocked(grid, k, radius) for k, v in enumerate(grid.levels)]
+def _free_for(grid: NavGrid, radius: float, ledges: str) -> Bool:
+    levels = enumerate(grid.levels)
+    free = [v.free & ~find_blocked(grid, k, radius, ledges) for k, v in levels]
     return np.concatenate([mask.ravel() for mask in free])
 
 
-def _joins(grid: NavGrid, flat: FlatGrid, radius: float, origin: int, goals: Int) -> bool:
+def _joins(
+    grid: NavGrid, radius: float, ledges: str, flat: FlatGrid, ends: tuple[int, Int]
+) -> bool:
     """Whether an agent of a radius gets to a goal."""
-    islands = map_islands(replace(flat, free=_free_for(grid, radius))).number
+    origin, goals = ends
+    islands = map_islands(replace(flat, free=_free_for(grid, radius, ledges))).number
     return bool((islands[goals] == islands[origin]).any())

@@ -14,7 +14,7 @@ from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.user_data import NAMES
 from navbake.runtime.flat_grid import FlatGrid
 from navbake.runtime.grid_cache import GridCache
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Json
 
 Goal: TypeAlias = ArrayLike | str
 """A position, several of them, ``room:NAME`` or ``object:NAME``."""
@@ -65,7 +65,8 @@ def cells_around(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
 
     On each level they are looked for ring by ring from the cells that carry the name, over cells
     in which nothing stands, so never through a wall: the nearest ring with a free cell and the
-    one after it, at most 1 m away. In an inflated grid, that is as near as the agent gets.
+    one after it, at most 1 m away. In an inflated grid, that is as near as the agent gets. What is
+    shut in by other objects, like a thing on a table, is looked for over their cells, too.
     """
     named, found = cells_named(grid, flat, name), []
     for number, level in enumerate(grid.levels):
@@ -73,7 +74,11 @@ def cells_around(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
         cells = named[(named >= part.start) & (named < part.stop)] - part.start
         if len(cells):
             free = flat.free[part].reshape(level.shape)
-            found.append(part.start + _nearest_ring(level, cells, free))
+            passable = (level.solid == 0) | free
+            ring = _nearest_ring(level, cells, free, passable)
+            if not len(ring):
+                ring = _nearest_ring(level, cells, free, passable | _holds_objects(level))
+            found.append(part.start + ring)
     return np.concatenate(found)
 
 
@@ -95,13 +100,36 @@ def cells_named(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
     return np.array(cells, dtype=np.int64)
 
 
-def _nearest_ring(level: SceneGrid2D, cells: Int, free: Bool) -> Int:
+def _holds_objects(level: SceneGrid2D) -> Bool:
+    """The cells in which objects stand, or that only objects block, and no wall."""
+    entries = {cell: _names(entry) for cell, entry in level.user_data.items()}
+    walls = {name for names in entries.values() for name in names["walls"]}
+    holds = np.zeros(level.shape, dtype=np.bool_)
+    holds.ravel()[[cell for cell, names in entries.items() if _is_of_objects(names, walls)]] = True
+    return holds
+
+
+def _is_of_objects(names: dict[str, list[str]], walls: set[str]) -> bool:
+    in_way = {*names["objects"], *names["blockers"]}
+    return bool(in_way) and not names["walls"] and not in_way & walls
+
+
+def _names(entry: Json) -> dict[str, list[str]]:
+    """The names that a cell's user data list by key; other programs may have anything there."""
+    stated = {key: entry.get(key) for key in ("objects", "walls", "blockers")}
+    return {
+        key: [name for name in value if isinstance(name, str)] if isinstance(value, list) else []
+        for key, value in stated.items()
+    }
+
+
+def _nearest_ring(level: SceneGrid2D, cells: Int, free: Bool, passable: Bool) -> Int:
+    """The free cells of the first ring over passable cells that has any, and of the next one."""
     from scipy.ndimage import binary_dilation  # saves scipy at start-up
 
     reached = np.zeros(level.shape, dtype=np.bool_)
     reached.ravel()[cells] = True
-    # where nothing stands but the object itself, so that no ring grows through a wall
-    passable = (level.occupancy == 0) | free | reached
+    passable = passable | reached
     for _ in range(math.ceil(MAX_REACH / level.lattice.cell_size)):
         if (reached & free).any():
             break

@@ -10,7 +10,7 @@ from navbake.errors import QueryError
 from navbake.navgrid.block_state import NO_DIAGONAL, NO_OFF_CENTER, BlockState, Window
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.runtime.flat_grid import flatten
-from navbake.runtime.inflation.margins import find_room
+from navbake.runtime.inflation.margins import exact_radius, find_room
 from navbake.types import Bool, Float, Int
 
 # Functions import kernels when they run: numba takes long to load.
@@ -33,21 +33,33 @@ class Search:
         free_diagonally: by flat id, bool: cells with room for a diagonal step, see
             `navbake.runtime.inflation.margins`.
         free_off_center: by flat id, bool: free cells in which an agent may be anywhere.
+        off_center: where else a line may run beside the centres, a
+            `navbake.runtime.kernels.arrays.OffCenter`.
         version: grows with each change that `update` finds.
     """
 
     def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
-        from navbake.runtime.kernels.arrays import Visits  # saves numba at start-up
+        from navbake.runtime.kernels.arrays import OffCenter, Visits  # saves numba at start-up
+        from navbake.runtime.kernels.sweep import count_solid
 
         self.grid = grid
         clean = grid.without_blocks()
         self.flat = flatten(clean)
         self.cut_corners = cut_corners
         self._room = find_room(clean)
-        self.free_diagonally, self.free_off_center = (
-            mask.copy() for mask in self._room or (self.flat.free,) * 2
+        self.free_diagonally, self.free_off_center, by_squares = (
+            mask.copy() for mask in self._room or (self.flat.free,) * 3
         )
         self.free_off_center &= self.flat.free
+        by_squares &= self.flat.free
+        solid = [level.solid.ravel() != 0 for level in clean.levels if self._room]
+        self.off_center = OffCenter(
+            anywhere=self.free_off_center,
+            by_squares=by_squares,
+            solid_before=count_solid(solid),
+            radius=exact_radius(grid),
+            is_closed=len(grid.levels) > 1,
+        )
         self._make_graph()
         self._visits = Visits(
             mark=np.zeros(self.flat.num_cells, dtype=np.int32),
@@ -90,12 +102,12 @@ class Search:
         free = np.isfinite(weight)
         cut(flat.free)[:] = free
         cut(flat.weight)[:] = np.where(free, weight, np.inf)
-        masks = (self.free_diagonally, self.free_off_center)
+        masks = (self.free_diagonally, self.free_off_center, self.off_center.by_squares)
         if self._room is None:
             for mask in masks:
                 cut(mask)[:] = free
         else:
-            layers = (NO_DIAGONAL, NO_OFF_CENTER)
+            layers = (NO_DIAGONAL, NO_OFF_CENTER, NO_OFF_CENTER)
             for mask, of_bake, layer in zip(masks, self._room, layers, strict=True):
                 held = changes.count[layer].reshape(level.shape)[inside]
                 cut(mask)[:] = cut(of_bake) & (held == 0) & free

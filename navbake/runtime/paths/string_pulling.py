@@ -18,7 +18,8 @@ def pull_route(
 
     It runs through the cells' centres or, if smooth, straight on wherever all cells that it
     touches are free, all steps between them small enough, the obstacles as far away as the grid
-    asks for, and the cost no higher. Over a link it runs as the route does. It begins and ends at
+    asks for, and the cost no higher; then no three of its points are in one line, but for heights
+    of the floor. Over a link it runs as the route does. It begins and ends at
     `start` and `end`, world x, y [m] in the first and last cell; at the cell's centre if None, or
     if obstacles are too near there.
     """
@@ -37,7 +38,7 @@ def pull_route(
         is_link = np.append(is_link, False)
     line = Line(points, level, is_link)
     if smooth:
-        kept = pull_string(line, search.graph, search.free_off_center)
+        kept = pull_string(line, search.graph, search.off_center)
         line = Line(points[kept], level[kept], is_link[np.flatnonzero(kept)[:-1]])
     positions, levels = lay_on_floor(line, flat.layout, flat.floors, BEND)
     return positions, levels
@@ -49,4 +50,4 @@ def _can_join(a: Float, b: Float, level: int, search: Search) -> bool:
 
     if np.abs(a - b).max() <= SAME:
         return False
-    return bool(can_pass(a, b, level, search.graph, search.free_off_center))
+    return bool(can_pass(a, b, level, search.graph, search.off_center))

@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike
 
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.grid_cache import GridCache
-from navbake.runtime.inflation.margins import agent_radius, exact_radius
+from navbake.runtime.inflation.margins import agent_radius, exact_radius, ledges_of
 from navbake.runtime.paths.door_map import doors_on
 from navbake.runtime.paths.gap import deflated, find_gap
 from navbake.runtime.paths.goals import Target
@@ -47,8 +47,13 @@ def _goals_trouble(cache: GridCache, target: Target) -> str:
         if len(target.positions) == 1:
             return f"the goal {first}"
         return f"none of the {len(target.positions)} goals is free: the first {first}"
-    where = "of" if target.name.startswith("room") else "within 1 m of"
-    return f"no cell {where} {target.name} is free for a radius of {_radius(cache.grid)}"
+    radius = _radius(cache.grid)
+    if target.name.startswith("room"):
+        return f"no cell of {target.name} is free for a radius of {radius}"
+    return (
+        f"no cell within 1 m of {target.name}, not counting those behind walls, is free for a "
+        f"radius of {radius}"
+    )
 
 
 def _radius(grid: NavGrid) -> str:
@@ -154,7 +159,7 @@ def _doors(cache: GridCache, origin: int, goals: Int) -> str | None:
     radius = exact_radius(grid)
     without = deflated(grid.without_blocks()).with_doors("removed")
     if radius:
-        without = without.inflate(radius)
+        without = without.inflate(radius, ledges=ledges_of(grid))
     route = Search(without, cut_corners=cache.search.cut_corners).route(origin, goals)
     if route is None:
         return None

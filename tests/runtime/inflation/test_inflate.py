@@ -77,28 +77,34 @@ def test_a_square_is_farther_at_its_corners():
 
 def test_a_higher_floor_is_a_wall_from_below_and_an_edge_from_above():
     level = level_of("0000555", "0000555")
-    assert shown(level.inflate(0.2)) == ["..##...", "..##..."]
+    assert shown(level.inflate(0.2)) == ["..####.", "..####."]
+    assert shown(level.inflate(0.2, ledges="ignore")) == ["..##...", "..##..."]
 
 
 def test_a_step_is_no_wall_but_the_next_one_is():
     level = level_of("000222444666")
     assert shown(level.inflate(0.2)) == ["............"]
     assert shown(level.inflate(0.34)) == ["............"]
-    assert shown(level.inflate(0.36)) == ["..#..#......"]
-    assert shown(level.inflate(0.46)) == [".##.##......"]
+    assert shown(level.inflate(0.36)) == ["..#..##..#.."]
+    assert shown(level.inflate(0.46)) == [".##.####.##."]
+    assert shown(level.inflate(0.36, ledges="ignore")) == ["..#..#......"]
 
 
 def test_the_bake_has_seen_to_steps_up_to_its_radius():
     level = level_of("000555")
     level.metadata["agentRadius"] = 0.12
-    assert shown(level.inflate(0.12)) == ["......"]
-    assert shown(level.inflate(0.16)) == [".##..."]
+    assert shown(level.inflate(0.12)) == ["...#.."]  # of drops the bake knows nothing
+    assert shown(level.inflate(0.12, ledges="ignore")) == ["......"]
+    assert shown(level.inflate(0.16)) == [".####."]
 
 
 def test_the_side_of_a_stair_is_a_wall_beside_it():
     rows = ["0000000", "0000000", "0246800", "0246800", "0246800", "0000000"]
-    blocked = shown(level_of(*rows).inflate(0.06))
-    assert blocked == [".......", "..###..", ".....#.", ".....#.", ".....#.", "..###.."]
+    level = level_of(*rows)
+    beside = [".......", "..###..", ".....#.", ".....#.", ".....#.", "..###.."]
+    assert shown(level.inflate(0.06, ledges="ignore")) == beside
+    both = [".......", "..###..", "..####.", "....##.", "..####.", "..###.."]
+    assert shown(level.inflate(0.06)) == both
 
 
 def test_holes_that_are_not_occupied_count_as_in_the_original():
@@ -125,9 +131,29 @@ def test_levels_see_each_other_as_the_rules_say(seed):
         levels.append(make_level(occupied, floor, *rng.integers(-4, 5, 2)))
     grid = stack(*levels)
     radius = rng.uniform(0, 0.45)
-    expected = inflation.stacked_free(grid, radius, 6)
-    for level, free in zip(grid.inflate(radius).levels, expected, strict=True):
-        np.testing.assert_array_equal(level.free, free)
+    for ledges in ("avoid", "ignore"):
+        expected = inflation.stacked_free(grid, radius, 6, ledges)
+        inflated = grid.inflate(radius, ledges=ledges)
+        for level, free in zip(inflated.levels, expected, strict=True):
+            np.testing.assert_array_equal(level.free, free)
+
+
+def test_a_gallery_ends_at_its_edge_and_the_hall_below_is_no_drop():
+    hall = level_of(*["0" * 12] * 6)
+    gallery = level_of(*["0" * 6] * 6)
+    gallery.attributes["floorHeight"] += np.float32(2.8)
+    below, above = stack(hall, gallery).inflate(0.16).levels
+    assert shown(below)[3] == "#" * 2 + "." * 8 + "#" * 2  # it ends where its floor ends
+    assert shown(above)[3] == "##..##"
+
+
+def test_the_stair_beside_a_landing_is_a_drop():
+    lower = level_of(*["2222222222"] * 3)  # treads of a stair that turns, 0.6 m under the landing
+    landing = level_of(*["8888888888"] * 4, row=3)
+    _, above = stack(lower, landing).inflate(0.06).levels
+    assert shown(above)[:2] == ["#" * 10, "#" + "." * 8 + "#"]
+    _, hangs = stack(lower, landing).inflate(0.06, ledges="ignore").levels
+    assert shown(hangs)[:2] == ["#" + "." * 8 + "#"] * 2
 
 
 def test_a_stair_leads_to_the_level_above_it():
@@ -160,7 +186,9 @@ def test_levels_off_the_others_lattice_are_looked_at_alone():
 @pytest.mark.parametrize("edge", range(12, 22))
 def test_wherever_an_edge_is_it_is_seen(edge):  # floors are compared in squares of 16 cells first
     ledge = level_of("0" * edge + "5" * 20)
-    assert shown(ledge.inflate(0.16)) == ["." * (edge - 2) + "##" + "." * 20]
+    assert shown(ledge.inflate(0.16)) == ["." * (edge - 2) + "####" + "." * 18]
+    down = level_of("5" * edge + "0" * 20)
+    assert shown(down.inflate(0.16)) == ["." * (edge - 2) + "####" + "." * 18]
     beside = stack(level_of(*["0" * edge] * 9), level_of(*["0#000"] * 9, col=edge))
     seen = shown(beside.inflate(0.26).levels[0])[4]
     assert seen == "###" + "." * (edge - 5) + "##"  # beyond the first column there is no floor
@@ -174,8 +202,8 @@ def test_metadata_tell_what_was_done_and_all_else_stays():
     level.user_data = {2: {"walls": ["w"]}}
     inflated = level.inflate(0.06).inflate(0.16, clearance=0.3)
     assert inflated.metadata["inflation"] == [
-        {"radius": 0.06, "clearance": 0.0, "mode": "exact"},
-        {"radius": 0.16, "clearance": 0.3, "mode": "exact", "costs": "step"},
+        {"radius": 0.06, "clearance": 0.0, "mode": "exact", "ledges": "avoid"},
+        {"radius": 0.16, "clearance": 0.3, "mode": "exact", "ledges": "avoid", "costs": "step"},
     ]
     assert "inflation" not in level.metadata
     assert level.free.sum() == 8
@@ -244,6 +272,7 @@ def test_doors_are_changed_before_not_after():
         ({"radius": 0.1, "costs": "nav2", "scaling": 0}, "> 0 .* as scaling, got 0"),
         ({"radius": 0.1, "costs": "nav2", "scaling": np.nan}, "as scaling, got nan"),
         ({"radius": 0.1, "costs": "nav2", "mode": "minos"}, "costs of its own"),
+        ({"radius": 0.1, "ledges": "none"}, "avoid or ignore as ledges, got 'none'"),
     ],
 )
 def test_what_makes_no_sense_is_refused(arguments, culprit):

@@ -43,6 +43,18 @@ def test_minos_is_refine_in_plain_words(seed):
     np.testing.assert_array_equal(weights, inflation.refine(level, radius, clearance))
 
 
+def test_minos_divides_the_sum():
+    level = level_of("0" * 40, "0" * 19 + "#" + "0" * 20, *["0" * 40] * 8)
+    steps = [0.05 * k for k in range(1, 20)]
+    differ = 0
+    for radius in steps:
+        for clearance in steps:
+            weights = level.inflate(radius, clearance, mode="minos").weights
+            np.testing.assert_array_equal(weights, inflation.refine(level, radius, clearance))
+            differ += radius / 0.1 + clearance / 0.1 != (radius + clearance) / 0.1
+    assert differ > 10  # the sum of the quotients would be another number
+
+
 def test_the_window_is_lopsided():
     level = level_of(*["0" * 9] * 4, "0000#0000", *["0" * 9] * 4)
     weights = level.inflate(0.25, mode="minos").weights
