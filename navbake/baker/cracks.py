@@ -1,5 +1,7 @@
 """Cracks: gaps between floors at one height that are too narrow to be any."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -20,6 +22,12 @@ AXES = 8
 SAMPLES = 4
 # Halvings of the distance between such lines: to 1e-5 m for the default width
 HALVINGS = 10
+# How far one looks around a gap, in widths of a crack, and how many neighbouring ways may be
+# without floor there: three leave an eighth of a turn open, as the inner corner of a wall does
+AROUND, OPEN_WAYS = 1.5, 2
+
+# Unit vectors of the ways, opposite ones AXES apart
+WAYS = np.stack([f(np.arange(2 * AXES) * (np.pi / AXES)) for f in (np.cos, np.sin)], axis=1)
 
 
 class Gaps(NamedTuple):
@@ -41,9 +49,13 @@ def close_cracks(
     """Move the lines that fall into a crack aside, onto the lower floor beside it.
 
     A crack is a gap between two floors at one height (within a step) that is narrower than
-    `crack` [m] in some direction, measured through the cell's centre. In place of the line that
-    falls into it, the cell gets the one just beyond the crack's edge, all of it, so that solids
-    are entered and left as often as they should be.
+    `crack` [m] in some direction, measured through the cell's centre, with floor nearly all
+    around: in an inner corner, gaps are narrow too. In place of the line that falls into it, the
+    cell gets the one just beyond the crack's edge, all of it, so that solids are entered and left
+    as often as they should be.
+
+    Args:
+        tiled: what the columns were cast at, listed for lines up to `crack_reach` away.
     """
     if crack == 0:
         return columns
@@ -51,13 +63,20 @@ def close_cracks(
     gaps = _find_gaps(columns, limits, crack)
     if not len(gaps.cell):
         return columns
-    offset = _measure(gaps, tiled, limits, crack)
+    probe = _Probe(gaps, tiled, limits)
+    offset = _measure(probe, crack)
+    offset[_find_open(probe, crack)] = np.nan
     closed = np.flatnonzero(~np.isnan(offset[:, 0]))
     # of several gaps in a cell, over each other, the lowest that is a crack decides
     cells, first = np.unique(gaps.cell[closed], return_index=True)
     if not len(cells):
         return columns
     return _replace_lines(columns, tiled, cells, offset[closed[first]])
+
+
+def crack_reach(crack: float) -> float:
+    """How far from a cell's centre one looks for cracks of a width [m]."""
+    return AROUND * crack
 
 
 def _find_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
@@ -75,15 +94,23 @@ def _find_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
     return Gaps(np.repeat(np.arange(len(counts)), counts), low, high)
 
 
-def _measure(gaps: Gaps, tiled: TiledShapes, limits: AgentLimits, crack: float) -> Float:
+def _find_open(probe: _Probe, crack: float) -> Bool:
+    """Which gaps are open to one side: neighbouring ways lead to no floor."""
+    gap, way = np.divmod(np.arange(len(probe.gaps.cell) * 2 * AXES), 2 * AXES)
+    floors = probe.floors(gap, way, np.full(len(gap), crack_reach(crack)))
+    misses = np.isnan(floors).reshape(-1, 2 * AXES)
+    runs = [np.roll(misses, shift, axis=1) for shift in range(OPEN_WAYS + 1)]
+    is_open: Bool = np.logical_and.reduce(runs).any(axis=1)
+    return is_open
+
+
+def _measure(probe: _Probe, crack: float) -> Float:
     """Where beside a cell's centre the line lies that is not in the crack, NaN for no crack.
 
     Shape (n, 2) [m]. Along each of some axes, both ways, one looks for the first line that meets
     a floor, first from sample to sample, then by bisection.
     """
-    turn = np.arange(2 * AXES) * (np.pi / AXES)
-    ways = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    probe = _Probe(gaps, tiled, limits, ways)
+    gaps = probe.gaps
     gap, way = np.divmod(np.arange(len(gaps.cell) * 2 * AXES), 2 * AXES)
     near, far = np.zeros(len(gap)), np.full(len(gap), np.inf)
     for distance in crack * np.arange(1, SAMPLES + 1) / SAMPLES:
@@ -111,7 +138,7 @@ def _measure(gaps: Gaps, tiled: TiledShapes, limits: AgentLimits, crack: float) 
         # the lower floor; of two at one height, the nearer
         first = np.where(floor == beyond, far[one] <= far[other], floor < beyond)
         chosen = np.where(first, one, other)
-        offset[gap[chosen]] = ways[way[chosen]] * far[chosen][:, None]
+        offset[gap[chosen]] = WAYS[way[chosen]] * far[chosen][:, None]
     return offset
 
 
@@ -121,14 +148,11 @@ class _Probe(NamedTuple):
     gaps: Gaps
     tiled: TiledShapes
     limits: AgentLimits
-    ways: Float
 
     def floors(self, gap: Int, way: Int, distance: Float) -> Float:
         """The floor that continues a gap's sides, some way from the centre, NaN for none [m]."""
         floor = np.empty(len(gap))
-        crossings = _cast_beside(
-            self.tiled, self.gaps.cell[gap], self.ways[way] * distance[:, None]
-        )
+        crossings = _cast_beside(self.tiled, self.gaps.cell[gap], WAYS[way] * distance[:, None])
         floors_near(crossings, self.gaps.low[gap], self.gaps.high[gap], self.limits, floor)
         return floor
 

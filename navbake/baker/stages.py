@@ -17,7 +17,7 @@ import numpy as np
 from navbake.baker.clock import Progress, StageClock
 from navbake.baker.columns import Columns, TiledShapes, cast_columns, tile_shapes
 from navbake.baker.contents.contents import Contents, find_contents
-from navbake.baker.cracks import close_cracks
+from navbake.baker.cracks import close_cracks, crack_reach
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
 from navbake.baker.doors.doors import Doors, Surroundings, place_doors, warn_immovable_doors
 from navbake.baker.doors.walkable import warn_walkable_doors
@@ -121,7 +121,7 @@ class Stages:
     @cached_property
     def tiled(self) -> TiledShapes:
         """The geometry of the scene without doors, listed by tiles of the lattice."""
-        reach = max(self.footprint.reach, self.config.floors.crack)
+        reach = max(self.footprint.reach, crack_reach(self.config.floors.crack))
         return tile_shapes(self.doorless.shapes, self.lattice, reach)
 
     @cached_property

@@ -132,6 +132,17 @@ def test_a_drain_is_no_gap_and_a_shaft_is_one(folder):
         assert np.isnan(heights(stages_of(folder, geoms).columns)).any() == (not closed)
 
 
+@pytest.mark.parametrize("near", [0.0, 0.002, 0.004])
+def test_inner_corner_is_no_crack(folder, near):
+    """Beside its apex, tops of walls are near in opposite directions; the floor below stays."""
+    low = 0.05 - near
+    walls = f"""
+        <geom type="box" size="1 .1 1" pos="{low + 1} {low - 0.1} 1"/>
+        <geom type="box" size=".1 1 1" pos="{low - 0.1} {low + 0.8} 1"/>"""
+    stages = stages_of(folder, GROUND + walls)
+    assert stages.columns.z.size == cast_columns(stages.tiled).z.size
+
+
 def test_scene_without_cracks_keeps_its_columns(folder):
     geoms = GROUND + slab(-2, 2, -1, 1) + '<geom type="box" size=".05 1 1" pos="0 0 1"/>'
     stages = stages_of(folder, geoms)
