@@ -10,6 +10,7 @@ import numpy as np
 from navbake.baker.columns import Columns, TiledShapes, cast_points
 from navbake.baker.floors.sheets import agent_limits
 from navbake.baker.kernels.arrays import AgentLimits, Crossings
+from navbake.baker.kernels.constants import SLACK
 from navbake.baker.kernels.cracks import find_gaps, floors_near
 from navbake.config.settings import AgentSettings
 from navbake.types import Bool, Float, Int
@@ -135,6 +136,8 @@ def _measure(probe: _Probe, crack: float) -> Float:
     offset = np.full((len(gaps.cell), 2), np.nan)
     if len(one):
         floor, beyond = (probe.floors(gap[end], way[end], far[end]) for end in (one, other))
+        level = abs(floor - beyond) <= probe.limits.step + SLACK
+        one, other, floor, beyond = one[level], other[level], floor[level], beyond[level]
         # the lower floor; of two at one height, the nearer
         first = np.where(floor == beyond, far[one] <= far[other], floor < beyond)
         chosen = np.where(first, one, other)

@@ -5,6 +5,8 @@ from cell to cell in eight ways: a cell without floor between two cells with flo
 is a suspect. How wide the gap is, only lines beside the cell's own can tell.
 """
 
+import math
+
 import numpy as np
 from numba import njit, prange
 
@@ -46,11 +48,24 @@ def _has_room(crossings, cell, i, limits):
 
 
 @njit(inline="always")
-def _lower_side(crossings, cell, z, limits):
-    """A floor in a cell at a height or at most a step below it, or NaN."""
+def _slope(crossings, i):
+    """How steep a crossed surface that faces up is: rise over run."""
+    nx, ny, nz = crossings.normal[i, 0], crossings.normal[i, 1], crossings.normal[i, 2]
+    return math.hypot(nx, ny) / nz
+
+
+@njit(inline="always")
+def _lower_side(crossings, cell, z, slope, distance, limits):
+    """A floor in a cell at a height or below it, or NaN: by a step, and by what slopes make.
+
+    `slope` is that of the floor at the height z, `distance` how far away that is [m].
+    """
     for i in range(crossings.start[cell], crossings.start[cell + 1]):
         beside = crossings.z[i]
-        if z - limits.step - SLACK <= beside <= z + SAME and _has_room(crossings, cell, i, limits):
+        if beside > z + SAME or not _has_room(crossings, cell, i, limits):
+            continue
+        rise = distance * max(slope, _slope(crossings, i))
+        if beside >= z - limits.step - rise - SLACK:
             return beside
     return np.nan
 
@@ -77,7 +92,9 @@ def _gaps_of_cell(lattice, crossings, limits, reach, cell, low, high):
                 for back in range(1, reach + 1):
                     other = _cell_beside(lattice, cell, way, -back)
                     if other >= 0 and np.isnan(beside):
-                        beside = _lower_side(crossings, other, z, limits)
+                        away = (distance + back) * lattice.cell_size
+                        slope = _slope(crossings, i)
+                        beside = _lower_side(crossings, other, z, slope, away, limits)
                 if np.isnan(beside):
                     continue
                 band = Band(z + limits.step + TOUCH, beside + limits.headroom - TOUCH)
@@ -95,8 +112,8 @@ def find_gaps(lattice, crossings, limits, reach, start, low, high):
     """Find gaps in floors: cells that have none where cells on both sides have; call it twice.
 
     On one side, at most `reach` cells away, an agent can stand at the height `high`; on the other
-    at `low`, at most a step below; and in the cell, nothing faces up within a step of `high`,
-    and nothing is in the agent's way.
+    at `low`, at most a step below, and what the slopes of both make; and in the cell, nothing
+    faces up within a step of `high`, and nothing is in the agent's way.
 
     Args:
         limits: what an agent can stand on.
@@ -117,16 +134,17 @@ def find_gaps(lattice, crossings, limits, reach, start, low, high):
 
 @njit(cache=True)
 def floors_near(crossings, low, high, limits, floor):
-    """Find in each column the lowest surface within a step of two heights, NaN for none [m].
+    """Find in each column the lowest surface between two heights, NaN for none [m].
 
-    It faces up within the slope. `low`, `high` and `floor` have one entry a column.
+    It may be a step lower or higher, and faces up within the slope. `low`, `high` and `floor` have
+    one entry a column.
     """
     reach = limits.step + SLACK
     for n in range(floor.shape[0]):
         floor[n] = np.nan
         for i in range(crossings.start[n], crossings.start[n + 1]):
             z = crossings.z[i]
-            is_near = abs(z - low[n]) <= reach and abs(z - high[n]) <= reach
+            is_near = low[n] - reach <= z <= high[n] + reach
             if is_near and crossings.normal[i, 2] >= limits.min_up:
                 floor[n] = z
                 break
