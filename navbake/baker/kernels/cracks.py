@@ -30,10 +30,10 @@ def _cell_beside(lattice, cell, way, distance):
 
 
 @njit(inline="always")
-def _continues(crossings, cell, z, step):
-    """Whether a cell has a surface that faces up, at most a step from a height."""
+def _continues(crossings, cell, low, high):
+    """Whether a cell has a surface that faces up between two heights."""
     for i in range(crossings.start[cell], crossings.start[cell + 1]):
-        if crossings.normal[i, 2] > 0.0 and abs(crossings.z[i] - z) <= step + SLACK:
+        if crossings.normal[i, 2] > 0.0 and low - SLACK <= crossings.z[i] <= high + SLACK:
             return True
     return False
 
@@ -84,7 +84,7 @@ def _gaps_of_cell(lattice, crossings, limits, reach, cell, low, high):
                 z = crossings.z[i]
                 if crossings.normal[i, 2] < limits.min_up or abs(z - last) <= SAME:
                     continue
-                if _continues(crossings, cell, z, limits.step):
+                if _continues(crossings, cell, z - limits.step, z + limits.step):
                     continue
                 if not _has_room(crossings, one, i, limits):
                     continue
@@ -95,7 +95,8 @@ def _gaps_of_cell(lattice, crossings, limits, reach, cell, low, high):
                         away = (distance + back) * lattice.cell_size
                         slope = _slope(crossings, i)
                         beside = _lower_side(crossings, other, z, slope, away, limits)
-                if np.isnan(beside):
+                # steep ground lies between its sides: no gap either
+                if np.isnan(beside) or _continues(crossings, cell, beside, z):
                     continue
                 band = Band(z + limits.step + TOUCH, beside + limits.headroom - TOUCH)
                 if line_is_blocked(crossings, cell, band, ANY_GEOM):
