@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.kernels.arrays import Band, Crossings, Facets, Tiles
-from navbake.baker.kernels.rays import cast_lines, load_mujoco_library
-from navbake.baker.kernels.tiles import bin_boxes
+from navbake.baker.kernels.rays import cast_lines, cast_points_at, load_mujoco_library
+from navbake.baker.kernels.tiles import bin_boxes, tile_of
 from navbake.baker.scene.model import mujoco_library
 from navbake.baker.scene.shapes import Shapes, Triangles
 from navbake.navgrid.lattice import Lattice
@@ -84,6 +84,27 @@ def cast_columns(tiled: TiledShapes) -> Columns:
     if len(crossings.z):
         cast_lines(*geometry, crossings)
     return Columns(lattice, crossings)
+
+
+def cast_points(tiled: TiledShapes, cells: Int, points: Float) -> Crossings:
+    """Cross vertical lines that lie in or near cells, as `cast_columns` does; one column a line.
+
+    Args:
+        cells: the cell that each line is near to, by at most the reach of `tile_shapes`.
+        points: x and y of each line, shape (n, 2), world frame [m].
+    """
+    shapes = tiled.shapes
+    load_mujoco_library(mujoco_library())
+    heights = _height_range(shapes, tiled.lattice)
+    lines = points, tile_of(tiled.lattice, cells)
+    geometry = (shapes.solids, tiled.facets, shapes.planes, tiled.tiles, heights)
+    start = np.zeros(len(points) + 1, dtype=np.int64)
+    cast_points_at(*lines, *geometry, _empty_crossings(start, 0))
+    np.cumsum(start, out=start)
+    crossings = _empty_crossings(start, int(start[-1]))
+    if len(crossings.z):
+        cast_points_at(*lines, *geometry, crossings)
+    return crossings
 
 
 def _empty_crossings(start: Int, count: int) -> Crossings:

@@ -18,6 +18,7 @@ from navbake.baker.boxes import LevelBoxes, find_level_boxes
 from navbake.baker.clock import Progress, StageClock
 from navbake.baker.columns import Columns, TiledShapes, cast_columns, tile_shapes
 from navbake.baker.contents.contents import Contents, find_contents
+from navbake.baker.cracks import close_cracks, crack_reach
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
 from navbake.baker.doors.doors import Doors, Surroundings, place_doors, warn_immovable_doors
 from navbake.baker.doors.walkable import warn_walkable_doors
@@ -127,13 +128,15 @@ class Stages:
     @cached_property
     def tiled(self) -> TiledShapes:
         """The geometry of the scene without doors, listed by tiles of the lattice."""
-        return tile_shapes(self.doorless.shapes, self.lattice, self.footprints.whole.reach)
+        reach = max(self.footprints.whole.reach, crack_reach(self.config.floors.crack))
+        return tile_shapes(self.doorless.shapes, self.lattice, reach)
 
     @cached_property
     def columns(self) -> Columns:
-        """All surfaces on the vertical line through each cell's centre."""
+        """All surfaces on the vertical line through each cell's centre, or beside a crack there."""
+        config, tiled = self.config, self.tiled
         with self.clock.stage("columns"):
-            return cast_columns(self.tiled)
+            return close_cracks(cast_columns(tiled), tiled, config.agent, config.floors.crack)
 
     @cached_property
     def floors(self) -> Floors:

@@ -20,9 +20,8 @@ from navbake.navgrid.block_state import BLOCKED, CHANGING, BlockState
 from navbake.navgrid.grid_base import GridBase
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.level_metadata import cut_metadata
-from navbake.navgrid.links import parse_links
 from navbake.navgrid.user_data import UserData
-from navbake.types import Bool, Int, Json, Vector3
+from navbake.types import Bool, Json, Vector3
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -104,11 +103,6 @@ class SceneGrid2D(GridBase):
             user_data=self.user_data if user_data is None else user_data,
             metadata=self.metadata if metadata is None else metadata,
         )
-
-    @property
-    def link_array(self) -> Int:
-        """Steps from level to level, shape (0, 4): one level has none."""
-        return parse_links(None, [])
 
     @property
     def uses_cell_floors(self) -> bool:

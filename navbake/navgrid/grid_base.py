@@ -155,7 +155,7 @@ class GridBase:
 
     @property
     def links(self) -> tuple[Link, ...]:
-        """The steps from level to level.
+        """The steps from level to level, and between neighbours on steep ramps; see `Link`.
 
         Raises:
             FormatError: the metadata name a level or a cell that does not exist.

@@ -12,8 +12,9 @@ from navbake.types import Json
 def cut_metadata(metadata: Json, level: int) -> Json:
     """Cut metadata to one level, which becomes level 0: without rooms and doors of other levels.
 
-    Neighbours on other levels and links go, too. What is broken stays as it is: the whole grid
-    says what is wrong. `metadata` is not changed, and returned where navbake states nothing in it.
+    Neighbours on other levels and links to them go, too. What is broken stays as it is: the whole
+    grid says what is wrong. `metadata` is not changed, and returned where navbake states nothing
+    in it.
     """
     own = metadata.get("navbake")
     if not isinstance(own, dict) or not own:
@@ -22,7 +23,7 @@ def cut_metadata(metadata: Json, level: int) -> Json:
     if _are_objects(own.get("levels")):
         cut["levels"] = own["levels"][level : level + 1]
     if "links" in own:
-        cut["links"] = []
+        cut["links"] = _cut_links(own["links"], level)
     if _are_objects(own.get("rooms")):
         cut["rooms"] = _cut_rooms(own["rooms"], level)
     if _are_objects(own.get("doors")):
@@ -32,6 +33,19 @@ def cut_metadata(metadata: Json, level: int) -> Json:
 
 def _are_objects(value: Any) -> bool:
     return isinstance(value, list) and all(isinstance(entry, dict) for entry in value)
+
+
+def _cut_links(links: Any, level: int) -> list[Any]:
+    """The links within one level: neighbours on a ramp that rises more than a step over a cell."""
+    if not isinstance(links, list):
+        return []
+    rows = links if all(isinstance(row, list) for row in links) else _in_fours(links)
+    own = [row for row in rows if len(row) == 4 and row[0] == row[2] == level]
+    return [[0, row[1], 0, row[3]] for row in own]
+
+
+def _in_fours(numbers: list[Any]) -> list[Any]:
+    return [numbers[i : i + 4] for i in range(0, len(numbers), 4)]
 
 
 def _cut_rooms(rooms: list[Json], level: int) -> list[Json]:

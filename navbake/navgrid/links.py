@@ -1,4 +1,4 @@
-"""The links between levels, as a file's metadata state them."""
+"""The links between cells, as a file's metadata state them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,10 @@ from navbake.types import Int
 
 @dataclass(frozen=True)
 class Link:
-    """A step from a cell of one level to a cell of another, taken either way.
+    """A step from a cell to another that heights alone don't tell of, taken either way.
+
+    It leads to another level, or to a neighbour on the same one, more than a step higher or lower,
+    on a ramp that rises so much over a cell.
 
     Attributes:
         level, cell: a level and the id of a cell on it (col + row * width).

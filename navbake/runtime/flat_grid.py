@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
 from navbake.navgrid.cells import Cell, Cells, check_positions
@@ -34,6 +34,8 @@ class FlatGrid:
         floors: heights of the cells' floors [m], and `max_step`.
         free: by flat id, shape (n,), bool.
         weight: cost of a cell, shape (n,), float64, inf where it isn't free.
+        slopes: by flat id, uint8, to which neighbours a link leads on the same level: bits EAST
+            and SOUTH of `navbake.runtime.kernels.moves`; empty where none does.
     """
 
     layout: Layout
@@ -41,6 +43,7 @@ class FlatGrid:
     floors: Floors
     free: Bool
     weight: Float
+    slopes: NDArray[np.uint8]
 
     @property
     def num_levels(self) -> int:
@@ -160,7 +163,8 @@ def flatten(grid: NavGrid) -> FlatGrid:
     # the lengths need the cells' positions, which need a FlatGrid
     cell, start, target = _link_lists(grid.link_array, layout.start)
     links = Links(cell, start, target, np.empty(0))
-    flat = FlatGrid(layout, links, floors, free, weight)
+    slopes = _find_slopes(grid.link_array, layout)
+    flat = FlatGrid(layout, links, floors, free, weight, slopes)
     return replace(flat, links=links._replace(length=_link_lengths(flat)))
 
 
@@ -178,6 +182,22 @@ def _link_lists(links: Int, start: Int) -> tuple[Int, Int, Int]:
     pairs = np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
     cell, first = np.unique(pairs[:, 0], return_index=True)
     return cell, np.append(first, len(pairs)), np.ascontiguousarray(pairs[:, 1])
+
+
+def _find_slopes(links: Int, layout: Layout) -> NDArray[np.uint8]:
+    """The `slopes` of a FlatGrid."""
+    from navbake.runtime.kernels.moves import EAST, SOUTH  # saves numba at start-up
+
+    own = links[links[:, 0] == links[:, 2]]
+    if not len(own):
+        return np.zeros(0, dtype=np.uint8)
+    slopes = np.zeros(layout.start[-1], dtype=np.uint8)
+    low, high = np.sort(own[:, [1, 3]], axis=1).T
+    width, first = layout.width[own[:, 0]], layout.start[own[:, 0]]
+    for step, bit in ((np.ones_like(width), EAST), (width, SOUTH)):
+        beside = (high - low == step) & ((bit == SOUTH) | (low // width == high // width))
+        slopes[(first + low)[beside]] |= np.uint8(bit)
+    return slopes
 
 
 def _link_lengths(flat: FlatGrid) -> Float:

@@ -63,6 +63,7 @@ def test_defaults(house):
     assert config.floors.model_dump() == {
         "min_area": 1.0,
         "shrink": 0.3,
+        "crack": 0.03,
         "tops": False,
         "roofs": False,
     }

@@ -57,8 +57,9 @@ class Floors:
 
     Attributes:
         levels: the storeys.
-        links: level a, cell a, level b, cell b of each step between two levels, shape (n, 4),
-            int64, cells on the whole lattice.
+        links: level a, cell a, level b, cell b, shape (n, 4), int64, cells on the whole lattice:
+            each step between two levels, and each pair of neighbours, on one level or two, that
+            their slopes join but no step does.
         tops: large tops that are no floors, the largest first.
         roofs: roofs that walls stand on, likewise: storeys that nobody put a ceiling on?
         enclosed: floors inside of closed meshes, likewise; `geom` is the mesh's.
@@ -178,7 +179,11 @@ def _level_floor(
 
 def _cell_links(standable: Standable, level: Int, agent: AgentSettings) -> Int:
     step = agent.traversable_floor_height
-    a, b = find_links(standable.lattice, standable.start, standable.z, level, step).T
+    steps = find_links(standable.lattice, standable.start, standable.z, level, step)
+    slopes = standable.slopes
+    upside_down = level[slopes[:, 0]] > level[slopes[:, 1]]
+    slopes = np.where(upside_down[:, None], slopes[:, ::-1], slopes)
+    a, b = np.concatenate([steps, slopes]).T
     links = np.stack([level[a], standable.cell[a], level[b], standable.cell[b]], axis=1)
     return links[np.lexsort(links.T[::-1])]
 

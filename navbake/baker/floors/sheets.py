@@ -6,10 +6,18 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from navbake.baker.columns import Columns
-from navbake.baker.floors.kernels.sheets import group_members, join_by_steps, mark_surfaces
+from navbake.baker.floors.kernels.sheets import (
+    group_members,
+    join_by_slopes,
+    join_by_steps,
+    mark_surfaces,
+)
 from navbake.baker.floors.kernels.shrink import count_inner, near_offsets
 from navbake.baker.kernels.arrays import AgentLimits
 from navbake.baker.kernels.constants import SLACK
@@ -34,6 +42,8 @@ class Standable(NamedTuple):
         sheet: the sheet that it belongs to, shape (n,), int64.
         sheet_size: how many surfaces each sheet has, shape (sheets,), int64; a sheet that was
             dropped has none.
+        slopes: pairs of surfaces in neighbouring cells that no step joins but their slopes, see
+            `find_slopes`, shape (m, 2), int64.
     """
 
     lattice: Lattice
@@ -43,6 +53,7 @@ class Standable(NamedTuple):
     surface: Int
     sheet: Int
     sheet_size: Int
+    slopes: Int
 
     def members(self, sheets: Int) -> Iterator[tuple[int, Int]]:
         """Of some sheets, each one's number and the indices of its surfaces."""
@@ -61,7 +72,8 @@ class Standable(NamedTuple):
         start, sheet = np.concatenate([[0], np.cumsum(kept)])[self.start], self.sheet[kept]
         size = np.bincount(sheet, minlength=len(self.sheet_size))
         arrays = self.z[kept], self.cell[kept], self.surface[kept]
-        return Standable(self.lattice, start, *arrays, sheet, size)
+        slopes = (np.cumsum(kept) - 1)[self.slopes[kept[self.slopes].all(axis=1)]]
+        return Standable(self.lattice, start, *arrays, sheet, size, slopes)
 
 
 def agent_limits(agent: AgentSettings) -> AgentLimits:
@@ -86,8 +98,44 @@ def find_standable(
     surface = np.flatnonzero(is_standable)
     z, one_group = columns.z[surface], np.zeros(len(surface), dtype=np.int64)
     sheet, size = join_by_steps(lattice, start, z, one_group, limits.step)
+    slopes = find_slopes(lattice, start, z, columns.normal[surface], agent)
+    if len(slopes):
+        sheet, size = _unite(sheet, sheet[slopes], len(size))
     cell = np.repeat(np.arange(len(start) - 1), np.diff(start))
-    return Standable(lattice, start, z, cell, surface, sheet, size), floor_like
+    return Standable(lattice, start, z, cell, surface, sheet, size, slopes), floor_like
+
+
+def find_slopes(
+    lattice: Lattice, start: Int, z: Float, normal: NDArray[np.float32], agent: AgentSettings
+) -> Int:
+    """Find the pairs of surfaces that slopes join where a ramp rises more than a step over a cell.
+
+    Two surfaces of neighbouring cells, more than a step apart, are one walk when the steeper one's
+    own slope rises more than a step over a cell, and their heights differ by what the two slopes
+    predict: by anything between the two predictions (as where a ramp meets a floor somewhere
+    between the cells' centres), or by at most a step less or more than both.
+
+    Args:
+        start, z, normal: the standable surfaces, ragged by cell as in `Columns`.
+
+    Returns:
+        Pairs of surfaces, shape (m, 2), int64; none where no slope that is standable rises that
+        much.
+    """
+    step = agent.traversable_floor_height
+    if lattice.cell_size * np.tan(np.radians(agent.max_slope)) <= step:
+        return np.empty((0, 2), dtype=np.int64)
+    pairs: Int = join_by_slopes(lattice, start, z, normal, step)
+    return pairs
+
+
+def _unite(part: Int, pairs: Int, count: int) -> tuple[Int, Int]:
+    """Unite parts by pairs of their numbers: the part of each member then, and the parts' sizes."""
+    graph = coo_array((np.ones(len(pairs), dtype=np.bool_), tuple(pairs.T)), shape=(count, count))
+    _, label = connected_components(graph, directed=False)
+    # by their first members, as `join_by_steps` numbers them
+    united: Int = label.astype(np.int64)[part]
+    return united, np.bincount(united)
 
 
 def drop_furniture(standable: Standable, settings: FloorSettings) -> Standable:

@@ -268,16 +268,28 @@ def _write(column, count, facets, crossings, first):
             crossings.normal[first + i, axis] = column.normal[i, axis]
 
 
-@njit(cache=True)
-def _cast_tile(tile, lattice, solids, facets, planes, tiles, heights, crossings):
-    """Cross the lines of one tile with what lies over it."""
+@njit(inline="always")
+def _items_over(tile, tiles):
+    """The solids and the triangles over a tile."""
     nearby = tiles.solid_item[tiles.solid_start[tile] : tiles.solid_start[tile + 1]]
     begin, end = tiles.triangle_start[tile], tiles.triangle_start[tile + 1]
-    triangles = tiles.triangle_item[begin:end]
+    return nearby, tiles.triangle_item[begin:end]
+
+
+@njit(inline="always")
+def _make_room(nearby, triangles, planes):
+    """Room for one column of a tile, and for its rays."""
     most = 2 * (nearby.shape[0] + planes.geom.shape[0]) + triangles.shape[0]
     geom, facet = np.empty(most, np.int32), np.empty(most, np.int32)
     column = Column(np.empty(most), np.empty((most, 3)), geom, facet, np.empty(most, np.bool_))
-    ray = Ray(np.empty(3), np.zeros(3), np.zeros(3), np.empty(3), np.empty(3))
+    return column, Ray(np.empty(3), np.zeros(3), np.zeros(3), np.empty(3), np.empty(3))
+
+
+@njit(cache=True)
+def _cast_tile(tile, lattice, solids, facets, planes, tiles, heights, crossings):
+    """Cross the lines of one tile with what lies over it."""
+    nearby, triangles = _items_over(tile, tiles)
+    column, ray = _make_room(nearby, triangles, planes)
     writing = crossings.z.shape[0] > 0
     row0, row1, col0, col1 = tile_window(lattice, tile)
     for row in range(row0, row1):
@@ -306,3 +318,26 @@ def cast_lines(lattice, solids, facets, planes, tiles, heights, crossings):
     """
     for tile in prange(count_tiles(lattice)):
         _cast_tile(np.int64(tile), lattice, solids, facets, planes, tiles, heights, crossings)
+
+
+@njit(cache=True)
+def _cast_point(tile, x, y, n, solids, facets, planes, tiles, heights, crossings):
+    """Cross the n-th of some lines, which lies over a tile, as `_cast_tile` does."""
+    nearby, triangles = _items_over(tile, tiles)
+    column, ray = _make_room(nearby, triangles, planes)
+    count = _cross_solids(x, y, nearby, solids, column, ray)
+    count = _cross_planes(planes, heights, column, count, ray)
+    count = _cross_triangles(x, y, triangles, facets, column, count)
+    count = _drop_doubles(column, count, facets)
+    if crossings.z.shape[0] > 0:
+        _write(column, count, facets, crossings, crossings.start[n])
+    else:
+        crossings.start[n + 1] = count
+
+
+@njit(cache=True, parallel=True)
+def cast_points_at(points, tile, solids, facets, planes, tiles, heights, crossings):
+    """Cross vertical lines at points, (n, 2) [m], over tiles, (n,) int64; see `cast_lines`."""
+    for n in prange(points.shape[0]):
+        x, y = points[n, 0], points[n, 1]
+        _cast_point(tile[n], x, y, np.int64(n), solids, facets, planes, tiles, heights, crossings)

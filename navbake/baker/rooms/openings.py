@@ -59,7 +59,7 @@ def find_room_links(index: Sequence[RoomIndex], floors: Floors) -> list[tuple[Ro
     for level_a, cell_a, level_b, cell_b in floors.links.tolist():
         a = level_a, int(flat[level_a][cell_a])
         b = level_b, int(flat[level_b][cell_b])
-        if a[1] and b[1]:
+        if a[1] and b[1] and level_a != level_b:
             pairs.add((min(a, b), max(a, b)))
     return sorted(pairs)
 

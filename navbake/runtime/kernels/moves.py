@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from navbake.types import Bool, Float
 
@@ -28,6 +29,7 @@ class Footing(NamedTuple):
         free_diagonally: by cell: with enough clearance for a diagonal step.
         floor, max_step: see `navbake.runtime.kernels.arrays.Floors`.
         cut_corners: whether a diagonal step needs nothing but its target.
+        slopes: see `navbake.runtime.flat_grid.FlatGrid`.
     """
 
     free: Bool
@@ -35,17 +37,18 @@ class Footing(NamedTuple):
     floor: Float
     max_step: float
     cut_corners: bool
+    slopes: NDArray[np.uint8]
 
 
 @njit(cache=True, error_model="numpy")
 def find_moves(footing, rect, window, moves):
     """Write the moves of a window of a level: rows and columns, the last ones excluded.
 
-    A move leads to a free neighbour whose floor differs by at most `max_step`. A diagonal one
-    also needs both cells beside it, and steps over either of them, and clearance at both its
-    ends, unless corners may be cut.
+    A move leads to a free neighbour whose floor differs by at most `max_step`, or more on a slope.
+    A diagonal one also needs both cells beside it, and steps over either of them, and clearance
+    at both its ends, unless corners may be cut.
     """
-    free, diagonal, floor, max_step, cut = footing
+    free, diagonal, floor, max_step, cut, slopes = footing
     row0, row1, col0, col1 = window
     for row in range(row0, row1):
         for col in range(col0, col1):
@@ -56,20 +59,33 @@ def find_moves(footing, rect, window, moves):
                 if not (0 <= row + ROW_STEP[way] < rect.height and 0 <= col + across < rect.width):
                     continue
                 target = cell + down + across
-                if not _joined(cell, target, free, floor, max_step):
+                is_steep = False
+                if way >= 4:
+                    # a diagonal on a slope is as good as the steps over its corners
+                    is_steep = abs(floor[cell] - floor[target]) > max_step
+                    if not free[target] or (is_steep and slopes.shape[0] == 0):
+                        continue
+                elif not _joined(cell, target, free, floor, max_step, slopes):
                     continue
                 # the four cells of a corner must be connected: `found` has the two edges of this
                 # cell already, the last two tests are about those of the target
-                if (way < 4 or cut) or (
+                if (way < 4 or (cut and not is_steep)) or (
                     found & BESIDE[way] == BESIDE[way]
-                    and (diagonal[cell] and diagonal[target])
-                    and _joined(cell + across, target, free, floor, max_step)
-                    and _joined(cell + down, target, free, floor, max_step)
+                    and (cut or (diagonal[cell] and diagonal[target]))
+                    and _joined(cell + across, target, free, floor, max_step, slopes)
+                    and _joined(cell + down, target, free, floor, max_step, slopes)
                 ):
                     found |= 1 << way
             moves[cell] = found
 
 
 @njit(cache=True, error_model="numpy")
-def _joined(a, b, free, floor, max_step):
-    return free[b] and not abs(floor[a] - floor[b]) > max_step  # so that NaN, no floor, is no step
+def _joined(a, b, free, floor, max_step, slopes):
+    if not free[b]:
+        return False
+    if not abs(floor[a] - floor[b]) > max_step:  # so that NaN, no floor, is no step
+        return True
+    if slopes.shape[0] == 0:
+        return False
+    bit = EAST if abs(a - b) == 1 else SOUTH
+    return slopes[min(a, b)] & bit != 0

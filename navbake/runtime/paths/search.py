@@ -122,8 +122,9 @@ class Search:
         rows = max(window[0], 0), min(window[1], rect.height)
         cols = max(window[2], 0), min(window[3], rect.width)
         footing = Footing(
-            self.flat.free, self.free_diagonally, floors.z, floors.max_step, self.cut_corners
-        )
+            self.flat.free, self.free_diagonally, floors.z, floors.max_step, self.cut_corners,
+            self.flat.slopes,
+        )  # fmt: skip
         find_moves(footing, rect, (*rows, *cols), self.graph.moves)
 
     def route(self, origin: int, goals: Int) -> Int | None:

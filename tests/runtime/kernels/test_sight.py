@@ -42,7 +42,9 @@ def test_walkable_lines_touch_only_cells_that_hang_together(seed):
     anywhere = free & (rng.random(free.size) < 0.95)
     floor = rng.choice([0.0, 0.2, 0.4], free.size, p=[0.8, 0.1, 0.1])
     moves = np.zeros(free.size, np.uint8)
-    find_moves(Footing(free, free, floor, 0.25, False), RECT, (0, HEIGHT, 0, WIDTH), moves)
+    no_slopes = np.zeros(0, dtype=np.uint8)
+    footing = Footing(free, free, floor, 0.25, False, no_slopes)
+    find_moves(footing, RECT, (0, HEIGHT, 0, WIDTH), moves)
     answers = []
     for _ in range(40):
         line = random_line(rng)

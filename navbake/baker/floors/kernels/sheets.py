@@ -123,6 +123,54 @@ def join_by_steps(lattice, start, z, group, step):
     return part, size[:count].copy()
 
 
+@njit(inline="always")
+def _slope_joins(dz, one, other, step):
+    """Whether slopes join two surfaces of neighbouring cells that are `dz` apart.
+
+    `one` and `other` are the rises over a cell that each one's slope predicts; the steeper one is
+    more than a step. Between them lies whatever a floor with these two slopes may rise that bends
+    somewhere on the way, as at a ramp's foot.
+    """
+    if max(abs(one), abs(other)) <= step + SLACK:
+        return False
+    if min(one, other) - SLACK <= dz <= max(one, other) + SLACK:
+        return True
+    return abs(dz - one) <= step + SLACK and abs(dz - other) <= step + SLACK
+
+
+@njit(cache=True)
+def join_by_slopes(lattice, start, z, normal, step):
+    """Find the pairs of surfaces in neighbouring cells that their slopes join, but no step does.
+
+    Surfaces are listed as for `join_by_steps`, with their normals, (n, 3) float32. Returns the
+    pairs, (m, 2) int64, by cell.
+    """
+    pairs = np.empty((0, 2), np.int64)
+    for writing in (False, True):
+        count = 0
+        for cell in range(start.shape[0] - 1):
+            for way in range(2):
+                other = neighbour(lattice, cell, way)
+                if other < 0:
+                    continue
+                for a in range(start[cell], start[cell + 1]):
+                    for b in range(start[other], start[other + 1]):
+                        dz = z[b] - z[a]
+                        if abs(dz) <= step + SLACK:
+                            continue
+                        # rows run south, against y
+                        axis, turn = (0, -lattice.cell_size) if way == 0 else (1, lattice.cell_size)
+                        rise_a = turn * normal[a, axis] / normal[a, 2]
+                        rise_b = turn * normal[b, axis] / normal[b, 2]
+                        if _slope_joins(dz, rise_a, rise_b, step):
+                            if writing:
+                                pairs[count, 0], pairs[count, 1] = a, b
+                            count += 1
+        if not writing:
+            pairs = np.empty((count, 2), np.int64)
+    return pairs
+
+
 @njit(cache=True)
 def group_members(part, size):
     """List the members of each part, given the part of each surface and the parts' sizes.

@@ -1,0 +1,187 @@
+"""Cracks: gaps between floors at one height that are too narrow to be any."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from navbake.baker.columns import Columns, TiledShapes, cast_points
+from navbake.baker.floors.sheets import agent_limits
+from navbake.baker.kernels.arrays import AgentLimits, Crossings
+from navbake.baker.kernels.constants import SLACK
+from navbake.baker.kernels.cracks import find_gaps, floors_near
+from navbake.config.settings import AgentSettings
+from navbake.types import Bool, Float, Int
+
+# Ways in which a gap's width is measured, over half a turn: the widths of a gap that runs between
+# two of them are 2 % too large at most
+AXES = 8
+# Lines a way at first: a crack beside one is found when the slab in between is wider than a
+# quarter of the crack's width
+SAMPLES = 4
+# Halvings of the distance between such lines: to 1e-5 m for the default width
+HALVINGS = 10
+# How far one looks around a gap, in widths of a crack, and how many neighbouring ways may be
+# without floor there: three leave an eighth of a turn open, as the inner corner of a wall does
+AROUND, OPEN_WAYS = 1.5, 2
+
+# Unit vectors of the ways, opposite ones AXES apart
+WAYS = np.stack([f(np.arange(2 * AXES) * (np.pi / AXES)) for f in (np.cos, np.sin)], axis=1)
+
+
+class Gaps(NamedTuple):
+    """Places where a cell has no floor between cells with floors at one height.
+
+    Attributes:
+        cell: cell ids, ascending, shape (n,), int64.
+        low, high: heights of the floors on both sides, shape (n,), float64 [m].
+    """
+
+    cell: Int
+    low: Float
+    high: Float
+
+
+def close_cracks(
+    columns: Columns, tiled: TiledShapes, agent: AgentSettings, crack: float
+) -> Columns:
+    """Move the lines that fall into a crack aside, onto the lower floor beside it.
+
+    A crack is a gap between two floors at one height (within a step) that is narrower than
+    `crack` [m] in some direction, measured through the cell's centre, with floor nearly all
+    around: in an inner corner, gaps are narrow too. In place of the line that falls into it, the
+    cell gets the one just beyond the crack's edge, all of it, so that solids are entered and left
+    as often as they should be.
+
+    Args:
+        tiled: what the columns were cast at, listed for lines up to `crack_reach` away.
+    """
+    if crack == 0:
+        return columns
+    limits = agent_limits(agent)
+    gaps = _find_gaps(columns, limits, crack)
+    if not len(gaps.cell):
+        return columns
+    probe = _Probe(gaps, tiled, limits)
+    offset = _measure(probe, crack)
+    offset[_find_open(probe, crack)] = np.nan
+    closed = np.flatnonzero(~np.isnan(offset[:, 0]))
+    # of several gaps in a cell, over each other, the lowest that is a crack decides
+    cells, first = np.unique(gaps.cell[closed], return_index=True)
+    if not len(cells):
+        return columns
+    return _replace_lines(columns, tiled, cells, offset[closed[first]])
+
+
+def crack_reach(crack: float) -> float:
+    """How far from a cell's centre one looks for cracks of a width [m]."""
+    return AROUND * crack
+
+
+def _find_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
+    lattice = columns.lattice
+    start = np.zeros(len(columns.start), dtype=np.int64)
+    none = np.empty(0)
+    # how far the nearest line beyond a crack may be, in cells
+    reach = int(crack / lattice.cell_size) + 1
+    find_gaps(lattice, columns.crossings, limits, reach, start, none, none)
+    counts = start[1:].copy()
+    np.cumsum(start, out=start)
+    low, high = np.empty(start[-1]), np.empty(start[-1])
+    if start[-1]:
+        find_gaps(lattice, columns.crossings, limits, reach, start, low, high)
+    return Gaps(np.repeat(np.arange(len(counts)), counts), low, high)
+
+
+def _find_open(probe: _Probe, crack: float) -> Bool:
+    """Which gaps are open to one side: neighbouring ways lead to no floor."""
+    gap, way = np.divmod(np.arange(len(probe.gaps.cell) * 2 * AXES), 2 * AXES)
+    floors = probe.floors(gap, way, np.full(len(gap), crack_reach(crack)))
+    misses = np.isnan(floors).reshape(-1, 2 * AXES)
+    runs = [np.roll(misses, shift, axis=1) for shift in range(OPEN_WAYS + 1)]
+    is_open: Bool = np.logical_and.reduce(runs).any(axis=1)
+    return is_open
+
+
+def _measure(probe: _Probe, crack: float) -> Float:
+    """Where beside a cell's centre the line lies that is not in the crack, NaN for no crack.
+
+    Shape (n, 2) [m]. Along each of some axes, both ways, one looks for the first line that meets
+    a floor, first from sample to sample, then by bisection.
+    """
+    gaps = probe.gaps
+    gap, way = np.divmod(np.arange(len(gaps.cell) * 2 * AXES), 2 * AXES)
+    near, far = np.zeros(len(gap)), np.full(len(gap), np.inf)
+    for distance in crack * np.arange(1, SAMPLES + 1) / SAMPLES:
+        asked = np.flatnonzero(np.isinf(far))
+        hits = ~np.isnan(probe.floors(gap[asked], way[asked], np.full(len(asked), distance)))
+        far[asked[hits]] = distance
+        near[asked[~hits]] = distance
+    # an axis is two opposite ways: only where the two may add up to a crack, they matter
+    opposite = gap * 2 * AXES + (way + AXES) % (2 * AXES)
+    asked = np.flatnonzero(np.isfinite(far) & np.isfinite(far[opposite]))
+    asked = asked[near[asked] + near[opposite[asked]] < crack]
+    for _ in range(HALVINGS):
+        middle = (near[asked] + far[asked]) / 2
+        hits = ~np.isnan(probe.floors(gap[asked], way[asked], middle))
+        far[asked[hits]], near[asked[~hits]] = middle[hits], middle[~hits]
+    width = np.full(len(gap), np.inf)
+    width[asked] = far[asked] + far[opposite[asked]]
+    narrowest = width.reshape(-1, 2 * AXES).argmin(axis=1)  # one of the first half of the turn
+    one = np.arange(len(gaps.cell)) * 2 * AXES + narrowest
+    one = one[width[one] < crack]
+    other = opposite[one]
+    offset = np.full((len(gaps.cell), 2), np.nan)
+    if len(one):
+        floor, beyond = (probe.floors(gap[end], way[end], far[end]) for end in (one, other))
+        level = abs(floor - beyond) <= probe.limits.step + SLACK
+        one, other, floor, beyond = one[level], other[level], floor[level], beyond[level]
+        # the lower floor; of two at one height, the nearer
+        first = np.where(floor == beyond, far[one] <= far[other], floor < beyond)
+        chosen = np.where(first, one, other)
+        offset[gap[chosen]] = WAYS[way[chosen]] * far[chosen][:, None]
+    return offset
+
+
+class _Probe(NamedTuple):
+    """Looks for floors on lines beside the centres of the cells with gaps."""
+
+    gaps: Gaps
+    tiled: TiledShapes
+    limits: AgentLimits
+
+    def floors(self, gap: Int, way: Int, distance: Float) -> Float:
+        """The floor that continues a gap's sides, some way from the centre, NaN for none [m]."""
+        floor = np.empty(len(gap))
+        crossings = _cast_beside(self.tiled, self.gaps.cell[gap], WAYS[way] * distance[:, None])
+        floors_near(crossings, self.gaps.low[gap], self.gaps.high[gap], self.limits, floor)
+        return floor
+
+
+def _cast_beside(tiled: TiledShapes, cells: Int, offset: Float) -> Crossings:
+    """The crossings of lines at offsets, shape (n, 2) [m], from cells' centres; one a column."""
+    centers = tiled.lattice.positions(*np.divmod(cells, tiled.lattice.width))
+    return cast_points(tiled, cells, centers + offset)
+
+
+def _replace_lines(columns: Columns, tiled: TiledShapes, cells: Int, offset: Float) -> Columns:
+    """The columns with other lines, at offsets from the centres, in some cells (ascending)."""
+    old, new = columns.crossings, _cast_beside(tiled, cells, offset)
+    counts = np.diff(old.start)
+    kept: Bool = np.ones(len(counts), dtype=np.bool_)
+    kept[cells] = False
+    kept = np.repeat(kept, counts)
+    counts[cells] = np.diff(new.start)
+    start = np.concatenate([[0], np.cumsum(counts)])
+    replaced = np.zeros(len(counts), dtype=np.bool_)
+    replaced[cells] = True
+    replaced = np.repeat(replaced, counts)
+    parts = {"start": start}
+    for name in ("z", "normal", "geom", "closed"):
+        was, now = getattr(old, name), getattr(new, name)
+        values = np.empty((len(replaced), *was.shape[1:]), dtype=was.dtype)
+        values[~replaced], values[replaced] = was[kept], now
+        parts[name] = values
+    return replace(columns, crossings=old._replace(**parts))

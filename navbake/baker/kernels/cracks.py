@@ -1,0 +1,151 @@
+"""Cells whose line may have fallen into a crack between two floors.
+
+A morphological closing in one dimension (Serra, Image Analysis and Mathematical Morphology, 1982),
+from cell to cell in eight ways: a cell without floor between two cells with floors at one height
+is a suspect. How wide the gap is, only lines beside the cell's own can tell.
+"""
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from navbake.baker.kernels.arrays import Band
+from navbake.baker.kernels.constants import SAME, SLACK, TOUCH
+from navbake.baker.kernels.overlap import ANY_GEOM, line_is_blocked
+
+# The eight ways to a neighbour, by row and column
+ROW_STEP = np.array([0, 1, 0, -1, 1, 1, -1, -1])
+COL_STEP = np.array([1, 0, -1, 0, 1, -1, -1, 1])
+
+
+@njit(inline="always")
+def _cell_beside(lattice, cell, way, distance):
+    """The cell some cells away, or -1 beyond the lattice."""
+    row = cell // lattice.width + ROW_STEP[way] * distance
+    col = cell % lattice.width + COL_STEP[way] * distance
+    if 0 <= row < lattice.height and 0 <= col < lattice.width:
+        return row * lattice.width + col
+    return np.int64(-1)
+
+
+@njit(inline="always")
+def _continues(crossings, cell, low, high):
+    """Whether a cell has a surface that faces up between two heights."""
+    for i in range(crossings.start[cell], crossings.start[cell + 1]):
+        if crossings.normal[i, 2] > 0.0 and low - SLACK <= crossings.z[i] <= high + SLACK:
+            return True
+    return False
+
+
+@njit(inline="always")
+def _has_room(crossings, cell, i, limits):
+    """Whether a crossing of a cell faces up within the slope, with room for an agent."""
+    if crossings.normal[i, 2] < limits.min_up:
+        return False
+    low, high = crossings.z[i] + SAME, crossings.z[i] + limits.headroom - SLACK
+    return not line_is_blocked(crossings, cell, Band(low, high), ANY_GEOM)
+
+
+@njit(inline="always")
+def _slope(crossings, i):
+    """How steep a crossed surface that faces up is: rise over run."""
+    nx, ny, nz = crossings.normal[i, 0], crossings.normal[i, 1], crossings.normal[i, 2]
+    return math.hypot(nx, ny) / nz
+
+
+@njit(inline="always")
+def _lower_side(crossings, cell, z, slope, distance, limits):
+    """A floor in a cell at a height or below it, or NaN: by a step, and by what slopes make.
+
+    `slope` is that of the floor at the height z, `distance` how far away that is [m].
+    """
+    for i in range(crossings.start[cell], crossings.start[cell + 1]):
+        beside = crossings.z[i]
+        if beside > z + SAME or not _has_room(crossings, cell, i, limits):
+            continue
+        rise = distance * max(slope, _slope(crossings, i))
+        if beside >= z - limits.step - rise - SLACK:
+            return beside
+    return np.nan
+
+
+@njit(cache=True)
+def _gaps_of_cell(lattice, crossings, limits, reach, cell, low, high):
+    """Write the gaps of one cell, unless there is no room for them; returns their number."""
+    count = 0
+    last = np.inf
+    for way in range(8):
+        for distance in range(1, reach + 1):
+            one = _cell_beside(lattice, cell, way, distance)
+            if one < 0:
+                break
+            for i in range(crossings.start[one], crossings.start[one + 1]):
+                z = crossings.z[i]
+                if crossings.normal[i, 2] < limits.min_up or abs(z - last) <= SAME:
+                    continue
+                if _continues(crossings, cell, z - limits.step, z + limits.step):
+                    continue
+                if not _has_room(crossings, one, i, limits):
+                    continue
+                beside = np.nan
+                for back in range(1, reach + 1):
+                    other = _cell_beside(lattice, cell, way, -back)
+                    if other >= 0 and np.isnan(beside):
+                        away = (distance + back) * lattice.cell_size
+                        slope = _slope(crossings, i)
+                        beside = _lower_side(crossings, other, z, slope, away, limits)
+                # steep ground lies between its sides: no gap either
+                if np.isnan(beside) or _continues(crossings, cell, beside, z):
+                    continue
+                band = Band(z + limits.step + TOUCH, beside + limits.headroom - TOUCH)
+                if line_is_blocked(crossings, cell, band, ANY_GEOM):
+                    continue
+                if low.shape[0] > 0:
+                    low[count], high[count] = beside, z
+                last = z
+                count += 1
+    return count
+
+
+@njit(cache=True, parallel=True)
+def find_gaps(lattice, crossings, limits, reach, start, low, high):
+    """Find gaps in floors: cells that have none where cells on both sides have; call it twice.
+
+    On one side, at most `reach` cells away, an agent can stand at the height `high`; on the other
+    at `low`, at most a step below, and what the slopes of both make; and in the cell, nothing
+    faces up within a step of `high`, and nothing is in the agent's way.
+
+    Args:
+        limits: what an agent can stand on.
+        start: (cells + 1,) int64; in the first call, ``start[cell + 1]`` receives the number of
+            gaps; in the second, the running sums stand there.
+        low, high: empty in the first call; receive the heights of each gap's sides [m].
+    """
+    for cell in prange(start.shape[0] - 1):
+        if low.shape[0] > 0:
+            first, end = start[cell], start[cell + 1]
+            if end > first:
+                part = low[first:end], high[first:end]
+                _gaps_of_cell(lattice, crossings, limits, reach, np.int64(cell), *part)
+        else:
+            count = _gaps_of_cell(lattice, crossings, limits, reach, np.int64(cell), low, high)
+            start[cell + 1] = count
+
+
+@njit(cache=True)
+def floors_near(crossings, low, high, limits, floor):
+    """Find in each column the lowest surface between two heights, NaN for none [m].
+
+    It may be a step lower or higher, and faces up within the slope. `low`, `high` and `floor` have
+    one entry a column.
+    """
+    reach = limits.step + SLACK
+    for n in range(floor.shape[0]):
+        floor[n] = np.nan
+        for i in range(crossings.start[n], crossings.start[n + 1]):
+            z = crossings.z[i]
+            is_near = low[n] - reach <= z <= high[n] + reach
+            if is_near and crossings.normal[i, 2] >= limits.min_up:
+                floor[n] = z
+                break

@@ -1,0 +1,136 @@
+"""Ramps that rise more than a step over a cell are one walk, at any size of cells."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import navbake
+from navbake.baker.assemble import build_grid
+from navbake.baker.floors.kernels.sheets import join_by_slopes
+from navbake.baker.floors.sheets import find_standable
+from navbake.baker.stages import bake_stages
+from navbake.navgrid.islands import find_islands
+from navbake.navgrid.lattice import Lattice
+from navbake.runtime.path_finder import PathFinder
+
+# a floor at 0, a ramp that rises 1 m over x 0 to RUN, and a floor at 1, each 4 m wide
+STEP = 0.02
+
+
+def scene(run: float, beside: str = "") -> str:
+    length, angle = math.hypot(run, 1.0), math.atan2(1.0, run)
+    x, z = run / 2 + 0.05 * math.sin(angle), 0.5 - 0.05 * math.cos(angle)
+    turn = f'euler="0 {-math.degrees(angle)} 0"'
+    return f"""<mujoco><worldbody>
+      <geom type="box" size="1.5 2 .1" pos="-1.5 0 -.1"/>
+      <geom type="box" size="{length / 2} 2 .05" pos="{x} 0 {z}" {turn}/>
+      <geom type="box" size="1.5 2 .1" pos="{run + 1.5} 0 .9"/>{beside}
+    </worldbody></mujoco>"""
+
+
+@pytest.fixture
+def stages_of(tmp_path: Path):
+    def run(xml: str, cell: float = 0.1, step: float = STEP, **agent):
+        path = tmp_path / "ramp.xml"
+        path.write_text(xml)
+        agent = {"traversable_floor_height": step, "max_slope": 60, **agent}
+        config = {"scene": {"path": str(path)}, "agent": agent, "grid": {"cell_size": cell}}
+        return bake_stages(config)
+
+    return run
+
+
+@pytest.fixture
+def bake(stages_of):
+    return lambda *args, **kwargs: build_grid(stages_of(*args, **kwargs))
+
+
+@pytest.mark.parametrize(("cell", "run"), [(0.1, 3.7), (0.14, 3.7), (0.13, 3.7)])
+def test_ramp_is_one_walk_when_it_rises_more_than_a_step_over_a_cell(bake, cell, run):
+    """Up to two steps: beyond that, the ramp itself is in the way over half a cell."""
+    assert STEP < cell / run <= 2 * STEP
+    grid = bake(scene(run), cell)
+    assert len(grid.levels) == 1
+    assert find_islands(grid)[0].max() == 1
+
+
+@pytest.mark.parametrize("cell", [0.1, 0.25, 0.5, 1.0])
+@pytest.mark.parametrize("run", [3.7, 1.0])
+def test_ramp_is_one_sheet_at_any_cell_size(stages_of, cell, run):
+    stages = stages_of(scene(run), cell)
+    standable, _ = find_standable(stages.columns, stages.tiled.shapes, stages.config.agent)
+    assert len(standable.sheet_size) == 1
+
+
+def test_ramp_steeper_than_the_slope_is_none(bake):
+    grid = bake(scene(1.0), max_slope=40)
+    assert max(islands.max() for islands in find_islands(grid)) == 2
+
+
+def test_step_beside_a_ramp_is_none(bake):
+    """A box as high as the ramp rises over a cell, but flat, joins nothing."""
+    rise = 0.1 * 1.0 / 3.7
+    box = f'<geom type="box" size=".75 1 {rise / 2}" pos="-1.5 0 {rise / 2}"/>'
+    grid = bake(scene(3.7, box))
+    assert not PathFinder(grid).is_navigable((-1.5, 0.0, rise))
+
+
+def test_with_a_usual_step_no_slope_is_needed(bake):
+    grid = bake(scene(1.0), step=0.25)
+    assert grid.link_array.shape == (0, 4)
+    assert find_islands(grid)[0].max() == 1
+
+
+def test_agents_walk_over_it(bake, tmp_path):
+    grid = bake(scene(3.7))
+    assert len(grid.link_array)
+    assert (grid.link_array[:, [0, 2]] == 0).all()
+    finder = PathFinder(grid)
+    path = finder.find_path((-2.0, 0.0, 0.0), (5.0, 1.5, 1.0))
+    # pulled straight, up the slope in one line
+    assert path.length == pytest.approx(math.hypot(7.0, 1.5))
+    assert finder.try_step((-1.0, 0.0, 0.0), (5.0, 0.5, 1.0), slide=False)[:2] == pytest.approx(
+        (5.0, 0.5)
+    )
+    distance = finder.distance_field((-2.0, 0.0, 0.0))
+    assert np.isfinite(distance[0]).all()
+
+
+def test_links_are_in_the_file_and_on_the_level(bake, tmp_path):
+    grid = bake(scene(3.7))
+    grid.save(tmp_path / "ramp.grid.json")
+    again = navbake.load(tmp_path / "ramp.grid.json")
+    assert again.link_array.tolist() == grid.link_array.tolist()
+    assert find_islands(again)[0].max() == 1
+
+
+def test_level_of_several_keeps_its_slopes(bake):
+    """An upper floor over the ramp: its level and the ramp's are whole grids by themselves."""
+    upper = '<geom type="box" size="1.5 2 .1" pos="-1.5 0 2.9"/>'
+    grid = bake(scene(3.7, upper))
+    assert len(grid.levels) == 2
+    lower = grid.levels[0]
+    assert len(lower.link_array) == len(grid.link_array) > 0
+    assert find_islands(lower)[0].max() == 1
+
+
+@pytest.mark.parametrize("rise", [0.1, 0.3])
+def test_slopes_join_what_they_predict(rise):
+    """Pairs of surfaces with slopes, against the rule spelled out."""
+    lattice, generator = Lattice(0.0, 1.0, 1.0, 2, 1), np.random.default_rng(7)
+    start = np.array([0, 1, 2])
+    for _ in range(300):
+        one, other = generator.uniform(-rise, rise, 2)
+        dz = generator.uniform(-0.5, 0.5)
+        normal = np.array([[-one, 0.3, 1], [-other, -0.2, 1]], dtype=np.float32)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        pairs = join_by_slopes(lattice, start, np.array([0.0, dz]), normal, 0.12)
+        is_steep = max(abs(one), abs(other)) > 0.12
+        between = min(one, other) <= dz <= max(one, other)
+        near = max(abs(dz - one), abs(dz - other)) <= 0.12
+        expected = abs(dz) > 0.12 and is_steep and (between or near)
+        assert pairs.tolist() == ([[0, 1]] if expected else [])

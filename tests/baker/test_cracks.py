@@ -1,0 +1,167 @@
+"""Cracks between slabs: a storey stays one floor, wherever cells fall, and real gaps stay gaps."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from navbake.baker.columns import Columns, cast_columns
+from navbake.baker.cracks import close_cracks
+from navbake.baker.stages import bake_stages
+
+GROUND = '<geom type="plane" size="4 4 .1"/>'
+HEIGHT = 3.0  # of the slabs' upper sides
+
+
+def slab(x0: float, x1: float, y0: float, y1: float, z: float = HEIGHT, turn: float = 0.0) -> str:
+    """A slab 0.2 m thick; x and y are turned round the origin."""
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    cos, sin = math.cos(math.radians(turn)), math.sin(math.radians(turn))
+    pos = f"{x * cos - y * sin!r} {x * sin + y * cos!r} {z - 0.1!r}"
+    size = f"{(x1 - x0) / 2!r} {(y1 - y0) / 2!r} .1"
+    return f'<geom type="box" size="{size}" pos="{pos}" euler="0 0 {turn!r}"/>'
+
+
+def two_slabs(width: float, at: float = 0.0, turn: float = 0.0, step: float = 0.0) -> str:
+    """Two slabs beside each other, and a crack of a width between them whose middle is at x."""
+    return slab(-3, at - width / 2, -2, 2, turn=turn) + slab(
+        at + width / 2, 3, -2, 2, HEIGHT + step, turn
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("cracks")
+
+
+def stages_of(folder: Path, geoms: str, cell: float = 0.1, **floors):
+    path = folder / "scene.xml"
+    path.write_text(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
+    bounds = {"bounds": [-2.5, -1.5, 2.5, 1.5], "cell_size": cell}
+    return bake_stages({"scene": {"path": str(path)}, "grid": bounds, "floors": floors})
+
+
+def heights(columns: Columns, z: float = HEIGHT, tolerance: float = 0.3) -> np.ndarray:
+    """The height of each cell's storey, NaN for none."""
+    out = np.full(columns.lattice.shape, np.nan)
+    near = abs(columns.z - z) <= tolerance
+    near &= columns.normal[:, 2] > 0
+    cell = np.repeat(np.arange(out.size), np.diff(columns.start))
+    out.flat[cell[near]] = columns.z[near]
+    return out
+
+
+@pytest.mark.parametrize("cell", [0.1, 0.02, 0.01])
+def test_crack_over_cells_centres_is_closed(folder, cell):
+    geoms = two_slabs(0.025, at=cell / 2)
+    open_cells = np.isnan(heights(cast_columns(stages_of(folder, geoms, cell).tiled)))
+    assert open_cells.any()
+    assert not np.isnan(heights(stages_of(folder, geoms, cell).columns)).any()
+
+
+@pytest.mark.parametrize(("width", "closed"), [(0.029, True), (0.031, False)])
+def test_as_wide_as_is_said(folder, width, closed):
+    columns = stages_of(folder, GROUND + two_slabs(width, at=0.05)).columns
+    assert np.isnan(heights(columns)).any() == (not closed)
+    wider = stages_of(folder, GROUND + two_slabs(width, at=0.05), crack=0.04).columns
+    assert not np.isnan(heights(wider)).any()
+
+
+def test_none_are_closed_where_that_is_asked_for(folder):
+    columns = stages_of(folder, GROUND + two_slabs(0.005, at=0.05), crack=0).columns
+    assert np.isnan(heights(columns)).any(axis=0).sum() == 1
+
+
+def test_the_storey_is_one_floor_and_the_ground_below_stays(folder):
+    stages = stages_of(folder, GROUND + two_slabs(0.005, at=0.05))
+    ground, storey = stages.floors.levels
+    assert (storey.floor == HEIGHT).all()
+    assert (ground.floor == 0).all()
+    assert storey.standable.all()
+    assert ground.standable.all()
+
+
+@pytest.mark.parametrize("step", [0.2, -0.2])
+def test_cell_over_a_crack_has_the_lower_floor(folder, step):
+    stages = stages_of(folder, GROUND + two_slabs(0.01, at=0.05, step=step))
+    floor = heights(stages.columns)
+    col = int(stages.lattice.rows_cols([0.05, 0.0])[1])
+    assert floor[:, col] == pytest.approx(min(HEIGHT, HEIGHT + step))
+
+
+def test_two_floors_more_than_a_step_apart_have_no_crack(folder):
+    geoms = GROUND + two_slabs(0.01, at=0.05, step=0.3)
+    stages = stages_of(folder, geoms)
+    assert stages.columns.crossings.z.size == cast_columns(stages.tiled).z.size
+
+
+def test_crossing_of_two_cracks(folder):
+    half, geoms = 0.01, GROUND
+    for x in ((-3, 0.05 - half), (0.05 + half, 3)):
+        for y in ((-2, 0.05 - half), (0.05 + half, 2)):
+            geoms += slab(*x, *y)
+    assert not np.isnan(heights(stages_of(folder, geoms).columns)).any()
+
+
+def test_cracks_over_each_other(folder):
+    geoms = GROUND + two_slabs(0.01, at=0.05)
+    upper = geoms + slab(-3, 0.045, -2, 2, 6.0) + slab(0.055, 3, -2, 2, 6.0)
+    columns = stages_of(folder, upper).columns
+    assert not np.isnan(heights(columns)).any()
+    assert not np.isnan(heights(columns, 6.0)).any()
+
+
+def test_what_stands_in_a_crack_blocks_it(folder):
+    wall = '<geom type="box" size=".002 2 1.5" pos=".05 0 3"/>'
+    stages = stages_of(folder, GROUND + two_slabs(0.01, at=0.05) + wall)
+    col = int(stages.lattice.rows_cols([0.05, 0.0])[1])
+    assert stages.occupancy.levels[-1][:, col].all()
+
+
+def test_a_drain_is_no_gap_and_a_shaft_is_one(folder):
+    """A hole is as wide as its shorter side: 2 cm for the drain."""
+    for size, closed in ((0.02, True), (0.1, False)):
+        low, high = 0.05 - size / 2, 0.05 + size / 2
+        around = slab(-3, low, -2, 2) + slab(high, 3, -2, 2)
+        geoms = GROUND + around + slab(low, high, -2, -0.2) + slab(low, high, 0.2, 2)
+        assert np.isnan(heights(stages_of(folder, geoms).columns)).any() == (not closed)
+
+
+@pytest.mark.parametrize("near", [0.0, 0.002, 0.004])
+def test_inner_corner_is_no_crack(folder, near):
+    """Beside its apex, tops of walls are near in opposite directions; the floor below stays."""
+    low = 0.05 - near
+    walls = f"""
+        <geom type="box" size="1 .1 1" pos="{low + 1} {low - 0.1} 1"/>
+        <geom type="box" size=".1 1 1" pos="{low - 0.1} {low + 0.8} 1"/>"""
+    stages = stages_of(folder, GROUND + walls)
+    assert stages.columns.z.size == cast_columns(stages.tiled).z.size
+
+
+def test_scene_without_cracks_keeps_its_columns(folder):
+    geoms = GROUND + slab(-2, 2, -1, 1) + '<geom type="box" size=".05 1 1" pos="0 0 1"/>'
+    stages = stages_of(folder, geoms)
+    columns = cast_columns(stages.tiled)
+    assert close_cracks(columns, stages.tiled, stages.config.agent, 0.03) is columns
+
+
+@given(
+    width=st.floats(0.001, 0.029),
+    at=st.floats(-0.1, 0.1),
+    turn=st.floats(0, 180),
+)
+@settings(max_examples=25, deadline=None)
+def test_crack_at_any_angle(folder, width, at, turn):
+    """Whichever way it runs, and wherever the cells' centres are."""
+    stages = stages_of(folder, GROUND + two_slabs(width, at, turn))
+    # the middle of the scene, which the slabs cover whichever way they are turned
+    x, y = np.meshgrid(stages.lattice.center_x(), stages.lattice.center_y())
+    floor = heights(stages.columns)[np.hypot(x, y) < 1.4]
+    limit = 0.03 * math.cos(math.pi / 16)  # as measured along the nearest of the axes
+    if width < limit:
+        assert (abs(floor - HEIGHT) < 1e-6).all()
