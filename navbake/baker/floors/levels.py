@@ -103,7 +103,7 @@ def find_floors(
     if not len(standable.z):
         raise SceneError(_no_floor(columns, floor_like, agent))
     starts = find_starts(standable, settings.starts, agent.traversable_floor_height)
-    counted = _restore(standable, drop_furniture(standable, settings), starts)
+    large = counted = _restore(standable, drop_furniture(standable, settings), starts)
     if not len(counted.z):
         raise SceneError(
             f"no floor: the largest standable sheet keeps less than {settings.min_area:g} m² "
@@ -133,7 +133,8 @@ def find_floors(
             raise SceneError("no floor: what `floors.from` names lies outside of the `levels`")
         placed = _place_on_levels(counted, agent, settings, given)
     unreached = find_unreached(placed.standable, placed.level, reached, columns)
-    floor_like[placed.standable.surface] = False  # a floor goes on only where no other one is
+    # a floor goes on only where no other one is, nor a roof, nor the top of furniture
+    floor_like[large.surface] = False
     levels = [
         LevelFloor(label, ground, *_level_floor(k, placed, columns, floor_like, agent))
         for k, (label, ground) in enumerate(zip(placed.labels, placed.grounds, strict=True))

@@ -18,9 +18,11 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.types import Bool, Float
 
-# The share of a sheet that lies open to the sky, or over a floor, for a roof; and of its outline
-# that has walls for a storey, or drops for a shelf
-MOSTLY, HALF = 0.9, 0.5
+# The share of a roof that lies open to the sky: a higher one's eaves may cover a lower one's side
+SKY_SHARE = 0.75
+# The share of a roof or a shelf that lies over a floor; and the share of its outline that has
+# walls if it is a storey, or that drops if it is a shelf
+HALF = 0.5
 # No shelf is deeper: pallet racks are 1.1 m, or 2.2 m back to back [m]
 SHELF_DEPTH = 2.5
 
@@ -40,7 +42,7 @@ def drop_roofs(
     Only the uppermost slab of a tower of slabs on columns is a roof, as the others are covered.
     """
     sky, over = _shares(standable, columns)
-    candidates = (sky >= MOSTLY) & (over >= HALF)
+    candidates = (sky >= SKY_SHARE) & (over >= HALF)
     if not candidates.any():
         return standable
     edges = _outer_edges(standable, candidates, agent, reach=1)
@@ -68,7 +70,7 @@ def drop_shelves(
         settings: `shrink`, how far from the sheet's edge the floor beside may begin [m].
     """
     sky, over = _shares(standable, columns)
-    candidates = (sky < MOSTLY) & (over >= HALF)
+    candidates = (sky < SKY_SHARE) & (over >= HALF)
     lattice = standable.lattice
     for sheet, members in standable.members(np.flatnonzero(candidates)):
         mask, _, _ = mask_window(standable.cell[members], lattice, margin=0)
