@@ -13,7 +13,7 @@ from navbake.baker.floors.outline import (
     find_edges,
     find_endings,
 )
-from navbake.baker.floors.sheets import Standable, mask_window, shrink_mask
+from navbake.baker.floors.sheets import AreaTest, Standable, mask_window
 from navbake.baker.kernels.constants import SLACK
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.types import Bool, Float
@@ -41,6 +41,8 @@ def drop_roofs(
 
     Only the uppermost slab of a tower of slabs on columns is a roof, as the others are covered.
     """
+    if (np.diff(standable.start) <= 1).all():
+        return standable
     sky, over = _shares(standable, columns)
     candidates = (sky >= SKY_SHARE) & (over >= HALF)
     if not candidates.any():
@@ -63,26 +65,45 @@ def drop_shelves(
 
     A shelf lies over a floor, is nowhere deeper than 2.5 m, and more than half of its outline
     drops to a floor beside it. So a mezzanine that no stair leads to is none, because it is
-    deeper, nor a gallery from wall to wall, because one of its two sides is a wall. What is
-    open to the sky is left to `drop_roofs`.
+    deeper, nor a gallery from wall to wall, because one of its two sides is a wall, nor what is
+    left to stand in of an attic. What is open to the sky is left to `drop_roofs`.
 
     Args:
         settings: `shrink`, how far from the sheet's edge the floor beside may begin [m].
     """
+    if (np.diff(standable.start) <= 1).all():
+        return standable
     sky, over = _shares(standable, columns)
     candidates = (sky < SKY_SHARE) & (over >= HALF)
     lattice = standable.lattice
+    deep = {"min_area": lattice.cell_size**2, "shrink": SHELF_DEPTH / 2}
+    test = AreaTest(lattice, settings.model_copy(update=deep))
     for sheet, members in standable.members(np.flatnonzero(candidates)):
-        mask, _, _ = mask_window(standable.cell[members], lattice, margin=0)
-        candidates[sheet] = not shrink_mask(mask, lattice.cell_size, SHELF_DEPTH / 2).any()
+        candidates[sheet] = not test.passes(standable.cell[members])
     if not candidates.any():
         return standable
     # a post at its edge may block the cell beside: one more
     reach = int(np.ceil(settings.shrink / lattice.cell_size)) + 1
     edges = _outer_edges(standable, candidates, agent, reach)
-    ending, _ = find_endings(edges, standable, agent, is_occupied)
-    drops, all_edges = (_count(standable, edges, which) for which in (ending == DROP, ending >= 0))
-    return standable.only_sheets(~candidates | (drops <= HALF * all_edges))
+    ending, landing = find_endings(edges, standable, agent, is_occupied)
+    drops = (ending == DROP) & _is_open(edges, landing, standable.z[edges.surface], columns)
+    num_drops, num_edges = (_count(standable, edges, which) for which in (drops, ending >= 0))
+    return standable.only_sheets(~candidates | (num_drops <= HALF * num_edges))
+
+
+def _is_open(edges: Edges, landing: Float, z: Float, columns: Columns) -> Bool:
+    """Whether nothing lies between the floor that an edge drops to and the edge's own height.
+
+    An attic ends where its roof comes down. The storey below is no floor that it drops to.
+    """
+    lands = np.argmax(edges.floors == landing[:, None], axis=1)
+    cell = edges.cells[np.arange(len(lands)), lands]
+    first, last = columns.start[cell], columns.start[cell + 1]
+    is_open = np.ones(len(cell), dtype=np.bool_)
+    for k in range(int((last - first).max(initial=0))):
+        height = columns.z[np.minimum(first + k, last - 1)]
+        is_open &= (height <= landing + SLACK) | (height > z)
+    return is_open
 
 
 def _shares(standable: Standable, columns: Columns) -> tuple[Float, Float]:
