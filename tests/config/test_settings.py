@@ -65,6 +65,8 @@ def test_defaults(house):
         "shrink": 0.3,
         "tops": False,
         "roofs": False,
+        "reach": "all",
+        "starts": [],
     }
     assert config.names.model_dump() == {"enabled": True, "walls": []}
     assert config.attributes == []
