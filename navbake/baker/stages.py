@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from navbake.baker.boxes import LevelBoxes, find_level_boxes
 from navbake.baker.clock import Progress, StageClock
 from navbake.baker.columns import Columns, TiledShapes, cast_columns, tile_shapes
 from navbake.baker.contents.contents import Contents, find_contents
@@ -193,6 +194,16 @@ class Stages:
                 self.scene, self.candidates, self.columns, levels, config.agent
             )
             return replace(doors, warnings=[*immovable, *walkable])
+
+    @cached_property
+    def boxes(self) -> LevelBoxes:
+        """The rectangle and the box of each level, by which the original client finds it."""
+        levels, occupied, height = (
+            self.floors.levels,
+            self.occupancy.levels,
+            self.config.agent.height,
+        )
+        return find_level_boxes(levels, occupied, self.lattice, self.scene.bounds, height)
 
     @contextmanager
     def _errors_say_where(self) -> Iterator[None]:
