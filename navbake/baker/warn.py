@@ -26,7 +26,7 @@ def collect_warnings(stages: Stages) -> list[str]:
 
 
 def warn_missing_floors(scene: Scene, floors: Floors, config: BakeConfig) -> list[str]:
-    """Warn of large surfaces that were not taken as floors."""
+    """Warn of large surfaces that were not taken as floors, and of levels without a way there."""
     warnings = []
     large = [top for top in floors.tops if top.area >= LARGE_TOP]
     if large:
@@ -34,11 +34,12 @@ def warn_missing_floors(scene: Scene, floors: Floors, config: BakeConfig) -> lis
             f"not a floor, because no step leads there: the top of {_describe_tops(scene, large)}; "
             "`floors.tops: true` makes it one"
         )
-    if floors.roofs:
-        roofs = _describe_tops(scene, floors.roofs)
+    for unreached in floors.unreached:
+        level, name = floors.levels[unreached.level], scene.geoms[unreached.geom].name
         warnings.append(
-            f"left out as a roof, though it has walls: the top of {roofs}; it is open to the sky "
-            "and no step leads there: `floors.roofs: true` keeps it"
+            f"no step leads to {level.name!r} ({unreached.area:.1f} m² at {level.ground:.2f} m, "
+            f"most of it on {name!r}): `floors.reach: steps` leaves such levels out, "
+            "`floors.from` names places that count as reached"
         )
     if floors.enclosed:
         meshes = _describe_tops(scene, floors.enclosed)

@@ -15,6 +15,7 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     BeforeValidator,
+    ConfigDict,
     Discriminator,
     Field,
     Tag,
@@ -104,8 +105,16 @@ class LevelSettings(Settings):
     name: OptionalName = setting(None, "its name, or null")
 
 
+Position = Annotated[
+    Annotated[list[float], Field(min_length=3, max_length=3)], expects("a position [x, y, z]")
+]
+
+
 class FloorSettings(Settings):
     """Which surfaces that one can stand on are floors, and which are furniture."""
+
+    # The key is `from`, a keyword of Python; so the field is `starts`, with that alias.
+    model_config = ConfigDict(**Settings.model_config, populate_by_name=True)
 
     min_area: NotNegative = setting(1.0, "smallest area of a floor, after shrinking [m2], >= 0")
     shrink: NotNegative = setting(0.3, "distance to shrink floors by for that [m], >= 0")
@@ -116,6 +125,15 @@ class FloorSettings(Settings):
         False, "keep large tops of what stands on a floor (beds, blocks): true or false"
     )
     roofs: bool = setting(False, "keep roofs as levels: true or false")
+    reach: Literal["all", "steps"] = setting(
+        "all", "which floors count: all, or only those that steps lead to"
+    )
+    starts: list[Position] = Field(
+        default=[],
+        alias="from",
+        description="places that count as reached, a list of [x, y, z] [m]; default the largest "
+        "floor of the lowest level",
+    )
 
 
 class NameSettings(Settings):

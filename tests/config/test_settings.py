@@ -66,6 +66,8 @@ def test_defaults(house):
         "crack": 0.03,
         "tops": False,
         "roofs": False,
+        "reach": "all",
+        "starts": [],
     }
     assert config.names.model_dump() == {"enabled": True, "walls": []}
     assert config.attributes == []

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -172,31 +174,30 @@ class Truth:
             raise UnsureError("a sheet is just large enough")
         return bool(least >= limit)
 
-    def place(self, grounds: list[float]) -> list[Float]:
+    def place(self, grounds: list[float], tolerance: float = SURE) -> list[Float]:
         """The counted surfaces on levels with these grounds: floors by cell id, NaN for none [m].
 
-        A surface belongs to the highest ground at or below it; the lowest of a column stays, the
-        others go up to the next level that has none in that column.
+        A surface belongs to the highest ground at or below it. Where two of a column would be on
+        one level, see `place_column`; unsure where it matters which of them are stairs.
         """
         levels = [np.full(len(self.x), np.nan) for _ in grounds]
         for cell in np.flatnonzero(self.counted.any(axis=0)):
             heights = sorted(self.top[self.counted[:, cell], cell])
             homes = [
-                max([k for k, ground in enumerate(grounds) if ground <= z + SURE], default=0)
+                max([k for k, ground in enumerate(grounds) if ground <= z + tolerance], default=0)
                 for z in heights
             ]
-            if any(0 < ground - z < UNSURE for z in heights for ground in grounds):
+            below = UNSURE if tolerance > SURE else 0.0
+            lows = [ground - tolerance for ground in grounds]
+            if any(-below < low - z < UNSURE for z in heights for low in lows):
                 raise UnsureError("a surface just below a ground")
-            later = []
-            for z, home in zip(heights, homes, strict=True):
-                if np.isnan(levels[home][cell]):
-                    levels[home][cell] = z
-                else:
-                    later.append((z, home))
-            for z, home in later:
-                empty = [k for k in range(home + 1, len(grounds)) if np.isnan(levels[k][cell])]
-                assert empty, f"no level for the surface at {z} m of cell {cell}"
-                levels[empty[0]][cell] = z
+            stairs = itertools.product((False, True), repeat=len(homes))
+            places = {tuple(place_column(homes, is_stair, len(grounds))) for is_stair in stairs}
+            if len(places) > 1:
+                raise UnsureError("stairs would be placed otherwise")
+            for z, level in zip(heights, places.pop(), strict=True):
+                assert level >= 0, f"no level for the surface at {z} m of cell {cell}"
+                levels[level][cell] = z
         return levels
 
     def grow(self, levels: list[Float], number: int) -> Float:
@@ -307,3 +308,32 @@ class Truth:
         for way, limit in zip(ways, reach, strict=True):
             near &= prisms.support(np.tile(-way, (len(near), 1))) + limit > 0
         return near
+
+
+def place_column(homes: list[int], is_stair: Sequence[bool], num_levels: int) -> list[int]:
+    """The levels of a column's surfaces, -1 where all are taken, by trying all of them.
+
+    In their order, no two on one level; left out, rather than moved, are stairs, and moved rather
+    floors than none of them left out. Of equal ways the upper surface is left out, or higher.
+    What is left out goes to the free level nearest to its home, the upper of two.
+    """
+    if len(set(homes)) == len(homes):
+        return homes
+    best: tuple[object, list[int]] | None = None
+    for levels in itertools.product(range(-1, num_levels), repeat=len(homes)):
+        placed = [level for level in levels if level >= 0]
+        if placed != sorted(set(placed)):
+            continue
+        cost = [0, 0, 0, 0]  # floors left out, floors moved, stairs left out, stairs moved
+        for level, home, stair in zip(levels, homes, is_stair, strict=True):
+            cost[2 * stair + (level >= 0)] += 1 if level < 0 else abs(level - home)
+        order = [-num_levels if level < 0 else -level for level in reversed(levels)]
+        if best is None or (cost, order) < best[0]:  # type: ignore[operator]
+            best = (cost, order), list(levels)
+    assert best is not None
+    found = best[1]
+    for i, home in enumerate(homes):
+        if found[i] < 0:
+            free = sorted(set(range(num_levels)) - set(found), key=lambda k: (abs(k - home), -k))
+            found[i] = free[0] if free else -1
+    return found

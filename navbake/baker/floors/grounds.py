@@ -2,70 +2,77 @@
 
 import numpy as np
 
-from navbake.baker.floors.kernels.sheets import (
-    find_links,
-    group_members,
-    join_by_steps,
-    place_on_levels,
-)
+from navbake.baker.floors.kernels.places import place_on_levels
+from navbake.baker.floors.kernels.sheets import find_links, group_members, join_by_steps
 from navbake.baker.floors.sheets import AreaTest, Standable, mask_window, shrink_mask
+from navbake.baker.floors.stairs import PLATEAU
 from navbake.baker.kernels.constants import SLACK
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.types import Bool, Float, Int
 
-# Floors whose heights round to the same multiple of this are one plateau [m]
-PLATEAU = 0.02
+# A given ground takes in floors down to this much below it [m]
+GIVEN_TOLERANCE = 0.02
+# Decimals of the grounds that are found: what a float adds to 3.0 is no height
+DECIMALS = 9
 
 
 def find_grounds(
-    standable: Standable, agent: AgentSettings, settings: FloorSettings
+    standable: Standable, is_stair: Bool, agent: AgentSettings, settings: FloorSettings
 ) -> list[float]:
     """Find the ground heights of the storeys, lowest first.
 
     The lowest storey's ground is the lowest floor that is large enough (as sheets are, after
     shrinking). A new storey begins where floors that are large enough lie over floors of the
     storey below; so a hill, a half-storey beside another, or a platform with nothing under it
-    opens none. What is too small for that gets its place in `assign_levels`.
+    opens none, nor do stairs with their landings. What is too small for that gets its place in
+    `assign_levels`.
+
+    Args:
+        is_stair: which surfaces are parts of stairs, see `find_stairs`, shape (n,).
     """
     cells, z = standable.cell, standable.z
     is_lowest = _lowest_of_columns(cells)
-    ground = _lowest_plateau(standable, np.flatnonzero(is_lowest), agent, settings)
+    ground = _lowest_plateau(standable, np.flatnonzero(is_lowest & ~is_stair), agent, settings)
     grounds = [_common_height(z[is_lowest]) if ground is None else ground]
-    rest = np.flatnonzero(~is_lowest)
+    rest = np.flatnonzero(~is_lowest & ~is_stair)
     while len(rest):
         ground = _lowest_plateau(standable, rest, agent, settings)
         if ground is None:
             break
         grounds.append(ground)
         above = np.flatnonzero(z >= ground - SLACK)
-        rest = above[~_lowest_of_columns(cells[above])]
-    return grounds
+        rest = above[~_lowest_of_columns(cells[above]) & ~is_stair[above]]
+    return [round(ground, DECIMALS) for ground in grounds]
 
 
-def lower_grounds(standable: Standable, grounds: list[float], agent: AgentSettings) -> list[float]:
+def lower_grounds(
+    standable: Standable, is_stair: Bool, grounds: list[float], agent: AgentSettings
+) -> list[float]:
     """Lower each ground to what lies a little below it and is connected to nothing else.
 
     A part of the level below that lies within a step under a ground, and that steps join to
-    nothing but the level of that ground, belongs up there: few floors are quite flat.
+    nothing but the level of that ground, belongs up there: few floors are quite flat. A stair's
+    upper treads are no such part.
     """
     step, lattice = agent.traversable_floor_height, standable.lattice
     for _ in grounds[1:]:
-        level = _place(standable, grounds)
+        level = _place(standable, is_stair, grounds)
         part, size = join_by_steps(lattice, standable.start, standable.z, level, step)
         links = find_links(lattice, standable.start, standable.z, level, step)
         here, there = np.concatenate([links, links[:, ::-1]]).T
         lowered = list(grounds)
         low = np.full(len(size), np.inf)
         np.minimum.at(low, part, standable.z)
+        has_floor = np.bincount(part[~is_stair], minlength=len(size)) > 0
         for k in range(1, len(grounds)):
             on_below, is_above = level[here] == k - 1, level[there] == k
             to_above, to_others = (
                 np.bincount(part[here[on_below & on_other]], minlength=len(size)) > 0
                 for on_other in (is_above, ~is_above)
             )
-            joins = to_above & ~to_others & (low >= grounds[k] - step - SLACK)
+            joins = has_floor & to_above & ~to_others & (low >= grounds[k] - step - SLACK)
             if joins.any():
-                lowered[k] = min(grounds[k], float(low[joins].min()))
+                lowered[k] = min(grounds[k], round(float(low[joins].min()), DECIMALS))
         if lowered == grounds:
             break
         grounds = lowered
@@ -73,26 +80,34 @@ def lower_grounds(standable: Standable, grounds: list[float], agent: AgentSettin
 
 
 def assign_levels(
-    standable: Standable, grounds: list[float], names: list[str | None]
+    standable: Standable,
+    is_stair: Bool,
+    grounds: list[float],
+    names: list[str | None],
+    tolerance: float,
 ) -> tuple[Int, list[float], list[str]]:
     """Give each surface its level; none shares a column's level with another.
 
-    A surface belongs to the highest ground at or below it (the lowest ones to the first). The
-    upper one of two on a level goes to the next level up that has none in that column; where
-    there is none, a level of its own is opened at the lowest such surface.
+    A surface belongs to the highest ground at or below it (the lowest ones to the first). Where
+    two of a column would be on one level, its surfaces are placed on the levels in their order,
+    treads and landings of stairs moved rather than floors (see `place_on_levels`). Only where a
+    column has more surfaces than there are levels, a level of its own is opened at the lowest
+    surface that found no place.
 
     Args:
+        is_stair: which surfaces are parts of stairs, shape (n,).
         names: the levels' names, None for those without; empty if none has one.
+        tolerance: how far below a ground its floors may lie [m].
 
     Returns:
         The level of each surface, shape (n,), int64, the grounds and the names of all levels.
     """
     named = dict(zip(grounds, names, strict=False))
     grounds = sorted(grounds)
-    level = _place(standable, grounds)
+    level = _place(standable, is_stair, grounds, tolerance)
     while (level < 0).any():
         grounds = sorted([*grounds, _own_ground(standable.z[level < 0], grounds)])
-        level = _place(standable, grounds)
+        level = _place(standable, is_stair, grounds, tolerance)
     used = np.unique(level)
     grounds = [grounds[k] for k in used]
     return np.searchsorted(used, level), grounds, _label([named.get(ground) for ground in grounds])
@@ -147,11 +162,13 @@ def _lowest_plateau(
     return None
 
 
-def _place(standable: Standable, grounds: list[float]) -> Int:
+def _place(
+    standable: Standable, is_stair: Bool, grounds: list[float], tolerance: float = SLACK
+) -> Int:
     """The level of each surface by the grounds, -1 where all that it could go to are taken."""
-    base = np.searchsorted(np.array(grounds) - SLACK, standable.z, side="right") - 1
+    base = np.searchsorted(np.array(grounds) - tolerance, standable.z, side="right") - 1
     level = np.empty(len(standable.z), dtype=np.int64)
-    place_on_levels(standable.start, np.maximum(base, 0), len(grounds), level)
+    place_on_levels(standable.start, np.maximum(base, 0), is_stair, len(grounds), level)
     return level
 
 
@@ -159,4 +176,4 @@ def _own_ground(lost: Float, grounds: list[float]) -> float:
     """The lowest height among surfaces without a level that is no ground yet [m]."""
     new = lost[np.abs(lost[:, None] - grounds).min(axis=1) > SLACK]
     # where all are grounds, their columns are taken on every level: open one above all
-    return float(new.min() if len(new) else max(grounds) + 1.0)
+    return round(float(new.min()), DECIMALS) if len(new) else max(grounds) + 1.0

@@ -1,16 +1,29 @@
 """Levels and floors: from the surfaces of all columns to the floors of each storey."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from navbake.baker.columns import Columns
 from navbake.baker.floors.enclosed import find_enclosed
-from navbake.baker.floors.grounds import assign_levels, find_grounds, lower_grounds
+from navbake.baker.floors.grounds import (
+    GIVEN_TOLERANCE,
+    assign_levels,
+    find_grounds,
+    lower_grounds,
+)
 from navbake.baker.floors.kernels.sheets import find_links, grow_floor
 from navbake.baker.floors.outline import OccupancyTest
-from navbake.baker.floors.roofs import drop_roofs, is_walled
+from navbake.baker.floors.reach import (
+    UnreachedLevel,
+    find_starts,
+    find_unreached,
+    largest_of_lowest,
+)
+from navbake.baker.floors.roofs import drop_roofs, drop_shelves
 from navbake.baker.floors.sheets import Standable, drop_furniture, find_standable
+from navbake.baker.floors.stairs import find_stairs
 from navbake.baker.floors.tops import drop_tops
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.shapes import Shapes
@@ -38,7 +51,7 @@ class LevelFloor:
 
 @dataclass(frozen=True)
 class DroppedSheet:
-    """A sheet that is no floor: the top of furniture (see `drop_tops`), or a roof.
+    """A sheet that is no floor: the top of furniture, see `drop_tops` and `drop_shelves`.
 
     Attributes:
         geom: the geom that most of it belongs to.
@@ -61,14 +74,14 @@ class Floors:
             each step between two levels, and each pair of neighbours, on one level or two, that
             their slopes join but no step does.
         tops: large tops that are no floors, the largest first.
-        roofs: roofs that walls stand on, likewise: storeys that nobody put a ceiling on?
-        enclosed: floors inside of closed meshes, likewise; `geom` is the mesh's.
+        unreached: levels that no step leads to, lowest first.
+        enclosed: floors inside of closed meshes, as tops; `geom` is the mesh's.
     """
 
     levels: list[LevelFloor]
     links: Int
     tops: list[DroppedSheet]
-    roofs: list[DroppedSheet]
+    unreached: list[UnreachedLevel]
     enclosed: list[DroppedSheet]
 
 
@@ -87,14 +100,16 @@ def find_floors(
         given: the levels of the configuration, or None to find them.
 
     Raises:
-        SceneError: there is no floor at all, or none on a given level.
+        SceneError: there is no floor at all, none on a given level, or none at a place that one
+            starts from.
     """
     standable, floor_like = find_standable(columns, shapes, agent)
     lost = find_enclosed(columns, shapes, floor_like, agent, settings)
     enclosed = [DroppedSheet(*floor) for floor in lost]
     if not len(standable.z):
         raise SceneError(_no_floor(columns, floor_like, agent))
-    counted = drop_furniture(standable, settings)
+    starts = find_starts(standable, settings.starts, agent.traversable_floor_height)
+    large = counted = _restore(standable, drop_furniture(standable, settings), starts)
     if not len(counted.z):
         raise SceneError(
             f"no floor: the largest standable sheet keeps less than {settings.min_area:g} m² "
@@ -102,52 +117,91 @@ def find_floors(
             f"`floors.shrink` if it is a floor"
         )
     tops: list[DroppedSheet] = []
-    roofs: list[DroppedSheet] = []
-    names: list[str | None] = []
     if not settings.tops:
         every = counted
-        counted = drop_tops(every, columns, agent, settings, is_occupied)
+        counted = _restore(every, drop_tops(every, columns, agent, settings, is_occupied), starts)
         tops = _describe_dropped(every, counted, columns)
     if given is None and not settings.roofs:
+        counted = _restore(counted, drop_roofs(counted, columns, agent, is_occupied), starts)
+    if not settings.tops:
         every = counted
-        counted = drop_roofs(every, columns, agent, is_occupied)
-        roofs = _describe_dropped(every, counted, columns, walled_by=agent.height)
-    if given is None:
-        grounds = lower_grounds(counted, find_grounds(counted, agent, settings), agent)
-    else:
+        rest = drop_shelves(every, columns, agent, settings, is_occupied)
+        counted = _restore(every, rest, starts)
+        tops += _describe_dropped(every, counted, columns)
+        tops.sort(key=lambda sheet: -sheet.area)
+    if given is not None:
         counted = _within_given(counted, given, columns)
-        grounds, names = [level.ground for level in given], [level.name for level in given]
-    level, grounds, labels = assign_levels(counted, grounds, names)
-    floor_like[counted.surface] = False  # a floor goes on only where no other one is
+    placed = _place_on_levels(counted, agent, settings, given)
+    reached = starts if starts.any() else largest_of_lowest(placed.standable, placed.level)
+    if settings.reach == "steps":
+        counted = counted.only_sheets(reached)
+        if not len(counted.z):
+            raise SceneError("no floor: what `floors.from` names lies outside of the `levels`")
+        placed = _place_on_levels(counted, agent, settings, given)
+    unreached = find_unreached(placed.standable, placed.level, reached, columns)
+    # a floor goes on only where no other one is, nor a roof, nor the top of furniture
+    floor_like[large.surface] = False
     levels = [
-        LevelFloor(label, ground, *_level_floor(k, level, counted, columns, floor_like, agent))
-        for k, (label, ground) in enumerate(zip(labels, grounds, strict=True))
+        LevelFloor(label, ground, *_level_floor(k, placed, columns, floor_like, agent))
+        for k, (label, ground) in enumerate(zip(placed.labels, placed.grounds, strict=True))
     ]
-    return Floors(levels, _cell_links(counted, level, agent), tops, roofs, enclosed)
+    return Floors(levels, _cell_links(placed, agent), tops, unreached, enclosed)
 
 
-def _describe_dropped(
-    every: Standable, counted: Standable, columns: Columns, walled_by: float | None = None
-) -> list[DroppedSheet]:
-    """Describe the sheets that were dropped, or those with walls of a height around them."""
+class _Placed(NamedTuple):
+    """The surfaces that count, the level of each, the grounds and the names of the levels."""
+
+    standable: Standable
+    level: Int
+    grounds: list[float]
+    labels: list[str]
+
+
+def _place_on_levels(
+    standable: Standable,
+    agent: AgentSettings,
+    settings: FloorSettings,
+    given: list[LevelSettings] | None,
+) -> _Placed:
+    """Place the surfaces on the levels that are given, or found."""
+    is_stair = find_stairs(standable, agent)
+    if given is None:
+        grounds = find_grounds(standable, is_stair, agent, settings)
+        grounds = lower_grounds(standable, is_stair, grounds, agent)
+        return _Placed(standable, *assign_levels(standable, is_stair, grounds, [], SLACK))
+    grounds, names = [level.ground for level in given], [level.name for level in given]
+    placed = assign_levels(standable, is_stair, grounds, names, GIVEN_TOLERANCE)
+    return _Placed(standable, *placed)
+
+
+def _restore(every: Standable, left: Standable, starts: Bool) -> Standable:
+    """What is left of all sheets, with those that one starts from."""
+    return every.only_sheets((left.sheet_size > 0) | starts) if starts.any() else left
+
+
+def _describe_dropped(every: Standable, counted: Standable, columns: Columns) -> list[DroppedSheet]:
+    """Describe the sheets that were dropped."""
     dropped = []
     gone = np.flatnonzero((every.sheet_size > 0) & (counted.sheet_size == 0))
     for _, members in every.members(gone):
-        z = every.z[members]
-        if walled_by is None or is_walled(every.cell[members], z, columns, walled_by):
-            geoms = columns.geom[every.surface[members]]
-            area = len(members) * every.lattice.cell_size**2
-            dropped.append(DroppedSheet(int(np.bincount(geoms).argmax()), float(z.max()), area))
+        geoms = columns.geom[every.surface[members]]
+        area = len(members) * every.lattice.cell_size**2
+        height = float(every.z[members].max())
+        dropped.append(DroppedSheet(int(np.bincount(geoms).argmax()), height, area))
     return sorted(dropped, key=lambda sheet: -sheet.area)
 
 
 def _within_given(standable: Standable, given: list[LevelSettings], columns: Columns) -> Standable:
-    """Keep the surfaces between the grounds and the tops of the given levels."""
+    """Keep the surfaces between the grounds and the tops of the given levels.
+
+    A level begins a little below its ground, since a hand that writes 3.0 means a floor at 2.99.
+    """
     kept = np.zeros(len(standable.z), dtype=np.bool_)
-    next_grounds = [*(level.ground for level in given[1:]), np.inf]
+    next_grounds = [*(level.ground - GIVEN_TOLERANCE for level in given[1:]), np.inf]
     for number, (level, above) in enumerate(zip(given, next_grounds, strict=True)):
         top = above if level.top is None else min(above, level.top)
-        on_level = (standable.z >= level.ground - SLACK) & (standable.z < top - SLACK)
+        on_level = standable.z >= level.ground - GIVEN_TOLERANCE
+        on_level &= standable.z < top - SLACK
         if not on_level.any():
             name = f"level {level.name!r}" if level.name else f"level {number}"
             low, high = float(columns.z.min()), float(columns.z.max())
@@ -160,9 +214,10 @@ def _within_given(standable: Standable, given: list[LevelSettings], columns: Col
 
 
 def _level_floor(
-    k: int, level: Int, standable: Standable, columns: Columns, goes_on: Bool, agent: AgentSettings
+    k: int, placed: _Placed, columns: Columns, goes_on: Bool, agent: AgentSettings
 ) -> tuple[Float, Bool]:
     """The floor of level `k`, continued where `goes_on`; and where it is standable."""
+    standable, level = placed.standable, placed.level
     lattice, cells, z = standable.lattice, standable.cell, standable.z
     floor = np.full(lattice.width * lattice.height, np.nan)
     floor[cells[level == k]] = z[level == k]
@@ -177,7 +232,8 @@ def _level_floor(
     return floor.reshape(lattice.shape), is_standable.reshape(lattice.shape)
 
 
-def _cell_links(standable: Standable, level: Int, agent: AgentSettings) -> Int:
+def _cell_links(placed: _Placed, agent: AgentSettings) -> Int:
+    standable, level = placed.standable, placed.level
     step = agent.traversable_floor_height
     steps = find_links(standable.lattice, standable.start, standable.z, level, step)
     slopes = standable.slopes

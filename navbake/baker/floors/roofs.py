@@ -1,117 +1,144 @@
-"""Roofs: sheets that are open to the sky over an enclosed level, and so no levels themselves."""
-
-from dataclasses import dataclass
+"""Roofs and shelves: sheets over a floor that no step reaches, and that are no storeys."""
 
 import numpy as np
 from scipy import ndimage
 
 from navbake.baker.columns import Columns
-from navbake.baker.floors.outline import OccupancyTest
-from navbake.baker.floors.sheets import Standable, mask_window
-from navbake.baker.kernels.constants import SLACK, TOUCH
-from navbake.baker.kernels.occupancy import lines_blocked
-from navbake.config.settings import AgentSettings
-from navbake.types import Bool, Float, Int
+from navbake.baker.floors.outline import (
+    BORDER,
+    DROP,
+    WALL,
+    Edges,
+    OccupancyTest,
+    find_edges,
+    find_endings,
+)
+from navbake.baker.floors.sheets import AreaTest, Standable, mask_window
+from navbake.baker.kernels.constants import SLACK
+from navbake.config.settings import AgentSettings, FloorSettings
+from navbake.types import Bool, Float
 
-# Openings up to twice this wide do not make an enclosed level a part of outside [m]
-DOOR_HALF_WIDTH = 0.6
-# The share of a sheet that has to lie open to the sky, or over a floor, for a roof
-MOSTLY, HALF = 0.9, 0.5
+# The share of a roof that lies open to the sky: a higher one's eaves may cover a lower one's side
+SKY_SHARE = 0.75
+# The share of a roof or a shelf that lies over a floor; and the share of its outline that has
+# walls if it is a storey, or that drops if it is a shelf
+HALF = 0.5
+# No shelf is deeper: pallet racks are 1.1 m, or 2.2 m back to back [m]
+SHELF_DEPTH = 2.5
 
 
 def drop_roofs(
     standable: Standable, columns: Columns, agent: AgentSettings, is_occupied: OccupancyTest
 ) -> Standable:
-    """Drop the sheets that are roofs: open to the sky, over an enclosed level.
+    """Drop the sheets that are roofs: open to the sky, over a floor, and without walls.
 
-    No step reaches a roof: a sheet that steps reach includes the floors below, which are not
-    open to the sky. A level is enclosed when most of the free floor under the sheet can't be
-    reached from outside of it except through openings no wider than a door.
+    A storey that was drawn without its ceiling has walls as high as an agent along more than half
+    of its outline, and stays; parapets are too low, and a lower roof beside a higher part of the
+    house has a wall on one side only. What is closed below, or open, does not matter: a carport's
+    roof is one, and so are a tree's crown, a parasol and the upper shelf of a rack outdoors. No
+    step reaches a roof: the sheet of one that stairs lead to includes the floors below, which
+    are not open to the sky.
+
+    Only the uppermost slab of a tower of slabs on columns is a roof, as the others are covered.
     """
-    cells = standable.cell
+    if (np.diff(standable.start) <= 1).all():
+        return standable
+    sky, over = _shares(standable, columns)
+    candidates = (sky >= SKY_SHARE) & (over >= HALF)
+    if not candidates.any():
+        return standable
+    edges = _outer_edges(standable, candidates, agent, reach=1)
+    ending, _ = find_endings(edges, standable, agent, is_occupied)
+    # how the sheet ends beyond the lattice is not known
+    walls, known = (_count(standable, edges, which) for which in (ending == WALL, ending != BORDER))
+    return standable.only_sheets(~candidates | (walls > HALF * known))
+
+
+def drop_shelves(
+    standable: Standable,
+    columns: Columns,
+    agent: AgentSettings,
+    settings: FloorSettings,
+    is_occupied: OccupancyTest,
+) -> Standable:
+    """Drop the sheets that are shelves, under whatever ceiling: narrow, and open at their sides.
+
+    A shelf lies over a floor, is nowhere deeper than 2.5 m, and more than half of its outline
+    drops to a floor beside it. So a mezzanine that no stair leads to is none, because it is
+    deeper, nor a gallery from wall to wall, because one of its two sides is a wall, nor what is
+    left to stand in of an attic. What is open to the sky is left to `drop_roofs`.
+
+    Args:
+        settings: `shrink`, how far from the sheet's edge the floor beside may begin [m].
+    """
+    if (np.diff(standable.start) <= 1).all():
+        return standable
+    sky, over = _shares(standable, columns)
+    candidates = (sky < SKY_SHARE) & (over >= HALF)
+    lattice = standable.lattice
+    deep = {"min_area": lattice.cell_size**2, "shrink": SHELF_DEPTH / 2}
+    test = AreaTest(lattice, settings.model_copy(update=deep))
+    for sheet, members in standable.members(np.flatnonzero(candidates)):
+        candidates[sheet] = not test.passes(standable.cell[members])
+    if not candidates.any():
+        return standable
+    # a post at its edge may block the cell beside: one more
+    reach = int(np.ceil(settings.shrink / lattice.cell_size)) + 1
+    edges = _outer_edges(standable, candidates, agent, reach)
+    ending, landing = find_endings(edges, standable, agent, is_occupied)
+    drops = (ending == DROP) & _is_open(edges, landing, standable.z[edges.surface], columns)
+    num_drops, num_edges = (_count(standable, edges, which) for which in (drops, ending >= 0))
+    return standable.only_sheets(~candidates | (num_drops <= HALF * num_edges))
+
+
+def _is_open(edges: Edges, landing: Float, z: Float, columns: Columns) -> Bool:
+    """Whether nothing lies between the floor that an edge drops to and the edge's own height.
+
+    An attic ends where its roof comes down. The storey below is no floor that it drops to.
+    """
+    lands = np.argmax(edges.floors == landing[:, None], axis=1)
+    cell = edges.cells[np.arange(len(lands)), lands]
+    first, last = columns.start[cell], columns.start[cell + 1]
+    is_open = np.ones(len(cell), dtype=np.bool_)
+    for k in range(int((last - first).max(initial=0))):
+        height = columns.z[np.minimum(first + k, last - 1)]
+        is_open &= (height <= landing + SLACK) | (height > z)
+    return is_open
+
+
+def _shares(standable: Standable, columns: Columns) -> tuple[Float, Float]:
+    """The share of each sheet that is open to the sky, and that lies over another that counts."""
+    cells, sheet, size = standable.cell, standable.sheet, np.maximum(standable.sheet_size, 1)
     last_of_column = columns.start[cells + 1] - 1
     to_sky = columns.z[last_of_column] - standable.z <= SLACK
-    below = np.arange(len(cells)) - 1
-    over_floor = (below >= 0) & (cells[np.maximum(below, 0)] == cells)
-    sheet, size = standable.sheet, np.maximum(standable.sheet_size, 1)
-    sky_share = np.bincount(sheet, to_sky, len(size)) / size
-    over_share = np.bincount(sheet, over_floor, len(size)) / size
-    keep = np.ones(len(size), dtype=np.bool_)
-    under = _EnclosedTest(standable, columns, agent, is_occupied)
-    candidates = np.flatnonzero((sky_share >= MOSTLY) & (over_share >= HALF))
-    for roof, members in standable.members(candidates):
-        keep[roof] = not under.is_enclosed(cells[members], below[members[over_floor[members]]])
-    return standable.only_sheets(keep)
+    below = np.maximum(np.arange(len(cells)) - 1, 0)
+    over_floor = (cells[below] == cells) & (sheet[below] != sheet)
+    return (
+        np.bincount(sheet, to_sky, len(size)) / size,
+        np.bincount(sheet, over_floor, len(size)) / size,
+    )
 
 
-def is_walled(cells: Int, z: Float, columns: Columns, height: float) -> bool:
-    """Whether something higher than an agent [m] stands along most of the edge of a sheet."""
-    lattice = columns.lattice
-    floor, top = np.full(lattice.shape, np.nan), np.full(lattice.shape, -np.inf)
-    floor.ravel()[cells] = z
-    filled = np.flatnonzero(np.diff(columns.start))
-    top.ravel()[filled] = columns.z[columns.start[filled + 1] - 1]
-    edges = walled = 0
-    for one, other in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        for a, b in ((one, other), (other, one)):
-            is_edge = ~np.isnan(floor[a]) & np.isnan(floor[b])
-            edges += int(np.count_nonzero(is_edge))
-            walled += int(np.count_nonzero(top[b][is_edge] >= floor[a][is_edge] + height))
-    return walled > HALF * edges
+def _outer_edges(standable: Standable, chosen: Bool, agent: AgentSettings, reach: int) -> Edges:
+    """The edges of some sheets along their outlines, without those of the holes in them.
+
+    What stands on a roof, or on a shelf, interrupts its sheet, but is no wall around it.
+    """
+    edges = find_edges(standable, chosen, agent.traversable_floor_height, reach)
+    width, outer = standable.lattice.width, edges.cells[:, 0]
+    sheet = standable.sheet[edges.surface]
+    kept = outer < 0
+    for number, members in standable.members(np.flatnonzero(chosen)):
+        mask, row0, col0 = mask_window(standable.cell[members], standable.lattice, margin=1)
+        outside = ~ndimage.binary_fill_holes(mask)
+        own = np.flatnonzero((sheet == number) & (outer >= 0))
+        row, col = np.divmod(outer[own], width)
+        kept[own] = outside[row - row0, col - col0]
+    return edges.only(kept)
 
 
-@dataclass(frozen=True)
-class _EnclosedTest:
-    """Whether a floor under a sheet is shut off from outside of the sheet's outline."""
-
-    standable: Standable
-    columns: Columns
-    agent: AgentSettings
-    is_occupied: OccupancyTest
-
-    def is_enclosed(self, roof_cells: Int, under: Int) -> bool:
-        """Decide from a roof's cells, and from the standable surfaces right under it."""
-        lattice = self.standable.lattice
-        margin = int(np.ceil(DOOR_HALF_WIDTH / lattice.cell_size)) + 2
-        roof, row0, col0 = mask_window(roof_cells, lattice, margin)
-        floor = np.full(roof.shape, np.nan)
-        row, col = np.divmod(self.standable.cell[under], lattice.width)
-        floor[row - row0, col - col0] = self.standable.z[under]
-        has_floor = ~np.isnan(floor)
-        nearest = ndimage.distance_transform_edt(
-            ~has_floor, return_distances=False, return_indices=True
-        )
-        floor = floor[tuple(nearest)]
-        blocked = self._blocked(floor, has_floor, row0, col0)
-        free = roof & has_floor & ~blocked
-        if not free.any():
-            return False  # a solid's top is no roof over a room
-        distance = ndimage.distance_transform_edt(~blocked) * lattice.cell_size
-        wide = ~blocked & (distance > DOOR_HALF_WIDTH) & (has_floor | ~roof)
-        # an object on a roof interrupts its sheet, but the hole is not outside of the roof
-        outline = ndimage.binary_fill_holes(roof)
-        inner = wide & outline
-        if not inner.any():
-            return True  # nothing but narrow places
-        part, _ = ndimage.label(wide)
-        outside = np.unique(part[wide & ~outline])
-        reached = np.isin(part, outside[outside > 0]) & inner
-        return bool(reached.sum() < HALF * inner.sum())
-
-    def _blocked(self, floor: Float, has_floor: Bool, row0: Int, col0: Int) -> Bool:
-        """Cells of a window that something blocks at the height of the floor there or nearby."""
-        lattice = self.standable.lattice
-        row, col = np.indices(floor.shape) + np.reshape([row0, col0], (2, 1, 1))
-        inside = (row >= 0) & (row < lattice.height) & (col >= 0) & (col < lattice.width)
-        cells = row * lattice.width + col
-        blocked = np.zeros(floor.shape, dtype=np.bool_)
-        exact = inside & has_floor
-        blocked[exact] = self.is_occupied(cells[exact], floor[exact])
-        # where the roof has no floor below, only lines are cast: the height is a neighbour's
-        rough = inside & ~has_floor
-        answers = np.zeros(int(rough.sum()), dtype=np.bool_)
-        low = floor[rough] + self.agent.traversable_floor_height + TOUCH
-        high = floor[rough] + self.agent.height - TOUCH
-        lines_blocked(cells[rough], low, high, self.columns.crossings, answers)
-        blocked[rough] = answers
-        return blocked
+def _count(standable: Standable, edges: Edges, which: Bool) -> Float:
+    """How many edges of each sheet are of some kind."""
+    sheet = standable.sheet[edges.surface]
+    count: Float = np.bincount(sheet, which, len(standable.sheet_size)).astype(np.float64)
+    return count

@@ -117,15 +117,6 @@ def test_roof_over_a_house_on_open_ground_is_no_level(bake):
     assert island_at(grid, 0, -3, -3) == island_at(grid, 0, 5, 4) > 0  # through the door
 
 
-def test_roof_on_posts_covers_no_enclosed_level(bake):
-    posts = [box(x, x + 0.2, y, y + 0.2, 0, 2.5) for x in (0, 5) for y in (0, 5)]
-    grid = bake(
-        [PLANE.format(0), *posts, box(0, 5.2, 0, 5.2, 2.5, 2.7)],
-        grid={"bounds": [-5, -5, 10, 10]},
-    )
-    assert grounds(grid) == [0, 2.7]
-
-
 def test_top_of_what_stands_on_a_floor_is_furniture_however_large(bake):
     scene = [FLOOR, box(2, 6, 2, 6, 0, 3)]
     grid = bake(scene)
@@ -172,12 +163,6 @@ def test_walls_as_thick_as_rooms_are_no_floor(bake):
         row, col = grid.lattice.rows_cols([x, y])
         assert grid.occupancy[row, col] == 1, (x, y)
         assert grid.floor_height[row, col] == 0, (x, y)
-
-
-def test_mezzanine_that_nothing_leads_to_is_a_level(bake):
-    posts = [box(x, x + 0.2, y, y + 0.2, 0, 2.8) for x in (5, 9.8) for y in (0, 7.8)]
-    grid = bake([FLOOR, *posts, box(5, 10, 0, 8, 2.8, 3)])
-    assert grounds(grid) == [0, 3]
 
 
 def test_low_bump_blocks_nothing(bake):
@@ -295,7 +280,7 @@ def test_half_storeys_beside_each_other_make_two_levels(bake):
         box(0, 5, 0, 8, 2.6, 2.8),
         box(5, 10, 0, 8, 4, 4.2),
     ]
-    grid = bake(scene)
+    grid = bake(scene, floors={"roofs": True})
     assert grounds(grid) == [0, 2.8]
     assert floor_at(grid, 0, 7, 4) == pytest.approx(1.4)
     assert floor_at(grid, 1, 7, 4) == pytest.approx(4.2)
@@ -320,7 +305,7 @@ def test_several_buildings_of_different_height_share_levels(bake):
     ground = box(0, 30, 0, 10, -0.2, 0)
     first = [box(2, 8, 2, 8, 2.8, 3.0), box(2, 8, 2, 8, 5.8, 6.0)]
     second = [box(20, 26, 2, 8, 3.2, 3.4)]
-    grid = bake([ground, *first, *second])
+    grid = bake([ground, *first, *second], floors={"roofs": True})
     assert grounds(grid) == [0, 3, 6]
     assert floor_at(grid, 1, 23, 5) == pytest.approx(3.4)
 
@@ -430,30 +415,6 @@ def test_no_two_levels_are_called_the_same(tmp_path):
     grid = run_bake(parse_config({"scene": {"path": str(path)}, "levels": levels})).grid
     names = [level["name"] for level in grid.navbake["levels"]]
     assert names == ["level 1", "level 1'", "level 2"]
-
-
-@pytest.mark.parametrize(
-    "on_it", [[], [box(1, 1.3, 1, 1.3, 2.7, 3.0)], [box(1, 2, 1, 2, 3.3, 3.4)]]
-)
-def test_a_storey_without_a_ceiling_is_a_roof_whatever_stands_on_it(tmp_path, on_it):
-    """What stands on a roof opens no way into the storey under it; walls on it are told of."""
-    pieces = [box(0, 4, 0, 4, -0.2, 0), *walls(0, 4, 0, 4, 0, 2.5, door=False)]
-    pieces += [box(0, 4, 0, 4, 2.5, 2.7, 'name="slab"'), *on_it]
-    path = tmp_path / "house.xml"
-    settings = {"scene": {"path": str(path)}}
-    path.write_text(f"<mujoco><worldbody>{''.join(pieces)}</worldbody></mujoco>")
-    result = run_bake(parse_config(settings))
-    assert [level.ground for level in result.grid.levels] == [0.0]
-    assert result.warnings == []
-    pieces += walls(0, 4, 0, 4, 2.7, 5.2, door=False)
-    path.write_text(f"<mujoco><worldbody>{''.join(pieces)}</worldbody></mujoco>")
-    result = run_bake(parse_config(settings))
-    assert [level.ground for level in result.grid.levels] == [0.0]
-    [warning] = result.warnings
-    assert "left out as a roof, though it has walls: the top of 'slab' (1" in warning
-    settings["floors"] = {"roofs": True}
-    result = run_bake(parse_config(settings))
-    assert [level.ground for level in result.grid.levels] == [0.0, 2.7]
 
 
 def test_tells_of_an_endless_ground_that_the_grid_hides(tmp_path):

@@ -189,35 +189,6 @@ def group_members(part, size):
 
 
 @njit(cache=True)
-def place_on_levels(start, base, num_levels, level):
-    """Give each surface its level, so that no two of a column share one.
-
-    `base` is the level of the highest ground at or below each, (n,) int64. The lowest of a column
-    on a level stays; each other one goes to the next level up that has none in that column; `level`
-    receives -1 where every one above is taken.
-    """
-    taken = np.zeros(num_levels, np.bool_)
-    for cell in range(start.shape[0] - 1):
-        first, last = start[cell], start[cell + 1]
-        if last == first:
-            continue
-        taken[:] = False
-        for i in range(first, last):
-            level[i] = -1
-            if not taken[base[i]]:
-                taken[base[i]] = True
-                level[i] = base[i]
-        for i in range(first, last):
-            if level[i] >= 0:
-                continue
-            for k in range(base[i] + 1, num_levels):
-                if not taken[k]:
-                    taken[k] = True
-                    level[i] = k
-                    break
-
-
-@njit(cache=True)
 def find_links(lattice, start, z, level, step):
     """Pairs of surfaces in neighbouring cells, a step apart, on different levels.
 

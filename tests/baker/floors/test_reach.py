@@ -1,0 +1,122 @@
+"""What steps lead to: `floors.reach`, `floors.from`, and the levels that are told of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from navbake.baker.pipeline import BakeResult, run_bake
+from navbake.config.settings import load_config, parse_config
+from navbake.errors import ConfigError, SceneError
+
+
+def box(name: str, x0: float, x1: float, y0: float, y1: float, z0: float, z1: float) -> str:
+    pos = f"{(x0 + x1) / 2} {(y0 + y1) / 2} {(z0 + z1) / 2}"
+    size = f"{(x1 - x0) / 2} {(y1 - y0) / 2} {(z1 - z0) / 2}"
+    return f'<geom name="{name}" type="box" pos="{pos}" size="{size}"/>'
+
+
+# A tower of three slabs and a roof; steps lead from the lowest to the second beside them
+TOWER = [
+    box("ground", -8, 6, 0, 6, -0.2, 0),
+    *(box(name, 0, 6, 0, 6, z - 0.2, z) for name, z in
+      [("first", 3.0), ("second", 6.0), ("roof", 9.0)]),
+    *(box(f"tread {i}", -0.3 * (17 - i), -0.3 * (16 - i), 2, 4, 0, 3 * (i + 1) / 18)
+      for i in range(17)),
+]  # fmt: skip
+
+
+@pytest.fixture
+def bake(tmp_path: Path):
+    def run(geoms: list[str], **settings: object) -> BakeResult:
+        path = tmp_path / "scene.xml"
+        path.write_text(f"<mujoco><worldbody>{''.join(geoms)}</worldbody></mujoco>")
+        return run_bake(parse_config({"scene": {"path": str(path)}, **settings}))
+
+    return run
+
+
+def grounds(result: BakeResult) -> list[float]:
+    return [level.ground for level in result.grid.levels]
+
+
+def test_each_level_that_no_step_leads_to_is_told(bake):
+    result = bake(TOWER)
+    assert grounds(result) == [0, 3, 6]
+    [warning] = result.warnings
+    assert warning.startswith("no step leads to 'level 2' (36.0 m² at 6.00 m, most of it on 'sec")
+    assert "`floors.reach: steps`" in warning and "`floors.from`" in warning
+
+
+def test_steps_leaves_them_out(bake):
+    result = bake(TOWER, floors={"reach": "steps"})
+    assert grounds(result) == [0, 3]
+    assert result.warnings == []
+    assert all(np.isfinite(level.floor_height).any() for level in result.grid.levels)
+
+
+def test_from_names_what_counts_as_reached(bake):
+    result = bake(TOWER, floors={"from": [[3, 3, 6.5]]})
+    assert grounds(result) == [0, 3, 6]
+    warnings = [text for text in result.warnings if "no step leads to" in text]
+    assert len(warnings) == 2 and "'level 0'" in warnings[0] and "'level 1'" in warnings[1]
+    result = bake(TOWER, floors={"from": [[3, 3, 6.5]], "reach": "steps"})
+    assert grounds(result) == [6]
+    result = bake(TOWER, floors={"from": [[3, 3, 6.5], [-3, 1, 0]], "reach": "steps"})
+    assert grounds(result) == [0, 3, 6] and result.warnings == []
+
+
+def test_from_takes_a_roof_and_a_bed_for_floors(bake):
+    """One can only start from where one stands."""
+    assert grounds(bake(TOWER, floors={"from": [[3, 3, 9.0]]})) == [0, 3, 6, 9]
+    bed = box("bed", 1, 3, 1, 3, 0, 0.6)
+    result = bake([TOWER[0], bed], floors={"from": [[2, 2, 0.6]], "reach": "steps"})
+    assert grounds(result) == [pytest.approx(0.6)]
+
+
+def test_a_position_belongs_to_the_floor_below_it_or_a_step_above(bake):
+    for z, expected in [(5.9, [0, 3]), (2.76, [0, 3]), (2.74, [0, 3]), (8.7, [6]), (5.76, [6])]:
+        result = bake(TOWER, floors={"from": [[3, 3, z]], "reach": "steps"})
+        assert grounds(result) == (expected if z < 5.75 else [6]), z
+
+
+@pytest.mark.parametrize(
+    ("position", "words"),
+    [
+        ([50, 3, 0], "none in that cell"),
+        ([-3, 1, -1], "floors there are at 0.00 m"),
+    ],
+)
+def test_a_position_without_a_floor_is_refused(bake, position, words):
+    with pytest.raises(SceneError, match=r"no floor at `floors\.from\[1\]` \(") as caught:
+        bake(TOWER, floors={"from": [[3, 3, 0], position]})
+    assert words in str(caught.value)
+
+
+def test_what_is_reached_but_lies_outside_of_given_levels_is_refused(bake):
+    levels = [{"ground": 0.0, "top": 5.0}]
+    with pytest.raises(SceneError, match=r"`floors\.from` names lies outside of the `levels`"):
+        bake(TOWER, floors={"from": [[3, 3, 6.0]], "reach": "steps"}, levels=levels)
+
+
+def test_given_levels_are_told_of_too(bake):
+    levels = [{"ground": 0.0}, {"ground": 3.0}, {"ground": 6.0, "name": "attic", "top": 8.0}]
+    [warning] = bake(TOWER, levels=levels).warnings
+    assert warning.startswith("no step leads to 'attic'")
+
+
+@pytest.mark.parametrize(
+    ("yaml", "message"),
+    [
+        ("floors: {reach: some}", "expected all or steps|`floors.reach`"),
+        ("floors: {from: [[1, 2]]}", r"expected a position \[x, y, z\], got \[1, 2\] at `floors"),
+        ("floors: {from: [1, 2, 3]}", r"expected a position \[x, y, z\], got 1 at `floors.from"),
+    ],
+)
+def test_settings_are_checked(tmp_path, yaml, message):
+    path = tmp_path / "s.yaml"
+    path.write_text(f"scene: {{path: a.xml}}\n{yaml}\n")
+    with pytest.raises(ConfigError, match=message):
+        load_config(path)

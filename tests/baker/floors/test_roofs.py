@@ -1,0 +1,166 @@
+"""Which sheets over a floor are storeys, which are roofs, and which are shelves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from navbake.baker.pipeline import BakeResult, run_bake
+from navbake.config.settings import parse_config
+
+
+def box(x0: float, x1: float, y0: float, y1: float, z0: float, z1: float, more: str = "") -> str:
+    pos = f"{(x0 + x1) / 2} {(y0 + y1) / 2} {(z0 + z1) / 2}"
+    size = f"{(x1 - x0) / 2} {(y1 - y0) / 2} {(z1 - z0) / 2}"
+    return f'<geom type="box" pos="{pos}" size="{size}" {more}/>'
+
+
+def ring(x0: float, x1: float, y0: float, y1: float, z0: float, z1: float, t: float = 0.1) -> list:
+    """Four walls of thickness t along the inside of a rectangle."""
+    return [
+        box(x0, x1, y0, y0 + t, z0, z1),
+        box(x0, x1, y1 - t, y1, z0, z1),
+        box(x0, x0 + t, y0 + t, y1 - t, z0, z1),
+        box(x1 - t, x1, y0 + t, y1 - t, z0, z1),
+    ]
+
+
+def posts(x0: float, x1: float, y0: float, y1: float, z0: float, z1: float) -> list[str]:
+    return [box(x, x + 0.1, y, y + 0.1, z0, z1) for x in (x0, x1 - 0.1) for y in (y0, y1 - 0.1)]
+
+
+YARD = box(-6, 16, -6, 14, -0.2, 0)
+SLAB = box(0, 10, 0, 8, 2.6, 2.8)  # over a house of 10 x 8 m
+
+
+def rack(x0: float, z: float, depth: float = 1.1) -> list[str]:
+    """Three shelves 8 m long, the lowest at a height, and posts."""
+    shelves = [box(x0, x0 + depth, 0, 8, z + h, z + h + 0.1) for h in (0.6, 2.0, 3.4)]
+    return [*shelves, *posts(x0, x0 + depth, 0, 8, z, z + 3.4)]
+
+
+@pytest.fixture
+def bake(tmp_path: Path):
+    def run(geoms: list[str], **settings: object) -> BakeResult:
+        path = tmp_path / "scene.xml"
+        path.write_text(f"<mujoco><worldbody>{''.join(geoms)}</worldbody></mujoco>")
+        return run_bake(parse_config({"scene": {"path": str(path)}, **settings}))
+
+    return run
+
+
+def grounds(result: BakeResult) -> list[float]:
+    return [round(level.ground, 6) for level in result.grid.levels]
+
+
+def house_with_gate(gate: float) -> list[str]:
+    sides = [box(0, 10, 0, 0.1, 0, 2.6), box(0, 10, 7.9, 8, 0, 2.6), box(0, 0.1, 0.1, 7.9, 0, 2.6)]
+    front = [box(9.9, 10, 0.1, 1, 0, 2.6), box(9.9, 10, 1 + gate, 7.9, 0, 2.6)]
+    return [YARD, *sides, *front]
+
+
+GABLE = (
+    '<geom type="box" pos="5 2 4.2" size="5.3 2.6 .05" euler="35 0 0"/>',
+    '<geom type="box" pos="5 6 4.2" size="5.3 2.6 .05" euler="-35 0 0"/>',
+)
+CROWN = '<geom type="ellipsoid" pos="3 3 4" size="3 3 1"/>'
+
+ROOFS = {
+    "garage with a gate of 1.2 m": [*house_with_gate(1.2), SLAB],
+    "garage with a gate of 3 m": [*house_with_gate(3.0), SLAB],
+    "garage without a front": [*house_with_gate(6.8), SLAB],
+    "carport": [YARD, *posts(0, 10, 0, 8, 0, 2.6), SLAB],
+    "parapet": [*house_with_gate(1.2), SLAB, *ring(0, 10, 0, 8, 2.8, 3.8)],
+    "gable": [*house_with_gate(1.2), *GABLE],
+    "two heights": [
+        *house_with_gate(1.2),
+        *[box(0, 5, 0, 8, 2.6, 2.8), box(5, 10, 0, 8, 2.6, 4.8), box(4.6, 10, 0, 8, 4.8, 5)],
+    ],
+    "carport under eaves": [
+        *[YARD, *ring(0, 10, 0, 8, 0, 3.9), box(-0.5, 10.5, -0.5, 8.5, 3.9, 4.1)],
+        *[*posts(10, 13, 0, 5, 0, 2.3), box(10, 13, 0, 5, 2.3, 2.4)],
+    ],
+    "tree": [YARD, '<geom type="cylinder" pos="3 3 1.5" size=".2 1.5"/>', CROWN],
+    "parasol": [
+        YARD,
+        '<geom type="cylinder" pos="3 3 1.2" size=".05 1.2"/>'
+        '<geom type="cylinder" pos="3 3 2.42" size="1.5 .02"/>',
+    ],
+    "what stands on a roof": [
+        *[*house_with_gate(1.2), SLAB],
+        *[box(x, x + 1.5, y, y + 1.5, 2.8, 4.5) for x in (1, 4, 7) for y in (1, 3, 5)],
+    ],
+    "canopy along a wall": [YARD, box(0, 10, 0, 8, 0, 5), box(1, 9, -1.6, 0, 2.6, 2.7)],
+}
+
+
+@pytest.mark.parametrize("name", ROOFS)
+def test_roof_is_no_level(bake, name):
+    result = bake(ROOFS[name])
+    assert grounds(result) == [0]
+    assert not any("no step leads to" in warning for warning in result.warnings)
+
+
+@pytest.mark.parametrize("name", [name for name in ROOFS if "canopy" not in name])
+def test_roofs_are_levels_when_asked_for(bake, name):
+    assert len(grounds(bake(ROOFS[name], floors={"roofs": True}))) > 1
+
+
+LOWER = [YARD, *ring(0, 10, 0, 8, 0, 2.6), SLAB]
+THIN = ring(0, 10, 0, 8, 2.8, 5.4, t=0.02)  # no cell's centre lies in them
+STOREYS = {
+    "without its ceiling": [*LOWER, *ring(0, 10, 0, 8, 2.8, 5.4)],
+    "without its ceiling, of thin walls": [*LOWER, *THIN],
+    "without its ceiling, open to one side": [*LOWER, *ring(0, 10, 0, 8, 2.8, 5.4)[:3]],
+    "without walls, under a roof": [
+        *LOWER,
+        *posts(0, 10, 0, 8, 2.8, 5.4),
+        box(0, 10, 0, 8, 5.4, 5.6),
+    ],
+    "slab of a tower": [
+        *[YARD, *posts(0, 10, 0, 8, 0, 5.4), SLAB, box(0, 10, 0, 8, 5.4, 5.6)],
+    ],
+    "mezzanine in a hall": [
+        *[YARD, *ring(0, 10, 0, 8, 0, 6), box(0, 10, 0, 8, 6, 6.2), box(6, 9, 2, 7, 2.6, 2.8)],
+    ],
+    "gallery in a hall": [
+        *[YARD, *ring(0, 10, 0, 8, 0, 6), box(0, 10, 0, 8, 6, 6.2), box(0, 2, 0, 8, 2.6, 2.8)],
+    ],
+    "attic": [
+        *[YARD, *ring(0, 10, 0, 8, 0, 2.6), SLAB],
+        '<geom type="box" pos="5 2 3.9" size="5.3 2.6 .05" euler="25 0 0"/>',
+        '<geom type="box" pos="5 6 3.9" size="5.3 2.6 .05" euler="-25 0 0"/>',
+    ],
+}
+
+
+@pytest.mark.parametrize("name", STOREYS)
+def test_storey_without_stairs_is_a_level_and_is_told_of(bake, name):
+    result = bake(STOREYS[name])
+    assert grounds(result) == [0, 2.8]
+    [warning] = result.warnings
+    assert "no step leads to 'level 1'" in warning and "2.80 m" in warning
+
+
+def test_racks_are_furniture_outdoors_and_under_a_ceiling(bake):
+    yard = bake([YARD, *rack(0, 0), *rack(4, 0, depth=2.2)])
+    assert grounds(yard) == [0]
+    hall = [YARD, *ring(-2, 12, -2, 10, 0, 6), box(-2, 12, -2, 10, 6, 6.2)]
+    storey = [*ring(-2, 12, -2, 10, 6.2, 9), box(-2, 12, -2, 10, 9, 9.2)]
+    result = bake([*hall, *storey, *rack(0, 0), *rack(4, 0, depth=2.2)])
+    assert grounds(result) == [0, 6.2]
+    assert any("not a floor, because no step leads there" in text for text in result.warnings)
+    assert len(grounds(bake([*hall, *rack(0, 0)], floors={"tops": True}))) > 1
+
+
+def test_what_was_dropped_is_no_floor_beyond_a_wall(bake):
+    """The roof of a carport is a step lower than the storey behind the wall."""
+    carport = [*posts(10, 13, 0, 5, 0, 2.5), box(10, 13, 0, 5, 2.5, 2.6)]
+    storey = [*ring(0, 10, 0, 8, 2.8, 5.4, t=0.3), box(0, 10, 0, 8, 5.4, 5.6)]
+    result = bake([*LOWER, *storey, *carport])
+    upper = result.grid.levels[1]
+    assert upper.ground == pytest.approx(2.8)
+    row, col = upper.lattice.rows_cols([11.5, 2.5])
+    inside = 0 <= row < upper.height and 0 <= col < upper.width
+    assert not inside or not upper.free[row, col]
