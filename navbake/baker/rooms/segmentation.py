@@ -9,6 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from navbake.baker.lattice import EDGES, bounding_window
+from navbake.baker.rooms.gaps import part_at_gaps
 from navbake.baker.rooms.kernels import labels
 from navbake.baker.rooms.kernels.labels import label_parts, measure_regions
 from navbake.baker.rooms.kernels.watershed import flood, squared_distances
@@ -30,7 +31,7 @@ SLOPE_REACH = 0.3
 def segment_rooms(
     open_cells: Bool,
     cell_size: float,
-    door_width: float,
+    door_width: float | None,
     min_area: float,
     floor: Float | None = None,
 ) -> Int32:
@@ -70,6 +71,15 @@ def segment_rooms(
         return rooms
     window = bounding_window(open_cells)
     open_cells = np.ascontiguousarray(open_cells[window])
+    if door_width is None:
+        label, _ = part_at_gaps(open_cells, cell_size)
+        zero = np.zeros(open_cells.shape, dtype=np.int32)
+        flood(label, open_cells, zero, 0)
+        regions = Regions(label, squared_distances(wall_nodes(open_cells), int(2.5/cell_size)+2, 0, 1), int(label.max()))
+        least = min_area / cell_size**2 - ROUNDING
+        regions.join_small(least)
+        rooms[window] = renumber(regions.wholes(least)[label])
+        return rooms
     # the door's half width, in half cells; nothing fits beside one that is as wide as the map
     width = min(door_width / cell_size, float(min(open_cells.shape) + 2))
     least = min_area / cell_size**2 - ROUNDING
