@@ -68,7 +68,9 @@ def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
     num = 180 // BIN
     count = np.bincount(np.rint(angle / BIN).astype(np.int64) % num, minlength=num).astype(float)
     smooth = count + np.roll(count, 1) + np.roll(count, -1)
-    least = max(LEAST_WALL / cell_size, LEAST_SHARE * count.sum())
+    # round the corners of walls the slope has all directions alike
+    around = 2.0 * float(np.median(smooth))
+    least = around + max(LEAST_WALL / cell_size, LEAST_SHARE * count.sum())
     directions = []
     while smooth.max() >= least:
         best = int(smooth.argmax())
