@@ -1,14 +1,17 @@
 """Rooms from gaps that part spaces by their width against the width of both."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.baker.rooms.kernels import gaps as kernels
 from navbake.baker.rooms.kernels.labels import label_parts
 from navbake.baker.rooms.kernels.watershed import squared_distances
 from navbake.types import Bool, Float, Int, Int32
+
+T = TypeVar("T", bound=np.generic)
 
 # The widest opening that can part two rooms [m]
 WIDEST = 2.5
@@ -23,6 +26,9 @@ DEPTHS = (0.1, 0.25, 0.45)
 # A passage opens into a space as wide as it is, but is its own from this length on, measured in
 # its widths, where the space is wider by this factor
 LONG, WIDER = 3.0, 1.5
+# A gap was a close call within this of the share that decides, if it is so wide [m] and both spaces
+# are so large [m²]
+CLOSE, CLOSE_WIDTH, CLOSE_AREA = 0.04, 0.8, 4.0
 # The directions of walls are taken at this distance from them, in bins of so many degrees; those
 # count that belong to this length of wall, and to this share of all
 OFF_WALL, BIN, LEAST_WALL, LEAST_SHARE = 0.3, 5, 2.0, 0.01
@@ -42,14 +48,35 @@ class Direction(NamedTuple):
     stretch: float
 
 
-@dataclass
+class CloseCall(NamedTuple):
+    """A gap that hardly parts two spaces, or nearly does.
+
+    Attributes:
+        cell: row and column of its middle.
+        width: [m].
+        parts: whether it does.
+    """
+
+    cell: tuple[float, float]
+    width: float
+    parts: bool
+
+
+@dataclass(frozen=True)
 class GapsOfDirection:
-    """The gaps of a direction: see `measure_gap` for `gaps`, shape (n, 8), int64."""
+    """The gaps of a direction, with what `measure_gaps` wants to know.
+
+    Attributes:
+        label, is_open: of the cells, as the direction is scanned.
+        gaps: see `measure_gap`, shape (n, 8), int64.
+        depths: how far behind them to measure, int64 [rows].
+    """
 
     direction: Direction
     label: Int32
     is_open: Bool
     gaps: Int
+    depths: Int
 
 
 def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
@@ -90,14 +117,14 @@ def _direction(angle: float, shape: tuple[int, ...]) -> Direction:
     return Direction(swapped, shift, float(np.hypot(1.0, slope)))
 
 
-def find_gap_cells(
+def _find_gap_cells(
     open_cells: Bool, directions: list[Direction], cell_size: float
 ) -> tuple[Bool, list[Int32]]:
     """Mark the cells of gaps in all directions, and measure the runs of each."""
     marked = np.zeros(open_cells.shape, dtype=np.bool_)
     runs = []
     for direction in directions:
-        cells = _turned(open_cells, direction)
+        cells = turned(open_cells, direction)
         run = kernels.measure_runs(cells, direction.shift)
         gap = np.zeros(cells.shape, dtype=np.bool_)
         step = direction.stretch * cell_size
@@ -108,27 +135,32 @@ def find_gap_cells(
     return marked, runs
 
 
-def part_at_gaps(open_cells: Bool, cell_size: float) -> tuple[Int32, int]:
-    """Label the spaces that gaps part; the cells of gaps have none yet."""
+def part_at_gaps(open_cells: Bool, cell_size: float) -> tuple[Int32, list[CloseCall]]:
+    """Label the spaces that gaps part; the cells of gaps have none yet.
+
+    Also lists the gaps that hardly part two spaces, and those that nearly do.
+    """
     directions = find_directions(open_cells, cell_size)
-    marked, runs = find_gap_cells(open_cells, directions, cell_size)
+    marked, runs = _find_gap_cells(open_cells, directions, cell_size)
     label, count = label_parts(open_cells & ~marked)
     found = []
     for direction, run in zip(directions, runs, strict=True):
-        turned = _turned(label, direction)
+        label_there, gap_there = turned(label, direction), turned(marked, direction)
         widest = int(WIDEST / direction.stretch / cell_size)
-        crossings = kernels.list_crossings(turned, _turned(marked, direction), run, widest)
+        crossings = kernels.list_crossings(label_there, gap_there, run, widest)
         number = kernels.group_crossings(crossings, direction.shift)
-        gaps = _bounds(crossings, number)
-        found.append(GapsOfDirection(direction, turned, _turned(open_cells, direction), gaps))
-    whole = np.arange(count + 1, dtype=np.int64)
-    cells = np.bincount(label.ravel(), minlength=count + 1).astype(np.int64)
-    _merge(found, whole, cells, cell_size)
-    return whole.astype(np.int32)[label], count
+        depths = [max(1, round(depth * direction.stretch / cell_size)) for depth in DEPTHS]
+        open_there = turned(open_cells, direction)
+        gaps, depth = _describe(crossings, number), np.array(depths, dtype=np.int64)
+        found.append(GapsOfDirection(direction, label_there, open_there, gaps, depth))
+    spaces = _Spaces(found, np.bincount(label.ravel(), minlength=count + 1), cell_size)
+    spaces.join_continued()
+    spaces.join_narrower()
+    return spaces.whole.astype(np.int32)[label], spaces.close_calls()
 
 
-def _bounds(crossings: Int, number: Int) -> Int:
-    """First and last column of each gap, its rows there, and its regions."""
+def _describe(crossings: Int, number: Int) -> Int:
+    """First and last column of each gap, its rows there, and its regions, shape (n, 8)."""
     if not len(crossings):
         return np.empty((0, 8), dtype=np.int64)
     order = np.argsort(number, kind="stable")
@@ -138,48 +170,97 @@ def _bounds(crossings: Int, number: Int) -> Int:
     return np.stack([a[:, 0], b[:, 0], a[:, 1], a[:, 2], b[:, 1], b[:, 2], a[:, 3], a[:, 4]], 1)
 
 
-def _merge(found: list[GapsOfDirection], whole: Int, cells: Int, cell_size: float) -> None:
-    """Join the spaces that are one, those first that continue each other."""
-    width = np.concatenate([(g.gaps[:, 1] - g.gaps[:, 0] + 1) * g.direction.stretch for g in found])
-    pairs = np.concatenate([g.gaps[:, 6:] for g in found])
+class _Spaces:
+    """The spaces between gaps, and which of them have been joined.
 
-    def measure() -> Float:
-        shares = []
-        for g in found:
-            depths = np.array(
-                [max(1, round(d * g.direction.stretch / cell_size)) for d in DEPTHS], dtype=np.int64
-            )
-            shares.append(
-                kernels.measure_gaps(
-                    g.label, g.is_open, whole, g.direction.shift, g.gaps, depths
-                )
-            )
-        return np.concatenate(shares)
+    Args:
+        found: the gaps of each direction.
+        cells: how many each space has, from 0 for none.
+    """
 
-    for narrower in (False, True):
+    def __init__(self, found: list[GapsOfDirection], cells: Int, cell_size: float) -> None:
+        self.whole = np.arange(len(cells), dtype=np.int64)
+        self._found = found
+        self._cells = cells.astype(np.int64)
+        self._first = self._cells.copy()  # before any was joined
+        self._cell_size = cell_size
+        stretched = [(g.gaps[:, 1] - g.gaps[:, 0] + 1) * g.direction.stretch for g in found]
+        self._width = np.concatenate([np.empty(0), *stretched])  # of each gap [cells]
+        pairs = [g.gaps[:, 6:] for g in found]
+        self._pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs])
+        # the share that decided about each gap, NaN for none
+        self._decided = np.full(len(self._width), np.nan)
+
+    def join_continued(self) -> None:
+        """Join spaces that a gap leaves as wide as both of them are."""
         while True:
-            shares = measure()
-            apart = whole[pairs[:, 0]] != whole[pairs[:, 1]]
-            if narrower:
-                score = shares.max(axis=1)
-                thin = np.where(shares[:, 0] >= shares[:, 1], pairs[:, 0], pairs[:, 1])
-                area = cells[whole[thin]]
-                own = (area >= LONG * width**2) & (shares.min(axis=1) <= 1 / WIDER)
-                joins = apart & (score >= NARROWER) & ~own
-            else:
-                score = shares.min(axis=1)
-                joins = apart & (score >= BOTH)
-            if not joins.any():
-                break
-            changed = set()
-            for k in np.flatnonzero(joins)[np.argsort(-score[joins], kind="stable")]:
-                a, b = sorted(whole[pairs[k]].tolist())
-                if a == b or (narrower and (a in changed or b in changed)):
-                    continue
-                changed |= {a, b}
-                whole[whole == b] = a
-                cells[a] += cells[b]
+            shares = self._measure().min(axis=1)
+            joins = np.flatnonzero(self._apart() & (shares >= BOTH))
+            if not len(joins):
+                return
+            for k in joins[np.argsort(-shares[joins], kind="stable")]:
+                self._join(*self.whole[self._pairs[k]].tolist())
+
+    def join_narrower(self) -> None:
+        """Join spaces that a gap leaves as wide as the narrower is, but for long passages."""
+        while True:
+            shares = self._measure()
+            most = shares.max(axis=1)
+            narrow = np.where(shares[:, 0] >= shares[:, 1], *self._pairs.T)
+            long = self._cells[self.whole[narrow]] >= LONG * self._width**2
+            own = long & (shares.min(axis=1) <= 1 / WIDER)
+            self._decided = np.where(self._apart() & ~own, most, self._decided)
+            joins = np.flatnonzero(self._apart() & (most >= NARROWER) & ~own)
+            if not len(joins):
+                return
+            # what has grown is measured again before it is joined again
+            changed: set[int] = set()
+            for k in joins[np.argsort(-most[joins], kind="stable")]:
+                both = self.whole[self._pairs[k]].tolist()
+                if both[0] != both[1] and changed.isdisjoint(both):
+                    changed.update(both)
+                    self._join(*both)
+
+    def close_calls(self) -> list[CloseCall]:
+        """The gaps between two spaces of some size that were decided by little."""
+        close = np.abs(self._decided - NARROWER) <= CLOSE
+        close &= self._width * self._cell_size >= CLOSE_WIDTH
+        least = CLOSE_AREA / self._cell_size**2
+        parted = self._apart()
+        calls = []
+        number = 0
+        for g in self._found:
+            for gap in g.gaps:
+                k, number = number, number + 1
+                sizes = self._cells[self.whole[gap[6:]]] if parted[k] else self._first[gap[6:]]
+                if close[k] and (sizes >= least).all():
+                    col, row = (gap[0] + gap[1]) / 2, float(gap[2:6].mean())
+                    cell = (col, row) if g.direction.swapped else (row, col)
+                    width = float(self._width[k]) * self._cell_size
+                    calls.append(CloseCall(cell, width, bool(parted[k])))
+        return calls
+
+    def _apart(self) -> Bool:
+        apart: Bool = self.whole[self._pairs[:, 0]] != self.whole[self._pairs[:, 1]]
+        return apart
+
+    def _measure(self) -> Float:
+        """The share that each gap has of the spaces on both sides, shape (n, 2)."""
+        shares = [
+            kernels.measure_gaps(
+                g.label, g.is_open, self.whole, g.direction.shift, g.gaps, g.depths
+            )
+            for g in self._found
+        ]
+        return np.concatenate([np.empty((0, 2)), *shares])
+
+    def _join(self, one: int, other: int) -> None:
+        if one != other:
+            to, gone = min(one, other), max(one, other)
+            self.whole[self.whole == gone] = to
+            self._cells[to] += self._cells[gone]
 
 
-def _turned(array, direction):
+def turned(array: NDArray[T], direction: Direction) -> NDArray[T]:
+    """An array as the kernels scan it in a direction."""
     return np.ascontiguousarray(array.T) if direction.swapped else array

@@ -42,6 +42,45 @@ def measure_runs(is_open, shift):
 
 
 @njit(cache=True)
+def mark_bridges(low, wall, shift, bridge):
+    """Mark the cells of runs of `low` cells along a line that begin and end at a wall.
+
+    All are (rows, cols) bool; marks are added to `bridge`.
+    """
+    rows, cols = low.shape
+    held = np.zeros((rows, cols), dtype=np.bool_)  # by a wall at the run's first end
+    for col in range(1, cols):
+        down = shift[col - 1] - shift[col]
+        for row in range(rows):
+            before = row + down
+            if low[row, col] and 0 <= before < rows:
+                held[row, col] = wall[before, col - 1] or held[before, col - 1]
+    ends = np.zeros((rows, cols), dtype=np.bool_)
+    for col in range(cols - 2, -1, -1):
+        down = shift[col + 1] - shift[col]
+        for row in range(rows):
+            after = row + down
+            if held[row, col] and 0 <= after < rows:
+                ends[row, col] = wall[after, col + 1] or ends[after, col + 1]
+                bridge[row, col] |= ends[row, col]
+
+
+@njit(cache=True)
+def drop_thick(mark, most):
+    """Unmark the cells of columns of more than `most` marked cells; `mark` is (rows, cols) bool."""
+    rows, cols = mark.shape
+    for col in range(cols):
+        row = 0
+        while row < rows:
+            first = row
+            while row < rows and mark[row, col]:
+                row += 1
+            if row - first > most:
+                mark[first:row, col] = False
+            row += 1
+
+
+@njit(cache=True)
 def mark_gaps(run, widest, growth, rise, thickness, gap):
     """Mark the cells of gaps: runs of at most `widest` cells next to much longer ones.
 
