@@ -15,6 +15,9 @@ T = TypeVar("T", bound=np.generic)
 
 # The widest opening that can part two rooms [m]
 WIDEST = 2.5
+# The widest mouth of a passage that is a room of its own, and the widest opening in whose line
+# another wall can end [m]
+PASSAGE, WIDE = 3.2, 4.0
 # Two spaces are one where the gap between them is at least this share of both, or of the narrower
 BOTH, NARROWER = 0.8, 0.78
 # A gap is looked for where the space widens by this factor, and by this much [m]
@@ -98,6 +101,8 @@ def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
     # round the corners of walls the slope has all directions alike
     around = 2.0 * float(np.median(smooth))
     least = around + max(LEAST_WALL / cell_size, LEAST_SHARE * count.sum())
+    is_peak = (smooth >= np.roll(smooth, 1)) & (smooth >= np.roll(smooth, -1))
+    smooth[~is_peak] = 0.0
     directions = []
     while smooth.max() >= least:
         best = int(smooth.argmax())
@@ -119,20 +124,30 @@ def _direction(angle: float, shape: tuple[int, ...]) -> Direction:
 
 def _find_gap_cells(
     open_cells: Bool, directions: list[Direction], cell_size: float
-) -> tuple[Bool, list[Int32]]:
-    """Mark the cells of gaps in all directions, and measure the runs of each."""
-    marked = np.zeros(open_cells.shape, dtype=np.bool_)
-    runs = []
-    for direction in directions:
-        cells = turned(open_cells, direction)
-        run = kernels.measure_runs(cells, direction.shift)
-        gap = np.zeros(cells.shape, dtype=np.bool_)
-        step = direction.stretch * cell_size
-        thickness = int(THICKNESS * direction.stretch / cell_size) + 2
-        kernels.mark_gaps(run, int(WIDEST / step), GROWTH, RISE / step, thickness, gap)
-        marked |= gap.T if direction.swapped else gap
-        runs.append(run)
-    return marked, runs
+) -> list[Bool]:
+    """Mark the cells of the gaps of each direction, as it is scanned.
+
+    Gaps with steps on both sides, such as doorways, come first. They are walls to what is found
+    then: so a line across a corridor does not lead through a door into a room, and a wall that
+    ends in the middle of a wide opening goes on up to the line of that opening.
+    """
+    marks = [np.zeros(turned(open_cells, d).shape, dtype=np.bool_) for d in directions]
+    for widest, both in ((WIDE, True), (PASSAGE, False)):
+        is_open = open_cells & ~_join_marks(marks, directions, open_cells)
+        for direction, mark in zip(directions, marks, strict=True):
+            run = kernels.measure_runs(turned(is_open, direction), direction.shift)
+            step = direction.stretch * cell_size
+            thickness = int(THICKNESS * direction.stretch / cell_size) + 2
+            kernels.mark_gaps(run, int(widest / step), GROWTH, RISE / step, thickness, both, mark)
+    return marks
+
+
+def _join_marks(marks: list[Bool], directions: list[Direction], like: Bool) -> Bool:
+    """The cells that are marked in any direction."""
+    marked = np.zeros(like.shape, dtype=np.bool_)
+    for mark, direction in zip(marks, directions, strict=True):
+        marked |= mark.T if direction.swapped else mark
+    return marked
 
 
 def part_at_gaps(open_cells: Bool, cell_size: float) -> tuple[Int32, list[CloseCall]]:
@@ -141,13 +156,14 @@ def part_at_gaps(open_cells: Bool, cell_size: float) -> tuple[Int32, list[CloseC
     Also lists the gaps that hardly part two spaces, and those that nearly do.
     """
     directions = find_directions(open_cells, cell_size)
-    marked, runs = _find_gap_cells(open_cells, directions, cell_size)
+    marks = _find_gap_cells(open_cells, directions, cell_size)
+    marked = _join_marks(marks, directions, open_cells)
     label, count = label_parts(open_cells & ~marked)
     found = []
-    for direction, run in zip(directions, runs, strict=True):
+    for direction, own in zip(directions, marks, strict=True):
         label_there, gap_there = turned(label, direction), turned(marked, direction)
-        widest = int(WIDEST / direction.stretch / cell_size)
-        crossings = kernels.list_crossings(label_there, gap_there, run, widest)
+        thickness = int(THICKNESS * direction.stretch / cell_size) + 2
+        crossings = kernels.list_crossings(label_there, gap_there, own, thickness)
         number = kernels.group_crossings(crossings, direction.shift)
         depths = [max(1, round(depth * direction.stretch / cell_size)) for depth in DEPTHS]
         open_there = turned(open_cells, direction)
@@ -198,8 +214,7 @@ class _Spaces:
             joins = np.flatnonzero(self._apart() & (shares >= BOTH))
             if not len(joins):
                 return
-            for k in joins[np.argsort(-shares[joins], kind="stable")]:
-                self._join(*self.whole[self._pairs[k]].tolist())
+            self._join_widest(joins, shares)
 
     def join_narrower(self) -> None:
         """Join spaces that a gap leaves as wide as the narrower is, but for long passages."""
@@ -210,16 +225,23 @@ class _Spaces:
             long = self._cells[self.whole[narrow]] >= LONG * self._width**2
             own = long & (shares.min(axis=1) <= 1 / WIDER)
             self._decided = np.where(self._apart() & ~own, most, self._decided)
+            most[self._width * self._cell_size > WIDEST] = 1.0
             joins = np.flatnonzero(self._apart() & (most >= NARROWER) & ~own)
             if not len(joins):
                 return
-            # what has grown is measured again before it is joined again
-            changed: set[int] = set()
-            for k in joins[np.argsort(-most[joins], kind="stable")]:
-                both = self.whole[self._pairs[k]].tolist()
-                if both[0] != both[1] and changed.isdisjoint(both):
-                    changed.update(both)
-                    self._join(*both)
+            self._join_widest(joins, most)
+
+    def _join_widest(self, gaps: Int, shares: Float) -> None:
+        """Join the spaces on both sides of gaps, those with the largest shares first.
+
+        What has grown is measured again before it grows more.
+        """
+        changed: set[int] = set()
+        for k in gaps[np.argsort(-shares[gaps], kind="stable")]:
+            both = self.whole[self._pairs[k]].tolist()
+            if both[0] != both[1] and changed.isdisjoint(both):
+                changed.update(both)
+                self._join(*both)
 
     def close_calls(self) -> list[CloseCall]:
         """The gaps between two spaces of some size that were decided by little."""

@@ -11,6 +11,8 @@ from numba import njit
 
 # The nearest cells of a wall's ends may lie on lines this far apart where a gap goes on [lines]
 DRIFT = 2
+# How far on either side of a gap the spaces behind it are measured [widths of the gap]
+REACH = 2
 
 
 @njit(cache=True)
@@ -81,12 +83,13 @@ def drop_thick(mark, most):
 
 
 @njit(cache=True)
-def mark_gaps(run, widest, growth, rise, thickness, gap):
+def mark_gaps(run, widest, growth, rise, thickness, both, gap):
     """Mark the cells of gaps: runs of at most `widest` cells next to much longer ones.
 
     A run is much longer by the factor `growth` and by `rise` cells. Between two such steps that are
-    at most `thickness` lines apart, as in a doorway, all lines are marked; else the last one.
-    Marks are added to `gap`, bool, of the shape of `run`.
+    at most `thickness` lines apart, as in a doorway, all lines are marked; else the last one,
+    unless only gaps with steps on `both` sides are wanted. Marks are added to `gap`, bool, of the
+    shape of `run`.
     """
     rows, cols = run.shape
     for row in range(rows):
@@ -96,7 +99,7 @@ def mark_gaps(run, widest, growth, rise, thickness, gap):
                 continue
             least = max(growth * here, here + rise)
             if row > 0 and run[row - 1, col] >= least:
-                gap[row, col] = True
+                gap[row, col] |= not both
                 # does it widen again on the other side, a wall's thickness from here?
                 for other in range(row, min(row + thickness, rows)):
                     there = run[other, col]
@@ -108,16 +111,17 @@ def mark_gaps(run, widest, growth, rise, thickness, gap):
                         for between in range(row, other + 1):
                             gap[between, col] = True
                         break
-            if row + 1 < rows and run[row + 1, col] >= least:
+            if not both and row + 1 < rows and run[row + 1, col] >= least:
                 gap[row, col] = True
 
 
 @njit(cache=True)
-def list_crossings(label, gap, run, widest):
+def list_crossings(label, gap, own, thickness):
     """List where one column of cells leads through marked cells from one region to another.
 
-    `label` is (rows, cols) int32, 0 where there is no region. Only marked cells whose run has at
-    most `widest` cells count. Returns (n, 5) int64: the column, the first and the last marked row,
+    `label` is (rows, cols) int32, 0 where there is no region; `gap` marks the cells of all gaps,
+    `own` those of the gaps of this direction, of which there must be one; at most `thickness` rows
+    are crossed. Returns (n, 5) int64: the column, the first and the last marked row,
     and the labels above and below.
     """
     rows, cols = label.shape
@@ -135,10 +139,10 @@ def list_crossings(label, gap, run, widest):
                     last += 1
                 if last + 1 < rows:
                     above, below = label[row - 1, col], label[last + 1, col]
-                    narrow = False
+                    is_own = False
                     for k in range(row, last + 1):
-                        narrow |= run[k, col] <= widest
-                    if below > 0 and below != above and narrow:
+                        is_own |= own[k, col]
+                    if below > 0 and below != above and is_own and last - row < thickness:
                         if writing:
                             found[count, 0], found[count, 1], found[count, 2] = col, row, last
                             found[count, 3], found[count, 4] = above, below
@@ -188,8 +192,8 @@ def measure_gap(label, is_open, whole, shift, gap, depths):
     """How open the line of a gap is, seen from the region above it and from the one below.
 
     Behind the gap, at each depth, a line runs along it as far as the region reaches, but on either
-    side no further than the gap is wide. Of that length, the gap is a share, together with other
-    openings to the same region.
+    side no further than the gap is wide, times `REACH`. Of that length, the gap is a share,
+    together with other openings in its line to the same region, which also count as its width.
 
     Args:
         label: (rows, cols) int32, 0 where there is no region.
@@ -216,9 +220,9 @@ def measure_gap(label, is_open, whole, shift, gap, depths):
                 top = gap[2] if end == 0 else gap[4]
                 bottom = gap[3] if end == 0 else gap[5]
                 reached, opened, met = 0, 0, 0
-                for step in range(1, width + 1):
+                for step in range(1, label.shape[1]):
                     col = start + way * step
-                    if col < 0 or col >= label.shape[1]:
+                    if step > REACH * (width + opened) or col < 0 or col >= label.shape[1]:
                         break
                     down = shift[col] - shift[start]
                     up_row, low_row = top + down - depth, bottom + down + depth
