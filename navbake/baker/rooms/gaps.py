@@ -12,6 +12,7 @@ from navbake.baker.rooms.kernels.watershed import squared_distances
 from navbake.types import Bool, Float, Int, Int32
 
 T = TypeVar("T", bound=np.generic)
+Marks = NDArray[np.uint8]
 
 # The widest opening that can part two rooms [m]
 WIDEST = 2.5
@@ -35,6 +36,11 @@ CLOSE, CLOSE_WIDTH, CLOSE_AREA = 0.04, 0.8, 4.0
 # The directions of walls are taken at this distance from them, in bins of so many degrees; those
 # count that belong to this length of wall, and to this share of all
 OFF_WALL, BIN, LEAST_WALL, LEAST_SHARE = 0.3, 5, 2.0, 0.01
+# Nearer to it [cells] the lattice's steps disturb it; and walls this near to an axis of the
+# lattice run along it [degrees]
+OFF_STEPS, ALONG_AXIS = 5, 1.0
+# Turns of other directions that are tried [degrees]
+ALIGNMENTS = (0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0)
 
 
 class Direction(NamedTuple):
@@ -71,7 +77,7 @@ class GapsOfDirection:
 
     Attributes:
         label, is_open: of the cells, as the direction is scanned.
-        gaps: see `measure_gap`, shape (n, 8), int64.
+        gaps: see `measure_gap`, shape (n, 9), int64.
         depths: how far behind them to measure, int64 [rows].
     """
 
@@ -84,7 +90,7 @@ class GapsOfDirection:
 
 def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
     """Find the directions that walls run in, from the slope of the distance to them."""
-    reach = max(3, round(OFF_WALL / cell_size))
+    reach = max(OFF_STEPS, round(OFF_WALL / cell_size))
     squared = squared_distances(~open_cells, reach + 2, 0, 1)
     distance = np.sqrt(squared, dtype=np.float32)
     at = (squared[2:-2, 2:-2] >= (reach - 1) ** 2) & (squared[2:-2, 2:-2] < reach**2)
@@ -101,16 +107,36 @@ def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
     # round the corners of walls the slope has all directions alike
     around = 2.0 * float(np.median(smooth))
     least = around + max(LEAST_WALL / cell_size, LEAST_SHARE * count.sum())
-    is_peak = (smooth >= np.roll(smooth, 1)) & (smooth >= np.roll(smooth, -1))
+    is_peak = np.all([smooth >= np.roll(smooth, k) for k in (-2, -1, 1, 2)], axis=0)
     smooth[~is_peak] = 0.0
     directions = []
     while smooth.max() >= least:
         best = int(smooth.argmax())
         off = (angle - best * BIN + 90.0) % 180.0 - 90.0
         mean = best * BIN + float(off[np.abs(off) <= 1.5 * BIN].mean())
-        directions.append(_direction(round(mean, 3), open_cells.shape))
+        axis = 90.0 * round(mean / 90.0)
+        if abs(mean - axis) <= ALONG_AXIS:
+            directions.append(_direction(axis, open_cells.shape))
+        else:
+            beside = np.abs(off) <= 1.5 * BIN
+            cells = rows[clear][beside], cols[clear][beside]
+            directions.append(_align(mean, open_cells, cells))
         smooth[np.arange(best - 2, best + 3) % num] = 0.0
     return directions
+
+
+def _align(angle: float, open_cells: Bool, cells: tuple[Int, Int]) -> Direction:
+    """The direction near an angle in which lines beside walls, through some cells, are longest."""
+    best, longest = None, -1.0
+    for turn in ALIGNMENTS:
+        direction = _direction(angle + turn, open_cells.shape)
+        run = kernels.measure_runs(turned(open_cells, direction), direction.shift)
+        row, col = cells[::-1] if direction.swapped else cells
+        length = float(run[row, col].mean()) * direction.stretch
+        if length > longest:
+            best, longest = direction, length
+    assert best is not None
+    return best
 
 
 def _direction(angle: float, shape: tuple[int, ...]) -> Direction:
@@ -122,16 +148,14 @@ def _direction(angle: float, shape: tuple[int, ...]) -> Direction:
     return Direction(swapped, shift, float(np.hypot(1.0, slope)))
 
 
-def _find_gap_cells(
-    open_cells: Bool, directions: list[Direction], cell_size: float
-) -> list[Bool]:
+def _find_gap_cells(open_cells: Bool, directions: list[Direction], cell_size: float) -> list[Marks]:
     """Mark the cells of the gaps of each direction, as it is scanned.
 
     Gaps with steps on both sides, such as doorways, come first. They are walls to what is found
     then: so a line across a corridor does not lead through a door into a room, and a wall that
     ends in the middle of a wide opening goes on up to the line of that opening.
     """
-    marks = [np.zeros(turned(open_cells, d).shape, dtype=np.bool_) for d in directions]
+    marks = [np.zeros(turned(open_cells, d).shape, dtype=np.uint8) for d in directions]
     for widest, both in ((WIDE, True), (PASSAGE, False)):
         is_open = open_cells & ~_join_marks(marks, directions, open_cells)
         for direction, mark in zip(directions, marks, strict=True):
@@ -142,11 +166,11 @@ def _find_gap_cells(
     return marks
 
 
-def _join_marks(marks: list[Bool], directions: list[Direction], like: Bool) -> Bool:
+def _join_marks(marks: list[Marks], directions: list[Direction], like: Bool) -> Bool:
     """The cells that are marked in any direction."""
     marked = np.zeros(like.shape, dtype=np.bool_)
     for mark, direction in zip(marks, directions, strict=True):
-        marked |= mark.T if direction.swapped else mark
+        marked |= (mark.T if direction.swapped else mark) > 0
     return marked
 
 
@@ -176,14 +200,16 @@ def part_at_gaps(open_cells: Bool, cell_size: float) -> tuple[Int32, list[CloseC
 
 
 def _describe(crossings: Int, number: Int) -> Int:
-    """First and last column of each gap, its rows there, and its regions, shape (n, 8)."""
+    """First and last column of each gap, its rows there, its regions, and its mark, shape (n, 9)."""
     if not len(crossings):
-        return np.empty((0, 8), dtype=np.int64)
+        return np.empty((0, 9), dtype=np.int64)
     order = np.argsort(number, kind="stable")
     start = np.flatnonzero(np.diff(number[order], prepend=-1))
     end = np.append(start[1:], len(order)) - 1
     a, b = crossings[order[start]], crossings[order[end]]
-    return np.stack([a[:, 0], b[:, 0], a[:, 1], a[:, 2], b[:, 1], b[:, 2], a[:, 3], a[:, 4]], 1)
+    mark = np.maximum.reduceat(crossings[order, 5], start)
+    ends = a[:, 0], b[:, 0], a[:, 1], a[:, 2], b[:, 1], b[:, 2]
+    return np.stack([*ends, a[:, 3], a[:, 4], mark], axis=1)
 
 
 class _Spaces:
@@ -202,8 +228,9 @@ class _Spaces:
         self._cell_size = cell_size
         stretched = [(g.gaps[:, 1] - g.gaps[:, 0] + 1) * g.direction.stretch for g in found]
         self._width = np.concatenate([np.empty(0), *stretched])  # of each gap [cells]
-        pairs = [g.gaps[:, 6:] for g in found]
+        pairs = [g.gaps[:, 6:8] for g in found]
         self._pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs])
+        self._is_doorway = np.concatenate([np.empty(0), *(g.gaps[:, 8] for g in found)]) == 2
         # the share that decided about each gap, NaN for none
         self._decided = np.full(len(self._width), np.nan)
 
@@ -211,10 +238,12 @@ class _Spaces:
         """Join spaces that a gap leaves as wide as both of them are."""
         while True:
             shares = self._measure().min(axis=1)
-            joins = np.flatnonzero(self._apart() & (shares >= BOTH))
-            if not len(joins):
+            joins = self._apart() & (shares >= BOTH)
+            if not joins.any():
                 return
-            self._join_widest(joins, shares)
+            # a line across a room that is drawn at a doorway's edge goes before the doorway
+            others = joins & ~self._is_doorway
+            self._join_widest(np.flatnonzero(others if others.any() else joins), shares)
 
     def join_narrower(self) -> None:
         """Join spaces that a gap leaves as wide as the narrower is, but for long passages."""
@@ -254,7 +283,7 @@ class _Spaces:
         for g in self._found:
             for gap in g.gaps:
                 k, number = number, number + 1
-                sizes = self._cells[self.whole[gap[6:]]] if parted[k] else self._first[gap[6:]]
+                sizes = self._cells[self.whole[gap[6:8]]] if parted[k] else self._first[gap[6:8]]
                 if close[k] and (sizes >= least).all():
                     col, row = (gap[0] + gap[1]) / 2, float(gap[2:6].mean())
                     cell = (col, row) if g.direction.swapped else (row, col)

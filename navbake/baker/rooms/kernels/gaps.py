@@ -88,8 +88,8 @@ def mark_gaps(run, widest, growth, rise, thickness, both, gap):
 
     A run is much longer by the factor `growth` and by `rise` cells. Between two such steps that are
     at most `thickness` lines apart, as in a doorway, all lines are marked; else the last one,
-    unless only gaps with steps on `both` sides are wanted. Marks are added to `gap`, bool, of the
-    shape of `run`.
+    unless only gaps with steps on `both` sides are wanted. Marks go into `gap`, uint8, of the shape
+    of `run`: 2 for a gap with steps on both sides, 1 for others, 0 for none.
     """
     rows, cols = run.shape
     for row in range(rows):
@@ -99,20 +99,21 @@ def mark_gaps(run, widest, growth, rise, thickness, both, gap):
                 continue
             least = max(growth * here, here + rise)
             if row > 0 and run[row - 1, col] >= least:
-                gap[row, col] |= not both
+                gap[row, col] = max(gap[row, col], 0 if both else 1)
                 # does it widen again on the other side, a wall's thickness from here?
                 for other in range(row, min(row + thickness, rows)):
                     there = run[other, col]
-                    if there == 0 or there > widest:
+                    # a step to a narrower one ends it, too: the doorway begins there
+                    if there == 0 or there > widest or max(growth * there, there + rise) <= here:
                         break
                     if other + 1 < rows and run[other + 1, col] >= max(
                         growth * there, there + rise
                     ):
                         for between in range(row, other + 1):
-                            gap[between, col] = True
+                            gap[between, col] = 2
                         break
             if not both and row + 1 < rows and run[row + 1, col] >= least:
-                gap[row, col] = True
+                gap[row, col] = max(gap[row, col], 1)
 
 
 @njit(cache=True)
@@ -121,11 +122,11 @@ def list_crossings(label, gap, own, thickness):
 
     `label` is (rows, cols) int32, 0 where there is no region; `gap` marks the cells of all gaps,
     `own` those of the gaps of this direction, of which there must be one; at most `thickness` rows
-    are crossed. Returns (n, 5) int64: the column, the first and the last marked row,
-    and the labels above and below.
+    are crossed. Returns (n, 6) int64: the column, the first and the last marked row, the labels
+    above and below, and the highest mark of `own`.
     """
     rows, cols = label.shape
-    found = np.empty((0, 5), dtype=np.int64)
+    found = np.empty((0, 6), dtype=np.int64)
     for writing in (False, True):
         count = 0
         for col in range(cols):
@@ -139,17 +140,18 @@ def list_crossings(label, gap, own, thickness):
                     last += 1
                 if last + 1 < rows:
                     above, below = label[row - 1, col], label[last + 1, col]
-                    is_own = False
+                    mark = 0
                     for k in range(row, last + 1):
-                        is_own |= own[k, col]
-                    if below > 0 and below != above and is_own and last - row < thickness:
+                        mark = max(mark, own[k, col])
+                    if below > 0 and below != above and mark > 0 and last - row < thickness:
                         if writing:
                             found[count, 0], found[count, 1], found[count, 2] = col, row, last
                             found[count, 3], found[count, 4] = above, below
+                            found[count, 5] = mark
                         count += 1
                 row = last + 1
         if not writing:
-            found = np.empty((count, 5), dtype=np.int64)
+            found = np.empty((count, 6), dtype=np.int64)
     return found
 
 
