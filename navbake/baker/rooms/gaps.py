@@ -174,13 +174,15 @@ def _join_marks(marks: list[Marks], directions: list[Direction], like: Bool) -> 
     return marked
 
 
-def part_at_gaps(open_cells: Bool, cell_size: float) -> tuple[Int32, list[CloseCall]]:
+def part_at_gaps(open_cells: Bool, holes: Bool, cell_size: float) -> tuple[Int32, list[CloseCall]]:
     """Label the spaces that gaps part; the cells of gaps have none yet.
 
-    Also lists the gaps that hardly part two spaces, and those that nearly do.
+    Holes have no floor, but no wall either. Also lists the gaps that hardly part two spaces, and
+    those that nearly do.
     """
-    directions = find_directions(open_cells, cell_size)
-    marks = _find_gap_cells(open_cells, directions, cell_size)
+    space = open_cells | holes
+    directions = find_directions(space, cell_size)
+    marks = _find_gap_cells(space, directions, cell_size)
     marked = _join_marks(marks, directions, open_cells)
     label, count = label_parts(open_cells & ~marked)
     found = []
@@ -190,7 +192,7 @@ def part_at_gaps(open_cells: Bool, cell_size: float) -> tuple[Int32, list[CloseC
         crossings = kernels.list_crossings(label_there, gap_there, own, thickness)
         number = kernels.group_crossings(crossings, direction.shift)
         depths = [max(1, round(depth * direction.stretch / cell_size)) for depth in DEPTHS]
-        open_there = turned(open_cells, direction)
+        open_there = turned(space, direction)
         gaps, depth = _describe(crossings, number), np.array(depths, dtype=np.int64)
         found.append(GapsOfDirection(direction, label_there, open_there, gaps, depth))
     spaces = _Spaces(found, np.bincount(label.ravel(), minlength=count + 1), cell_size)
@@ -200,7 +202,7 @@ def part_at_gaps(open_cells: Bool, cell_size: float) -> tuple[Int32, list[CloseC
 
 
 def _describe(crossings: Int, number: Int) -> Int:
-    """First and last column of each gap, its rows there, its regions, and its mark, shape (n, 9)."""
+    """First and last column of each gap, its rows there, its regions, its mark, shape (n, 9)."""
     if not len(crossings):
         return np.empty((0, 9), dtype=np.int64)
     order = np.argsort(number, kind="stable")

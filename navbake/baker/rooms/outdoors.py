@@ -1,10 +1,12 @@
-"""What is outdoors: floor under the open sky that reaches the edge of the grid."""
+"""What is open: floor under the sky up to the edge of the grid, and holes in floors."""
 
 import numpy as np
 from scipy import ndimage
 
 from navbake.baker.columns import Columns
+from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.kernels.constants import SLACK
+from navbake.config.settings import AgentSettings
 from navbake.types import Bool, Float, Int32
 
 # What is outdoors reaches the edge over more than this: the doorways of a wall at the edge are
@@ -51,3 +53,25 @@ def _edge_cells(columns: Columns) -> Bool:
     edge &= ~beyond[1:-1, 1:-1]
     result: Bool = edge
     return result
+
+
+def find_holes(level: LevelFloor, columns: Columns, agent: AgentSettings) -> Bool:
+    """Mark the cells without a floor in which nothing stands at the height of an agent's body.
+
+    That is so where the next surface over the level's ground and a step is higher than the agent,
+    unless it is the top of something.
+    """
+    holes = np.isnan(level.floor)
+    cell = np.flatnonzero(holes)
+    if not len(cell):
+        return holes
+    below = columns.z <= level.ground + agent.traversable_floor_height
+    count = np.concatenate([[0], np.cumsum(below)])
+    start, end = columns.start[cell], columns.start[cell + 1]
+    following = start + count[end] - count[start]
+    has_next = np.flatnonzero(following < end)
+    entry = following[has_next]
+    is_low = columns.z[entry] <= level.ground + agent.height
+    is_top = columns.normal[entry, 2] > 0
+    holes.ravel()[cell[has_next[is_low | is_top]]] = False
+    return holes

@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.columns import Columns
-from navbake.baker.floors.levels import Floors
+from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.rooms import openings
 from navbake.baker.rooms.gaps import CloseCall
 from navbake.baker.rooms.openings import Opening, RoomIndex, RoomKey
-from navbake.baker.rooms.outdoors import find_outdoors
+from navbake.baker.rooms.outdoors import find_holes, find_outdoors
 from navbake.baker.rooms.segmentation import (
     labels_in_order,
     segment_by_gaps,
@@ -30,7 +30,7 @@ from navbake.config.settings import AgentSettings
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Room
-from navbake.types import Bool, Float, Int, Int32
+from navbake.types import Bool, Int, Int32
 
 # Close calls that a warning names
 LISTED = 5
@@ -113,7 +113,7 @@ def find_rooms(
     markers = RoomMarkers(scene, columns, levels, settings, agent)
     for source in settings.sources:
         if source == "auto":
-            assignment.segment([level.floor for level in levels], settings, columns, agent.height)
+            assignment.segment(levels, settings, columns, agent)
         else:
             assignment.add(markers.mark(source), source)
     index, named = assignment.number()
@@ -149,23 +149,27 @@ class _Assignment:
             owner += number[fresh]
 
     def segment(
-        self, floors: Sequence[Float], settings: RoomSettings, columns: Columns, height: float
+        self,
+        levels: Sequence[LevelFloor],
+        settings: RoomSettings,
+        columns: Columns,
+        agent: AgentSettings,
     ) -> None:
         """Divide the remaining cells at gaps; see `segment_by_gaps` and `share_rest`.
 
-        All that is outdoors on a level becomes one room; the agent is so high.
+        All that is outdoors on a level becomes one room.
         """
         cell_size = columns.lattice.cell_size
         labels = []
         names: list[str | None] = []
         outdoors: set[int] = set()
-        for number, (open_cells, floor) in enumerate(zip(self._open, floors, strict=True)):
-            segment = self._segment_level(number, open_cells, floor, settings, columns.lattice)
+        for number, level in enumerate(levels):
+            segment = self._segment_level(number, level, settings, columns, agent)
             owner = self._owner[number]
             if owner.any():
                 least = settings.min_area / cell_size**2
                 self._owner[number], segment = share_rest(owner, segment, least)
-            outside = find_outdoors(segment, floor, columns, height)
+            outside = find_outdoors(segment, level.floor, columns, agent.height)
             if outside:
                 segment[np.isin(segment, list(outside))] = min(outside)
                 outdoors.add(min(outside) + len(names))
@@ -176,17 +180,18 @@ class _Assignment:
     def _segment_level(
         self,
         number: int,
-        open_cells: Bool,
-        floor: Float,
+        level: LevelFloor,
         settings: RoomSettings,
-        lattice: Lattice,
+        columns: Columns,
+        agent: AgentSettings,
     ) -> Int32:
+        open_cells, size, least = self._open[number], columns.lattice.cell_size, settings.min_area
         if settings.door_width != "auto":
-            widths = settings.door_width, settings.min_area
-            return segment_rooms(open_cells, lattice.cell_size, *widths, floor)
-        rooms, close = segment_by_gaps(open_cells, lattice.cell_size, settings.min_area, floor)
+            return segment_rooms(open_cells, size, settings.door_width, least, level.floor)
+        holes = find_holes(level, columns, agent)
+        rooms, close = segment_by_gaps(open_cells, size, least, level.floor, holes)
         if close:
-            self.warnings.append(_describe_close(close, number, lattice))
+            self.warnings.append(_describe_close(close, number, columns.lattice))
         return rooms
 
     def number(self) -> tuple[list[RoomIndex], list[list[NamedRoom]]]:

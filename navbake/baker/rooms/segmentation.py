@@ -106,7 +106,11 @@ class Segments(NamedTuple):
 
 
 def segment_by_gaps(
-    open_cells: Bool, cell_size: float, min_area: float, floor: Float | None = None
+    open_cells: Bool,
+    cell_size: float,
+    min_area: float,
+    floor: Float | None = None,
+    holes: Bool | None = None,
 ) -> Segments:
     """Divide the open cells of a level into rooms, at gaps much narrower than the rooms are.
 
@@ -121,7 +125,8 @@ def segment_by_gaps(
 
     How wide a space is along a gap is measured close behind it. Other gaps in the same line
     between the same spaces count as one with it, so that a row of pillars parts nothing. Stairs
-    and small regions join others as in `segment_rooms`, whose arguments these are.
+    and small regions join others as in `segment_rooms`, whose arguments these are; `holes` are
+    cells without a floor that one sees through, as in a stairwell, which narrow no space.
 
     Source:
         Region merging as in Bormann et al. (ICRA 2016), on regions between the "virtual walls"
@@ -132,7 +137,8 @@ def segment_by_gaps(
         return Segments(rooms, [])
     window = bounding_window(open_cells)
     open_cells = np.ascontiguousarray(open_cells[window])
-    label, close = part_at_gaps(open_cells, cell_size)
+    seen = np.zeros_like(open_cells) if holes is None else holes[window]
+    label, close = part_at_gaps(open_cells, seen, cell_size)
     flood(label, open_cells, np.zeros(label.shape, dtype=np.int32), 0)
     label = _join_stairs_and_small(label, open_cells, cell_size, min_area, floor, window)
     rooms[window] = renumber(label)
