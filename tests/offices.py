@@ -155,7 +155,7 @@ class Plan:
             geoms.append(
                 f'<geom name="{name}" type="box" pos="{pos}" size="{size}" euler="0 0 {angle}"/>'
             )
-        return f"<mujoco><worldbody>{''.join(geoms)}</worldbody></mujoco>"
+        return f'<mujoco><compiler angle="degree"/><worldbody>{"".join(geoms)}</worldbody></mujoco>'
 
     def write_stl(self, path: Path) -> None:
         """Write the plan as one mesh, a binary STL."""
