@@ -39,6 +39,8 @@ OFF_WALL, BIN, LEAST_WALL, LEAST_SHARE = 0.3, 5, 2.0, 0.01
 # Nearer to it [cells] the lattice's steps disturb it; and walls this near to an axis of the
 # lattice run along it [degrees]
 OFF_STEPS, ALONG_AXIS = 5, 1.0
+# Cells round the lattice in which slopes at its edge are measured
+PADDING = 2
 # Turns of other directions that are tried [degrees]
 ALIGNMENTS = (0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0)
 
@@ -91,7 +93,9 @@ class GapsOfDirection:
 def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
     """Find the directions that walls run in, from the slope of the distance to them."""
     reach = max(OFF_STEPS, round(OFF_WALL / cell_size))
-    squared = squared_distances(~open_cells, reach + 2, 0, 1)
+    # beyond the lattice nothing is open, which is a wall like others
+    closed = np.pad(~open_cells, PADDING, constant_values=True)
+    squared = squared_distances(closed, reach + 2, 0, 1)
     distance = np.sqrt(squared, dtype=np.float32)
     at = (squared[2:-2, 2:-2] >= (reach - 1) ** 2) & (squared[2:-2, 2:-2] < reach**2)
     rows, cols = np.nonzero(at)
@@ -119,7 +123,7 @@ def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
             directions.append(_direction(axis, open_cells.shape))
         else:
             beside = np.abs(off) <= 1.5 * BIN
-            cells = rows[clear][beside], cols[clear][beside]
+            cells = rows[clear][beside] - PADDING, cols[clear][beside] - PADDING
             directions.append(_align(mean, open_cells, cells))
         smooth[np.arange(best - 2, best + 3) % num] = 0.0
     return directions

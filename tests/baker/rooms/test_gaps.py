@@ -156,7 +156,7 @@ def overlap(rooms, mask):
 
 def test_rooms_of_offices_and_flats(tmp_path):
     """Of boxes and of one mesh; NAVBAKE_PLANS says how many."""
-    num = int(os.environ.get("NAVBAKE_PLANS", "4"))
+    num = int(os.environ.get("NAVBAKE_PLANS", "16"))
     for as_mesh in (False, True):
         shares = []
         for seed in range(num):
