@@ -24,6 +24,7 @@ from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import parse_config
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.islands import find_islands
+from original_client import look_up
 from project_paths import SHARED_DATA
 
 DATA = SHARED_DATA
@@ -42,8 +43,9 @@ SCENES: dict[str, dict[str, Any]] = {
     },
     "trimesh_3storey": {
         "scene": {"path": "trimesh_3storey/no_indices_3storybuilding.glb", "up": "y"}
-        | {"meshes": "surface"},
+        | {"meshes": "shell"},
         "grid": {"cell_size": 0.2},
+        "floors": {"roofs": True},
     },
     # an infinite plane is no part of the lattice's box, so the way to the stair needs a margin
     "playground_go1": {
@@ -91,11 +93,14 @@ def island_areas(name: str) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_levels_fit_together(name):
-    """Boxes don't overlap in height, nothing free shares its headroom, links are steps."""
+    """The original client finds cells, nothing free shares its headroom, links are steps."""
     grid = bake(name).grid
     boxes = np.array([level.bbox_yup for level in grid.levels])
-    assert (boxes[1:, 0, 1] >= boxes[:-1, 1, 1] - 1e-9).all()
-    assert (boxes[:, 1, 1] > boxes[:, 0, 1]).all()
+    assert (boxes[:, 1] > boxes[:, 0]).all()
+    found = look_up(grid)
+    assert found.lost == look_up(grid, by_cells=True).lost <= 0.015 * found.free
+    told = [warning for warning in bake(name).warnings if f"misses {found.lost} of" in warning]
+    assert len(told) == (found.lost > 0)
 
     origin = grid.levels[0].lattice
     columns = []
@@ -192,14 +197,18 @@ def test_turtlebot3_pillars():
 
 
 def test_three_storeys():
-    """Closed shells, so the lower two storeys have floors, but lie inside of a solid."""
+    """Storeys drawn as closed boxes; as solids two of three would be lost, which a warning says."""
     levels = levels_of("trimesh_3storey")
     assert [level.ground for level in levels] == pytest.approx([3.0, 6.0, 9.0], abs=1e-5)
     for level in levels:
         floor = np.isfinite(level.floor_height)
         assert area(level, floor) == pytest.approx(1731.0, rel=0.02)
         assert level.floor_height[floor] == pytest.approx(level.ground, abs=1e-4)
-    assert area(levels[2], levels[2].free) == pytest.approx(1731.0, rel=0.02)
+        assert area(level, level.free) == pytest.approx(1731.0, rel=0.03)
+    config = SCENES["trimesh_3storey"]
+    solid = {**config, "scene": {**config["scene"], "meshes": "auto"}}
+    (warning,) = run_bake(parse_config(solid, folder=DATA)).warnings
+    assert "'floor_1' (1731.8 m² at 3.00 m, and 1 more); `scene.meshes: shell`" in warning
 
 
 def test_stair_of_open_treads():

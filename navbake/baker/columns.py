@@ -78,17 +78,18 @@ def cast_columns(tiled: TiledShapes) -> Columns:
     geometry = (lattice, shapes.solids, tiled.facets, shapes.planes, tiled.tiles, heights)
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
     # without room for them, the crossings are only counted
-    cast_lines(*geometry, _empty_crossings(start, 0, shapes))
+    cast_lines(*geometry, _empty_crossings(start, 0))
     np.cumsum(start, out=start)
-    crossings = _empty_crossings(start, int(start[-1]), shapes)
+    crossings = _empty_crossings(start, int(start[-1]))
     if len(crossings.z):
         cast_lines(*geometry, crossings)
     return Columns(lattice, crossings)
 
 
-def _empty_crossings(start: Int, count: int, shapes: Shapes) -> Crossings:
+def _empty_crossings(start: Int, count: int) -> Crossings:
     z, normal = np.empty(count), np.empty((count, 3), dtype=np.float32)
-    return Crossings(start, z, normal, np.empty(count, dtype=np.int32), shapes.closed)
+    geom, closed = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.uint8)
+    return Crossings(start, z, normal, geom, closed)
 
 
 def _facets_of(triangles: Triangles) -> Facets:
@@ -97,7 +98,7 @@ def _facets_of(triangles: Triangles) -> Facets:
     length = np.linalg.norm(cross, axis=1, keepdims=True)
     normal: Float = np.divide(cross, length, out=np.zeros_like(cross), where=length > 0)
     normal[np.abs(normal[:, 2]) < 1e-9, 2] = 0.0
-    return Facets(triangles.geom, corners, np.ascontiguousarray(normal), triangles.bounds)
+    return Facets(*triangles[:-1], corners, np.ascontiguousarray(normal), triangles.bounds)
 
 
 def _height_range(shapes: Shapes, lattice: Lattice) -> Band:

@@ -29,7 +29,8 @@ def geoms(config: SceneOrConfig, as_json: AsJson = False, overrides: Overrides =
     from navbake.baker.scene.scene import load_scene
     from navbake.config.settings import load_config
 
-    scene = load_scene(load_config(config, overrides or []).scene)
+    settings = load_config(config, overrides or [])
+    scene = load_scene(settings.scene, settings.agent, settings.floors)
     print_warnings(scene.warnings)
     if as_json:
         keys = ("id", "name", "body", "type", "counted", "shape", "reason")

@@ -19,7 +19,7 @@ from navbake.config.field_types import (
     to_path,
 )
 
-MeshMode = Literal["auto", "hull", "surface"]
+MeshMode = Literal["auto", "hull", "surface", "shell"]
 
 
 def _check_id(value: str) -> str:
@@ -63,10 +63,15 @@ class SceneSettings(Settings):
     )
     # The tags let pydantic check one branch of the union, so that an error speaks of that one only.
     meshes: Annotated[
-        Annotated[MeshMode, expects("auto, hull, surface or {pattern: one of these}"), Tag("=one")]
+        Annotated[
+            MeshMode, expects("auto, hull, surface, shell or {pattern: one of these}"), Tag("=one")
+        ]
         | Annotated[dict[Name, MeshMode], Tag("=each")],
         Discriminator(lambda value: "=each" if isinstance(value, dict) else "=one"),
-    ] = setting("auto", "hull, surface, auto (hull if it can collide), or {name pattern: hull}")
+    ] = setting("auto", "hull, surface, shell (never solid), auto, or {name pattern: hull}")
+    ground: Annotated[float | None, expects("a height in metres, or null")] = setting(
+        None, "height of endless ground that is added [m], or null"
+    )
     exclude: Section[ExcludeSettings] = section(
         ExcludeSettings, "what is left out, by pattern (*, ?, [...])"
     )

@@ -251,7 +251,7 @@ REFUSED_IN_SCENE = [
     ("path: a.xml, up: x", 'expected z or y, got "x" at `scene.up`'),
     ("path: a.xml, unit: 0", "expected a number > 0, got 0 at `scene.unit`"),
     ("path: a.xml, geoms: some", "expected auto, collision, visual or all"),
-    ("path: a.xml, meshes: soup", "expected auto, hull, surface or {pattern: one of these}"),
+    ("path: a.xml, meshes: soup", "expected auto, hull, surface, shell or {pattern: one of these}"),
     ("path: a.xml, meshes: {wall: soup}", 'got "soup" at `scene.meshes.wall`'),
     ("path: a.xml, exclude: {bodies: robot}", 'expected a list, got "robot"'),
     ("path: a.xml, exclude: {bodies: [1]}", "got 1 at `scene.exclude.bodies[0]`"),

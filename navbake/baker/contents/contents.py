@@ -193,7 +193,7 @@ def _list_level(
     slot = np.zeros(len(floor) + 1, dtype=np.int64)
     lists = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint8)  # no room yet
     cells = StoreyCells(floor, ceiling, occupied.ravel(), slot, *lists)
-    kernels.count_candidates(lattice, *geometry, footprint.reach, cells)
+    kernels.count_candidates(lattice, *geometry, footprint, cells)
     np.cumsum(slot, out=slot)
     geom, flags = np.empty(slot[-1], dtype=np.int32), np.zeros(slot[-1], dtype=np.uint8)
     cells = cells._replace(geom=geom, flags=flags)

@@ -33,6 +33,8 @@ IN_LINE, TOUCHING = 0.03, 0.05
 PAIRS = 1_000_000  # of walls and pieces that are compared at once, for the memory they take
 # Least width both ways of a mesh that holds a building [m], and share of it that is filled at most
 BUILDING_WIDTH, HOLLOW = 2.0, 0.5
+# Its shape in the report of geoms
+TRIANGLES = ("surface", "closed surface", "partly closed", "shell")
 # Heights over a floor where such a mesh is wall [m]
 WALL_BAND = (1.5, 1.8)
 # Least share of its cells in which a wall reaches that band
@@ -133,7 +135,7 @@ def _is_slender(extents: Extents) -> Bool:
 
 
 def _may_hold_building(scene: Scene, extents: Extents) -> Bool:
-    surface = np.array([report.shape in ("surface", "closed surface") for report in scene.geoms])
+    surface = np.array([report.shape in TRIANGLES for report in scene.geoms])
     tall = extents.high - extents.low >= TALL
     return surface & tall & (extents.thin >= BUILDING_WIDTH)
 

@@ -55,7 +55,7 @@ class DoorCandidate:
 
     def only(self, shapes: Shapes) -> Shapes:
         """The candidate's own part of some geometry."""
-        return shapes.only(_mark_geoms(len(shapes.closed), [self]))
+        return shapes.only(_mark_geoms(len(shapes.endless), [self]))
 
 
 def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCandidate], list[str]]:

@@ -5,10 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from navbake.baker.columns import Columns
+from navbake.baker.floors.enclosed import find_enclosed
 from navbake.baker.floors.grounds import assign_levels, find_grounds, lower_grounds
 from navbake.baker.floors.kernels.sheets import find_links, grow_floor
-from navbake.baker.floors.roofs import OccupancyTest, drop_roofs, is_walled
-from navbake.baker.floors.sheets import Standable, drop_furniture, drop_tops, find_standable
+from navbake.baker.floors.outline import OccupancyTest
+from navbake.baker.floors.roofs import drop_roofs, is_walled
+from navbake.baker.floors.sheets import Standable, drop_furniture, find_standable
+from navbake.baker.floors.tops import drop_tops
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
@@ -58,12 +61,14 @@ class Floors:
             int64, cells on the whole lattice.
         tops: large tops that are no floors, the largest first.
         roofs: roofs that walls stand on, likewise: storeys that nobody put a ceiling on?
+        enclosed: floors inside of closed meshes, likewise; `geom` is the mesh's.
     """
 
     levels: list[LevelFloor]
     links: Int
     tops: list[DroppedSheet]
     roofs: list[DroppedSheet]
+    enclosed: list[DroppedSheet]
 
 
 def find_floors(
@@ -84,6 +89,8 @@ def find_floors(
         SceneError: there is no floor at all, or none on a given level.
     """
     standable, floor_like = find_standable(columns, shapes, agent)
+    lost = find_enclosed(columns, shapes, floor_like, agent, settings)
+    enclosed = [DroppedSheet(*floor) for floor in lost]
     if not len(standable.z):
         raise SceneError(_no_floor(columns, floor_like, agent))
     counted = drop_furniture(standable, settings)
@@ -97,8 +104,8 @@ def find_floors(
     roofs: list[DroppedSheet] = []
     names: list[str | None] = []
     if not settings.tops:
-        every, step = counted, agent.traversable_floor_height
-        counted = drop_tops(every, columns, floor_like, step, settings)
+        every = counted
+        counted = drop_tops(every, columns, agent, settings, is_occupied)
         tops = _describe_dropped(every, counted, columns)
     if given is None and not settings.roofs:
         every = counted
@@ -115,7 +122,7 @@ def find_floors(
         LevelFloor(label, ground, *_level_floor(k, level, counted, columns, floor_like, agent))
         for k, (label, ground) in enumerate(zip(labels, grounds, strict=True))
     ]
-    return Floors(levels, _cell_links(counted, level, agent), tops, roofs)
+    return Floors(levels, _cell_links(counted, level, agent), tops, roofs, enclosed)
 
 
 def _describe_dropped(
@@ -186,5 +193,6 @@ def _no_floor(columns: Columns, floor_like: Bool, agent: AgentSettings) -> str:
         )
     return (
         f"no floor at all: none of {int(floor_like.sum())} surfaces that face up has "
-        f"{agent.height:g} m of headroom (a wrong unit, or everything lies inside of a solid)"
+        f"{agent.height:g} m of headroom (a wrong unit, or everything lies inside of a solid: "
+        f"`scene.meshes: shell` makes closed meshes hollow)"
     )

@@ -25,7 +25,7 @@ class Crossings(NamedTuple):
         z: heights, ascending in a column, (n,) float64 [m].
         normal: unit normals, (n, 3) float32; z > 0 faces up.
         geom: MuJoCo's geom ids, (n,) int32.
-        closed: by geom id, what each encloses, see `constants`, uint8.
+        closed: what the crossed surface encloses, see `constants`, (n,) uint8.
     """
 
     start: Int
@@ -40,12 +40,16 @@ class Facets(NamedTuple):
 
     Attributes:
         geom: MuJoCo's geom ids, ascending, (m,) int32.
+        part: the geom's part that each belongs to, (m,) int32.
+        closed: what that part encloses, see `constants`, (m,) uint8.
         corners: (m, 3, 3) float64 [m].
         normal: unit normals, (m, 3) float64; z is 0 for upright ones.
         bounds: boxes round them, (m, 6) float64: lower corner, upper corner [m].
     """
 
     geom: Int32
+    part: Int32
+    closed: NDArray[np.uint8]
     corners: Float
     normal: Float
     bounds: Float

@@ -5,8 +5,8 @@ PLANE, HFIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH, SDF = range(9)
 # MuJoCo's joint types (mjtJoint)
 FREE, BALL, SLIDE, HINGE = range(4)
 
-# What a geom encloses (`Shapes.closed`). Inside of all but the first counts as occupied. A closed
-# surface is a mesh's own triangles; primitives, height fields and hulls are solid by nature.
+# What a surface encloses (`Triangles.closed`). Inside of all but the first counts as occupied. A
+# closed surface is a mesh's own triangles; primitives, height fields and hulls are solid by nature.
 OPEN_SURFACE, CLOSED_SURFACE, SOLID, CONVEX_SOLID = range(4)
 
 # Whether a geom meets a prism; UNDECIDED where rounding leaves no proof either way

@@ -96,6 +96,12 @@ def _tile_items(tile, tiles, facets):
 
 
 @njit(inline="always")
+def _reach(lattice, footprint):
+    """How far from its centre a cell looks for geoms: a hair beyond its edges, see `with_edges`."""
+    return max(lattice.cell_size / 2, footprint.square, footprint.radius) + 2.0 * TOUCH
+
+
+@njit(inline="always")
 def _column(lattice, cell, cells, reach):
     """All of a cell's column; NaN heights where there is no floor."""
     x, y = cell_center(lattice, cell)
@@ -103,8 +109,9 @@ def _column(lattice, cell, cells, reach):
 
 
 @njit(cache=True)
-def _count_tile(tile, lattice, solids, facets, planes, tiles, reach, cells):
+def _count_tile(tile, lattice, solids, facets, planes, tiles, footprint, cells):
     nearby, groups = _tile_items(tile, tiles, facets)
+    reach = _reach(lattice, footprint)
     row0, row1, col0, col1 = tile_window(lattice, tile)
     for row in range(row0, row1):
         for col in range(col0, col1):
@@ -126,13 +133,13 @@ def _count_tile(tile, lattice, solids, facets, planes, tiles, reach, cells):
 
 
 @njit(cache=True, parallel=True)
-def count_candidates(lattice, solids, facets, planes, tiles, reach, cells):
+def count_candidates(lattice, solids, facets, planes, tiles, footprint, cells):
     """Count for each cell with a floor the geoms whose boxes meet its column: an upper bound.
 
-    A cell looks `reach` beyond its centre [m]; ``cells.slot[cell + 1]`` receives the number.
+    ``cells.slot[cell + 1]`` receives the number.
     """
     for tile in prange(count_tiles(lattice)):
-        _count_tile(np.int64(tile), lattice, solids, facets, planes, tiles, reach, cells)
+        _count_tile(np.int64(tile), lattice, solids, facets, planes, tiles, footprint, cells)
 
 
 @njit(inline="always")
@@ -155,7 +162,7 @@ def _add(cells, cell, count, geom, flags):
 def _ask(lattice, cell, crossings, footprint, probe, cells):
     """Put together what is asked about a cell."""
     half = lattice.cell_size / 2 - TOUCH
-    column = _column(lattice, cell, cells, max(half, max(footprint.square, footprint.radius)))
+    column = _column(lattice, cell, cells, _reach(lattice, footprint))
     x, y, floor = column.x, column.y, column.low
     low, high = floor + footprint.low, floor + footprint.high
     volumes = Volumes(

@@ -13,10 +13,11 @@ from navbake.baker.kernels.arrays import Prism
 from navbake.baker.kernels.constants import APART, MEETS, UNDECIDED
 from navbake.baker.kernels.gjk import SQUARE
 from navbake.baker.kernels.overlap import (
+    facet_meets_prism,
     line_is_blocked,
     outside,
     plane_meets_prism,
-    triangle_meets_prism,
+    with_edges,
 )
 from navbake.baker.kernels.solids import disc_too, part_of_solid
 
@@ -65,17 +66,19 @@ def plane_flags(planes, p, volumes, is_taken, flags):
 @njit(inline="always")
 def triangle_flags(items, facets, volumes, flags, wanted, polygons):
     """Add what a geom's triangles meet, until all wanted flags are set."""
+    blocks, stands = with_edges(volumes.blocks), with_edges(volumes.stands)
+    probed = with_edges(volumes.probed)
     for t in items:
         if flags & wanted == wanted:
             break
-        for flag, prism in (
-            (BLOCKS, volumes.blocks),
-            (STANDS, volumes.stands),
-            (PROBED, volumes.probed),
+        for flag, prism, wide in (
+            (BLOCKS, volumes.blocks, blocks),
+            (STANDS, volumes.stands, stands),
+            (PROBED, volumes.probed, probed),
         ):
-            if not wanted & ~flags & flag or outside(facets.bounds, t, prism):
+            if not wanted & ~flags & flag:
                 continue
-            if triangle_meets_prism(facets.corners[t], prism, polygons):
+            if facet_meets_prism(facets, t, prism, wide, polygons):
                 flags |= flag
     return flags
 

@@ -11,11 +11,12 @@ from navbake.baker.kernels.constants import APART, MEETS, UNDECIDED
 from navbake.baker.kernels.gjk import SQUARE, make_simplex
 from navbake.baker.kernels.overlap import (
     ANY_GEOM,
+    facet_meets_prism,
     line_is_blocked,
     make_polygons,
     outside,
     plane_meets_prism,
-    triangle_meets_prism,
+    with_edges,
 )
 from navbake.baker.kernels.solids import disc_too, part_of_solid
 from navbake.baker.kernels.tiles import cell_center, tile_of
@@ -25,11 +26,9 @@ from navbake.baker.kernels.tiles import cell_center, tile_of
 def _any_triangle(items, facets, prism):
     if items.shape[0] == 0:
         return False
-    polygons = make_polygons()
-    for t in items:
-        if outside(facets.bounds, t, prism):
-            continue
-        if triangle_meets_prism(facets.corners[t], prism, polygons):
+    polygons, wide = make_polygons(), with_edges(prism)
+    for t in items:  # noqa: SIM110 (numba has no generators in `any`)
+        if facet_meets_prism(facets, t, prism, wide, polygons):
             return True
     return False
 

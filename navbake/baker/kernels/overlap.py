@@ -2,7 +2,9 @@
 
 Triangles are clipped to the prism, plane by plane (Sutherland and Hodgman, Reentrant polygon
 clipping, 1974); half-spaces are told by their deepest point (the separating axis is their
-normal). A prism is open: what only touches it is outside.
+normal). A prism is open: what only touches it is outside. To triangles that enclose nothing its
+sides are closed, see `with_edges`; else a wall without thickness between two cells would meet
+neither.
 """
 
 import math
@@ -11,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from navbake.baker.kernels.arrays import Prism
+from navbake.baker.kernels.constants import OPEN_SURFACE, TOUCH
 from navbake.types import Float
 
 # A triangle has at most nine corners when six planes have clipped it
@@ -44,6 +48,24 @@ def outside(boxes, i, prism):
         or boxes[i, 4] <= prism.y - reach
         or boxes[i, 2] >= prism.high
         or boxes[i, 5] <= prism.low
+    )
+
+
+@njit(inline="always")
+def with_edges(prism):
+    """A prism that was narrowed by TOUCH, widened by it instead; only sideways."""
+    square = prism.square + 2.0 * TOUCH if prism.square > 0.0 else 0.0
+    radius = prism.radius + 2.0 * TOUCH if prism.radius > 0.0 else 0.0
+    return Prism(prism.x, prism.y, prism.low, prism.high, square, radius)
+
+
+@njit(inline="always")
+def facet_meets_prism(facets, t, prism, wide, polygons):
+    """Does a triangle meet a prism, or `wide`, the prism with its edges, if it encloses nothing?"""
+    if facets.closed[t] == OPEN_SURFACE:
+        prism = wide
+    return not outside(facets.bounds, t, prism) and triangle_meets_prism(
+        facets.corners[t], prism, polygons
     )
 
 
@@ -144,11 +166,10 @@ def line_is_blocked(crossings, cell, band, only):
     for i in range(crossings.start[cell + 1] - 1, crossings.start[cell] - 1, -1):
         if crossings.z[i] <= band.low:
             break
-        geom = crossings.geom[i]
-        if only != ANY_GEOM and geom != only:
+        if only != ANY_GEOM and crossings.geom[i] != only:
             continue
         if crossings.z[i] < band.high:
             return True
-        if crossings.closed[geom]:
+        if crossings.closed[i]:
             inside += 1 if crossings.normal[i, 2] > 0.0 else -1
     return inside > 0

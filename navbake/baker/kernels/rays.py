@@ -6,8 +6,8 @@ functions (Pineda, A parallel algorithm for polygon rasterization, 1988), becaus
 loses lines that run through a shared edge, and stops at the first crossing.
 
 A line through a rim or an edge that two geoms or triangles share is the hard case. It crosses
-whatever it passes within RIM, so that no seam leaks; where that makes two crossings of a geom's
-neighbouring triangles, one is dropped.
+whatever it passes within RIM, so that no seam leaks; where that makes two crossings of neighbouring
+triangles of one part, one is dropped.
 """
 
 import math
@@ -17,7 +17,7 @@ import numpy as np
 from llvmlite import binding
 from numba import njit, prange, types
 
-from navbake.baker.kernels.constants import PLANE, SAME
+from navbake.baker.kernels.constants import CONVEX_SOLID, OPEN_SURFACE, PLANE, SAME
 from navbake.baker.kernels.tiles import cell_center, count_tiles, tile_window
 from navbake.types import Bool, Float, Int32
 
@@ -28,6 +28,8 @@ EIGHTH = 0.7853981633974483
 # What is no crossing at an edge, and a plane's type; a plain False or int would be a type of its
 # own, and compile what takes it once more
 INSIDE, PLANE_KIND = np.bool_(False), np.int32(PLANE)
+# In place of a triangle, what crosses a line that is none
+OF_SOLID, OF_PLANE = np.int32(-1), np.int32(-2)
 
 _ray_geom = types.ExternalFunction(
     "mju_rayGeom",
@@ -42,12 +44,14 @@ class Column(NamedTuple):
 
     Attributes:
         z, normal, geom: as in `Crossings`.
+        facet: the triangle that was crossed, OF_SOLID or OF_PLANE.
         is_edge: whether a triangle was crossed within RIM of its edge.
     """
 
     z: Float
     normal: Float
     geom: Int32
+    facet: Int32
     is_edge: Bool
 
 
@@ -147,26 +151,35 @@ def _copy(column, source, target):
     for axis in range(3):
         column.normal[target, axis] = column.normal[source, axis]
     column.geom[target] = column.geom[source]
+    column.facet[target] = column.facet[source]
+    column.is_edge[target] = column.is_edge[source]
 
 
 @njit(cache=True)
-def _insert(column, count, z, normal, geom, is_edge):
+def _insert(column, count, z, normal, geom, facet, is_edge):
     """Insert a crossing into a column of a number of them; normal is (x, y, z)."""
     i = count
     while i > 0 and _is_less(column, i - 1, z, geom, normal[2] > 0.0):
         _copy(column, i - 1, i)
-        column.is_edge[i] = column.is_edge[i - 1]
         i -= 1
     column.z[i] = z
     column.normal[i, 0], column.normal[i, 1], column.normal[i, 2] = normal
     column.geom[i] = geom
+    column.facet[i] = facet
     column.is_edge[i] = is_edge
     return count + 1
 
 
 @njit(inline="always")
-def _drop_doubles(column, count):
-    """Drop crossings that two neighbouring triangles of a geom report at their shared edge."""
+def _is_same_part(column, i, j, facets):
+    """Whether two crossings at edges, so of triangles, are of one part of one geom."""
+    is_same_geom = column.geom[i] == column.geom[j]
+    return is_same_geom and facets.part[column.facet[i]] == facets.part[column.facet[j]]
+
+
+@njit(inline="always")
+def _drop_doubles(column, count, facets):
+    """Drop crossings that two neighbouring triangles of a part report at their shared edge."""
     kept = 0
     for i in range(count):
         is_double = False
@@ -174,12 +187,11 @@ def _drop_doubles(column, count):
             j = kept - 1
             while j >= 0 and column.z[i] - column.z[j] <= SAME:
                 same_side = (column.normal[i, 2] > 0.0) == (column.normal[j, 2] > 0.0)
-                if column.is_edge[j] and column.geom[i] == column.geom[j] and same_side:
+                if column.is_edge[j] and same_side and _is_same_part(column, i, j, facets):
                     is_double = True
                     break
                 j -= 1
         if not is_double:
-            # `is_edge` stays where it was, so a geom in between may hide a double from the rest
             _copy(column, i, kept)
             kept += 1
     return kept
@@ -208,7 +220,7 @@ def _cross_solids(x, y, items, solids, column, ray):
                 nx, ny, nz = ray.normal[0], ray.normal[1], ray.normal[2]
                 # a grazed side has no up or down of its own: the ray's way tells
                 nz = max(nz, 1e-12) if way == 0 else min(nz, -1e-12)
-                count = _insert(column, count, z, (nx, ny, nz), solids.geom[s], INSIDE)
+                count = _insert(column, count, z, (nx, ny, nz), solids.geom[s], OF_SOLID, INSIDE)
     return count
 
 
@@ -224,7 +236,7 @@ def _cross_planes(planes, heights, column, count, ray):
             if distance >= 0.0:
                 z = ray.point[2] + ray.direction[2] * distance
                 normal = (ray.normal[0], ray.normal[1], ray.normal[2])
-                count = _insert(column, count, z, normal, planes.geom[p], INSIDE)
+                count = _insert(column, count, z, normal, planes.geom[p], OF_PLANE, INSIDE)
     return count
 
 
@@ -239,13 +251,17 @@ def _cross_triangles(x, y, items, facets, column, count):
             continue
         crossing, z = _cross_triangle(facets.corners[t], x, y)
         if crossing:
-            count = _insert(column, count, z, (nx, ny, nz), facets.geom[t], crossing == 2)
+            count = _insert(column, count, z, (nx, ny, nz), facets.geom[t], t, crossing == 2)
     return count
 
 
 @njit(inline="always")
-def _write(column, count, crossings, first):
+def _write(column, count, facets, crossings, first):
     for i in range(count):
+        facet, closed = column.facet[i], OPEN_SURFACE
+        if facet != OF_PLANE:
+            closed = CONVEX_SOLID if facet == OF_SOLID else facets.closed[facet]
+        crossings.closed[first + i] = closed
         crossings.z[first + i] = column.z[i]
         crossings.geom[first + i] = column.geom[i]
         for axis in range(3):
@@ -259,9 +275,8 @@ def _cast_tile(tile, lattice, solids, facets, planes, tiles, heights, crossings)
     begin, end = tiles.triangle_start[tile], tiles.triangle_start[tile + 1]
     triangles = tiles.triangle_item[begin:end]
     most = 2 * (nearby.shape[0] + planes.geom.shape[0]) + triangles.shape[0]
-    column = Column(
-        np.empty(most), np.empty((most, 3)), np.empty(most, np.int32), np.empty(most, np.bool_)
-    )
+    geom, facet = np.empty(most, np.int32), np.empty(most, np.int32)
+    column = Column(np.empty(most), np.empty((most, 3)), geom, facet, np.empty(most, np.bool_))
     ray = Ray(np.empty(3), np.zeros(3), np.zeros(3), np.empty(3), np.empty(3))
     writing = crossings.z.shape[0] > 0
     row0, row1, col0, col1 = tile_window(lattice, tile)
@@ -272,9 +287,9 @@ def _cast_tile(tile, lattice, solids, facets, planes, tiles, heights, crossings)
             count = _cross_solids(x, y, nearby, solids, column, ray)
             count = _cross_planes(planes, heights, column, count, ray)
             count = _cross_triangles(x, y, triangles, facets, column, count)
-            count = _drop_doubles(column, count)
+            count = _drop_doubles(column, count, facets)
             if writing:
-                _write(column, count, crossings, crossings.start[cell])
+                _write(column, count, facets, crossings, crossings.start[cell])
             else:
                 crossings.start[cell + 1] = count
 
@@ -285,7 +300,7 @@ def cast_lines(lattice, solids, facets, planes, tiles, heights, crossings):
 
     Args:
         heights: a `Band` below and above everything [m].
-        crossings: in the first call `z`, `normal` and `geom` are empty, and ``start[cell + 1]``
+        crossings: in the first call all but `start` are empty, and ``start[cell + 1]``
             receives the number of crossings; in the second, the running sums stand there, and
             the others receive the crossings.
     """

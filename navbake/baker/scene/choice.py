@@ -1,6 +1,6 @@
 """Which geoms of a model count, by the settings, and why. Does not import mujoco."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from fnmatch import fnmatchcase
 from typing import Any, Literal, NamedTuple
 
@@ -13,7 +13,7 @@ from navbake.types import Bool, Float
 
 DRAWN_GROUPS = 3  # MuJoCo's viewers draw the geom groups below this unless told otherwise
 
-MeshMode = Literal["hull", "surface"]
+MeshMode = Literal["hull", "surface", "shell"]
 
 
 class Choice(NamedTuple):
@@ -22,7 +22,8 @@ class Choice(NamedTuple):
     Attributes:
         counted: whether it takes part in the bake.
         reason: why.
-        mesh: as what it counts if it is a mesh: its convex hull, or its own triangles.
+        mesh: as what it counts if it is a mesh: its convex hull, its own triangles, or a shell
+            of them that encloses nothing.
     """
 
     counted: bool
@@ -30,14 +31,26 @@ class Choice(NamedTuple):
     mesh: MeshMode
 
 
-def choose_geoms(model: Any, settings: SceneSettings) -> tuple[list[Choice], list[str]]:
-    """Decide for each geom whether it counts.
+def choose_geoms(
+    model: Any,
+    settings: SceneSettings,
+    hides_room: Callable[[int], bool],
+    ground: int | None = None,
+) -> tuple[list[Choice], list[str]]:
+    """Decide for each geom whether it counts, and meshes as what.
 
     Excluded geoms never count. `collision` counts what can collide (contype or
     conaffinity not 0), drawn or not. `auto` does the same, but counts all geoms where none of
     those left can collide. `visual` counts what is drawn: alpha above 0, a geom group that
     MuJoCo's viewers draw, and no stand-in, which is a geom that can collide on a body that has
     drawn geoms of another group that can't; the world's own geoms are no stand-ins.
+
+    `scene.meshes: auto` takes a mesh that collides as its hull, as MuJoCo does, unless the hull
+    hides room for an agent to stand in.
+
+    Args:
+        hides_room: tells of a geom that is a mesh whether its hull does.
+        ground: the geom that `scene.ground` added; it counts, whatever the settings say.
 
     Returns:
         A choice for each geom, by its id, and what the user should know, one line each.
@@ -47,10 +60,31 @@ def choose_geoms(model: Any, settings: SceneSettings) -> tuple[list[Choice], lis
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     left = np.array([not reason for reason in excluded], dtype=bool)
     counts = _rule(model, settings, collides, bool((collides & left).any()))
-    modes, unused = _mesh_modes(settings, names, collides, model.geom_type)
     rules = [(False, out) if out else rule for out, rule in zip(excluded, counts, strict=True)]
-    choices = [Choice(*rule, mode) for rule, mode in zip(rules, modes, strict=True)]
-    return choices, notes + unused
+    if ground is not None:
+        rules[ground] = (True, "added by `scene.ground`")
+    modes, unused = _mesh_modes(settings, names, model.geom_type)
+    opened = []
+    for geom, mode in enumerate(modes):
+        # MuJoCo collides meshes by their hull, but not signed distance fields
+        if mode == "auto" and rules[geom][0] and collides[geom] and model.geom_type[geom] == MESH:
+            modes[geom] = "surface" if hides_room(geom) else "hull"
+            opened += [names[geom].geom] if modes[geom] == "surface" else []
+    taken: list[MeshMode] = [
+        "hull" if mode == "hull" else "shell" if mode == "shell" else "surface" for mode in modes
+    ]
+    choices = [Choice(*rule, mode) for rule, mode in zip(rules, taken, strict=True)]
+    return choices, notes + unused + _note_opened(opened)
+
+
+def _note_opened(geoms: list[str]) -> list[str]:
+    if not geoms:
+        return []
+    more = f", and {len(geoms) - 1} more" if geoms[1:] else ""
+    return [
+        f"mesh geom {geoms[0]!r}{more} counts by its triangles, because its convex hull hides room "
+        "to stand in; MuJoCo collides the hull: set `scene.meshes` to surface or hull to say which"
+    ]
 
 
 def _rule(
@@ -130,18 +164,15 @@ def _excluded_bodies(model: Any, settings: SceneSettings) -> list[str]:
 
 
 def _mesh_modes(
-    settings: SceneSettings, names: list[GeomNames], collides: Bool, types: Any
-) -> tuple[list[MeshMode], list[str]]:
-    """The mesh mode of each geom; and patterns that match no mesh."""
+    settings: SceneSettings, names: list[GeomNames], types: Any
+) -> tuple[list[str], list[str]]:
+    """The mesh mode that is set for each geom; and patterns that match no mesh."""
     by_pattern: Mapping[str, str] = (
         settings.meshes if isinstance(settings.meshes, dict) else {"*": settings.meshes}
     )
-    modes: list[MeshMode] = []
-    for geom, name in enumerate(names):
-        mode = next((by_pattern[p] for p in by_pattern if _matches(p, name)), "auto")
-        if mode == "auto":  # MuJoCo collides meshes by their hull, but not signed distance fields
-            mode = "hull" if collides[geom] and types[geom] == MESH else "surface"
-        modes.append("hull" if mode == "hull" else "surface")
+    modes = [
+        next((by_pattern[p] for p in by_pattern if _matches(p, name)), "auto") for name in names
+    ]
     if by_pattern is not settings.meshes:
         return modes, []
     of_meshes = [names[geom] for geom in np.flatnonzero(np.isin(types, (MESH, SDF)))]

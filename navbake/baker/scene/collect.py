@@ -1,14 +1,19 @@
 """The geometry of a model's counted geoms, gathered into shapes. Does not import mujoco."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.baker.kernels import constants
-from navbake.baker.scene.choice import Choice
+from navbake.baker.scene.choice import Choice, MeshMode
 from navbake.baker.scene.mesh_scene import MeshPart
 from navbake.baker.scene.names import name_at, names_of
+from navbake.baker.scene.parts import split_mesh
 from navbake.baker.scene.shapes import (
     Planes,
     Shapes,
@@ -16,7 +21,6 @@ from navbake.baker.scene.shapes import (
     Triangles,
     height_field_triangles,
     hull_triangles,
-    is_closed_solid,
     plane_triangles,
     solid_bounds,
 )
@@ -25,11 +29,21 @@ from navbake.types import Float, Int, Int32
 
 SOLIDS = range(constants.SPHERE, constants.BOX + 1)  # and capsule, ellipsoid, cylinder between
 TYPE_NAMES = dict(enumerate("plane hfield sphere capsule ellipsoid cylinder box mesh sdf".split()))  # noqa: SIM905
-ENCLOSES = {
-    "hull": constants.CONVEX_SOLID,
-    "closed surface": constants.CLOSED_SURFACE,
-    "surface": constants.OPEN_SURFACE,
-}
+
+
+@dataclass(frozen=True)
+class GeomTriangles:
+    """The triangles of one geom: their corners, parts and what these enclose, see `Triangles`."""
+
+    corners: Float
+    part: Int32
+    closed: NDArray[np.uint8]
+
+    @classmethod
+    def all_alike(cls, corners: Float, closed: int) -> GeomTriangles:
+        """Triangles of one part."""
+        num = len(corners)
+        return cls(corners, np.zeros(num, np.int32), np.full(num, closed, np.uint8))
 
 
 class Collected(NamedTuple):
@@ -65,6 +79,13 @@ def collect_shapes(
     return Collected(collector.shapes(), kinds, collector.notes)
 
 
+def mesh_shapes(model: Any, data: Any, geom: int, mode: MeshMode) -> Shapes:
+    """The triangles of one geom that is a mesh, counted as a mode says, world frame."""
+    collector = _Collector(model, data, {})
+    collector.add(geom, mode)
+    return collector.shapes()
+
+
 class _Collector:
     """Gathers geometry, kind by kind."""
 
@@ -72,10 +93,9 @@ class _Collector:
         self._model, self._data, self._parts = model, data, parts
         self._solids: list[int] = []
         self._planes: list[int] = []
-        self._corners: dict[int, Float] = {}  # by geom, world frame
-        self._closed = np.full(model.ngeom, constants.OPEN_SURFACE, dtype=np.uint8)
+        self._triangles: dict[int, GeomTriangles] = {}  # by geom, world frame
         self._endless = np.zeros(model.ngeom, dtype=np.bool_)
-        self._meshes: dict[tuple[int, str], tuple[Float, str]] = {}
+        self._meshes: dict[tuple[int, str], tuple[GeomTriangles, str]] = {}
         numbers = np.hstack([data.geom_xpos, data.geom_xmat, model.geom_size])
         self._is_finite = np.isfinite(numbers).all(axis=1)
         self.notes: list[str] = []
@@ -88,15 +108,14 @@ class _Collector:
             raise SceneError(f"geom {name!r} has a pose or size that is no number")
         if kind in SOLIDS:
             self._solids.append(geom)
-            self._closed[geom] = constants.CONVEX_SOLID
             return "solid"
         if kind == constants.PLANE:
             return self._add_plane(geom)
         if kind not in (constants.HFIELD, constants.MESH, constants.SDF) or shape < 0:
             raise SceneError(f"geom {name!r} is broken: it has no shape (type {kind})")
         if kind == constants.HFIELD:
-            self._corners[geom] = self._to_world(geom, _height_field(self._model, shape))
-            self._closed[geom] = constants.SOLID
+            corners = self._to_world(geom, _height_field(self._model, shape))
+            self._triangles[geom] = GeomTriangles.all_alike(corners, constants.SOLID)
             return "solid"
         return self._add_mesh(geom, shape, mesh_mode)
 
@@ -106,14 +125,17 @@ class _Collector:
         index, plane = (np.array(ids, dtype=np.int32) for ids in (self._solids, self._planes))
         kind, size = model.geom_type[index], model.geom_size[index]
         pos, mat = data.geom_xpos[index], data.geom_xmat[index]
-        of_triangles = np.array(list(self._corners), dtype=np.int32)
-        num_triangles = [len(corners) for corners in self._corners.values()]
-        corners = np.concatenate([np.zeros((0, 3, 3)), *self._corners.values()])
+        of_triangles = np.array(list(self._triangles), dtype=np.int32)
+        found = [GeomTriangles.all_alike(np.zeros((0, 3, 3)), 0), *self._triangles.values()]
+        num_triangles = [len(triangles.corners) for triangles in found[1:]]
+        part, closed, corners = (
+            np.concatenate([getattr(triangles, name) for triangles in found])
+            for name in ("part", "closed", "corners")
+        )
         return Shapes(
             solids=Solids(index, kind, pos, mat, size, solid_bounds(kind, pos, mat, size)),
             planes=Planes(plane, data.geom_xpos[plane], data.geom_xmat[plane]),
-            triangles=Triangles(np.repeat(of_triangles, num_triangles), corners),
-            closed=self._closed,
+            triangles=Triangles(np.repeat(of_triangles, num_triangles), part, closed, corners),
             endless=self._endless,
         )
 
@@ -123,36 +145,39 @@ class _Collector:
             self._planes.append(geom)
             return "half-space"
         self._endless[geom] = (half <= 0).any()
-        self._corners[geom] = self._to_world(geom, plane_triangles(half))
+        corners = self._to_world(geom, plane_triangles(half))
+        self._triangles[geom] = GeomTriangles.all_alike(corners, constants.OPEN_SURFACE)
         return "strip" if self._endless[geom] else "rectangle"
 
     def _add_mesh(self, geom: int, mesh: int, mode: str) -> str:
         part = self._parts.get(geom)
         if part is not None:
-            corners, kind = self._mesh_triangles(geom, *part[1:], part.vertices, mode)
+            triangles, kind = self._mesh_triangles(geom, *part[1:], part.vertices, mode)
         else:
             if (mesh, mode) not in self._meshes:
                 arrays = _mesh_arrays(self._model, mesh)
                 self._meshes[mesh, mode] = self._mesh_triangles(geom, *arrays, mode)
-            corners, kind = self._meshes[mesh, mode]
-            corners = self._to_world(geom, corners)
-        self._corners[geom], self._closed[geom] = corners, ENCLOSES[kind]
+            triangles, kind = self._meshes[mesh, mode]
+            triangles = replace(triangles, corners=self._to_world(geom, triangles.corners))
+        self._triangles[geom] = triangles
         return kind
 
     def _mesh_triangles(
         self, geom: int, vertices: Float, faces: Int | Int32, on_hull: Float, mode: str
-    ) -> tuple[Float, str]:
+    ) -> tuple[GeomTriangles, str]:
         if mode == "hull":
             hull = hull_triangles(on_hull)
             if hull is not None:
-                return hull, "hull"
+                return GeomTriangles.all_alike(hull, constants.CONVEX_SOLID), "hull"
             name = names_of(self._model, geom)
             self.notes.append(
                 f"mesh {name.mesh!r} of geom {name.geom!r} is flat, so it has no convex hull: "
                 f"it counts by its triangles"
             )
-        kind = "closed surface" if is_closed_solid(vertices, faces) else "surface"
-        return vertices[faces], kind
+        if mode == "shell":
+            return GeomTriangles.all_alike(vertices[faces], constants.OPEN_SURFACE), "shell"
+        split = split_mesh(vertices, faces)
+        return GeomTriangles(vertices[split.faces], split.part, split.closed), split.kind
 
     def _to_world(self, geom: int, corners: Float) -> Float:
         mat = self._data.geom_xmat[geom].reshape(3, 3)

@@ -12,10 +12,12 @@ from xml.parsers import expat
 import mujoco
 import numpy as np
 
+from navbake.baker.scene.chatter import catch_chatter
 from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart, read_mesh_parts
+from navbake.baker.scene.names import unique_name
 from navbake.baker.scene.urdf import read_urdf
 from navbake.config.scene import SceneSettings
-from navbake.errors import SceneError
+from navbake.errors import ConfigError, SceneError
 from navbake.types import Float, Int
 
 XML_SUFFIXES = frozenset({".xml", ".mjcf", ".urdf"})
@@ -38,16 +40,26 @@ def mujoco_library() -> str:
     raise SceneError(f"MuJoCo's shared library is not in {folder}: reinstall mujoco")
 
 
-def load_model(settings: SceneSettings, warnings: list[str]) -> tuple[Any, dict[int, MeshPart]]:
+def load_model(
+    settings: SceneSettings, warnings: list[str]
+) -> tuple[Any, dict[int, MeshPart], int | None]:
     """The compiled mujoco.MjModel of a scene file, and the exact meshes of a mesh scene.
+
+    `scene.ground` is added as an endless plane on a body of its own, the last one, so that all
+    other geoms and bodies keep their ids.
 
     Args:
         warnings: what `catch_warnings` collects; a part of the reason where MuJoCo fails.
 
     Returns:
-        The model, and meshes by geom id, see `Scene.parts`.
+        The model, meshes by geom id, see `Scene.parts`, and the geom of `scene.ground`.
     """
-    path = Path(settings.path)
+    model, parts = _load_file(settings, warnings)
+    return model, parts, None if settings.ground is None else int(model.ngeom) - 1
+
+
+def _load_file(settings: SceneSettings, warnings: list[str]) -> tuple[Any, dict[int, MeshPart]]:
+    path, ground = Path(settings.path), settings.ground
     try:
         if not path.exists():
             raise SceneError(f"no scene file at {path}")
@@ -57,9 +69,13 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> tuple[Any, dict[
         suffix = path.suffix.lower()
         if suffix in MESH_SUFFIXES:
             parts = read_mesh_parts(path, settings.up, settings.unit)
-            model = _compile(path, warnings, lambda: _build_model(parts))
+            model = _compile(path, warnings, lambda: _build_model(parts, ground))
             return model, {int(model.geom(part.name).id): part for part in parts}
         if suffix == MJB_SUFFIX:
+            if ground is not None:
+                raise ConfigError(
+                    f"`scene.ground` can't be added to an MJB: bake the XML that {path} was made of"
+                )
             hint = (
                 f" (an MJB fits only the MuJoCo that wrote it, this is {mujoco_version()}: save it "
                 f"again, or bake its XML)"
@@ -67,24 +83,24 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> tuple[Any, dict[
             load = partial(mujoco.MjModel.from_binary_path, str(path))
             return _compile(path, warnings, load, hint), {}
         if suffix in XML_SUFFIXES:
-            return _load_xml(path, warnings), {}
+            return _load_xml(path, warnings, ground), {}
     except OSError as error:
         raise SceneError(f"cannot read {path}: {error.strerror or error}") from error
     known = ", ".join(sorted({MJB_SUFFIX} | XML_SUFFIXES | MESH_SUFFIXES))
     raise SceneError(f"cannot tell what {path} is: expected one of {known}")
 
 
-def _load_xml(path: Path, warnings: list[str]) -> Any:
+def _load_xml(path: Path, warnings: list[str], ground: float | None) -> Any:
     if path.stat().st_size == 0:
         raise SceneError(f"{path} is empty: expected an MJCF or URDF scene")
     root = _peek_root(path)
     if root == "robot":
         text, meshes = read_urdf(path)
-        return _compile(path, warnings, lambda: _build_urdf(text, meshes))
+        return _compile(path, warnings, lambda: _build_urdf(text, meshes, ground))
     if root not in ("mujoco", ""):
         raise SceneError(f"expected <mujoco> or <robot> in {path}, got <{root[:40]}>")
     try:  # MuJoCo's parser is the judge of MJCF, also where Python's is stricter
-        return _compile(path, warnings, lambda: mujoco.MjModel.from_xml_path(str(path)))
+        return _compile(path, warnings, lambda: _build_mjcf(path, ground))
     except SceneError as error:
         try:
             with path.open("rb") as file:
@@ -102,18 +118,41 @@ def _peek_root(path: Path) -> str:
 
 
 def _compile(path: Path, warnings: list[str], load: Callable[[], Any], hint: str = "") -> Any:
+    chatter: list[str] = []
     try:
-        return load()
+        with catch_chatter() as chatter:
+            return load()
     except SceneError:
         raise
     except Exception as error:  # mujoco raises ValueError, FatalError and UnexpectedError
-        lines = [*str(error).splitlines(), *warnings] or [type(error).__name__]
+        said = [*str(error).splitlines(), *warnings] or [type(error).__name__]
+        lines = [*said, *chatter]
         reason = "; ".join(" ".join(line.split()) for line in lines if line.strip())
         reason = reason.removeprefix("Error: ").removeprefix("XML Error: ")
         raise SceneError(f"MuJoCo cannot load {path}: {reason[:400]}{hint}") from error
 
 
-def _build_model(parts: list[MeshPart]) -> Any:
+def _build_mjcf(path: Path, ground: float | None) -> Any:
+    if ground is None:
+        return mujoco.MjModel.from_xml_path(str(path))
+    spec = mujoco.MjSpec.from_file(str(path))
+    _add_ground(spec, ground)
+    return spec.compile()
+
+
+def _add_ground(spec: Any, height: float | None) -> None:
+    """Add endless ground at a height, under a name that nothing else has."""
+    if height is None:
+        return
+    taken = {thing.name for thing in (*spec.geoms, *spec.bodies)}
+    name = unique_name("ground", taken)
+    body = spec.worldbody.add_body(name=name, pos=(0.0, 0.0, height))
+    # it collides with nothing, so that `scene.geoms: auto` judges the scene's own geoms
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    body.add_geom(name=name, type=plane, size=(0, 0, 1), contype=0, conaffinity=0)
+
+
+def _build_model(parts: list[MeshPart], ground: float | None) -> Any:
     """A model of mesh parts: one static body and geom a part, which can't collide."""
     spec = mujoco.MjSpec()
     for part in parts:
@@ -122,16 +161,18 @@ def _build_model(parts: list[MeshPart]) -> Any:
         body = spec.worldbody.add_body(name=part.name, pos=center)
         geom = body.add_geom(name=part.name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=part.name)
         geom.contype = geom.conaffinity = 0
+    _add_ground(spec, ground)
     return _compile_geometry(spec)
 
 
-def _build_urdf(text: str, files: dict[str, Path]) -> Any:
+def _build_urdf(text: str, files: dict[str, Path], ground: float | None) -> Any:
     """A model of a URDF, its meshes read as mesh scenes are, whatever their format."""
     spec = mujoco.MjSpec.from_string(text)
     read = cache(lambda file: _join_parts(read_mesh_parts(files[file])))
     for mesh in spec.meshes:
         file, mesh.file = mesh.file, ""
         _fill_mesh(mesh, *read(file))
+    _add_ground(spec, ground)
     return _compile_geometry(spec)
 
 

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,14 @@ from numpy.typing import NDArray
 
 from navbake.baker.scene.choice import Choice, choose_geoms
 from navbake.baker.scene.collect import TYPE_NAMES, collect_shapes
+from navbake.baker.scene.hidden_room import HiddenRoom
 from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart
 from navbake.baker.scene.model import catch_warnings, load_model
 from navbake.baker.scene.names import name_at, names_of
 from navbake.baker.scene.pose import pose_model, warn_out_of_range
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.scene import SceneSettings
+from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.errors import SceneError
 from navbake.types import Float
 
@@ -32,8 +35,9 @@ class GeomReport:
         type: MuJoCo's type: plane, hfield, sphere, capsule, ellipsoid, cylinder, box, mesh, sdf.
         counted: whether it takes part in the bake.
         shape: as what: ``solid``; a plane as ``half-space``, ``strip`` (one side infinite) or
-            ``rectangle``; a mesh as ``hull``, ``surface`` or ``closed surface`` (it encloses a
-            volume, whose inside is occupied); empty where it isn't counted.
+            ``rectangle``; a mesh as ``hull``, ``shell``, ``surface``, ``closed surface`` (it
+            encloses a volume, whose inside is occupied) or ``partly closed`` (parts of it do);
+            empty where it isn't counted.
         reason: why it is counted or left out.
     """
 
@@ -77,23 +81,32 @@ class Scene:
     parts: dict[int, MeshPart]
 
 
-def load_scene(settings: SceneSettings) -> Scene:
+def load_scene(
+    settings: SceneSettings,
+    agent: AgentSettings | None = None,
+    floors: FloorSettings | None = None,
+) -> Scene:
     """Load a scene, pose it and choose the geoms that count. Nothing of it changes later.
+
+    Args:
+        agent: for whom `scene.meshes: auto` looks for room in the hulls of meshes, and
+        floors: how large that has to be; the defaults if None.
 
     Raises:
         SceneError: the file is missing or broken, or holds no geom that counts.
         ConfigError: the settings ask for a keyframe or joint that isn't there.
     """
     with catch_warnings() as warned:
-        model, parts = load_model(settings, warned)
+        model, parts, ground = load_model(settings, warned)
         data = pose_model(model, settings)
-    choices, notes = choose_geoms(model, settings)
-    if not any(choice.counted for choice in choices):
-        raise SceneError(_nothing_counts(settings, choices))
-    try:
+    room = HiddenRoom(model, data, agent or AgentSettings(), floors or FloorSettings())
+    with _errors_name(settings):
+        choices, notes = choose_geoms(model, settings, room.is_in_hull, ground)
+    own = [choice for geom, choice in enumerate(choices) if geom != ground]
+    if not any(choice.counted for choice in own):
+        raise SceneError(_nothing_counts(settings, own))
+    with _errors_name(settings):
         collected = collect_shapes(model, data, choices, parts)
-    except SceneError as error:
-        raise SceneError(f"{error}, in {settings.path}") from error
     warnings = [f"MuJoCo: {' '.join(warning.split())}" for warning in warned]
     warnings += [*warn_out_of_range(model, settings), *_find_unusable(model)]
     warnings += [*_find_unused_settings(settings), *notes, *collected.notes]
@@ -109,6 +122,15 @@ def load_scene(settings: SceneSettings) -> Scene:
         choices=choices,
         parts=parts,
     )
+
+
+@contextmanager
+def _errors_name(settings: SceneSettings) -> Iterator[None]:
+    """Add the scene's file to a SceneError."""
+    try:
+        yield
+    except SceneError as error:
+        raise SceneError(f"{error}, in {settings.path}") from error
 
 
 def _report_geoms(model: Any, choices: list[Choice], kinds: list[str]) -> list[GeomReport]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
-from navbake.types import Bool, Float, Int, Int32
+from navbake.types import Bool, Float, Int32
 
 # Half-size that stands for the infinite side of a plane that has a finite one: heights on a tilted
 # one are off by about 1e-16 FAR^2 [m]
@@ -60,11 +60,17 @@ class Triangles(NamedTuple):
     """Triangles of meshes, hulls, height fields and finite planes.
 
     Attributes:
-        geom: MuJoCo's geom id of each, shape (m,), int32.
+        geom: MuJoCo's geom id of each, ascending, shape (m,), int32.
+        part: the part of its geom's mesh that each belongs to, shape (m,), int32: 0 for what
+            encloses nothing, and for all triangles of what is no mesh.
+        closed: what that part encloses, shape (m,), uint8: OPEN_SURFACE, CLOSED_SURFACE, SOLID
+            (height fields) or CONVEX_SOLID (hulls). Inside of all but the first counts as occupied.
         corners: shape (m, 3, 3), float64 [m], counter-clockwise from the front.
     """
 
     geom: Int32
+    part: Int32
+    closed: NDArray[np.uint8]
     corners: Float
 
     @property
@@ -84,9 +90,6 @@ class Shapes:
         solids: the primitive solids.
         planes: the infinite planes.
         triangles: everything that is made of triangles.
-        closed: by geom id, shape (ngeom,), uint8: what each encloses, OPEN_SURFACE,
-            CLOSED_SURFACE, SOLID (height fields) or CONVEX_SOLID (primitives, hulls). Inside
-            of all but the first counts as occupied. Infinite planes are OPEN_SURFACE.
         endless: by geom id, shape (ngeom,), bool: planes with one infinite side; they are
             triangles of FAR, and don't count towards the box.
     """
@@ -94,7 +97,6 @@ class Shapes:
     solids: Solids
     planes: Planes
     triangles: Triangles
-    closed: NDArray[np.uint8]
     endless: Bool
 
     def bounds(self) -> Float | None:
@@ -116,7 +118,6 @@ class Shapes:
             marked(self.solids),
             marked(self.planes),
             marked(self.triangles),
-            np.where(geoms, self.closed, np.uint8(0)),
             self.endless & geoms,
         )
 
@@ -195,32 +196,3 @@ def hull_triangles(vertices: Float) -> Float | None:
     inward = np.einsum("ij,ij->i", cross, hull.equations[:, :3]) < 0
     corners[inward] = corners[inward][:, ::-1]
     return corners
-
-
-def is_closed_solid(vertices: Float, faces: NDArray[np.integer[Any]]) -> bool:
-    """Whether triangles enclose a volume from outside.
-
-    They do when every directed edge is met as often in the other direction, and the volume that
-    they sum up to is positive. A room drawn from inside (its triangles facing in) encloses none.
-    Vertices at one place count as one.
-    """
-    if len(faces) < 4:
-        return False
-    face = _number_points(vertices)[faces]
-    start, end = face.ravel(), np.roll(face, -1, axis=1).ravel()
-    num = int(face.max()) + 1
-    forward, backward = np.sort(start * num + end), np.sort(end * num + start)
-    if not np.array_equal(forward, backward):
-        return False
-    local = (vertices - vertices[faces[0, 0]])[faces]
-    volume = np.einsum("ij,ij->i", local[:, 0], np.cross(local[:, 1], local[:, 2])).sum() / 6
-    return bool(volume > 0)
-
-
-def _number_points(points: Float) -> Int:
-    """Number points so that equal ones have equal numbers; faster than a unique over rows."""
-    number = np.zeros(len(points), dtype=np.int64)
-    for axis in range(3):
-        values, index = np.unique(points[:, axis], return_inverse=True)
-        _, number = np.unique(number * len(values) + index, return_inverse=True)
-    return number.astype(np.int64)

@@ -116,8 +116,9 @@ class Voxelizer:
                 raise ConfigError("expected `ignore` where the scene is loaded, this one is")
             self.scene = scene
         else:
-            self._settings = _leave_out(as_config(scene).scene, ignore)
-            self.scene = load_scene(self._settings)
+            config = as_config(scene)
+            self._settings = _leave_out(config.scene, ignore)
+            self.scene = load_scene(self._settings, config.agent, config.floors)
         self.shapes = self.scene.shapes
         self._boxes = self._box_triangles()
         self._labels: dict[Any, Labels] = {}
@@ -249,10 +250,10 @@ class Voxelizer:
         tiles = Tiles(*bin_items(shapes.solids.bounds, *grid), *bin_items(self._boxes, *grid))
         voxels = Voxels(values, place.origin, place.res, TOUCH)
         geometry = (shapes.solids, shapes.planes, shapes.triangles)
-        fill_voxels(voxels, *geometry, tiles, shapes.closed, ids)
+        fill_voxels(voxels, *geometry, tiles, ids)
 
     def _box_triangles(self) -> Float:
-        return np.asarray(box_triangles(self.shapes.triangles, self.shapes.closed))
+        return np.asarray(box_triangles(self.shapes.triangles))
 
     def _label(self, segments: Segments | None) -> Labels:
         if segments is None:

@@ -9,17 +9,18 @@ import numpy as np
 import pytest
 
 from navbake.baker.scene import collect, shapes
+from navbake.baker.scene.parts import split_mesh
 from oracles.rays import first_hit
 
 RNG_SEEDS = range(4)
 CUBE = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
 TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
-OUTWARD = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
 def is_closed(triangles):
     corners = np.reshape(triangles, (-1, 3))
-    return shapes.is_closed_solid(corners, np.arange(len(corners)).reshape(-1, 3))
+    split = split_mesh(corners, np.arange(len(corners)).reshape(-1, 3))
+    return split.kind == "closed surface"
 
 
 def volume(triangles):
@@ -62,9 +63,11 @@ def test_bounds_leave_out_endless_planes():
         none = np.zeros(0, np.int32)
         solids = shapes.Solids(none, none, *(np.zeros((0, n)) for n in (3, 9, 3, 6)))
         planes = shapes.Planes(none, np.zeros((0, 3)), np.zeros((0, 9)))
-        triangles = shapes.Triangles(np.array(geom, np.int32), np.array(corners, float))
-        closed = np.zeros(len(endless), np.uint8)
-        return shapes.Shapes(solids, planes, triangles, closed, np.array(endless)).bounds()
+        part, closed = np.zeros(len(geom), np.int32), np.zeros(len(geom), np.uint8)
+        triangles = shapes.Triangles(
+            np.array(geom, np.int32), part, closed, np.array(corners, float)
+        )
+        return shapes.Shapes(solids, planes, triangles, np.array(endless)).bounds()
 
     large = TETRAHEDRON[[0, 1, 2]] * 1e5  # finite, however large
     strip = shapes.plane_triangles(np.array([2.0, 0.0]))
@@ -121,7 +124,7 @@ def test_plane_is_what_mujoco_s_rays_see(half):
         assert first_hit(triangles, start, down) == pytest.approx(expected)
 
 
-# ---------------------------------------------------------------- hulls and closed surfaces
+# ---------------------------------------------------------------- hulls
 
 
 @pytest.mark.parametrize("seed", RNG_SEEDS)
@@ -147,25 +150,3 @@ def test_hull_of_a_cube():
 )
 def test_flat_points_have_no_hull(points):
     assert shapes.hull_triangles(points) is None
-
-
-def test_closed_solids():
-    solid = TETRAHEDRON[OUTWARD]
-    assert is_closed(solid)
-    assert is_closed(solid + 1e5)
-    assert is_closed(np.concatenate([solid, solid + 5.0]))
-    assert not is_closed(solid[:3])
-    assert not is_closed(solid[:, ::-1])  # seen from inside: a room
-    assert not is_closed(np.concatenate([solid[:3], solid[3:, ::-1]]))
-    assert not is_closed(solid[:0])
-
-
-def test_closedness_by_index():
-    assert shapes.is_closed_solid(TETRAHEDRON, OUTWARD)
-    assert shapes.is_closed_solid(np.concatenate([CUBE + 9, TETRAHEDRON]), OUTWARD + 8)
-    assert not shapes.is_closed_solid(TETRAHEDRON, OUTWARD[:, ::-1])
-
-
-def test_a_seam_of_an_empty_triangle_keeps_a_solid_closed():
-    a, b = TETRAHEDRON[0], TETRAHEDRON[1]
-    assert is_closed(np.concatenate([TETRAHEDRON[OUTWARD], [[a, b, b]]]))

@@ -10,13 +10,13 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from navbake.baker.kernels.constants import CLOSED_SURFACE, SAME, SLACK
+from navbake.baker.kernels.constants import OPEN_SURFACE, SAME, SLACK
 from navbake.baker.kernels.tiles import cell_center
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 
 @njit(cache=True)
-def _count_planes_over(planes, x, y, z):
+def count_planes_over(planes, x, y, z):
     """How many infinite planes have a point behind them."""
     count = 0
     for p in range(planes.geom.shape[0]):
@@ -31,28 +31,20 @@ def _count_planes_over(planes, x, y, z):
 
 
 @njit(cache=True)
-def _look_up(crossings, first, i, last):
-    """How many geoms of a column hold the i-th surface, and the height of the next one above.
+def _look_up(crossings, i, last):
+    """How many solids of a column hold the i-th surface, and the height of the next one above.
 
-    Two rules for what begins or ends at the surface's own height (within SAME): a solid that
-    stands on it covers it, so its underside doesn't count as left; a closed surface that begins
-    there doesn't cover it, because buildings are drawn as closed shells stacked on each other.
+    A solid that begins at the surface's own height (within SAME) stands on it and covers it: its
+    underside doesn't count as left. One that ends there doesn't cover it.
     """
-    z, normal, geom, closed = crossings.z, crossings.normal, crossings.geom, crossings.closed
+    z, normal, closed = crossings.z, crossings.normal, crossings.closed
     inside, above = 0, math.inf
-    for j in range(first, i):  # what begins at this height, a hair lower
-        if z[i] - z[j] <= SAME and normal[j, 2] < 0.0 and closed[geom[j]] == CLOSED_SURFACE:
-            inside -= 1
     for j in range(i + 1, last):
         is_apart = z[j] - z[i] > SAME
         if is_apart and above == math.inf:
             above = z[j]
-        if not closed[geom[j]]:
-            continue
-        if normal[j, 2] > 0.0:
-            inside += 1 if is_apart else 0
-        elif is_apart or closed[geom[j]] == CLOSED_SURFACE:
-            inside -= 1
+        if is_apart and closed[j] != OPEN_SURFACE:
+            inside += 1 if normal[j, 2] > 0.0 else -1
     return inside, above
 
 
@@ -79,8 +71,8 @@ def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable):
             gentle = z
             if z - previous <= SAME:
                 continue
-            inside, above = _look_up(crossings, first, i, last)
-            inside += _count_planes_over(planes, x, y, z)
+            inside, above = _look_up(crossings, i, last)
+            inside += count_planes_over(planes, x, y, z)
             if inside <= 0 and above - z >= limits.headroom - SLACK:
                 standable[i] = True
                 previous = z

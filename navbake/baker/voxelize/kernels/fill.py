@@ -229,7 +229,7 @@ def _add_triangle(voxels, tile, c, closed, label, scratch):
 
 
 @njit(inline="always")
-def _close_column(voxels, items, corners, x, y, winding, reach):
+def _close_column(voxels, items, triangles, x, y, winding, reach):
     """See to it that a column's crossings add up to 0, on another line if one was lost."""
     for attempt in range(1, ASIDE.shape[0]):
         left = 0
@@ -241,11 +241,12 @@ def _close_column(voxels, items, corners, x, y, winding, reach):
             winding[k] = 0
         aside_x, aside_y = x + ASIDE[attempt, 0] * voxels.res, y + ASIDE[attempt, 1] * voxels.res
         for t in items:
-            _note_crossing(voxels, corners[t], aside_x, aside_y, winding, reach)
+            if triangles.closed[t] != OPEN_SURFACE:
+                _note_crossing(voxels, triangles.corners[t], aside_x, aside_y, winding, reach)
 
 
 @njit(inline="always")
-def _fill_inside(voxels, tile, items, corners, label, scratch):
+def _fill_inside(voxels, tile, items, triangles, label, scratch):
     """Fill the inside of a closed surface from its crossings, column by column; clear them."""
     num = voxels.values.shape[2]
     for i in range(tile.i0, tile.i1):
@@ -254,7 +255,7 @@ def _fill_inside(voxels, tile, items, corners, label, scratch):
             winding, reach = scratch.winding[a, b], scratch.reaches[a, b]
             square = _square(voxels, i, j)
             x, y = (square.x0 + square.x1) / 2.0, (square.y0 + square.y1) / 2.0
-            _close_column(voxels, items, corners, x, y, winding, reach)
+            _close_column(voxels, items, triangles, x, y, winding, reach)
             inside = 0
             for k in range(reach[0], reach[1] + 1):
                 inside += winding[k]
@@ -265,23 +266,27 @@ def _fill_inside(voxels, tile, items, corners, label, scratch):
 
 
 @njit(cache=True)
-def _fill_triangles(voxels, tile, items, corners, closed, label, scratch):
+def _fill_triangles(voxels, tile, items, triangles, label, scratch):
     """Fill what the triangles of one geom meet and enclose within a tile."""
     scratch.spans[:, :, 0], scratch.spans[:, :, 1] = math.inf, -math.inf
+    is_convex, encloses = False, False
     for t in items:
-        _add_triangle(voxels, tile, corners[t], closed, label, scratch)
-    if closed == CONVEX_SOLID:
+        closed = triangles.closed[t]
+        is_convex |= closed == CONVEX_SOLID
+        encloses |= closed != OPEN_SURFACE
+        _add_triangle(voxels, tile, triangles.corners[t], closed, label, scratch)
+    if is_convex:
         for i in range(tile.i0, tile.i1):
             for j in range(tile.j0, tile.j1):
                 low, high = scratch.spans[i - tile.i0, j - tile.j0]
                 if low <= high:
                     _fill_span(voxels, i, j, (low, high), label)
-    elif closed != OPEN_SURFACE:
-        _fill_inside(voxels, tile, items, corners, label, scratch)
+    elif encloses:
+        _fill_inside(voxels, tile, items, triangles, label, scratch)
 
 
 @njit(inline="always")
-def _fill_geoms(voxels, tile, items, triangles, closed, labels, polygons):
+def _fill_geoms(voxels, tile, items, triangles, labels, polygons):
     """Label what a tile's triangles meet and enclose, geom by geom."""
     num = voxels.values.shape[2]
     scratch = Scratch(
@@ -299,12 +304,12 @@ def _fill_geoms(voxels, tile, items, triangles, closed, labels, polygons):
         while last < end and triangles.geom[items[last]] == geom:
             last += 1
         part = items[first:last]
-        _fill_triangles(voxels, tile, part, triangles.corners, closed[geom], labels[geom], scratch)
+        _fill_triangles(voxels, tile, part, triangles, labels[geom], scratch)
         first = last
 
 
 @njit(cache=True)
-def _fill_tile(voxels, number, tile, solids, planes, triangles, tiles, closed, labels):
+def _fill_tile(voxels, number, tile, solids, planes, triangles, tiles, labels):
     """Label the voxels of one tile."""
     polygons = make_polygons()
     for s in tiles.solid_item[tiles.solid_start[number] : tiles.solid_start[number + 1]]:
@@ -314,17 +319,16 @@ def _fill_tile(voxels, number, tile, solids, planes, triangles, tiles, closed, l
     first, last = tiles.triangle_start[number], tiles.triangle_start[number + 1]
     if last > first:
         items = tiles.triangle_item[first:last]
-        _fill_geoms(voxels, tile, items, triangles, closed, labels, polygons)
+        _fill_geoms(voxels, tile, items, triangles, labels, polygons)
 
 
 @njit(cache=True, parallel=True)
-def fill_voxels(voxels, solids, planes, triangles, tiles, closed, labels):
+def fill_voxels(voxels, solids, planes, triangles, tiles, labels):
     """Label all voxels that geoms meet; labels are added to what the grid holds.
 
     Args:
         solids, planes, triangles: the geometry; the triangles sorted by geom.
         tiles: what lies over each tile of columns.
-        closed: by geom id, what its triangles enclose, see `constants`, uint8.
         labels: by geom id, > 0, in the dtype of the grid's values.
     """
     tiles_y = (voxels.values.shape[1] + TILE - 1) // TILE
@@ -336,4 +340,4 @@ def fill_voxels(voxels, solids, planes, triangles, tiles, closed, labels):
         i, j = number // tiles_y * TILE, number % tiles_y * TILE
         num_x, num_y, _ = voxels.values.shape
         tile = Patch(i, min(i + TILE, num_x), j, min(j + TILE, num_y))
-        _fill_tile(voxels, number, tile, solids, planes, triangles, tiles, closed, labels)
+        _fill_tile(voxels, number, tile, solids, planes, triangles, tiles, labels)

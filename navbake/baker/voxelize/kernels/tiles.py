@@ -41,12 +41,12 @@ def bin_items(bounds, origin, res, shape):
 
 
 @njit(cache=True)
-def box_triangles(triangles, closed):
+def box_triangles(triangles):
     """Boxes round triangles, (m, 6) float64; what encloses a volume is as high and low as its geom.
 
     So a column sees all of a volume's surface above and below the grid.
     """
-    corners, geom = triangles.corners, triangles.geom
+    corners, geom, closed = triangles.corners, triangles.geom, triangles.closed
     boxes = np.empty((corners.shape[0], 6))
     first = 0
     for t in range(corners.shape[0]):
@@ -56,11 +56,12 @@ def box_triangles(triangles, closed):
             boxes[t, 3 + k] = max(c[0, k], c[1, k], c[2, k])
         if t + 1 < corners.shape[0] and geom[t + 1] == geom[t]:
             continue
-        if closed[geom[t]] != OPEN_SURFACE:
-            low, high = math.inf, -math.inf
-            for n in range(first, t + 1):
+        low, high = math.inf, -math.inf
+        for n in range(first, t + 1):
+            if closed[n] != OPEN_SURFACE:
                 low, high = min(low, boxes[n, 2]), max(high, boxes[n, 5])
-            for n in range(first, t + 1):
+        for n in range(first, t + 1):
+            if closed[n] != OPEN_SURFACE:
                 boxes[n, 2], boxes[n, 5] = low, high
         first = t + 1
     return boxes

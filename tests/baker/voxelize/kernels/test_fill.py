@@ -15,15 +15,15 @@ from navbake.baker.voxelize.kernels.tiles import bin_items, box_triangles
 
 def fill(corners, origin, res, shape):
     """The voxels of one closed surface."""
-    triangles = Triangles(np.zeros(len(corners), np.int32), corners)
-    closed, none = np.array([CLOSED_SURFACE], np.uint8), np.zeros(0, np.int32)
+    zeros, none = np.zeros(len(corners), np.int32), np.zeros(0, np.int32)
+    triangles = Triangles(zeros, zeros, np.full(len(corners), CLOSED_SURFACE, np.uint8), corners)
     three, nine, six = (np.zeros((0, num)) for num in (3, 9, 6))
     solids, planes = Solids(none, none, three, nine, three, six), Planes(none, three, nine)
-    boxes, place = box_triangles(triangles, closed), (origin, res, shape)
+    boxes, place = box_triangles(triangles), (origin, res, shape)
     tiles = Tiles(*bin_items(solids.bounds, *place), *bin_items(boxes, *place))
     values = np.zeros(shape, np.uint8)
     voxels = Voxels(values, origin, res, TOUCH)
-    fill_voxels(voxels, solids, planes, triangles, tiles, closed, np.ones(1, np.uint8))
+    fill_voxels(voxels, solids, planes, triangles, tiles, np.ones(1, np.uint8))
     return values
 
 

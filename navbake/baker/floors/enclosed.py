@@ -1,0 +1,63 @@
+"""Floors that are lost inside of closed meshes: storeys that someone drew as closed boxes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from navbake.baker.columns import Columns
+from navbake.baker.floors.kernels.enclosed import count_ends, find_holders
+from navbake.baker.floors.kernels.sheets import group_members, join_by_steps
+from navbake.baker.floors.sheets import AreaTest, agent_limits
+from navbake.baker.kernels.constants import CLOSED_SURFACE
+from navbake.baker.scene.shapes import Shapes
+from navbake.config.settings import AgentSettings, FloorSettings
+from navbake.types import Bool
+
+# A floor that goes on beyond this share of its outline is what a closed thing stands on
+GOES_ON = 0.25
+# Unless the thing is so large that it may well be a building [m2]
+BUILDING = 50.0
+
+
+def find_enclosed(
+    columns: Columns,
+    shapes: Shapes,
+    floor_like: Bool,
+    agent: AgentSettings,
+    settings: FloorSettings,
+) -> list[tuple[int, float, float]]:
+    """Find floors that closed meshes hold, so that nobody can stand on them.
+
+    They face up within the slope, have headroom, and are large enough to be floors. Where such
+    a floor goes on outside at its height, a closed thing only stands on it, like a crate, unless
+    it is as large as a building.
+
+    Args:
+        floor_like: which surfaces face up within the slope, shape (n,).
+
+    Returns:
+        The geom that holds it, its height and its area [m, m²], of each, the largest first.
+    """
+    if not (columns.crossings.closed == CLOSED_SURFACE).any():
+        return []
+    lattice, limits = columns.lattice, agent_limits(agent)
+    holder = np.empty(len(columns.z), dtype=np.int32)
+    find_holders(lattice, columns.crossings, shapes.planes, limits, holder)
+    start = np.concatenate([[0], np.cumsum(holder >= 0)])[columns.start]
+    surface = np.flatnonzero(holder >= 0)
+    z, geom = columns.z[surface], holder[surface].astype(np.int64)
+    part, size = join_by_steps(lattice, start, z, geom, limits.step)
+    cell = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    first, member = group_members(part, size)
+    test, at_cell = AreaTest(lattice, settings), np.zeros(len(start) - 1, dtype=np.bool_)
+    found = []
+    for number in np.flatnonzero(size >= test.needed).tolist():
+        members = member[first[number] : first[number + 1]]
+        if not test.passes(cell[members]):
+            continue
+        area = len(members) * lattice.cell_size**2
+        place = cell[members], z[members], columns.crossings, floor_like
+        edges, goes_on = count_ends(lattice, *place, limits.step, at_cell)
+        if area >= BUILDING or goes_on < GOES_ON * edges:
+            found.append((int(geom[members[0]]), float(z[members].max()), area))
+    return sorted(found, key=lambda floor: -floor[2])

@@ -1,0 +1,104 @@
+"""Whether the convex hull of a mesh hides room for an agent to stand in, as a house's does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from navbake.baker.columns import Columns, cast_columns, tile_shapes
+from navbake.baker.floors.sheets import AreaTest
+from navbake.baker.kernels.constants import OPEN_SURFACE, SLACK
+from navbake.baker.scene.collect import mesh_shapes
+from navbake.baker.scene.shapes import Shapes
+from navbake.config.settings import AgentSettings, FloorSettings
+from navbake.navgrid.lattice import Lattice
+from navbake.types import Bool, Float, Int
+
+# The lines that look for room are this far apart, or further where there would be more of them [m]
+SPACING, MOST_LINES = 0.1, 10_000
+
+
+class HiddenRoom:
+    """Tells of the meshes of a posed model whether their hulls hide room for an agent."""
+
+    def __init__(self, model: Any, data: Any, agent: AgentSettings, floors: FloorSettings) -> None:
+        self._model, self._data, self._agent, self._floors = model, data, agent, floors
+        self._answers: dict[tuple[int, bytes], bool] = {}
+
+    def is_in_hull(self, geom: int) -> bool:
+        """Whether a mesh's hull hides room for an agent to stand in.
+
+        Room is what a vertical line has free inside of the hull over at least the agent's height:
+        over a surface that faces up, or under one that faces down, or where the mesh has none at
+        all; but not inside of the mesh's closed parts, and not behind its front, as under the top
+        of a rock without a bottom. It has to be as large as a floor (`floors.min_area` after
+        `floors.shrink`). Furniture is too small for that, which its box alone tells.
+        """
+        if not self._is_large(geom):
+            return False
+        key = int(self._model.geom_dataid[geom]), self._data.geom_xmat[geom].tobytes()
+        if key not in self._answers:
+            self._answers[key] = self._look(geom)
+        return self._answers[key]
+
+    def _is_large(self, geom: int) -> bool:
+        """Whether an agent may find room in the box of a mesh."""
+        mat = self._data.geom_xmat[geom].reshape(3, 3)
+        if not np.isfinite(mat).all():
+            return False
+        x, y, z = 2 * np.abs(mat) @ self._model.geom_aabb[geom, 3:]
+        left = [side - 2 * self._floors.shrink for side in (x, y)]
+        if min(left) < 0 or z < self._agent.height - SLACK:
+            return False
+        return bool(left[0] * left[1] >= self._floors.min_area - SLACK)
+
+    def _look(self, geom: int) -> bool:
+        hull = mesh_shapes(self._model, self._data, geom, "hull")
+        bounds = hull.bounds()
+        if bounds is None or not np.isfinite(bounds).all():
+            return False
+        x0, y0, x1, y1 = (float(v) for v in bounds[:, :2].ravel())
+        spacing = max(SPACING, float(np.sqrt((x1 - x0) * (y1 - y0) / MOST_LINES)))
+        lattice = Lattice.cover((x0, y0, x1, y1), spacing)
+        mesh = mesh_shapes(self._model, self._data, geom, "surface")
+        has_room = _find_room(_cast(mesh, lattice), _cast(hull, lattice), self._agent.height)
+        return AreaTest(lattice, self._floors).passes(np.flatnonzero(has_room))
+
+
+def _cast(shapes: Shapes, lattice: Lattice) -> Columns:
+    return cast_columns(tile_shapes(shapes, lattice, lattice.cell_size / 2))
+
+
+def _find_room(mesh: Columns, hull: Columns, height: float) -> Bool:
+    """Mark the cells on whose line there is room; see `HiddenRoom.is_in_hull`."""
+    cell, z, starts, ends, turns = (
+        np.concatenate(pair) for pair in zip(_ends_of_hull(hull), _ends_of_mesh(mesh), strict=True)
+    )
+    order = np.lexsort((ends, z, cell))
+    cell, z, starts, ends, turns = (a[order] for a in (cell, z, starts, ends, turns))
+    inside = np.cumsum(turns)
+    inside -= np.concatenate([[0], inside])[np.searchsorted(cell, cell)]  # what went on before it
+    is_gap = (cell[1:] == cell[:-1]) & (np.diff(z) >= height - SLACK) & (inside[:-1] <= 0)
+    lower, upper = starts[:-1], ends[1:]
+    is_room = is_gap & ((lower == 2) | ((lower == 1) & (upper >= 1)))
+    marked = np.zeros(len(mesh.start) - 1, dtype=np.bool_)
+    marked[cell[:-1][is_room]] = True
+    return marked
+
+
+def _cells(columns: Columns) -> Int:
+    return np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))
+
+
+def _ends_of_hull(hull: Columns) -> tuple[Int, Float, Int, Int, Int]:
+    """Where lines enter (starts = 1) and leave (ends = 1) the hull; it turns nothing inside."""
+    faces_up = (hull.normal[:, 2] > 0).astype(np.int64)
+    return _cells(hull), hull.z, 1 - faces_up, faces_up, np.zeros_like(faces_up)
+
+
+def _ends_of_mesh(mesh: Columns) -> tuple[Int, Float, Int, Int, Int]:
+    """The surfaces of the mesh: starts = 2 over what faces up, ends = 1 under what faces down."""
+    faces_up = (mesh.normal[:, 2] > 0).astype(np.int64)
+    turns = np.where(mesh.crossings.closed == OPEN_SURFACE, 0, 1 - 2 * faces_up)
+    return _cells(mesh), mesh.z, 2 * faces_up, 1 - faces_up, turns

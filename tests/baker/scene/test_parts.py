@@ -1,0 +1,187 @@
+"""What the triangles of a mesh enclose, part by part."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE
+from navbake.baker.scene.parts import MeshParts, split_mesh
+
+TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+OUTWARD = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+SOLID = TETRAHEDRON[OUTWARD]
+FAR_AWAY = SOLID[:1] + 50.0
+SHEET = np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0.0]]])
+
+
+def box(size=(1.0, 1.0, 1.0), at=(0.0, 0.0, 0.0)):
+    """Triangles of a box round a point, facing out."""
+    return np.array(trimesh.creation.box(size).triangles) + np.array(at)
+
+
+def turned(triangles):
+    """The triangles, facing the other way."""
+    return triangles[:, ::-1]
+
+
+def split(*pieces) -> MeshParts:
+    corners = np.concatenate(pieces).reshape(-1, 3)
+    return split_mesh(corners, np.arange(len(corners)).reshape(-1, 3))
+
+
+def codes(*pieces):
+    """Of each piece, what its triangles enclose; fails where they differ within one."""
+    closed = split(*pieces).closed
+    ends = np.cumsum([len(piece) for piece in pieces])
+    assert len(closed) == ends[-1]
+    found = [set(part.tolist()) for part in np.split(closed, ends[:-1])]
+    assert all(len(values) == 1 for values in found)
+    return [values.pop() == CLOSED_SURFACE for values in found]
+
+
+# ---------------------------------------------------------------- one part
+
+
+def test_closed_and_open():
+    assert codes(SOLID) == [True]
+    assert codes(SOLID + 1e5) == [True]
+    assert codes(SOLID[:3]) == [False]
+    assert codes(turned(SOLID)) == [False]  # seen from inside: a room
+    assert codes(np.concatenate([SOLID[:3], turned(SOLID[3:])])) == [False]
+    assert split(SOLID[:0]).closed.shape == (0,)
+
+
+def test_kinds():
+    assert split(SOLID).kind == "closed surface"
+    assert split(SHEET).kind == "surface"
+    assert split(SOLID, FAR_AWAY).kind == "partly closed"
+
+
+def test_closedness_by_index():
+    assert split_mesh(TETRAHEDRON, OUTWARD).kind == "closed surface"
+    points = np.concatenate([box().reshape(-1, 3), TETRAHEDRON])
+    assert split_mesh(points, OUTWARD + 36).kind == "closed surface"
+    assert split_mesh(TETRAHEDRON, OUTWARD[:, ::-1]).kind == "surface"
+
+
+def test_parts_are_numbered_from_one():
+    found = split(SHEET + 9, SOLID, SOLID + 3)
+    assert found.part.tolist() == [0] * 2 + [1] * 4 + [2] * 4
+
+
+# ---------------------------------------------------------------- what hangs on them
+
+
+def test_a_stray_triangle_opens_nothing():
+    assert codes(SOLID, FAR_AWAY) == [True, False]
+
+
+def test_an_open_part_beside_opens_nothing():
+    assert codes(box(), SHEET + 5, box(at=(3, 0, 0))) == [True, False, True]
+
+
+def test_a_fin_on_an_edge_opens_nothing():
+    a, b = TETRAHEDRON[0], TETRAHEDRON[1]
+    fin = np.array([[a, b, [0.5, -1.0, 0.0]]])
+    assert codes(SOLID, fin) == [True, False]
+    assert codes(SOLID, np.concatenate([fin, turned(fin)])) == [True, False]
+
+
+def test_a_wall_of_triangles_on_a_slab_is_a_sheet():
+    """It is peeled off ring by ring, from its free edges down to the one on the slab."""
+    slab = box((1.0, 1.0, 1.0), (0.5, 0.5, -0.5))
+    edge = slab.reshape(-1, 3)
+    edge = np.unique(edge[(edge[:, 2] == 0) & (edge[:, 1] == 0)], axis=0)
+    low, high = [np.append(p[:2], 0) for p in edge], [np.append(p[:2], 2) for p in edge]
+    wall = np.array([[low[0], low[1], high[1]], [low[0], high[1], high[0]]])
+    assert codes(slab, wall) == [True, False]
+    assert codes(slab, np.concatenate([wall, turned(wall)])) == [True, False]
+
+
+def test_both_sides_of_a_sheet_enclose_nothing():
+    assert codes(np.concatenate([SHEET, turned(SHEET)])) == [False]
+    # the other side cut along the other diagonal, so that each edge is met by a partner
+    other = np.array([[[0, 0, 0], [0, 1, 0], [1, 0, 0]], [[1, 0, 0], [0, 1, 0], [1, 1, 0.0]]])
+    assert codes(np.concatenate([SHEET, other])) == [False]
+
+
+def test_boxes_that_touch_stay_closed():
+    """They share an edge, a whole side with the same triangles, or corners only."""
+    assert codes(box(), box(at=(1, 1, 0))) == [True, True]
+    assert codes(box(), box(at=(1, 1, 1))) == [True, True]
+    side = box()
+    mirror = turned(side * [-1, 1, 1]) + np.array([1, 0, 0])
+    assert codes(side, mirror) == [True, True]
+
+
+def test_copies_and_empty_triangles_are_left_out():
+    a, b = TETRAHEDRON[0], TETRAHEDRON[1]
+    assert split(SOLID, [[a, b, b]]).kind == "closed surface"
+    found = split(SOLID, SOLID[2:3])
+    assert found.kind == "closed surface" and len(found.faces) == 4
+    found = split(SOLID, np.roll(SOLID, 1, axis=1))
+    assert found.kind == "closed surface" and len(found.faces) == 4
+
+
+# ---------------------------------------------------------------- cavities
+
+
+def test_a_cavity_counts_inside_of_a_part_that_faces_out():
+    assert codes(box((3, 3, 3)), turned(box())) == [True, True]
+    assert codes(box((3, 3, 3)), turned(box(at=(9, 0, 0)))) == [True, False]
+    # within the box round the tetrahedron, but beside it
+    beyond = turned(SOLID * 0.1) + 0.6
+    assert codes(SOLID, beyond) == [True, False]
+
+
+def test_a_block_inside_of_a_cavity_is_closed():
+    assert codes(box((5, 5, 5)), turned(box((3, 3, 3))), box()) == [True, True, True]
+
+
+def test_rooms_drawn_from_inside_enclose_nothing():
+    assert codes(turned(box((3, 3, 3))), box()) == [False, True]
+
+
+# ---------------------------------------------------------------- at random
+
+
+PIECES = {
+    "box": (box(), True),
+    "sheet": (SHEET, False),
+    "room": (turned(box()), False),
+    "cut": (box()[:-1], False),
+    "ball": (np.array(trimesh.creation.icosphere(1).triangles), True),
+}
+
+
+@settings(max_examples=30, derandomize=True, deadline=None, database=None)
+@given(
+    st.lists(st.sampled_from(sorted(PIECES)), min_size=1, max_size=5),
+    st.randoms(use_true_random=False),
+)
+def test_order_of_triangles_decides_nothing(names, random):
+    pieces = [PIECES[name][0] + [5.0 * i, 0, 0] for i, name in enumerate(names)]
+    corners = np.concatenate(pieces)
+    expected = np.repeat([PIECES[name][1] for name in names], [len(piece) for piece in pieces])
+    order = list(range(len(corners)))
+    random.shuffle(order)
+    found = split(corners[order])
+    assert len(found.faces) == len(corners)
+    np.testing.assert_array_equal(found.closed == CLOSED_SURFACE, expected[order])
+    assert set(found.closed.tolist()) <= {OPEN_SURFACE, CLOSED_SURFACE}
+    # no two closed pieces share a part
+    owner = np.repeat(np.arange(len(pieces)), [len(piece) for piece in pieces])[order]
+    pairs = {(p, o) for p, o in zip(found.part.tolist(), owner.tolist(), strict=True) if p}
+    assert len(pairs) == len({p for p, _ in pairs}) == len({o for _, o in pairs})
+
+
+@pytest.mark.parametrize("subdivisions", [4])
+def test_large_meshes(subdivisions):
+    ball = np.array(trimesh.creation.icosphere(subdivisions).triangles)
+    assert codes(ball) == [True]
+    assert codes(ball[1:]) == [False]
+    assert split(ball, ball[1:] + 5).kind == "partly closed"
