@@ -32,7 +32,7 @@ from navbake.baker.occupancy.occupancy import (
     check_occupancy,
     find_occupancy,
 )
-from navbake.baker.rooms.rooms import Rooms, find_rooms
+from navbake.baker.rooms.rooms import Blocked, Rooms, find_rooms
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.baker.threads import limit_threads
 from navbake.config.settings import BakeConfig, as_config
@@ -181,11 +181,15 @@ class Stages:
         config, floors, contents = self.config, self.floors, self.contents
         with self.clock.stage("rooms"):
             if contents is None:
-                walls = [np.zeros(self.lattice.shape, dtype=np.bool_) for _ in floors.levels]
+                none = np.zeros(self.lattice.shape, dtype=np.bool_)
+                blocked = [Blocked(none, none) for _ in floors.levels]
             else:
-                walls = [contents.wall_cells(number) for number in range(len(floors.levels))]
+                blocked = [
+                    Blocked(contents.wall_cells(number), contents.low_cells(number))
+                    for number in range(len(floors.levels))
+                ]
             return find_rooms(
-                self.doorless, self.columns, floors, walls, config.rooms, config.agent
+                self.doorless, self.columns, floors, blocked, config.rooms, config.agent
             )
 
     @cached_property

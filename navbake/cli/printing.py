@@ -113,7 +113,8 @@ def room_table(rooms: Iterable[Room], levels: Sequence[str]) -> Table:
             opens_to.append(f"{neighbour.room} ({how})" if how else neighbour.room)
         centroid = " ".join(f"{value:.2f}" for value in room.centroid)
         named = (room.id, room.name or "", levels[room.level], room.index)
-        rows.append((*named, f"{room.area:.2f}", centroid, room.source or "", ", ".join(opens_to)))
+        source = f"{room.source or ''}{', outdoors' if room.outdoors else ''}"
+        rows.append((*named, f"{room.area:.2f}", centroid, source, ", ".join(opens_to)))
     headings = ("id", "name", "level", "index", "m2", "centroid x y z m", "from", "opens to")
     return _table(headings, rows, numbers=("index", "m2"))
 

@@ -44,6 +44,9 @@ Outline = Annotated[
 ]
 
 
+DoorWidth = Annotated[Literal["auto"] | Positive, expects("a number > 0, or auto")]
+
+
 class RoomPolygon(Settings):
     """A room that is given by its outline."""
 
@@ -88,7 +91,11 @@ class RoomSettings(Settings):
         "outlines in metres: a GeoJSON file, relative to this file, or a list of "
         "{name: hall, level: 0, points: [[0, 0], [4, 0], [4, 3]]}",
     )
-    door_width: Positive = setting(1.0, "auto: the widest gap that separates rooms [m], > 0")
+    door_width: DoorWidth = setting(
+        "auto",
+        "auto: the widest gap that separates rooms [m], > 0; or auto, which measures each gap "
+        "against the width of the spaces on both sides",
+    )
     min_area: NotNegative = setting(1.0, "auto, sites: smallest area of a room [m2], >= 0")
 
 

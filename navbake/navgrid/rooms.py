@@ -49,6 +49,7 @@ class Room:
         source: what it was found from: ``geoms``, ``sites``, ``polygons``, ``auto``, …; None
             where nothing says so.
         neighbours: the rooms that it opens to.
+        outdoors: whether it is what lies under the open sky outside of all walls.
     """
 
     index: int
@@ -59,11 +60,15 @@ class Room:
     centroid: Vector3
     source: str | None
     neighbours: tuple[Neighbour, ...]
+    outdoors: bool = False
 
     def to_json(self) -> Json:
-        """The room as a file has it."""
+        """The room as a file has it; `outdoors` is only stated where it is true."""
         neighbours = [neighbour.to_json() for neighbour in self.neighbours]
-        return {**vars(self), "centroid": list(self.centroid), "neighbours": neighbours}
+        entry = {**vars(self), "centroid": list(self.centroid), "neighbours": neighbours}
+        if not self.outdoors:
+            del entry["outdoors"]
+        return entry
 
 
 # what a field of a room's entry may be; `source` may be missing as well
@@ -107,6 +112,7 @@ def _parse(entry: Any, where: str, num_levels: int) -> Room:
         centroid=(x, y, z),
         source=source if isinstance(source, str) else None,
         neighbours=tuple(_parse_neighbour(n, where) for n in entry["neighbours"]),
+        outdoors=entry.get("outdoors") is True,
     )
 
 

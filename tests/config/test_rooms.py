@@ -23,7 +23,7 @@ def test_short_forms():
     assert rooms({"from": ["sites", "auto"]}).sources == ["sites", "auto"]
     assert rooms({}).geoms == ["room|*", "room_*", "floor|*"]
     assert rooms({}).sites == ["room*"]
-    assert rooms({}).door_width == 1.0
+    assert rooms({}).door_width == "auto"
 
 
 def test_polygons():
@@ -54,7 +54,7 @@ def test_a_geojson_file_is_read_beside_the_yaml(tmp_path):
         ({"form": ["auto"]}, "unknown key `rooms.form`, the nearest known one is `rooms.from`"),
         ({"from": ["auto", "auto"]}, 'each once, got ["auto", "auto"] at `rooms.from`'),
         ({"from": ["walls"]}, "polygons, geoms, sites, auto, each once"),
-        ({"door_width": 0}, "expected a number > 0, got 0 at `rooms.door_width`"),
+        ({"door_width": 0}, "expected a number > 0, or auto, got 0 at `rooms.door_width`"),
         ({"min_area": -1}, "expected a number >= 0, got -1 at `rooms.min_area`"),
         ({"polygons": "none.geojson"}, "no such file: none.geojson, named at `rooms.polygons`"),
         ({"polygons": [{"name": "a"}]}, "found none at `rooms.polygons[0].points`"),

@@ -92,6 +92,15 @@ class Contents:
         cells[listed.cell[chosen]] = True
         return cells.reshape(listed.lattice.shape)
 
+    def low_cells(self, level: int) -> Bool:
+        """Mark the cells with a floor that a building's mesh blocks only below `WALL_BAND`."""
+        listed = self.levels[level]
+        is_building = self.kinds[listed.geom] == BUILDING
+        cells = np.zeros(len(listed.start) - 1, dtype=np.bool_)
+        cells[listed.cell[is_building & listed.stands & listed.blocks]] = True
+        cells[listed.cell[is_building & listed.stands & listed.upper]] = False
+        return cells.reshape(listed.lattice.shape)
+
     def user_data(self, level: int, window: Window) -> UserData:
         """Name what stands in a storey's cells, as the original client does.
 

@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from navbake.baker.columns import Columns
-from navbake.baker.floors.levels import Floors
+from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.rooms import openings
+from navbake.baker.rooms.gaps import CloseCall
 from navbake.baker.rooms.openings import Opening, RoomIndex, RoomKey
-from navbake.baker.rooms.segmentation import labels_in_order, segment_rooms, share_rest
+from navbake.baker.rooms.outdoors import find_holes, find_outdoors
+from navbake.baker.rooms.segmentation import (
+    labels_in_order,
+    segment_by_gaps,
+    segment_rooms,
+    share_rest,
+)
 from navbake.baker.rooms.sources import MarkedRooms, RoomMarkers
 from navbake.baker.rooms.table import NamedRoom, describe_rooms, name_neighbours
+from navbake.baker.rooms.windows import find_windows
 from navbake.baker.scene.scene import Scene
 from navbake.config.rooms import RoomSettings
 from navbake.config.settings import AgentSettings
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Room
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Int, Int32
 
+# Close calls that a warning names
+LISTED = 5
 MAX_ROOMS = np.iinfo(np.uint16).max  # of a level
 
 
@@ -62,19 +73,31 @@ class Rooms:
         return replace(self, table=name_neighbours(self.table, self.openings, self.links, named))
 
 
+class Blocked(NamedTuple):
+    """What keeps cells of a level out of all rooms, shape (height, width), bool.
+
+    Attributes:
+        wall: cells that a wall stands in.
+        low: cells that a mesh of a whole building blocks, but not above heads; see `find_windows`.
+    """
+
+    wall: Bool
+    low: Bool
+
+
 def find_rooms(
     scene: Scene,
     columns: Columns,
     floors: Floors,
-    walls: Sequence[Bool],
+    blocked: Sequence[Blocked],
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> Rooms:
     """Find the room that each cell belongs to.
 
     A cell's room is that of the first source that has one for it. Cells without a floor, and
-    cells that a wall stands in, belong to none. On each level, rooms are numbered by their
-    first cells in reading order: from large y to small, from small x to large. A room that
+    cells that a wall or a window stands in, belong to none. On each level, rooms are numbered by
+    their first cells in reading order: from large y to small, from small x to large. A room that
     reaches over several levels is one room on each.
 
     Raises:
@@ -82,12 +105,15 @@ def find_rooms(
         SceneError: a level has more than 65,535 rooms.
     """
     levels, lattice = floors.levels, columns.lattice
-    open_cells = [~np.isnan(level.floor) & ~wall for level, wall in zip(levels, walls, strict=True)]
+    open_cells = []
+    for level, (wall, low) in zip(levels, blocked, strict=True):
+        window = find_windows(low, wall, lattice.cell_size)
+        open_cells.append(~np.isnan(level.floor) & ~wall & ~window)
     assignment = _Assignment(open_cells)
     markers = RoomMarkers(scene, columns, levels, settings, agent)
     for source in settings.sources:
         if source == "auto":
-            assignment.segment([level.floor for level in levels], settings, lattice.cell_size)
+            assignment.segment(levels, settings, columns, agent)
         else:
             assignment.add(markers.mark(source), source)
     index, named = assignment.number()
@@ -106,8 +132,11 @@ class _Assignment:
         self._rooms: list[NamedRoom] = []  # owners count from 1
         self.warnings: list[str] = []
 
-    def add(self, marked: MarkedRooms, source: str) -> None:
-        """Give the cells that have no room yet to the rooms of a source."""
+    def add(self, marked: MarkedRooms, source: str, outdoors: Container[int] = ()) -> None:
+        """Give the cells that have no room yet to the rooms of a source.
+
+        `outdoors` are the numbers of those rooms that are.
+        """
         self.warnings += marked.warnings
         if not marked.names:
             return
@@ -115,24 +144,55 @@ class _Assignment:
             fresh = np.where(open_cells & (owner == 0), label, 0)
             number = np.zeros(len(marked.names) + 1, dtype=np.int32)
             for k in np.flatnonzero(np.bincount(fresh.ravel())[1:]):
-                self._rooms.append(NamedRoom(marked.names[k], source))
+                self._rooms.append(NamedRoom(marked.names[k], source, k + 1 in outdoors))
                 number[k + 1] = len(self._rooms)
             owner += number[fresh]
 
-    def segment(self, floors: Sequence[Float], settings: RoomSettings, cell_size: float) -> None:
-        """Divide the remaining cells at gaps no wider than a door; see `share_rest`."""
+    def segment(
+        self,
+        levels: Sequence[LevelFloor],
+        settings: RoomSettings,
+        columns: Columns,
+        agent: AgentSettings,
+    ) -> None:
+        """Divide the remaining cells at gaps; see `segment_by_gaps` and `share_rest`.
+
+        All that is outdoors on a level becomes one room.
+        """
+        cell_size = columns.lattice.cell_size
         labels = []
         names: list[str | None] = []
-        for number, open_cells in enumerate(self._open):
-            widths = settings.door_width, settings.min_area
-            segment = segment_rooms(open_cells, cell_size, *widths, floors[number])
+        outdoors: set[int] = set()
+        for number, level in enumerate(levels):
+            segment = self._segment_level(number, level, settings, columns, agent)
             owner = self._owner[number]
             if owner.any():
                 least = settings.min_area / cell_size**2
                 self._owner[number], segment = share_rest(owner, segment, least)
+            outside = find_outdoors(segment, level.floor, columns, agent.height)
+            if outside:
+                segment[np.isin(segment, list(outside))] = min(outside)
+                outdoors.add(min(outside) + len(names))
             labels.append(np.where(segment > 0, segment + len(names), 0))
             names += [None] * int(segment.max(initial=0))
-        self.add(MarkedRooms(names, labels), "auto")
+        self.add(MarkedRooms(names, labels), "auto", outdoors)
+
+    def _segment_level(
+        self,
+        number: int,
+        level: LevelFloor,
+        settings: RoomSettings,
+        columns: Columns,
+        agent: AgentSettings,
+    ) -> Int32:
+        open_cells, size, least = self._open[number], columns.lattice.cell_size, settings.min_area
+        if settings.door_width != "auto":
+            return segment_rooms(open_cells, size, settings.door_width, least, level.floor)
+        holes = find_holes(level, columns, agent)
+        rooms, close = segment_by_gaps(open_cells, size, least, level.floor, holes)
+        if close:
+            self.warnings.append(_describe_close(close, number, columns.lattice))
+        return rooms
 
     def number(self) -> tuple[list[RoomIndex], list[list[NamedRoom]]]:
         """Number the rooms of each level from 1, by their first cells; also list them so."""
@@ -149,3 +209,19 @@ class _Assignment:
             index.append(number[owner])
             rooms.append([self._rooms[k - 1] for k in order])
         return index, rooms
+
+
+def _describe_close(close: Sequence[CloseCall], level: int, lattice: Lattice) -> str:
+    """The warning of openings that might as well have been taken the other way."""
+    x0, _, _, y1 = lattice.bounds
+    size = lattice.cell_size
+    listed = [
+        f"{call.width:.1f} m at ({x0 + (call.cell[1] + 0.5) * size:.1f}, "
+        f"{y1 - (call.cell[0] + 0.5) * size:.1f}) {'parts' if call.parts else 'joins'}"
+        for call in close[:LISTED]
+    ]
+    more = f", and {len(close) - LISTED} more" if close[LISTED:] else ""
+    return (
+        f"openings of rooms on level {level} that were a close call: {', '.join(listed)}{more}; "
+        "`rooms.door_width` in metres decides by the width alone, `rooms.polygons` draws rooms"
+    )

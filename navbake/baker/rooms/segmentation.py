@@ -4,15 +4,18 @@
 segments to rooms that are marked.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from navbake.baker.lattice import EDGES, bounding_window
+from navbake.baker.lattice import EDGES, Window, bounding_window
+from navbake.baker.rooms.gaps import WIDEST, CloseCall, part_at_gaps
 from navbake.baker.rooms.kernels import labels
 from navbake.baker.rooms.kernels.labels import label_parts, measure_regions
 from navbake.baker.rooms.kernels.watershed import flood, squared_distances
-from navbake.baker.rooms.regions import ROUGHNESS, ROUNDING, Regions
+from navbake.baker.rooms.regions import ROUGHNESS, ROUNDING, STAIR_SHARE, Regions
 from navbake.types import Bool, Float, Int, Int32
 
 # A narrow region begins at this distance from where a disc wider than the door fits [door widths]
@@ -88,6 +91,90 @@ def segment_rooms(
     regions.join_small(least)
     rooms[window] = renumber(regions.wholes(least)[label])
     return rooms
+
+
+class Segments(NamedTuple):
+    """The rooms of a level, and the gaps between them that were close calls.
+
+    Attributes:
+        rooms: the room of each cell from 1, by the first cell of each in reading order; 0 for none.
+        close: the gaps.
+    """
+
+    rooms: Int32
+    close: list[CloseCall]
+
+
+def segment_by_gaps(
+    open_cells: Bool,
+    cell_size: float,
+    min_area: float,
+    floor: Float | None = None,
+    holes: Bool | None = None,
+) -> Segments:
+    """Divide the open cells of a level into rooms, at gaps much narrower than the rooms are.
+
+    A gap is where walls come near to each other at once: a line in the direction of a wall that is
+    closed at both ends after at most 2.5 m, and beside which the space is wider at once. All gaps
+    part spaces at first. Then spaces are joined, the widest gaps first, as in region merging:
+
+    - where a gap is as wide as both spaces are along its line: parts of one corridor, of an
+      L-shaped room;
+    - then where it is as wide as the narrower one: niches, bays, the depth of a doorway. A long
+      passage that opens into a wider space stays a room of its own.
+
+    How wide a space is along a gap is measured close behind it. Other gaps in the same line
+    between the same spaces count as one with it, so that a row of pillars parts nothing. Stairs
+    and small regions join others as in `segment_rooms`, whose arguments these are; `holes` are
+    cells without a floor that one sees through, as in a stairwell, which narrow no space.
+
+    Source:
+        Region merging as in Bormann et al. (ICRA 2016), on regions between the "virtual walls"
+        that continue walls, in place of those of a Voronoi graph.
+    """
+    rooms = np.zeros(open_cells.shape, dtype=np.int32)
+    if not open_cells.any():
+        return Segments(rooms, [])
+    window = bounding_window(open_cells)
+    open_cells = np.ascontiguousarray(open_cells[window])
+    seen = np.zeros_like(open_cells) if holes is None else holes[window]
+    label, close = part_at_gaps(open_cells, seen, cell_size)
+    flood(label, open_cells, np.zeros(label.shape, dtype=np.int32), 0)
+    label = _join_stairs_and_small(label, open_cells, cell_size, min_area, floor, window)
+    rooms[window] = renumber(label)
+    first_row, first_col = window[0].start, window[1].start
+    return Segments(
+        rooms,
+        [c._replace(cell=(c.cell[0] + first_row, c.cell[1] + first_col)) for c in close],
+    )
+
+
+def _join_stairs_and_small(
+    label: Int32,
+    open_cells: Bool,
+    cell_size: float,
+    min_area: float,
+    floor: Float | None,
+    window: Window,
+) -> Int32:
+    least = min_area / cell_size**2 - ROUNDING
+    num = int(label.max(initial=0))
+    cells = np.bincount(label.ravel(), minlength=num + 1)
+    is_stair = False
+    if floor is not None:
+        steps = max(1, round(SLOPE_REACH / cell_size))
+        rise = STEEPNESS * 2 * steps * cell_size
+        slopes = labels.measure_slopes(label, floor[window], steps, rise, num)
+        is_stair = bool((slopes[0] >= STAIR_SHARE * np.maximum(cells, 1)).any())
+    if not is_stair and not ((cells[1:] > 0) & (cells[1:] < least)).any():
+        return label
+    # distances matter up to half the widest gap [half cells]
+    reach = int(WIDEST / cell_size) + 2
+    regions = Regions(label, squared_distances(wall_nodes(open_cells), reach, 0, 1), num)
+    if is_stair:
+        regions.join_stairs(*slopes)
+    regions.join_small(least)
+    return regions.wholes(least)[label]
 
 
 def wall_nodes(open_cells: Bool) -> Bool:

@@ -17,10 +17,11 @@ ID_LIKE = re.compile(r"\d+:\d+")
 
 
 class NamedRoom(NamedTuple):
-    """A room's name, or None, and the source that it is from."""
+    """A room's name, or None, the source that it is from, and whether it is outdoors."""
 
     name: str | None
     source: str
+    outdoors: bool = False
 
 
 def describe_rooms(
@@ -33,18 +34,19 @@ def describe_rooms(
 
     A room's id is its name where no other room has that, else ``<level>:<index>``.
     """
-    names = Counter(name for level in rooms for name, _ in level)
+    names = Counter(room.name for level in rooms for room in level)
     table = []
     for number, (label, level) in enumerate(zip(index, floors.levels, strict=True)):
         count, *center = sum_rooms(
             label, level.floor, lattice.center_x(), lattice.center_y(), len(rooms[number])
         )
-        for k, (name, source) in enumerate(rooms[number], 1):
+        for k, (name, source, outdoors) in enumerate(rooms[number], 1):
             is_unique = names[name] == 1 and not ID_LIKE.fullmatch(name or "")
             x, y, z = (round(float(c[k] / count[k]), 6) + 0.0 for c in center)  # no -0.0
             area = round(float(count[k]) * lattice.cell_size**2, 6)
             room_id = name if name is not None and is_unique else f"{number}:{k}"
-            table.append(Room(k, room_id, name, number, area, (x, y, z), source, ()))
+            room = Room(k, room_id, name, number, area, (x, y, z), source, (), outdoors)
+            table.append(room)
     return table
 
 

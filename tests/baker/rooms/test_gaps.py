@@ -1,0 +1,178 @@
+"""Rooms parted at gaps by their width against the spaces on both sides. # is wall; cells 0.1 m."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+
+from navbake.baker.rooms.gaps import find_directions
+from navbake.baker.rooms.segmentation import segment_by_gaps
+from navbake.baker.rooms.windows import find_windows
+from navbake.baker.stages import bake_stages
+from offices import make_plan
+
+CELL = 0.1
+
+
+def hall(rows, cols):
+    """An empty walled space of so many open cells."""
+    is_open = np.zeros((rows + 2, cols + 2), dtype=np.bool_)
+    is_open[1:-1, 1:-1] = True
+    return is_open
+
+
+def count(is_open, holes=None):
+    rooms = segment_by_gaps(is_open, CELL, 1.0, holes=holes).rooms
+    assert (rooms[~is_open] == 0).all()
+    for quarters in (1, 2, 3):
+        there = None if holes is None else np.rot90(holes, quarters)
+        turned = segment_by_gaps(np.rot90(is_open, quarters), CELL, 1.0, holes=there).rooms
+        assert turned.max() == rooms.max()
+    return rooms.max()
+
+
+@pytest.mark.parametrize(("width", "rooms"), [(8, 2), (14, 2), (22, 2), (24, 2), (28, 1)])
+def test_a_doorway_parts_up_to_two_and_a_half_metres(width, rooms):
+    is_open = hall(50, 90)
+    is_open[:, 45:47] = False
+    is_open[10 : 10 + width, 45:47] = True
+    assert count(is_open) == rooms
+
+
+@pytest.mark.parametrize(("width", "rooms"), [(14, 2), (19, 1)])
+def test_a_doorway_is_measured_against_the_narrower_space(width, rooms):
+    is_open = hall(21, 90)
+    is_open[:, 45:47] = False
+    is_open[1 : 1 + width, 45:47] = True
+    assert count(is_open) == rooms
+
+
+def test_a_niche_an_l_and_pillars_part_nothing():
+    niche = hall(40, 60)
+    niche[1:11, :] = False
+    niche[1:11, 20:38] = True
+    assert count(niche) == 1
+    corner = hall(60, 60)
+    corner[1:38, 1:38] = False
+    assert count(corner) == 1
+    pillars = hall(60, 100)
+    for row in (14, 32, 50):
+        for col in (20, 45, 70):
+            pillars[row : row + 3, col : col + 3] = False
+    assert count(pillars) == 1
+
+
+def test_a_passage_is_a_room_if_it_is_long():
+    for length, rooms in ((30, 1), (90, 2)):
+        is_open = hall(70, 70 + length)
+        is_open[1:30, 71:] = is_open[50:, 71:] = False
+        assert count(is_open) == rooms
+
+
+def test_wide_doors_opposite_each_other_leave_a_corridor_whole():
+    is_open = hall(100, 90)
+    is_open[[40, 57]] = False
+    for row in (40, 57):
+        for col in (10, 55):
+            is_open[row, col : col + 20] = True
+    is_open[1:40, 44] = is_open[58:-1, 44] = False
+    assert count(is_open) == 5
+
+
+def test_a_wall_that_ends_in_a_wide_opening_goes_on_to_its_line():
+    """Two rooms side by side, whose common opening is 3.4 m wide; the wall between stops short."""
+    is_open = hall(100, 130)
+    is_open[:, 60:62] = False
+    is_open[34:68, 60:62] = True
+    is_open[50:52, 1:46] = False
+    assert count(is_open) == 3
+
+
+def test_holes_narrow_no_space():
+    is_open = hall(32, 100)
+    is_open[1:16, 40:70] = False
+    holes = np.zeros_like(is_open)
+    holes[1:16, 40:70] = True
+    assert count(is_open, holes) == 1
+    assert count(is_open) > 1
+
+
+def test_nothing_open_and_no_walls():
+    assert not segment_by_gaps(np.zeros((4, 5), dtype=np.bool_), CELL, 1.0).rooms.any()
+    assert segment_by_gaps(np.ones((40, 50), dtype=np.bool_), CELL, 1.0).rooms.min() == 1
+
+
+@pytest.mark.parametrize("angle", [0.0, 12.0, 33.0, 45.0, 78.0])
+def test_walls_at_an_angle(angle):
+    """Two rooms with a doorway of 1.6 m, turned."""
+    x, y = np.meshgrid(np.arange(-70, 70) * CELL, np.arange(-70, 70) * CELL)
+    turn = np.deg2rad(angle)
+    u, v = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+    is_open = (np.abs(u) < 4.5) & (np.abs(v) < 2.5) & ((np.abs(u) > 0.15) | (np.abs(v) < 0.8))
+    assert len(find_directions(is_open, CELL)) == 2
+    rooms = segment_by_gaps(is_open, CELL, 1.0).rooms
+    assert rooms.max() == 2
+    assert (rooms[is_open & (u < -0.4)] == rooms[70, 40 if angle < 60 else 70]).mean() in (
+        0,
+        1,
+    ) or (len(np.unique(rooms[is_open & (u < -0.4)])) == 1)
+
+
+def test_close_calls_are_told():
+    is_open = hall(25, 90)
+    is_open[:, 45:47] = False
+    is_open[1:20, 45:47] = True
+    (call,) = segment_by_gaps(is_open, CELL, 1.0).close
+    assert call.width == pytest.approx(1.9)
+    assert 44 <= call.cell[1] <= 47
+    is_open[1:10, 45:47] = False
+    assert segment_by_gaps(is_open, CELL, 1.0).close == []
+
+
+def test_sills_go_from_wall_to_wall():
+    wall = ~hall(30, 60)
+    wall[:, 30:32] = True
+    wall[10:22, 30:32] = False
+    low = np.zeros_like(wall)
+    low[10:22, 30:32] = True  # the sill
+    low[5:12, 10:20] = True  # a table
+    low[1:7, 40:50] = True  # a counter along a wall
+    found = find_windows(low, wall, CELL)
+    assert found[10:22, 30:32].all()
+    assert np.count_nonzero(found) == 24
+
+
+def overlap(rooms, mask):
+    """Intersection over union of a mask's room with what of the mask is in any room."""
+    inside = rooms[mask & (rooms > 0)]
+    if not len(inside):
+        return 0.0
+    room = int(np.bincount(inside).argmax())
+    both = np.count_nonzero(inside == room)
+    return both / (len(inside) + np.count_nonzero(rooms == room) - both)
+
+
+def test_rooms_of_offices_and_flats(tmp_path):
+    """Of boxes and of one mesh; NAVBAKE_PLANS says how many."""
+    num = int(os.environ.get("NAVBAKE_PLANS", "16"))
+    for as_mesh in (False, True):
+        shares = []
+        for seed in range(num):
+            plan = make_plan(seed)
+            path = tmp_path / ("plan.stl" if as_mesh else "plan.xml")
+            if as_mesh:
+                plan.write_stl(path)
+            else:
+                path.write_text(plan.as_mjcf(), encoding="utf-8")
+            stages = bake_stages(
+                {
+                    "scene": {"path": str(path), "meshes": "surface"},
+                    "floors": {"roofs": False},
+                    "rooms": "auto",
+                }
+            )
+            rooms = stages.rooms.index[0]
+            shares += [overlap(rooms, mask) for mask in plan.truth(stages.lattice)]
+        assert np.mean(np.array(shares) >= 0.8) >= 0.9
