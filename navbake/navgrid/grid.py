@@ -137,7 +137,8 @@ class SceneGrid2D(GridBase):
         stored = self.attributes.get("floorHeight")
         if stored is None:
             return _derived(np.where(self.free, np.float32(self.min_yup[1]), np.float32(np.nan)))
-        return stored if stored.dtype == np.float32 else _derived(stored.astype(np.float32))
+        with np.errstate(over="ignore"):  # what float32 can't hold is infinite
+            return stored if stored.dtype == np.float32 else _derived(stored.astype(np.float32))
 
     @property
     def occupancy(self) -> NDArray[np.uint8]:
