@@ -32,14 +32,16 @@ try:
 except ImportError:  # Windows measures no memory
     resource = None  # type: ignore[assignment]
 
-BATCH = 64  # inputs between two reports of a child
+LOADING = 300.0  # in which a child is ready; kernels may have to be compiled [s]
+SLOW = 8.0  # times the limit, where others use the processor, too
+READY = "ready"
 SHOWN = 10  # findings of a kind that are printed in full
 
 
 class Limits(NamedTuple):
     """What one input may take."""
 
-    seconds: float
+    seconds: float  # of the processor
     megabytes: int  # by which it may raise the most memory that the process ever had
 
 
@@ -51,7 +53,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, help="time for each kind, in place of --count")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--first", type=int, default=0, help="number of the first input")
-    parser.add_argument("--limit-seconds", type=float, default=10.0, help="for one input")
+    parser.add_argument("--limit-seconds", type=float, default=5.0, help="for one input")
     parser.add_argument("--limit-mb", type=int, default=1024, help="memory for one input")
     parser.add_argument("--keep", type=Path, help="folder for the inputs of findings")
     given = parser.parse_args()
@@ -60,7 +62,8 @@ def main() -> None:
     num_findings = 0
     for kind in given.only or KINDS:
         end = time.monotonic() + (given.seconds or 10**9)
-        num_findings += run_kind(kind, given.seed, range(given.first, given.first + count), end, limits, given.keep)
+        numbers = range(given.first, given.first + count)
+        num_findings += run_kind(kind, given.seed, numbers, end, limits, given.keep)
     sys.exit(1 if num_findings else 0)
 
 
@@ -130,54 +133,48 @@ def _listen(
     pipe: Connection, todo: range, limits: Limits, counts: Counter[str], findings: dict[int, str]
 ) -> int:
     """Take a child's reports until it ends or hangs; the number of the input that comes next."""
-    number, at_work = todo.start, False
+    number, patience = todo.start, LOADING
     while True:
-        # the first report comes when all is loaded
-        if not pipe.poll(limits.seconds if at_work else 300.0):
-            counts["finding"] += 1
-            findings[number] = f"not done after {limits.seconds:g} s"
-            return number + 1
-        try:
-            report = pipe.recv()
-        except EOFError:
-            counts["finding"] += 1
-            findings[number] = "the process died"
-            return number + 1
-        if report is None:
+        what: str | None = f"not done after {SLOW * limits.seconds:g} s"
+        is_alive = pipe.poll(patience)
+        if is_alive:
+            try:
+                what = pipe.recv()
+            except EOFError:
+                is_alive, what = False, "the process died"
+        if what is None:
             return todo.stop
-        at_work = True
-        number, results = report
-        for at, what in results:
-            counts[what if what in ("read", "refused") else "finding"] += 1
-            if what not in ("read", "refused"):
-                findings[at] = what
-        if results and results[-1][1].startswith("took"):  # memory never falls again: a new child
+        patience = SLOW * limits.seconds
+        if what == READY:
+            continue
+        counts[what if what in ("read", "refused") else "finding"] += 1
+        if what not in ("read", "refused"):
+            findings[number] = what
+        number += 1
+        if not is_alive or what.startswith("took"):  # the most memory never falls again
             return number
 
 
 def _run_child(
     pipe: Connection, kind: str, seed: int, todo: range, end: float, limits: Limits
 ) -> None:
-    """Use inputs one by one, and send a report before each slow one and after each batch."""
+    """Use inputs one by one, and send how each went; None after the last one."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for number in range(3):  # loads what is loaded lazily
             use_input(kind, *make_input(kind, -1, number), folder)
-        pipe.send((todo.start, []))
-        base, results, sent = _peak_megabytes(), [], time.monotonic()
+        pipe.send(READY)
+        base = _peak_megabytes()
         for number in todo:
             if time.monotonic() > end:
                 break
-            what = use_input(kind, *make_input(kind, seed, number), folder)
-            used = _peak_megabytes() - base
-            if used > limits.megabytes:
-                what = f"took {used} MiB\n{what}"
-            results.append((number, what))
-            # the parent knows which input is at work when it hears of each that took a while
-            if len(results) == BATCH or time.monotonic() - sent > 0.2 or what.startswith("took"):
-                pipe.send((number + 1, results))
-                results, sent = [], time.monotonic()
-        pipe.send((todo.stop, results))
+            data, suffix = make_input(kind, seed, number)
+            begin = time.process_time()
+            what = use_input(kind, data, suffix, folder)
+            seconds, used = time.process_time() - begin, _peak_megabytes() - base
+            if seconds > limits.seconds or used > limits.megabytes:
+                what = f"took {seconds:.1f} s and {used} MiB\n{what}"
+            pipe.send(what)
         pipe.send(None)
 
 

@@ -13,6 +13,7 @@ MAX_BYTES = 1_000_000  # of a YAML file; settings take a few thousand
 MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))  # their keys may hold dots
 
 
+MAX_DEPTH = 100  # of lists and mappings in each other
 MAX_VALUES = 1_000_000  # of a YAML file, each alias counted as all that it stands for
 # What PyYAML raises for a value that an explicit tag, as in ``!!bool maybe``, does not fit
 UNFIT = (AttributeError, IndexError, KeyError, TypeError, ValueError)
@@ -26,12 +27,23 @@ class _Loader(yaml.SafeLoader):
     # plus numbers like 1_000_000.
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012
 
+    depth = 0  # of the node that is composed
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """Compose a node and those in it; PyYAML takes the square of the depth for it."""
+        if self.depth >= MAX_DEPTH:
+            raise RecursionError
+        self.depth += 1
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         """Leave ``<<`` alone: merged keys can grow without bound, and nobody needs them here."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen = set()
-        for key_node, _ in node.value:
+        for key_node, _ in node.value if isinstance(node, yaml.MappingNode) else ():
             key = self.construct_object(key_node, deep=True)
             if isinstance(key, Hashable) and key in seen:
                 raise yaml.constructor.ConstructorError(
@@ -48,7 +60,7 @@ class _Loader(yaml.SafeLoader):
         except UNFIT as error:
             tag = node.tag.removeprefix(_TAG)
             raise yaml.constructor.ConstructorError(
-                None, None, f"expected a value that is a {tag}", node.start_mark
+                None, None, f"expected a value that fits the type {tag}", node.start_mark
             ) from error
 
     def construct_integer(self, node: yaml.ScalarNode) -> int:

@@ -23,6 +23,7 @@ from navbake.errors import FormatError
 from navbake.formats.json_path import shown
 from navbake.formats.source import read_bytes, read_header
 from navbake.formats.voxel_allowance import VoxelAllowance
+from navbake.navgrid.lattice import FARTHEST
 from navbake.types import Vector3
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import check_three
@@ -255,6 +256,11 @@ def _read_header(data: bytes, source: str) -> Header:
     (scale,) = _numbers(lines, "scale", 1, float, source)
     if not scale > 0:
         raise FormatError(f"expected `scale` > 0, got {scale:g} in {source}")
+    if max(abs(x), abs(y), abs(z), scale) > FARTHEST:
+        far = f"({x:g}, {y:g}, {z:g}) and {scale:g}"
+        raise FormatError(
+            f"expected `translate` and `scale` up to {FARTHEST:g} m, got {far} in {source}"
+        )
     return Header(version, (nx, nz, ny), (x, y, z), scale, end)
 
 

@@ -9,7 +9,7 @@ import orjson
 
 from navbake.errors import FormatError
 from navbake.formats.json_path import shown
-from navbake.formats.source import read_bytes
+from navbake.formats.source import path_name, read_bytes
 from navbake.navgrid.polygon import find_fault
 from navbake.types import Json
 
@@ -50,7 +50,7 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
 
 def _parse(path: Path) -> Any:
     if not path.exists() and not path.is_symlink():
-        raise FormatError(f"no such file: {path}")
+        raise FormatError(f"no such file: {path_name(path)}")
     content, _ = read_bytes(path, limit=MAX_BYTES)
     try:
         return orjson.loads(content)

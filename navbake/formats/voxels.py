@@ -10,9 +10,9 @@ import orjson
 
 from navbake.errors import FormatError
 from navbake.formats.binvox import IdMapping, encode_binvox, read_binvox, with_mapping
+from navbake.formats.json_path import shown
 from navbake.formats.npz import encode_npz, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
-from navbake.formats.json_path import shown
 from navbake.formats.source import check_path, read_bytes, write_bytes
 from navbake.formats.suffixes import VOXELS
 from navbake.voxels.grid import VoxelGrid

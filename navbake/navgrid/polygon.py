@@ -14,7 +14,8 @@ MAX_CORNERS = 10_000  # of one outline
 def find_fault(points: ArrayLike) -> str | None:
     """Say what is wrong with an outline; None if nothing is.
 
-    It has no area, two sides that cross, more than 10,000 corners, or one beyond 1e10 m. Its corners are in order, shape (n, 2), the first not repeated at the end. Sides may touch; a
+    It has no area, two sides that cross, more than 10,000 corners, or a corner beyond 1e10 m.
+    Corners are in order, shape (n, 2), the first not repeated at the end. Sides may touch; a
     repeated corner is no fault.
     """
     corners = np.asarray(points, dtype=np.float64).reshape(-1, 2)

@@ -36,9 +36,11 @@ from navbake.formats.navgrid import dumps_navgrid
 from navbake.formats.npz import encode_npz
 from navbake.formats.octomap import encode_octomap
 from navbake.formats.voxels import names_path, read_voxels
-from navbake.voxels.grid import VoxelGrid
 from navbake.views.info import describe
 from navbake.views.why import describe_column
+from navbake.voxels.grid import VoxelGrid
+
+FEW_VOXELS = 4_000_000
 
 
 class Kind(NamedTuple):
@@ -82,14 +84,18 @@ def use_navgrid(path: Path) -> None:
     describe_column(grid, *middle)
     for state in ("open", "closed", "removed", "modelled"):
         _try(lambda state=state: dumps_navgrid(grid.with_doors(state)))
-    # crc32 of the file decides, so that the same file is always used in the same way
-    if zlib.crc32(written) % 8 == 0:
+    if _is_one_in(8, written):
         finder = navbake.PathFinder(grid)
         for goal in (middle, (x0, y0), *(f"room:{room.id}" for room in grid.rooms[:2])):
             _try(lambda goal=goal: finder.find_path(middle, goal))
         _try(lambda: finder.random_point(np.random.default_rng(0)))
         _try(lambda: finder.snap(middle))
         _try(lambda: dumps_navgrid(grid.inflate(grid.levels[0].lattice.cell_size)))
+
+
+def _is_one_in(number: int, data: bytes) -> bool:
+    """A draw that is the same whenever a file is used."""
+    return zlib.crc32(data) % number == 0
 
 
 def _try(action: Callable[[], object]) -> None:
@@ -139,10 +145,15 @@ def make_binvox(rng: Random) -> tuple[bytes, str]:
     return header + mark + runs, ".binvox"
 
 
+@cache
+def _octree(number: int, kind: str, free: bool) -> bytes:
+    return encode_octomap(_voxels()[number], kind, free=free)
+
+
 def make_octree(rng: Random) -> tuple[bytes, str]:
     """An octree with flipped bits in its nodes, or other words in its header."""
     kind = rng.choice(("bt", "ot"))
-    data = encode_octomap(rng.choice(_voxels()), kind, free=rng.random() < 0.5)
+    data = _octree(rng.randrange(2), kind, rng.random() < 0.5)
     begin = data.index(b"data\n") + 5
     chance = rng.random()
     if chance < 0.25:
@@ -194,7 +205,9 @@ def _change_member(members: dict[str, bytes], rng: Random) -> None:
         members[name] = content.replace(old, new, 1)
     else:
         shape = tuple(rng.choice((0, 1, 2, 3, 5)) for _ in range(rng.choice((0, 1, 1, 3, 3, 4))))
-        dtype = rng.choice(("?", "u1", "u2", "u4", "u8", "i8", "f4", "f8", "c8", "U3", "S2", "M8[s]"))
+        dtype = rng.choice(
+            ("?", "u1", "u2", "u4", "u8", "i8", "f4", "f8", "c8", "U3", "S2", "M8[s]")
+        )
         value = rng.choice((0, 1, 7, math.inf if dtype in ("f4", "f8") else 3))
         file = io.BytesIO()
         np.lib.format.write_array(file, np.full(shape, value).astype(dtype), allow_pickle=False)
@@ -208,8 +221,11 @@ def make_names(rng: Random) -> tuple[bytes, str]:
 
 
 def use_voxels(path: Path) -> None:
-    """Read voxels, write them again, and ask for what they hold."""
-    grid = read_voxels(path)
+    """Read voxels, write them again, and ask for what they hold.
+
+    Some may fill as much memory as the file's size allows; for most that takes too long.
+    """
+    grid = read_voxels(path, max_voxels=None if _is_one_in(50, path.read_bytes()) else FEW_VOXELS)
     _use_grid(grid)
     if path.suffix == ".binvox":
         _try(lambda: read_binvox(path, layout="airsim"))
@@ -230,8 +246,10 @@ def _use_grid(grid: VoxelGrid) -> None:
     _ = grid.bounds, grid.ids()
     _try(lambda: grid.at(grid.bounds.mean(axis=0)))
     if grid.values.size <= 1_000_000:
-        for encode in (encode_binvox, encode_npz, lambda grid: encode_octomap(grid, "bt")):
-            _try(lambda encode=encode: encode(grid))
+        _try(lambda: encode_binvox(grid))
+        _try(lambda: encode_npz(grid))
+        if _is_one_in(20, grid.values.tobytes()):  # slow, in parallel
+            _try(lambda: encode_octomap(grid, "bt"))
 
 
 # ---------------------------------------------------------------- settings, rooms, descriptors
@@ -286,7 +304,9 @@ def make_descriptor(rng: Random) -> tuple[bytes, str]:
         elif kind == 3:
             parts[at] = odd_value(rng)
         else:
-            shape = rng.choice(((0, 1), (-1, 5), (10**6, 10**6), (1.5, 2), (20,), "ab", 5, (True, 9)))
+            shape = rng.choice(
+                ((0, 1), (-1, 5), (10**6, 10**6), (1.5, 2), (20,), "ab", 5, (True, 9))
+            )
     return json.dumps([parts, shape]).encode(), ".json"
 
 
@@ -306,7 +326,9 @@ def _meshes() -> dict[str, bytes]:
     scene = trimesh.Scene()
     scene.add_geometry(trimesh.creation.box((1, 2, 1)), geom_name="table", node_name="table")
     cone = trimesh.creation.cone(1, 2, sections=5)
-    scene.add_geometry(cone, node_name="cone", transform=trimesh.transformations.rotation_matrix(1, (0, 0, 1)))
+    scene.add_geometry(
+        cone, node_name="cone", transform=trimesh.transformations.rotation_matrix(1, (0, 0, 1))
+    )
     box = trimesh.creation.box((1, 1, 1))
     files = {name: box.export(file_type=kind, **more) for name, kind, more in (
         ("a.stl", "stl", {}), ("b.stl", "stl_ascii", {}), ("a.ply", "ply", {}),

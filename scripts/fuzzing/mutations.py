@@ -9,7 +9,22 @@ from typing import Any
 
 NUMBERS = (
     *(0, 1, -1, 2, 3, 255, 256, 65535, 65536, 2**31 - 1, 2**31, 2**32, 2**53 + 1, 2**63, 2**64),
-    *(10**25, -(2**63), 0.5, -0.0, 1e-9, 1e-308, 5e-324, 1e9, 1e10, 1e15, 1e38, 1e39, 1e308, -1e308),
+    *(
+        10**25,
+        -(2**63),
+        0.5,
+        -0.0,
+        1e-9,
+        1e-308,
+        5e-324,
+        1e9,
+        1e10,
+        1e15,
+        1e38,
+        1e39,
+        1e308,
+        -1e308,
+    ),
 )
 WORDS = (
     *("", "x", "0", "-1", "1e999", "nan", "inf", "null", "true", "é", "\0", "\n", "😀", "a" * 300),
@@ -88,7 +103,9 @@ def mutate_bytes(data: bytes, rng: Random, begin: int = 0) -> bytes:
         elif kind == 4:
             changed[at:at] = changed[at : at + rng.choice((1, 4, 50))]
         else:
-            changed[at : at + 4] = rng.choice((b"\xff\xff\xff\xff", b"\0\0\0\0", b"\xff\xff\xff\x7f"))
+            changed[at : at + 4] = rng.choice(
+                (b"\xff\xff\xff\xff", b"\0\0\0\0", b"\xff\xff\xff\x7f")
+            )
     return bytes(changed)
 
 
@@ -120,7 +137,13 @@ def _pick(holder: list[Any], rng: Random) -> tuple[Any, Any]:
     key: Any = 0
     while True:
         value = parent[key]
-        keys = list(value) if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ()
+        keys = (
+            list(value)
+            if isinstance(value, dict)
+            else range(len(value))
+            if isinstance(value, list)
+            else ()
+        )
         if not keys or rng.random() < 0.15:
             return parent, key
         parent, key = value, rng.choice(keys)

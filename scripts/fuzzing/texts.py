@@ -71,20 +71,65 @@ SETTINGS = (
     "scene:\n  path: a.glb\n  id: sample\n  up: y\n  unit: 0.01\n  geoms: all\n  keyframe: 0\n"
     "  meshes: {wall*: hull}\n  exclude:\n    bodies: [robot]\n    movable: true\n"
     "  joints:\n    hinge: 0.5\n    free: [0, 0, 1]",
-    "scene: {path: a.xml}\nlevels:\n  - name: ground\n    height: 0\n  - name: first\n    height: 3\n"
-    "doors:\n  state: open\nattributes: [island]\nnames:\n  walls: true\noutput: a.json",
+    "scene: {path: a.xml}\nlevels:\n  - name: ground\n    height: 0\n  - name: first\n"
+    "    height: 3\ndoors:\n  state: open\nattributes: [island]\nnames:\n  walls: true\noutput: a.json",
     "scene: {path: a.xml}\nrooms:\n  from: [polygons, auto]\n  geoms: [floor*]\n  polygons:\n"
     "    - name: hall\n      level: 0\n      points: [[0, 0], [4, 0], [4, 3]]\n  door_width: 1.2",
     "scene: {path: a.xml}\nrooms: auto\nfloors:\n  roofs: false\n  min_area: 2",
 )
 TAGS = (
-    *("!!bool", "!!int", "!!float", "!!null", "!!str", "!!timestamp", "!!binary", "!!set", "!!omap"),
+    *(
+        "!!bool",
+        "!!int",
+        "!!float",
+        "!!null",
+        "!!str",
+        "!!timestamp",
+        "!!binary",
+        "!!set",
+        "!!omap",
+    ),
     *("!!pairs", "!!seq", "!!map", "!!merge", "!!value", "!!python/none", "!own", "!", "&a", "*a"),
 )
 SCALARS = (
-    *("maybe", "x", "''", "~", "yes", "1e999", "-.inf", ".nan", "0x1F", "1_000", "1:30", "2026-01-01"),
-    *("[1, 2", "{a: 1}", "[[1]]", "[[[]]]", "? a", "- 1", "|\n  text", ">", "'open", '"\\x"', "%TAG"),
-    *("1" + "0" * 400, "1" * 5000, "{[1]: 2}", "{a: {a: {a: 1}}}", "[" * 1500, "<<", "\u2028", "@", "`"),
+    *(
+        "maybe",
+        "x",
+        "''",
+        "~",
+        "yes",
+        "1e999",
+        "-.inf",
+        ".nan",
+        "0x1F",
+        "1_000",
+        "1:30",
+        "2026-01-01",
+    ),
+    *(
+        "[1, 2",
+        "{a: 1}",
+        "[[1]]",
+        "[[[]]]",
+        "? a",
+        "- 1",
+        "|\n  text",
+        ">",
+        "'open",
+        '"\\x"',
+        "%TAG",
+    ),
+    *(
+        "1" + "0" * 400,
+        "1" * 5000,
+        "{[1]: 2}",
+        "{a: {a: {a: 1}}}",
+        "[" * 1500,
+        "<<",
+        "\u2028",
+        "@",
+        "`",
+    ),
 )
 
 _HALL = [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]]
@@ -100,7 +145,10 @@ OUTLINES: tuple[dict[str, Any], ...] = (
             {
                 "type": "Feature",
                 "properties": None,
-                "geometry": {"type": "MultiPolygon", "coordinates": [[_HALL], [[[5, 5, 0], [6, 5], [6, 6]]]]},
+                "geometry": {
+                    "type": "MultiPolygon",
+                    "coordinates": [[_HALL], [[[5, 5, 0], [6, 5], [6, 6]]]],
+                },
             },
         ],
     },
@@ -115,13 +163,16 @@ _POINTS = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0) + struct.pack("<3H", 0, 
 GLTF = json.dumps({
     "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
     "nodes": [{"mesh": 0, "name": "part", "translation": [1, 2, 3], "children": []}],
-    "meshes": [{"name": "m", "primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "mode": 4}]}],
+    "meshes": [
+        {"name": "m", "primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "mode": 4}]},
+    ],
     "accessors": [
         {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "byteOffset": 0},
         {"bufferView": 1, "componentType": 5123, "count": 3, "type": "SCALAR"},
     ],
     "bufferViews": [
-        {"buffer": 0, "byteOffset": 0, "byteLength": 36}, {"buffer": 0, "byteOffset": 36, "byteLength": 6},
+        {"buffer": 0, "byteOffset": 0, "byteLength": 36},
+        {"buffer": 0, "byteOffset": 36, "byteLength": 6},
     ],
     "buffers": [{
         "byteLength": len(_POINTS),

@@ -135,14 +135,15 @@ def _part_of(loaded: Any, node: str) -> MeshPart | None:
 @contextmanager
 def _silence() -> Iterator[None]:
     """Keep trimesh's log and warnings off stderr: what matters is raised."""
-    logger = logging.getLogger("trimesh")
-    was_disabled, logger.disabled = logger.disabled, True
+    logger = logging.getLogger("trimesh")  # its modules' loggers take their level from it
+    before = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
-        logger.disabled = was_disabled
+        logger.setLevel(before)
 
 
 def _dae_unit(path: Path) -> float:
