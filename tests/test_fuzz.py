@@ -3,10 +3,12 @@
 Run ``python scripts/fuzz.py --count 30000`` for more.
 """
 
+import json
+
 import pytest
 
 import fuzz
-from fuzzing.kinds import KINDS
+from fuzzing.kinds import KINDS, Kind
 from navbake.errors import NavbakeError
 
 SAMPLE = 60  # inputs of each kind
@@ -73,8 +75,6 @@ def test_good_inputs_are_read(tmp_path, monkeypatch):
 
 
 def json_bytes(tree):
-    import json
-
     return json.dumps(tree).encode()
 
 
@@ -88,7 +88,7 @@ def json_bytes(tree):
     ],
 )
 def test_findings_are_found(tmp_path, monkeypatch, act, finding):
-    monkeypatch.setitem(KINDS, "odd", fuzz.KINDS["yaml"]._replace(use=act))
+    monkeypatch.setitem(KINDS, "odd", Kind(KINDS["yaml"].make, act))
     assert finding in fuzz.use_input("odd", b"", ".txt", tmp_path)
 
 

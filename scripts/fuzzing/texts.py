@@ -72,7 +72,8 @@ SETTINGS = (
     "  meshes: {wall*: hull}\n  exclude:\n    bodies: [robot]\n    movable: true\n"
     "  joints:\n    hinge: 0.5\n    free: [0, 0, 1]",
     "scene: {path: a.xml}\nlevels:\n  - name: ground\n    height: 0\n  - name: first\n"
-    "    height: 3\ndoors:\n  state: open\nattributes: [island]\nnames:\n  walls: true\noutput: a.json",
+    "    height: 3\ndoors:\n  state: open\nattributes: [island]\nnames:\n  walls: true\n"
+    "output: a.json",
     "scene: {path: a.xml}\nrooms:\n  from: [polygons, auto]\n  geoms: [floor*]\n  polygons:\n"
     "    - name: hall\n      level: 0\n      points: [[0, 0], [4, 0], [4, 3]]\n  door_width: 1.2",
     "scene: {path: a.xml}\nrooms: auto\nfloors:\n  roofs: false\n  min_area: 2",
