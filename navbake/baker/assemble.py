@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from navbake._version import __version__
-from navbake.baker.lattice import Window, bounding_window, cut_cells
+from navbake.baker.boxes import Box, written_ground
+from navbake.baker.lattice import Window, cut_cells
 from navbake.baker.scene.model import mujoco_version
 from navbake.baker.stages import Stages
 from navbake.config.settings import settings_digest
@@ -14,29 +15,19 @@ from navbake.navgrid.doors import Door, to_runs
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.user_data import UserData
-from navbake.types import Int, Json, Vector3
-
-Box = tuple[Vector3, Vector3]
-"""Lower and upper corner, file frame (y up) [m]."""
+from navbake.types import Int, Json
 
 
 def build_grid(stages: Stages) -> SceneGrid2D | MultiLevelGrid:
-    """Put what the stages found into the grid that is written.
-
-    One level keeps the whole lattice; of several, each is cut to the cells that have a floor.
-    """
-    levels, lattice = stages.floors.levels, stages.lattice
-    if len(levels) == 1:
-        windows = [(slice(0, lattice.height), slice(0, lattice.width))]
-    else:
-        windows = [bounding_window(~np.isnan(level.floor)) for level in levels]
+    """Put what the stages found into the grid that is written."""
+    windows = stages.boxes.windows
     doors = _cut_doors(stages, windows)
     metadata = _metadata(stages, windows, doors)
-    places = enumerate(zip(windows, _level_boxes(stages, windows), strict=True))
+    places = enumerate(zip(windows, stages.boxes.boxes, strict=True))
     grids = [_level_grid(stages, number, *place, doors, metadata) for number, place in places]
     grid: SceneGrid2D | MultiLevelGrid = grids[0]
     if len(grids) > 1:
-        grid = MultiLevelGrid(grids=grids, metadata=metadata, cell_size=lattice.cell_size)
+        grid = MultiLevelGrid(grids=grids, metadata=metadata, cell_size=stages.lattice.cell_size)
     add_layers(grid, stages.config.attributes)
     return grid
 
@@ -58,7 +49,7 @@ def _level_grid(
         width=part.width,
         height=part.height,
         cell_size=part.cell_size,
-        min_yup=(part.x_min, level.ground, 0.0 - part.y_max),
+        min_yup=(part.x_min, written_ground(level), 0.0 - part.y_max),
         bbox_yup=box,
         weights=np.where(occupied, np.inf, 1.0),
         attributes={
@@ -69,24 +60,6 @@ def _level_grid(
         user_data=user_data,
         metadata=metadata,
     )
-
-
-def _level_boxes(stages: Stages, windows: list[Window]) -> list[Box]:
-    """Each level's box: from its ground to the next level's, so that no two overlap in height."""
-    bounds, levels, config = stages.scene.bounds, stages.floors.levels, stages.config
-    bottoms = [level.ground for level in levels]
-    bottoms[0] = min(bottoms[0], float(np.nanmin(levels[0].floor)))
-    highest = max(float(np.nanmax(level.floor)) for level in levels) + config.agent.height
-    top = highest if bounds is None else max(highest, float(bounds[1, 2]))
-    boxes = []
-    for window, bottom, level_top in zip(windows, bottoms, [*bottoms[1:], top], strict=True):
-        x0, y0, x1, y1 = stages.lattice.cut(*window).bounds
-        # cells reach beyond the scene, the box doesn't, unless the user gave the bounds
-        if bounds is not None and config.grid.bounds is None:
-            x0, y0 = max(x0, float(bounds[0, 0])), max(y0, float(bounds[0, 1]))
-            x1, y1 = min(x1, float(bounds[1, 0])), min(y1, float(bounds[1, 1]))
-        boxes.append(((x0, bottom, 0.0 - y1), (x1, level_top, 0.0 - y0)))
-    return boxes
 
 
 def _metadata(stages: Stages, windows: list[Window], doors: Sequence[Door]) -> Json:
@@ -116,7 +89,10 @@ def _metadata(stages: Stages, windows: list[Window], doors: Sequence[Door]) -> J
                 "fileFromWorld": "(X, Y, Z) = (x, z, -y)",
             },
             "maxSlope": agent.max_slope,
-            "levels": [{"name": lv.name, "ground": lv.ground} for lv in stages.floors.levels],
+            "levels": [
+                {"name": level.name, "ground": written_ground(level)}
+                for level in stages.floors.levels
+            ],
             "links": _cut_links(stages.floors.links, windows, stages.lattice.width).tolist(),
             "names": config.names.enabled,
             "rooms": [room.to_json() for room in stages.rooms.with_doors(closed).table],

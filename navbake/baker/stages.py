@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from navbake.baker.boxes import LevelBoxes, find_level_boxes
 from navbake.baker.clock import Progress, StageClock
 from navbake.baker.columns import Columns, TiledShapes, cast_columns, tile_shapes
 from navbake.baker.contents.contents import Contents, find_contents
@@ -21,6 +22,7 @@ from navbake.baker.doors.candidates import DoorCandidate, find_candidates, witho
 from navbake.baker.doors.doors import Doors, Surroundings, place_doors, warn_immovable_doors
 from navbake.baker.doors.walkable import warn_walkable_doors
 from navbake.baker.floors.levels import Floors, find_floors
+from navbake.baker.kernels.arrays import Band
 from navbake.baker.lattice import lay_lattice
 from navbake.baker.occupancy.occupancy import Footprint, Occupancy, check_occupancy, find_occupancy
 from navbake.baker.rooms.rooms import Rooms, find_rooms
@@ -136,8 +138,9 @@ class Stages:
         point = config.agent.model_copy(update={"radius": 0.0})
         narrow = Footprint.of(point, self.lattice.cell_size)
 
-        def is_occupied(cells: Int, floors: Float) -> Bool:
-            return check_occupancy(columns, tiled, narrow, cells, floors).occupied
+        def is_occupied(cells: Int, floors: Float, band: Band | None = None, /) -> Bool:
+            volume = narrow if band is None else narrow.between(band)
+            return check_occupancy(columns, tiled, volume, cells, floors).occupied
 
         with self.clock.stage("floors"), self._errors_say_where():
             return find_floors(
@@ -191,6 +194,16 @@ class Stages:
                 self.scene, self.candidates, self.columns, levels, config.agent
             )
             return replace(doors, warnings=[*immovable, *walkable])
+
+    @cached_property
+    def boxes(self) -> LevelBoxes:
+        """The rectangle and the box of each level, by which the original client finds it."""
+        levels, occupied, height = (
+            self.floors.levels,
+            self.occupancy.levels,
+            self.config.agent.height,
+        )
+        return find_level_boxes(levels, occupied, self.lattice, self.scene.bounds, height)
 
     @contextmanager
     def _errors_say_where(self) -> Iterator[None]:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from navbake.baker.boxes import LevelBoxes
 from navbake.baker.floors.levels import DroppedSheet, Floors
 from navbake.baker.scene.scene import Scene
 from navbake.baker.stages import Stages
@@ -20,6 +21,7 @@ def collect_warnings(stages: Stages) -> list[str]:
         *(stages.contents.warnings if stages.contents else ()),
         *stages.rooms.warnings,
         *stages.doors.warnings,
+        *warn_interleaved(stages.floors, stages.boxes),
     ]
 
 
@@ -39,6 +41,18 @@ def warn_missing_floors(scene: Scene, floors: Floors, config: BakeConfig) -> lis
             "and no step leads there: `floors.roofs: true` keeps it"
         )
     return [*warnings, *_warn_hidden_ground(scene, floors, config)]
+
+
+def warn_interleaved(floors: Floors, boxes: LevelBoxes) -> list[str]:
+    """Warn of free cells that the original client takes for another level's."""
+    if not boxes.lost:
+        return []
+    names = ", ".join(repr(floors.levels[number].name) for number in boxes.lost_on)
+    return [
+        f"levels interleave in height: the original client finds a position's level by `bbox` and "
+        f"misses {boxes.lost} of {boxes.num_free} free cells, on {names}; navbake goes by floors "
+        f"and misses none; other grounds in `levels` may part them"
+    ]
 
 
 def _warn_hidden_ground(scene: Scene, floors: Floors, config: BakeConfig) -> list[str]:

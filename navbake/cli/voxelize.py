@@ -85,8 +85,10 @@ def voxelize(
     box = box._replace(align=box.align or any(has_octree))
     grid = voxelizer.create(segments=_parse_segments(segments), **box._asdict())
     print_warnings(grid.notes)
+    known = len(grid.notes)
     for output in outputs:
         _write(grid, output, layout)
+    print_warnings(grid.notes[known:])
     low, high = (f"({', '.join(f'{c:.6g}' for c in corner)})" for corner in grid.bounds)
     ids = f", {len(grid.names)} IDs" if grid.is_segmented else ""
     print(

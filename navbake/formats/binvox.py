@@ -37,6 +37,8 @@ VERSIONS = (1, 2)
 MAGIC = b"#binvox"
 BINVOX = "a binvox file that begins with #binvox"
 MOST = 255  # greatest value of a voxel
+DECIMALS = 12  # of the numbers in the header
+ITS_SHIFT = 1e-6  # what `binvox2bt` adds to a corner [m]
 NEAR = 1e-4  # relative; AirSim writes six digits
 
 
@@ -106,6 +108,27 @@ def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox
     return header.encode() + pairs.tobytes()
 
 
+def needs_offset(grid: VoxelGrid) -> bool:
+    """Whether `binvox2bt` loses or moves voxels of the grid's file unless `--offset` is given.
+
+    It takes a voxel for where its lower corner, moved by 1 µm, lies in float32. Beyond 32 m,
+    float32 has no such digits, so that corners fall into the voxel before. Off whole multiples of
+    the edge, the corner may be in another of the tree's voxels than the middle, which moves the
+    grid by up to a voxel. With half an edge as the offset it takes the middles.
+
+    Source: OctoMap's `binvox2bt.cpp` and `OcTreeBaseImpl.hxx` (`coordToKeyChecked`).
+    """
+    longest = max(grid.shape)
+    res = float(np.float32(round(grid.res * longest, DECIMALS))) / longest  # it reads float32
+    for corner, count in zip(grid.origin, grid.shape, strict=True):
+        corners = np.arange(count) * res + float(np.float32(round(corner, DECIMALS)))
+        places = ((corners + shift).astype(np.float32) for shift in (ITS_SHIFT, res / 2))
+        taken, middles = (np.floor(place.astype(np.float64) / res) for place in places)
+        if (taken != middles).any():
+            return True
+    return False
+
+
 def _in_file_order(values: NDArray[np.uint8], is_airsim: bool) -> NDArray[np.uint8]:
     """A view in which the file's voxels follow each other, so that filling it fills `values`."""
     if is_airsim:
@@ -128,8 +151,8 @@ def _as_bytes(grid: VoxelGrid) -> NDArray[np.uint8]:
 
 
 def _text(value: float) -> str:
-    """A number to 12 decimals, so that a multiple of the edge is written without its rounding."""
-    return repr(round(value, 12) + 0.0)  # + 0.0: without a minus before 0
+    """A number to `DECIMALS`, so that a multiple of the edge is written without its rounding."""
+    return repr(round(value, DECIMALS) + 0.0)  # + 0.0: without a minus before 0
 
 
 def read_binvox(

@@ -9,7 +9,13 @@ from typing import Literal
 import orjson
 
 from navbake.errors import FormatError
-from navbake.formats.binvox import IdMapping, encode_binvox, read_binvox, with_mapping
+from navbake.formats.binvox import (
+    IdMapping,
+    encode_binvox,
+    needs_offset,
+    read_binvox,
+    with_mapping,
+)
 from navbake.formats.json_path import shown
 from navbake.formats.npz import encode_npz, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
@@ -19,6 +25,10 @@ from navbake.voxels.grid import VoxelGrid
 
 MAX_TABLE = 64 << 20  # of a table of IDs [bytes]
 MAX_DIGITS = 10  # of an ID
+OFFSET_NOTE = (
+    "`binvox2bt` loses or moves voxels of this grid without `--offset {offset}`: it takes their "
+    "corners in float32"
+)
 RULE = "0 is empty; where several meet a voxel, the least ID is its"
 
 
@@ -31,6 +41,8 @@ def write_voxels(
     mapping: IdMapping | None = None,
 ) -> None:
     """Write a voxel file, and beside one that holds IDs the table of what they stand for.
+
+    The grid's notes say so where OctoMap's `binvox2bt` would spoil a binvox file.
 
     Args:
         path: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``. The table of `a.npz` is `a.npz.names.json`.
@@ -45,8 +57,13 @@ def write_voxels(
         write_bytes(encode_octomap(grid, suffix[1:], free=free), path)
         return
     if suffix == ".binvox":
-        grid = with_mapping(grid, mapping)
-        write_bytes(encode_binvox(grid, layout), path)
+        mapped = with_mapping(grid, mapping)
+        write_bytes(encode_binvox(mapped, layout), path)
+        if layout == "binvox" and needs_offset(grid):
+            half = f"{grid.res / 2:g}"
+            note = OFFSET_NOTE.format(offset=" ".join([half] * 3))
+            grid.notes += [note] if note not in grid.notes else []
+        grid = mapped
     else:
         write_bytes(encode_npz(grid), path)
     if grid.is_segmented:

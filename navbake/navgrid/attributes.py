@@ -11,10 +11,14 @@ from navbake.types import Json
 Arrays = Mapping[str, NDArray[Any]]
 
 
+# Other names that the original client has for datatypes; source: sstk's `TypeUtils.js`
+ALIASES = {"uint8clamped": "uint8", "uchar": "uint8"}
+
+
 def datatype_name(stated: str) -> str:
-    """Name the datatype of an array type: "uint8" for "Uint8Array" or "Uint8ClampedArray"."""
+    """Name the datatype of an array type: "uint8" for "Uint8Array" or "uchar"."""
     name = stated.lower().removesuffix("array")
-    return "uint8" if name == "uint8clamped" else name
+    return ALIASES.get(name, name)
 
 
 def describe_attributes(metadata: Json, levels: Iterable[Arrays]) -> list[Json]:

@@ -188,8 +188,7 @@ def _cells_on(grid: GridBase, level: int, p: Float) -> Int:
 
 
 def _floors(level: SceneGrid2D, rows: Int, cols: Int) -> Float:
-    """Floors of cells [m]; without the layer, the ground everywhere."""
-    stored = level.attributes.get("floorHeight")
-    if stored is None:
+    """Floors of cells [m]; where cells have none of their own, the ground everywhere."""
+    if not level.uses_cell_floors:
         return np.full(rows.shape, level.ground)
-    return stored[rows, cols].astype(np.float64) * level.unit
+    return level.attributes["floorHeight"][rows, cols].astype(np.float64) * level.unit

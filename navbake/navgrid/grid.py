@@ -111,6 +111,15 @@ class SceneGrid2D(GridBase):
         return parse_links(None, [])
 
     @property
+    def uses_cell_floors(self) -> bool:
+        """Whether cells have floors of their own: there are some, and the metadata don't deny it.
+
+        ``useCellFloorHeight: false`` says that an agent stays at the ground height.
+        """
+        stated = self.metadata.get("useCellFloorHeight")
+        return "floorHeight" in self.attributes and stated is not False
+
+    @property
     def lattice(self) -> Lattice:
         """Where the cells lie in the world [m]."""
         # 0.0 - z, because -z would turn 0.0 into -0.0
@@ -132,11 +141,13 @@ class SceneGrid2D(GridBase):
         """The floor's Y [file units], shape (height, width), float32, NaN for no floor.
 
         A file without ``floorHeight`` has its floor at the ground height, where weights are
-        finite. The array is read-only unless it is the attribute itself.
+        finite. So has one that says ``useCellFloorHeight: false``, and also where it knows of a
+        floor. The array is read-only unless it is the attribute itself.
         """
         stored = self.attributes.get("floorHeight")
-        if stored is None:
-            return _derived(np.where(self.free, np.float32(self.min_yup[1]), np.float32(np.nan)))
+        if stored is None or not self.uses_cell_floors:
+            has_floor = self.free if stored is None else self.free | ~np.isnan(stored)
+            return _derived(np.where(has_floor, np.float32(self.min_yup[1]), np.float32(np.nan)))
         with np.errstate(over="ignore"):  # what float32 can't hold is infinite
             return stored if stored.dtype == np.float32 else _derived(stored.astype(np.float32))
 

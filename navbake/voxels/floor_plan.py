@@ -83,13 +83,14 @@ def plan_of(
     occupancy = cut_band(voxels, floor + step, floor + height)
     lattice = lattice_of(voxels)
     x0, y0, x1, y1 = lattice.bounds
-    low = x0, floor, 0.0 - y1
+    written = float(np.float32(floor))
+    bottom, top = min(float(voxels.bounds[0, 2]), written), max(float(voxels.bounds[1, 2]), written)
     return SceneGrid2D(
         width=lattice.width,
         height=lattice.height,
         cell_size=voxels.res,
-        min_yup=low,
-        bbox_yup=(low, (x1, floor + height, 0.0 - y0)),
+        min_yup=(x0, floor, 0.0 - y1),
+        bbox_yup=((x0, bottom, 0.0 - y1), (x1, top, 0.0 - y0)),
         weights=np.where(occupancy == 0, np.float32(1), np.float32(np.inf)),
         attributes={
             "floorHeight": np.full(lattice.shape, floor, dtype=np.float32),
@@ -103,7 +104,8 @@ def voxels_of(level: SceneGrid2D, *, step: float = 0.25, height: float = 1.14) -
 
     Cells without a floor are filled from `step` to `height` over the level's ground. Voxels
     have the cells' edge, and begin `step` over the ground or below; each that reaches into a
-    cell's band is filled. What the level says of its rooms and weights is left out.
+    cell's band is filled, by more than float32 may have moved the floor. What the level says of
+    its rooms and weights is left out.
 
     Args:
         level: with ``occupancy`` and ``floorHeight``.
@@ -117,13 +119,15 @@ def voxels_of(level: SceneGrid2D, *, step: float = 0.25, height: float = 1.14) -
     if not step < height:
         raise QueryError(f"expected a band of heights, step < height, got {step:g} and {height:g}")
     lattice, res = level.lattice, level.lattice.cell_size
-    floor = level.floor_height.astype(np.float64) * level.unit
-    floor = np.where(np.isnan(floor), level.ground, floor)
+    stored = np.where(np.isnan(level.floor_height), np.float32(0), level.floor_height)
+    has_floor = ~np.isnan(level.floor_height)
+    floor = np.where(has_floor, stored.astype(np.float64) * level.unit, level.ground)
+    slack = CELL_SLACK + np.spacing(np.abs(stored)).astype(np.float64) * level.unit / res
     # the lowest voxel begins whole voxels below the ground's band, under the lowest floor's
-    below = math.ceil(max(level.ground - floor.min(), 0.0) / res - CELL_SLACK)
+    below = max(math.ceil(((level.ground - floor) / res - slack).max()), 0)
     bottom = level.ground + step - below * res
-    start = np.floor((floor + step - bottom) / res + CELL_SLACK)
-    end = np.ceil((floor + height - bottom) / res - CELL_SLACK)
+    start = np.floor((floor + step - bottom) / res + slack)
+    end = np.ceil((floor + height - bottom) / res - slack)
     shape = lattice.width, lattice.height, max(int(end.max()), 1)
     check_memory(shape, 1)
     values = np.zeros(shape, dtype=np.bool_)

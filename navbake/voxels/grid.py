@@ -33,7 +33,7 @@ class VoxelGrid:
         names: what the IDs stand for; empty where nothing says so.
         known: shape (nx, ny, nz), bool: False where nobody knows whether something is there (an
             octree has such space); None where all is known.
-        notes: what whoever made or read it had to assume, one line each.
+        notes: what whoever made, read or wrote it had to assume or to warn of, one line each.
     """
 
     values: NDArray[Any] = field(repr=False)

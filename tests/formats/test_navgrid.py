@@ -19,12 +19,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import navbake
 from differences import first_difference
 from navbake.errors import FormatError
 from navbake.formats import arrays
 from navbake.formats import source as file_source
 from navbake.formats.navgrid import dumps_navgrid, read_navgrid, write_navgrid
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+from navbake.runtime.flat_grid import flatten
 
 INF, NAN = np.inf, np.nan
 DTYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
@@ -178,6 +180,38 @@ def test_missing_weights_follow_from_occupancy_and_floor():
     assert free.ravel().tolist() == [True, False, False, True, False, True]
 
 
+FLAT = {"cellAttributes": [], "useCellFloorHeight": False}
+
+
+@pytest.mark.parametrize("in_level", [True, False], ids=["of a level", "of all levels"])
+def test_floor_is_the_ground_where_cells_are_not_to_have_their_own(in_level):
+    """On free cells, and where there is a floor; what is stored stays, and is written back."""
+    stored = [0.5, 0.75, None, None, 0.25, None]
+    floor = {"datatype": "float32", "data": stored}
+    own = {"metadata": FLAT} if in_level else {}
+    level = small(min=[0, 2.5, 0], tileAttributes={"floorHeight": floor}, **own)
+    content = {"type": "MultiLevelGrid", "metadata": FLAT, "grids": [level]}
+    grid = read(content)
+    ground = [2.5, 2.5, 2.5, 2.5, 2.5, np.nan]  # the last weighs infinity, and has no floor
+    grid.levels[0].weights[1, 2] = np.inf
+    np.testing.assert_array_equal(grid.levels[0].floor_height.ravel(), ground)
+    np.testing.assert_array_equal(grid.values_at("floor", [[0.2, -0.2, 2.5]]), [2.5])
+    assert grid.cell_at([0.2, -0.2, 2.5]) == (0, 0, 0) and grid.cell_at([0.2, -0.2, 0.5]) is None
+    assert grid.position_of((0, 0, 1)).tolist() == [0.75, -0.25, 2.5]
+    assert flatten(grid).floors.z[0] == 2.5
+    again = navbake.load(dumps_navgrid(grid)).levels[0]
+    np.testing.assert_array_equal(
+        again.attributes["floorHeight"].ravel(), np.array(stored, dtype=np.float32)
+    )
+    inflated = grid.inflate(0.6)
+    np.testing.assert_array_equal(inflated.levels[0].floor_height.ravel(), ground)
+    for stated in (True, None):
+        content["metadata"] = level["metadata"] = {**FLAT, "useCellFloorHeight": stated}
+        np.testing.assert_array_equal(
+            read(content).levels[0].floor_height.ravel(), np.array(stored, dtype=np.float32)
+        )
+
+
 @pytest.mark.parametrize("encoding", ["rle", "raw", None])
 @pytest.mark.parametrize("dtype", DTYPES)
 def test_every_datatype_is_read_in_every_encoding(dtype, encoding):
@@ -200,6 +234,7 @@ def test_limits_of_the_integers_are_read():
     [
         {"datatype": "Uint8Array", "data": [1, 2, 3, 4, 5, 6]},
         {"dataType": "uint8", "data": [1, 2, 3, 4, 5, 6], "length": 6.0},
+        {"datatype": "uchar", "data": [1, 2, 3, 4, 5, 6]},
         {"datatype": "uint8clamped", "data": [1, 2, 3, 4, 5, 6], "encoding": None},
         {"data": [1, 2, 3, 4, 5, 6]},
         [1, 2, 3, 4, 5, 6],

@@ -121,3 +121,21 @@ def test_bands_and_floors_that_cannot_be():
         cut_band(pillar(), 0, 1, np.zeros((3, 2)))
     with pytest.raises(QueryError, match="step < height, got 2 and 1"):
         voxels_of(plan_of(pillar(), 0), step=2, height=1)
+
+
+@pytest.mark.parametrize("ground", [2.7, 30.1, -0.3, 1234.7])
+def test_float32_floors_add_no_layer(ground):
+    """A band of 9 cells over a floor that float32 moves is 9 layers, wherever the floor is."""
+    values = np.zeros((3, 2, 30), dtype=bool)
+    values[1] = True
+    low = VoxelGrid(values=values, origin=(0.0, 0.0, ground), res=0.1)
+    plan = plan_of(low, ground, step=0.25, height=1.15)
+    voxels = voxels_of(plan, step=0.25, height=1.15)
+    assert voxels.shape == (3, 2, 9) and voxels.values[1].all() and not voxels.values[0].any()
+    assert voxels.origin[2] == pytest.approx(ground + 0.25)
+
+
+def test_box_of_a_plan_is_that_of_the_voxels_and_holds_the_floor():
+    assert plan_of(pillar(), 0.5).bbox_yup == ((0.0, 0.0, 0.0), (1.5, 2.5, 1.0))
+    low, high = plan_of(pillar(), -0.3, height=1.5).bbox_yup
+    assert low[1] == float(np.float32(-0.3)) and high[1] == 2.5

@@ -7,8 +7,10 @@ import numpy as np
 from navbake.baker.columns import Columns
 from navbake.baker.floors.grounds import assign_levels, find_grounds, lower_grounds
 from navbake.baker.floors.kernels.sheets import find_links, grow_floor
-from navbake.baker.floors.roofs import OccupancyTest, drop_roofs, is_walled
-from navbake.baker.floors.sheets import Standable, drop_furniture, drop_tops, find_standable
+from navbake.baker.floors.outline import OccupancyTest
+from navbake.baker.floors.roofs import drop_roofs, is_walled
+from navbake.baker.floors.sheets import Standable, drop_furniture, find_standable
+from navbake.baker.floors.tops import drop_tops
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
@@ -97,8 +99,8 @@ def find_floors(
     roofs: list[DroppedSheet] = []
     names: list[str | None] = []
     if not settings.tops:
-        every, step = counted, agent.traversable_floor_height
-        counted = drop_tops(every, columns, floor_like, step, settings)
+        every = counted
+        counted = drop_tops(every, columns, agent, settings, is_occupied)
         tops = _describe_dropped(every, counted, columns)
     if given is None and not settings.roofs:
         every = counted

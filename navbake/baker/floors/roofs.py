@@ -1,13 +1,12 @@
 """Roofs: sheets that are open to the sky over an enclosed level, and so no levels themselves."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from scipy import ndimage
 
 from navbake.baker.columns import Columns
+from navbake.baker.floors.outline import OccupancyTest
 from navbake.baker.floors.sheets import Standable, mask_window
 from navbake.baker.kernels.constants import SLACK, TOUCH
 from navbake.baker.kernels.occupancy import lines_blocked
@@ -18,9 +17,6 @@ from navbake.types import Bool, Float, Int
 DOOR_HALF_WIDTH = 0.6
 # The share of a sheet that has to lie open to the sky, or over a floor, for a roof
 MOSTLY, HALF = 0.9, 0.5
-
-OccupancyTest: TypeAlias = Callable[[Int, Float], Bool]
-"""Which cells are occupied, from their ids and floor heights [m], each of shape (n,)."""
 
 
 def drop_roofs(

@@ -11,7 +11,6 @@ from scipy import ndimage
 from navbake.baker.columns import Columns
 from navbake.baker.floors.kernels.sheets import group_members, join_by_steps, mark_surfaces
 from navbake.baker.floors.kernels.shrink import count_inner, near_offsets
-from navbake.baker.floors.kernels.tops import count_covered, count_drops
 from navbake.baker.kernels.arrays import AgentLimits
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.shapes import Shapes
@@ -21,8 +20,6 @@ from navbake.types import Bool, Float, Int
 
 # Cells along the edge of the blocks in which masks are shrunk
 BLOCK = 256
-# A top covers a floor under more than this share of it, and drops to it along this share
-TOP_SHARE, DROP_SHARE = 0.5, 0.25
 
 
 class Standable(NamedTuple):
@@ -104,36 +101,6 @@ def drop_furniture(standable: Standable, settings: FloorSettings) -> Standable:
     for sheet, members in standable.members(np.flatnonzero(size >= test.needed)):
         counts[sheet] = test.passes(standable.cell[members])
     return standable.only_sheets(counts)
-
-
-def drop_tops(
-    standable: Standable, columns: Columns, floor_like: Bool, step: float, settings: FloorSettings
-) -> Standable:
-    """Drop the tops of what stands on a floor: beds, blocks, walls that are metres thick.
-
-    A sheet that no step reaches is such a top when the floor of another one goes on under more
-    than half of it without room for an agent in between, and at least a quarter of its outline
-    drops to that floor, a bed's frame aside. A house's floor on its plinth ends at walls, and a
-    mezzanine has standing room below, so that both are none.
-
-    Args:
-        floor_like: which surfaces of the columns face up within the slope, shape (n,).
-        step: the largest step [m].
-        settings: `shrink`, how far from the sheet's edge the floor may begin [m].
-    """
-    lattice, keep = standable.lattice, standable.sheet_size > 0
-    num_cells = lattice.width * lattice.height
-    at_cell = np.full(num_cells, -1, dtype=np.int64)
-    under, queue = np.full(num_cells, np.nan), np.empty(num_cells, dtype=np.int64)
-    reach = max(1, int(np.ceil(settings.shrink / lattice.cell_size)))
-    for sheet, members in standable.members(np.flatnonzero(keep)):
-        ends = (standable, members, columns.crossings)
-        edges, drops, floors, over = count_drops(*ends, step, reach, at_cell)
-        if drops > 0 and drops >= DROP_SHARE * edges:
-            covered = count_covered(*ends, floor_like, step, floors, at_cell, under, queue)
-            keep[sheet] = covered <= TOP_SHARE * len(members)
-        at_cell[standable.cell[members]] = at_cell[over] = -1  # as it was, for the next sheet
-    return standable.only_sheets(keep)
 
 
 def mask_window(cells: Int, lattice: Lattice, margin: int) -> tuple[Bool, Int, Int]:

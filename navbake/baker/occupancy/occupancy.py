@@ -8,7 +8,7 @@ import numpy as np
 
 from navbake.baker.columns import Columns, TiledShapes
 from navbake.baker.floors.levels import Floors
-from navbake.baker.kernels.arrays import Queries
+from navbake.baker.kernels.arrays import Band, Queries
 from navbake.baker.kernels.constants import MEETS, TOUCH, UNDECIDED
 from navbake.baker.kernels.occupancy import check_cells
 from navbake.baker.kernels.tiles import tile_of
@@ -46,6 +46,10 @@ class Footprint(NamedTuple):
             low=agent.traversable_floor_height + TOUCH,
             high=agent.height - TOUCH,
         )
+
+    def between(self, band: Band) -> Footprint:
+        """The same over another band above the floor [m]."""
+        return self._replace(low=band.low + TOUCH, high=band.high - TOUCH)
 
 
 class Answers(NamedTuple):

@@ -39,10 +39,12 @@ class Labels:
 def label_geoms(scene: Scene, segments: Segments) -> Labels:
     """Give the counted geoms of a scene their IDs.
 
-    `geom`, `body` and `top` (the top-most body; a geom that hangs on the world stands for
-    itself) count from 1, in the order of the geoms. Patterns match a geom's name, its mesh's,
-    its body's, and those of the bodies that this one hangs on; the first that matches decides,
-    and what none matches gets the greatest of their IDs and 1, under the name ``other``.
+    `geom` gives MuJoCo's geom id and 1, which is what a camera's segmentation image holds for the
+    geom, whichever geoms count. `body` and `top` (the top-most body; a geom that hangs on the
+    world stands for itself) count from 1, in the order of the geoms. Patterns match a geom's
+    name, its mesh's, its body's, and those of the bodies that this one hangs on; the first that
+    matches decides, and what none matches gets the greatest of their IDs and 1, under the name
+    ``other``.
 
     Args:
         segments: ``geom``, ``body``, ``top``, a mapping of name patterns (``*``, ``?``, ``[…]``)
@@ -83,7 +85,7 @@ def _label_by_kind(scene: Scene, kind: str) -> Labels:
             body = int(model.body_rootid[body])
         is_geom = kind == "geom" or (kind == "top" and body == 0)
         key = ("geom", geom) if is_geom else ("body", body)
-        number = numbers.setdefault(key, len(numbers) + 1)
+        number = geom + 1 if kind == "geom" else numbers.setdefault(key, len(numbers) + 1)
         ids[geom] = number
         table[number] = names_of(model, geom).geom if is_geom else body_name(model, body)
     return Labels(ids, table, [])

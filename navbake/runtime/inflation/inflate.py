@@ -203,6 +203,8 @@ def _with_weights(grid: AnyGrid, weights: list[Float], done: dict[str, Any]) -> 
         # that inflating does not change them, and the grid can be inflated again.
         baked: dict[str, Any] = {"occupancy": level.occupancy, "floorHeight": level.floor_height}
         kept = {key: v.copy() for key, v in baked.items() if key not in level.attributes}
+        if not level.uses_cell_floors:  # what the file stores is not the floor
+            kept["floorHeight"] = baked["floorHeight"].copy()
         noted = _noted(level.metadata, done)
         levels.append(level.with_layers(weights=weight, attributes=kept, metadata=noted))
     inflated = grid.with_levels(levels, _noted(grid.metadata, done))

@@ -224,6 +224,14 @@ def test_segments(voxelizer, segments, names):
     np.testing.assert_array_equal(grid.occupied, plain.values)
 
 
+def test_ids_of_geoms_are_those_of_a_cameras_segmentation(tmp_path):
+    """MuJoCo's geom id and 1, whatever is left out before it."""
+    seen = '<geom name="seen" type="box" size=".2 .2 .2" contype="0" conaffinity="0"/>'
+    met = '<geom name="met" type="box" size=".2 .2 .2" pos="1 0 0"/>'
+    grid = scene_of(tmp_path, seen + met).create((1, 0, 0), (2, 2, 2), res=0.1, segments="geom")
+    assert (grid.values == 2).all() and grid.names == {2: "met"}
+
+
 def test_ids_of_patterns_and_of_what_none_matches(voxelizer):
     grid = voxelizer.create((0, 0, 1), (40, 40, 24), res=0.1, segments={"table": 7, "lamp": 300})
     assert grid.values.dtype == np.uint16

@@ -1,0 +1,79 @@
+"""The edges of sheets, and what lies beyond them along straight lines of cells.
+
+Contour following cell by cell (as in Recast's region contours): an edge is one of a cell's four
+sides beyond which the cell has no neighbour of its own sheet.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from navbake.baker.floors.kernels.sheets import neighbour
+from navbake.baker.kernels.constants import SLACK
+
+
+@njit(inline="always")
+def _holds_sheet(standable, cell, sheet):
+    """Whether a cell has a surface of a sheet."""
+    for t in range(standable.start[cell], standable.start[cell + 1]):
+        if standable.sheet[t] == sheet:
+            return True
+    return False
+
+
+@njit(cache=True)
+def list_edges(standable, chosen):
+    """List the edges of the chosen sheets, (sheets,) bool.
+
+    Returns the surface and the way of each edge, int64: east (0), south (1), west (2), north (3).
+    """
+    surface, way_out = np.empty(0, np.int64), np.empty(0, np.int64)
+    for writing in (False, True):
+        count = 0
+        for node in range(standable.z.shape[0]):
+            sheet = standable.sheet[node]
+            if not chosen[sheet]:
+                continue
+            for way in range(4):
+                other = neighbour(standable.lattice, standable.cell[node], way)
+                if other >= 0 and _holds_sheet(standable, other, sheet):
+                    continue
+                if writing:
+                    surface[count] = node
+                    way_out[count] = way
+                count += 1
+        if not writing:
+            surface, way_out = np.empty(count, np.int64), np.empty(count, np.int64)
+    return surface, way_out
+
+
+@njit(cache=True)
+def look_out(standable, surface, way, step, cells, floors):
+    """Look out from edges: the cells beyond each, and the floors more than a step below in them.
+
+    Args:
+        standable: all standable surfaces.
+        surface, way: the edges, see `list_edges`.
+        step: [m].
+        cells: (edges, reach) int64; receives the cells beyond each edge, the nearest first, and
+            -1 from where the lattice ends, or the sheet begins again.
+        floors: (edges, reach) float64; receives the highest floor of another sheet that lies
+            more than a step below the edge in each of these cells, NaN for none [m].
+    """
+    for e in range(surface.shape[0]):
+        node = surface[e]
+        sheet, limit = standable.sheet[node], standable.z[node] - step - SLACK
+        cell = standable.cell[node]
+        for k in range(cells.shape[1]):
+            floors[e, k] = math.nan
+            if cell >= 0:
+                cell = neighbour(standable.lattice, cell, way[e])
+            if cell >= 0 and _holds_sheet(standable, cell, sheet):
+                cell = -1
+            cells[e, k] = cell
+            if cell < 0:
+                continue
+            for t in range(standable.start[cell], standable.start[cell + 1]):
+                if standable.z[t] < limit:
+                    floors[e, k] = standable.z[t]

@@ -1,0 +1,137 @@
+"""How sheets end: at walls, at drops, at the lattice's border, or in some other way."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.baker.floors.kernels.outline import list_edges, look_out
+from navbake.baker.floors.sheets import Standable
+from navbake.baker.kernels.arrays import Band
+from navbake.config.settings import AgentSettings
+from navbake.types import Bool, Float, Int
+
+# How an edge of a sheet ends, see `Endings`
+WALL, BARRIER, DROP, BORDER, OPEN = range(5)
+# How thick the two bands are that tell a wall, at an agent's feet and at its head [m]
+PROBE = 0.01
+
+
+class OccupancyTest(Protocol):
+    """Tells which cells are occupied over their squares."""
+
+    def __call__(self, cells: Int, floors: Float, band: Band | None = None, /) -> Bool:
+        """Ask for cells and floor heights, shape (n,) [m].
+
+        Args:
+            cells: cell ids.
+            floors: the floor's height in each [m].
+            band: what counts as in the way, as heights above the floor [m]: without it, the
+                band between a step and the agent's height.
+
+        Returns:
+            Whether a geom meets the band over each cell's square, shape (n,), bool.
+        """
+
+
+class Edges(NamedTuple):
+    """Edges of sheets: sides of cells beyond which there is no surface of the same sheet.
+
+    Attributes:
+        surface: index of the standable surface that ends there, shape (edges,), int64.
+        way: the way out: east (0), south (1), west (2), north (3), shape (edges,), int64.
+        cells: the cells beyond, the nearest first, -1 from where the lattice ends or the sheet
+            begins again, shape (edges, reach), int64.
+        floors: the highest floor of another sheet that is more than a step lower in each of these
+            cells, NaN for none, shape (edges, reach), float64 [m].
+    """
+
+    surface: Int
+    way: Int
+    cells: Int
+    floors: Float
+
+    def only(self, kept: Bool) -> Edges:
+        """The edges that are kept, shape (edges,)."""
+        return Edges(self.surface[kept], self.way[kept], self.cells[kept], self.floors[kept])
+
+
+def find_edges(standable: Standable, chosen: Bool, step: float, reach: int) -> Edges:
+    """Find the edges of sheets, and the floors below them.
+
+    Args:
+        standable: the surfaces that count.
+        chosen: the sheets that are asked for, shape (sheets,), bool.
+        step: the largest step [m].
+        reach: how many cells to look out for floors below, >= 1.
+    """
+    surface, way = list_edges(standable, chosen)
+    shape = len(surface), reach
+    cells, floors = np.empty(shape, dtype=np.int64), np.empty(shape)
+    look_out(standable, surface, way, step, cells, floors)
+    return Edges(surface, way, cells, floors)
+
+
+def find_endings(
+    edges: Edges, standable: Standable, agent: AgentSettings, is_occupied: OccupancyTest
+) -> tuple[NDArray[np.uint8], Float]:
+    """Tell how a sheet ends at each of its edges.
+
+    - WALL: something stands in the cell on this side of the edge, or in the one beyond, at an
+      agent's feet (just above a step) and at its head (just below its height). So it does not
+      matter how a wall ends at the ceiling, nor whether it is thinner than a cell; and a chair's
+      back is none.
+    - BARRIER: something stands at an agent's feet only: a parapet, a headboard, a sill.
+    - DROP: an agent that steps out gets to a floor more than a step lower, where it can stand. One
+      looks past what is lower than the sheet, such as a bed's frame, as far as `edges.cells`
+      reach, and stops at a barrier.
+    - BORDER: the lattice ends.
+    - OPEN: none of these: an abyss, a steep slope, a floor on which nobody can stand.
+
+    Returns:
+        One of WALL, BARRIER, DROP, BORDER, OPEN for each edge, shape (edges,), uint8; and the
+        height of the floor that a drop leads to, NaN for the others, shape (edges,) [m].
+    """
+    z, inner = standable.z[edges.surface], standable.cell[edges.surface]
+    feet, head = probe_bands(agent)
+    outer = edges.cells[:, 0]
+    at_feet = _either_occupied(inner, outer, z, feet, is_occupied)
+    at_head = np.zeros_like(at_feet)
+    at_head[at_feet] = _either_occupied(
+        inner[at_feet], outer[at_feet], z[at_feet], head, is_occupied
+    )
+    ending, landing = np.full(len(z), OPEN, dtype=np.uint8), np.full(len(z), np.nan)
+    ending[outer < 0] = BORDER
+    ending[at_feet] = BARRIER
+    ending[at_head] = WALL
+    looking = np.flatnonzero(ending == OPEN)
+    for k in range(edges.cells.shape[1]):
+        looking = looking[edges.cells[looking, k] >= 0]
+        if k > 0:  # the nearest cell has been asked
+            stops = is_occupied(edges.cells[looking, k], z[looking], feet)
+            ending[looking[stops]] = BARRIER
+            looking = looking[~stops]
+        below = looking[~np.isnan(edges.floors[looking, k])]
+        lands = below[~is_occupied(edges.cells[below, k], edges.floors[below, k])]
+        ending[lands], landing[lands] = DROP, edges.floors[lands, k]
+        looking = looking[ending[looking] == OPEN]
+    return ending, landing
+
+
+def probe_bands(agent: AgentSettings) -> tuple[Band, Band]:
+    """The bands above a floor at an agent's feet and at its head, where walls are felt for [m]."""
+    low, high = agent.traversable_floor_height, agent.height
+    thickness = min(PROBE, (high - low) / 2)
+    return Band(low, low + thickness), Band(high - thickness, high)
+
+
+def _either_occupied(
+    inner: Int, outer: Int, z: Float, band: Band, is_occupied: OccupancyTest
+) -> Bool:
+    """Whether a band is occupied on this side of edges, or beyond them."""
+    occupied = is_occupied(inner, z, band)
+    ask = np.flatnonzero(~occupied & (outer >= 0))
+    occupied[ask] = is_occupied(outer[ask], z[ask], band)
+    return occupied
