@@ -41,6 +41,13 @@ FOUND = [
     (
         "navgrid",
         ".json",
+        # an overflow when a path is planned, in one of eight files
+        b'{"type":"SceneGrid2D","width":2,"height":1,"cellSize":1,"min":[0,0,0],"metadata":'
+        b'{"agentRadius":1e308,"inflation":[{"radius":1e308,"mode":"exact"}],"n":%d}}' % 1,
+    ),
+    (
+        "navgrid",
+        ".json",
         b'{"type":"SceneGrid2D","width":1,"height":1,"cellSize":1,"min":[0,0,0],'
         b'"userData":{"0":{"doors":["d"],"objects":[1,{}],"walls":[[]]}},"metadata":{"navbake":'
         b'{"doors":[{"id":"d","state":"closed","cells":{"closed":[[0,[0,1]]]}}]}}}',

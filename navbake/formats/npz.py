@@ -2,6 +2,7 @@
 
 import io
 import math
+import warnings
 import zipfile
 from os import PathLike
 from typing import Any
@@ -58,7 +59,8 @@ def read_npz(path: str | PathLike[str] | bytes, *, max_voxels: int | None = None
     data, source = read_bytes(path, begins=ZIP, expected="a .npz of voxels")
     allowance = VoxelAllowance.of_file(source, len(data), max_voxels)
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # numpy takes an array's header for Python, which warns
             arrays = _read_arrays(archive, allowance)
     except FormatError:
         raise

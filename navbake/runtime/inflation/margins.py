@@ -17,7 +17,7 @@ import numpy as np
 
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.runtime.blocks.shape import Margins
-from navbake.runtime.inflation.inflate import check_radius, find_blocked
+from navbake.runtime.inflation.inflate import MAX_RADIUS, check_radius, find_blocked
 from navbake.types import Bool
 
 STEEP = 1.001  # rise, in cells, over which neighbours are a step, not a slope
@@ -28,7 +28,8 @@ def exact_radius(grid: NavGrid) -> float:
     done = grid.metadata.get("inflation")  # in files of other programs this may be anything
     entries = [e for e in done if isinstance(e, dict)] if isinstance(done, list) else []
     radii = [entry.get("radius") for entry in entries if entry.get("mode") == "exact"]
-    return max((float(r) for r in radii if isinstance(r, int | float)), default=0.0)
+    numbers = (float(r) for r in radii if isinstance(r, int | float))
+    return max((r for r in numbers if 0 <= r <= MAX_RADIUS), default=0.0)
 
 
 def agent_radius(grid: NavGrid) -> float:
