@@ -78,7 +78,8 @@ def read_npz(path: str | PathLike[str] | bytes, *, max_voxels: int | None = None
             names=_name_table(arrays),
             known=arrays.get("known"),
         )
-    except (FormatError, OverflowError, TypeError, ValueError) as error:
+    # SystemError: numpy makes text of code points beyond Unicode
+    except (FormatError, OverflowError, SystemError, TypeError, ValueError) as error:
         raise FormatError(f"{source}: {error}") from error
 
 

@@ -80,6 +80,7 @@ def packed(**members):
         (archive(values=np.zeros((2, 2, 2), bool), origin=np.zeros(3), res=np.zeros(2)), "a.npz"),
         (packed(values=b"hello", origin=b"", res=b"1"), "can't be read: .*magic"),
         (ones(ids=np.array([np.inf]), names=np.array(["a"])), "infinity"),
+        (ones(ids=np.ones(1), names=np.full(1, 2**31 - 1, "u4").view("U1")), "a.npz"),
         (ones(ids=np.int64(3), names=np.array("a")), "as many names as IDs"),
         (ones(ids=np.zeros(2), names=np.array(["a"])), "as many names as IDs"),
         (ones(ids=np.zeros(2, "c16"), names=np.zeros(2)), "a.npz"),
