@@ -8,6 +8,13 @@ class NavbakeError(Exception):
     what to do about it. The command line prints it and exits with status 1.
     """
 
+    def __str__(self) -> str:
+        """The message; what no terminal shows, as a name of a file may have it, is escaped."""
+        message = super().__str__()
+        if message.isprintable():
+            return message
+        return "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
+
 
 class ConfigError(NavbakeError):
     """A setting is missing, unknown, of the wrong type or out of its range."""

@@ -1,16 +1,29 @@
 """Files that are written as a whole or not at all."""
 
 import os
+import re
 import stat
 import tempfile
+import time
+from contextlib import suppress
 from os import PathLike
 from pathlib import Path
+from typing import BinaryIO
+
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks; it refuses to remove a file that is open
+    fcntl = None  # type: ignore[assignment]
+
+TEMPORARY = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp")
+OLD = 86400.0  # age at which a temporary file is a leftover where nothing can be locked [s]
 
 
 def write_whole(data: bytes, path: str | PathLike[str]) -> None:
     """Write a file under another name in the same folder, then rename it.
 
     Of a link, the file that it points to is replaced. A device or a pipe is written to directly.
+    Temporary files that writers left in the folder when they were killed are removed first.
 
     Raises:
         OSError: the path can't be written; a file that was there is unchanged.
@@ -19,13 +32,17 @@ def write_whole(data: bytes, path: str | PathLike[str]) -> None:
         Path(path).write_bytes(data)
         return
     target = Path(os.path.realpath(path))
-    temporary = target.parent / f".navbake-{os.urandom(8).hex()}.tmp"
+    remove_leftovers(target.parent)
+    file, temporary = _create_temporary(target.parent)
     try:
-        with open(temporary, "xb") as file:
+        with file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(temporary, target)
+            if fcntl is not None:
+                os.replace(temporary, target)  # under the lock: nobody takes it for a leftover
+        if fcntl is None:
+            os.replace(temporary, target)  # Windows renames no file that is open
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
@@ -36,6 +53,54 @@ def check_writable(path: str | PathLike[str]) -> None:
     if _is_replaceable(path):
         with tempfile.TemporaryFile(dir=os.path.dirname(os.path.realpath(path))):
             pass
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what writers that were killed left in a folder.
+
+    A writer locks its temporary file for as long as it lives. So one that can be locked is a
+    leftover, whichever process, thread or machine wrote it. Where files can't be locked, one is
+    a leftover when it is a day old. What can't be removed stays.
+    """
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            if TEMPORARY.fullmatch(entry.name):
+                with suppress(OSError):
+                    _remove_leftover(entry)
+
+
+def _remove_leftover(entry: os.DirEntry[str]) -> None:
+    if not entry.is_file(follow_symlinks=False):
+        return
+    if fcntl is not None:
+        with open(entry.path, "rb") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:  # its writer is at work
+                return
+            except OSError:  # a file system without locks
+                pass
+            else:
+                os.unlink(entry.path)
+                return
+    if time.time() - entry.stat(follow_symlinks=False).st_mtime > OLD:
+        os.unlink(entry.path)
+
+
+def _create_temporary(folder: Path) -> tuple[BinaryIO, Path]:
+    """Open a new temporary file in a folder, locked until it is closed."""
+    while True:
+        path = folder / f".navbake-{os.urandom(8).hex()}.tmp"
+        file = open(path, "xb")  # noqa: SIM115 the caller closes it
+        if fcntl is None:
+            return file, path
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(file, fcntl.LOCK_EX)
+        # another writer may have taken it for a leftover before it was locked
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(file.fileno()), os.stat(path)):
+                return file, path
+        file.close()
 
 
 def _is_replaceable(path: str | PathLike[str]) -> bool:

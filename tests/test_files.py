@@ -1,9 +1,14 @@
 """Files are written whole or not at all."""
 
 import os
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from navbake import files
 from navbake.files import check_writable, write_whole
 
 
@@ -56,3 +61,100 @@ def test_a_device_is_written_to():
 def test_a_check_leaves_nothing(tmp_path):
     check_writable(tmp_path / "a")
     assert list(tmp_path.iterdir()) == []
+
+
+# ---------------------------------------------------------------- what killed writers leave
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from navbake import files
+os.fsync = lambda number: os.kill(os.getpid(), signal.SIGKILL)
+files.write_whole(b"x" * 1000, sys.argv[1])
+"""
+AT_WORK = """
+import os, sys
+from navbake import files
+os.fsync = lambda number: (print("writing", flush=True), sys.stdin.read())
+files.write_whole(b"theirs", sys.argv[1])
+"""
+needs_locks = pytest.mark.skipif(files.fcntl is None, reason="files can't be locked here")
+
+
+def temporary_files(folder):
+    return sorted(path.name for path in folder.iterdir() if files.TEMPORARY.fullmatch(path.name))
+
+
+@needs_locks
+def test_the_next_write_removes_what_a_killed_one_left(tmp_path):
+    for _ in range(2):
+        subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / "a")], check=False)
+    assert len(temporary_files(tmp_path)) == 1  # the second one removed what the first one left
+    assert not (tmp_path / "a").exists()
+    write_whole(b"now", tmp_path / "b")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["b"]
+
+
+@needs_locks
+def test_a_writer_at_work_is_left_alone(tmp_path):
+    command = [sys.executable, "-c", AT_WORK, str(tmp_path / "a")]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout.readline() == "writing\n"
+        write_whole(b"ours", tmp_path / "b")
+        assert len(temporary_files(tmp_path)) == 1
+        other.stdin.close()
+    assert other.returncode == 0
+    assert (tmp_path / "a").read_bytes() == b"theirs"
+    assert temporary_files(tmp_path) == []
+
+
+def test_only_files_of_ours_are_removed(tmp_path):
+    ours = tmp_path / f".navbake-{'0' * 16}.tmp"
+    names = [".navbake-1.tmp", "navbake-0000000000000000.tmp", ".navbake-0000000000000000.tmp.json"]
+    for name in names:
+        (tmp_path / name).touch()
+    ours.symlink_to(tmp_path / names[0])
+    (tmp_path / f".navbake-{'1' * 16}.tmp").mkdir()
+    write_whole(b"now", tmp_path / "a")
+    assert len(list(tmp_path.iterdir())) == len(names) + 3
+
+
+def test_without_locks_only_old_files_are_leftovers(tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "fcntl", None)
+    old, new = (tmp_path / f".navbake-{digit * 16}.tmp" for digit in "01")
+    old.touch()
+    new.touch()
+    os.utime(old, (0, time.time() - files.OLD - 60))
+    write_whole(b"now", tmp_path / "a")
+    assert temporary_files(tmp_path) == [new.name]
+    assert (tmp_path / "a").read_bytes() == b"now"
+
+
+@needs_locks
+def test_many_writers_of_one_folder(tmp_path):
+    def write(number):
+        for turn in range(40):
+            write_whole(b"%d %d" % (number, turn), tmp_path / f"file {number % 3}")
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(write, range(8)))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file 0", "file 1", "file 2"]
+    assert all(path.read_bytes().endswith(b" 39") for path in tmp_path.iterdir())
+
+
+@needs_locks
+def test_a_file_that_is_taken_for_a_leftover_is_made_again(tmp_path, monkeypatch):
+    real, taken = files.fcntl.flock, []
+
+    def flock(file, how):
+        real(file, how)
+        if not taken:  # another writer was quicker, just before
+            taken.append(file.name)
+            os.unlink(file.name)
+
+    monkeypatch.setattr(files.fcntl, "flock", flock)
+    write_whole(b"now", tmp_path / "a")
+    assert len(taken) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]

@@ -3,9 +3,12 @@
 Only the modules of `navbake.cli` print, and only this one ends the process.
 """
 
+import errno
 import io
+import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 from typer import Exit, Option, Typer
 
@@ -21,6 +24,9 @@ from navbake.cli.scenes import geoms, init
 from navbake.cli.voxelize import voxelize
 from navbake.cli.warm_up import warm_up
 from navbake.errors import NavbakeError
+
+UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF, errno.EPIPE)
+"""The system's numbers for an output that takes no more."""
 
 app = Typer(
     name="navbake",
@@ -40,10 +46,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
         # names of geoms and files may hold what the terminal's encoding lacks
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        app(None if arguments is None else list(arguments), prog_name="navbake")
+        try:
+            app(None if arguments is None else list(arguments), prog_name="navbake")
+        finally:  # what is buffered may not fit any more, either
+            if sys.stdout is not None:
+                sys.stdout.flush()
     except NavbakeError as error:
         print_error(str(error))
         raise SystemExit(1) from None
+    except OSError as error:
+        if error.filename is not None or error.errno not in UNWRITABLE:
+            raise
+        _drop_stdout()
+        if error.errno != errno.EPIPE:  # whoever closed a pipe wants no more
+            print_error(f"cannot write to stdout: {error.strerror}")
+        raise SystemExit(1) from None
+
+
+def _drop_stdout() -> None:
+    """Send what is still buffered nowhere: Python would try it again at its end, and complain."""
+    with suppress(OSError, ValueError):  # ValueError: it has no number, as under tests
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _print_version(asked: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,6 +15,9 @@ from navbake.errors import ConfigError, FormatError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+NPY = b"\x93NUMPY"
+MAX_NPY = 1 << 30  # of an array of explored squares [bytes]
 
 # Functions import what reads grids when they run: --help stays quick.
 
@@ -82,6 +86,7 @@ def _read_squares(
     import numpy as np  # --help does without it
 
     from navbake.arena.arena import find_obstacles, place_squares
+    from navbake.formats.source import read_bytes  # which loads numpy
 
     levels = navbake.load(path).levels
     if squares.level >= len(levels):
@@ -93,10 +98,9 @@ def _read_squares(
     filled = find_obstacles(level, placed)
     if explored is None:
         return np.ones_like(filled), filled
+    content, _ = read_bytes(explored, begins=NPY, expected="an array (.npy)", limit=MAX_NPY)
     try:
-        known = np.load(explored, allow_pickle=False)  # a pickle could run code
-    except (OSError, ValueError, EOFError) as error:
+        known = np.load(io.BytesIO(content), allow_pickle=False)  # a pickle could run code
+    except (OSError, ValueError, EOFError, MemoryError) as error:
         raise FormatError(f"expected an array (.npy), {explored} can't be read: {error}") from error
-    if not isinstance(known, np.ndarray):
-        raise FormatError(f"expected one array (.npy), got several in {explored}")
     return known, filled

@@ -13,6 +13,13 @@ MAX_BYTES = 1_000_000  # of a YAML file; settings take a few thousand
 MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))  # their keys may hold dots
 
 
+MAX_DEPTH = 100  # of lists and mappings in each other
+MAX_VALUES = 1_000_000  # of a YAML file, each alias counted as all that it stands for
+# What PyYAML raises for a value that an explicit tag, as in ``!!bool maybe``, does not fit
+UNFIT = (AttributeError, IndexError, KeyError, TypeError, ValueError)
+_TAG = "tag:yaml.org,2002:"
+
+
 class _Loader(yaml.SafeLoader):
     """SafeLoader, but ``1e-3`` is a number, ``on`` and ``2026-01-01`` are text, ``010`` is 10."""
 
@@ -20,12 +27,23 @@ class _Loader(yaml.SafeLoader):
     # plus numbers like 1_000_000.
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012
 
+    depth = 0  # of the node that is composed
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """Compose a node and those in it; PyYAML takes the square of the depth for it."""
+        if self.depth >= MAX_DEPTH:
+            raise RecursionError
+        self.depth += 1
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         """Leave ``<<`` alone: merged keys can grow without bound, and nobody needs them here."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen = set()
-        for key_node, _ in node.value:
+        for key_node, _ in node.value if isinstance(node, yaml.MappingNode) else ():
             key = self.construct_object(key_node, deep=True)
             if isinstance(key, Hashable) and key in seen:
                 raise yaml.constructor.ConstructorError(
@@ -35,11 +53,20 @@ class _Loader(yaml.SafeLoader):
                 seen.add(key)
         return super().construct_mapping(node, deep)
 
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        """Make the value of a node; what its tag can't stand for is an error with a line."""
+        try:
+            return super().construct_object(node, deep)
+        except UNFIT as error:
+            tag = node.tag.removeprefix(_TAG)
+            raise yaml.constructor.ConstructorError(
+                None, None, f"expected a value that fits the type {tag}", node.start_mark
+            ) from error
+
     def construct_integer(self, node: yaml.ScalarNode) -> int:
         return int(str(self.construct_scalar(node)))
 
 
-_TAG = "tag:yaml.org,2002:"
 _Loader.add_constructor(_TAG + "int", _Loader.construct_integer)
 for _name, _pattern in {
     "bool": r"true|True|TRUE|false|False|FALSE",
@@ -72,7 +99,12 @@ def read_yaml(path: Path) -> Any:
 def parse_yaml(text: str, source: str) -> Any:
     """Parse one YAML document; a ConfigError names the source, and the line of a syntax error."""
     try:
-        return yaml.load(text, _Loader)
+        loader = _Loader(text)
+        node = loader.get_single_node()
+        if node is None:
+            return None
+        _count_values(node, {}, source)
+        return loader.construct_document(node)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         problem = error.problem or error.context
@@ -80,8 +112,26 @@ def parse_yaml(text: str, source: str) -> Any:
         raise ConfigError(f"{problem} in line {line} of {source}{hint}") from error
     except RecursionError as error:
         raise ConfigError(f"{source} is nested too deeply") from error
-    except (yaml.YAMLError, ValueError) as error:
+    except (yaml.YAMLError, *UNFIT) as error:
         raise ConfigError(f"{source} is no YAML: {str(error).splitlines()[0]}") from error
+
+
+def _count_values(node: yaml.Node, known: dict[int, int], source: str) -> int:
+    """Count the values under a node; aliases may make few bytes of a file very many of them."""
+    if not isinstance(node, yaml.CollectionNode):
+        return 1
+    if id(node) in known:
+        if known[id(node)] == 0:
+            raise ConfigError(f"a value contains itself by an alias, in {source}")
+        return known[id(node)]
+    known[id(node)] = 0  # it is being counted
+    children = node.value
+    if isinstance(node, yaml.MappingNode):
+        children = [child for pair in node.value for child in pair]
+    known[id(node)] = 1 + sum(_count_values(child, known, source) for child in children)
+    if known[id(node)] > MAX_VALUES:
+        raise ConfigError(f"more than {MAX_VALUES:,} values in {source}, aliases counted")
+    return known[id(node)]
 
 
 def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:

@@ -20,10 +20,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
+from navbake.formats.json_path import shown
 from navbake.formats.source import read_bytes, read_header
+from navbake.formats.voxel_allowance import VoxelAllowance
+from navbake.navgrid.lattice import FARTHEST
 from navbake.types import Vector3
 from navbake.voxels.grid import VoxelGrid
-from navbake.voxels.placement import check_memory, check_three
+from navbake.voxels.placement import check_three
 
 # Functions import kernels when they run: numba takes long to load.
 
@@ -31,6 +34,8 @@ IdMapping: TypeAlias = Mapping[int, int] | Literal["compact"]
 Layout: TypeAlias = Literal["auto", "binvox", "airsim"]
 LAYOUTS = ("auto", "binvox", "airsim")
 VERSIONS = (1, 2)
+MAGIC = b"#binvox"
+BINVOX = "a binvox file that begins with #binvox"
 MOST = 255  # greatest value of a voxel
 DECIMALS = 12  # of the numbers in the header
 ITS_SHIFT = 1e-6  # what `binvox2bt` adds to a corner [m]
@@ -156,6 +161,7 @@ def read_binvox(
     layout: Layout = "auto",
     position: ArrayLike = (0.0, 0.0, 0.0),
     res: float | None = None,
+    max_voxels: int | None = None,
 ) -> VoxelGrid:
     """Read a binvox file, versions 1 and 2.
 
@@ -171,20 +177,25 @@ def read_binvox(
             is north, east, down; (n, e, d) is (n, -e, -d) here.
         res: edge of AirSim's voxels [m]: its files say only how large the grid was asked to be,
             which may be a part of a voxel more than it is. By the sizes and counts if None.
+        max_voxels: most voxels that the grid may have; 2**31 if None.
 
     Raises:
-        FormatError: it is no binvox file, its header is broken, or its data are too few or many.
-        ConfigError: the position is none, or the grid would need more memory than there is.
+        FormatError: it is no binvox file, its header is broken, its data are too few or many, or
+            the grid would need more memory than there is.
+        ConfigError: the position is none.
     """
+    from navbake.formats.kernels.runs import decode_runs  # numba loads slowly
+
     if layout not in LAYOUTS:
         raise FormatError(f"expected layout {', '.join(LAYOUTS)}, got {layout!r}")
-    data, name = read_bytes(source)
+    data, name = read_bytes(source, begins=MAGIC, expected=BINVOX)
     header = _read_header(data, name)
     nx, nz, ny = header.dim
-    check_memory((nx, ny, nz), 1)
+    _check_runs(data, header, name)  # before anything of the size is made that the header claims
+    VoxelAllowance.of_file(name, len(data), max_voxels).take_voxels((nx, ny, nz), 1)
     is_airsim = layout == "airsim" or (layout == "auto" and _looks_like_airsim(header))
     values = np.zeros((nx, ny, nz), dtype=np.uint8)
-    _fill(_in_file_order(values, is_airsim), data, header, name)
+    decode_runs(_pairs(data, header), _in_file_order(values, is_airsim))
     notes = []
     if header.version == 1 and values.max() > 1:
         notes.append(f"{name}: version 1 with values above 1, read as IDs")
@@ -234,22 +245,23 @@ def _looks_like_airsim(header: Header) -> bool:
     return not math.isclose(header.scale / max(header.dim), sizes[0] / nx, rel_tol=NEAR)
 
 
-def _fill(order: NDArray[np.uint8], data: bytes, header: Header, source: str) -> None:
-    from navbake.formats.kernels.runs import decode_runs
+def _pairs(data: bytes, header: Header) -> NDArray[np.uint8]:
+    return np.frombuffer(data, dtype=np.uint8, offset=header.end)
 
-    pairs = np.frombuffer(data, dtype=np.uint8, offset=header.end)
-    held = int(decode_runs(pairs, order))
-    if held != order.size or len(pairs) % 2:
+
+def _check_runs(data: bytes, header: Header, source: str) -> None:
+    """Refuse runs that do not hold as many voxels as the header says."""
+    pairs, expected = _pairs(data, header), math.prod(header.dim)
+    held = int(pairs[1::2].sum(dtype=np.int64))
+    if held != expected or len(pairs) % 2:
         found = "half a run" if len(pairs) % 2 else f"{held} voxels"
-        if held != order.size:
-            found += ": too many" if held > order.size else ": too few"
-        where = f"{source} (dim {' '.join(map(str, header.dim))})"
-        raise FormatError(f"expected runs of {order.size} voxels in {where}, got {found}")
+        if held != expected:
+            found += ": too many" if held > expected else ": too few"
+        where = f"{source} (dim {' '.join(shown(n) for n in header.dim)})"
+        raise FormatError(f"expected runs of {shown(expected)} voxels in {where}, got {found}")
 
 
 def _read_header(data: bytes, source: str) -> Header:
-    if not data.startswith(b"#binvox"):
-        raise FormatError(f"expected a binvox file that begins with #binvox, got {source}")
     lines, end = read_header(data, source)
     lines = {"translate": ["0"] * 3, "scale": ["1"]} | lines  # both may be missing
     lines["version"] = lines.pop("#binvox", [])
@@ -267,6 +279,11 @@ def _read_header(data: bytes, source: str) -> Header:
     (scale,) = _numbers(lines, "scale", 1, float, source)
     if not scale > 0:
         raise FormatError(f"expected `scale` > 0, got {scale:g} in {source}")
+    if max(abs(x), abs(y), abs(z), scale) > FARTHEST:
+        far = f"({x:g}, {y:g}, {z:g}) and {scale:g}"
+        raise FormatError(
+            f"expected `translate` and `scale` up to {FARTHEST:g} m, got {far} in {source}"
+        )
     return Header(version, (nx, nz, ny), (x, y, z), scale, end)
 
 

@@ -8,10 +8,13 @@ from typing import Any
 import orjson
 
 from navbake.errors import FormatError
+from navbake.formats.json_path import shown
+from navbake.formats.source import path_name, read_bytes
 from navbake.navgrid.polygon import find_fault
 from navbake.types import Json
 
 MAX_BYTES = 64 << 20
+MAX_CORNERS = 100_000  # of all outlines; checking each takes the square of its corners
 
 Ring = list[list[float]]
 
@@ -34,18 +37,23 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
         features = content.get("features")
     if not isinstance(features, list):
         raise FormatError(f"expected a GeoJSON FeatureCollection in {path}, got {_shown(kind)}")
-    return [_read_feature(feature, number, path) for number, feature in enumerate(features)]
+    outlines = []
+    num_corners = 0
+    for number, feature in enumerate(features):
+        outline = _read_feature(feature, number, path)
+        num_corners += sum(len(ring) for ring in (outline["points"], *outline["rings"]))
+        if num_corners > MAX_CORNERS:
+            raise FormatError(f"more than {MAX_CORNERS:,} corners up to feature {number} of {path}")
+        outlines.append(outline)
+    return outlines
 
 
 def _parse(path: Path) -> Any:
+    if not path.exists() and not path.is_symlink():
+        raise FormatError(f"no such file: {path_name(path)}")
+    content, _ = read_bytes(path, limit=MAX_BYTES)
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise FormatError(f"{path} is larger than {MAX_BYTES:,} bytes")
-        return orjson.loads(path.read_bytes())
-    except FileNotFoundError:
-        raise FormatError(f"no such file: {path}") from None
-    except OSError as error:
-        raise FormatError(f"cannot read {path}: {error.strerror}") from error
+        return orjson.loads(content)
     except orjson.JSONDecodeError as error:
         raise FormatError(f"{path} is no JSON: {error}") from error
 
@@ -54,7 +62,11 @@ def _read_feature(feature: Any, number: int, path: str | os.PathLike[str]) -> Js
     where = f"feature {number} of {path}"
     if not isinstance(feature, dict) or feature.get("type") != "Feature":
         raise FormatError(f"expected a Feature, got {_shown(feature)} as {where}")
-    properties = feature.get("properties") or {}
+    properties = feature.get("properties")
+    if properties is None:
+        properties = {}
+    if not isinstance(properties, dict):
+        raise FormatError(f"expected an object at `properties`, got {shown(properties)} in {where}")
     name, level = properties.get("name"), properties.get("level", 0)
     if name is not None and not (isinstance(name, str) and name):
         raise FormatError(f"expected text at `properties.name`, got {_shown(name)} in {where}")

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from navbake.errors import FormatError
 from navbake.formats.arrays import Allowance, decode_array, encode_array
 from navbake.formats.json_path import MISSING, JsonPath
-from navbake.formats.source import Source, read_source, write_bytes
+from navbake.formats.source import Source, check_path, read_source, write_bytes
 from navbake.formats.user_data import encode_user_data, parse_file, read_user_data
 from navbake.formats.values import json_object, number, plain, vector, whole_number
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
+from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
 from navbake.types import Float, Json, Vector3
 
 SCENE_FIELDS = (
@@ -79,8 +80,9 @@ def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
     Raises:
         FormatError: the grid holds what the format can't, or the path can't be written.
     """
+    name = check_path(path)
     data = dumps_navgrid(grid)
-    if os.fspath(path).lower().endswith(".gz"):
+    if name.lower().endswith(".gz"):
         packed = io.BytesIO()
         with gzip.GzipFile("", "wb", compresslevel=6, fileobj=packed, mtime=0) as file:
             file.write(data)
@@ -155,7 +157,7 @@ def _read_level(
     allowance.take_cells(width * height, place)
     shape = height, width
     attributes = _read_attributes(content, place, shape, allowance, own_metadata)
-    return SceneGrid2D(
+    level = SceneGrid2D(
         width=width,
         height=height,
         cell_size=_inherit(content, "cellSize", inherited, MISSING, place),
@@ -169,6 +171,20 @@ def _read_level(
         timings=_optional(content, "timings", place),
         extra=_unknown(content, SCENE_FIELDS, place),
     )
+    _check_extent(level, place)
+    return level
+
+
+def _check_extent(level: SceneGrid2D, place: JsonPath) -> None:
+    """Refuse cells that are too small or too far away for sizes and areas to be computed."""
+    edge = level.lattice.cell_size
+    if not edge >= LEAST_EDGE:
+        place.fail(f"expected cells of {LEAST_EDGE:g} m or more, got {edge:g} m")
+    if not all(abs(value) <= FARTHEST for value in (*level.lattice.bounds, level.ground)):
+        place.fail(
+            f"expected a level within {FARTHEST:g} m of the origin, got {level.width} × "
+            f"{level.height} cells of {edge:g} m from {level.min_yup} on"
+        )
 
 
 def _inherit(content: Json, key: str, inherited: Json, default: object, place: JsonPath) -> float:

@@ -1,16 +1,27 @@
 """Voxels as a NumPy archive: ``values``, ``origin``, ``res``, and what the IDs stand for."""
 
 import io
+import math
+import warnings
+import zipfile
 from os import PathLike
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.errors import FormatError
 from navbake.formats.source import read_bytes
+from navbake.formats.voxel_allowance import VoxelAllowance
 from navbake.types import Json
 from navbake.voxels.grid import VoxelGrid
 
 VERSION = 1
+ZIP = b"PK"
+REQUIRED = ("values", "origin", "res")
+OPTIONAL = ("ids", "names", "known")
+GRIDS = ("values", "known")  # of all voxels
+MAX_IDS = 1 << 20  # entries of the table of IDs
 
 
 def encode_npz(grid: VoxelGrid) -> bytes:
@@ -35,26 +46,84 @@ def encode_npz(grid: VoxelGrid) -> bytes:
     return file.getvalue()
 
 
-def read_npz(path: str | PathLike[str]) -> VoxelGrid:
-    """Read voxels from a ``.npz`` that `encode_npz` made."""
-    data, _ = read_bytes(path)
+def read_npz(path: str | PathLike[str] | bytes, *, max_voxels: int | None = None) -> VoxelGrid:
+    """Read voxels from a ``.npz`` that `encode_npz` made.
+
+    Args:
+        path: the file, or its content.
+        max_voxels: see `navbake.formats.voxels.read_voxels`.
+
+    Raises:
+        FormatError: it is no such file, broken, or needs more memory than it may.
+    """
+    data, source = read_bytes(path, begins=ZIP, expected="a .npz of voxels")
+    allowance = VoxelAllowance.of_file(source, len(data), max_voxels)
     try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+        with zipfile.ZipFile(io.BytesIO(data)) as archive, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # numpy takes an array's header for Python, which warns
+            arrays = _read_arrays(archive, allowance)
+    except FormatError:
+        raise
     except Exception as error:  # a broken archive raises whatever zipfile, zlib and numpy raise
-        raise FormatError(f"expected a .npz of voxels, {path} can't be read: {error}") from error
-    for name in ("values", "origin", "res"):
+        why = " ".join(str(error).split())[:200] or type(error).__name__
+        raise FormatError(f"expected a .npz of voxels, {source} can't be read: {why}") from error
+    for name in REQUIRED:
         if name not in arrays:
-            raise FormatError(f"expected voxels in {path}, it has no array `{name}`")
+            raise FormatError(f"expected voxels in {source}, it has no array `{name}`")
     try:
-        ids, names = arrays.get("ids", np.zeros(0)), arrays.get("names", np.zeros(0))
-        table = {int(i): str(n) for i, n in zip(ids.tolist(), names.tolist(), strict=True)}
         return VoxelGrid(
             values=arrays["values"],
             origin=tuple(arrays["origin"].tolist()),
             res=float(arrays["res"]),
-            names=table,
+            names=_name_table(arrays),
             known=arrays.get("known"),
         )
-    except (FormatError, TypeError, ValueError) as error:
-        raise FormatError(f"{path}: {error}") from error
+    # SystemError: numpy makes text of code points beyond Unicode
+    except (FormatError, OverflowError, SystemError, TypeError, ValueError) as error:
+        raise FormatError(f"{source}: {error}") from error
+
+
+def _read_arrays(archive: zipfile.ZipFile, allowance: VoxelAllowance) -> dict[str, NDArray[Any]]:
+    """The arrays that voxels have; what else is in the archive is not read."""
+    members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+    arrays = {}
+    for name in (*REQUIRED, *OPTIONAL):
+        if name not in members:
+            continue
+        shape, dtype = _read_array_header(archive, members[name])
+        if name in GRIDS:
+            allowance.take_voxels(shape, dtype.itemsize)
+        elif math.prod(shape) > MAX_IDS:
+            raise ValueError(f"`{name}` has {math.prod(shape)} entries")
+        else:
+            allowance.take_bytes(math.prod(shape) * dtype.itemsize)
+        with archive.open(members[name]) as file:
+            arrays[name] = np.lib.format.read_array(file, allow_pickle=False)
+    return arrays
+
+
+def _read_array_header(
+    archive: zipfile.ZipFile, member: zipfile.ZipInfo
+) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Shape and dtype of an array; a ValueError if the archive has less than they need."""
+    with archive.open(member) as file:
+        version = np.lib.format.read_magic(file)
+        if version == (1, 0):
+            shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+        elif version == (2, 0):
+            shape, _, dtype = np.lib.format.read_array_header_2_0(file)
+        else:
+            raise ValueError(f"`{member.filename}` has version {version} of the format")
+    # numpy reserves what the header claims before it reads
+    needed = math.prod(shape) * dtype.itemsize
+    if any(n < 0 for n in shape) or dtype.hasobject or needed > member.file_size:
+        raise ValueError(f"`{member.filename}` does not hold {shape} values of {dtype}")
+    return shape, dtype
+
+
+def _name_table(arrays: dict[str, NDArray[Any]]) -> dict[int, str]:
+    """The names by ID; arrays of any dtype, as other programs may have them."""
+    ids, names = arrays.get("ids", np.zeros(0)), arrays.get("names", np.zeros(0))
+    if ids.shape != names.shape or ids.ndim != 1:
+        raise ValueError(f"expected as many names as IDs, got {names.shape} for {ids.shape}")
+    return {int(i): str(n) for i, n in zip(ids.tolist(), names.tolist(), strict=True)}

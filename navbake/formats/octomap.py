@@ -18,12 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
 from navbake.formats.source import read_bytes, read_header
+from navbake.formats.voxel_allowance import VoxelAllowance
 from navbake.types import Int, Int32
 from navbake.voxels.grid import VoxelGrid
-from navbake.voxels.placement import check_memory, finite_array
+from navbake.voxels.placement import finite_array
 
 # Functions import kernels when they run: numba takes long to load.
 
+MAGIC = b"# Octomap OcTree"
 DEPTH = 16
 CENTER = 2 ** (DEPTH - 1)  # key of the world's origin
 FIRST_LINES = {"bt": "# Octomap OcTree binary file", "ot": "# Octomap OcTree file"}
@@ -119,7 +121,10 @@ class _Header(NamedTuple):
 
 
 def read_octomap(
-    source: str | PathLike[str] | bytes, *, bounds: ArrayLike | None = None
+    source: str | PathLike[str] | bytes,
+    *,
+    bounds: ArrayLike | None = None,
+    max_voxels: int | None = None,
 ) -> VoxelGrid:
     """Read an octree of class OcTree, ``.bt`` or ``.ot``.
 
@@ -129,18 +134,20 @@ def read_octomap(
     Args:
         source: a path, or a file's content.
         bounds: read only this box, (2, 3), lower and upper corner, world frame [m].
+        max_voxels: most voxels that the grid may have. If None: 2**31, and no more memory than
+            256 MiB and 512 bytes for each byte of the file, with two bytes a voxel and 20 a leaf.
 
     Raises:
-        FormatError: it is no such file, or broken.
-        ConfigError: the grid would need more memory than there is.
+        FormatError: it is no such file, broken, or needs more memory than it may.
     """
     from navbake.formats.kernels.octree import fill_leaves
 
-    data, name = read_bytes(source)
+    data, name = read_bytes(source, begins=MAGIC, expected="an OctoMap file (bt or ot)")
     header = _read_header(data, name)
-    leaves, notes = _read_leaves(data, header, name)
+    allowance = VoxelAllowance.of_file(name, len(data), max_voxels)
+    leaves, notes = _read_leaves(data, header, allowance)
     first, shape = _box_leaves(leaves) if bounds is None else _box_keys(bounds, header.res)
-    check_memory(shape, 2)
+    allowance.take_voxels(shape, 2)
     values, known = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
     fill_leaves(leaves, first, values, known)
     origin = tuple(((first - CENTER) * header.res).tolist())
@@ -148,9 +155,12 @@ def read_octomap(
     return VoxelGrid(values=values, origin=origin, res=header.res, known=unsure, notes=notes)
 
 
-def _read_leaves(data: bytes, header: _Header, source: str) -> tuple[Int32, list[str]]:
+def _read_leaves(
+    data: bytes, header: _Header, allowance: VoxelAllowance
+) -> tuple[Int32, list[str]]:
     from navbake.formats.kernels.octree import TOO_DEEP, read_odds, read_tree
 
+    source = allowance.source
     nodes = np.frombuffer(data, dtype=np.uint8, offset=header.end)
     empty = np.empty((0, 5), np.int32)
     if header.size == 0 and not len(nodes):
@@ -168,6 +178,7 @@ def _read_leaves(data: bytes, header: _Header, source: str) -> tuple[Int32, list
     if num_bytes != len(nodes):
         got = f"got {len(nodes)}: data run over"
         raise FormatError(f"expected {num_bytes} bytes of nodes in {source}, {got}")
+    allowance.take_bytes(num_leaves * 5 * empty.itemsize)
     leaves = np.empty((num_leaves, 5), np.int32)
     read(nodes, leaves)
     if num_nodes != header.size:

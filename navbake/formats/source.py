@@ -36,8 +36,20 @@ def read_source(source: Source) -> tuple[bytes, JsonPath]:
 
 def path_name(path: str | os.PathLike[str]) -> str:
     """A path as an error shows it, on one line."""
-    name = os.fspath(path)
+    name = os.fsdecode(path)
     return name if name.isprintable() else repr(name)
+
+
+def check_path(path: object) -> str:
+    """A path as text; a FormatError if it is none."""
+    if not isinstance(path, str | os.PathLike):
+        raise FormatError(f"expected a path, got {shown_type(path)}")
+    return os.fsdecode(path)
+
+
+def shown_type(value: object) -> str:
+    """What a value is, where it is not even of the right type."""
+    return "None" if value is None else f"one of Python's type {type(value).__name__}"
 
 
 def os_message(error: Exception) -> str:
@@ -53,24 +65,41 @@ def open_source(source: Source) -> Iterator[tuple[BinaryIO, str]]:
     elif isinstance(source, str | os.PathLike):
         try:
             with open(source, "rb") as file:
-                yield file, os.fspath(source)
+                yield file, os.fsdecode(source)
         except (OSError, ValueError) as error:  # ValueError: a path with a NUL
             raise FormatError(f"cannot read {path_name(source)}: {os_message(error)}") from error
+    elif callable(getattr(source, "read", None)):
+        name = str(getattr(source, "name", "the stream given"))
+        try:
+            yield source, name
+        except (OSError, ValueError) as error:  # ValueError: it is closed
+            raise FormatError(f"cannot read {path_name(name)}: {os_message(error)}") from error
     else:
-        yield source, str(getattr(source, "name", "the stream given"))
+        expected = "a path, a file's content or a file opened in binary mode"
+        raise FormatError(f"expected {expected}, got {shown_type(source)}")
 
 
 def _read_bytes(stream: BinaryIO, top: JsonPath) -> bytes:
     """Read and unpack a file, up to what such a file may hold."""
-    is_buffered = isinstance(stream, io.BufferedReader)
-    head = stream.peek(1) if is_buffered else stream.read(CHUNK)  # type: ignore[attr-defined]
-    if not isinstance(head, bytes):
-        top.fail("expected a file opened in binary mode, got text")
+    head, taken = _read_head(stream, top)
     is_packed = head.startswith(b"\x1f\x8b")
     if not is_packed:
         _check_head(head, top)
-    content = _read_rest(b"" if is_buffered else head, stream, MAX_BYTES, top)
+    content = _read_rest(taken, stream, MAX_BYTES, top)
     return _unpack(content, top) if is_packed else content
+
+
+def _read_head(stream: BinaryIO, top: JsonPath) -> tuple[bytes, bytes]:
+    """How a stream begins, and what of that is read already."""
+    is_buffered = isinstance(stream, io.BufferedReader)
+    head = stream.peek(1) if is_buffered else stream.read(CHUNK)  # type: ignore[attr-defined]
+    if not isinstance(head, bytes):
+        top.fail(f"expected a file opened in binary mode, got {_text_or_type(head)}")
+    return head, b"" if is_buffered else head
+
+
+def _text_or_type(value: object) -> str:
+    return "text" if isinstance(value, str) else shown_type(value)
 
 
 def _unpack(packed: bytes, top: JsonPath) -> bytes:
@@ -96,7 +125,10 @@ def _check_head(head: bytes, top: JsonPath) -> None:
 
 def _read_rest(head: bytes, stream: BinaryIO | gzip.GzipFile, limit: int, top: JsonPath) -> bytes:
     pieces, size = [head] if head else [], len(head)  # one piece alone is not copied
-    step = max(CHUNK, _bytes_left(stream))  # all that is left of a file at once
+    left = _bytes_left(stream)
+    if left > limit:  # known before anything is read
+        top.fail(f"more than {limit >> 20} MiB of data")
+    step = max(CHUNK, left)  # all that is left of a file at once
     while chunk := stream.read(min(step, limit + 1)):  # not more at once, it would be reserved
         pieces.append(chunk)
         size += len(chunk)
@@ -118,14 +150,36 @@ def _bytes_left(stream: BinaryIO | gzip.GzipFile) -> int:
         return 0
 
 
-def read_bytes(source: str | os.PathLike[str] | bytes) -> tuple[bytes, str]:
-    """Read a file whole, if it isn't given already: its content, and its name for messages."""
-    with open_source(source) as (file, name):
-        return file.read(), name
+def read_bytes(
+    source: str | os.PathLike[str] | bytes,
+    *,
+    begins: bytes = b"",
+    expected: str = "",
+    limit: int = MAX_BYTES,
+) -> tuple[bytes, str]:
+    """Read a file whole: its content, and its name for messages.
+
+    Args:
+        source: a path, or a file's content.
+        begins: how such a file begins. Nothing else of it is read if it doesn't: what is no such
+            file may be a device that never ends.
+        expected: what was expected then, for the message.
+        limit: most bytes that such a file may have.
+
+    Raises:
+        FormatError: it can't be read, is too large, or does not begin so.
+    """
+    with open_source(source) as (stream, name):
+        top = JsonPath(name)
+        head, taken = _read_head(stream, top)
+        if not head.startswith(begins):
+            raise FormatError(f"expected {expected}, got {path_name(name)}")
+        return _read_rest(taken, stream, limit, top), name
 
 
 def write_bytes(data: bytes, path: str | os.PathLike[str]) -> None:
     """Write a file as a whole or not at all, with the system's errors as FormatErrors."""
+    check_path(path)
     try:
         write_whole(data, path)
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL

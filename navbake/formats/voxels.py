@@ -1,9 +1,12 @@
 """Voxel files, told by their suffix, and the table of their IDs beside them."""
 
 import json
+import os
 from os import PathLike
 from pathlib import Path
 from typing import Literal
+
+import orjson
 
 from navbake.errors import FormatError
 from navbake.formats.binvox import (
@@ -13,12 +16,15 @@ from navbake.formats.binvox import (
     read_binvox,
     with_mapping,
 )
+from navbake.formats.json_path import shown
 from navbake.formats.npz import encode_npz, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
-from navbake.formats.source import write_bytes
+from navbake.formats.source import check_path, read_bytes, write_bytes
 from navbake.formats.suffixes import VOXELS
 from navbake.voxels.grid import VoxelGrid
 
+MAX_TABLE = 64 << 20  # of a table of IDs [bytes]
+MAX_DIGITS = 10  # of an ID
 OFFSET_NOTE = (
     "`binvox2bt` loses or moves voxels of this grid without `--offset {offset}`: it takes their "
     "corners in float32"
@@ -66,25 +72,31 @@ def write_voxels(
         write_bytes(f"{table}\n".encode(), names_path(path))
 
 
-def read_voxels(path: str | PathLike[str]) -> VoxelGrid:
+def read_voxels(path: str | PathLike[str], *, max_voxels: int | None = None) -> VoxelGrid:
     """Read a voxel file, with the table of its IDs if that lies beside it.
 
+    Args:
+        path: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``.
+        max_voxels: most voxels that the grid may have. If None: 2**31, and no more memory than
+            256 MiB and 512 bytes for each byte of the file.
+
     Raises:
-        FormatError: the file is broken, or of no format that is known.
+        FormatError: the file is broken, of no format that is known, or needs more memory than
+            it may.
     """
     suffix = _check_suffix(path)
     if suffix == ".npz":
-        return read_npz(path)
+        return read_npz(path, max_voxels=max_voxels)
     if suffix != ".binvox":
-        return read_octomap(path)
-    grid, beside = read_binvox(path), names_path(path)
-    if grid.is_segmented and beside.exists():
+        return read_octomap(path, max_voxels=max_voxels)
+    grid, beside = read_binvox(path, max_voxels=max_voxels), names_path(path)
+    if grid.is_segmented and os.path.lexists(beside):
         grid.names = _read_table(beside)
     return grid
 
 
 def _check_suffix(path: str | PathLike[str]) -> str:
-    suffix = Path(path).suffix.lower()
+    suffix = Path(check_path(path)).suffix.lower()
     if suffix not in VOXELS:
         raise FormatError(f"expected a name that ends in {', '.join(VOXELS)}, got {path}")
     return suffix
@@ -96,8 +108,18 @@ def names_path(path: str | PathLike[str]) -> Path:
 
 
 def _read_table(path: Path) -> dict[int, str]:
+    data, _ = read_bytes(path, limit=MAX_TABLE)
     try:
-        ids = json.loads(path.read_text(encoding="utf-8"))["ids"]
-        return {int(number): str(name) for number, name in ids.items()}
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        table = orjson.loads(data)
+    except orjson.JSONDecodeError as error:
         raise FormatError(f"expected a table of IDs, {path} can't be read: {error}") from error
+    ids = table.get("ids") if isinstance(table, dict) else None
+    if not isinstance(ids, dict):
+        raise FormatError(f"expected a table of IDs, {path} can't be read: no object at `ids`")
+    for number, name in ids.items():
+        if not (number.isascii() and number.isdecimal() and len(number) <= MAX_DIGITS):
+            got = shown(number)
+            raise FormatError(f"expected an ID as key in `ids` of {path}, got {got}")
+        if not isinstance(name, str):
+            raise FormatError(f"expected a name at `ids.{number}` in {path}, got {shown(name)}")
+    return {int(number): name for number, name in ids.items()}

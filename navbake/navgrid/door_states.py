@@ -13,7 +13,7 @@ from navbake.known_names import suggest
 from navbake.navgrid.block_state import BLOCKED, OCCUPIED
 from navbake.navgrid.doors import STATES, Door
 from navbake.navgrid.islands import add_layers
-from navbake.navgrid.user_data import NAMES, UserData
+from navbake.navgrid.user_data import NAMES, UserData, names_in
 from navbake.types import Bool, Int, Json
 
 if TYPE_CHECKING:
@@ -137,16 +137,17 @@ def _without_doors(entry: Json, ids: set[str]) -> Json:
     if "doors" not in entry:
         return entry
     kept = {key: value for key, value in entry.items() if key not in ("doors", "blockers")}
-    kept["objects"] = [name for name in kept.get("objects", []) if name not in ids]
-    return {key: value for key, value in kept.items() if key != "objects" or value}
+    if isinstance(kept.get("objects"), list):
+        kept["objects"] = [name for name in names_in(kept, "objects") if name not in ids]
+    return {key: value for key, value in kept.items() if key != "objects" or value != []}
 
 
 def _with_doors(entry: Json, names: set[str], standing: set[str]) -> Json:
     """A cell's user data with the doors that it is in, and those of them that block it."""
-    objects = sorted({*entry.get("objects", []), *standing})
+    objects = sorted({*names_in(entry, "objects"), *standing})
     named = {"doors": sorted(names), **({"objects": objects} if objects else {})}
     named |= {key: value for key, value in entry.items() if key not in named}
     # blockers are stated only where they aren't all that stands in the cell
-    if standing and standing != {name for key in NAMES for name in named.get(key, [])}:
+    if standing and standing != {name for key in NAMES for name in names_in(named, key)}:
         named["blockers"] = sorted(standing)
     return named

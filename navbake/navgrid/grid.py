@@ -142,7 +142,8 @@ class SceneGrid2D(GridBase):
         if stored is None or not self.uses_cell_floors:
             has_floor = self.free if stored is None else self.free | ~np.isnan(stored)
             return _derived(np.where(has_floor, np.float32(self.min_yup[1]), np.float32(np.nan)))
-        return stored if stored.dtype == np.float32 else _derived(stored.astype(np.float32))
+        with np.errstate(over="ignore"):  # what float32 can't hold is infinite
+            return stored if stored.dtype == np.float32 else _derived(stored.astype(np.float32))
 
     @property
     def occupancy(self) -> NDArray[np.uint8]:

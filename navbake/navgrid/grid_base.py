@@ -14,6 +14,7 @@ from navbake.navgrid import cells, door_states
 from navbake.navgrid.attributes import describe_attributes
 from navbake.navgrid.cells import Cell, Cells
 from navbake.navgrid.doors import Door, parse_doors
+from navbake.navgrid.lattice import FARTHEST
 from navbake.navgrid.links import Link, parse_links
 from navbake.navgrid.operations import operation
 from navbake.navgrid.rooms import Room, measure_rooms, parse_rooms
@@ -108,9 +109,9 @@ class GridBase:
         return 0.25 if stated is None else stated
 
     def _metres(self, key: str) -> float | None:
-        """A length of the metadata [m]; None where they have no number >= 0."""
+        """A length of the metadata [m]; None where they have none from 0 to 1e10 m."""
         stated = self.metadata.get(key)
-        if not isinstance(stated, int | float) or not stated >= 0:
+        if not isinstance(stated, int | float) or not 0 <= stated * self.unit <= FARTHEST:
             return None
         return float(stated) * self.unit
 

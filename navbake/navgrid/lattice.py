@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike
 
 from navbake.types import Float, Int
 
+FARTHEST = 1e10  # metres from the origin that anything may be, MuJoCo's mjMAXVAL
+LEAST_EDGE = 1e-9  # of a cell [m]
 CELL_SLACK = 1e-6  # of a cell: an extent this little over n cells still makes n cells
 
 

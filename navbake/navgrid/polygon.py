@@ -5,17 +5,24 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.lattice import FARTHEST, Lattice
 from navbake.types import Bool, Float
+
+MAX_CORNERS = 10_000  # of one outline
 
 
 def find_fault(points: ArrayLike) -> str | None:
-    """Say what is wrong with an outline: no area, or two sides that cross; None if nothing is.
+    """Say what is wrong with an outline; None if nothing is.
 
-    Its corners are in order, shape (n, 2), the first not repeated at the end. Sides may touch; a
+    It has no area, two sides that cross, more than 10,000 corners, or a corner beyond 1e10 m.
+    Corners are in order, shape (n, 2), the first not repeated at the end. Sides may touch; a
     repeated corner is no fault.
     """
     corners = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+    if len(corners) > MAX_CORNERS:  # each side is compared with all others
+        return f"{len(corners)} corners, more than {MAX_CORNERS}"
+    if not np.abs(corners).max(initial=0.0) <= FARTHEST:
+        return f"corners beyond {FARTHEST:g} m"
     if np.linalg.matrix_rank(corners - corners[0]) < 2:
         return "corners that all lie in a line"
     sides = np.hstack([corners, np.roll(corners, -1, axis=0)])

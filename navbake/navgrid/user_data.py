@@ -156,6 +156,12 @@ class UserData(MutableMapping[int, Json]):
         return UserData(Shared(cells[order], number[order], [*entries, *added.values()]))
 
 
+def names_in(entry: Json, key: str) -> list[str]:
+    """Names that a cell's user data list; other programs may have anything there."""
+    names = entry.get(key)
+    return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
+
+
 def _copy_json(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _copy_json(part) for key, part in value.items()}

@@ -3,7 +3,7 @@
 from navbake.errors import QueryError
 from navbake.navgrid.cells import check_positions
 from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.user_data import NAMES
+from navbake.navgrid.user_data import NAMES, names_in
 from navbake.runtime.places.place import place_at
 from navbake.types import Json
 
@@ -30,7 +30,7 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
     here = grid.levels[number]
     cell = row * here.width + col
     entry = here.user_data.get(cell, {})
-    names = {key: _names_at(entry, key) for key in NAMES}
+    names = {key: sorted(names_in(entry, key)) for key in NAMES}
     standing = sorted(set().union(*names.values()))
     return {
         "level": number,
@@ -46,7 +46,7 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
         "island": place.island,
         **names,
         # a file lists blockers only where they differ from all that stands in the cell
-        "blockers": [] if place.free else _names_at(entry, "blockers") or standing,
+        "blockers": [] if place.free else sorted(names_in(entry, "blockers")) or standing,
     }
 
 
@@ -73,10 +73,3 @@ def _room(grid: NavGrid, level: int, index: int) -> Json | int | None:
         if (room.level, room.index) == (level, index):
             return room.to_json()
     return index or None
-
-
-def _names_at(entry: Json, key: str) -> list[str]:
-    """Names that a cell's user data list; other programs may have anything there."""
-    names = entry.get(key)
-    listed = names if isinstance(names, list) else []
-    return sorted(name for name in listed if isinstance(name, str))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError, QueryError
+from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
 from navbake.navgrid.operations import operation
 from navbake.types import Bool, Float, Int, Vector3
 from navbake.voxels.placement import finite_array
@@ -50,6 +51,8 @@ class VoxelGrid:
             raise FormatError(f"expected voxels of dtype {', '.join(DTYPES)}, got {dtype}")
         if known is not None and known.shape != shape:
             raise FormatError(f"expected `known` of the voxels' shape {shape}, got {known.shape}")
+        if known is not None and known.dtype != np.bool_:
+            raise FormatError(f"expected `known` of dtype bool, got {known.dtype}")
         corner = finite_array(self.origin, (3,))
         if corner is None:
             raise FormatError(f"expected a lower corner x, y, z [m], got {self.origin!r}")
@@ -57,6 +60,13 @@ class VoxelGrid:
         self.res = float(self.res)
         if not (np.isfinite(self.res) and self.res > 0):
             raise FormatError(f"expected a voxel's edge > 0 m, got {self.res:g}")
+        with np.errstate(over="ignore"):
+            is_near = np.abs(self.bounds).max() <= FARTHEST
+        if not is_near or self.res < LEAST_EDGE:
+            raise FormatError(
+                f"expected voxels of {LEAST_EDGE:g} m or more within {FARTHEST:g} m of the origin, "
+                f"got {self.res:g} m from {self.origin} on"
+            )
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -1,5 +1,6 @@
 """The command line: exit status, what goes to stdout and what to stderr."""
 
+import os
 import subprocess
 import sys
 
@@ -27,6 +28,16 @@ def test_wrong_usage(folder, run, names, arguments):
     assert status == 2
     assert err
     assert names(folder) == ["room.xml", "room.yaml"]
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no full device here")
+@pytest.mark.parametrize("arguments", [["--help"], ["geoms", "room.yaml"]])
+def test_a_full_stdout_is_one_line(folder, arguments):
+    command = [sys.executable, "-m", "navbake", *arguments]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr == "navbake: cannot write to stdout: No space left on device\n"
 
 
 def test_bugs_keep_their_traceback(folder, monkeypatch):

@@ -1,6 +1,7 @@
 """Voxels as NumPy archives: nothing is lost, and what is wrong is said."""
 
 import io
+import zipfile
 
 import numpy as np
 import pytest
@@ -51,10 +52,24 @@ def archive(**arrays):
     return file.getvalue()
 
 
+def ones(**changed):
+    whole = {"values": np.ones((1, 1, 1), np.uint8), "origin": np.zeros(3), "res": 1.0}
+    return archive(**whole | changed)
+
+
+def packed(**members):
+    """An archive of files that are no arrays."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as target:
+        for name, content in members.items():
+            target.writestr(name, content)
+    return file.getvalue()
+
+
 @pytest.mark.parametrize(
     ("data", "culprit"),
     [
-        (b"", "can't be read"),
+        (b"", "expected a .npz of voxels, got"),
         (b"PK\x03\x04 no archive", "can't be read"),
         (archive(values=np.zeros((2, 2, 2), bool)), "no array `origin`"),
         (archive(values=np.array([None]), origin=np.zeros(3), res=1.0), "can't be read"),
@@ -63,6 +78,16 @@ def archive(**arrays):
         (archive(values=np.zeros((2, 2, 2), bool), origin=np.zeros(2), res=1.0), "lower corner"),
         (archive(values=np.zeros((2, 2, 2), bool), origin=np.zeros(3), res=0.0), "edge > 0"),
         (archive(values=np.zeros((2, 2, 2), bool), origin=np.zeros(3), res=np.zeros(2)), "a.npz"),
+        (packed(values=b"hello", origin=b"", res=b"1"), "can't be read: .*magic"),
+        (ones(ids=np.array([np.inf]), names=np.array(["a"])), "infinity"),
+        (ones(ids=np.ones(1), names=np.full(1, 2**31 - 1, "u4").view("U1")), "a.npz"),
+        (ones(ids=np.int64(3), names=np.array("a")), "as many names as IDs"),
+        (ones(ids=np.zeros(2), names=np.array(["a"])), "as many names as IDs"),
+        (ones(ids=np.zeros(2, "c16"), names=np.zeros(2)), "a.npz"),
+        (ones(known=np.ones((1, 1, 1))), "`known` of dtype bool, got float64"),
+        (ones(res=1e-300), "voxels of 1e-09 m or more"),
+        (ones(res=1e308), r"within 1e\+10 m of the origin"),
+        (ones(origin=np.array([0, 1e308, 0])), r"within 1e\+10 m of the origin"),
     ],
 )
 def test_broken_archives_say_what_is_wrong(tmp_path, data, culprit):

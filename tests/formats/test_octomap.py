@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from navbake.errors import ConfigError, FormatError, NavbakeError
+from navbake.errors import FormatError, NavbakeError
 from navbake.formats.binvox import read_binvox
 from navbake.formats.octomap import encode_octomap, read_octomap
 from navbake.formats.voxels import write_voxels
@@ -265,8 +265,11 @@ def test_any_other_bytes_are_a_grid_or_an_error_of_ours(data, changes):
 
 def test_a_leaf_too_large_for_memory_is_refused():
     header = BT.split(b"data\n")[0] + b"data\n"
-    with pytest.raises(ConfigError, match="GiB of memory are free"):
-        read_octomap(header + b"\x02\x00")  # an eighth of all space is occupied
+    eighth = header + b"\x02\x00"  # an eighth of all space is occupied
+    with pytest.raises(FormatError, match="too many voxels in the bytes given: 32768 × 32768"):
+        read_octomap(eighth)
+    with pytest.raises(FormatError, match="GiB of memory are free"):
+        read_octomap(eighth, max_voxels=2**48)
     small = read_octomap(header + b"\x02\x00", bounds=((-1, -1, -1), (0, 0, 0.5)))
     assert small.shape == (10, 10, 15) and small.values[:, :, :10].all()
     assert small.values.sum() == 1000 and "says" in small.notes[0]

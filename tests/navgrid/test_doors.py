@@ -137,6 +137,27 @@ def test_a_grid_without_names_gets_none(names):
     assert bool(grid.with_doors("closed").user_data) == (names is not False)
 
 
+@pytest.mark.parametrize(
+    "entry",
+    [
+        {"doors": 5, "objects": 3},
+        {"doors": ["gate"], "objects": 3, "walls": {}},
+        {"doors": [1, {}, []], "objects": ["cup", {}, [], None, 7], "walls": [[]], "blockers": 3},
+        {"doors": None, "objects": None},
+    ],
+    ids=repr,
+)
+def test_user_data_of_other_programs_may_hold_anything(entry):
+    """What is no list of names counts as none, and stays where nothing is to be written there."""
+    user_data = {cell: dict(entry) for cell in (1, 3, 5)}
+    opened = make_grid(copy.deepcopy(user_data), doors=[GATE]).with_doors("open")
+    assert opened.user_data[3].get("objects") in (entry["objects"], ["cup"])
+    assert "gate" in opened.user_data[5]["objects"] and opened.user_data[5]["doors"] == ["gate"]
+    closed = opened.with_doors("closed")
+    assert closed.user_data[1]["doors"] == ["gate"] and "gate" in closed.user_data[1]["objects"]
+    assert set(closed.user_data[1]["objects"]) <= {"cup", "gate"}
+
+
 def test_what_a_door_cannot_be():
     with pytest.raises(QueryError, match="'hatch' can't be open: it can be modelled, closed, rem"):
         make_grid().with_doors("open")

@@ -98,3 +98,11 @@ def test_no_rooms():
 def test_broken_tables(rooms, culprit):
     with pytest.raises(FormatError, match=culprit):
         _ = make_level([[1]], navbake={"rooms": rooms}).rooms
+
+
+def test_a_room_may_lack_its_name():
+    entry = {
+        "index": 1, "id": "a", "level": 0, "area": 1, "centroid": [0, 0, 0], "neighbours": [],
+    }  # fmt: skip
+    (room,) = parse_rooms([entry], 1)
+    assert room.name is None and room.to_json()["name"] is None

@@ -27,6 +27,7 @@ Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 NO_AREA = 1e-14
 # MuJoCo takes no coordinates beyond (its mjMAXVAL) [m]
 MAX_COORDINATE = 1e10
+MAX_BYTES = 2 << 30  # of a file; trimesh takes several times as much memory
 # How trimesh reads a format, and what repairs a file for it
 PLAIN: dict[str, Any] = {"skip_materials": True}
 OPTIONS = {
@@ -88,6 +89,8 @@ def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPa
 def _read_parts(path: Path) -> list[MeshPart]:
     """A part for each node of the file that carries a mesh, in the file's frame and unit."""
     suffix = path.suffix.lower()
+    if path.stat().st_size > MAX_BYTES:
+        raise SceneError(f"{path} is too large: expected a mesh of {MAX_BYTES >> 20} MiB at most")
     if suffix in (".glb", ".gltf"):
         check_gltf(path)
     source: Any = io.BytesIO(PREPARE[suffix](path)) if suffix in PREPARE else path
@@ -132,14 +135,15 @@ def _part_of(loaded: Any, node: str) -> MeshPart | None:
 @contextmanager
 def _silence() -> Iterator[None]:
     """Keep trimesh's log and warnings off stderr: what matters is raised."""
-    logger = logging.getLogger("trimesh")
-    was_disabled, logger.disabled = logger.disabled, True
+    logger = logging.getLogger("trimesh")  # its modules' loggers take their level from it
+    before = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
-        logger.disabled = was_disabled
+        logger.setLevel(before)
 
 
 def _dae_unit(path: Path) -> float:

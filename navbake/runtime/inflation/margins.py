@@ -20,6 +20,7 @@ import numpy as np
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.runtime.blocks.shape import Margins
 from navbake.runtime.inflation.inflate import (
+    MAX_RADIUS,
     check_radius,
     find_blocked,
     find_blocked_by_others,
@@ -32,7 +33,8 @@ STEEP = 1.001  # rise, in cells, over which neighbours are a step, not a slope
 def exact_radius(grid: NavGrid) -> float:
     """The radius that the grid was inflated for in mode `exact` [m]; 0 if it wasn't."""
     radii = [entry.get("radius") for entry in _exact_entries(grid)]
-    return max((float(r) for r in radii if isinstance(r, int | float)), default=0.0)
+    numbers = (float(r) for r in radii if isinstance(r, int | float))
+    return max((r for r in numbers if 0 <= r <= MAX_RADIUS), default=0.0)
 
 
 def _exact_entries(grid: NavGrid) -> list[Json]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+from navbake.baker.scene import mesh_scene
 from navbake.baker.scene.mesh_scene import read_mesh_parts
 from navbake.baker.scene.scene import load_scene
 from navbake.config.scene import SceneSettings
@@ -537,3 +539,35 @@ def test_tells_that_gltf_is_y_up(tmp_path, name, given, is_told):
     trimesh.creation.box((1, 2, 3)).export(tmp_path / name)
     warnings = load_scene(SceneSettings(path=tmp_path / name, **given)).warnings
     assert any("set it to y" in warning for warning in warnings) == is_told
+
+
+# ---------------------------------------------------------------- bounds
+
+
+def test_a_file_that_is_too_large_is_refused_unread(tmp_path):
+    for name in ("a.obj", "a.glb"):
+        with open(tmp_path / name, "wb") as file:
+            file.truncate(mesh_scene.MAX_BYTES + 1)  # takes no room
+        with pytest.raises(SceneError, match=rf"{name} is too large: .* 2048 MiB at most"):
+            read_mesh_parts(tmp_path / name)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/zero"), reason="no endless device here")
+@pytest.mark.parametrize(
+    "uri", ["/dev/zero", "%2Fdev%2Fzero", "/dev/zero ", "link", "none.bin", ""]
+)
+def test_a_gltf_reads_no_device_as_its_buffer(tmp_path, uri):
+    (tmp_path / "link").symlink_to("/dev/zero")
+    WEDGE.export(tmp_path / "w.gltf")
+    content = json.loads((tmp_path / "w.gltf").read_text())
+    content["buffers"] = [{**content["buffers"][0], "uri": uri}]
+    (tmp_path / "w.gltf").write_text(json.dumps(content))
+    with pytest.raises(SceneError, match=r"w\.gltf: its buffer .* is (missing|no file of 2048)"):
+        read_mesh_parts(tmp_path / "w.gltf")
+
+
+def test_trimesh_writes_nothing_to_the_terminal(tmp_path, capfd):
+    (tmp_path / "a.stl").write_text("solid a\nfacet normal x 0 1\nendfacet\nendsolid a\n")
+    with pytest.raises(SceneError):
+        read_mesh_parts(tmp_path / "a.stl")
+    assert capfd.readouterr() == ("", "")

@@ -4,11 +4,13 @@ import json
 import struct
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from navbake.errors import SceneError
 
 JSON_CHUNK = 0x4E4F534A
 TRIANGLE_FAN = 6
+MAX_BUFFER = 2 << 30  # of a file beside it [bytes]
 UNREAD = {
     "EXT_mesh_gpu_instancing": "export its copies as nodes",
     "EXT_meshopt_compression": "export it without compression",
@@ -29,7 +31,7 @@ def check_gltf(path: Path) -> None:
         header = json.loads(_json_chunk(data) if path.suffix.lower() == ".glb" else data)
         if not isinstance(header, dict):
             raise ValueError("its JSON is no object")
-        problem = _find_problem(header, len(data))
+        problem = _find_problem(header, len(data)) or _find_outside(header, path.parent)
     except (ValueError, RecursionError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise SceneError(f"broken glTF {path}: {' '.join(str(error).split())[:200]}") from error
     if problem:
@@ -47,6 +49,21 @@ def _json_chunk(data: bytes) -> bytes:
     if kind != JSON_CHUNK or 20 + json_length > len(data):
         raise ValueError("its first chunk is no JSON")
     return data[20 : 20 + json_length]
+
+
+def _find_outside(header: dict[str, Any], folder: Path) -> str:
+    """Say what is wrong with the files that hold its buffers: a device would never end."""
+    for buffer in header.get("buffers", []):
+        uri = buffer.get("uri")
+        if uri is None or uri.startswith("data:"):
+            continue
+        files = [folder / name for name in {uri, uri.strip(), unquote(uri)}]
+        there = [file for file in files if file.exists()]
+        if not there:
+            return f"its buffer {uri[:80]!r} is missing"
+        if not all(file.is_file() and file.stat().st_size <= MAX_BUFFER for file in there):
+            return f"its buffer {uri[:80]!r} is no file of {MAX_BUFFER >> 20} MiB at most"
+    return ""
 
 
 def _find_problem(header: dict[str, Any], size: int) -> str:

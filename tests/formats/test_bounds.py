@@ -1,0 +1,184 @@
+"""What broken, huge and endless files may cost: memory by the size of the file, and no more."""
+
+import io
+import os
+import zipfile
+
+import numpy as np
+import pytest
+
+import navbake
+from navbake.errors import FormatError
+from navbake.formats import source, voxel_allowance
+from navbake.formats.binvox import read_binvox
+from navbake.formats.geojson import read_room_outlines
+from navbake.formats.npz import encode_npz, read_npz
+from navbake.formats.octomap import encode_octomap, read_octomap
+from navbake.formats.voxel_allowance import BYTES_PER_BYTE, FREE_BYTES, MAX_VOXELS
+from navbake.formats.voxels import read_voxels
+from navbake.voxels.grid import VoxelGrid
+
+ENDLESS = "/dev/zero"
+needs_devices = pytest.mark.skipif(not os.path.exists(ENDLESS), reason="no endless device here")
+
+
+def voxels(shape=(5, 6, 7)):
+    values = np.random.default_rng(0).random(shape) < 0.4
+    return VoxelGrid(values=values, origin=(0.0, 0.0, 0.0), res=0.5)
+
+
+def tree_with_one_leaf(level):
+    """A .bt whose only leaf has edges of 2**level voxels."""
+    nodes = [0b11] * (15 - level) + [0b10]  # child 0 of each is inner, that of the last occupied
+    header = f"# Octomap OcTree binary file\nid OcTree\nsize {len(nodes) + 1}\nres 0.1\ndata\n"
+    return header.encode() + b"".join(node.to_bytes(2, "little") for node in nodes)
+
+
+# ---------------------------------------------------------------- octrees
+
+
+def test_a_leaf_of_an_octree_is_as_large_as_it_says():
+    grid = read_octomap(tree_with_one_leaf(3))
+    assert grid.shape == (8, 8, 8) and grid.values.all() and not grid.notes
+
+
+def test_few_bytes_of_an_octree_do_not_fill_gigabytes():
+    with pytest.raises(FormatError, match=r"more memory than a file of \d+ bytes may fill .*max_v"):
+        read_octomap(tree_with_one_leaf(10))  # 1024 voxels each way, 2 bytes each
+    with pytest.raises(FormatError, match="too many voxels in the bytes given: 2048 × 2048 × 2048"):
+        read_octomap(tree_with_one_leaf(11))
+    part = read_octomap(
+        tree_with_one_leaf(11), bounds=((-3277, -3277, -3277), (-3276, -3276, -3276))
+    )
+    assert part.values.any()
+
+
+def test_no_flipped_bit_of_an_octree_takes_more_than_the_rule_says(monkeypatch):
+    monkeypatch.setattr(voxel_allowance, "FREE_BYTES", 100_000)
+    grid = voxels()
+    outcomes = set()
+    for kind in ("bt", "ot"):
+        data = encode_octomap(grid, kind)
+        limit = 100_000 + BYTES_PER_BYTE * len(data)
+        for at in range(data.index(b"data\n") + 5, len(data)):
+            for bit in range(8):
+                changed = bytearray(data)
+                changed[at] ^= 1 << bit
+                try:
+                    found = read_octomap(bytes(changed))
+                except FormatError as error:
+                    outcomes.add("memory" if "more memory than" in str(error) else "broken")
+                else:
+                    outcomes.add("read")
+                    assert 2 * found.values.size <= limit
+    assert outcomes == {"memory", "broken", "read"}
+
+
+def test_max_voxels_lifts_the_rule(monkeypatch):
+    monkeypatch.setattr(voxel_allowance, "FREE_BYTES", 1000)
+    data = tree_with_one_leaf(5)
+    with pytest.raises(FormatError, match="max_voxels"):
+        read_octomap(data)
+    assert read_octomap(data, max_voxels=32**3).values.all()
+    with pytest.raises(FormatError, match="32 × 32 × 32, expected 32,767 at most"):
+        read_octomap(data, max_voxels=32**3 - 1)
+    for wrong in (0, -1, 1.5, "9"):
+        with pytest.raises(FormatError, match="max_voxels to be a whole number >= 1"):
+            read_octomap(data, max_voxels=wrong)
+
+
+# ---------------------------------------------------------------- .npz and binvox
+
+
+def bomb(tmp_path, num_bytes):
+    """A small archive that unpacks to an array of so many zeros."""
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        header, {"descr": "|u1", "fortran_order": False, "shape": (num_bytes // 1024, 32, 32)}
+    )
+    path = tmp_path / "bomb.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, array in (("origin.npy", np.zeros(3)), ("res.npy", np.float64(1))):
+            with archive.open(name, "w") as file:
+                np.lib.format.write_array(file, np.asarray(array))
+        with archive.open("values.npy", "w") as file:
+            file.write(header.getvalue())
+            for _ in range(num_bytes >> 20):
+                file.write(bytes(1 << 20))
+    return path
+
+
+def test_a_small_archive_does_not_unpack_to_gigabytes(tmp_path, monkeypatch):
+    monkeypatch.setattr(voxel_allowance, "FREE_BYTES", 4 << 20)
+    path = bomb(tmp_path, 16 << 20)
+    assert 100 * path.stat().st_size < 16 << 20
+    with pytest.raises(FormatError, match="more memory than a file of"):
+        read_voxels(path)
+    assert read_voxels(path, max_voxels=1 << 30).values.nbytes == 16 << 20
+
+
+def test_what_an_archive_only_claims_is_not_reserved(tmp_path):
+    members = {}
+    with zipfile.ZipFile(io.BytesIO(encode_npz(voxels()))) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    for claim in (b"(50, 60, 7)", b"(500, 60, 70)", b"(-5, -6, 7)"):
+        values = members["values.npy"].replace(b"(5, 6, 7)", claim, 1)
+        with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+            for name, content in (members | {"values.npy": values}).items():
+                archive.writestr(name, content)
+        with pytest.raises(FormatError, match=r"`values\.npy` does not hold|can't be read"):
+            read_npz(tmp_path / "a.npz")
+
+
+def test_what_a_binvox_header_only_claims_is_not_reserved(monkeypatch):
+    def refuse(*args, **kwargs):
+        raise AssertionError("reserved")
+
+    monkeypatch.setattr(np, "zeros", refuse)
+    with pytest.raises(FormatError, match="got 255 voxels: too few"):
+        read_binvox(b"#binvox 1\ndim 1000 1000 1000\ndata\n\x01\xff")
+
+
+def test_the_rule_is_the_same_on_every_system(monkeypatch):
+    # where the system does not say how much memory is free, the rule of the file still holds
+    monkeypatch.setattr("navbake.voxels.placement._free_memory", lambda: 2**62)
+    with pytest.raises(FormatError, match="more memory than a file of"):
+        read_octomap(tree_with_one_leaf(10))
+    assert FREE_BYTES == 256 << 20 and MAX_VOXELS == 2**31
+
+
+# ---------------------------------------------------------------- endless and over-large files
+
+
+@needs_devices
+@pytest.mark.parametrize("suffix", [".binvox", ".bt", ".ot", ".npz"])
+def test_an_endless_file_is_not_read_on(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    path.symlink_to(ENDLESS)
+    with pytest.raises(FormatError, match=f"expected .*, got .*a{suffix}"):
+        read_voxels(path)
+
+
+@needs_devices
+def test_other_endless_files(tmp_path):
+    with pytest.raises(FormatError, match="expected a NavGrid JSON object"):
+        navbake.load(ENDLESS)
+    with pytest.raises(FormatError, match="more than 64 MiB of data in /dev/zero"):
+        read_room_outlines(ENDLESS)
+
+
+def sparse(path, size):
+    """A file that says it has so many bytes, and takes no room."""
+    with open(path, "wb") as file:
+        file.write(b"#binvox 1\n")
+        file.truncate(size)
+    return path
+
+
+def test_files_that_are_too_large_are_refused_unread(tmp_path):
+    path = sparse(tmp_path / "a.binvox", source.MAX_BYTES + 1)
+    with pytest.raises(FormatError, match=r"more than 4096 MiB of data in .*a\.binvox"):
+        read_voxels(path)
+    path = sparse(tmp_path / "a.geojson", (64 << 20) + 1)
+    with pytest.raises(FormatError, match=r"more than 64 MiB of data in .*a\.geojson"):
+        read_room_outlines(path)

@@ -1,0 +1,135 @@
+"""What readers take, and what they refuse: only errors of ours, in one line."""
+
+import io
+import os
+
+import numpy as np
+import pytest
+
+import navbake
+from navbake.errors import ConfigError, FormatError, NavbakeError
+from navbake.formats.binvox import encode_binvox
+from navbake.formats.geojson import read_room_outlines
+from navbake.formats.voxels import names_path
+from navbake.voxels.grid import VoxelGrid
+
+GRID = b'{"type": "SceneGrid2D", "width": 2, "height": 1, "cellSize": 1, "min": [0, 0, 0]}'
+
+
+def voxels(**more):
+    values = np.ones((1, 2, 3), dtype=np.uint8)
+    return VoxelGrid(values=values, origin=(0.0, 0.0, 0.0), res=1.0, **more)
+
+
+# ---------------------------------------------------------------- what is no file
+
+
+@pytest.mark.parametrize("wrong", [None, 3, 1.5, object(), ["a.json"], {}], ids=repr)
+def test_what_is_no_path_is_refused(wrong):
+    with pytest.raises(FormatError, match="expected a path, a file's content or a file opened"):
+        navbake.load(wrong)
+    for act in (navbake.load_voxels, voxels().save, navbake.load(GRID).save):
+        with pytest.raises(FormatError, match=r"expected a path, got (None|one of Python's type)"):
+            act(wrong)
+
+
+def test_contents_and_streams():
+    assert navbake.load(GRID).width == navbake.load(bytearray(GRID)).width == 2
+    assert navbake.load(memoryview(GRID)).width == navbake.load(io.BytesIO(GRID)).width == 2
+    with pytest.raises(FormatError, match="expected a file opened in binary mode, got text"):
+        navbake.load(io.StringIO("{}"))
+    with (
+        open(os.devnull, "wb") as unreadable,
+        pytest.raises(FormatError, match=f"cannot read {os.devnull}: "),
+    ):
+        navbake.load(unreadable)
+    closed = io.BytesIO(GRID)
+    closed.close()
+    with pytest.raises(FormatError, match=r"cannot read the stream given: .*closed"):
+        navbake.load(closed)
+
+
+@pytest.mark.skipif(not hasattr(os, "symlink"), reason="no links here")
+def test_links_that_lead_in_a_circle(tmp_path):
+    def loop(name):
+        path = tmp_path / name
+        path.symlink_to(path)
+        return path
+
+    for name in ("a.npz", "a.binvox", "a.bt", "a.ot"):
+        with pytest.raises(FormatError, match=r"cannot read .*: Too many levels"):
+            navbake.load_voxels(loop(name))
+    with pytest.raises(FormatError, match=r"cannot read .*a\.json: Too many levels"):
+        navbake.load(loop("a.json"))
+    with pytest.raises(FormatError, match=r"cannot read .*a\.geojson: Too many levels"):
+        read_room_outlines(loop("a.geojson"))
+    for name in ("a.xml", "a.obj", "a.yaml"):
+        with pytest.raises(NavbakeError, match=r"Too many levels|no scene file"):
+            navbake.bake(loop(name))
+    with pytest.raises(FormatError, match="cannot write"):
+        navbake.load(GRID).save(tmp_path / "a.json")
+    with pytest.raises(FormatError, match="cannot write"):
+        voxels().save(tmp_path / "a.npz")
+
+
+# ---------------------------------------------------------------- tables of IDs
+
+
+@pytest.fixture
+def table(tmp_path):
+    """Where the table of a binvox file with IDs is."""
+    (tmp_path / "a.binvox").write_bytes(encode_binvox(voxels()))
+    return names_path(tmp_path / "a.binvox")
+
+
+def read_names(table):
+    return navbake.load_voxels(str(table).removesuffix(".names.json")).names
+
+
+def test_a_table_that_is_a_folder_or_a_circle(table):
+    assert read_names(table) == {}
+    table.mkdir()
+    with pytest.raises(FormatError, match=r"cannot read .*a\.binvox\.names\.json: Is a directory"):
+        read_names(table)
+    table.rmdir()
+    table.symlink_to(table)
+    with pytest.raises(FormatError, match=r"cannot read .*names\.json: Too many levels"):
+        read_names(table)
+
+
+@pytest.mark.parametrize(
+    ("text", "culprit"),
+    [
+        ('{"ids": ' + "[" * 200_000, "can't be read"),
+        (
+            '{"ids": {"1": ' + "[" * 900 + "]" * 900 + "}}",
+            "expected a name at `ids.1`.*a list of 1",
+        ),
+        ('{"ids": {"1": null}}', "expected a name at `ids.1`.*got null"),
+        ('{"ids": {"1' + "0" * 5000 + '": "a"}}', "expected an ID as key in `ids`.*got '1000"),
+        ('{"ids": {"-1": "a"}}', "expected an ID as key"),
+        ('{"ids": {"x": "a"}}', "expected an ID as key"),
+        ('{"ids": []}', "no object at `ids`"),
+        ("[]", "no object at `ids`"),
+        ("", "can't be read"),
+    ],
+    ids=lambda text: text[:20],
+)
+def test_tables_that_are_broken(table, text, culprit):
+    table.write_text(text, encoding="utf-8")
+    with pytest.raises(FormatError, match=culprit) as caught:
+        read_names(table)
+    assert "a.binvox.names.json" in str(caught.value) and len(str(caught.value)) < 500
+
+
+# ---------------------------------------------------------------- messages
+
+
+def test_messages_are_one_line_whatever_a_file_is_called(tmp_path):
+    path = tmp_path / "two\nlines\x1b[31m.yaml"
+    with pytest.raises(ConfigError) as caught:
+        navbake.bake(path)
+    assert str(caught.value).isprintable()
+    assert str(caught.value).endswith("two\\nlines\\x1b[31m.yaml")
+    assert str(FormatError("half \udc80 of a letter")) == "half \\udc80 of a letter"
+    assert str(FormatError("plain é")) == "plain é"
