@@ -24,6 +24,10 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
     if content.doors:
         shown.append(printing.door_table(content.doors, content.level_names))
     printing.print_tables(*shown)
+    if content.warnings:
+        print()
+    for warning in content.warnings:
+        print(f"warning: {warning}")
 
 
 def rooms(grid: GridFile, as_json: AsJson = False) -> None:
