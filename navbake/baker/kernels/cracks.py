@@ -30,10 +30,10 @@ def _cell_beside(lattice, cell, way, distance):
 
 
 @njit(inline="always")
-def _continues(crossings, cell, low, high):
-    """Whether a cell has a surface that faces up between two heights."""
+def _continues(crossings, cell, low, high, min_up):
+    """Whether a cell has a surface between two heights that faces up, more than `min_up`."""
     for i in range(crossings.start[cell], crossings.start[cell + 1]):
-        if crossings.normal[i, 2] > 0.0 and low - SLACK <= crossings.z[i] <= high + SLACK:
+        if crossings.normal[i, 2] > min_up and low - SLACK <= crossings.z[i] <= high + SLACK:
             return True
     return False
 
@@ -84,7 +84,7 @@ def _gaps_of_cell(lattice, crossings, limits, reach, cell, low, high):
                 z = crossings.z[i]
                 if crossings.normal[i, 2] < limits.min_up or abs(z - last) <= SAME:
                     continue
-                if _continues(crossings, cell, z - limits.step, z + limits.step):
+                if _continues(crossings, cell, z - limits.step, z + limits.step, 0.0):
                     continue
                 if not _has_room(crossings, one, i, limits):
                     continue
@@ -96,7 +96,11 @@ def _gaps_of_cell(lattice, crossings, limits, reach, cell, low, high):
                         slope = _slope(crossings, i)
                         beside = _lower_side(crossings, other, z, slope, away, limits)
                 # steep ground lies between its sides: no gap either
-                if np.isnan(beside) or _continues(crossings, cell, beside, z):
+                if np.isnan(beside) or _continues(crossings, cell, beside, z, 0.0):
+                    continue
+                # the lower side's floor goes on in the cell, as `floors_near` would find it
+                lowest, highest = beside - limits.step, z + limits.step
+                if _continues(crossings, cell, lowest, highest, limits.min_up):
                     continue
                 band = Band(z + limits.step + TOUCH, beside + limits.headroom - TOUCH)
                 if line_is_blocked(crossings, cell, band, ANY_GEOM):
@@ -113,8 +117,9 @@ def find_gaps(lattice, crossings, limits, reach, start, low, high):
     """Find gaps in floors: cells that have none where cells on both sides have; call it twice.
 
     On one side, at most `reach` cells away, an agent can stand at the height `high`; on the other
-    at `low`, at most a step below, and what the slopes of both make; and in the cell, nothing
-    faces up within a step of `high`, and nothing is in the agent's way.
+    at `low`, at most a step below, and what the slopes of both make. In the cell, nothing faces
+    up within a step of `high`, or between the two, nor is a floor within a step of `low`: the
+    ground round a rock has no gap. And nothing is in the agent's way.
 
     Args:
         limits: what an agent can stand on.
