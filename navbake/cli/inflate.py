@@ -48,7 +48,7 @@ def inflate(
     ),
 ) -> None:
     """Inflate the obstacles of a grid for an agent of another radius."""
-    from navbake.formats.navgrid import dumps_navgrid
+    from navbake.formats.navgrid import dumps_navgrid  # loads numpy
     from navbake.runtime.inflation.inflate import SCALING, check_arguments  # loads numpy
 
     refuse_unused(

@@ -225,6 +225,10 @@ class BakeConfig(Settings):
         """The files that the settings name: the scene, and what was read with them (GeoJSON)."""
         return (Path(self.scene.path), *self._named)
 
+    def __eq__(self, other: object) -> bool:
+        """Whether all settings are the same, whatever files they were read from."""
+        return isinstance(other, BakeConfig) and self.__dict__ == other.__dict__
+
 
 def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> BakeConfig:
     """Read the settings from a YAML file, or take the defaults for a scene file.
