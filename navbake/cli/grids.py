@@ -7,6 +7,8 @@ from typer import BadParameter, Option
 import navbake
 from navbake.cli import printing
 from navbake.cli.options import AsJson, GridFile, check_output
+from navbake.cli.places import PLACE, PLACE_HELP, parse_place
+from navbake.errors import QueryError
 
 # Functions import views when they run: --help loads no numpy, no matplotlib.
 
@@ -24,6 +26,10 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
     if content.doors:
         shown.append(printing.door_table(content.doors, content.level_names))
     printing.print_tables(*shown)
+    if content.warnings:
+        print()
+    for warning in content.warnings:
+        print(f"warning: {warning}")
 
 
 def rooms(grid: GridFile, as_json: AsJson = False) -> None:
@@ -43,29 +49,27 @@ def rooms(grid: GridFile, as_json: AsJson = False) -> None:
 
 def why(
     grid: GridFile,
-    at: str = Option(
-        ..., metavar="X,Y[,LEVEL]", help="World position [m]; levels count from 0, the lowest."
-    ),
+    at: str = Option(..., metavar=PLACE, help=f"World position, {PLACE_HELP}."),
     as_json: AsJson = False,
 ) -> None:
     """Print what a grid holds at a position, and what blocks it.
 
-    Without a LEVEL, each level that spans the position is printed.
+    Of X,Y alone, each level that spans the position is printed; of X,Y,Z, the one whose floor is
+    the nearest below it.
     """
     from navbake.views.why import describe_column
 
-    x, y, *level = at.split(",") if at.count(",") in (1, 2) else ("", "")
-    try:
-        position, levels = (float(x), float(y)), [int(number) for number in level]
-    except ValueError:
-        raise BadParameter(
-            f"expected X,Y or X,Y,LEVEL as in 1.5,-2,0, got {at}", param_hint="--at"
-        ) from None
+    x, y, z, level = parse_place(at, "--at")
     content = navbake.load(grid)
-    if levels:
-        cells = [content.describe_cell(*position, levels[0])]
+    if z is not None:
+        cell = content.cell_at((x, y, z))
+        if cell is None:
+            raise QueryError(f"{at} is in no cell: it lies beside the grid, or below its floors")
+        level = cell.level
+    if level is None:
+        cells = describe_column(content, x, y)
     else:
-        cells = describe_column(content, *position)
+        cells = [content.describe_cell(x, y, level)]
     if as_json:
         printing.print_json(cells)
     else:
