@@ -63,7 +63,7 @@ def drop_roofs(
     # how the sheet ends beyond the lattice is not known
     is_wall, is_known = ending == WALL, ending != BORDER
     reach = int(np.ceil(settings.shrink / standable.lattice.cell_size))
-    ends = np.flatnonzero(is_known & ~is_wall)
+    ends = is_known & ~is_wall
     is_wall[ends] = _find_inner_walls(edges.only(ends), standable, agent, reach, is_occupied)
     walls, known = (_count(standable, edges, which) for which in (is_wall, is_known))
     return standable.only_sheets(~candidates | (walls > HALF * known))
