@@ -17,13 +17,15 @@ except ImportError:  # Windows has no such locks; it refuses to remove a file th
 
 TEMPORARY = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp")
 OLD = 86400.0  # age at which a temporary file is a leftover where nothing can be locked [s]
+_swept: set[Path] = set()  # folders that this process has removed leftovers from
 
 
 def write_whole(data: bytes, path: str | PathLike[str]) -> None:
     """Write a file under another name in the same folder, then rename it.
 
     Of a link, the file that it points to is replaced. A device or a pipe is written to directly.
-    Temporary files that writers left in the folder when they were killed are removed first.
+    Temporary files that writers left in the folder when they were killed are removed first, once
+    a process and folder: a folder of many files takes long to list.
 
     Raises:
         OSError: the path can't be written; a file that was there is unchanged.
@@ -32,7 +34,9 @@ def write_whole(data: bytes, path: str | PathLike[str]) -> None:
         Path(path).write_bytes(data)
         return
     target = Path(os.path.realpath(path))
-    remove_leftovers(target.parent)
+    if target.parent not in _swept:
+        _swept.add(target.parent)
+        remove_leftovers(target.parent)
     file, temporary = _create_temporary(target.parent)
     try:
         with file:

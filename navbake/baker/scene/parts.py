@@ -58,8 +58,8 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     out: the volume that its triangles sum up to is positive. One that faces in is a cavity, and
     counts, where it lies inside of one that faces out. By itself it is a room drawn from inside,
     and encloses nothing. A triangle that hangs on a closed part by less than all of its edges is
-    no part of it, so that a stray one opens nothing. Nor is a membrane, a sheet across the inside of
-    one, whose edges all lie on others that close without it.
+    no part of it, so that a stray one opens nothing. Nor is a membrane: a sheet across
+    the inside of one that is closed without it.
 
     Triangles that face to the other side than most of the area that they hang together with, over
     edges at which two triangles meet, are taken as turned; in a closed part they are.

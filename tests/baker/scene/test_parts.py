@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 import trimesh
@@ -156,8 +158,8 @@ def test_each_part_is_judged_by_itself():
 def test_a_strip_with_one_side_encloses_nothing():
     """A Möbius strip, closed to a projective plane by a cap: no side is the outer one."""
     faces = np.array(
-        [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5], [0, 5, 1]]
-        + [[1, 2, 4], [2, 3, 5], [3, 4, 1], [4, 5, 2], [5, 1, 3]]
+        [(0, i, i % 5 + 1) for i in range(1, 6)]
+        + [(i, i % 5 + 1, (i + 2) % 5 + 1) for i in range(1, 6)]
     )
     points = np.random.default_rng(1).uniform(0, 1, (6, 3))
     assert split_mesh(points, faces).kind == "surface"
@@ -244,9 +246,9 @@ def test_cavities_below_edges_and_corners_of_the_part_round_them():
     inner = turned(box((1, 1, 1), (1, 1, 1)))
     assert codes(shell, inner) == [True, True]
     assert codes(shell, inner - [0, 0, 5]) == [True, False]
-    steps = np.array([(x, y) for x in (0.5, 1, 1.5) for y in (0.5, 1, 1.5)])
-    for x, y in steps:
-        assert codes(shell, turned(SOLID * 0.3 - [0.1, 0.1, 0]) + [x, y, 1]) == [True, True]
+    small = turned(SOLID * 0.3) - [0.1, 0.1, 0]  # the middle of its largest triangle is at 0, 0
+    for x, y in itertools.product((0.5, 1, 1.5), (0.5, 1, 1.5)):
+        assert codes(shell, small + np.array([x, y, 1])) == [True, True]
 
 
 def test_rooms_drawn_from_inside_enclose_nothing():
