@@ -35,7 +35,7 @@ def met_by_boxes(
     floor: Float,
     cell: float,
     boxes: Iterable[Corners],
-    radius: float = RADIUS,
+    slack: float = TINY,
 ) -> Bool:
     """The cells in which a box meets the open volume over the footprint.
 
@@ -43,15 +43,16 @@ def met_by_boxes(
         x, y: of the cells' centres [m].
         floor: of each cell; NaN meets nothing [m].
         cell: their size [m].
+        slack: by how much a box has to reach into the volume; below 0, it may be so far off [m].
     """
     met: Bool = np.zeros(x.shape, dtype=np.bool_)
     for x0, y0, z0, x1, y1, z1 in boxes:
         beside_x = np.maximum(np.maximum(x0 - x, x - x1), 0.0)
         beside_y = np.maximum(np.maximum(y0 - y, y - y1), 0.0)
-        in_square = np.maximum(beside_x, beside_y) < cell / 2 - TINY
-        in_disc = np.hypot(beside_x, beside_y) < radius - TINY
+        in_square = np.maximum(beside_x, beside_y) < cell / 2 - slack
+        in_disc = np.hypot(beside_x, beside_y) < RADIUS - slack
         with np.errstate(invalid="ignore"):
-            in_height = (z0 < floor + HEIGHT - TINY) & (z1 > floor + STEP + TINY)
+            in_height = (z0 < floor + HEIGHT - slack) & (z1 > floor + STEP + slack)
         met |= in_height & (in_square | in_disc)
     return met
 

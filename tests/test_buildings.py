@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -36,6 +37,6 @@ def check_client(result: BakeResult) -> None:
     assert told == ([found.lost] if found.lost else [])
     heights = [level.floor_height[level.free] for level in result.grid.levels]
     ends = [(floor.min(), floor.max()) for floor in heights]
-    parted = all(low[1] < high[0] for low, high in zip(ends[:-1], ends[1:], strict=True))
+    parted = all(low[1] < high[0] for low, high in pairwise(ends))
     assert not (parted and found.lost)
     assert found.free == sum(np.count_nonzero(level.free) for level in result.grid.levels)

@@ -6,7 +6,7 @@ from typer import BadParameter, Option
 
 import navbake
 from navbake.cli import printing
-from navbake.cli.options import AsJson, GridFile, check_output
+from navbake.cli.options import STDOUT, AsJson, GridFile, check_output, write_stdout
 from navbake.cli.places import PLACE, PLACE_HELP, parse_place
 from navbake.errors import QueryError
 
@@ -26,10 +26,7 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
     if content.doors:
         shown.append(printing.door_table(content.doors, content.level_names))
     printing.print_tables(*shown)
-    if content.warnings:
-        print()
-    for warning in content.warnings:
-        print(f"warning: {warning}")
+    printing.print_warnings(content.warnings)
 
 
 def rooms(grid: GridFile, as_json: AsJson = False) -> None:
@@ -78,7 +75,7 @@ def why(
 
 def plot(
     grid: GridFile,
-    output: Path = Option(..., "-o", "--output", metavar="PNG", help="PNG to write."),
+    output: Path = Option(..., "-o", "--output", metavar="PNG", help="PNG to write; - for stdout."),
     level: int | None = Option(
         None, min=0, help="Draw only this level; 0 is the lowest.  [default: all]"
     ),
@@ -92,13 +89,16 @@ def plot(
 ) -> None:
     """Draw a grid: a row for each level, a column for each layer."""
     from navbake.views.layers import LAYERS
-    from navbake.views.plot import DEFAULT_LAYERS, plot_grid
+    from navbake.views.plot import DEFAULT_LAYERS, plot_grid, render_png
 
     for layer in layers or ():
         if layer not in LAYERS:
             raise BadParameter(
                 f"expected one of {', '.join(LAYERS)}, got {layer}", param_hint="--layer"
             )
-    check_output(output, ".png")
-    chosen = tuple(layers or DEFAULT_LAYERS)
-    print(plot_grid(navbake.load(grid), output, level=level, layers=chosen))
+    check_output(output, ".png", inputs=[grid])
+    content, chosen = navbake.load(grid), tuple(layers or DEFAULT_LAYERS)
+    if output == STDOUT:
+        write_stdout(render_png(content, level=level, layers=chosen))
+    else:
+        print(plot_grid(content, output, level=level, layers=chosen))

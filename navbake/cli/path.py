@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from typer import BadParameter, Exit, Option
 
 import navbake
-from navbake.cli.options import AsJson, GridFile, check_output
+from navbake.cli.options import STDOUT, AsJson, GridFile, beside_output, check_output, write_stdout
 from navbake.cli.places import PLACE, PLACE_HELP, parse_place, position_of_place
 from navbake.cli.printing import print_json
 
@@ -33,14 +33,16 @@ def path(
     ),
     smooth: bool = Option(True, help="Straighten the path, or follow the cells' centres."),
     as_json: AsJson = False,
-    output: Path | None = Option(None, "-o", "--output", metavar="PNG", help="Draw the path."),
+    output: Path | None = Option(
+        None, "-o", "--output", metavar="PNG", help="Draw the path; - for stdout."
+    ),
 ) -> None:
     """Plan a path through a grid, or say why there is none.
 
     The exit status is 1 if there is none.
     """
     if output is not None:
-        check_output(output, ".png")
+        check_output(output, ".png", inputs=[grid])
     is_named = any(goal.startswith(NAMED) for goal in goals)
     if len(goals) > 1 and is_named:
         raise BadParameter("several goals have to be positions", param_hint="--to")
@@ -54,16 +56,20 @@ def path(
     goal: Any = goals[0] if is_named else [position_of_place(content, p, "--to") for p in ends]
     found = finder.find_path(origin, goal, smooth=smooth)
     reason = None if found else finder.why_not(origin, goal)
-    if as_json:
-        print_json({"path": _to_json(found) if found else None, "reason": reason})
-    elif found:
-        _print_path(found)
-    else:
-        print(f"no path: {reason}")
+    with beside_output(output):
+        if as_json:
+            print_json({"path": _to_json(found) if found else None, "reason": reason})
+        elif found:
+            _print_path(found)
+        else:
+            print(f"no path: {reason}")
     if output is not None:
-        from navbake.views.plot import plot_grid  # loads numpy
+        from navbake.views.plot import plot_grid, render_png  # loads numpy
 
-        plot_grid(content, output, layers=("occupancy",), route=found)
+        if output == STDOUT:
+            write_stdout(render_png(content, layers=("occupancy",), route=found))
+        else:
+            plot_grid(content, output, layers=("occupancy",), route=found)
     if not found:
         raise Exit(1)
 

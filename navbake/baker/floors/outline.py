@@ -55,8 +55,8 @@ class Edges(NamedTuple):
     cells: Int
     floors: Float
 
-    def only(self, kept: Bool) -> Edges:
-        """The edges that are kept, shape (edges,)."""
+    def only(self, kept: Bool | Int) -> Edges:
+        """The edges that are kept: a mask, shape (edges,), or their indices."""
         return Edges(self.surface[kept], self.way[kept], self.cells[kept], self.floors[kept])
 
 

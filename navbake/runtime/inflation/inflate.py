@@ -79,7 +79,9 @@ def inflate(
         blocked = find_blocked(grid, number, radius, ledges)
         soft = level.weights
         if "solid" in level.attributes:
-            soft = np.where(level.free_for_point & ~level.free, 1.0, soft)
+            opened = ~blocked & level.free_for_point & ~level.free
+            if opened.any():
+                soft = np.where(opened, 1.0, soft)
         if costs == "nav2":
             falling = nav2_costs(level, radius, radius + clearance, scaling)
             soft = np.maximum(soft, np.clip(falling, 1.0, LETHAL_COST))

@@ -424,14 +424,21 @@ def tile_ranges(floor):
     levels, rows, cols = floor.shape
     shape = (levels, (rows + TILE - 1) // TILE, (cols + TILE - 1) // TILE)
     low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
+    lowest, highest = np.empty(cols, dtype=np.float32), np.empty(cols, dtype=np.float32)
     for level in range(levels):
-        for row in range(rows):
+        for tile_row in range(shape[1]):
+            # column by column first, in a loop that compilers turn into vector instructions
+            lowest[:], highest[:] = np.inf, -np.inf
+            for row in range(tile_row * TILE, min((tile_row + 1) * TILE, rows)):
+                line = floor[level, row]
+                for col in range(cols):
+                    # False for NaN
+                    lowest[col] = line[col] if line[col] < lowest[col] else lowest[col]
+                    highest[col] = line[col] if line[col] > highest[col] else highest[col]
             for col in range(cols):
-                height = floor[level, row, col]
-                if not np.isnan(height):
-                    r, c = row // TILE, col // TILE
-                    low[level, r, c] = min(low[level, r, c], height)
-                    high[level, r, c] = max(high[level, r, c], height)
+                tile_col = col // TILE
+                low[level, tile_row, tile_col] = min(low[level, tile_row, tile_col], lowest[col])
+                high[level, tile_row, tile_col] = max(high[level, tile_row, tile_col], highest[col])
     return low, high
 
 

@@ -34,12 +34,12 @@ def scene(run: float, beside: str = "") -> str:
 
 @pytest.fixture
 def stages_of(tmp_path: Path):
-    def run(xml: str, cell: float = 0.1, step: float = STEP, roofs: bool = False, **agent):
+    def run(xml: str, cell: float = 0.1, step: float = STEP, **agent):
         path = tmp_path / "ramp.xml"
         path.write_text(xml)
         agent = {"traversable_floor_height": step, "max_slope": 60, **agent}
         config = {"scene": {"path": str(path)}, "agent": agent, "grid": {"cell_size": cell}}
-        return bake_stages({**config, "floors": {"roofs": roofs}})
+        return bake_stages(config)
 
     return run
 
@@ -109,9 +109,9 @@ def test_links_are_in_the_file_and_on_the_level(bake, tmp_path):
 
 
 def test_level_of_several_keeps_its_slopes(bake):
-    """An upper floor over the ramp: its level and the ramp's are whole grids by themselves."""
-    upper = '<geom type="box" size="1.5 2 .1" pos="-1.5 0 2.9"/>'
-    grid = bake(scene(3.7, upper), roofs=True)  # it has no walls
+    """An upper floor, under a roof: its level and the ramp's are whole grids by themselves."""
+    upper = "".join(f'<geom type="box" size="1.5 2 .1" pos="-1.5 0 {z}"/>' for z in (2.9, 4.9))
+    grid = bake(scene(3.7, upper))
     assert len(grid.levels) == 2
     lower = grid.levels[0]
     assert len(lower.link_array) == len(grid.link_array) > 0

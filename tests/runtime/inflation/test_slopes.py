@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -110,7 +112,7 @@ def is_walk(floor, joined, a, b):
         for k in range(count + 1)
     ]
     num_links = 0
-    for p, q in zip(line[:-1], line[1:], strict=True):
+    for p, q in pairwise(line):
         corners = [(p[0], q[1]), (q[0], p[1])]
         ways = [[p, c, q] for c in corners] if p[0] != q[0] and p[1] != q[1] else [[p, q]]
         found = [n for way in ways if (n := num_of_links(floor, joined, way)) is not None]
@@ -123,7 +125,7 @@ def is_walk(floor, joined, a, b):
 def num_of_links(floor, joined, way):
     """How many links a way takes; None where something is neither a step nor a link."""
     num = 0
-    for p, q in zip(way[:-1], way[1:], strict=True):
+    for p, q in pairwise(way):
         if abs(float(floor[p]) - float(floor[q])) > STEP + 1e-5:
             if frozenset((p, q)) not in joined:
                 return None
