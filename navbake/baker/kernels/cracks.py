@@ -158,18 +158,23 @@ def find_gaps(lattice, crossings, limits, reach, start, low, high):
 
 
 @njit(cache=True)
-def floors_near(crossings, low, high, limits, floor):
+def floors_near(crossings, low, high, limits, floor, standable):
     """Find in each column the lowest surface between two heights, NaN for none [m].
 
-    It may be a step lower or higher, and faces up within the slope. `low`, `high` and `floor` have
-    one entry a column.
+    It may be a step lower or higher, and faces up within the slope. `standable` receives the lowest
+    one with room for an agent. All but the first and `limits` have one entry a column.
     """
     reach = limits.step + SLACK
     for n in range(floor.shape[0]):
-        floor[n] = np.nan
+        floor[n] = standable[n] = np.nan
         for i in range(crossings.start[n], crossings.start[n + 1]):
             z = crossings.z[i]
-            is_near = low[n] - reach <= z <= high[n] + reach
-            if is_near and crossings.normal[i, 2] >= limits.min_up:
+            if not low[n] - reach <= z <= high[n] + reach:
+                continue
+            if crossings.normal[i, 2] < limits.min_up:
+                continue
+            if np.isnan(floor[n]):
                 floor[n] = z
+            if _has_room(crossings, np.int64(n), i, limits):
+                standable[n] = z
                 break
