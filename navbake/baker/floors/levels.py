@@ -122,7 +122,8 @@ def find_floors(
         counted = _restore(every, drop_tops(every, columns, agent, settings, is_occupied), starts)
         tops = _describe_dropped(every, counted, columns)
     if given is None and not settings.roofs:
-        counted = _restore(counted, drop_roofs(counted, columns, agent, is_occupied), starts)
+        rest = drop_roofs(counted, columns, agent, settings, is_occupied)
+        counted = _restore(counted, rest, starts)
     if not settings.tops:
         every = counted
         rest = drop_shelves(every, columns, agent, settings, is_occupied)
@@ -140,12 +141,30 @@ def find_floors(
         placed = _place_on_levels(counted, agent, settings, given)
     unreached = find_unreached(placed.standable, placed.level, reached, columns)
     # a floor goes on only where no other one is, nor a roof, nor the top of furniture
+    dropped = np.setdiff1d(large.surface, counted.surface, assume_unique=True)
     floor_like[large.surface] = False
+    floor_like[_just_below(columns, dropped, agent.traversable_floor_height)] = False
     levels = [
         LevelFloor(label, ground, *_level_floor(k, placed, columns, floor_like, agent))
         for k, (label, ground) in enumerate(zip(placed.labels, placed.grounds, strict=True))
     ]
     return Floors(levels, _cell_links(placed, agent), tops, unreached, enclosed)
+
+
+def _just_below(columns: Columns, surface: Int, step: float) -> Int:
+    """The surfaces a step at most below some others, in their columns.
+
+    An agent there would walk on those above, as on a roof in which a wall's top is hidden.
+    """
+    cell = np.searchsorted(columns.start, surface, side="right") - 1
+    found, k = [surface[:0]], 1
+    while len(surface):
+        near = surface - k >= columns.start[cell]
+        near[near] = (columns.z[surface] - columns.z[surface - k])[near] <= step + SLACK
+        surface, cell = surface[near], cell[near]
+        found.append(surface - k)
+        k += 1
+    return np.concatenate(found)
 
 
 class _Placed(NamedTuple):

@@ -12,6 +12,7 @@ from navbake.baker.floors.outline import (
     OccupancyTest,
     find_edges,
     find_endings,
+    probe_bands,
 )
 from navbake.baker.floors.sheets import AreaTest, Standable, mask_window
 from navbake.baker.kernels.constants import SLACK
@@ -23,23 +24,33 @@ SKY_SHARE = 0.75
 # The share of a roof or a shelf that lies over a floor; and the share of its outline that has
 # walls if it is a storey, or that drops if it is a shelf
 HALF = 0.5
+# Steps by row and column against the ways of edges: east, south, west, north
+INWARD = np.array([[0, -1], [-1, 0], [0, 1], [1, 0]])
 # No shelf is deeper: pallet racks are 1.1 m, or 2.2 m back to back [m]
 SHELF_DEPTH = 2.5
 
 
 def drop_roofs(
-    standable: Standable, columns: Columns, agent: AgentSettings, is_occupied: OccupancyTest
+    standable: Standable,
+    columns: Columns,
+    agent: AgentSettings,
+    settings: FloorSettings,
+    is_occupied: OccupancyTest,
 ) -> Standable:
     """Drop the sheets that are roofs: open to the sky, over a floor, and without walls.
 
     A storey that was drawn without its ceiling has walls as high as an agent along more than half
-    of its outline, and stays; parapets are too low, and a lower roof beside a higher part of the
-    house has a wall on one side only. What is closed below, or open, does not matter: a carport's
-    roof is one, and so are a tree's crown, a parasol and the upper shelf of a rack outdoors. No
-    step reaches a roof: the sheet of one that stairs lead to includes the floors below, which
-    are not open to the sky.
+    of its outline, and stays. Its walls may stand a little inside of its slab's rim, even where
+    they are too thin to part its floor. Parapets are too low, and a lower roof beside a higher
+    part of the house has a wall on one side only. What is closed below, or open, does not matter:
+    a carport's roof is one, and so are a tree's crown, a parasol and the upper shelf of a rack
+    outdoors. No step reaches a roof: the sheet of one that stairs lead to includes the floors
+    below, which are not open to the sky.
 
     Only the uppermost slab of a tower of slabs on columns is a roof, as the others are covered.
+
+    Args:
+        settings: `shrink`, how far inside of the outline walls may stand [m].
     """
     if (np.diff(standable.start) <= 1).all():
         return standable
@@ -48,9 +59,13 @@ def drop_roofs(
     if not candidates.any():
         return standable
     edges = _outer_edges(standable, candidates, agent, reach=1)
-    ending, _ = find_endings(edges, standable, agent, is_occupied)
+    ending, _ = find_endings(edges, standable, columns, agent, is_occupied)
     # how the sheet ends beyond the lattice is not known
-    walls, known = (_count(standable, edges, which) for which in (ending == WALL, ending != BORDER))
+    is_wall, is_known = ending == WALL, ending != BORDER
+    reach = int(np.ceil(settings.shrink / standable.lattice.cell_size))
+    ends = np.flatnonzero(is_known & ~is_wall)
+    is_wall[ends] = _find_inner_walls(edges.only(ends), standable, agent, reach, is_occupied)
+    walls, known = (_count(standable, edges, which) for which in (is_wall, is_known))
     return standable.only_sheets(~candidates | (walls > HALF * known))
 
 
@@ -85,25 +100,10 @@ def drop_shelves(
     # a post at its edge may block the cell beside: one more
     reach = int(np.ceil(settings.shrink / lattice.cell_size)) + 1
     edges = _outer_edges(standable, candidates, agent, reach)
-    ending, landing = find_endings(edges, standable, agent, is_occupied)
-    drops = (ending == DROP) & _is_open(edges, landing, standable.z[edges.surface], columns)
+    ending, _ = find_endings(edges, standable, columns, agent, is_occupied)
+    drops = ending == DROP
     num_drops, num_edges = (_count(standable, edges, which) for which in (drops, ending >= 0))
     return standable.only_sheets(~candidates | (num_drops <= HALF * num_edges))
-
-
-def _is_open(edges: Edges, landing: Float, z: Float, columns: Columns) -> Bool:
-    """Whether nothing lies between the floor that an edge drops to and the edge's own height.
-
-    An attic ends where its roof comes down. The storey below is no floor that it drops to.
-    """
-    lands = np.argmax(edges.floors == landing[:, None], axis=1)
-    cell = edges.cells[np.arange(len(lands)), lands]
-    first, last = columns.start[cell], columns.start[cell + 1]
-    is_open = np.ones(len(cell), dtype=np.bool_)
-    for k in range(int((last - first).max(initial=0))):
-        height = columns.z[np.minimum(first + k, last - 1)]
-        is_open &= (height <= landing + SLACK) | (height > z)
-    return is_open
 
 
 def _shares(standable: Standable, columns: Columns) -> tuple[Float, Float]:
@@ -135,6 +135,28 @@ def _outer_edges(standable: Standable, chosen: Bool, agent: AgentSettings, reach
         row, col = np.divmod(outer[own], width)
         kept[own] = outside[row - row0, col - col0]
     return edges.only(kept)
+
+
+def _find_inner_walls(
+    edges: Edges, standable: Standable, agent: AgentSettings, reach: int, is_occupied: OccupancyTest
+) -> Bool:
+    """Whether a wall stands on a sheet near each of some edges, at most `reach` cells inside."""
+    lattice, z = standable.lattice, standable.z[edges.surface]
+    bands = probe_bands(agent)
+    row, col = np.divmod(standable.cell[edges.surface], lattice.width)
+    inward_row, inward_col = INWARD[edges.way].T
+    has_wall = np.zeros(len(z), dtype=np.bool_)
+    for k in range(1, reach + 1):
+        beside_row, beside_col = row + k * inward_row, col + k * inward_col
+        inside = (beside_row >= 0) & (beside_row < lattice.height)
+        inside &= (beside_col >= 0) & (beside_col < lattice.width)
+        asked = np.flatnonzero(inside & ~has_wall)
+        cells = beside_row[asked] * lattice.width + beside_col[asked]
+        for band in bands:
+            stands = is_occupied(cells, z[asked], band)
+            asked, cells = asked[stands], cells[stands]
+        has_wall[asked] = True
+    return has_wall
 
 
 def _count(standable: Standable, edges: Edges, which: Bool) -> Float:

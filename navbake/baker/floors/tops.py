@@ -42,7 +42,7 @@ def drop_tops(
     # most sheets have no floor below their edges: only the others are looked at closely
     has_floor = ~np.isnan(edges.floors).all(axis=1)
     edges = edges.only((np.bincount(sheet, has_floor, len(size)) >= enough)[sheet])
-    ending, landing = find_endings(edges, standable, agent, is_occupied)
+    ending, landing = find_endings(edges, standable, columns, agent, is_occupied)
     drops = ending == DROP
     sheet, landing = standable.sheet[edges.surface[drops]], landing[drops]
     count = np.bincount(sheet, minlength=len(size))

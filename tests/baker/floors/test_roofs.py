@@ -113,6 +113,9 @@ STOREYS = {
     "without its ceiling": [*LOWER, *ring(0, 10, 0, 8, 2.8, 5.4)],
     "without its ceiling, of thin walls": [*LOWER, *THIN],
     "without its ceiling, open to one side": [*LOWER, *ring(0, 10, 0, 8, 2.8, 5.4)[:3]],
+    "without its ceiling, thin walls inside of its rim": [
+        *[YARD, *ring(0, 10, 0, 8, 0, 2.6), box(-0.25, 10.25, -0.25, 8.25, 2.6, 2.8), *THIN],
+    ],
     "without walls, under a roof": [
         *LOWER,
         *posts(0, 10, 0, 8, 2.8, 5.4),
@@ -164,3 +167,13 @@ def test_what_was_dropped_is_no_floor_beyond_a_wall(bake):
     row, col = upper.lattice.rows_cols([11.5, 2.5])
     inside = 0 <= row < upper.height and 0 <= col < upper.width
     assert not inside or not upper.free[row, col]
+
+
+def test_floor_does_not_go_on_within_a_dropped_roof(bake):
+    """The garage's walls end a millimetre inside of its roof, a step below the storey's floor."""
+    garage = [*ring(10, 14, 0, 5, 0, 2.561), box(10, 14, 0, 5, 2.56, 2.7)]
+    storey = [*ring(0, 10, 0, 8, 2.8, 5.4), box(0, 10, 0, 8, 5.4, 5.6)]
+    upper = bake([*LOWER, *storey, *garage]).grid.levels[1]
+    assert upper.ground == pytest.approx(2.8)
+    _, col = upper.lattice.rows_cols([10.0, 2.5])
+    assert not upper.free[:, int(col) + 1 :].any()
