@@ -33,7 +33,10 @@ def _cell_beside(lattice, cell, way, distance):
 def _continues(crossings, cell, low, high, limits):
     """Whether a cell has a surface between two heights that is not too steep to stand on."""
     for i in range(crossings.start[cell], crossings.start[cell + 1]):
-        if crossings.normal[i, 2] >= limits.min_up and low - SLACK <= crossings.z[i] <= high + SLACK:
+        if (
+            crossings.normal[i, 2] >= limits.min_up
+            and low - SLACK <= crossings.z[i] <= high + SLACK
+        ):
             return True
     return False
 
