@@ -1,6 +1,7 @@
 """Columns: every crossing of every cell's vertical line with the scene."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,11 @@ class TiledShapes:
     lattice: Lattice
     facets: Facets
     tiles: Tiles
+
+    @cached_property
+    def heights(self) -> Band:
+        """Heights below and above everything over the lattice [m]."""
+        return _height_range(self.shapes, self.lattice)
 
 
 @dataclass(frozen=True)
@@ -74,8 +80,7 @@ def cast_columns(tiled: TiledShapes) -> Columns:
     """
     lattice, shapes = tiled.lattice, tiled.shapes
     load_mujoco_library(mujoco_library())
-    heights = _height_range(shapes, lattice)
-    geometry = (lattice, shapes.solids, tiled.facets, shapes.planes, tiled.tiles, heights)
+    geometry = (lattice, shapes.solids, tiled.facets, shapes.planes, tiled.tiles, tiled.heights)
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
     # without room for them, the crossings are only counted
     cast_lines(*geometry, _empty_crossings(start, 0))
@@ -93,9 +98,8 @@ def cast_points(tiled: TiledShapes, cells: Int, points: Float) -> Crossings:
         cells: the cell that each line is near to, by at most the reach of `tile_shapes`.
         points: x and y of each line, shape (n, 2), world frame [m].
     """
-    shapes = tiled.shapes
+    shapes, heights = tiled.shapes, tiled.heights
     load_mujoco_library(mujoco_library())
-    heights = _height_range(shapes, tiled.lattice)
     lines = points, tile_of(tiled.lattice, cells)
     geometry = (shapes.solids, tiled.facets, shapes.planes, tiled.tiles, heights)
     start = np.zeros(len(points) + 1, dtype=np.int64)

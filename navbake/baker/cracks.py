@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -24,7 +25,8 @@ SAMPLES = 4
 # Halvings of the distance between such lines: to 1e-5 m for the default width
 HALVINGS = 10
 # How far one looks around a gap, in widths of a crack, and how many neighbouring ways may be
-# without floor there: three leave an eighth of a turn open, as the inner corner of a wall does
+# without floor there: three leave an eighth of a turn open, as the inner corner of a wall does;
+# a crack leaves less, as seen from its edge
 AROUND, OPEN_WAYS = 1.5, 2
 
 # How much of half a cell's edge a line may be moved: it stays inside of the cell's square
@@ -45,6 +47,10 @@ class Gaps(NamedTuple):
     cell: Int
     low: Float
     high: Float
+
+    def only(self, kept: Bool) -> Gaps:
+        """The gaps that are kept, shape (n,)."""
+        return Gaps(self.cell[kept], self.low[kept], self.high[kept])
 
 
 def close_cracks(
@@ -69,11 +75,11 @@ def close_cracks(
     gaps = _find_gaps(columns, limits, crack)
     if not len(gaps.cell):
         return columns
-    # most gaps are open, and cheaper to tell so than to measure
-    kept = ~_find_open(_Probe(gaps, tiled, limits), crack)
-    gaps = Gaps(gaps.cell[kept], gaps.low[kept], gaps.high[kept])
-    if not len(gaps.cell):
-        return columns
+    # most gaps are open: half of the ways tell most of these, and to measure is dearest
+    for spacing in (2, 1):
+        gaps = gaps.only(~_find_open(_Probe(gaps, tiled, limits), crack, spacing))
+        if not len(gaps.cell):
+            return columns
     offset = _measure(_Probe(gaps, tiled, limits), crack)
     closed = np.flatnonzero(~np.isnan(offset[:, 0]))
     # of several gaps in a cell, over each other, the lowest that is a crack decides
@@ -103,12 +109,13 @@ def _find_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
     return Gaps(np.repeat(np.arange(len(counts)), counts), low, high)
 
 
-def _find_open(probe: _Probe, crack: float) -> Bool:
-    """Which gaps are open to one side: neighbouring ways lead to no floor."""
-    gap, way = np.divmod(np.arange(len(probe.gaps.cell) * 2 * AXES), 2 * AXES)
-    floors, _ = probe.floors(gap, way, np.full(len(gap), crack_reach(crack)))
-    misses = np.isnan(floors).reshape(-1, 2 * AXES)
-    runs = [np.roll(misses, shift, axis=1) for shift in range(OPEN_WAYS + 1)]
+def _find_open(probe: _Probe, crack: float, spacing: int) -> Bool:
+    """Which gaps are open to one side: of every so many ways, neighbouring ones lead to no floor."""
+    ways = np.arange(0, 2 * AXES, spacing)
+    gap, number = np.divmod(np.arange(len(probe.gaps.cell) * len(ways)), len(ways))
+    floors, _ = probe.floors(gap, ways[number], np.full(len(gap), crack_reach(crack)))
+    misses = np.isnan(floors).reshape(-1, len(ways))
+    runs = [np.roll(misses, shift, axis=1) for shift in range(OPEN_WAYS // spacing + 1)]
     is_open: Bool = np.logical_and.reduce(runs).any(axis=1)
     return is_open
 
@@ -196,18 +203,15 @@ def _replace_lines(columns: Columns, tiled: TiledShapes, cells: Int, offset: Flo
     """The columns with other lines, at offsets from the centres, in some cells (ascending)."""
     old, new = columns.crossings, _cast_beside(tiled, cells, offset)
     counts = np.diff(old.start)
-    kept: Bool = np.ones(len(counts), dtype=np.bool_)
-    kept[cells] = False
-    kept = np.repeat(kept, counts)
     counts[cells] = np.diff(new.start)
     start = np.concatenate([[0], np.cumsum(counts)])
-    replaced = np.zeros(len(counts), dtype=np.bool_)
-    replaced[cells] = True
-    replaced = np.repeat(replaced, counts)
+    # what stays lies between the replaced columns: few pieces, copied as they are
+    ends = zip([0, *old.start[cells + 1]], [*old.start[cells], old.start[-1]], strict=True)
+    stays = [slice(int(first), int(last)) for first, last in ends]
+    comes = [slice(int(n), int(m)) for n, m in itertools.pairwise(new.start)] + [slice(0, 0)]
     parts = {"start": start}
     for name in ("z", "normal", "geom", "closed"):
         was, now = getattr(old, name), getattr(new, name)
-        values = np.empty((len(replaced), *was.shape[1:]), dtype=was.dtype)
-        values[~replaced], values[replaced] = was[kept], now
-        parts[name] = values
+        pieces = [part for s, c in zip(stays, comes, strict=True) for part in (was[s], now[c])]
+        parts[name] = np.concatenate(pieces)
     return replace(columns, crossings=old._replace(**parts))

@@ -17,13 +17,14 @@ from navbake.baker.kernels.overlap import ANY_GEOM, line_is_blocked
 # The eight ways to a neighbour, by row and column
 ROW_STEP = np.array([0, 1, 0, -1, 1, 1, -1, -1])
 COL_STEP = np.array([1, 0, -1, 0, 1, -1, -1, 1])
+# One way of each two that are opposite; the other one's number differs in the bit of two
+AXES = (0, 1, 4, 5)
 
 
 @njit(inline="always")
-def _cell_beside(lattice, cell, way, distance):
-    """The cell some cells away, or -1 beyond the lattice."""
-    row = cell // lattice.width + ROW_STEP[way] * distance
-    col = cell % lattice.width + COL_STEP[way] * distance
+def _cell_beside(lattice, row, col, way, distance):
+    """The cell so many cells away from a row and column, or -1 beyond the lattice."""
+    row, col = row + ROW_STEP[way] * distance, col + COL_STEP[way] * distance
     if 0 <= row < lattice.height and 0 <= col < lattice.width:
         return row * lattice.width + col
     return np.int64(-1)
@@ -42,17 +43,29 @@ def _continues(crossings, cell, low, high, limits):
 @njit(inline="always")
 def _is_alike(crossings, one, other, limits):
     """Whether two cells have the same surfaces, one by one, within a step: there is no gap."""
-    first, beside = crossings.start[one], crossings.start[other]
-    count = crossings.start[one + 1] - first
-    if count != crossings.start[other + 1] - beside:
+    start, z, normal = crossings.start, crossings.z, crossings.normal
+    first, beside = start[one], start[other]
+    count = start[one + 1] - first
+    if count != start[other + 1] - beside:
         return False
     for i in range(count):
-        if abs(crossings.z[first + i] - crossings.z[beside + i]) > limits.step:
+        if abs(z[first + i] - z[beside + i]) > limits.step:
             return False
-        is_gentle = crossings.normal[first + i, 2] >= limits.min_up
-        if is_gentle != (crossings.normal[beside + i, 2] >= limits.min_up):
+        is_gentle = normal[first + i, 2] >= limits.min_up
+        if is_gentle != (normal[beside + i, 2] >= limits.min_up):
             return False
     return True
+
+
+@njit(inline="always")
+def _is_alike_beside(lattice, crossings, row, col, way, limits):
+    """Whether a cell is alike the one that way, or the one opposite; or has none there."""
+    cell = row * lattice.width + col
+    for toward in (way, way ^ 2):
+        beside = _cell_beside(lattice, row, col, toward, 1)
+        if beside < 0 or _is_alike(crossings, cell, beside, limits):
+            return True
+    return False
 
 
 @njit(inline="always")
@@ -87,46 +100,57 @@ def _lower_side(crossings, cell, z, slope, distance, limits):
     return np.nan
 
 
+@njit(inline="always")
+def _lower_side_of_gap(lattice, crossings, limits, reach, row, col, way, distance, i):
+    """The floor at the far side of a gap, below the i-th crossing on the near side, or NaN.
+
+    NaN too where something fills the gap: a floor goes on, or the agent's way is barred.
+    """
+    cell, z = row * lattice.width + col, crossings.z[i]
+    if _continues(crossings, cell, z - limits.step, z + limits.step, limits):
+        return np.nan
+    if not _has_room(crossings, _cell_beside(lattice, row, col, way, distance), i, limits):
+        return np.nan
+    beside = np.nan
+    for back in range(1, reach + 1):
+        other = _cell_beside(lattice, row, col, way, -back)
+        if other >= 0 and np.isnan(beside):
+            away = (distance + back) * lattice.cell_size
+            beside = _lower_side(crossings, other, z, _slope(crossings, i), away, limits)
+    if np.isnan(beside):
+        return np.nan
+    # the lower side's floor goes on in the cell, as `floors_near` would find it
+    if _continues(crossings, cell, beside - limits.step, z + limits.step, limits):
+        return np.nan
+    band = Band(z + limits.step + TOUCH, beside + limits.headroom - TOUCH)
+    return np.nan if line_is_blocked(crossings, cell, band, ANY_GEOM) else beside
+
+
 @njit(cache=True)
-def _gaps_of_cell(lattice, crossings, limits, reach, cell, low, high):
+def _gaps_of_cell(lattice, crossings, limits, reach, row, col, low, high):
     """Write the gaps of one cell, unless there is no room for them; returns their number."""
-    count = 0
-    last = np.inf
-    for way in range(8):
-        for distance in range(1, reach + 1):
-            one = _cell_beside(lattice, cell, way, distance)
-            if one < 0:
-                break
-            if _is_alike(crossings, cell, one, limits):
-                continue
-            for i in range(crossings.start[one], crossings.start[one + 1]):
-                z = crossings.z[i]
-                if crossings.normal[i, 2] < limits.min_up or abs(z - last) <= SAME:
-                    continue
-                if _continues(crossings, cell, z - limits.step, z + limits.step, limits):
-                    continue
-                if not _has_room(crossings, one, i, limits):
-                    continue
-                beside = np.nan
-                for back in range(1, reach + 1):
-                    other = _cell_beside(lattice, cell, way, -back)
-                    if other >= 0 and np.isnan(beside):
-                        away = (distance + back) * lattice.cell_size
-                        slope = _slope(crossings, i)
-                        beside = _lower_side(crossings, other, z, slope, away, limits)
-                if np.isnan(beside):
-                    continue
-                # the lower side's floor goes on in the cell, as `floors_near` would find it
-                lowest = beside - limits.step
-                if _continues(crossings, cell, lowest, z + limits.step, limits):
-                    continue
-                band = Band(z + limits.step + TOUCH, beside + limits.headroom - TOUCH)
-                if line_is_blocked(crossings, cell, band, ANY_GEOM):
-                    continue
-                if low.shape[0] > 0:
-                    low[count], high[count] = beside, z
-                last = z
-                count += 1
+    count, last = 0, np.inf
+    for axis in AXES:
+        # a gap has two sides: most cells are alike one of each two that face each other
+        if reach == 1 and _is_alike_beside(lattice, crossings, row, col, axis, limits):
+            continue
+        for way in (axis, axis ^ 2):
+            for distance in range(1, reach + 1):
+                one = _cell_beside(lattice, row, col, way, distance)
+                if one < 0:
+                    break
+                for i in range(crossings.start[one], crossings.start[one + 1]):
+                    z = crossings.z[i]
+                    if crossings.normal[i, 2] < limits.min_up or abs(z - last) <= SAME:
+                        continue
+                    of_gap = row, col, way, distance, i
+                    beside = _lower_side_of_gap(lattice, crossings, limits, reach, *of_gap)
+                    if np.isnan(beside):
+                        continue
+                    if low.shape[0] > 0:
+                        low[count], high[count] = beside, z
+                    last = z
+                    count += 1
     return count
 
 
@@ -147,14 +171,13 @@ def find_gaps(lattice, crossings, limits, reach, start, low, high):
         low, high: empty in the first call; receive the heights of each gap's sides [m].
     """
     for cell in prange(start.shape[0] - 1):
-        if low.shape[0] > 0:
-            first, end = start[cell], start[cell + 1]
-            if end > first:
-                part = low[first:end], high[first:end]
-                _gaps_of_cell(lattice, crossings, limits, reach, np.int64(cell), *part)
-        else:
-            count = _gaps_of_cell(lattice, crossings, limits, reach, np.int64(cell), low, high)
+        row, col = np.int64(cell) // lattice.width, np.int64(cell) % lattice.width
+        if low.shape[0] == 0:
+            count = _gaps_of_cell(lattice, crossings, limits, reach, row, col, low, high)
             start[cell + 1] = count
+        elif start[cell + 1] > start[cell]:
+            part = low[start[cell] : start[cell + 1]], high[start[cell] : start[cell + 1]]
+            _gaps_of_cell(lattice, crossings, limits, reach, row, col, *part)
 
 
 @njit(cache=True)

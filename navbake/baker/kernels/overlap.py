@@ -62,8 +62,10 @@ def with_edges(prism):
 @njit(inline="always")
 def facet_meets_prism(facets, t, prism, wide, polygons):
     """Does a triangle meet a prism, or `wide`, the prism with its edges, if it encloses nothing?"""
+    if outside(facets.bounds, t, wide):  # most are, and the wide one holds the other
+        return False
     if facets.closed[t] == OPEN_SURFACE:
-        prism = wide
+        return triangle_meets_prism(facets.corners[t], wide, polygons)
     return not outside(facets.bounds, t, prism) and triangle_meets_prism(
         facets.corners[t], prism, polygons
     )

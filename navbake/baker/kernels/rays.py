@@ -213,6 +213,16 @@ def _steepest_of_part(column, count, i, facets, side):
     return steepest
 
 
+@njit(inline="always")
+def _has_edge(column, count):
+    """Whether any crossing of a column is at a triangle's edge; most columns have none."""
+    is_edge = column.is_edge
+    for i in range(count):  # noqa: SIM110 (numba has no generators in `any`)
+        if is_edge[i]:
+            return True
+    return False
+
+
 @njit(cache=True)
 def _balance_parts(column, count, facets):
     """Drop crossings at edges, so that each closed part is left as often as it is entered."""
@@ -341,8 +351,9 @@ def _cast_tile(tile, lattice, solids, facets, planes, tiles, heights, crossings)
             count = _cross_solids(x, y, nearby, solids, column, ray)
             count = _cross_planes(planes, heights, column, count, ray)
             count = _cross_triangles(x, y, triangles, facets, column, count)
-            count = _drop_doubles(column, count, facets)
-            count = _balance_parts(column, count, facets)
+            if _has_edge(column, count):
+                count = _drop_doubles(column, count, facets)
+                count = _balance_parts(column, count, facets)
             if writing:
                 _write(column, count, facets, crossings, crossings.start[cell])
             else:
@@ -363,25 +374,40 @@ def cast_lines(lattice, solids, facets, planes, tiles, heights, crossings):
         _cast_tile(np.int64(tile), lattice, solids, facets, planes, tiles, heights, crossings)
 
 
+# Lines that one thread casts in a row: neighbouring ones mostly lie over one tile
+CHUNK = 256
+
+
 @njit(cache=True)
-def _cast_point(tile, x, y, n, solids, facets, planes, tiles, heights, crossings):
-    """Cross the n-th of some lines, which lies over a tile, as `_cast_tile` does."""
-    nearby, triangles = _items_over(tile, tiles)
+def _cast_chunk(chunk, points, tile, solids, facets, planes, tiles, heights, crossings):
+    """Cross a chunk of some lines, each of which lies over a tile, as `_cast_tile` does."""
+    first = chunk * CHUNK
+    last = min(first + CHUNK, points.shape[0])
+    over = tile[first]
+    nearby, triangles = _items_over(over, tiles)
     column, ray = _make_room(nearby, triangles, planes)
-    count = _cross_solids(x, y, nearby, solids, column, ray)
-    count = _cross_planes(planes, heights, column, count, ray)
-    count = _cross_triangles(x, y, triangles, facets, column, count)
-    count = _drop_doubles(column, count, facets)
-    count = _balance_parts(column, count, facets)
-    if crossings.z.shape[0] > 0:
-        _write(column, count, facets, crossings, crossings.start[n])
-    else:
-        crossings.start[n + 1] = count
+    writing = crossings.z.shape[0] > 0
+    for n in range(first, last):
+        if tile[n] != over:
+            over = tile[n]
+            nearby, triangles = _items_over(over, tiles)
+            column, ray = _make_room(nearby, triangles, planes)
+        x, y = points[n, 0], points[n, 1]
+        count = _cross_solids(x, y, nearby, solids, column, ray)
+        count = _cross_planes(planes, heights, column, count, ray)
+        count = _cross_triangles(x, y, triangles, facets, column, count)
+        if _has_edge(column, count):
+            count = _drop_doubles(column, count, facets)
+            count = _balance_parts(column, count, facets)
+        if writing:
+            _write(column, count, facets, crossings, crossings.start[n])
+        else:
+            crossings.start[n + 1] = count
 
 
 @njit(cache=True, parallel=True)
 def cast_points_at(points, tile, solids, facets, planes, tiles, heights, crossings):
     """Cross vertical lines at points, (n, 2) [m], over tiles, (n,) int64; see `cast_lines`."""
-    for n in prange(points.shape[0]):
-        x, y = points[n, 0], points[n, 1]
-        _cast_point(tile[n], x, y, np.int64(n), solids, facets, planes, tiles, heights, crossings)
+    for chunk in prange((points.shape[0] + CHUNK - 1) // CHUNK):
+        of_chunk = np.int64(chunk), points, tile
+        _cast_chunk(*of_chunk, solids, facets, planes, tiles, heights, crossings)
