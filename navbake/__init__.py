@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from navbake._version import __version__
 from navbake.errors import (
+    BakeWarning,
     ConfigError,
     FormatError,
     MissingDependencyError,
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BakeConfig",
+    "BakeWarning",
     "ConfigError",
     "ExploredMap",
     "FormatError",

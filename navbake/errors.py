@@ -1,4 +1,4 @@
-"""Exceptions that navbake raises on purpose. This module imports nothing."""
+"""Exceptions and warnings that navbake raises on purpose. This module imports nothing."""
 
 
 class NavbakeError(Exception):
@@ -10,10 +10,7 @@ class NavbakeError(Exception):
 
     def __str__(self) -> str:
         """The message; what no terminal shows, as a name of a file may have it, is escaped."""
-        message = super().__str__()
-        if message.isprintable():
-            return message
-        return "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
+        return printable(super().__str__())
 
 
 class ConfigError(NavbakeError):
@@ -34,3 +31,18 @@ class QueryError(NavbakeError):
 
 class MissingDependencyError(NavbakeError):
     """An optional package is not installed; the message names the command that installs it."""
+
+
+class BakeWarning(UserWarning):
+    """What a user should know about a bake that went through, one line: what, where, remedy.
+
+    `navbake.bake` warns of it. ``warnings.simplefilter("error", navbake.BakeWarning)`` makes it
+    an error, ``"ignore"`` keeps it quiet. The grid keeps the texts as `grid.warnings`.
+    """
+
+
+def printable(message: str) -> str:
+    """The message with all that no terminal shows escaped, as a name of a file may have it."""
+    if message.isprintable():
+        return message
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)

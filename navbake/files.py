@@ -1,14 +1,16 @@
 """Files that are written as a whole or not at all."""
 
+import errno
 import os
 import re
 import stat
 import tempfile
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from os import PathLike
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 try:
     import fcntl
@@ -19,14 +21,40 @@ TEMPORARY = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp")
 OLD = 86400.0  # age at which a temporary file is a leftover where nothing can be locked [s]
 
 
-def write_whole(data: bytes, path: str | PathLike[str]) -> None:
+class FileState(NamedTuple):
+    """Which file a path was at some time, and since when; all 0 where there was none."""
+
+    device: int
+    inode: int
+    size: int
+    modified_ns: int
+
+
+def file_state(path: str | PathLike[str]) -> FileState:
+    """Which file a path is now, for `write_whole` to see whether it is the same later."""
+    try:
+        status = os.stat(path)
+    except OSError:
+        return FileState(0, 0, 0, 0)
+    return FileState(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
+
+
+def write_whole(
+    data: bytes, path: str | PathLike[str], *, unless_changed: FileState | None = None
+) -> None:
     """Write a file under another name in the same folder, then rename it.
 
     Of a link, the file that it points to is replaced. A device or a pipe is written to directly.
     Temporary files that writers left in the folder when they were killed are removed first.
 
+    Args:
+        unless_changed: what the path was when the work began. If another process wrote it since,
+            it stays as that process left it. Processes on one machine take turns at this, where
+            the system locks folders.
+
     Raises:
-        OSError: the path can't be written; a file that was there is unchanged.
+        OSError: the path can't be written, or was written by another process; a file that was
+            there is unchanged.
     """
     if not _is_replaceable(path):
         Path(path).write_bytes(data)
@@ -39,13 +67,39 @@ def write_whole(data: bytes, path: str | PathLike[str]) -> None:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-            if fcntl is not None:
-                os.replace(temporary, target)  # under the lock: nobody takes it for a leftover
-        if fcntl is None:
-            os.replace(temporary, target)  # Windows renames no file that is open
+            if fcntl is not None:  # under the lock: nobody takes it for a leftover
+                _replace(temporary, target, unless_changed)
+        if fcntl is None:  # Windows renames no file that is open
+            _replace(temporary, target, unless_changed)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def _replace(temporary: Path, target: Path, unless_changed: FileState | None) -> None:
+    if unless_changed is None:
+        os.replace(temporary, target)
+        return
+    with _folder_lock(target.parent):
+        if file_state(target) != unless_changed:
+            why = "another process wrote it meanwhile, and that is kept"
+            raise FileExistsError(errno.EEXIST, why, str(target))
+        os.replace(temporary, target)
+
+
+@contextmanager
+def _folder_lock(folder: Path) -> Iterator[None]:
+    """Let one process at a time look at a folder's files and replace one; as far as it locks."""
+    if fcntl is None:
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def check_writable(path: str | PathLike[str]) -> None:

@@ -11,6 +11,7 @@ from navbake.baker.boxes import Box, written_ground
 from navbake.baker.lattice import Window, cut_cells
 from navbake.baker.scene.model import mujoco_version
 from navbake.baker.stages import Stages
+from navbake.baker.warn import collect_warnings
 from navbake.config.settings import settings_digest
 from navbake.navgrid.door_states import with_door_names
 from navbake.navgrid.doors import Door, Runs, to_runs
@@ -72,6 +73,7 @@ def _level_grid(
 
 def _metadata(stages: Stages, windows: list[Window], doors: Sequence[Door]) -> Json:
     config, agent = stages.config, stages.config.agent
+    warnings = collect_warnings(stages)
     closed = {door.id: door.closed_cells for door in stages.doors.placed}
     return {
         "sceneId": stages.scene.id,
@@ -105,6 +107,7 @@ def _metadata(stages: Stages, windows: list[Window], doors: Sequence[Door]) -> J
             "names": config.names.enabled,
             "rooms": [room.to_json() for room in stages.rooms.with_doors(closed).table],
             "doors": [_door_entry(door) for door in doors],
+            **({"warnings": warnings} if warnings else {}),
         },
     }
 

@@ -1,5 +1,7 @@
 """The bake, end to end: its stages, and the grid that they make."""
 
+import logging
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from os import PathLike
@@ -10,9 +12,13 @@ from navbake.baker.clock import Progress, StageClock
 from navbake.baker.scene.scene import GeomReport
 from navbake.baker.stages import settle_doors, take_first_look
 from navbake.baker.threads import limit_threads
-from navbake.baker.warn import collect_warnings
 from navbake.config.settings import BakeConfig, as_config
+from navbake.errors import BakeWarning
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+
+LOG = logging.getLogger("navbake")
+# without it, Python prints warnings of loggers that nobody has set up
+LOG.addHandler(logging.NullHandler())
 
 
 @dataclass
@@ -41,6 +47,9 @@ def bake(
 ) -> SceneGrid2D | MultiLevelGrid:
     """Bake a scene.
 
+    What a user should know about the bake is warned of, each line as a `BakeWarning`, and stays
+    in `grid.warnings`, also when the grid is saved. The logger ``navbake`` gets it, too.
+
     Args:
         config: settings, the path of a YAML or of a scene file, or the YAML as a mapping.
         threads: number of threads, >= 1; all cores if None. The result doesn't depend on it.
@@ -52,7 +61,10 @@ def bake(
         ConfigError: a setting is wrong.
         SceneError: the scene cannot be read, or holds nothing to bake.
     """
-    return run_bake(as_config(config), threads=threads).grid
+    grid = run_bake(as_config(config), threads=threads).grid
+    for warning in grid.warnings:
+        warnings.warn(warning, BakeWarning, stacklevel=2)
+    return grid
 
 
 def run_bake(
@@ -77,10 +89,12 @@ def run_bake(
         with clock.stage("grid"):
             grid = build_grid(stages)
     grid.timings = clock.to_json()
+    for warning in grid.warnings:
+        LOG.warning("%s: %s", stages.scene.id, warning)
     return BakeResult(
         grid=grid,
         geoms=stages.scene.geoms,
-        warnings=collect_warnings(stages),
+        warnings=list(grid.warnings),
         timings=clock.seconds,
         by_ray=stages.occupancy.by_ray,
         by_fcl=stages.occupancy.by_fcl,

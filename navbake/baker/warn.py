@@ -1,20 +1,37 @@
 """The warnings of a bake, one line each."""
 
+from collections import Counter
+from collections.abc import Sequence
+
 import numpy as np
 
 from navbake.baker.boxes import LevelBoxes
+from navbake.baker.contents.contents import Contents
 from navbake.baker.floors.levels import DroppedSheet, Floors
 from navbake.baker.floors.tops import LARGE_TOP
+from navbake.baker.scene.bodies import find_free_bodies
+from navbake.baker.scene.mesh_scene import MESH_SUFFIXES
+from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene
 from navbake.baker.stages import Stages
 from navbake.config.settings import BakeConfig
+from navbake.errors import printable
+from navbake.types import Bool
+
+MAX_MOVABLE = 3  # bodies with a free joint that a warning names at most
 
 
 def collect_warnings(stages: Stages) -> list[str]:
     """The warnings of all stages, in their order."""
+    return [printable(warning) for warning in _find_warnings(stages)]
+
+
+def _find_warnings(stages: Stages) -> list[str]:
     return [
         *stages.scene.warnings,
         *stages.unmatched,
+        *warn_nothing_free(stages.floors, stages.occupancy.levels, stages.config),
+        *(warn_movable(stages.scene, stages.contents) if stages.contents else ()),
         *warn_missing_floors(stages.scene, stages.floors, stages.config),
         *(stages.contents.warnings if stages.contents else ()),
         *stages.rooms.warnings,
@@ -35,8 +52,14 @@ def warn_missing_floors(scene: Scene, floors: Floors, config: BakeConfig) -> lis
     if floors.roofs:
         warnings.append(
             "not a level, because it is open to the sky and has no walls around, though no floor "
-            f"is larger: the roof {_describe_tops(scene, floors.roofs)}; "
+            f"is as large: the roof {_describe_tops(scene, floors.roofs)}; "
             f"{_remedy(floors.roofs[0])}, `floors.roofs: true` keeps all"
+        )
+    if floors.small_starts:
+        warnings.append(
+            "a floor only because `floors.from` names it, as it is too small otherwise: "
+            f"{_describe_tops(scene, floors.small_starts)}; give the height of the floor that "
+            "one starts from, at a place where nothing stands on it"
         )
     for unreached in floors.unreached:
         level, name = floors.levels[unreached.level], scene.geoms[unreached.geom].name
@@ -52,6 +75,55 @@ def warn_missing_floors(scene: Scene, floors: Floors, config: BakeConfig) -> lis
             "makes meshes hollow, all or by pattern"
         )
     return [*warnings, *_warn_hidden_ground(scene, floors, config)]
+
+
+def warn_nothing_free(floors: Floors, occupied: Sequence[Bool], config: BakeConfig) -> list[str]:
+    """Warn of levels without a cell that an agent can stand in."""
+    full = [
+        repr(level.name)
+        for level, taken in zip(floors.levels, occupied, strict=True)
+        if not (~taken & level.standable).any()
+    ]
+    if not full:
+        return []
+    agent = config.agent
+    is_mesh = config.scene.path.suffix.lower() in MESH_SUFFIXES
+    lying = "; does the scene lie on its side (`scene.up`)?" if is_mesh else ""
+    return [
+        f"nothing is free on {', '.join(full)}: an agent {agent.height:g} m high of "
+        f"{agent.radius:g} m radius can stand nowhere there; `navbake why` names what blocks a "
+        f"place{lying}"
+    ]
+
+
+def warn_movable(scene: Scene, contents: Contents) -> list[str]:
+    """Warn of bodies with a free joint that take floor: agents, and things that move later.
+
+    A body takes a cell that it blocks where all that blocks the cell is on bodies with a free
+    joint. So a cup on a table takes none.
+    """
+    body_of = find_free_bodies(scene.model)
+    num_cells: Counter[int] = Counter()
+    for listed in contents.levels:
+        cell, geom = listed.cell[listed.blocks], listed.geom[listed.blocks]
+        is_fixed = np.zeros(len(listed.start) - 1, dtype=np.bool_)
+        is_fixed[cell[body_of[geom] < 0]] = True
+        taken = ~is_fixed[cell]
+        pairs = np.unique(np.stack([cell[taken], body_of[geom[taken]]]), axis=1)
+        num_cells.update(pairs[1].tolist())
+    if not num_cells:
+        return []
+    cell_area = contents.levels[0].lattice.cell_size ** 2
+    named = [
+        f"{body_name(scene.model, body)!r} ({num * cell_area:.2f} m²)"
+        for body, num in sorted(num_cells.items(), key=lambda entry: (-entry[1], entry[0]))
+    ]
+    more = f", and {len(named) - MAX_MOVABLE} more" if named[MAX_MOVABLE:] else ""
+    return [
+        f"bodies with a free joint take floor, where they stand now: "
+        f"{', '.join(named[:MAX_MOVABLE])}{more}; `scene.exclude.movable: true` leaves all such "
+        f"bodies out, `scene.exclude.bodies` those that its patterns name"
+    ]
 
 
 def warn_interleaved(floors: Floors, boxes: LevelBoxes) -> list[str]:

@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from typer import Argument, BadParameter, Exit, Option
 
-from navbake.cli.options import Overrides, check_output
+from navbake.cli.options import (
+    GRIDS,
+    STDOUT,
+    Overrides,
+    beside_output,
+    check_output,
+    refuse_unused,
+    write_stdout,
+)
+from navbake.cli.outputs import check_name, is_folder, lay_out
 from navbake.cli.printing import level_table, print_error, print_tables, print_warnings
 from navbake.cli.warm_up import tell_if_cold
 from navbake.errors import ConfigError, NavbakeError
+from navbake.files import file_state
 
 if TYPE_CHECKING:
+    from navbake.baker.pipeline import BakeResult
     from navbake.config.settings import BakeConfig
 
 # Functions import the baker and the settings when they run: --help loads neither MuJoCo nor numpy.
@@ -30,81 +41,118 @@ def bake(
         "-o",
         "--output",
         metavar="OUT",
-        help="File to write, or a folder: one that exists, or a new one that ends in /.  "
-        "[default: the settings' output, or <id>.grid.json in the current folder]",
+        help="File to write (.json or .json.gz), - for stdout, or a folder: one that exists, or a "
+        "new one that ends in /.  [default: the settings' output, or <id>.grid.json in the "
+        "current folder]",
+    ),
+    name: str | None = Option(
+        None,
+        metavar="NAME",
+        help="What to call the files in the folder, without .grid.json: {id} is the scene's, "
+        "{stem} CONFIG's, {parent} that of its folder.  [default: {id}; of several scenes with "
+        "one id, in folders as the CONFIGs are]",
     ),
     overrides: Overrides = None,
     threads: int | None = Option(None, min=1, help="Number of threads.  [default: all cores]"),
+    no_timings: bool = Option(
+        False, "--no-timings", help="Leave out timings, so that two bakes give the same bytes."
+    ),
     quiet: bool = Option(False, "--quiet", "-q", help="Print only warnings and errors."),
 ) -> None:
     """Bake scenes into navigation grids.
 
     Of several CONFIGs, each is baked even if another one fails.
     """
-    if len(configs) > 1 and output is not None and not _is_folder(output):
+    is_file = output is not None and not is_folder(output)
+    if len(configs) > 1 and is_file:
         raise BadParameter(
             f"with several CONFIGs, expected a folder, got {output} (a new one ends in /)",
             param_hint="-o",
         )
-    written: set[Path] = set()
-    num_failed = 0
+    refuse_unused(("--name", name is not None, not is_file, "files in a folder"))
+    if name is not None:
+        check_name(name)
+    from navbake.config.settings import load_config
+
+    jobs: list[tuple[Path, BakeConfig]] = []
+    failed: list[Path] = []
     for path in configs:
-        try:
-            config, target = _check(path, output, overrides or [], written)
-            _bake_one(config, target, threads, quiet)
-        except NavbakeError as error:
-            if len(configs) == 1:
-                raise
-            num_failed += 1
-            culprit = "" if str(path) in str(error) else f"{path}: "
-            print_error(f"{culprit}{error}")
-        else:
+        with _going_on(path, failed, len(configs)):
+            jobs.append((path, load_config(path, overrides or [])))
+    written: set[Path] = set()
+    for (path, config), target in zip(jobs, lay_out(jobs, output, name), strict=True):
+        with _going_on(path, failed, len(configs)):
+            if target.resolve() in written:
+                raise ConfigError(
+                    f"{target} was written for another scene: give each its own `scene.id`, or "
+                    "name files by --name, as in --name '{parent}-{stem}'"
+                )
+            _check(path, config, target, may_make_folder=not is_file)
+            _bake_one(config, target, threads, quiet, not no_timings)
             written.add(target.resolve())
-    if num_failed:
-        print_error(f"{num_failed} of {len(configs)} failed")
+    if failed:
+        print_error(f"{len(failed)} of {len(configs)} failed")
         raise Exit(1)
 
 
-def _check(
-    path: Path, output: str | None, overrides: Sequence[str], written: set[Path]
-) -> tuple[BakeConfig, Path]:
-    """Read the settings, and refuse an output that can't be written, before any work is done."""
-    from navbake.config.settings import load_config
-
-    config = load_config(path, overrides)
-    target = config.output or Path(f"{config.scene.id}.grid.json")
-    is_in_folder = output is not None and _is_folder(output)
-    if output is not None:
-        target = Path(output, f"{config.scene.id}.grid.json") if is_in_folder else Path(output)
-    check_output(target, may_make_folder=is_in_folder)
-    if target.resolve() in written:
-        raise ConfigError(f"{target} was written for another scene: give each its own `scene.id`")
-    if target.resolve() in (path.resolve(), config.scene.path.resolve()):
-        raise ConfigError(f"expected an output apart from the inputs, got {target}")
-    return config, target
+@contextmanager
+def _going_on(path: Path, failed: list[Path], num_configs: int) -> Iterator[None]:
+    """Tell of an error and note who failed, where others are to be baked; else raise it."""
+    try:
+        yield
+    except NavbakeError as error:
+        if num_configs == 1:
+            raise
+        failed.append(path)
+        culprit = "" if str(path) in str(error) else f"{path}: "
+        print_error(f"{culprit}{error}")
 
 
-def _is_folder(output: str) -> bool:
-    return output.endswith(("/", os.sep)) or os.path.isdir(output)
+def _check(path: Path, config: BakeConfig, target: Path, *, may_make_folder: bool) -> None:
+    """Refuse an output that can't be written, or is an input, before any work is done."""
+    is_own = target == config.output
+    may_make_folder = may_make_folder and not is_own
+    suffixes = () if is_own else GRIDS
+    check_output(target, *suffixes, inputs=(path, *config.inputs), may_make_folder=may_make_folder)
+    if not target.name.lower().endswith(GRIDS) and target != STDOUT:
+        raise ConfigError(
+            f"expected a name that ends in {', '.join(GRIDS)} as `output` in {path}, got {target}"
+        )
 
 
-def _bake_one(config: BakeConfig, target: Path, threads: int | None, quiet: bool) -> None:
+def _bake_one(
+    config: BakeConfig, target: Path, threads: int | None, quiet: bool, with_timings: bool
+) -> None:
     from navbake.baker.pipeline import run_bake
     from navbake.cli.progress import stage_progress
-    from navbake.views.info import describe
+    from navbake.formats.navgrid import dumps_navgrid, write_navgrid
 
     if not quiet:
         tell_if_cold()
-    with stage_progress(title=config.scene.id, hidden=quiet) as progress:
+    before = file_state(target)
+    with stage_progress(title=str(config.scene.id), hidden=quiet) as progress:
         result = run_bake(config, threads=threads, progress=progress)
+    if not with_timings:
+        result.grid.timings = {}
     begin = time.perf_counter()
-    target.parent.mkdir(parents=True, exist_ok=True)
-    result.grid.save(target)
+    if target == STDOUT:
+        write_stdout(dumps_navgrid(result.grid))
+    else:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_navgrid(result.grid, target, unless_changed=before)
     result.timings["write"] = time.perf_counter() - begin
     if quiet:
         print_warnings(result.warnings)
         return
-    print(target)
+    with beside_output(target):
+        _print_result(result, target)
+
+
+def _print_result(result: BakeResult, target: Path) -> None:
+    from navbake.views.info import describe
+
+    if target != STDOUT:
+        print(target)
     print_tables(level_table(describe(result.grid)))
     for warning in result.warnings:
         print(f"warning: {warning}")

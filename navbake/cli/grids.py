@@ -6,7 +6,9 @@ from typer import BadParameter, Option
 
 import navbake
 from navbake.cli import printing
-from navbake.cli.options import AsJson, GridFile, check_output
+from navbake.cli.options import STDOUT, AsJson, GridFile, check_output, write_stdout
+from navbake.cli.places import PLACE, PLACE_HELP, parse_place
+from navbake.errors import QueryError
 
 # Functions import views when they run: --help loads no numpy, no matplotlib.
 
@@ -24,6 +26,7 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
     if content.doors:
         shown.append(printing.door_table(content.doors, content.level_names))
     printing.print_tables(*shown)
+    printing.print_warnings(content.warnings)
 
 
 def rooms(grid: GridFile, as_json: AsJson = False) -> None:
@@ -43,29 +46,27 @@ def rooms(grid: GridFile, as_json: AsJson = False) -> None:
 
 def why(
     grid: GridFile,
-    at: str = Option(
-        ..., metavar="X,Y[,LEVEL]", help="World position [m]; levels count from 0, the lowest."
-    ),
+    at: str = Option(..., metavar=PLACE, help=f"World position, {PLACE_HELP}."),
     as_json: AsJson = False,
 ) -> None:
     """Print what a grid holds at a position, and what blocks it.
 
-    Without a LEVEL, each level that spans the position is printed.
+    Of X,Y alone, each level that spans the position is printed; of X,Y,Z, the one whose floor is
+    the nearest below it.
     """
     from navbake.views.why import describe_column
 
-    x, y, *level = at.split(",") if at.count(",") in (1, 2) else ("", "")
-    try:
-        position, levels = (float(x), float(y)), [int(number) for number in level]
-    except ValueError:
-        raise BadParameter(
-            f"expected X,Y or X,Y,LEVEL as in 1.5,-2,0, got {at}", param_hint="--at"
-        ) from None
+    x, y, z, level = parse_place(at, "--at")
     content = navbake.load(grid)
-    if levels:
-        cells = [content.describe_cell(*position, levels[0])]
+    if z is not None:
+        cell = content.cell_at((x, y, z))
+        if cell is None:
+            raise QueryError(f"{at} is in no cell: it lies beside the grid, or below its floors")
+        level = cell.level
+    if level is None:
+        cells = describe_column(content, x, y)
     else:
-        cells = describe_column(content, *position)
+        cells = [content.describe_cell(x, y, level)]
     if as_json:
         printing.print_json(cells)
     else:
@@ -74,7 +75,7 @@ def why(
 
 def plot(
     grid: GridFile,
-    output: Path = Option(..., "-o", "--output", metavar="PNG", help="PNG to write."),
+    output: Path = Option(..., "-o", "--output", metavar="PNG", help="PNG to write; - for stdout."),
     level: int | None = Option(
         None, min=0, help="Draw only this level; 0 is the lowest.  [default: all]"
     ),
@@ -88,13 +89,16 @@ def plot(
 ) -> None:
     """Draw a grid: a row for each level, a column for each layer."""
     from navbake.views.layers import LAYERS
-    from navbake.views.plot import DEFAULT_LAYERS, plot_grid
+    from navbake.views.plot import DEFAULT_LAYERS, plot_grid, render_png
 
     for layer in layers or ():
         if layer not in LAYERS:
             raise BadParameter(
                 f"expected one of {', '.join(LAYERS)}, got {layer}", param_hint="--layer"
             )
-    check_output(output, ".png")
-    chosen = tuple(layers or DEFAULT_LAYERS)
-    print(plot_grid(navbake.load(grid), output, level=level, layers=chosen))
+    check_output(output, ".png", inputs=[grid])
+    content, chosen = navbake.load(grid), tuple(layers or DEFAULT_LAYERS)
+    if output == STDOUT:
+        write_stdout(render_png(content, level=level, layers=chosen))
+    else:
+        print(plot_grid(content, output, level=level, layers=chosen))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from typer import Argument, BadParameter, Option
 
 import navbake
-from navbake.cli.options import AsJson
+from navbake.cli.options import AsJson, refuse_unused
 from navbake.cli.printing import print_json
 from navbake.errors import ConfigError, FormatError
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 NPY = b"\x93NUMPY"
+SQUARE = 0.1  # edge of a square unless given [m]
 MAX_NPY = 1 << 30  # of an array of explored squares [bytes]
 
 # Functions import what reads grids when they run: --help stays quick.
@@ -25,7 +26,7 @@ MAX_NPY = 1 << 30  # of an array of explored squares [bytes]
 class Squares(NamedTuple):
     """Options that lay the descriptor's squares over a level."""
 
-    level: int = Option(0, min=0, help="Which level; 0 is the lowest.")
+    level: int | None = Option(None, min=0, help="Which level; 0 is the lowest.  [default: 0]")
     corner: tuple[float, float] | None = Option(
         None, metavar="X Y", help="Lower left corner [m].  [default: the level's]"
     )
@@ -35,7 +36,7 @@ class Squares(NamedTuple):
     cols: int | None = Option(
         None, min=1, help="Squares across.  [default: the whole level; decoding: 15]"
     )
-    square: float = Option(0.1, help="Edge of a square [m].")
+    square: float | None = Option(None, help="Edge of a square [m].  [default: 0.1]")
 
     @property
     def shape(self) -> tuple[int, int] | None:
@@ -60,6 +61,17 @@ def mdf(
         raise BadParameter("expected a GRID, or --decode P1 P2", param_hint="GRID")
     if (squares.rows is None) != (squares.cols is None):
         raise BadParameter("expected both or none of them", param_hint="--rows, --cols")
+    refuse_unused(
+        *(
+            (name, value is not None, decode is None, "a GRID")
+            for name, value in (
+                ("--level", squares.level),
+                ("--corner", squares.corner),
+                ("--square", squares.square),
+                ("--explored", explored),
+            )
+        )
+    )
     from navbake.arena import map_descriptor  # loads numpy
 
     if decode is not None:
@@ -89,12 +101,12 @@ def _read_squares(
     from navbake.formats.source import read_bytes  # which loads numpy
 
     levels = navbake.load(path).levels
-    if squares.level >= len(levels):
-        raise ConfigError(
-            f"no level {squares.level} in {path}: it has {len(levels)}, counted from 0"
-        )
-    level = levels[squares.level]
-    placed = place_squares(level, square=squares.square, corner=squares.corner, shape=squares.shape)
+    number = squares.level or 0
+    if number >= len(levels):
+        raise ConfigError(f"no level {number} in {path}: it has {len(levels)}, counted from 0")
+    level = levels[number]
+    edge = SQUARE if squares.square is None else squares.square
+    placed = place_squares(level, square=edge, corner=squares.corner, shape=squares.shape)
     filled = find_obstacles(level, placed)
     if explored is None:
         return np.ones_like(filled), filled

@@ -1,7 +1,10 @@
 """Arguments and options that several commands share, and what checks them."""
 
 import inspect
-from collections.abc import Callable
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, redirect_stdout
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
@@ -36,12 +39,31 @@ Overrides = Annotated[
 AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
 
 
-def check_output(path: Path, *suffixes: str, may_make_folder: bool = False) -> None:
-    """Refuse a file that can't be written, or has none of the suffixes, before any work is done.
+STDOUT = Path("-")
+"""The output that stands for stdout."""
+GRIDS = (".json", ".json.gz")
+"""Endings of NavGrid files."""
 
-    With `may_make_folder`, its folder may be missing, as long as it can be made.
+
+def check_output(
+    path: Path, *suffixes: str, inputs: Iterable[Path] = (), may_make_folder: bool = False
+) -> None:
+    """Refuse an output before any work is done: one that can't be written, or would do harm.
+
+    Args:
+        suffixes: one of which its name has to end in; ``-``, which is stdout, goes without.
+        inputs: files that it must not be.
+        may_make_folder: whether its folder may be missing, as long as it can be made.
+
+    Raises:
+        ConfigError: it is an input, or can't be written.
+        BadParameter: its name ends in none of the suffixes.
     """
-    if suffixes and path.suffix.lower() not in suffixes:
+    if path == STDOUT:
+        return
+    if any(_is_same(path, file) for file in inputs):
+        raise ConfigError(f"expected an output apart from the inputs, got {path}")
+    if suffixes and not path.name.lower().endswith(suffixes):
         raise BadParameter(
             f"expected a name that ends in {', '.join(suffixes)}, got {path}", param_hint="-o"
         )
@@ -52,6 +74,44 @@ def check_output(path: Path, *suffixes: str, may_make_folder: bool = False) -> N
         files.check_writable(probe)
     except OSError as error:
         raise ConfigError(f"cannot write {path}: {error.strerror}") from error
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    """Whether two paths are one file, be it by links."""
+    try:
+        return os.path.samefile(path, other)
+    except OSError:  # one of them isn't there
+        return path.resolve() == other.resolve()
+
+
+def write_stdout(data: bytes) -> None:
+    """Write a file's content to stdout."""
+    sys.stdout.buffer.write(data)
+    sys.stdout.buffer.flush()
+
+
+@contextmanager
+def beside_output(path: Path | None) -> Iterator[None]:
+    """Print on stderr what a command says, where its output goes to stdout."""
+    if path != STDOUT:
+        yield
+        return
+    with redirect_stdout(sys.stderr):
+        yield
+
+
+def refuse_unused(*uses: tuple[str, bool, bool, str]) -> None:
+    """Refuse options that do nothing.
+
+    Args:
+        uses: of each its name, whether it is given, whether it applies, and what it is for.
+
+    Raises:
+        BadParameter: one is given and doesn't apply.
+    """
+    for name, is_given, applies, purpose in uses:
+        if is_given and not applies:
+            raise BadParameter(f"does nothing here: it is for {purpose}", param_hint=name)
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:

@@ -8,26 +8,23 @@ from typing import TYPE_CHECKING, Any
 from typer import BadParameter, Exit, Option
 
 import navbake
-from navbake.cli.options import AsJson, GridFile, check_output
+from navbake.cli.options import STDOUT, AsJson, GridFile, beside_output, check_output, write_stdout
+from navbake.cli.places import PLACE, PLACE_HELP, parse_place, position_of_place
 from navbake.cli.printing import print_json
 
 if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid
     from navbake.runtime.paths import path as paths
 
-POSITION = "X,Y[,Z|,LEVEL]"
 NAMED = ("room:", "object:")
 
 
 def path(
     grid: GridFile,
-    start: str = Option(
-        ..., "--from", metavar=POSITION, help="Start [m]; in place of z a level, L0 is the lowest."
-    ),
+    start: str = Option(..., "--from", metavar=PLACE, help=f"Start, {PLACE_HELP}."),
     goals: list[str] = Option(
         ...,
         "--to",
-        metavar=f"{POSITION}|room:NAME|object:NAME",
+        metavar=f"{PLACE}|room:NAME|object:NAME",
         help="Goal: a position, a room, or an object to stop beside. Repeat it with several "
         "positions to reach the cheapest of them.",
     ),
@@ -36,60 +33,45 @@ def path(
     ),
     smooth: bool = Option(True, help="Straighten the path, or follow the cells' centres."),
     as_json: AsJson = False,
-    output: Path | None = Option(None, "-o", "--output", metavar="PNG", help="Draw the path."),
+    output: Path | None = Option(
+        None, "-o", "--output", metavar="PNG", help="Draw the path; - for stdout."
+    ),
 ) -> None:
     """Plan a path through a grid, or say why there is none.
 
     The exit status is 1 if there is none.
     """
     if output is not None:
-        check_output(output, ".png")
-    if len(goals) > 1 and any(goal.startswith(NAMED) for goal in goals):
+        check_output(output, ".png", inputs=[grid])
+    is_named = any(goal.startswith(NAMED) for goal in goals)
+    if len(goals) > 1 and is_named:
         raise BadParameter("several goals have to be positions", param_hint="--to")
+    begin = parse_place(start, "--from")
+    ends = [] if is_named else [parse_place(text, "--to") for text in goals]
     content = navbake.load(grid)
     if radius is not None:
         content = content.inflate(radius)
     finder = navbake.PathFinder(content)
-    origin = _parse_position(content, start, "--from")
-    goal: Any = goals[0]
-    if not goal.startswith(NAMED):
-        goal = [_parse_position(content, text, "--to") for text in goals]
+    origin = position_of_place(content, begin, "--from")
+    goal: Any = goals[0] if is_named else [position_of_place(content, p, "--to") for p in ends]
     found = finder.find_path(origin, goal, smooth=smooth)
     reason = None if found else finder.why_not(origin, goal)
-    if as_json:
-        print_json({"path": _to_json(found) if found else None, "reason": reason})
-    elif found:
-        _print_path(found)
-    else:
-        print(f"no path: {reason}")
+    with beside_output(output):
+        if as_json:
+            print_json({"path": _to_json(found) if found else None, "reason": reason})
+        elif found:
+            _print_path(found)
+        else:
+            print(f"no path: {reason}")
     if output is not None:
-        from navbake.views.plot import plot_grid  # loads numpy
+        from navbake.views.plot import plot_grid, render_png  # loads numpy
 
-        plot_grid(content, output, layers=("occupancy",), route=found)
+        if output == STDOUT:
+            write_stdout(render_png(content, layers=("occupancy",), route=found))
+        else:
+            plot_grid(content, output, layers=("occupancy",), route=found)
     if not found:
         raise Exit(1)
-
-
-def _parse_position(grid: NavGrid, text: str, option: str) -> list[float]:
-    """World x, y and, where the text gives z or a level, z."""
-    parts = text.split(",")
-    try:
-        if len(parts) not in (2, 3):
-            raise ValueError
-        if len(parts) == 2 or not parts[2].strip().upper().startswith("L"):
-            return [float(part) for part in parts]
-        x, y, level = float(parts[0]), float(parts[1]), int(parts[2].strip()[1:])
-    except ValueError:
-        raise BadParameter(
-            f"expected {POSITION} as in 1.5,-2 or 1.5,-2,0.3 or 1.5,-2,L1, got {text}",
-            param_hint=option,
-        ) from None
-    cell = grid.cell_at((x, y), level)
-    z = grid.levels[level].ground if cell is None else float(grid.position_of(cell)[2])
-    found = grid.cell_at((x, y, z))
-    if found is not None and found.level != level:  # where the level is open to the one below
-        raise BadParameter(f"level {level} has no floor at {x:g}, {y:g}", param_hint=option)
-    return [x, y, z]
 
 
 def _to_json(found: paths.Path) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from typer import Argument, Option
 
-from navbake.cli.options import AsJson, Overrides, SceneOrConfig
+from navbake.cli.options import STDOUT, AsJson, Overrides, SceneOrConfig, refuse_unused
 from navbake.cli.printing import geom_table, print_json, print_tables, print_warnings
 
 # Functions import what reads scenes when they run: --help loads neither MuJoCo nor numpy.
@@ -13,13 +13,21 @@ from navbake.cli.printing import geom_table, print_json, print_tables, print_war
 def init(
     scene: Path = Argument(..., metavar="SCENE", help="Scene file: MJCF, MJB, URDF or a mesh."),
     output: Path | None = Option(
-        None, "-o", "--output", metavar="FILE", help="YAML to write.  [default: ./<id>.yaml]"
+        None,
+        "-o",
+        "--output",
+        metavar="FILE",
+        help="YAML to write; - for stdout.  [default: ./<id>.yaml]",
     ),
     force: bool = Option(False, "--force", help="Overwrite FILE if it exists."),
 ) -> None:
     """Write a YAML file with all settings, commented, for a scene."""
-    from navbake.config.template import write_template
+    from navbake.config.template import template_for, write_template
 
+    refuse_unused(("--force", force, output != STDOUT, "files"))
+    if output == STDOUT:
+        print(template_for(scene, Path()), end="")
+        return
     path = write_template(scene, output, force=force)
     print(f"{path}: the default settings; `navbake bake {path}` bakes the scene with them")
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from typer import BadParameter, Option
 
 import navbake
-from navbake.cli.options import Overrides, SceneOrConfig, check_output
+from navbake.cli.options import STDOUT, Overrides, SceneOrConfig, check_output, refuse_unused
 from navbake.cli.printing import print_warnings
 from navbake.formats.suffixes import OCTREES, VOXELS
 
@@ -70,16 +70,28 @@ def voxelize(
     overrides: Overrides = None,
 ) -> None:
     """Voxelize a scene: write which voxels are occupied."""
+    if STDOUT in outputs:
+        raise BadParameter("expected a name: its ending says which format", param_hint="-o")
     for output in outputs:
-        check_output(output, *VOXELS)
+        check_output(output, *VOXELS, inputs=[config])
     has_octree = [output.suffix.lower() in OCTREES for output in outputs]
+    has_ids = bool(segments) and any(output.suffix.lower() == ".binvox" for output in outputs)
+    refuse_unused(
+        ("--compact", layout.compact, has_ids, ".binvox with --segment"),
+        ("--twin", layout.twin, has_ids, ".binvox with --segment"),
+        ("--airsim", layout.airsim, any(o.suffix.lower() == ".binvox" for o in outputs), ".binvox"),
+        ("--free", layout.free, any(has_octree), ".bt and .ot"),
+    )
     if segments and all(has_octree):
         raise BadParameter(
             "octrees hold no IDs: write a .npz or a .binvox, too", param_hint="--segment"
         )
     from navbake.config.settings import load_config  # loads numpy
 
-    voxelizer = navbake.Voxelizer(load_config(config, overrides or []), ignore=ignore or [])
+    settings = load_config(config, overrides or [])
+    for output in outputs:
+        check_output(output, inputs=settings.inputs)
+    voxelizer = navbake.Voxelizer(settings, ignore=ignore or [])
     print_warnings(voxelizer.scene.warnings)
     # an octree's voxels begin at multiples of their edge, and all files are to hold the same ones
     box = box._replace(align=box.align or any(has_octree))

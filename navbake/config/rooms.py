@@ -62,8 +62,11 @@ def _read_polygons(value: Any, info: ValidationInfo) -> Any:
     """Replace the path of a GeoJSON file by its polygons, so that the digest covers them."""
     if not isinstance(value, str | PathLike):
         return value
+    path = resolve(to_path(value), info)
+    if info.context:
+        info.context.setdefault("inputs", []).append(path)
     try:
-        return read_room_outlines(resolve(to_path(value), info))
+        return read_room_outlines(path)
     except FormatError as error:
         raise ConfigError(f"{error}, named at `rooms.polygons`") from error
 

@@ -18,6 +18,7 @@ from pydantic import (
     ConfigDict,
     Discriminator,
     Field,
+    PrivateAttr,
     Tag,
     ValidationError,
     ValidationInfo,
@@ -217,6 +218,16 @@ class BakeConfig(Settings):
     output: FilePath | None = setting(
         None, "file to write, relative to the current folder", "<id>.grid.json"
     )
+    _named: tuple[Path, ...] = PrivateAttr(())
+
+    @property
+    def inputs(self) -> tuple[Path, ...]:
+        """The files that the settings name: the scene, and what was read with them (GeoJSON)."""
+        return (Path(self.scene.path), *self._named)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all settings are the same, whatever files they were read from."""
+        return isinstance(other, BakeConfig) and self.__dict__ == other.__dict__
 
 
 def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> BakeConfig:
@@ -249,10 +260,13 @@ def parse_config(
         raise ConfigError(f"expected a mapping of settings in {source}: `scene: {{path: …}}`")
     # null stands for a section's defaults: so what a file without `scene` lacks is `scene.path`
     data = {"scene": None, **apply_overrides(data, overrides)}
+    context: dict[str, Any] = {"folder": folder, "inputs": []}
     try:
-        return BakeConfig.model_validate(data, context={"folder": folder})
+        config = BakeConfig.model_validate(data, context=context)
     except ValidationError as error:
         raise ConfigError(describe_errors(error, SECTIONS, source, overrides)) from error
+    config._named = tuple(context["inputs"])
+    return config
 
 
 def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> BakeConfig:

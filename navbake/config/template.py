@@ -41,27 +41,43 @@ def write_template(
         ConfigError: the YAML exists, or cannot be written.
     """
     scene = Path(scene)
-    if scene.suffix.lower() in YAML_SUFFIXES:
-        raise ConfigError(f"expected a scene, got the settings file {scene}")
-    if not scene.is_file():
-        raise SceneError(f"no such file: {scene}")
-    scene_id = load_config(scene).scene.id
+    scene_id = _scene_id(scene)
     path = Path(f"{scene_id}.yaml" if path is None else path)
     if path.suffix.lower() not in YAML_SUFFIXES:
         raise ConfigError(f"expected a name that ends in .yaml, got {path}")
     if path.exists() and not force:
         raise ConfigError(f"{path} exists; --force overwrites it")
-    scene = scene.resolve()
-    with contextlib.suppress(ValueError):  # Windows has no relative path to another drive
-        scene = Path(os.path.relpath(scene, path.parent.resolve()))
-    text = render_template(parse_config({"scene": {"path": scene, "id": scene_id}}))
-    # Names of files can be anything: make sure that the text reads back.
-    parse_config(parse_yaml(text, str(path)), str(path))
+    text = template_for(scene, path.parent)
     try:
         write_whole(text.encode(), path)
     except OSError as error:
         raise ConfigError(f"cannot write {path}: {error.strerror}") from error
     return path
+
+
+def template_for(scene: Path, folder: Path) -> str:
+    """The commented default settings for a scene, for a YAML in a folder.
+
+    Raises:
+        SceneError: there is no such scene.
+        ConfigError: it is no scene, or a YAML can't hold its name.
+    """
+    scene_id, scene = _scene_id(scene), scene.resolve()
+    with contextlib.suppress(ValueError):  # Windows has no relative path to another drive
+        scene = Path(os.path.relpath(scene, folder.resolve()))
+    text = render_template(parse_config({"scene": {"path": scene, "id": scene_id}}))
+    # Names of files can be anything: make sure that the text reads back.
+    name = str(folder / f"{scene_id}.yaml")
+    parse_config(parse_yaml(text, name), name)
+    return text
+
+
+def _scene_id(scene: Path) -> str | None:
+    if scene.suffix.lower() in YAML_SUFFIXES:
+        raise ConfigError(f"expected a scene, got the settings file {scene}")
+    if not scene.is_file():
+        raise SceneError(f"no such file: {scene}")
+    return load_config(scene).scene.id
 
 
 def _section_lines(section: BaseModel, indent: str = "") -> list[str]:

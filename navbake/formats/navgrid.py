@@ -15,6 +15,7 @@ import orjson
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
+from navbake.files import FileState
 from navbake.formats.arrays import Allowance, decode_array, encode_array
 from navbake.formats.json_path import MISSING, JsonPath
 from navbake.formats.source import Source, check_path, read_source, write_bytes
@@ -72,10 +73,16 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
     return grid
 
 
-def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
+def write_navgrid(
+    grid: NavGrid, path: str | os.PathLike[str], *, unless_changed: FileState | None = None
+) -> None:
     """Write a NavGrid file, gzipped if its name ends in ``.gz``; the same grid, the same bytes.
 
     The file is there as a whole or not at all.
+
+    Args:
+        unless_changed: what `navbake.files.file_state` said of the path when the work began; it
+            stays as it is if it was written since.
 
     Raises:
         FormatError: the grid holds what the format can't, or the path can't be written.
@@ -87,7 +94,7 @@ def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
         with gzip.GzipFile("", "wb", compresslevel=6, fileobj=packed, mtime=0) as file:
             file.write(data)
         data = packed.getvalue()
-    write_bytes(data, path)
+    write_bytes(data, path, unless_changed=unless_changed)
 
 
 def dumps_navgrid(grid: NavGrid) -> bytes:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import BinaryIO, TypeAlias
 
 from navbake.errors import FormatError
-from navbake.files import write_whole
+from navbake.files import FileState, write_whole
 from navbake.formats.json_path import JsonPath, shown
 
 Source: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO
@@ -177,11 +177,13 @@ def read_bytes(
         return _read_rest(taken, stream, limit, top), name
 
 
-def write_bytes(data: bytes, path: str | os.PathLike[str]) -> None:
+def write_bytes(
+    data: bytes, path: str | os.PathLike[str], *, unless_changed: FileState | None = None
+) -> None:
     """Write a file as a whole or not at all, with the system's errors as FormatErrors."""
     check_path(path)
     try:
-        write_whole(data, path)
+        write_whole(data, path, unless_changed=unless_changed)
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL
         why = os_message(error)
         if isinstance(error, FileNotFoundError):

@@ -122,6 +122,17 @@ class GridBase:
         return own if isinstance(own, dict) else {}
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the bake warned of, one line each; empty where it warned of nothing.
+
+        It is about the whole scene, and as the bake left it: a level of several has the warnings
+        of all, and no later change of the grid (`inflate`, `with_doors`) adds or removes any.
+        """
+        stated = self.navbake.get("warnings")
+        lines = stated if isinstance(stated, list) else []
+        return tuple(line for line in lines if isinstance(line, str))
+
+    @property
     def rooms(self) -> tuple[Room, ...]:
         """The rooms by level and index.
 

@@ -31,7 +31,8 @@ def describe(grid: NavGrid) -> Json:
         ``floor_max`` (world z [m], None without floor), ``floor_area``, ``free_area`` and
         ``largest_island_area`` [m2], ``num_islands``, ``num_rooms``; ``num_islands`` and
         ``num_links`` of all levels together; ``doors``, see `navbake.navgrid.doors.Door.to_json`;
-        ``inflated``: radius and clearance [m] and mode of each inflation since the bake.
+        ``inflated``: radius and clearance [m] and mode of each inflation since the bake;
+        ``warnings`` of the bake.
     """
     islands = find_islands(grid)
     stated, noted = {**grid.metadata, **grid.navbake}, grid.metadata.get("inflation")
@@ -54,6 +55,7 @@ def describe(grid: NavGrid) -> Json:
             for entry in (noted if isinstance(noted, list) else [])
             if isinstance(entry, dict) and entry.keys() >= set(INFLATION)
         ],
+        "warnings": list(grid.warnings),
     }
 
 

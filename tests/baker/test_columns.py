@@ -382,6 +382,36 @@ def test_lines_through_edges_and_corners_of_a_mesh_cross_it_twice(
     np.testing.assert_allclose(columns.z.reshape(-1, 2), [[0.0, 1.0]] * num**2, atol=1e-6)
 
 
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("kind", ["hull", "surface"])
+def test_line_within_an_upright_side_enters_as_often_as_it_leaves(
+    tmp_path: Path, seed: int, kind: str
+) -> None:
+    """The halves of a gabled roof meet in upright sides over a row of cells' centres."""
+    rng = np.random.default_rng(seed)
+    rise, over, eave = rng.uniform(0.35, 0.8), rng.uniform(0, 0.3), rng.uniform(2, 12)
+    assets, geoms, middle = "", "", float(rng.uniform(-1, 1))
+    for side in (-1.0, 1.0):
+        line = [(middle + side * 3.1, eave), (middle, eave + rise * 3.1)]
+        points = [
+            (x, y, z + t) for y in (-3 - over, 3 + over) for x, z in line for t in (0.0, 0.12)
+        ]
+        name = "left" if side < 0 else "right"
+        faces = " ".join(map(str, np.ravel(outward_faces(np.array(points)))))
+        assets += f'<mesh name="{name}" vertex="{numbers(points)}" face="{faces}"/>'
+        geoms += f'<geom type="mesh" mesh="{name}"/>'
+    xml = f"<mujoco><asset>{assets}</asset><worldbody>{geoms}</worldbody></mujoco>"
+    scene = load(tmp_path, xml, meshes=kind)
+    lattice = Lattice(middle - 0.75, 2.9, 0.1, 15, 58)
+    columns = cast(scene, lattice)
+    for cell in range(lattice.width * lattice.height):
+        for geom in (0, 1):
+            z, normal = column(columns, cell, geom)
+            assert (normal[:, 2] > 0).sum() == (normal[:, 2] < 0).sum(), (cell, z)
+    # and no line slips through between the two
+    assert (np.diff(columns.start) >= 2).all()
+
+
 CROSSED: dict[str, tuple[str, Callable[[float, float], list[float]]]] = {
     "front up": ('size="0 0 1"', lambda x, y: [0.0]),
     "front down": ('size="0 0 1" quat="0 1 0 0"', lambda x, y: [0.0]),

@@ -78,7 +78,8 @@ def test_none_are_closed_where_that_is_asked_for(folder):
 
 
 def test_the_storey_is_one_floor_and_the_ground_below_stays(folder):
-    stages = stages_of(folder, GROUND + two_slabs(0.005, at=0.05))
+    # cut off by the bounds, the storey has no walls
+    stages = stages_of(folder, GROUND + two_slabs(0.005, at=0.05), roofs=True)
     ground, storey = stages.floors.levels
     assert (storey.floor == HEIGHT).all()
     assert (ground.floor == 0).all()
@@ -146,6 +147,16 @@ def test_inner_corner_is_no_crack(folder, near):
 def test_scene_without_cracks_keeps_its_columns(folder):
     geoms = GROUND + slab(-2, 2, -1, 1) + '<geom type="box" size=".05 1 1" pos="0 0 1"/>'
     stages = stages_of(folder, geoms)
+    columns = cast_columns(stages.tiled)
+    assert close_cracks(columns, stages.tiled, stages.config.agent, 0.03) is columns
+
+
+@pytest.mark.parametrize("x", np.linspace(0.0, 0.1, 4))
+def test_ground_round_a_rock_is_no_crack(folder, x):
+    """A slope, and a rock on it whose top is a step higher than the slope at its rim."""
+    slope = '<geom type="box" size="3 3 .1" euler="0 12 0"/>'
+    rock = f'<geom type="ellipsoid" size=".35 .35 .3" pos="{x} 0 .15"/>'
+    stages = stages_of(folder, slope + rock)
     columns = cast_columns(stages.tiled)
     assert close_cracks(columns, stages.tiled, stages.config.agent, 0.03) is columns
 

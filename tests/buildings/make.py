@@ -105,8 +105,8 @@ class House:
         top = self.floor[number + 1] - (0.0 if is_last else self.slab)
         foot = z if self.base not in ("inset_slab_only",) or number else z - self.slab
         if is_last and self.roof == "none":
-            top = z + self.rng.uniform(2.4, 3.0)
-            self.wall_top = top
+            # of a mezzanine, too: nobody should step from it onto the walls
+            top = z + self.rng.uniform(2.4, 3.0) + (0.0 if number else self.mezzanine)
         end = top + self.short
         self._outer_walls(number, foot, end)
         holes: list[Rect] = []

@@ -6,13 +6,17 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from buildings.parts import Building, Placing, Rect
+from box_truth import HEIGHT, STEP, Corners, met_by_boxes
+from buildings.parts import Building, Patch, Placing, Rect
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import find_islands
 
 SAME = 0.02  # heights that differ by less are the same [m]
-STEP, HEIGHT = 0.25, 1.14  # of the agent, as in the settings' defaults [m]
+CLEAR = 0.001  # what is nearer than this to an edge is on neither side of it [m]
+# A part of a floor that is cut off, as under stairs, may be furniture if smaller [m²]
+SMALL = 3.0
 
 Mask = NDArray[np.bool_]
 Cells = NDArray[np.float64]
@@ -22,8 +26,9 @@ def check(grid: SceneGrid2D | MultiLevelGrid, building: Building) -> list[str]:
     """What is wrong with a grid, a line each; nothing where it is as a person would say.
 
     A line begins with the kind of fault: ``levels`` (their number), ``floor lost``, ``false
-    floor`` (on a roof, in a wall), ``false connection``, ``missing connection``. Floors are
-    checked where a cell's centre is more than a cell away from all that could reach it.
+    floor`` (on a roof, in a wall), ``false connection``, ``missing connection``. A cell has to be
+    free where its centre is on a floor with headroom and no box meets its footprint, by exact
+    geometry; but not where spiral stairs stand, which are no boxes.
     """
     faults = []
     if len(grid.levels) != building.levels:
@@ -74,17 +79,8 @@ def _floor_cells(
     y0, y1 = min(v.y.min() for v in views), max(v.y.max() for v in views)
     num_cols, num_rows = round((x1 - x0) / cell) + 1, round((y1 - y0) / cell) + 1
     x, y = np.meshgrid(x0 + cell * np.arange(num_cols), y1 - cell * np.arange(num_rows))
-    margin, placing = 1.5 * cell, building.placing
     for place, rect, z, holes in building.floors:
-        must = within(x, y, placing, rect, margin)
-        for hole in holes:
-            must &= ~within(x, y, placing, hole, -margin)
-        for stairs in building.stairs:
-            if stairs.bottom - SAME <= z <= stairs.top + SAME + HEIGHT:
-                must &= ~within(x, y, placing, stairs.rect, -margin)
-        for box in building.boxes:
-            if box.top > z + SAME and box.bottom < z + HEIGHT + 0.1:
-                must &= ~within(x, y, placing, box.rect, -margin)
+        must = _must_be_free(x, y, cell, building, Patch(place, rect, z, holes))
         found, anywhere = [], np.zeros(must.shape, dtype=np.bool_)
         for view in views:
             row = round((y1 - view.y[0, 0]) / cell)
@@ -94,7 +90,39 @@ def _floor_cells(
             mask[row : row + height, col : col + width] = view.at(z - SAME, z + SAME)
             found.append((mask & must)[row : row + height, col : col + width])
             anywhere |= mask
-        yield place, z, must & ~anywhere, found
+        yield place, z, _joined_parts(must, must & anywhere, cell) & ~anywhere, found
+
+
+def _must_be_free(x: Cells, y: Cells, cell: float, building: Building, patch: Patch) -> Mask:
+    """The cells of a patch where nothing can be in the agent's way."""
+    _, rect, z, holes = patch
+    placing = building.placing
+    must = within(x, y, placing, rect, CLEAR)
+    for hole in holes:
+        must &= ~within(x, y, placing, hole, -CLEAR)
+    boxes: list[Corners] = []
+    for box in building.boxes:
+        if box.top > z + CLEAR and box.bottom < z + HEIGHT + CLEAR:
+            x0, y0, x1, y1 = placing.rect(box.rect)
+            boxes.append((x0, y0, box.bottom, x1, y1, box.top))
+            # what is over the centre is its floor, or leaves no headroom
+            must &= ~within(x, y, placing, box.rect, -CLEAR)
+    for stairs in building.stairs if building.features.get("stairs") == "spiral" else ():
+        if stairs.bottom - SAME <= z <= stairs.top + SAME + HEIGHT:
+            must &= ~within(x, y, placing, stairs.rect, -1.5 * cell)
+    met: Mask = met_by_boxes(x, y, np.full(x.shape, z), cell, boxes, slack=-CLEAR)
+    return must & ~met
+
+
+def _joined_parts(must: Mask, found: Mask, cell: float) -> Mask:
+    """The cells that are joined to one that was found, or to many others."""
+    part, number = ndimage.label(must)
+    area = np.bincount(part.ravel(), minlength=number + 1) * cell**2
+    counts = area >= SMALL
+    counts[np.unique(part[found])] = True
+    counts[0] = False
+    joined: Mask = counts[part]
+    return joined
 
 
 def _lost_floors(views: Sequence[LevelView], building: Building) -> list[str]:

@@ -49,21 +49,22 @@ def test_takes_modes_and_costs(run):
             np.testing.assert_array_equal(level.weights, same.weights)
 
 
-def test_writes_over_its_own_input_as_a_whole_or_not_at_all(run, monkeypatch):
+def test_never_writes_over_its_input_and_an_output_is_whole_or_as_before(run, monkeypatch):
     before = Path("house.json.gz").read_bytes()
+    for output in ("house.json.gz", "./house.json.gz"):
+        status, out, err = run("house.json.gz", "--radius", 0.3, "-o", output)
+        assert (status, out) == (1, "") and "apart from the inputs" in err
+    Path("big.json").write_text("{}")
 
     def fail(*_args):
         raise OSError(28, "No space left on device")
 
-    with monkeypatch.context() as patch:
-        patch.setattr(files.os, "fsync", fail)
-        status, out, err = run("house.json.gz", "--radius", 0.3, "-o", "house.json.gz")
+    monkeypatch.setattr(files.os, "fsync", fail)
+    status, out, err = run("house.json.gz", "--radius", 0.3, "-o", "big.json")
     assert (status, out) == (1, "")
     assert "No space left" in err
+    assert Path("big.json").read_text() == "{}"
     assert Path("house.json.gz").read_bytes() == before
-    expected = navbake.load(before).inflate(0.3)
-    assert run("house.json.gz", "--radius", 0.3, "-o", "house.json.gz")[0] == 0
-    assert first_difference(navbake.load("house.json.gz"), expected) is None
 
 
 @pytest.mark.parametrize(
@@ -89,4 +90,9 @@ def test_a_missing_grid_and_wrong_usage(run):
     assert "absent.json" in err
     assert run("house.json.gz", "-o", "a.json")[0] == 2
     assert run("house.json.gz", "--radius", "wide", "-o", "a.json")[0] == 2
+    for options in (("--scaling", 3), ("--mode", "minos", "--ledges", "avoid")):
+        status, _, err = run("house.json.gz", "--radius", 1, *options, "-o", "a.json")
+        assert status == 2 and "does nothing here" in err
+    status, _, err = run("house.json.gz", "--radius", 1, "-o", "a.pgm")
+    assert status == 2 and ".json, .json.gz, got a.pgm" in err
     assert not Path("a.json").exists()

@@ -67,13 +67,14 @@ def step_graph(grid, *, cut_corners=False):
 
     A step that costs nothing is 1e-300 there, as scipy takes 0 for no step.
     """
+    slopes = [slopes_of(grid, number) for number in range(len(grid.levels))]
     start = np.cumsum([0] + [level.free.size for level in grid.levels])
     steps = {}
     for k, level in enumerate(grid.levels):
         for row, col in np.ndindex(level.shape):
             for r in (row - 1, row, row + 1):
                 for c in (col - 1, col, col + 1):
-                    if may_step(level, (row, col), (r, c), cut_corners):
+                    if may_step(level, (row, col), (r, c), cut_corners, slopes[k]):
                         length = level.cell_size * math.hypot(r - row, c - col)
                         a, b = (start[k] + y * level.width + x for y, x in ((row, col), (r, c)))
                         add(steps, a, b, length * level.weights[r, c])
@@ -102,13 +103,37 @@ def add(steps, a, b, cost):
         steps[a, b] = min(cost, steps.get((a, b), math.inf))
 
 
-def may_step(level, here, there, cut_corners):
-    if here == there or not (is_level(level, here, there)):
+def slopes_of(grid, number):
+    """The pairs of neighbours on a level that a link joins, as sets of (row, col)."""
+    width = grid.levels[number].width
+    links = [link for link in grid.link_array.tolist() if link[0] == link[2] == number]
+    return {frozenset((divmod(a, width), divmod(b, width))) for _, a, _, b in links}
+
+
+def may_step(level, here, there, cut_corners, slopes):
+    """Whether a step leads from a cell to one of its eight neighbours.
+
+    A diagonal one goes round both of its corners; with corners cut, it needs that only where it is
+    itself more than a step, which it may be where one of the steps round a corner is, too.
+    """
+    if here == there:
         return False
-    beside = [(here[0], there[1]), (there[0], here[1])]
-    if here[0] == there[0] or here[1] == there[1] or cut_corners:
+    if here[0] == there[0] or here[1] == there[1]:
+        return is_joined(level, here, there, slopes)
+    if cut_corners and is_level(level, here, there):
         return True
-    return all(is_level(level, here, b) and is_level(level, b, there) for b in beside)
+    beside = [(here[0], there[1]), (there[0], here[1])]
+    ways = [pair for b in beside for pair in ((here, b), (b, there))]
+    if not all(is_joined(level, *pair, slopes) for pair in ways):
+        return False
+    return is_level(level, here, there) or not all(is_level(level, *pair) for pair in ways)
+
+
+def is_joined(level, a, b, slopes):
+    """A step, or neighbours of free cells that a link joins."""
+    if is_level(level, a, b):
+        return True
+    return frozenset((a, b)) in slopes and level.free[a] and level.free[b]
 
 
 def is_level(level, a, b):

@@ -122,21 +122,16 @@ def test_next_to_an_object(apartment):
     finder = PathFinder(apartment)
     names = {n for e in apartment.user_data.values() for n in e.get("objects", ())}
     start = next(room.centroid for room in apartment.rooms if room.id == "hall")
-    out_of_reach = set()
     for name in sorted(names):
+        # also what hangs over a table or stands on it, from beside the table
         path = finder.find_path(start, f"object:{name}")
-        if path is None:
-            out_of_reach.add(name)
-            assert f"of object '{name}' is free" in finder.why_not(start, f"object:{name}")
-            continue
+        assert path is not None, name
         carriers = np.array(
             [c for c, e in apartment.user_data.items() if name in e.get("objects", ())]
         )
         rows, cols = np.divmod(carriers, apartment.width)
         _, row, col = path.cells[-1]
         assert np.hypot(rows - row, cols - col).min() * 0.1 <= 1.1
-    # all that is beside these is occupied, too
-    assert out_of_reach == {"dining_lamp", "television", "wall_cabinet"}
     assert len(names) == 49
 
 

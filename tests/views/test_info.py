@@ -101,6 +101,7 @@ def test_describes_a_house(house):
         "num_links": 1,
         "doors": [],
         "inflated": [],
+        "warnings": [],
     }
     assert json.loads(json.dumps(facts, allow_nan=False)) == facts
 

@@ -96,9 +96,9 @@ def test_command_tells_of_each_level_unless_one_is_given(capsys):
     places = json.loads(ask_house(capsys, "1,1", "--json"))
     assert [place["level"] for place in places] == [0, 1]
     assert places == [navbake.load(HOUSE).describe_cell(1, 1, level) for level in (0, 1)]
-    assert json.loads(ask_house(capsys, "1,1,1", "--json")) == [places[1]]
+    assert json.loads(ask_house(capsys, "1,1,L1", "--json")) == [places[1]]
     assert ask_house(capsys, "1,1").count("verdict") == 2
-    assert ask_house(capsys, "1,1,1").count("verdict") == 1
+    assert ask_house(capsys, "1,1,L1").count("verdict") == 1
 
 
 def test_no_level_is_guessed_where_there_are_several():

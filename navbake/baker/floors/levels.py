@@ -31,6 +31,10 @@ from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
 from navbake.types import Bool, Float, Int
 
+# A dropped roof is told of when it is this many times as large as the largest floor that is left:
+# walls and eaves alone make it larger than the floor under it, but not by a third
+LARGE_ROOF = 4 / 3
+
 
 @dataclass(frozen=True)
 class LevelFloor:
@@ -76,7 +80,8 @@ class Floors:
             each step between two levels, and each pair of neighbours, on one level or two, that
             their slopes join but no step does.
         tops: large tops and shelves that are no floors, the largest first.
-        roofs: roofs that are larger than every floor that is left, the largest first.
+        roofs: roofs that are clearly larger than every floor that is left, the largest first.
+        small_starts: what `floors.from` names, though it is too small for a floor.
         unreached: levels that no step leads to, lowest first.
         enclosed: floors inside of closed meshes, as tops; `geom` is the mesh's.
     """
@@ -85,6 +90,7 @@ class Floors:
     links: Int
     tops: list[DroppedSheet]
     roofs: list[DroppedSheet]
+    small_starts: list[DroppedSheet]
     unreached: list[UnreachedLevel]
     enclosed: list[DroppedSheet]
 
@@ -114,7 +120,8 @@ def find_floors(
         raise SceneError(_no_floor(columns, floor_like, agent))
     large = drop_furniture(standable, settings)
     starts = find_starts(standable, large, settings.starts, agent.traversable_floor_height)
-    large = standable.only_sheets((large.sheet_size > 0) | starts)
+    is_large = large.sheet_size > 0
+    large = standable.only_sheets(is_large | starts)
     if not len(large.z):
         raise SceneError(
             f"no floor: the largest standable sheet keeps less than {settings.min_area:g} m² "
@@ -133,7 +140,9 @@ def find_floors(
         is_roof = is_top & False
         counted = large.only_sheets(~is_top)
     tops = _describe(large, is_top & ~is_roof, columns)
-    roofs = _describe(large, is_roof & (large.sheet_size > counted.sheet_size.max()), columns)
+    is_told = large.sheet_size > LARGE_ROOF * counted.sheet_size.max()
+    roofs = _describe(large, is_roof & is_told, columns)
+    small = _describe(large, starts & ~is_large, columns)
     if given is not None:
         counted = _within_given(counted, given, columns)
     placed = _place_on_levels(counted, agent, settings, given)
@@ -145,12 +154,30 @@ def find_floors(
         placed = _place_on_levels(counted, agent, settings, given)
     unreached = find_unreached(placed.standable, placed.level, reached, columns)
     # a floor goes on only where no other one is, nor a roof, nor the top of furniture
+    dropped = np.setdiff1d(large.surface, counted.surface, assume_unique=True)
     floor_like[large.surface] = False
+    floor_like[_just_below(columns, dropped, agent.traversable_floor_height)] = False
     levels = [
         LevelFloor(label, ground, *_level_floor(k, placed, columns, floor_like, agent))
         for k, (label, ground) in enumerate(zip(placed.labels, placed.grounds, strict=True))
     ]
-    return Floors(levels, _cell_links(placed, agent), tops, roofs, unreached, enclosed)
+    return Floors(levels, _cell_links(placed, agent), tops, roofs, small, unreached, enclosed)
+
+
+def _just_below(columns: Columns, surface: Int, step: float) -> Int:
+    """The surfaces a step at most below some others, in their columns.
+
+    An agent there would walk on those above, as on a roof in which a wall's top is hidden.
+    """
+    cell = np.searchsorted(columns.start, surface, side="right") - 1
+    found, k = [surface[:0]], 1
+    while len(surface):
+        near = surface - k >= columns.start[cell]
+        near[near] = (columns.z[surface] - columns.z[surface - k])[near] <= step + SLACK
+        surface, cell = surface[near], cell[near]
+        found.append(surface - k)
+        k += 1
+    return np.concatenate(found)
 
 
 class _Placed(NamedTuple):

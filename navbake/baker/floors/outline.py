@@ -80,8 +80,8 @@ class Edges(NamedTuple):
     cells: Int
     floors: Float
 
-    def only(self, kept: Bool) -> Edges:
-        """The edges that are kept, shape (edges,)."""
+    def only(self, kept: Bool | Int) -> Edges:
+        """The edges that are kept: a mask, shape (edges,), or their indices."""
         return Edges(self.surface[kept], self.way[kept], self.cells[kept], self.floors[kept])
 
 
@@ -97,10 +97,6 @@ class Endings(NamedTuple):
     kind: NDArray[np.uint8]
     cell: Int
     landing: Float
-
-    def only(self, kept: Bool) -> Endings:
-        """The endings of the edges that are kept, shape (edges,)."""
-        return Endings(self.kind[kept], self.cell[kept], self.landing[kept])
 
 
 def find_edges(standable: Standable, chosen: Bool, step: float, reach: int) -> Edges:
@@ -120,7 +116,11 @@ def find_edges(standable: Standable, chosen: Bool, step: float, reach: int) -> E
 
 
 def find_endings(
-    edges: Edges, standable: Standable, agent: AgentSettings, is_occupied: OccupancyTest
+    edges: Edges,
+    standable: Standable,
+    columns: Columns,
+    agent: AgentSettings,
+    is_occupied: OccupancyTest,
 ) -> Endings:
     """Tell how a sheet ends at each of its edges.
 
@@ -129,9 +129,10 @@ def find_endings(
       matter how a wall ends at the ceiling, nor whether it is thinner than a cell; and a chair's
       back is none.
     - BARRIER: something stands at an agent's feet only: a parapet, a headboard, a sill.
-    - DROP: an agent that steps out gets to a floor more than a step lower, where it can stand. One
-      looks past what is lower than the sheet, such as a bed's frame, as far as `edges.cells`
-      reach, and stops at a barrier.
+    - DROP: an agent that steps out gets to a floor more than a step lower, where it can stand, with
+      nothing between the two heights there: the storey below an attic is no floor that one drops
+      to. One looks past what is lower than the sheet, such as a bed's frame, as far as
+      `edges.cells` reach, and stops at a barrier.
     - BORDER: the lattice ends.
     - OPEN: none of these: an abyss, a steep slope, a floor on which nobody can stand.
     """
@@ -156,7 +157,10 @@ def find_endings(
             ending[looking[stops]] = BARRIER
             looking = looking[~stops]
         below = looking[~np.isnan(edges.floors[looking, k])]
-        lands = below[~is_occupied(edges.cells[below, k], edges.floors[below, k])]
+        cells, floors = edges.cells[below, k], edges.floors[below, k]
+        lands = below[
+            ~is_occupied(cells, floors) & _is_open(columns, cells, floors + agent.height, z[below])
+        ]
         ending[lands], landing[lands] = DROP, edges.floors[lands, k]
         cell[lands] = edges.cells[lands, k]
         looking = looking[ending[looking] == OPEN]
@@ -218,6 +222,16 @@ def find_rims(edges: Edges, standable: Standable) -> Int:
         row, col = np.divmod(outer[own], standable.lattice.width)
         rim[own] = outside[row - row0, col - col0] - 1
     return rim
+
+
+def _is_open(columns: Columns, cells: Int, low: Float, high: Float) -> Bool:
+    """Whether cells' lines cross nothing between two heights each, shape (n,) [m]."""
+    first, last = columns.start[cells], columns.start[cells + 1]
+    is_open = np.ones(len(cells), dtype=np.bool_)
+    for k in range(int((last - first).max(initial=0))):
+        height = columns.z[np.minimum(first + k, last - 1)]
+        is_open &= (height <= low + SLACK) | (height > high)
+    return is_open
 
 
 def probe_bands(agent: AgentSettings) -> tuple[Band, Band]:

@@ -6,16 +6,18 @@ from navbake.baker.floors.outline import (
     DROP,
     WALL,
     Edges,
-    Endings,
+    OccupancyTest,
     Site,
     find_edges,
     find_endings,
     find_rims,
     is_known,
+    probe_bands,
     share_of_known,
 )
-from navbake.baker.floors.sheets import AreaTest
+from navbake.baker.floors.sheets import AreaTest, Standable
 from navbake.baker.kernels.constants import SLACK
+from navbake.config.settings import AgentSettings
 from navbake.types import Bool, Float
 
 # The share of a roof that lies open to the sky: a higher one's eaves may cover a lower one's side
@@ -25,6 +27,8 @@ SKY_SHARE = 0.75
 HALF = 0.5
 # Parapets are at most 1.2 m high; a storey's walls are higher than this, and than the agent [m]
 MIN_WALL = 1.5
+# Steps by row and column against the ways of edges: east, south, west, north
+INWARD = np.array([[0, -1], [-1, 0], [0, 1], [1, 0]])
 # No shelf is deeper: pallet racks are 1.1 m, or 2.2 m back to back [m]
 SHELF_DEPTH = 2.5
 
@@ -33,12 +37,13 @@ def find_roofs(site: Site) -> Bool:
     """Find the sheets that are roofs: open to the sky, over a floor, and without walls.
 
     A storey that was drawn without its ceiling has walls as high as an agent, and at least 1.5 m,
-    along more than half of its outline, and is none; parapets are too low, and a lower roof beside
-    a higher part of the house has a wall on one side only. What is closed below, or open, does not
-    matter: a carport's roof is one, and so are a tree's crown, a parasol and the upper shelf of a
-    rack outdoors. A floor below counts even if it is only the top of what stands there. No step
-    reaches a roof: the sheet of one that stairs lead to includes the floors below, which are not
-    open to the sky.
+    along more than half of its outline, and is none. Its walls may stand a little inside of its
+    slab's rim, even where they are too thin to part its floor. Parapets are too low, and a lower
+    roof beside a higher part of the house has a wall on one side only. What is closed below, or
+    open, does not matter: a carport's roof is one, and so are a tree's crown, a parasol and the
+    upper shelf of a rack outdoors. A floor below counts even if it is only the top of what stands
+    there. No step reaches a roof: the sheet of one that stairs lead to includes the floors below,
+    which are not open to the sky.
 
     Only the uppermost slab of a tower of slabs on columns is a roof, as the others are covered.
     Where the lattice crops the scene all around, nothing is known of walls, and a sheet is none.
@@ -52,9 +57,12 @@ def find_roofs(site: Site) -> Bool:
         return candidates
     agent = site.agent.model_copy(update={"height": max(site.agent.height, MIN_WALL)})
     edges = _outer_edges(site, candidates, reach=1)
-    kind = find_endings(edges, site.large, agent, site.is_occupied).kind
-    known = is_known(edges, kind, site.cropped)
-    return candidates & (share_of_known(site.large, edges, kind == WALL, known) <= HALF)
+    kind = find_endings(edges, site.large, site.columns, agent, site.is_occupied).kind
+    is_wall, known = kind == WALL, is_known(edges, kind, site.cropped)
+    reach = int(np.ceil(site.settings.shrink / site.large.lattice.cell_size))
+    ends = np.flatnonzero(known & ~is_wall)
+    is_wall[ends] = _find_inner_walls(edges.only(ends), site.large, agent, reach, site.is_occupied)
+    return candidates & (share_of_known(site.large, edges, is_wall, known) <= HALF)
 
 
 def find_shelves(site: Site) -> Bool:
@@ -80,25 +88,9 @@ def find_shelves(site: Site) -> Bool:
     # a post at its edge may block the cell beside: one more
     reach = int(np.ceil(site.settings.shrink / lattice.cell_size)) + 1
     edges = _outer_edges(site, candidates, reach)
-    endings = find_endings(edges, standable, site.agent, site.is_occupied)
-    drops = endings.kind == DROP
-    drops[drops] = _is_open(edges.only(drops), endings.only(drops), site)
-    known = is_known(edges, endings.kind, site.cropped)
-    return candidates & (share_of_known(standable, edges, drops, known) > HALF)
-
-
-def _is_open(edges: Edges, drops: Endings, site: Site) -> Bool:
-    """Whether nothing lies between the floor that an edge drops to and the edge's own height.
-
-    An attic ends where its roof comes down. The storey below is no floor that it drops to.
-    """
-    columns, z = site.columns, site.large.z[edges.surface]
-    first, last = columns.start[drops.cell], columns.start[drops.cell + 1]
-    is_open = np.ones(len(z), dtype=np.bool_)
-    for k in range(int((last - first).max(initial=0))):
-        height = columns.z[np.minimum(first + k, last - 1)]
-        is_open &= (height <= drops.landing + SLACK) | (height > z)
-    return is_open
+    kind = find_endings(edges, standable, site.columns, site.agent, site.is_occupied).kind
+    known = is_known(edges, kind, site.cropped)
+    return candidates & (share_of_known(standable, edges, kind == DROP, known) > HALF)
 
 
 def _shares(site: Site) -> tuple[Float, Float]:
@@ -124,3 +116,25 @@ def _outer_edges(site: Site, chosen: Bool, reach: int) -> Edges:
     """The edges of some sheets along their outlines, without those of the holes in them."""
     edges = find_edges(site.large, chosen, site.agent.traversable_floor_height, reach)
     return edges.only(find_rims(edges, site.large) == 0)
+
+
+def _find_inner_walls(
+    edges: Edges, standable: Standable, agent: AgentSettings, reach: int, is_occupied: OccupancyTest
+) -> Bool:
+    """Whether a wall stands on a sheet near each of some edges, at most `reach` cells inside."""
+    lattice, z = standable.lattice, standable.z[edges.surface]
+    bands = probe_bands(agent)
+    row, col = np.divmod(standable.cell[edges.surface], lattice.width)
+    inward_row, inward_col = INWARD[edges.way].T
+    has_wall = np.zeros(len(z), dtype=np.bool_)
+    for k in range(1, reach + 1):
+        beside_row, beside_col = row + k * inward_row, col + k * inward_col
+        inside = (beside_row >= 0) & (beside_row < lattice.height)
+        inside &= (beside_col >= 0) & (beside_col < lattice.width)
+        asked = np.flatnonzero(inside & ~has_wall)
+        cells = beside_row[asked] * lattice.width + beside_col[asked]
+        for band in bands:
+            stands = is_occupied(cells, z[asked], band)
+            asked, cells = asked[stands], cells[stands]
+        has_wall[asked] = True
+    return has_wall

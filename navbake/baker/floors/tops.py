@@ -49,11 +49,11 @@ def find_tops(site: Site) -> Bool:
     reach = int(np.ceil(site.settings.shrink / standable.lattice.cell_size)) + 1
     edges = find_edges(standable, size > 0, step, reach)
     # most sheets have no floor below their edges: only the others are looked at closely
-    has_floor: Bool = (~np.isnan(edges.floors)).any(axis=1)
+    has_floor = np.asarray((~np.isnan(edges.floors)).any(axis=1))
     certain = (edges.cells[:, 0] >= 0) | ~site.cropped[edges.way]
     may_drop = ~(share_of_known(standable, edges, has_floor, certain | has_floor) < DROP_SHARE)
     edges = edges.only(may_drop[standable.sheet[edges.surface]])
-    endings = find_endings(edges, standable, agent, site.is_occupied)
+    endings = find_endings(edges, standable, site.columns, agent, site.is_occupied)
     drops, known = endings.kind == DROP, is_known(edges, endings.kind, site.cropped)
     is_top = share_of_known(standable, edges, drops, known) >= DROP_SHARE
     is_top &= _lies_on_floor(site, edges, endings, is_top)

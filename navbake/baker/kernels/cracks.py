@@ -30,10 +30,10 @@ def _cell_beside(lattice, cell, way, distance):
 
 
 @njit(inline="always")
-def _continues(crossings, cell, low, high):
-    """Whether a cell has a surface that faces up between two heights."""
+def _continues(crossings, cell, low, high, limits):
+    """Whether a cell has a surface between two heights that is not too steep to stand on."""
     for i in range(crossings.start[cell], crossings.start[cell + 1]):
-        if crossings.normal[i, 2] > 0.0 and low - SLACK <= crossings.z[i] <= high + SLACK:
+        if crossings.normal[i, 2] >= limits.min_up and low - SLACK <= crossings.z[i] <= high + SLACK:
             return True
     return False
 
@@ -84,7 +84,7 @@ def _gaps_of_cell(lattice, crossings, limits, reach, cell, low, high):
                 z = crossings.z[i]
                 if crossings.normal[i, 2] < limits.min_up or abs(z - last) <= SAME:
                     continue
-                if _continues(crossings, cell, z - limits.step, z + limits.step):
+                if _continues(crossings, cell, z - limits.step, z + limits.step, limits):
                     continue
                 if not _has_room(crossings, one, i, limits):
                     continue
@@ -95,8 +95,11 @@ def _gaps_of_cell(lattice, crossings, limits, reach, cell, low, high):
                         away = (distance + back) * lattice.cell_size
                         slope = _slope(crossings, i)
                         beside = _lower_side(crossings, other, z, slope, away, limits)
-                # steep ground lies between its sides: no gap either
-                if np.isnan(beside) or _continues(crossings, cell, beside, z):
+                if np.isnan(beside):
+                    continue
+                # the lower side's floor goes on in the cell, as `floors_near` would find it
+                lowest = beside - limits.step
+                if _continues(crossings, cell, lowest, z + limits.step, limits):
                     continue
                 band = Band(z + limits.step + TOUCH, beside + limits.headroom - TOUCH)
                 if line_is_blocked(crossings, cell, band, ANY_GEOM):
@@ -114,7 +117,9 @@ def find_gaps(lattice, crossings, limits, reach, start, low, high):
 
     On one side, at most `reach` cells away, an agent can stand at the height `high`; on the other
     at `low`, at most a step below, and what the slopes of both make; and in the cell, nothing
-    faces up within a step of `high`, and nothing is in the agent's way.
+    that one could stand on is within a step of the two or between them (the ground round a rock
+    has no gap), and nothing is in the agent's way. A face in the cell that is steeper, such as the
+    end of a ramp, may be a crack's side.
 
     Args:
         limits: what an agent can stand on.

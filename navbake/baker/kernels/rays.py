@@ -7,7 +7,10 @@ loses lines that run through a shared edge, and stops at the first crossing.
 
 A line through a rim or an edge that two geoms or triangles share is the hard case. It crosses
 whatever it passes within RIM, so that no seam leaks; where that makes two crossings of neighbouring
-triangles of one part, one is dropped.
+triangles of one part, one is dropped. A line that runs within an upright side of a closed part
+crosses triangles there that rounding has tilted a little, up or down: then the steepest of them are
+dropped, until the part is left as often as it was entered. Else all that lies below would count as
+inside of it.
 """
 
 import math
@@ -198,6 +201,45 @@ def _drop_doubles(column, count, facets):
 
 
 @njit(inline="always")
+def _steepest_of_part(column, count, i, facets, side):
+    """The steepest crossing at an edge of the i-th one's part that faces up (1) or down (-1)."""
+    steepest = -1
+    for j in range(count):
+        if not column.is_edge[j] or side * column.normal[j, 2] <= 0.0:
+            continue
+        is_steeper = steepest < 0 or abs(column.normal[j, 2]) < abs(column.normal[steepest, 2])
+        if is_steeper and _is_same_part(column, i, j, facets):
+            steepest = j
+    return steepest
+
+
+@njit(cache=True)
+def _balance_parts(column, count, facets):
+    """Drop crossings at edges, so that each closed part is left as often as it is entered."""
+    i = 0
+    while i < count:
+        surplus = 0
+        if column.is_edge[i] and facets.closed[column.facet[i]] != OPEN_SURFACE:
+            for j in range(count):
+                if column.facet[j] >= 0 and _is_same_part(column, i, j, facets):
+                    surplus += 1 if column.normal[j, 2] > 0.0 else -1
+        dropped = -1
+        if surplus != 0:
+            side = 1.0 if surplus > 0 else -1.0
+            dropped = _steepest_of_part(column, count, i, facets, side)
+        if dropped < 0:
+            i += 1
+            continue
+        for j in range(dropped + 1, count):
+            _copy(column, j, j - 1)
+        count -= 1
+        # the i-th one is looked at again, and it is the next one where an earlier one was dropped
+        if dropped < i:
+            i -= 1
+    return count
+
+
+@njit(inline="always")
 def _is_beside(box, x, y):
     return x < box[0] - RIM or x > box[3] + RIM or y < box[1] - RIM or y > box[4] + RIM
 
@@ -300,6 +342,7 @@ def _cast_tile(tile, lattice, solids, facets, planes, tiles, heights, crossings)
             count = _cross_planes(planes, heights, column, count, ray)
             count = _cross_triangles(x, y, triangles, facets, column, count)
             count = _drop_doubles(column, count, facets)
+            count = _balance_parts(column, count, facets)
             if writing:
                 _write(column, count, facets, crossings, crossings.start[cell])
             else:
@@ -329,6 +372,7 @@ def _cast_point(tile, x, y, n, solids, facets, planes, tiles, heights, crossings
     count = _cross_planes(planes, heights, column, count, ray)
     count = _cross_triangles(x, y, triangles, facets, column, count)
     count = _drop_doubles(column, count, facets)
+    count = _balance_parts(column, count, facets)
     if crossings.z.shape[0] > 0:
         _write(column, count, facets, crossings, crossings.start[n])
     else:

@@ -37,13 +37,16 @@ class Opening:
 
 
 def find_openings(index: Sequence[RoomIndex], floors: Floors, max_step: float) -> list[Opening]:
-    """Find where neighbouring cells belong to two rooms and are no more than a step apart [m].
+    """Find where neighbouring cells belong to two rooms and are a step or a slope apart.
 
+    Steps are at most `max_step` high [m]; a slope is a link between two cells of one level.
     8-connected cells form one opening. Furniture is ignored.
     """
     openings = []
     for number, (rooms, level) in enumerate(zip(index, floors.levels, strict=True)):
-        pair, cells = _find_steps(rooms, level.floor, max_step)
+        on_level = (floors.links[:, [0, 2]] == number).all(axis=1)
+        slopes = floors.links[on_level][:, [1, 3]]
+        pair, cells = _find_steps(rooms, level.floor, slopes, max_step)
         order = np.argsort(pair, kind="stable")
         keys, first = np.unique(pair[order], return_index=True)
         for key, both in zip(keys.tolist(), np.split(cells[order], first[1:]), strict=False):
@@ -101,17 +104,19 @@ def _box(cells: Int, width: int) -> Int:
     return np.array([np.min(places, axis=1), np.max(places, axis=1)])
 
 
-def _find_steps(rooms: RoomIndex, floor: Float, max_step: float) -> tuple[Int, Int]:
+def _find_steps(rooms: RoomIndex, floor: Float, slopes: Int, max_step: float) -> tuple[Int, Int]:
     """Pairs of rooms that meet, the lower one times PAIR plus the other, and both cells, (n, 2)."""
     cell = np.arange(rooms.size).reshape(rooms.shape)
-    pairs, cells = [], []
+    joined = [slopes]
     for one, other in EDGES:
-        a, b = rooms[one], rooms[other]
-        meet = (a != b) & (a > 0) & (b > 0)
-        meet &= np.abs(floor[one] - floor[other]) <= max_step + SLACK
-        pairs.append(np.minimum(a, b)[meet].astype(np.int64) * PAIR + np.maximum(a, b)[meet])
-        cells.append(np.stack([cell[one][meet], cell[other][meet]], axis=1))
-    return np.concatenate(pairs), np.concatenate(cells)
+        is_step = np.abs(floor[one] - floor[other]) <= max_step + SLACK
+        is_step &= rooms[one] != rooms[other]
+        joined.append(np.stack([cell[one][is_step], cell[other][is_step]], axis=1))
+    cells = np.concatenate(joined)
+    a, b = rooms.ravel()[cells].astype(np.int64).T
+    meet = (a != b) & (a > 0) & (b > 0)
+    a, b = a[meet], b[meet]
+    return np.minimum(a, b) * PAIR + np.maximum(a, b), cells[meet]
 
 
 def _connected(cells: Int, width: int) -> list[Int]:

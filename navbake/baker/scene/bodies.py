@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from navbake.baker.kernels.constants import FREE
 from navbake.types import Int
 
 
@@ -24,3 +25,16 @@ def geoms_of_bodies(model: Any, first: int, end: int) -> Int:
     """Ids of the geoms of the bodies from `first` to before `end`, ascending as the bodies are."""
     low, high = np.searchsorted(model.geom_bodyid, [first, end])
     return np.arange(low, high, dtype=np.int64)
+
+
+def find_free_bodies(model: Any) -> Int:
+    """Find the body with a free joint that each geom hangs on, shape (ngeom,); -1 for none.
+
+    MuJoCo gives free joints to children of the world alone, so there is at most one.
+    """
+    root = np.full(model.nbody, -1, dtype=np.int64)
+    end = find_subtree_ends(model)
+    for body in model.jnt_bodyid[model.jnt_type == FREE].tolist():
+        root[body : end[body]] = body
+    free: Int = root[model.geom_bodyid]
+    return free

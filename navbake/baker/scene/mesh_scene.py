@@ -5,7 +5,7 @@ import logging
 import re
 import warnings
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,6 +27,9 @@ Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 NO_AREA = 1e-14
 # MuJoCo takes no coordinates beyond (its mjMAXVAL) [m]
 MAX_COORDINATE = 1e10
+# Floors and ceilings have at least this many times the area of walls of one direction, if a mesh
+# is to be taken for one that lies on its side
+LYING = 1.5
 MAX_BYTES = 2 << 30  # of a file; trimesh takes several times as much memory
 # How trimesh reads a format, and what repairs a file for it
 PLAIN: dict[str, Any] = {"skip_materials": True}
@@ -84,6 +87,23 @@ def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPa
     if not named:
         raise SceneError(f"no triangles in {path}: expected a mesh with at least one")
     return named
+
+
+def lies_on_side(parts: Iterable[MeshPart]) -> bool:
+    """Whether a mesh in the world frame looks as if its y axis were the vertical one.
+
+    It does where its box is lowest along y, and the surface within 45° of facing along y has
+    `LYING` times the area of that facing along z. Buildings and sites are lower than they are
+    wide, and have more floor and ceiling than walls that face one way.
+    """
+    corners = np.concatenate([part.vertices[part.faces] for part in parts])
+    width, depth, height = np.ptp(corners.reshape(-1, 3), axis=0)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(cross, axis=1)
+    faces_y, faces_z = (
+        area[np.abs(cross[:, axis]) >= area * np.sqrt(0.5)].sum() for axis in (1, 2)
+    )
+    return bool(depth < min(width, height) and faces_y > LYING * faces_z)
 
 
 def _read_parts(path: Path) -> list[MeshPart]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from navbake.baker.scene.choice import Choice, choose_geoms
 from navbake.baker.scene.collect import TYPE_NAMES, collect_shapes
 from navbake.baker.scene.hidden_room import HiddenRoom
-from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart
+from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart, lies_on_side
 from navbake.baker.scene.model import catch_warnings, load_model
 from navbake.baker.scene.names import name_at, names_of
 from navbake.baker.scene.pose import pose_model, warn_out_of_range
@@ -109,7 +109,8 @@ def load_scene(
         collected = collect_shapes(model, data, choices, parts)
     warnings = [f"MuJoCo: {' '.join(warning.split())}" for warning in warned]
     warnings += [*warn_out_of_range(model, settings), *_find_unusable(model)]
-    warnings += [*_find_unused_settings(settings), *notes, *collected.notes]
+    warnings += [*_find_unused_settings(settings), *_warn_lying(settings, parts)]
+    warnings += [*notes, *collected.notes]
     return Scene(
         id=settings.id or Path(settings.path).stem,
         geoms=_report_geoms(model, choices, collected.kinds),
@@ -163,20 +164,31 @@ def _find_unusable(model: Any) -> list[str]:
 
 
 def _find_unused_settings(settings: SceneSettings) -> list[str]:
-    """Warn of settings that do nothing for this kind of file, and of one that may be missing."""
-    suffix = Path(settings.path).suffix.lower()
-    if suffix in MESH_SUFFIXES:
-        is_y_up = suffix in (".glb", ".gltf") and "up" not in settings.model_fields_set
-        lying = (
-            "glTF files are y up by their specification, and `scene.up` is z: if the scene lies on "
-            "its side, set it to y (z silences this)"
-        )
-        return [lying] if is_y_up else []
+    """Warn of settings that do nothing for this kind of file."""
+    if Path(settings.path).suffix.lower() in MESH_SUFFIXES:
+        return []
     given = {"up": settings.up != "z", "unit": settings.unit != 1.0}
     return [
         f"`scene.{name}` is for mesh files and does nothing here"
         for name, is_given in given.items()
         if is_given
+    ]
+
+
+def _warn_lying(settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str]:
+    """Warn of a mesh file that is probably y up, unless the settings say which axis is."""
+    suffix = Path(settings.path).suffix.lower()
+    if suffix not in MESH_SUFFIXES or "up" in settings.model_fields_set:
+        return []
+    if suffix in (".glb", ".gltf"):
+        reason = "glTF files are y up by their specification"
+    elif lies_on_side(parts.values()):
+        reason = "the mesh is lowest along y, and most of its surface faces along y"
+    else:
+        return []
+    return [
+        f"{reason}, and `scene.up` is z: if the scene lies on its side, set it to y "
+        "(z silences this)"
     ]
 
 

@@ -14,6 +14,9 @@ How `exact` decides, for an agent whose centre is on a cell's centre:
   Of the floors of all levels in a column, the highest that isn't more than a step above the
   agent's counts. So the room under a gallery is no drop for an agent on the gallery, but the
   stair beside it is. Columns without any floor count as they do otherwise, see below.
+- Slopes: a floor to which cells lead in a straight line, over steps and at least one link between
+  neighbours more than a step apart, is neither a higher nor a lower one. The bake has found such
+  links where a ramp within the slope rises more than a step over a cell.
 - Other levels: the cells of both levels count, each where its floor is as high as the agent's
   (less than the body's height apart). So a thing under a landing does not block the stair to it.
 - Outside of the grid: beyond a single level nothing was baked, and nothing blocks. Each of several
@@ -76,7 +79,9 @@ def inflate(
         blocked = find_blocked(grid, number, radius, ledges)
         soft = level.weights
         if "solid" in level.attributes:
-            soft = np.where(level.free_for_point & ~level.free, 1.0, soft)
+            opened = ~blocked & level.free_for_point & ~level.free
+            if opened.any():
+                soft = np.where(opened, 1.0, soft)
         if costs == "nav2":
             falling = nav2_costs(level, radius, radius + clearance, scaling)
             soft = np.maximum(soft, np.clip(falling, 1.0, LETHAL_COST))
@@ -143,7 +148,7 @@ def block_by_others(
         tile_ranges,
     )
 
-    floor, level = around.floor, around.level
+    floor, slopes, level = around.floor, around.slopes, around.level
     ranges = tile_ranges(floor)
     reach = int(np.abs(offsets).max(initial=0))
     if len(floor) > 1:
@@ -151,9 +156,9 @@ def block_by_others(
         block_across(floor, around.occupied, ranges, level, offsets, overlap, reach, blocked)
     if radius > around.baked_radius:
         top = around.height + SLAB
-        block_below_floors(floor, ranges, level, offsets, reach, around.step, top, blocked)
+        block_below_floors(floor, slopes, ranges, level, offsets, reach, around.step, top, blocked)
     if ledges == "avoid":
-        block_above_drops(floor, ranges, level, offsets, reach, around.step, blocked)
+        block_above_drops(floor, slopes, ranges, level, offsets, reach, around.step, blocked)
 
 
 def _block_by_holes(around: Surroundings, cells: float, blocked: Bool) -> None:

@@ -24,6 +24,9 @@ class Surroundings:
         occupied: `SceneGrid2D.solid`, and 1 beyond a level's rectangle, shape (levels, rows, cols).
         step: by how much floors of neighbours may differ [m].
         height: of the agent [m].
+        slopes: which neighbours, on any level, links join that are more than a step apart: bits
+            EAST, NORTH, WEST and SOUTH of `navbake.runtime.kernels.moves`, uint8, shape (levels,
+            rows, cols); (0, 0, 0) where there are none.
         baked_radius: of the disc that is part of `occupied` [m]; 0 where the file has none, or
             the squares alone in a layer ``solid``.
     """
@@ -33,6 +36,7 @@ class Surroundings:
     cols: slice
     floor: NDArray[np.float32]
     occupied: NDArray[np.uint8]
+    slopes: NDArray[np.uint8]
     step: float
     height: float
     baked_radius: float
@@ -52,7 +56,8 @@ def find_surroundings(grid: NavGrid, number: int, reach: int) -> Surroundings:
     if len(grid.levels) == 1:
         inside = slice(0, level.height), slice(0, level.width)
         floor, occupied = _floor(level)[None], np.ascontiguousarray(level.solid)[None]
-        return Surroundings(0, *inside, floor, occupied, *agent)
+        slopes = _find_slopes(grid, [(0, 0)], floor, agent[0])
+        return Surroundings(0, *inside, floor, occupied, slopes, *agent)
     shifts = [_shift(level.lattice, other.lattice) for other in grid.levels]
     together = [i for i, shift in enumerate(shifts) if shift is not None]
     placed = [(grid.levels[i], *(shifts[i] or (0, 0))) for i in together]
@@ -67,7 +72,50 @@ def find_surroundings(grid: NavGrid, number: int, reach: int) -> Surroundings:
         _paste(floor[i], _floor(part), row - top, col - left)
         _paste(occupied[i], part.solid, row - top, col - left)
     rows, cols = slice(-top, level.height - top), slice(-left, level.width - left)
-    return Surroundings(together.index(number), rows, cols, floor, occupied, *agent)
+    at = dict(zip(together, ((row - top, col - left) for _, row, col in placed), strict=True))
+    slopes = _find_slopes(grid, [at.get(i) for i in range(len(grid.levels))], floor, agent[0])
+    return Surroundings(together.index(number), rows, cols, floor, occupied, slopes, *agent)
+
+
+def _find_slopes(
+    grid: NavGrid, at: list[tuple[int, int] | None], floor: NDArray[np.float32], step: float
+) -> NDArray[np.uint8]:
+    """The `slopes` of Surroundings; `at` has each level's row and column there, None for left out.
+
+    The levels that are not left out are those of `floor`, in their order.
+    """
+    from navbake.runtime.kernels.moves import EAST, NORTH, SOUTH, WEST  # saves numba at start-up
+
+    links, none = grid.link_array, np.zeros((0, 0, 0), dtype=np.uint8)
+    links = links[np.array([place is not None for place in at])[links[:, ::2]].all(axis=1)]
+    if not len(links):
+        return none
+    index = np.cumsum([place is not None for place in at]) - 1
+    corner = np.array([place or (0, 0) for place in at])
+    width = np.array([level.width for level in grid.levels])
+    ends = []
+    for level, cell in (links[:, :2].T, links[:, 2:].T):
+        row, col = np.divmod(cell, width[level])
+        ends.append((index[level], row + corner[level, 0], col + corner[level, 1]))
+    one, other = np.array(ends[0]), np.array(ends[1])
+    size = np.array(floor.shape)[:, None]
+    inside = ((one >= 0) & (one < size) & (other >= 0) & (other < size)).all(axis=0)
+    one, other = one[:, inside], other[:, inside]
+    down, across = (other - one)[1:]
+    is_slope = np.abs(floor[tuple(one)] - floor[tuple(other)]) > step
+    is_slope &= np.abs(down) + np.abs(across) == 1
+    if not is_slope.any():
+        return none
+    slopes = np.zeros(floor.shape, dtype=np.uint8)
+    for way, there, back in (
+        (across == 1, EAST, WEST),
+        (across == -1, WEST, EAST),
+        (down == 1, SOUTH, NORTH),
+        (down == -1, NORTH, SOUTH),
+    ):
+        np.bitwise_or.at(slopes, tuple(one[:, way & is_slope]), np.uint8(there))
+        np.bitwise_or.at(slopes, tuple(other[:, way & is_slope]), np.uint8(back))
+    return slopes
 
 
 def _floor(level: SceneGrid2D) -> NDArray[np.float32]:

@@ -11,11 +11,13 @@ a conflict possible: one step of a min-max pyramid.
 Arrays have the shape (rows, cols), `floor` (levels, rows, cols) and float32 [m], NaN for none;
 `occupied` is uint8. `offsets` are the steps from an agent's cell to the cells that it meets,
 (n, 2) int64, and `reach` is the longest of them along an axis; `ranges` are those of `tile_ranges`.
-`blocked` is bool and written.
+`slopes` are those of `navbake.runtime.inflation.surroundings`. `blocked` is bool and written.
 """
 
 import numpy as np
 from numba import njit
+
+from navbake.runtime.kernels.moves import EAST, NORTH, SOUTH, WEST
 
 TILE = 16  # edge of the squares of cells whose floors are compared first
 
@@ -151,13 +153,13 @@ def block_near_holes(has_floor, todo, offsets, squares, least, blocked):
 
 
 @njit(cache=True)
-def block_below_floors(floor, ranges, level, offsets, reach, step, top, blocked):
+def block_below_floors(floor, slopes, ranges, level, offsets, reach, step, top, blocked):
     """Block cells of a level from which a floor that they meet is more than a step higher [m].
 
-    The floor of another level that is `top` higher [m] or more is not in the way.
+    The floor of another level that is `top` higher [m] or more is not in the way, nor is one that
+    a slope leads up to.
     """
     levels, rows, cols = floor.shape
-    own = floor[level]
     low, high = ranges
     tiles = (reach + TILE - 1) // TILE
     for upper in range(levels):
@@ -174,7 +176,9 @@ def block_below_floors(floor, ranges, level, offsets, reach, step, top, blocked)
                     for col in range(tile_col * TILE, min((tile_col + 1) * TILE, cols)):
                         height = floor[upper, row, col]
                         if height - lowest > step and height - highest < limit:
-                            _block_lower(own, height, row, col, offsets, step, limit, blocked)
+                            _block_lower(
+                                floor, slopes, level, upper, row, col, offsets, step, limit, blocked
+                            )
 
 
 @njit(cache=True)
@@ -189,20 +193,85 @@ def _range_near(low, high, row, col, tiles):
 
 
 @njit(cache=True)
-def _block_lower(floor, height, row, col, offsets, step, limit, blocked):
-    rows, cols = floor.shape
+def _block_lower(floor, slopes, level, upper, row, col, offsets, step, limit, blocked):
+    """Block the cells of a level round a higher floor of another one, or the same."""
+    _, rows, cols = floor.shape
+    height, own = floor[upper, row, col], floor[level]
     for k in range(offsets.shape[0]):
         r, c = row - offsets[k, 0], col - offsets[k, 1]
-        if 0 <= r < rows and 0 <= c < cols and step < height - floor[r, c] < limit:
-            blocked[r, c] = True
+        if not (0 <= r < rows and 0 <= c < cols) or blocked[r, c]:
+            continue
+        if step < height - own[r, c] < limit:
+            is_walk = slopes.shape[0] > 0 and _is_slope(
+                floor, slopes, step, level, r, c, upper, row, col
+            )
+            blocked[r, c] = not is_walk
 
 
 @njit(cache=True)
-def block_above_drops(floor, ranges, level, offsets, reach, step, blocked):
+def _is_slope(floor, slopes, step, level, row, col, other, to_row, to_col):
+    """Whether the straight way from a cell of a level to one of another is one walk on a slope.
+
+    From cell to cell along the line (Bresenham 1965), it must lead over steps and slopes, and over
+    one slope at least: steps alone make a stair, on which a larger agent meets the next riser.
+    """
+    down, across = to_row - row, to_col - col
+    count = max(abs(down), abs(across))
+    num_slopes, r, c = 0, row, col
+    for k in range(1, count + 1):
+        # halves are rounded away from the start, so that turning a grid turns the lines
+        next_r = row + np.sign(down) * ((2 * abs(down) * k + count) // (2 * count))
+        next_c = col + np.sign(across) * ((2 * abs(across) * k + count) // (2 * count))
+        if next_r != r and next_c != c:
+            first = _walk_corner(floor, slopes, step, level, r, c, next_r, c, next_r, next_c)
+            second = _walk_corner(floor, slopes, step, level, r, c, r, next_c, next_r, next_c)
+            is_second = second[0] >= 0 and (first[0] < 0 or second[1] > first[1])
+            reached, is_slope = second if is_second else first
+        else:
+            reached, is_slope = _walk_edge(floor, slopes, step, level, r, c, next_r, next_c)
+        if reached < 0:
+            return False
+        num_slopes += is_slope
+        level, r, c = reached, next_r, next_c
+    return level == other and num_slopes > 0
+
+
+@njit(cache=True)
+def _walk_corner(floor, slopes, step, level, row, col, by_row, by_col, to_row, to_col):
+    """As `_walk_edge`, over a cell on the way."""
+    between, first = _walk_edge(floor, slopes, step, level, row, col, by_row, by_col)
+    if between < 0:
+        return between, 0
+    reached, second = _walk_edge(floor, slopes, step, between, by_row, by_col, to_row, to_col)
+    return reached, max(first, second)
+
+
+@njit(cache=True)
+def _walk_edge(floor, slopes, step, level, row, col, to_row, to_col):
+    """The level on which a step or a slope leads to a neighbour, -1 for none; 1 if by a slope."""
+    if to_row == row:
+        there, back = (EAST, WEST) if to_col > col else (WEST, EAST)
+    else:
+        there, back = (SOUTH, NORTH) if to_row > row else (NORTH, SOUTH)
+    height = floor[level, row, col]
+    is_steep = slopes[level, row, col] & there != 0
+    levels = floor.shape[0]
+    for k in range(levels):
+        other = (level + k) % levels
+        rise = abs(floor[other, to_row, to_col] - height)
+        if rise <= step:
+            return other, 0
+        if is_steep and rise > step and slopes[other, to_row, to_col] & back != 0:
+            return other, 1
+    return -1, 0
+
+
+@njit(cache=True)
+def block_above_drops(floor, slopes, ranges, level, offsets, reach, step, blocked):
     """Block cells of a level that meet a column whose floor is more than a step lower [m].
 
     A column is a drop for an agent where some level's floor lies more than a step below its own,
-    and no level's within a step of it.
+    no level's within a step of it, and no slope leads down there.
     """
     low, high = ranges
     tiles = (reach + TILE - 1) // TILE
@@ -215,14 +284,15 @@ def block_above_drops(floor, ranges, level, offsets, reach, step, blocked):
             # Few cells that are high enough, or few columns that may be low enough: the fewer are
             # looked at one by one.
             if _num_above(floor[level], tile_row, tile_col, reach, bottom + step) < TILE * TILE:
+                tile = tile_row, tile_col
                 _block_upper_cells(
-                    floor, level, tile_row, tile_col, offsets, reach, bottom, step, blocked
+                    floor, slopes, level, tile, offsets, reach, bottom, step, blocked
                 )
                 continue
             for row in range(tile_row * TILE, min((tile_row + 1) * TILE, floor.shape[1])):
                 for col in range(tile_col * TILE, min((tile_col + 1) * TILE, floor.shape[2])):
                     if _may_be_drop(floor, row, col, lowest, highest, step):
-                        _block_higher(floor, level, row, col, offsets, step, blocked)
+                        _block_higher(floor, slopes, level, row, col, offsets, step, blocked)
 
 
 @njit(cache=True)
@@ -249,9 +319,9 @@ def _num_above(own, tile_row, tile_col, reach, limit):
 
 
 @njit(cache=True)
-def _block_upper_cells(floor, level, tile_row, tile_col, offsets, reach, bottom, step, blocked):
+def _block_upper_cells(floor, slopes, level, tile, offsets, reach, bottom, step, blocked):
     """Block the cells round a tile, whose lowest floor is `bottom`, that meet a drop in it."""
-    own = floor[level]
+    own, (tile_row, tile_col) = floor[level], tile
     row0, row1, col0, col1 = _grown(tile_row, tile_col, reach, own.shape)
     for row in range(row0, row1):
         for col in range(col0, col1):
@@ -263,7 +333,11 @@ def _block_upper_cells(floor, level, tile_row, tile_col, offsets, reach, bottom,
                 # columns of other tiles have their own turn
                 if r // TILE != tile_row or c // TILE != tile_col:
                     continue
-                if r < own.shape[0] and c < own.shape[1] and _is_drop(floor, r, c, height, step):
+                if r >= own.shape[0] or c >= own.shape[1]:
+                    continue
+                if _is_drop(floor, r, c, height, step) and not (
+                    slopes.shape[0] > 0 and _leads_down(floor, slopes, step, level, row, col, r, c)
+                ):
                     blocked[row, col] = True
                     break
 
@@ -293,7 +367,7 @@ def _may_be_drop(floor, row, col, lowest, highest, step):
 
 
 @njit(cache=True)
-def _block_higher(floor, level, row, col, offsets, step, blocked):
+def _block_higher(floor, slopes, level, row, col, offsets, step, blocked):
     """Block the cells round a column from which it is a drop."""
     _, rows, cols = floor.shape
     for k in range(offsets.shape[0]):
@@ -301,7 +375,21 @@ def _block_higher(floor, level, row, col, offsets, step, blocked):
         if not (0 <= r < rows and 0 <= c < cols) or blocked[r, c]:
             continue
         if _is_drop(floor, row, col, floor[level, r, c], step):
-            blocked[r, c] = True
+            is_walk = slopes.shape[0] > 0 and _leads_down(
+                floor, slopes, step, level, r, c, row, col
+            )
+            blocked[r, c] = not is_walk
+
+
+@njit(cache=True)
+def _leads_down(floor, slopes, step, level, row, col, to_row, to_col):
+    """Whether a slope leads to the highest of the floors of a column that are below a cell's."""
+    height, highest, below = floor[level, row, col], -np.inf, -1
+    for other in range(floor.shape[0]):
+        lower = floor[other, to_row, to_col]
+        if highest < lower < height:
+            highest, below = lower, other
+    return _is_slope(floor, slopes, step, level, row, col, below, to_row, to_col)
 
 
 @njit(cache=True)
@@ -336,14 +424,21 @@ def tile_ranges(floor):
     levels, rows, cols = floor.shape
     shape = (levels, (rows + TILE - 1) // TILE, (cols + TILE - 1) // TILE)
     low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
+    lowest, highest = np.empty(cols, dtype=np.float32), np.empty(cols, dtype=np.float32)
     for level in range(levels):
-        for row in range(rows):
+        for tile_row in range(shape[1]):
+            # column by column first, in a loop that compilers turn into vector instructions
+            lowest[:], highest[:] = np.inf, -np.inf
+            for row in range(tile_row * TILE, min((tile_row + 1) * TILE, rows)):
+                line = floor[level, row]
+                for col in range(cols):
+                    # False for NaN
+                    lowest[col] = line[col] if line[col] < lowest[col] else lowest[col]
+                    highest[col] = line[col] if line[col] > highest[col] else highest[col]
             for col in range(cols):
-                height = floor[level, row, col]
-                if not np.isnan(height):
-                    r, c = row // TILE, col // TILE
-                    low[level, r, c] = min(low[level, r, c], height)
-                    high[level, r, c] = max(high[level, r, c], height)
+                tile_col = col // TILE
+                low[level, tile_row, tile_col] = min(low[level, tile_row, tile_col], lowest[col])
+                high[level, tile_row, tile_col] = max(high[level, tile_row, tile_col], highest[col])
     return low, high
 
 

@@ -63,7 +63,9 @@ def find_moves(footing, rect, window, moves):
                 if way >= 4:
                     # a diagonal on a slope is as good as the steps over its corners
                     is_steep = abs(floor[cell] - floor[target]) > max_step
-                    if not free[target] or (is_steep and slopes.shape[0] == 0):
+                    if not free[target]:
+                        continue
+                    if is_steep and not _on_slope(cell, down, across, floor, max_step, slopes):
                         continue
                 elif not _joined(cell, target, free, floor, max_step, slopes):
                     continue
@@ -77,6 +79,20 @@ def find_moves(footing, rect, window, moves):
                 ):
                     found |= 1 << way
             moves[cell] = found
+
+
+@njit(cache=True, error_model="numpy")
+def _on_slope(cell, down, across, floor, max_step, slopes):
+    """Whether some edge of a corner is more than a step, so that only a slope can join it."""
+    if slopes.shape[0] == 0:
+        return False
+    one, other, target = cell + across, cell + down, cell + down + across
+    return (
+        abs(floor[cell] - floor[one]) > max_step
+        or abs(floor[cell] - floor[other]) > max_step
+        or abs(floor[one] - floor[target]) > max_step
+        or abs(floor[other] - floor[target]) > max_step
+    )
 
 
 @njit(cache=True, error_model="numpy")

@@ -55,7 +55,8 @@ def endings_at(tmp_path: Path):
         chosen = np.zeros(len(standable.sheet_size), dtype=np.bool_)
         chosen[standable.sheet[np.isclose(standable.z, z)]] = True
         edges = find_edges(standable, chosen, agent.traversable_floor_height, 4)
-        ending, cell, landing = find_endings(edges, standable, agent, is_occupied)
+        endings = find_endings(edges, standable, columns, agent, is_occupied)
+        ending, cell, landing = endings
         assert (np.isnan(landing) == (ending != DROP)).all()
         assert ((cell >= 0) == (ending == DROP)).all()
         # not the corners: a wall along a side meets their other edge, too
@@ -111,3 +112,14 @@ def test_nobody_drops_to_where_there_is_no_room(endings_at):
     """Fences stand so close beside the block that nobody fits in between."""
     fences = "".join(wall(x, x + 0.01, 0.0, 0.5) for x in (1.02, 1.12, 1.22, 1.32))
     assert endings_at(GROUND + BLOCK + fences, 0.6) == ({OPEN}, {DROP})
+
+
+@pytest.mark.parametrize("height", [2.0, 1.2])
+def test_nobody_drops_through_a_slab_that_only_lacks_headroom(endings_at, height):
+    """A slab at 2.9 m over the ground: beyond x = 1, a beam leaves too little headroom."""
+    slab = '<geom type="box" size="2.5 1 .1" pos="0 0 2.8"/>'
+    beam = f'<geom type="box" size=".75 1 .1" pos="1.75 0 {2.9 + height + 0.1 - 0.3}"/>'
+    found = endings_at(GROUND + slab + beam, 2.9)[0]
+    assert (found == {DROP}) == (height == 2.0)
+    if height == 1.2:
+        assert found == {OPEN}

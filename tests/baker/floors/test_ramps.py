@@ -109,8 +109,8 @@ def test_links_are_in_the_file_and_on_the_level(bake, tmp_path):
 
 
 def test_level_of_several_keeps_its_slopes(bake):
-    """An upper floor over the ramp: its level and the ramp's are whole grids by themselves."""
-    upper = '<geom type="box" size="1.5 2 .1" pos="-1.5 0 2.9"/>'
+    """An upper floor, under a roof: its level and the ramp's are whole grids by themselves."""
+    upper = "".join(f'<geom type="box" size="1.5 2 .1" pos="-1.5 0 {z}"/>' for z in (2.9, 4.9))
     grid = bake(scene(3.7, upper))
     assert len(grid.levels) == 2
     lower = grid.levels[0]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from navbake.baker.floors.kernels.places import (
@@ -250,6 +250,7 @@ def test_columns_of_stairwells():
     st.lists(st.tuples(st.integers(0, n - 1), st.integers(0, n - 1)), max_size=12),
     st.lists(st.integers(1, 50), min_size=n, max_size=n),
 )))  # fmt: skip
+@settings(deadline=None)  # the first one may compile
 def test_climb_finds_the_largest_floor_above_and_below(graph):
     """Parts are numbered by their heights; each is asked what it leads to, step by step."""
     steps, area = graph

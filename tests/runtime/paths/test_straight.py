@@ -7,7 +7,7 @@ import pytest
 
 import navbake
 from box_worlds import box, world
-from level_maps import level_of, make_level
+from level_maps import CELL, level_of, make_level
 from navbake.runtime.path_finder import PathFinder
 from project_paths import ROOT, SHARED_DATA
 
@@ -50,6 +50,62 @@ def test_nobody_comes_near_the_edge_of_the_dock_but_the_ramp_is_used():
     assert path.positions[-1][2] == pytest.approx(1.0)
     (hangs,) = grid.inflate(0.4, ledges="ignore").levels
     assert (hangs.free & on_dock & within & ~lands).any()
+
+
+ROOM, DEPTH, CORRIDOR, DOOR, WALL = 3.6, 4.2, 2.2, 1.1, 0.15  # [m]
+NUM_ROOMS = 6  # on each side
+
+
+def hospital(rng) -> str:
+    """A corridor with rooms on both sides, each with a door somewhere and a few beds."""
+    length, half = NUM_ROOMS * ROOM, CORRIDOR / 2
+    parts = [box("floor", -WALL, -half - DEPTH, -0.1, length, half + DEPTH, 0)]
+    parts += [box("", -WALL, -half - DEPTH, 0, 0, half + DEPTH, 2.5)]
+    parts += [box("", length - WALL, -half - DEPTH, 0, length, half + DEPTH, 2.5)]
+    for side in (-1, 1):
+
+        def wall(x0, x1, near, far, top, side=side):
+            y0, y1 = sorted((side * near, side * far))
+            return box("", x0, y0, 0, x1, y1, top)
+
+        for k in range(NUM_ROOMS):
+            start, end = k * ROOM, (k + 1) * ROOM
+            door = start + rng.uniform(0.3, ROOM - DOOR - 0.45)
+            parts += [wall(start, door, half, half + WALL, 2.5)]
+            parts += [wall(door + DOOR, end, half, half + WALL, 2.5)]
+            parts += [wall(end - WALL, end, half, half + DEPTH, 2.5)]
+            bed = start + rng.uniform(0.2, ROOM - 1.4)
+            parts += [wall(bed, bed + 0.9, half + 1.6, half + 3.6, 0.6)]
+        parts += [wall(-WALL, length, half + DEPTH - WALL, half + DEPTH, 2.5)]
+    return "".join(parts)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_paths_of_a_hospital_are_straight_and_short(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    path = tmp_path / "hospital.xml"
+    path.write_text(world(hospital(rng)), encoding="utf-8")
+
+    def bake(radius):
+        return navbake.bake({"scene": {"path": str(path)}, "agent": {"radius": radius}})
+
+    inflated, native = PathFinder(bake(0.05).inflate(0.3)), PathFinder(bake(0.3))
+    middle = CORRIDOR / 2 + 0.9
+    ends = [
+        np.array([k * ROOM + ROOM / 2, side * middle, 0.0])
+        for k in range(NUM_ROOMS)
+        for side in (-1, 1)
+    ]
+    num_waypoints = []
+    for _ in range(30):
+        a, b = (ends[k] for k in rng.choice(len(ends), 2, replace=False))
+        one, other = inflated.find_path(a, b), native.find_path(a, b)
+        assert one is not None
+        assert in_line(one.positions) == in_line(other.positions) == 0
+        # a cell at each bend: the bake knows the disc, the inflation the squares that it meets
+        assert one.length <= other.length + CELL * (len(one.positions) - 2)
+        num_waypoints.append(len(one.positions))
+    assert max(num_waypoints) <= 10
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -1,0 +1,73 @@
+"""Places are spelled one way in all commands."""
+
+import json
+
+import pytest
+from typer import BadParameter
+
+from navbake.cli.places import GivenPlace, parse_place
+from project_paths import GOLDEN
+
+HOUSE = str(GOLDEN / "house.grid.json.gz")
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("1.5,-2", GivenPlace(1.5, -2.0)),
+        ("-1.5,+2,1", GivenPlace(-1.5, 2.0, z=1.0)),
+        (".5,2.,-1e-3", GivenPlace(0.5, 2.0, z=-0.001)),
+        ("0,0,L0", GivenPlace(0.0, 0.0, level=0)),
+        ("0,0,L12", GivenPlace(0.0, 0.0, level=12)),
+    ],
+)
+def test_the_three_spellings(text, place):
+    assert parse_place(text, "--at") == place
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        ("1.5 -2", "1.5,-2"),
+        ("1.5, -2, 1", "1.5,-2,1"),
+        ("(1.5,-2)", "1.5,-2"),
+        ("[1, 2, 3]", "1,2,3"),
+        ("1;2;L1", "1,2,L1"),
+        ("1,2,l1", "1,2,L1"),
+        ("1,2,level 1", "1,2,L1"),
+        ("1,2,level1", "1,2,L1"),
+    ],
+)
+def test_other_spellings_are_refused_with_the_right_one(text, meant):
+    with pytest.raises(BadParameter, match=rf"did you mean {meant}\?"):
+        parse_place(text, "--at")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "here", "1", "1,2,3,4", "1,2,Lx", "1,2,L-1", "nan,0", "inf,0", "1,2,L1.5"]
+)
+def test_what_is_no_place_is_refused(text):
+    with pytest.raises(BadParameter, match="expected X,Y") as caught:
+        parse_place(text, "--at")
+    assert "did you mean" not in str(caught.value)
+
+
+def test_numbers_beyond_floats_are_refused():
+    with pytest.raises(BadParameter, match="finite"):
+        parse_place("1e999,0", "--at")
+
+
+@pytest.mark.parametrize(("at", "level"), [("1,1,1", 0), ("1,1,3.5", 1), ("1,1,L1", 1)])
+def test_why_and_path_mean_the_same(run, at, level):
+    status, out, _ = run("why", HOUSE, "--at", at, "--json")
+    assert status == 0
+    assert [place["level"] for place in json.loads(out)] == [level]
+    status, out, _ = run("path", HOUSE, "--from", at, "--to", at, "--json")
+    assert status == 0
+    assert json.loads(out)["path"]["levels"][0] == level
+
+
+def test_why_of_a_place_below_all_floors(run):
+    status, _, err = run("why", HOUSE, "--at", "1,1,-30")
+    assert status == 1
+    assert "1,1,-30 is in no cell" in err
