@@ -192,8 +192,8 @@ def test_storey_without_ceiling_is_one_where_the_grid_crops_its_walls(bake):
 
 def test_shelf_is_furniture_where_the_grid_crops_it(bake):
     shelf = [YARD, box(0, 10, 0, 8, 5, 5.2), box(1, 9, 3, 4.2, 1.9, 2)]
-    assert grounds(bake(shelf, grid={"bounds": [0, 3.6, 10, 8]})) == [0]
-    assert grounds(bake(shelf, grid={"bounds": [3, 1, 5, 7]})) == [0]
+    for bounds in ([-2, 3.6, 12, 8], [3, -1, 5, 9]):
+        assert grounds(bake(shelf, grid={"bounds": bounds})) == [0]
 
 
 def test_large_roof_is_told_of_and_can_be_kept(bake):
