@@ -19,6 +19,7 @@ except ImportError:  # Windows has no such locks; it refuses to remove a file th
 
 TEMPORARY = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp")
 OLD = 86400.0  # age at which a temporary file is a leftover where nothing can be locked [s]
+_swept: set[Path] = set()  # folders that this process has removed leftovers from
 
 
 class FileState(NamedTuple):
@@ -45,7 +46,8 @@ def write_whole(
     """Write a file under another name in the same folder, then rename it.
 
     Of a link, the file that it points to is replaced. A device or a pipe is written to directly.
-    Temporary files that writers left in the folder when they were killed are removed first.
+    Temporary files that writers left in the folder when they were killed are removed first, once
+    a process and folder: a folder of many files takes long to list.
 
     Args:
         unless_changed: what the path was when the work began. If another process wrote it since,
@@ -60,7 +62,9 @@ def write_whole(
         Path(path).write_bytes(data)
         return
     target = Path(os.path.realpath(path))
-    remove_leftovers(target.parent)
+    if target.parent not in _swept:
+        _swept.add(target.parent)
+        remove_leftovers(target.parent)
     file, temporary = _create_temporary(target.parent)
     try:
         with file:

@@ -103,11 +103,23 @@ def test_a_writer_at_work_is_left_alone(tmp_path):
     ) as other:
         assert other.stdout.readline() == "writing\n"
         write_whole(b"ours", tmp_path / "b")
+        files.remove_leftovers(tmp_path)
         assert len(temporary_files(tmp_path)) == 1
         other.stdin.close()
     assert other.returncode == 0
     assert (tmp_path / "a").read_bytes() == b"theirs"
     assert temporary_files(tmp_path) == []
+
+
+def test_a_folder_is_listed_once(tmp_path, monkeypatch):
+    """Ten thousand grids in one folder would be a hundred million entries."""
+    listed, real = [], os.scandir
+    monkeypatch.setattr(os, "scandir", lambda path: (listed.append(path), real(path))[1])
+    (tmp_path / "other").mkdir()
+    for number in range(3):
+        write_whole(b"now", tmp_path / f"{number}")
+        write_whole(b"now", tmp_path / "other" / f"{number}")
+    assert listed == [tmp_path, tmp_path / "other"]
 
 
 def test_only_files_of_ours_are_removed(tmp_path):

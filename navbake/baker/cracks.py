@@ -27,6 +27,9 @@ HALVINGS = 10
 # without floor there: three leave an eighth of a turn open, as the inner corner of a wall does
 AROUND, OPEN_WAYS = 1.5, 2
 
+# How much of half a cell's edge a line may be moved: it stays inside of the cell's square
+WITHIN = 0.999
+
 # Unit vectors of the ways, opposite ones AXES apart
 WAYS = np.stack([f(np.arange(2 * AXES) * (np.pi / AXES)) for f in (np.cos, np.sin)], axis=1)
 
@@ -53,7 +56,9 @@ def close_cracks(
     `crack` [m] in some direction, measured through the cell's centre, with floor nearly all
     around: in an inner corner, gaps are narrow too. In place of the line that falls into it, the
     cell gets the one just beyond the crack's edge, all of it, so that solids are entered and left
-    as often as they should be.
+    as often as they should be. An agent has room to stand on it there; where it has on neither
+    side, the crack stays. The line stays inside of the cell's square, for which it speaks, unless
+    the square is so small that all of it lies in the crack.
 
     Args:
         tiled: what the columns were cast at, listed for lines up to `crack_reach` away.
@@ -64,9 +69,12 @@ def close_cracks(
     gaps = _find_gaps(columns, limits, crack)
     if not len(gaps.cell):
         return columns
-    probe = _Probe(gaps, tiled, limits)
-    offset = _measure(probe, crack)
-    offset[_find_open(probe, crack)] = np.nan
+    # most gaps are open, and cheaper to tell so than to measure
+    kept = ~_find_open(_Probe(gaps, tiled, limits), crack)
+    gaps = Gaps(gaps.cell[kept], gaps.low[kept], gaps.high[kept])
+    if not len(gaps.cell):
+        return columns
+    offset = _measure(_Probe(gaps, tiled, limits), crack)
     closed = np.flatnonzero(~np.isnan(offset[:, 0]))
     # of several gaps in a cell, over each other, the lowest that is a crack decides
     cells, first = np.unique(gaps.cell[closed], return_index=True)
@@ -98,7 +106,7 @@ def _find_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
 def _find_open(probe: _Probe, crack: float) -> Bool:
     """Which gaps are open to one side: neighbouring ways lead to no floor."""
     gap, way = np.divmod(np.arange(len(probe.gaps.cell) * 2 * AXES), 2 * AXES)
-    floors = probe.floors(gap, way, np.full(len(gap), crack_reach(crack)))
+    floors, _ = probe.floors(gap, way, np.full(len(gap), crack_reach(crack)))
     misses = np.isnan(floors).reshape(-1, 2 * AXES)
     runs = [np.roll(misses, shift, axis=1) for shift in range(OPEN_WAYS + 1)]
     is_open: Bool = np.logical_and.reduce(runs).any(axis=1)
@@ -116,7 +124,8 @@ def _measure(probe: _Probe, crack: float) -> Float:
     near, far = np.zeros(len(gap)), np.full(len(gap), np.inf)
     for distance in crack * np.arange(1, SAMPLES + 1) / SAMPLES:
         asked = np.flatnonzero(np.isinf(far))
-        hits = ~np.isnan(probe.floors(gap[asked], way[asked], np.full(len(asked), distance)))
+        floors, _ = probe.floors(gap[asked], way[asked], np.full(len(asked), distance))
+        hits = ~np.isnan(floors)
         far[asked[hits]] = distance
         near[asked[~hits]] = distance
     # an axis is two opposite ways: only where the two may add up to a crack, they matter
@@ -125,24 +134,37 @@ def _measure(probe: _Probe, crack: float) -> Float:
     asked = asked[near[asked] + near[opposite[asked]] < crack]
     for _ in range(HALVINGS):
         middle = (near[asked] + far[asked]) / 2
-        hits = ~np.isnan(probe.floors(gap[asked], way[asked], middle))
+        hits = ~np.isnan(probe.floors(gap[asked], way[asked], middle)[0])
         far[asked[hits]], near[asked[~hits]] = middle[hits], middle[~hits]
     width = np.full(len(gap), np.inf)
     width[asked] = far[asked] + far[opposite[asked]]
     narrowest = width.reshape(-1, 2 * AXES).argmin(axis=1)  # one of the first half of the turn
     one = np.arange(len(gaps.cell)) * 2 * AXES + narrowest
     one = one[width[one] < crack]
-    other = opposite[one]
+    sides = np.stack([one, opposite[one]])
     offset = np.full((len(gaps.cell), 2), np.nan)
     if len(one):
-        floor, beyond = (probe.floors(gap[end], way[end], far[end]) for end in (one, other))
-        level = abs(floor - beyond) <= probe.limits.step + SLACK
-        one, other, floor, beyond = one[level], other[level], floor[level], beyond[level]
-        # the lower floor; of two at one height, the nearer
-        first = np.where(floor == beyond, far[one] <= far[other], floor < beyond)
-        chosen = np.where(first, one, other)
-        offset[gap[chosen]] = WAYS[way[chosen]] * far[chosen][:, None]
+        offset[gap[one]] = _choose_side(probe, gap[sides], way[sides], far[sides])
     return offset
+
+
+def _choose_side(probe: _Probe, gap: Int, way: Int, far: Float) -> Float:
+    """Of the two sides of each crack, arrays of shape (2, n), the line that the cell gets [m].
+
+    Inside of the cell's square if one is, on the lower floor with room for an agent; of two at one
+    height, the nearer. NaN where there is none, or the floors are more than a step apart.
+    """
+    found = [probe.floors(*side) for side in zip(gap, way, far, strict=True)]
+    floor, standable = (np.stack(heights) for heights in zip(*found, strict=True))
+    offset = WAYS[way] * far[:, :, None]
+    half = WITHIN * probe.tiled.lattice.cell_size / 2
+    is_outside = abs(offset).max(axis=2) > half
+    best = np.lexsort((far, standable, is_outside, np.isnan(standable)), axis=0)[0]
+    pair = np.arange(len(best))
+    chosen: Float = offset[best, pair]
+    level = abs(floor[0] - floor[1]) <= probe.limits.step + SLACK
+    chosen[~level | np.isnan(standable[best, pair])] = np.nan
+    return chosen
 
 
 class _Probe(NamedTuple):
@@ -152,12 +174,16 @@ class _Probe(NamedTuple):
     tiled: TiledShapes
     limits: AgentLimits
 
-    def floors(self, gap: Int, way: Int, distance: Float) -> Float:
-        """The floor that continues a gap's sides, some way from the centre, NaN for none [m]."""
-        floor = np.empty(len(gap))
+    def floors(self, gap: Int, way: Int, distance: Float) -> tuple[Float, Float]:
+        """The floor that continues a gap's sides, some way from the centre, NaN for none [m].
+
+        And the lowest such floor with room for an agent.
+        """
+        floor, standable = np.empty(len(gap)), np.empty(len(gap))
         crossings = _cast_beside(self.tiled, self.gaps.cell[gap], WAYS[way] * distance[:, None])
-        floors_near(crossings, self.gaps.low[gap], self.gaps.high[gap], self.limits, floor)
-        return floor
+        low, high = self.gaps.low[gap], self.gaps.high[gap]
+        floors_near(crossings, low, high, self.limits, floor, standable)
+        return floor, standable
 
 
 def _cast_beside(tiled: TiledShapes, cells: Int, offset: Float) -> Crossings:

@@ -39,11 +39,12 @@ def folder(tmp_path_factory) -> Path:
     return tmp_path_factory.mktemp("cracks")
 
 
-def stages_of(folder: Path, geoms: str, cell: float = 0.1, **floors):
+def stages_of(folder: Path, geoms: str, cell: float = 0.1, agent: dict | None = None, **floors):
     path = folder / "scene.xml"
     path.write_text(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
     bounds = {"bounds": [-2.5, -1.5, 2.5, 1.5], "cell_size": cell}
-    return bake_stages({"scene": {"path": str(path)}, "grid": bounds, "floors": floors})
+    scene = {"scene": {"path": str(path)}, "agent": agent or {}}
+    return bake_stages({**scene, "grid": bounds, "floors": floors})
 
 
 def heights(columns: Columns, z: float = HEIGHT, tolerance: float = 0.3) -> np.ndarray:
@@ -93,6 +94,27 @@ def test_cell_over_a_crack_has_the_lower_floor(folder, step):
     floor = heights(stages.columns)
     col = int(stages.lattice.rows_cols([0.05, 0.0])[1])
     assert floor[:, col] == pytest.approx(min(HEIGHT, HEIGHT + step))
+
+
+@pytest.mark.parametrize(("cell", "center"), [(0.04, 0.0), (0.1, 0.05)])
+@pytest.mark.parametrize("beside", [0.009, 0.014, 0.02])
+def test_line_is_not_moved_under_a_wall(folder, cell, center, beside):
+    """A thin wall on the lower slab, flush with the crack: the line goes onto the upper slab."""
+    start, end = center - beside, center - beside + 0.028
+    wall = f'<geom type="box" size=".01 2 1" pos="{end + 0.01} 0 {HEIGHT + 1}"/>'
+    geoms = GROUND + two_slabs(0.028, at=(start + end) / 2, step=-0.001) + wall
+    stages = stages_of(folder, geoms, cell, roofs=True, agent={"radius": 0.0})
+    col = int(stages.lattice.rows_cols([center, 0.0])[1])
+    assert heights(stages.columns)[:, col] == pytest.approx(HEIGHT)
+    meets = center + cell / 2 > end  # the cell's square, the wall
+    assert (stages.occupancy.levels[-1][:, col] == meets).all()
+
+
+def test_line_without_room_on_both_sides_stays(folder):
+    wall = '<geom type="box" size=".01 2 1" pos="{} 0 4"/>'
+    walls = wall.format(0.031) + wall.format(0.069)  # to 1 mm beyond the crack's edges
+    stages = stages_of(folder, GROUND + two_slabs(0.02, at=0.05) + walls, 0.1)
+    assert stages.columns.z.size == cast_columns(stages.tiled).z.size
 
 
 def test_two_floors_more_than_a_step_apart_have_no_crack(folder):

@@ -60,7 +60,7 @@ def find_roofs(site: Site) -> Bool:
     kind = find_endings(edges, site.large, site.columns, agent, site.is_occupied).kind
     is_wall, known = kind == WALL, is_known(edges, kind, site.cropped)
     reach = int(np.ceil(site.settings.shrink / site.large.lattice.cell_size))
-    ends = np.flatnonzero(known & ~is_wall)
+    ends = known & ~is_wall
     is_wall[ends] = _find_inner_walls(edges.only(ends), site.large, agent, reach, site.is_occupied)
     return candidates & (share_of_known(site.large, edges, is_wall, known) <= HALF)
 

@@ -33,9 +33,26 @@ def _cell_beside(lattice, cell, way, distance):
 def _continues(crossings, cell, low, high, limits):
     """Whether a cell has a surface between two heights that is not too steep to stand on."""
     for i in range(crossings.start[cell], crossings.start[cell + 1]):
-        if crossings.normal[i, 2] >= limits.min_up and low - SLACK <= crossings.z[i] <= high + SLACK:
+        is_between = low - SLACK <= crossings.z[i] <= high + SLACK
+        if is_between and crossings.normal[i, 2] >= limits.min_up:
             return True
     return False
+
+
+@njit(inline="always")
+def _is_alike(crossings, one, other, limits):
+    """Whether two cells have the same surfaces, one by one, within a step: there is no gap."""
+    first, beside = crossings.start[one], crossings.start[other]
+    count = crossings.start[one + 1] - first
+    if count != crossings.start[other + 1] - beside:
+        return False
+    for i in range(count):
+        if abs(crossings.z[first + i] - crossings.z[beside + i]) > limits.step:
+            return False
+        is_gentle = crossings.normal[first + i, 2] >= limits.min_up
+        if is_gentle != (crossings.normal[beside + i, 2] >= limits.min_up):
+            return False
+    return True
 
 
 @njit(inline="always")
@@ -80,6 +97,8 @@ def _gaps_of_cell(lattice, crossings, limits, reach, cell, low, high):
             one = _cell_beside(lattice, cell, way, distance)
             if one < 0:
                 break
+            if _is_alike(crossings, cell, one, limits):
+                continue
             for i in range(crossings.start[one], crossings.start[one + 1]):
                 z = crossings.z[i]
                 if crossings.normal[i, 2] < limits.min_up or abs(z - last) <= SAME:
@@ -139,18 +158,23 @@ def find_gaps(lattice, crossings, limits, reach, start, low, high):
 
 
 @njit(cache=True)
-def floors_near(crossings, low, high, limits, floor):
+def floors_near(crossings, low, high, limits, floor, standable):
     """Find in each column the lowest surface between two heights, NaN for none [m].
 
-    It may be a step lower or higher, and faces up within the slope. `low`, `high` and `floor` have
-    one entry a column.
+    It may be a step lower or higher, and faces up within the slope. `standable` receives the lowest
+    one with room for an agent. All but the first and `limits` have one entry a column.
     """
     reach = limits.step + SLACK
     for n in range(floor.shape[0]):
-        floor[n] = np.nan
+        floor[n] = standable[n] = np.nan
         for i in range(crossings.start[n], crossings.start[n + 1]):
             z = crossings.z[i]
-            is_near = low[n] - reach <= z <= high[n] + reach
-            if is_near and crossings.normal[i, 2] >= limits.min_up:
+            if not low[n] - reach <= z <= high[n] + reach:
+                continue
+            if crossings.normal[i, 2] < limits.min_up:
+                continue
+            if np.isnan(floor[n]):
                 floor[n] = z
+            if _has_room(crossings, np.int64(n), i, limits):
+                standable[n] = z
                 break

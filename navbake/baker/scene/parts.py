@@ -32,11 +32,13 @@ class MeshParts:
             (m, 3), indices into the mesh's vertices.
         part: of each, 0 for what encloses nothing, 1, 2, … for closed parts, shape (m,), int32.
         closed: of each, OPEN_SURFACE or CLOSED_SURFACE, shape (m,), uint8.
+        num_turned: how many triangles of closed parts faced in and were turned.
     """
 
     faces: NDArray[np.integer[Any]]
     part: Int32
     closed: NDArray[np.uint8]
+    num_turned: int
 
     @property
     def kind(self) -> str:
@@ -44,7 +46,8 @@ class MeshParts:
         is_closed = self.closed == CLOSED_SURFACE
         if not is_closed.any():
             return "surface"
-        return "closed surface" if is_closed.all() else "partly closed"
+        kind = "closed surface" if is_closed.all() else "partly closed"
+        return f"{kind}, {self.num_turned} turned" if self.num_turned else kind
 
 
 def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
@@ -55,7 +58,11 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     out: the volume that its triangles sum up to is positive. One that faces in is a cavity, and
     counts, where it lies inside of one that faces out. By itself it is a room drawn from inside,
     and encloses nothing. A triangle that hangs on a closed part by less than all of its edges is
-    no part of it, so that a stray one opens nothing.
+    no part of it, so that a stray one opens nothing. Nor is a membrane: a sheet across
+    the inside of one that is closed without it.
+
+    Triangles that face to the other side than most of the area that they hang together with, over
+    edges at which two triangles meet, are taken as turned; in a closed part they are.
 
     Args:
         vertices: shape (n, 3), float64 [m].
@@ -64,18 +71,29 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     point = weld_points(np.ascontiguousarray(vertices, dtype=np.float64))[faces]
     has_area = (point != np.roll(point, -1, axis=1)).all(axis=1)
     faces, point = faces[has_area], point[has_area]
-    found = find_parts(point, *list_edges(point, int(point.max(initial=0)) + 1))
+    cross = _cross(vertices[faces])
+    area = np.linalg.norm(cross, axis=1) / 2
+    edges = list_edges(point, int(point.max(initial=0)) + 1)
+    found, turned = find_parts(point, area, *edges)
     kept = found != COPY
-    faces, found = faces[kept], found[kept]
+    faces, found, turned = faces[kept], found[kept], turned[kept]
     roots, part = np.unique(found, return_inverse=True)
     if len(roots) and roots[0] == SHEET:
         roots = roots[1:]
     else:
         part = part + 1
-    encloses = _find_enclosing(vertices, faces, part, len(roots))
+    consistent = np.where(turned[:, None], faces[:, ::-1], faces)
+    encloses = _find_enclosing(vertices, consistent, part, len(roots))
     number = np.where(encloses, np.cumsum(encloses), 0)[part].astype(np.int32)
     closed = np.where(number > 0, CLOSED_SURFACE, OPEN_SURFACE).astype(np.uint8)
-    return MeshParts(faces, number, closed)
+    turned &= number > 0
+    faces = np.where(turned[:, None], consistent, faces)
+    return MeshParts(faces, number, closed, int(np.count_nonzero(turned)))
+
+
+def _cross(corners: Float) -> Float:
+    """Normals of triangles, as long as twice their area, shape (m, 3) [m²]."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def _find_enclosing(
@@ -86,14 +104,14 @@ def _find_enclosing(
     if num == 0:
         return encloses
     corners = vertices[faces] - vertices[faces[0, 0]]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = _cross(corners)
     volume = np.bincount(part, np.einsum("ij,ij->i", corners[:, 0], cross), num + 1) / 6
     area = np.bincount(part, np.linalg.norm(cross, axis=1), num + 1) / 2
     encloses[1:] = volume[1:] > THICKNESS * area[1:]
     facing_in = volume < -THICKNESS * area
     facing_in[0] = False
     if facing_in.any() and encloses.any():
-        member = np.argsort(part, kind="stable")
+        member = np.lexsort((corners[:, :, 0].sum(axis=1), part))  # from west to east
         start = np.searchsorted(part[member], np.arange(num + 2))
         point = np.zeros((num + 1, 3))
         by_size = np.argsort(np.linalg.norm(cross, axis=1), kind="stable")

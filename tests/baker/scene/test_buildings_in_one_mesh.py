@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import threading
+import time
 from pathlib import Path
 
 import mujoco
@@ -183,13 +185,39 @@ def test_ground_in_mjcf_keeps_ids_and_what_auto_takes(tmp_path):
 
 def test_qhull_s_messages_are_caught_and_others_pass(capfd):
     with catch_chatter() as lines:
-        os.write(2, b"QH6154 Qhull precision error: initial simplex is not convex\n\nrest\n")
-    assert lines == ["QH6154 Qhull precision error: initial simplex is not convex", "rest"]
-    assert capfd.readouterr().err == ""
+        os.write(2, b"before\nQH6154 Qhull precision error: initial simplex is not convex\n\n")
+        os.write(2, b"  - use 'QJ' to joggle the input\nValueError: after\n  more\n")
+    first = "QH6154 Qhull precision error: initial simplex is not convex"
+    assert lines == [first, "- use 'QJ' to joggle the input"]
+    assert capfd.readouterr().err == "before\nValueError: after\n  more\n"
     with catch_chatter() as lines:
-        os.write(2, b"something else\n")
+        os.write(2, b"a point without a hull, and no end of line")
     assert lines == []
-    assert capfd.readouterr().err == "something else\n"
+    assert capfd.readouterr().err == "a point without a hull, and no end of line"
+
+
+def test_threads_take_turns_at_stderr(capfd):
+    entered = threading.Event()
+
+    def first():
+        with catch_chatter():
+            entered.set()
+            os.write(2, b"first\n")
+            time.sleep(0.05)
+
+    def second():
+        entered.wait()
+        with catch_chatter():
+            os.write(2, b"second\n")
+            time.sleep(0.1)  # longer than the first one's rest
+
+    threads = [threading.Thread(target=turn) for turn in (first, second)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    os.write(2, b"shown\n")
+    assert capfd.readouterr().err == "first\nsecond\nshown\n"
 
 
 def test_qhull_s_messages_are_kept_for_the_error(capfd, tmp_path, monkeypatch):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 import trimesh
@@ -51,7 +53,6 @@ def test_closed_and_open():
     assert codes(SOLID + 1e5) == [True]
     assert codes(SOLID[:3]) == [False]
     assert codes(turned(SOLID)) == [False]  # seen from inside: a room
-    assert codes(np.concatenate([SOLID[:3], turned(SOLID[3:])])) == [False]
     assert split(SOLID[:0]).closed.shape == (0,)
 
 
@@ -127,6 +128,86 @@ def test_copies_and_empty_triangles_are_left_out():
     assert found.kind == "closed surface" and len(found.faces) == 4
 
 
+# ---------------------------------------------------------------- triangles that face in
+
+
+def test_one_that_faces_in_is_turned():
+    for faulty in range(12):
+        block = box()
+        block[faulty] = turned(block[faulty : faulty + 1])[0]
+        found = split(block)
+        assert found.kind == "closed surface, 1 turned"
+        corners = block.reshape(-1, 3)[found.faces]
+        volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum()
+        assert volume / 6 == pytest.approx(1)
+
+
+def test_the_larger_side_decides_by_area():
+    mostly_in = np.concatenate([SOLID[:1], turned(SOLID[1:])])
+    found = split(mostly_in)
+    assert found.kind == "surface" and found.num_turned == 0
+    np.testing.assert_array_equal(found.faces, np.arange(12).reshape(-1, 3))  # nothing encloses
+    assert split(np.concatenate([turned(SOLID[:1]), SOLID[1:]])).num_turned == 1
+
+
+def test_each_part_is_judged_by_itself():
+    faulty = np.concatenate([turned(box()[:1]), box()[1:]])
+    assert codes(faulty, turned(box()) + 3, SHEET + 6) == [True, False, False]
+
+
+def test_a_strip_with_one_side_encloses_nothing():
+    """A Möbius strip, closed to a projective plane by a cap: no side is the outer one."""
+    faces = np.array(
+        [(0, i, i % 5 + 1) for i in range(1, 6)]
+        + [(i, i % 5 + 1, (i + 2) % 5 + 1) for i in range(1, 6)]
+    )
+    points = np.random.default_rng(1).uniform(0, 1, (6, 3))
+    assert split_mesh(points, faces).kind == "surface"
+
+
+# ---------------------------------------------------------------- membranes
+
+
+def grid_block(nx: int, ny: int, nz: int, walls: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles of a block of cells that faces out, and of the walls between its cells."""
+    shell, inner = [], []
+    for axis, count in enumerate((nx, ny, nz)):
+        other = [(axis + 1) % 3, (axis + 2) % 3]
+        for at in range(count + 1):
+            if 0 < at < count and not walls:
+                continue
+            for i in range((nx, ny, nz)[other[0]]):
+                for j in range((nx, ny, nz)[other[1]]):
+                    corner = np.zeros((4, 3))
+                    corner[:, axis] = at
+                    corner[:, other[0]] = [i, i + 1, i + 1, i]
+                    corner[:, other[1]] = [j, j, j + 1, j + 1]
+                    if at == 0:
+                        corner = corner[::-1]
+                    (inner if 0 < at < count else shell).extend(corner[[[0, 1, 2], [0, 2, 3]]])
+    return np.array(shell), np.array(inner).reshape(-1, 3, 3)
+
+
+@pytest.mark.parametrize("flip", [False, True])
+@pytest.mark.parametrize("size", [(1, 1, 2), (3, 1, 1), (2, 2, 1), (1, 4, 1)])
+def test_a_membrane_hollows_nothing(size, flip):
+    """Walls without thickness inside of a block; they cross each other in some."""
+    shell, inner = grid_block(*size, walls=True)
+    assert codes(shell) == [True]
+    found = codes(shell, turned(inner) if flip else inner)
+    assert found == [True, False]
+
+
+def test_a_membrane_and_a_triangle_that_faces_in():
+    shell, inner = grid_block(1, 1, 2, walls=True)
+    shell[0] = turned(shell[:1])[0]
+    assert codes(shell, inner) == [True, False]
+
+
+def test_a_block_that_faces_in_opens_no_other_one_at_its_edge():
+    assert codes(box(), turned(box(at=(1, 1, 0)))) == [True, False]
+
+
 # ---------------------------------------------------------------- cavities
 
 
@@ -140,6 +221,34 @@ def test_a_cavity_counts_inside_of_a_part_that_faces_out():
 
 def test_a_block_inside_of_a_cavity_is_closed():
     assert codes(box((5, 5, 5)), turned(box((3, 3, 3))), box()) == [True, True, True]
+
+
+def test_cavities_at_random():
+    """Against the solid angle under which a point of the cavity sees the part round it."""
+    rng = np.random.default_rng(0)
+    ball = np.array(trimesh.creation.icosphere(2).triangles) * [3, 2, 1.0]
+    seen = set()
+    for at in rng.uniform(-2.5, 2.5, (60, 3)) * [1, 0.7, 0.4]:
+        if 0.9 < np.linalg.norm(at / [3, 2, 1]) < 1.05:  # the two may cross
+            continue
+        small = turned(box((0.01, 0.01, 0.01), at))
+        a, b, c = np.moveaxis(ball - at, 1, 0)
+        la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+        across = la * lb * lc + (a * b).sum(1) * lc + (b * c).sum(1) * la + (c * a).sum(1) * lb
+        angle = 2 * np.arctan2((a * np.cross(b, c)).sum(1), across).sum()
+        seen.add(inside := bool(angle > 2 * np.pi))
+        assert codes(ball, small) == [True, inside]
+    assert seen == {True, False}
+
+
+def test_cavities_below_edges_and_corners_of_the_part_round_them():
+    shell, _ = grid_block(2, 2, 2, walls=False)
+    inner = turned(box((1, 1, 1), (1, 1, 1)))
+    assert codes(shell, inner) == [True, True]
+    assert codes(shell, inner - [0, 0, 5]) == [True, False]
+    small = turned(SOLID * 0.3) - [0.1, 0.1, 0]  # the middle of its largest triangle is at 0, 0
+    for x, y in itertools.product((0.5, 1, 1.5), (0.5, 1, 1.5)):
+        assert codes(shell, small + np.array([x, y, 1])) == [True, True]
 
 
 def test_rooms_drawn_from_inside_enclose_nothing():
