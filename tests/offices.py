@@ -39,6 +39,21 @@ class Opening:
     head: float
 
 
+@dataclass(frozen=True)
+class Window:
+    """Where a window is in a plan.
+
+    Attributes:
+        middle, way: its middle, and the direction of its wall, each (2,) [m].
+        width, thick: of the opening and of the wall [m].
+    """
+
+    middle: NDArray[np.float64]
+    way: NDArray[np.float64]
+    width: float
+    thick: float
+
+
 @dataclass
 class Plan:
     """The boxes of a building, and its rooms.
@@ -48,6 +63,8 @@ class Plan:
         rooms: the outline of each room, corners without the walls, shape (n, 2) [m].
         turn: of the whole plan in the world [rad].
         doors: middle and half width of each door [m].
+        windows: openings that nobody can walk through.
+        solid: the outlines of what stands in rooms from floor to ceiling, shape (4, 2) [m].
     """
 
     rng: np.random.Generator
@@ -58,6 +75,8 @@ class Plan:
     )
     rooms: list[NDArray[np.float64]] = field(default_factory=list)
     doors: list[tuple[float, float, float]] = field(default_factory=list)
+    windows: list[Window] = field(default_factory=list)
+    solid: list[NDArray[np.float64]] = field(default_factory=list)
 
     def has_door_near(self, rect: Rect, gap: float) -> bool:
         """Whether a door, as wide as it is both ways, comes so near to a rectangle."""
@@ -74,6 +93,12 @@ class Plan:
         half = np.array([(x1 - x0) / 2, (y1 - y0) / 2, (high - low) / 2])
         if (half > STEP).all():
             self.boxes.append((f"{name}_{len(self.boxes)}", center, half, 0.0))
+
+    def pier(self, name: str, rect: Rect) -> None:
+        """Add a box from floor to ceiling that stands in a room."""
+        x0, y0, x1, y1 = rect
+        self.box(name, rect, 0.0, self.height)
+        self.solid.append(np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]))
 
     def wall(
         self,
@@ -100,6 +125,8 @@ class Plan:
             a, b = opening.at - opening.width / 2, opening.at + opening.width / 2
             if opening.sill == 0.0:
                 self.doors.append((*(begin + way * opening.at), opening.width / 2))
+            else:
+                self.windows.append(Window(begin + way * opening.at, way, opening.width, thick))
             piece(done, a, 0.0, self.height)
             piece(a, b, 0.0, opening.sill)
             piece(a, b, opening.head, self.height)
@@ -175,18 +202,31 @@ class Plan:
         record["v"] = data
         path.write_bytes(bytes(80) + np.uint32(len(data)).tobytes() + record.tobytes())
 
-    def truth(self, lattice: Lattice) -> list[NDArray[np.bool_]]:
-        """The cells of each room, whose centres are half a cell or more from its walls."""
+    def in_plan(self, lattice: Lattice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The coordinates of the cells' centres in the plan's frame [m]."""
         x, y = np.meshgrid(lattice.center_x(), lattice.center_y())
         cos, sin = np.cos(self.turn), np.sin(self.turn)
-        u, v = x * cos + y * sin, y * cos - x * sin
-        return [_inside(corners, u, v, lattice.cell_size / 2) for corners in self.rooms]
+        return x * cos + y * sin, y * cos - x * sin
+
+    def truth(self, lattice: Lattice) -> list[NDArray[np.bool_]]:
+        """The cells of each room whose centres are half a cell or more from all that is solid."""
+        u, v = self.in_plan(lattice)
+        gap = lattice.cell_size / 2
+        blocked = np.zeros(lattice.shape, dtype=np.bool_)
+        for corners in self.solid:
+            inside, near = _inside(corners, u, v, gap)
+            blocked |= inside | near
+        rooms = []
+        for corners in self.rooms:
+            inside, near = _inside(corners, u, v, gap)
+            rooms.append(inside & ~near & ~blocked)
+        return rooms
 
 
 def _inside(
     corners: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64], gap: float
-) -> NDArray[np.bool_]:
-    """The points in a polygon, by the even-odd rule, that are so far from its edges."""
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """The points in a polygon, by the even-odd rule, and those that are so near to its edges."""
     inside = np.zeros(u.shape, dtype=np.bool_)
     near = np.zeros(u.shape, dtype=np.bool_)
     for (x0, y0), (x1, y1) in pairwise([*corners, corners[0]]):
@@ -195,7 +235,7 @@ def _inside(
         length = np.hypot(x1 - x0, y1 - y0)
         along = np.clip(((u - x0) * (x1 - x0) + (v - y0) * (y1 - y0)) / length**2, 0, 1)
         near |= np.hypot(u - x0 - along * (x1 - x0), v - y0 - along * (y1 - y0)) < gap
-    return inside & ~near
+    return inside, near
 
 
 def make_plan(seed: int) -> Plan:
@@ -278,7 +318,7 @@ def _make_office(plan: Plan) -> tuple[float, float]:
         plan.rect_room(rect)
         for x in np.arange(rect[0] + rng.uniform(1.0, 3.5), right - 0.8, rng.uniform(2.4, 5.0)):
             for y in np.arange(rng.uniform(1.0, 3.5), top - 0.8, rng.uniform(2.4, 5.0)):
-                plan.box("pillar", (x - 0.2, y - 0.2, x + 0.2, y + 0.2), 0.0, plan.height)
+                plan.pier("pillar", (x - 0.2, y - 0.2, x + 0.2, y + 0.2))
     return end, top
 
 
@@ -291,7 +331,7 @@ def _fill_room(plan: Plan, rect: Rect) -> None:
         at = y0 + (y1 - y0) * 0.5
         chase = (x0, at - deep / 2, x0 + wide, at + deep / 2)
         if not plan.has_door_near(chase, 0.4):
-            plan.box("wall_chase", chase, 0.0, plan.height)
+            plan.pier("wall_chase", chase)
     plan.rect_room(rect)
     plan.furnish((x0 + 1.0, y0 + 0.8, x1, y1 - 0.8))
 

@@ -93,8 +93,8 @@ class GapsOfDirection:
 def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
     """Find the directions that walls run in, from the slope of the distance to them."""
     reach = max(OFF_STEPS, round(OFF_WALL / cell_size))
-    # beyond the lattice nothing is open, which is a wall like others
-    closed = np.pad(~open_cells, PADDING, constant_values=True)
+    # the edge of the lattice is no wall: what is there goes on beyond it
+    closed = np.pad(~open_cells, PADDING, mode="edge")
     squared = squared_distances(closed, reach + 2, 0, 1)
     distance = np.sqrt(squared, dtype=np.float32)
     at = (squared[2:-2, 2:-2] >= (reach - 1) ** 2) & (squared[2:-2, 2:-2] < reach**2)

@@ -7,6 +7,7 @@ segments to rooms that are marked.
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -135,7 +136,9 @@ def segment_by_gaps(
     rooms = np.zeros(open_cells.shape, dtype=np.int32)
     if not open_cells.any():
         return Segments(rooms, [])
-    window = bounding_window(open_cells)
+    # with the walls round it: their directions count, the edge of the grid is none
+    around = ndimage.binary_dilation(open_cells)
+    window = bounding_window(around)
     open_cells = np.ascontiguousarray(open_cells[window])
     seen = np.zeros_like(open_cells) if holes is None else holes[window]
     label, close = part_at_gaps(open_cells, seen, cell_size)

@@ -334,10 +334,10 @@ def test_labmaze(seed, tmp_path):
 
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"no real scenes in {DATA}")
 def test_aws_small_house():
-    """No gap in it is as narrow as a door: one room. At 3.5 m: bedroom, gym, and the rest."""
+    """No gap is as narrow as 1 m: one room. At 3.5 m: bedroom, gym, and the rest."""
     scene = {"path": DATA / "aws_small_house/scene.xml", "meshes": "surface"}
     settings = {"scene": scene, "grid": {"cell_size": 0.05}}
-    assert len(run_bake(parse_config(settings)).grid.rooms) == 1
+    assert len(run_bake(parse_config({**settings, "rooms": {"door_width": 1.0}})).grid.rooms) == 1
     grid = run_bake(parse_config({**settings, "rooms": {"door_width": 3.5}})).grid
     at = {"bed": (-6.2, 1.0), "gym": (-6.2, -3.5), "sofa": (1.0, -1.5), "kitchen": (7.5, -1.0)}
     rows, cols = grid.lattice.rows_cols(list(at.values()))
@@ -345,3 +345,6 @@ def test_aws_small_house():
     assert len({bed, gym, sofa}) == 3
     assert sofa == kitchen
     assert len(grid.rooms) == 3
+    auto = run_bake(parse_config(settings)).grid
+    bed, gym, sofa, _ = auto.room_index[rows, cols]
+    assert len({bed, gym, sofa}) == 3

@@ -254,7 +254,8 @@ def test_polygons_by_level_and_name(tmp_path):
     assert len(rooms_of(result, 1)["all"][0]) == 32 * 16 - 64
     ids = [room.id for room in result.grid.rooms]
     assert ids == ["0:1", "all", "1:2"]
-    assert result.warnings == []
+    (warning,) = result.warnings
+    assert "no step leads to 'above'" in warning
 
 
 def test_a_level_that_there_is_not(tmp_path):
