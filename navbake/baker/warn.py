@@ -8,6 +8,7 @@ import numpy as np
 from navbake.baker.boxes import LevelBoxes
 from navbake.baker.contents.contents import Contents
 from navbake.baker.floors.levels import DroppedSheet, Floors
+from navbake.baker.floors.tops import LARGE_TOP
 from navbake.baker.scene.bodies import find_free_bodies
 from navbake.baker.scene.mesh_scene import MESH_SUFFIXES
 from navbake.baker.scene.names import body_name
@@ -17,8 +18,6 @@ from navbake.config.settings import BakeConfig
 from navbake.errors import printable
 from navbake.types import Bool
 
-# A top that is no floor is worth a warning from this area on; beds are smaller [m²]
-LARGE_TOP = 6.0
 MAX_MOVABLE = 3  # bodies with a free joint that a warning names at most
 
 
@@ -47,8 +46,20 @@ def warn_missing_floors(scene: Scene, floors: Floors, config: BakeConfig) -> lis
     large = [top for top in floors.tops if top.area >= LARGE_TOP]
     if large:
         warnings.append(
-            f"not a floor, because no step leads there: the top of {_describe_tops(scene, large)}; "
-            "`floors.tops: true` makes it one"
+            "not a floor, because it is higher than a step over the floor beside it: the top of "
+            f"{_describe_tops(scene, large)}; {_remedy(large[0])}, `floors.tops: true` keeps all"
+        )
+    if floors.roofs:
+        warnings.append(
+            "not a level, because it is open to the sky and has no walls around, though no floor "
+            f"is as large: the roof {_describe_tops(scene, floors.roofs)}; "
+            f"{_remedy(floors.roofs[0])}, `floors.roofs: true` keeps all"
+        )
+    if floors.small_starts:
+        warnings.append(
+            "a floor only because `floors.from` names it, as it is too small otherwise: "
+            f"{_describe_tops(scene, floors.small_starts)}; give the height of the floor that "
+            "one starts from, at a place where nothing stands on it"
         )
     for unreached in floors.unreached:
         level, name = floors.levels[unreached.level], scene.geoms[unreached.geom].name
@@ -142,6 +153,12 @@ def _warn_hidden_ground(scene: Scene, floors: Floors, config: BakeConfig) -> lis
                 f"{point[2]:.2f} m around them"
             ]
     return []
+
+
+def _remedy(sheet: DroppedSheet) -> str:
+    """How to keep a sheet that was dropped."""
+    x, y, z = sheet.place
+    return f"`floors.from: [[{x:.2f}, {y:.2f}, {z:.2f}]]` keeps it"
 
 
 def _describe_tops(scene: Scene, tops: list[DroppedSheet]) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 from navbake.baker.columns import Columns
 from navbake.baker.floors.kernels.enclosed import count_ends, find_holders
 from navbake.baker.floors.kernels.sheets import group_members, join_by_steps
-from navbake.baker.floors.sheets import AreaTest, agent_limits
+from navbake.baker.floors.sheets import AreaTest, agent_limits, middle_of
 from navbake.baker.kernels.constants import CLOSED_SURFACE
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings
@@ -25,7 +25,7 @@ def find_enclosed(
     floor_like: Bool,
     agent: AgentSettings,
     settings: FloorSettings,
-) -> list[tuple[int, float, float]]:
+) -> list[tuple[int, float, float, tuple[float, float, float]]]:
     """Find floors that closed meshes hold, so that nobody can stand on them.
 
     They face up within the slope, have headroom, and are large enough to be floors. Where such
@@ -36,7 +36,8 @@ def find_enclosed(
         floor_like: which surfaces face up within the slope, shape (n,).
 
     Returns:
-        The geom that holds it, its height and its area [m, m²], of each, the largest first.
+        The geom that holds it, its height, its area and a place on it [m, m², m], of each, the
+        largest first.
     """
     if not (columns.crossings.closed == CLOSED_SURFACE).any():
         return []
@@ -56,8 +57,9 @@ def find_enclosed(
         if not test.passes(cell[members]):
             continue
         area = len(members) * lattice.cell_size**2
-        place = cell[members], z[members], columns.crossings, floor_like
-        edges, goes_on = count_ends(lattice, *place, limits.step, at_cell)
+        surfaces = cell[members], z[members], columns.crossings, floor_like
+        edges, goes_on = count_ends(lattice, *surfaces, limits.step, at_cell)
         if area >= BUILDING or goes_on < GOES_ON * edges:
-            found.append((int(geom[members[0]]), float(z[members].max()), area))
+            place = middle_of(lattice, cell[members], z[members])
+            found.append((int(geom[members[0]]), float(z[members].max()), area, place))
     return sorted(found, key=lambda floor: -floor[2])

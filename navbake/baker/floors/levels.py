@@ -14,22 +14,26 @@ from navbake.baker.floors.grounds import (
     lower_grounds,
 )
 from navbake.baker.floors.kernels.sheets import find_links, grow_floor
-from navbake.baker.floors.outline import OccupancyTest
+from navbake.baker.floors.outline import OccupancyTest, Site, find_cropped
 from navbake.baker.floors.reach import (
     UnreachedLevel,
     find_starts,
     find_unreached,
     largest_of_lowest,
 )
-from navbake.baker.floors.roofs import drop_roofs, drop_shelves
-from navbake.baker.floors.sheets import Standable, drop_furniture, find_standable
+from navbake.baker.floors.roofs import find_roofs, find_shelves
+from navbake.baker.floors.sheets import Standable, drop_furniture, find_standable, middle_of
 from navbake.baker.floors.stairs import find_stairs
-from navbake.baker.floors.tops import drop_tops
+from navbake.baker.floors.tops import find_tops
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
 from navbake.types import Bool, Float, Int
+
+# A dropped roof is told of when it is this many times as large as the largest floor that is left:
+# walls and eaves alone make it larger than the floor under it, but not by a third
+LARGE_ROOF = 4 / 3
 
 
 @dataclass(frozen=True)
@@ -51,17 +55,19 @@ class LevelFloor:
 
 @dataclass(frozen=True)
 class DroppedSheet:
-    """A sheet that is no floor: the top of furniture, see `drop_tops` and `drop_shelves`.
+    """A sheet that is no floor, see `find_tops`, `find_shelves` and `find_roofs`.
 
     Attributes:
         geom: the geom that most of it belongs to.
         height: of its highest point, world z [m].
         area: [m²].
+        place: x, y, z of a place on it, in world coordinates [m].
     """
 
     geom: int
     height: float
     area: float
+    place: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -73,7 +79,9 @@ class Floors:
         links: level a, cell a, level b, cell b, shape (n, 4), int64, cells on the whole lattice:
             each step between two levels, and each pair of neighbours, on one level or two, that
             their slopes join but no step does.
-        tops: large tops that are no floors, the largest first.
+        tops: large tops and shelves that are no floors, the largest first.
+        roofs: roofs that are clearly larger than every floor that is left, the largest first.
+        small_starts: what `floors.from` names, though it is too small for a floor.
         unreached: levels that no step leads to, lowest first.
         enclosed: floors inside of closed meshes, as tops; `geom` is the mesh's.
     """
@@ -81,6 +89,8 @@ class Floors:
     levels: list[LevelFloor]
     links: Int
     tops: list[DroppedSheet]
+    roofs: list[DroppedSheet]
+    small_starts: list[DroppedSheet]
     unreached: list[UnreachedLevel]
     enclosed: list[DroppedSheet]
 
@@ -108,28 +118,31 @@ def find_floors(
     enclosed = [DroppedSheet(*floor) for floor in lost]
     if not len(standable.z):
         raise SceneError(_no_floor(columns, floor_like, agent))
-    starts = find_starts(standable, settings.starts, agent.traversable_floor_height)
-    large = counted = _restore(standable, drop_furniture(standable, settings), starts)
-    if not len(counted.z):
+    large = drop_furniture(standable, settings)
+    starts = find_starts(standable, large, settings.starts, agent.traversable_floor_height)
+    is_large = large.sheet_size > 0
+    large = standable.only_sheets(is_large | starts)
+    if not len(large.z):
         raise SceneError(
             f"no floor: the largest standable sheet keeps less than {settings.min_area:g} m² "
             f"after shrinking by {settings.shrink:g} m; lower `floors.min_area` or "
             f"`floors.shrink` if it is a floor"
         )
-    tops: list[DroppedSheet] = []
+    cropped = find_cropped(columns.lattice, shapes.bounds())
+    site = Site(standable, large, columns, agent, settings, is_occupied, cropped)
+    is_top = is_roof = np.zeros(len(starts), dtype=np.bool_)
     if not settings.tops:
-        every = counted
-        counted = _restore(every, drop_tops(every, columns, agent, settings, is_occupied), starts)
-        tops = _describe_dropped(every, counted, columns)
+        is_top = (find_tops(site) | find_shelves(site)) & ~starts
     if given is None and not settings.roofs:
-        rest = drop_roofs(counted, columns, agent, settings, is_occupied)
-        counted = _restore(counted, rest, starts)
-    if not settings.tops:
-        every = counted
-        rest = drop_shelves(every, columns, agent, settings, is_occupied)
-        counted = _restore(every, rest, starts)
-        tops += _describe_dropped(every, counted, columns)
-        tops.sort(key=lambda sheet: -sheet.area)
+        is_roof = find_roofs(site) & ~starts
+    counted = large.only_sheets(~(is_top | is_roof))
+    if not len(counted.z):  # a roof over nothing but small things is the floor there is
+        is_roof = is_top & False
+        counted = large.only_sheets(~is_top)
+    tops = _describe(large, is_top & ~is_roof, columns)
+    is_told = large.sheet_size > LARGE_ROOF * counted.sheet_size.max()
+    roofs = _describe(large, is_roof & is_told, columns)
+    small = _describe(large, starts & ~is_large, columns)
     if given is not None:
         counted = _within_given(counted, given, columns)
     placed = _place_on_levels(counted, agent, settings, given)
@@ -148,7 +161,7 @@ def find_floors(
         LevelFloor(label, ground, *_level_floor(k, placed, columns, floor_like, agent))
         for k, (label, ground) in enumerate(zip(placed.labels, placed.grounds, strict=True))
     ]
-    return Floors(levels, _cell_links(placed, agent), tops, unreached, enclosed)
+    return Floors(levels, _cell_links(placed, agent), tops, roofs, small, unreached, enclosed)
 
 
 def _just_below(columns: Columns, surface: Int, step: float) -> Int:
@@ -193,20 +206,15 @@ def _place_on_levels(
     return _Placed(standable, *placed)
 
 
-def _restore(every: Standable, left: Standable, starts: Bool) -> Standable:
-    """What is left of all sheets, with those that one starts from."""
-    return every.only_sheets((left.sheet_size > 0) | starts) if starts.any() else left
-
-
-def _describe_dropped(every: Standable, counted: Standable, columns: Columns) -> list[DroppedSheet]:
-    """Describe the sheets that were dropped."""
+def _describe(standable: Standable, chosen: Bool, columns: Columns) -> list[DroppedSheet]:
+    """Describe some sheets, the largest first."""
     dropped = []
-    gone = np.flatnonzero((every.sheet_size > 0) & (counted.sheet_size == 0))
-    for _, members in every.members(gone):
-        geoms = columns.geom[every.surface[members]]
-        area = len(members) * every.lattice.cell_size**2
-        height = float(every.z[members].max())
-        dropped.append(DroppedSheet(int(np.bincount(geoms).argmax()), height, area))
+    for _, members in standable.members(np.flatnonzero(chosen)):
+        geoms = columns.geom[standable.surface[members]]
+        area = len(members) * standable.lattice.cell_size**2
+        z = standable.z[members]
+        place = middle_of(standable.lattice, standable.cell[members], z)
+        dropped.append(DroppedSheet(int(np.bincount(geoms).argmax()), float(z.max()), area, place))
     return sorted(dropped, key=lambda sheet: -sheet.area)
 
 

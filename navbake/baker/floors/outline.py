@@ -6,13 +6,15 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from navbake.baker.columns import Columns
 from navbake.baker.floors.kernels.outline import list_edges, look_out
-from navbake.baker.floors.sheets import Standable
+from navbake.baker.floors.sheets import Standable, mask_window
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.kernels.constants import SLACK
-from navbake.config.settings import AgentSettings
+from navbake.config.settings import AgentSettings, FloorSettings
+from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int
 
 # How an edge of a sheet ends, see `Endings`
@@ -38,6 +40,29 @@ class OccupancyTest(Protocol):
         """
 
 
+class Site(NamedTuple):
+    """What the rules that tell tops, roofs and shelves from floors ask about.
+
+    Attributes:
+        every: all standable surfaces, furniture included.
+        large: those of the sheets that are large enough for floors, see `drop_furniture`.
+        columns: all surfaces.
+        agent: who walks there.
+        settings: of the floors.
+        is_occupied: tells which cells are occupied.
+        cropped: whether the scene goes on beyond the lattice in the east, south, west and north,
+            shape (4,), bool.
+    """
+
+    every: Standable
+    large: Standable
+    columns: Columns
+    agent: AgentSettings
+    settings: FloorSettings
+    is_occupied: OccupancyTest
+    cropped: Bool
+
+
 class Edges(NamedTuple):
     """Edges of sheets: sides of cells beyond which there is no surface of the same sheet.
 
@@ -58,6 +83,20 @@ class Edges(NamedTuple):
     def only(self, kept: Bool | Int) -> Edges:
         """The edges that are kept: a mask, shape (edges,), or their indices."""
         return Edges(self.surface[kept], self.way[kept], self.cells[kept], self.floors[kept])
+
+
+class Endings(NamedTuple):
+    """How a sheet ends at each of its edges, see `find_endings`.
+
+    Attributes:
+        kind: WALL, BARRIER, DROP, BORDER or OPEN, shape (edges,), uint8.
+        cell: the cell that a drop leads to, -1 for the others, shape (edges,), int64.
+        landing: the height of the floor there, NaN for the others, shape (edges,), float64 [m].
+    """
+
+    kind: NDArray[np.uint8]
+    cell: Int
+    landing: Float
 
 
 def find_edges(standable: Standable, chosen: Bool, step: float, reach: int) -> Edges:
@@ -82,7 +121,7 @@ def find_endings(
     columns: Columns,
     agent: AgentSettings,
     is_occupied: OccupancyTest,
-) -> tuple[NDArray[np.uint8], Float]:
+) -> Endings:
     """Tell how a sheet ends at each of its edges.
 
     - WALL: something stands in the cell on this side of the edge, or in the one beyond, at an
@@ -96,10 +135,6 @@ def find_endings(
       `edges.cells` reach, and stops at a barrier.
     - BORDER: the lattice ends.
     - OPEN: none of these: an abyss, a steep slope, a floor on which nobody can stand.
-
-    Returns:
-        One of WALL, BARRIER, DROP, BORDER, OPEN for each edge, shape (edges,), uint8; and the
-        height of the floor that a drop leads to, NaN for the others, shape (edges,) [m].
     """
     z, inner = standable.z[edges.surface], standable.cell[edges.surface]
     feet, head = probe_bands(agent)
@@ -110,6 +145,7 @@ def find_endings(
         inner[at_feet], outer[at_feet], z[at_feet], head, is_occupied
     )
     ending, landing = np.full(len(z), OPEN, dtype=np.uint8), np.full(len(z), np.nan)
+    cell = np.full(len(z), -1, dtype=np.int64)
     ending[outer < 0] = BORDER
     ending[at_feet] = BARRIER
     ending[at_head] = WALL
@@ -126,8 +162,66 @@ def find_endings(
             ~is_occupied(cells, floors) & _is_open(columns, cells, floors + agent.height, z[below])
         ]
         ending[lands], landing[lands] = DROP, edges.floors[lands, k]
+        cell[lands] = edges.cells[lands, k]
         looking = looking[ending[looking] == OPEN]
-    return ending, landing
+    return Endings(ending, cell, landing)
+
+
+def find_cropped(lattice: Lattice, bounds: Float | None) -> Bool:
+    """Whether a scene goes on beyond the lattice in the east, south, west and north, shape (4,).
+
+    Args:
+        bounds: the box round the scene, shape (2, 3) [m]; None if it is endless.
+    """
+    if bounds is None:
+        return np.ones(4, dtype=np.bool_)
+    x_min, y_min, x_max, y_max = lattice.bounds
+    low, high = bounds
+    return np.array([high[0] - x_max, y_min - low[1], x_min - low[0], high[1] - y_max]) > SLACK
+
+
+def share_of_known(standable: Standable, edges: Edges, which: Bool, known: Bool) -> Float:
+    """The share of each sheet's known edges that are of some kind, shape (sheets,).
+
+    NaN where none is known.
+    """
+    sheet, count = standable.sheet[edges.surface], len(standable.sheet_size)
+    of_kind = np.bincount(sheet, which & known, count)
+    whole = np.bincount(sheet, known, count)
+    share = np.full(count, np.nan)
+    np.divide(of_kind, whole, out=share, where=whole > 0)
+    return share
+
+
+def is_known(edges: Edges, kind: NDArray[np.uint8], cropped: Bool) -> Bool:
+    """Whether one knows how the sheet ends at edges: not where the lattice crops the scene.
+
+    At a border beyond which there is no scene, nothing stands beside the sheet, nor is a floor.
+    """
+    known: Bool = (kind != BORDER) | ~cropped[edges.way]
+    return known
+
+
+def find_rims(edges: Edges, standable: Standable) -> Int:
+    """Number the rims of sheets: 0 is the outer one, 1 and up those of the holes in the sheet.
+
+    What stands on a roof, or on a shelf, interrupts its sheet, but is no wall around it.
+
+    Returns:
+        The rim of its sheet that each edge belongs to, shape (edges,), int64.
+    """
+    sheet, outer = standable.sheet[edges.surface], edges.cells[:, 0]
+    rim, order = np.zeros(len(outer), dtype=np.int64), np.argsort(sheet, kind="stable")
+    asked = np.unique(sheet)
+    bounds = np.searchsorted(sheet[order], [*asked, len(standable.sheet_size)])
+    for k, (_, members) in enumerate(standable.members(asked)):
+        own = order[bounds[k] : bounds[k + 1]]
+        own = own[outer[own] >= 0]
+        mask, row0, col0 = mask_window(standable.cell[members], standable.lattice, margin=1)
+        outside, _ = ndimage.label(~mask)  # in the order of rows, so the outside is the first
+        row, col = np.divmod(outer[own], standable.lattice.width)
+        rim[own] = outside[row - row0, col - col0] - 1
+    return rim
 
 
 def _is_open(columns: Columns, cells: Int, low: Float, high: Float) -> Bool:

@@ -28,13 +28,18 @@ class UnreachedLevel:
     area: float
 
 
-def find_starts(standable: Standable, positions: list[list[float]], step: float) -> Bool:
+def find_starts(
+    standable: Standable, large: Standable, positions: list[list[float]], step: float
+) -> Bool:
     """Find the sheets that one stands on at some positions.
 
     One stands on the highest standable surface of the column that is at most a step higher than
-    the position, however far below it.
+    the position, however far below it; on what is too small for a floor only where there is no
+    floor below that is large enough.
 
     Args:
+        standable: all standable surfaces.
+        large: those of the sheets that are large enough for floors.
         positions: `floors.from`, x, y, z of each [m].
         step: the largest step [m].
 
@@ -51,16 +56,17 @@ def find_starts(standable: Standable, positions: list[list[float]], step: float)
         if 0 <= row < lattice.height and 0 <= col < lattice.width:
             cell = row * lattice.width + col
             first, last = standable.start[cell : cell + 2]
-        heights = standable.z[first:last]
-        at_most = int(np.searchsorted(heights, z + step + SLACK, side="right"))
-        if not at_most:
+        heights, sheets = standable.z[first:last], standable.sheet[first:last]
+        below = np.flatnonzero(heights <= z + step + SLACK)
+        if not len(below):
             there = ", ".join(f"{height:.2f}" for height in heights)
             raise SceneError(
                 f"no floor at `floors.from[{number}]` ({x:g}, {y:g}, {z:g}): expected one that "
                 f"an agent can stand on, at most a step higher; "
                 + (f"floors there are at {there} m" if there else "there is none in that cell")
             )
-        starts[standable.sheet[first + at_most - 1]] = True
+        on_floor = below[large.sheet_size[sheets[below]] > 0]
+        starts[sheets[[*below, *on_floor][-1]]] = True
     return starts
 
 

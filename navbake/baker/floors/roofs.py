@@ -1,22 +1,23 @@
 """Roofs and shelves: sheets over a floor that no step reaches, and that are no storeys."""
 
 import numpy as np
-from scipy import ndimage
 
-from navbake.baker.columns import Columns
 from navbake.baker.floors.outline import (
-    BORDER,
     DROP,
     WALL,
     Edges,
     OccupancyTest,
+    Site,
     find_edges,
     find_endings,
+    find_rims,
+    is_known,
     probe_bands,
+    share_of_known,
 )
-from navbake.baker.floors.sheets import AreaTest, Standable, mask_window
+from navbake.baker.floors.sheets import AreaTest, Standable
 from navbake.baker.kernels.constants import SLACK
-from navbake.config.settings import AgentSettings, FloorSettings
+from navbake.config.settings import AgentSettings
 from navbake.types import Bool, Float
 
 # The share of a roof that lies open to the sky: a higher one's eaves may cover a lower one's side
@@ -24,117 +25,97 @@ SKY_SHARE = 0.75
 # The share of a roof or a shelf that lies over a floor; and the share of its outline that has
 # walls if it is a storey, or that drops if it is a shelf
 HALF = 0.5
+# Parapets are at most 1.2 m high; a storey's walls are higher than this, and than the agent [m]
+MIN_WALL = 1.5
 # Steps by row and column against the ways of edges: east, south, west, north
 INWARD = np.array([[0, -1], [-1, 0], [0, 1], [1, 0]])
 # No shelf is deeper: pallet racks are 1.1 m, or 2.2 m back to back [m]
 SHELF_DEPTH = 2.5
 
 
-def drop_roofs(
-    standable: Standable,
-    columns: Columns,
-    agent: AgentSettings,
-    settings: FloorSettings,
-    is_occupied: OccupancyTest,
-) -> Standable:
-    """Drop the sheets that are roofs: open to the sky, over a floor, and without walls.
+def find_roofs(site: Site) -> Bool:
+    """Find the sheets that are roofs: open to the sky, over a floor, and without walls.
 
-    A storey that was drawn without its ceiling has walls as high as an agent along more than half
-    of its outline, and stays. Its walls may stand a little inside of its slab's rim, even where
-    they are too thin to part its floor. Parapets are too low, and a lower roof beside a higher
-    part of the house has a wall on one side only. What is closed below, or open, does not matter:
-    a carport's roof is one, and so are a tree's crown, a parasol and the upper shelf of a rack
-    outdoors. No step reaches a roof: the sheet of one that stairs lead to includes the floors
-    below, which are not open to the sky.
+    A storey that was drawn without its ceiling has walls as high as an agent, and at least 1.5 m,
+    along more than half of its outline, and is none. Its walls may stand a little inside of its
+    slab's rim, even where they are too thin to part its floor. Parapets are too low, and a lower
+    roof beside a higher part of the house has a wall on one side only. What is closed below, or
+    open, does not matter: a carport's roof is one, and so are a tree's crown, a parasol and the
+    upper shelf of a rack outdoors. A floor below counts even if it is only the top of what stands
+    there. No step reaches a roof: the sheet of one that stairs lead to includes the floors below,
+    which are not open to the sky.
 
     Only the uppermost slab of a tower of slabs on columns is a roof, as the others are covered.
+    Where the lattice crops the scene all around, nothing is known of walls, and a sheet is none.
 
-    Args:
-        settings: `shrink`, how far inside of the outline walls may stand [m].
+    Returns:
+        Which sheets they are, shape (sheets,), bool.
     """
-    if (np.diff(standable.start) <= 1).all():
-        return standable
-    sky, over = _shares(standable, columns)
+    sky, over = _shares(site)
     candidates = (sky >= SKY_SHARE) & (over >= HALF)
     if not candidates.any():
-        return standable
-    edges = _outer_edges(standable, candidates, agent, reach=1)
-    ending, _ = find_endings(edges, standable, columns, agent, is_occupied)
-    # how the sheet ends beyond the lattice is not known
-    is_wall, is_known = ending == WALL, ending != BORDER
-    reach = int(np.ceil(settings.shrink / standable.lattice.cell_size))
-    ends = is_known & ~is_wall
-    is_wall[ends] = _find_inner_walls(edges.only(ends), standable, agent, reach, is_occupied)
-    walls, known = (_count(standable, edges, which) for which in (is_wall, is_known))
-    return standable.only_sheets(~candidates | (walls > HALF * known))
+        return candidates
+    agent = site.agent.model_copy(update={"height": max(site.agent.height, MIN_WALL)})
+    edges = _outer_edges(site, candidates, reach=1)
+    kind = find_endings(edges, site.large, site.columns, agent, site.is_occupied).kind
+    is_wall, known = kind == WALL, is_known(edges, kind, site.cropped)
+    reach = int(np.ceil(site.settings.shrink / site.large.lattice.cell_size))
+    ends = known & ~is_wall
+    is_wall[ends] = _find_inner_walls(edges.only(ends), site.large, agent, reach, site.is_occupied)
+    return candidates & (share_of_known(site.large, edges, is_wall, known) <= HALF)
 
 
-def drop_shelves(
-    standable: Standable,
-    columns: Columns,
-    agent: AgentSettings,
-    settings: FloorSettings,
-    is_occupied: OccupancyTest,
-) -> Standable:
-    """Drop the sheets that are shelves, under whatever ceiling: narrow, and open at their sides.
+def find_shelves(site: Site) -> Bool:
+    """Find the sheets that are shelves, under whatever ceiling: narrow, and open at their sides.
 
     A shelf lies over a floor, is nowhere deeper than 2.5 m, and more than half of its outline
     drops to a floor beside it. So a mezzanine that no stair leads to is none, because it is
     deeper, nor a gallery from wall to wall, because one of its two sides is a wall, nor what is
-    left to stand in of an attic. What is open to the sky is left to `drop_roofs`.
+    left to stand in of an attic. What is open to the sky is left to `find_roofs`.
 
-    Args:
-        settings: `shrink`, how far from the sheet's edge the floor beside may begin [m].
+    Returns:
+        Which sheets they are, shape (sheets,), bool.
     """
-    if (np.diff(standable.start) <= 1).all():
-        return standable
-    sky, over = _shares(standable, columns)
+    sky, over = _shares(site)
     candidates = (sky < SKY_SHARE) & (over >= HALF)
-    lattice = standable.lattice
+    standable, lattice = site.large, site.large.lattice
     deep = {"min_area": lattice.cell_size**2, "shrink": SHELF_DEPTH / 2}
-    test = AreaTest(lattice, settings.model_copy(update=deep))
+    test = AreaTest(lattice, site.settings.model_copy(update=deep))
     for sheet, members in standable.members(np.flatnonzero(candidates)):
         candidates[sheet] = not test.passes(standable.cell[members])
     if not candidates.any():
-        return standable
+        return candidates
     # a post at its edge may block the cell beside: one more
-    reach = int(np.ceil(settings.shrink / lattice.cell_size)) + 1
-    edges = _outer_edges(standable, candidates, agent, reach)
-    ending, _ = find_endings(edges, standable, columns, agent, is_occupied)
-    drops = ending == DROP
-    num_drops, num_edges = (_count(standable, edges, which) for which in (drops, ending >= 0))
-    return standable.only_sheets(~candidates | (num_drops <= HALF * num_edges))
+    reach = int(np.ceil(site.settings.shrink / lattice.cell_size)) + 1
+    edges = _outer_edges(site, candidates, reach)
+    kind = find_endings(edges, standable, site.columns, site.agent, site.is_occupied).kind
+    known = is_known(edges, kind, site.cropped)
+    return candidates & (share_of_known(standable, edges, kind == DROP, known) > HALF)
 
 
-def _shares(standable: Standable, columns: Columns) -> tuple[Float, Float]:
-    """The share of each sheet that is open to the sky, and that lies over another that counts."""
+def _shares(site: Site) -> tuple[Float, Float]:
+    """The share of each sheet that is open to the sky, and that lies over another sheet.
+
+    The other one may be furniture: what stands in a hall does not take the floor away below its
+    roof.
+    """
+    standable, every, columns = site.large, site.every, site.columns
     cells, sheet, size = standable.cell, standable.sheet, np.maximum(standable.sheet_size, 1)
     last_of_column = columns.start[cells + 1] - 1
     to_sky = columns.z[last_of_column] - standable.z <= SLACK
-    below = np.maximum(np.arange(len(cells)) - 1, 0)
-    over_floor = (cells[below] == cells) & (sheet[below] != sheet)
+    itself = np.searchsorted(every.surface, standable.surface)
+    below = np.maximum(itself - 1, 0)
+    over_floor = (every.cell[below] == cells) & (every.sheet[below] != sheet)
     return (
         np.bincount(sheet, to_sky, len(size)) / size,
         np.bincount(sheet, over_floor, len(size)) / size,
     )
 
 
-def _outer_edges(standable: Standable, chosen: Bool, agent: AgentSettings, reach: int) -> Edges:
-    """The edges of some sheets along their outlines, without those of the holes in them.
-
-    What stands on a roof, or on a shelf, interrupts its sheet, but is no wall around it.
-    """
-    edges = find_edges(standable, chosen, agent.traversable_floor_height, reach)
-    width, outer = standable.lattice.width, edges.cells[:, 0]
-    sheet = standable.sheet[edges.surface]
-    kept = outer < 0
-    for number, members in standable.members(np.flatnonzero(chosen)):
-        mask, row0, col0 = mask_window(standable.cell[members], standable.lattice, margin=1)
-        outside = ~ndimage.binary_fill_holes(mask)
-        own = np.flatnonzero((sheet == number) & (outer >= 0))
-        row, col = np.divmod(outer[own], width)
-        kept[own] = outside[row - row0, col - col0]
-    return edges.only(kept)
+def _outer_edges(site: Site, chosen: Bool, reach: int) -> Edges:
+    """The edges of some sheets along their outlines, without those of the holes in them."""
+    edges = find_edges(site.large, chosen, site.agent.traversable_floor_height, reach)
+    return edges.only(find_rims(edges, site.large) == 0)
 
 
 def _find_inner_walls(
@@ -157,10 +138,3 @@ def _find_inner_walls(
             asked, cells = asked[stands], cells[stands]
         has_wall[asked] = True
     return has_wall
-
-
-def _count(standable: Standable, edges: Edges, which: Bool) -> Float:
-    """How many edges of each sheet are of some kind."""
-    sheet = standable.sheet[edges.surface]
-    count: Float = np.bincount(sheet, which, len(standable.sheet_size)).astype(np.float64)
-    return count

@@ -151,6 +151,18 @@ def drop_furniture(standable: Standable, settings: FloorSettings) -> Standable:
     return standable.only_sheets(counts)
 
 
+def middle_of(lattice: Lattice, cells: Int, z: Float) -> tuple[float, float, float]:
+    """A place on a floor, of its cells the one nearest to its middle: world x, y, z [m].
+
+    Args:
+        cells, z: the floor's cells, and its height in each, shape (n,) [m].
+    """
+    row, col = np.divmod(cells, lattice.width)
+    nearest = np.hypot(row - row.mean(), col - col.mean()).argmin()
+    x, y = lattice.center_x()[col[nearest]], lattice.center_y()[row[nearest]]
+    return float(x), float(y), float(z[nearest])
+
+
 def mask_window(cells: Int, lattice: Lattice, margin: int) -> tuple[Bool, Int, Int]:
     """Cells as a mask over their own rectangle, with a margin; and its first row and column."""
     row, col = np.divmod(cells, lattice.width)

@@ -2,54 +2,94 @@
 
 import numpy as np
 
-from navbake.baker.columns import Columns
-from navbake.baker.floors.outline import DROP, OccupancyTest, find_edges, find_endings
-from navbake.baker.floors.sheets import Standable
+from navbake.baker.floors.outline import (
+    DROP,
+    Edges,
+    Endings,
+    Site,
+    find_edges,
+    find_endings,
+    find_rims,
+    is_known,
+    share_of_known,
+)
 from navbake.baker.kernels.constants import SLACK, TOUCH
 from navbake.baker.kernels.occupancy import lines_blocked
-from navbake.config.settings import AgentSettings, FloorSettings
-from navbake.types import Float, Int
+from navbake.types import Bool, Float, Int
 
 # A top drops to a floor along at least this share of its outline
 DROP_SHARE = 0.25
 # With room for an agent under more than this share of it, a sheet is a mezzanine, no top
 ROOM_SHARE = 0.5
+# Beds, counters and desks are smaller. A larger top has to lie on a floor that is larger [m²]
+LARGE_TOP = 6.0
 
 
-def drop_tops(
-    standable: Standable,
-    columns: Columns,
-    agent: AgentSettings,
-    settings: FloorSettings,
-    is_occupied: OccupancyTest,
-) -> Standable:
-    """Drop the tops of what stands on a floor: beds, blocks, counters, walls that are metres thick.
+def find_tops(site: Site) -> Bool:
+    """Find the tops of what stands on a floor: beds, blocks, counters, walls that are metres thick.
 
-    A sheet that no step reaches is such a top when at least a quarter of its outline drops to a
-    floor that an agent could stand on, beside it (see `find_endings`), and when there is no room
-    for an agent under most of it, from the height of that floor up. So a house's floor on its
-    plinth is none, because it ends at walls; nor is a mezzanine, because one can stand below.
+    A sheet that no step reaches is such a top when
 
-    Args:
-        settings: `shrink`, how far from the sheet's edge the floor may begin [m].
+    - at least a quarter of its outline drops to a floor that an agent could stand on, beside it
+      (see `find_endings`): a house's floor on its plinth is none, because it ends at walls;
+    - it has at most 6 m², or the largest floor that it drops to is larger than itself: what is
+      larger than all that lies lower is the ground, and what lies lower a pool, a ditch, a track
+      bed or a yard in front of a dock. A floor that winds through the sheet makes it a block with
+      corridors nevertheless, whatever their sizes: the rim of a hole that it drops to is longer
+      there than its outer outline, which a pit's is not;
+    - there is no room for an agent under most of it, from the height of that floor up: so a
+      mezzanine is none, because one can stand below.
+
+    Returns:
+        Which sheets they are, shape (sheets,), bool.
     """
+    standable, agent = site.large, site.agent
     size, step = standable.sheet_size, agent.traversable_floor_height
     # the side of the thing itself may block the cell at its edge: one more
-    reach = int(np.ceil(settings.shrink / standable.lattice.cell_size)) + 1
+    reach = int(np.ceil(site.settings.shrink / standable.lattice.cell_size)) + 1
     edges = find_edges(standable, size > 0, step, reach)
-    sheet = standable.sheet[edges.surface]
-    enough = DROP_SHARE * np.bincount(sheet, minlength=len(size))
     # most sheets have no floor below their edges: only the others are looked at closely
-    has_floor = ~np.isnan(edges.floors).all(axis=1)
-    edges = edges.only((np.bincount(sheet, has_floor, len(size)) >= enough)[sheet])
-    ending, landing = find_endings(edges, standable, columns, agent, is_occupied)
-    drops = ending == DROP
-    sheet, landing = standable.sheet[edges.surface[drops]], landing[drops]
-    count = np.bincount(sheet, minlength=len(size))
-    beside = _medians(sheet, landing, count)
-    beside[count < enough] = np.nan
-    over_room = _count_over_room(standable, columns, beside, agent)
-    return standable.only_sheets(np.isnan(beside) | (over_room > ROOM_SHARE * size))
+    has_floor = np.asarray((~np.isnan(edges.floors)).any(axis=1))
+    certain = (edges.cells[:, 0] >= 0) | ~site.cropped[edges.way]
+    may_drop = ~(share_of_known(standable, edges, has_floor, certain | has_floor) < DROP_SHARE)
+    edges = edges.only(may_drop[standable.sheet[edges.surface]])
+    endings = find_endings(edges, standable, site.columns, agent, site.is_occupied)
+    drops, known = endings.kind == DROP, is_known(edges, endings.kind, site.cropped)
+    is_top = share_of_known(standable, edges, drops, known) >= DROP_SHARE
+    is_top &= _lies_on_floor(site, edges, endings, is_top)
+    sheet, landing = standable.sheet[edges.surface[drops]], endings.landing[drops]
+    beside = _medians(sheet, landing, np.bincount(sheet, minlength=len(size)))
+    beside[~is_top] = np.nan
+    return is_top & (_count_over_room(site, beside) <= ROOM_SHARE * size)
+
+
+def _lies_on_floor(site: Site, edges: Edges, endings: Endings, asked: Bool) -> Bool:
+    """Whether sheets lie on a floor that is larger, or that winds through them; small ones do."""
+    standable, drops = site.large, np.flatnonzero(endings.kind == DROP)
+    size, sheet = standable.sheet_size, standable.sheet[edges.surface]
+    largest = np.zeros(len(size), dtype=np.int64)
+    floor = _sheets_at(site, endings.cell[drops], endings.landing[drops])
+    np.maximum.at(largest, sheet[drops], size[floor])
+    lies = (size * standable.lattice.cell_size**2 <= LARGE_TOP) | (largest > size)
+    edges = edges.only((asked & ~lies)[sheet])
+    if len(edges.surface):
+        kind = endings.kind[(asked & ~lies)[sheet]]
+        rim, sheet = find_rims(edges, standable), standable.sheet[edges.surface]
+        for number in np.unique(sheet):
+            own = sheet == number
+            drops_in = np.bincount(rim[own], kind[own] == DROP)
+            lies[number] = drops_in[1:].max(initial=0) > (rim[own] == 0).sum()
+    return lies
+
+
+def _sheets_at(site: Site, cells: Int, heights: Float) -> Int:
+    """The sheets of the surfaces in some cells at heights at which there is one."""
+    standable = site.large
+    surface = standable.start[cells]
+    for _ in range(int(np.diff(standable.start).max(initial=0)) - 1):
+        surface += standable.z[surface] < heights
+    sheet: Int = standable.sheet[surface]
+    return sheet
 
 
 def _medians(group: Int, values: Float, count: Int) -> Float:
@@ -62,14 +102,13 @@ def _medians(group: Int, values: Float, count: Int) -> Float:
     return median
 
 
-def _count_over_room(
-    standable: Standable, columns: Columns, beside: Float, agent: AgentSettings
-) -> Int:
+def _count_over_room(site: Site, beside: Float) -> Int:
     """Count the cells of each sheet under which there is room for an agent.
 
     It stands there at the height of the floor beside, shape (sheets,), or on a floor above that
     [m]; NaN for sheets that are not asked for.
     """
+    standable, agent = site.large, site.agent
     asked = np.flatnonzero(~np.isnan(beside[standable.sheet]))
     sheet, cells = standable.sheet[asked], standable.cell[asked]
     floor, step = beside[sheet], agent.traversable_floor_height
@@ -78,5 +117,5 @@ def _count_over_room(
     has_floor &= standable.z[below] >= floor - step - SLACK
     blocked = np.zeros(len(cells), dtype=np.bool_)
     low, high = floor + step + TOUCH, floor + agent.height - TOUCH
-    lines_blocked(cells, low, high, columns.crossings, blocked)
+    lines_blocked(cells, low, high, site.columns.crossings, blocked)
     return np.bincount(sheet[has_floor | ~blocked], minlength=len(beside))

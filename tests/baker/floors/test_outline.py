@@ -55,8 +55,10 @@ def endings_at(tmp_path: Path):
         chosen = np.zeros(len(standable.sheet_size), dtype=np.bool_)
         chosen[standable.sheet[np.isclose(standable.z, z)]] = True
         edges = find_edges(standable, chosen, agent.traversable_floor_height, 4)
-        ending, landing = find_endings(edges, standable, columns, agent, is_occupied)
+        endings = find_endings(edges, standable, columns, agent, is_occupied)
+        ending, cell, landing = endings
         assert (np.isnan(landing) == (ending != DROP)).all()
+        assert ((cell >= 0) == (ending == DROP)).all()
         # not the corners: a wall along a side meets their other edge, too
         row = standable.cell[edges.surface] // stages.lattice.width
         y = stages.lattice.center_y()[row]

@@ -76,6 +76,18 @@ def test_from_takes_a_roof_and_a_bed_for_floors(bake):
     assert grounds(result) == [pytest.approx(0.6)]
 
 
+def test_from_takes_furniture_only_where_there_is_no_floor_below(bake):
+    ground, shelf = box("ground", -4, 4, -4, 4, -0.2, 0), box("shelf", -1, 1, 0, 0.4, 2.0, 2.1)
+    settings = {"from": [[0, 0.2, 2.5]], "reach": "steps"}
+    result = bake([ground, shelf], floors=settings)
+    assert grounds(result) == [0] and result.warnings == []
+    desk = box("desk", -1, 1, 0, 0.4, 0, 0.75)
+    result = bake([ground, desk], floors=settings)
+    assert grounds(result) == [0.75]
+    [warning] = result.warnings
+    assert "too small" in warning and "'desk' (0.8 m² at 0.75 m)" in warning
+
+
 def test_a_position_belongs_to_the_floor_below_it_or_a_step_above(bake):
     for z, expected in [(5.9, [0, 3]), (2.76, [0, 3]), (2.74, [0, 3]), (8.7, [6]), (5.76, [6])]:
         result = bake(TOWER, floors={"from": [[3, 3, z]], "reach": "steps"})

@@ -91,6 +91,11 @@ ROOFS = {
         *[*house_with_gate(1.2), SLAB],
         *[box(x, x + 1.5, y, y + 1.5, 2.8, 4.5) for x in (1, 4, 7) for y in (1, 3, 5)],
     ],
+    "parapet of 1.2 m": [*house_with_gate(1.2), SLAB, *ring(0, 10, 0, 8, 2.8, 4.0)],
+    "hall full of blocks": [
+        *[YARD, *ring(0, 10, 0, 8, 0, 4), box(0, 10, 0, 8, 4, 4.2)],
+        *[box(x, x + 1.8, 0.6, 7.4, 0, 2.5) for x in (0.6, 2.9, 5.2, 7.5)],
+    ],
     "canopy along a wall": [YARD, box(0, 10, 0, 8, 0, 5), box(1, 9, -1.6, 0, 2.6, 2.7)],
 }
 
@@ -153,7 +158,7 @@ def test_racks_are_furniture_outdoors_and_under_a_ceiling(bake):
     storey = [*ring(-2, 12, -2, 10, 6.2, 9), box(-2, 12, -2, 10, 9, 9.2)]
     result = bake([*hall, *storey, *rack(0, 0), *rack(4, 0, depth=2.2)])
     assert grounds(result) == [0, 6.2]
-    assert any("not a floor, because no step leads there" in text for text in result.warnings)
+    assert any("not a floor, because it is higher than a step" in text for text in result.warnings)
     assert len(grounds(bake([*hall, *rack(0, 0)], floors={"tops": True}))) > 1
 
 
@@ -177,3 +182,36 @@ def test_floor_does_not_go_on_within_a_dropped_roof(bake):
     assert upper.ground == pytest.approx(2.8)
     _, col = upper.lattice.rows_cols([10.0, 2.5])
     assert not upper.free[:, int(col) + 1 :].any()
+
+
+def test_storey_without_ceiling_is_one_where_the_grid_crops_its_walls(bake):
+    """Beyond bounds that cut through the scene, nothing is known of walls."""
+    scene = [*LOWER, *ring(0, 10, 0, 8, 2.8, 5.4)]
+    assert grounds(bake(scene, grid={"bounds": [1, 1, 9, 7]})) == [0, 2.8]
+
+
+def test_shelf_is_furniture_where_the_grid_crops_it(bake):
+    shelf = [YARD, box(0, 10, 0, 8, 5, 5.2), box(1, 9, 3, 4.2, 1.9, 2)]
+    for bounds in ([-2, 3.6, 12, 8], [3, -1, 5, 9]):
+        assert grounds(bake(shelf, grid={"bounds": bounds})) == [0]
+
+
+def test_large_roof_is_told_of_and_can_be_kept(bake):
+    """A square over a garage that is smaller."""
+    square = box(-6, 16, -6, 14, -0.2, 0)
+    garage = [box(-5, 13, -5, 9, -3.2, -3), *ring(-5, 13, -5, 9, -3, -0.2)]
+    result = bake([*garage, square])
+    assert grounds(result) == [-3]
+    [warning] = [text for text in result.warnings if "the roof" in text]
+    assert "open to the sky" in warning and "440.0 m² at 0.00 m" in warning
+    place = [float(word) for word in warning.split("[[")[1].split("]]")[0].split(",")]
+    assert grounds(bake([*garage, square], floors={"from": [place]})) == [-3, 0]
+
+
+def test_roof_of_a_house_is_not_told_of(bake):
+    house = [
+        *ring(0, 10, 0, 8, 0, 2.6),
+        box(0, 10, 0, 8, -0.2, 0),
+        box(-0.3, 10.3, -0.3, 8.3, 2.6, 3),
+    ]
+    assert bake(house).warnings == []
