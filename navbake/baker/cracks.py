@@ -110,7 +110,7 @@ def _find_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
 
 
 def _find_open(probe: _Probe, crack: float, spacing: int) -> Bool:
-    """Which gaps are open to one side: of every so many ways, neighbouring ones lead to no floor."""
+    """Which gaps are open to one side: neighbouring ones of each so many ways lead to no floor."""
     ways = np.arange(0, 2 * AXES, spacing)
     gap, number = np.divmod(np.arange(len(probe.gaps.cell) * len(ways)), len(ways))
     floors, _ = probe.floors(gap, ways[number], np.full(len(gap), crack_reach(crack)))

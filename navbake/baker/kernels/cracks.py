@@ -143,8 +143,9 @@ def _gaps_of_cell(lattice, crossings, limits, reach, row, col, low, high):
                     z = crossings.z[i]
                     if crossings.normal[i, 2] < limits.min_up or abs(z - last) <= SAME:
                         continue
-                    of_gap = row, col, way, distance, i
-                    beside = _lower_side_of_gap(lattice, crossings, limits, reach, *of_gap)
+                    beside = _lower_side_of_gap(
+                        lattice, crossings, limits, reach, row, col, way, distance, i
+                    )
                     if np.isnan(beside):
                         continue
                     if low.shape[0] > 0:
