@@ -443,12 +443,15 @@ def test_recast_floors_are_complete(name):
 @pytest.mark.parametrize(
     ("name", "num_levels", "free", "largest"),
     [
-        ("nav_test", 4, 5071.0, [2141.0, 1162.0, 937.0, 217.0, 198.0, 118.0]),
+        ("nav_test", 2, 4252.0, [2141.0, 1162.0, 937.0, 11.3]),
         ("dungeon", 3, 2009.0, [1771.0, 126.0, 84.0, 18.0]),
     ],
 )
 def test_recast_levels(name, num_levels, free, largest):
-    """Regression: levels, and the free area [m²] as a whole and in its largest islands."""
+    """Regression: levels, and the free area [m²] as a whole and in its largest islands.
+
+    nav_test's flat tops of 218, 199, 119 and 69 m² are roofs: no step leads there.
+    """
     levels = levels_of(name)
     assert len(levels) == num_levels
     assert sum(area(level, level.free) for level in levels) == pytest.approx(free, rel=0.01)

@@ -78,6 +78,7 @@ class Truth:
         self._all_z = z
         with np.errstate(invalid="ignore"):
             self.top = np.where(up >= min_up - SURE, z, np.nan)
+            self._rise = self.rules.cell_size * np.sqrt(np.clip(1 - up**2, 0, None)) / up
             self._steep = np.where((up > 0) & ~(up >= min_up - SURE), z, np.nan)
         self.standable = np.stack([self._is_standable(k) for k in range(len(self.top))])
         self.counted = self._count_sheets()
@@ -125,6 +126,7 @@ class Truth:
         rows, cols = self.shape
         grid = number.reshape(-1, rows, cols)
         height = self.top.reshape(-1, rows, cols)
+        rises = self._rise.reshape(-1, rows, cols)
         pairs = []
         for a in range(len(grid)):
             for b in range(len(grid)):
@@ -139,6 +141,11 @@ class Truth:
                     ).any():
                         raise UnsureError("a step is just as high as can be taken")
                     joined = both & (step <= self.rules.step + SURE)
+                    # which way a surface is steep isn't known here: see the tests of ramps
+                    rise = np.fmax(rises[a][here], rises[b][there])
+                    by_slopes = (rise > self.rules.step) & (step <= rise + self.rules.step + SURE)
+                    if (both & ~joined & by_slopes).any():
+                        raise UnsureError("slopes may join two floors")
                     pairs.append(np.stack([grid[a][here][joined], grid[b][there][joined]]))
         joined = np.concatenate(pairs, axis=1) if pairs else np.zeros((2, 0), dtype=int)
         num = int(self.standable.sum())

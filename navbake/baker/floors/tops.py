@@ -31,7 +31,8 @@ def find_tops(site: Site) -> Bool:
     A sheet that no step reaches is such a top when
 
     - at least a quarter of its outline drops to a floor that an agent could stand on, beside it
-      (see `find_endings`): a house's floor on its plinth is none, because it ends at walls;
+      (see `find_endings`): a house's floor on its plinth is none, because it ends at walls. Holes
+      in a sheet belong to its outline only where they drop;
     - it has at most 6 m², or the largest floor that it drops to is larger than itself: what is
       larger than all that lies lower is the ground, and what lies lower a pool, a ditch, a track
       bed or a yard in front of a dock. A floor that winds through the sheet makes it a block with
@@ -50,20 +51,27 @@ def find_tops(site: Site) -> Bool:
     edges = find_edges(standable, size > 0, step, reach)
     # most sheets have no floor below their edges: only the others are looked at closely
     has_floor = np.asarray((~np.isnan(edges.floors)).any(axis=1))
-    certain = (edges.cells[:, 0] >= 0) | ~site.cropped[edges.way]
+    asked = np.bincount(standable.sheet[edges.surface], has_floor, len(size)) > 0
+    of_asked = asked[standable.sheet[edges.surface]]
+    edges, has_floor = edges.only(of_asked), has_floor[of_asked]
+    rim = find_rims(edges, standable)
+    certain = ((edges.cells[:, 0] >= 0) | ~site.cropped[edges.way]) & (rim == 0)
     may_drop = ~(share_of_known(standable, edges, has_floor, certain | has_floor) < DROP_SHARE)
-    edges = edges.only(may_drop[standable.sheet[edges.surface]])
+    chosen = may_drop[standable.sheet[edges.surface]]
+    edges, rim = edges.only(chosen), rim[chosen]
     endings = find_endings(edges, standable, site.columns, agent, site.is_occupied)
     drops, known = endings.kind == DROP, is_known(edges, endings.kind, site.cropped)
+    # other holes are where things stand on the sheet, such as pillows
+    known &= (rim == 0) | drops
     is_top = share_of_known(standable, edges, drops, known) >= DROP_SHARE
-    is_top &= _lies_on_floor(site, edges, endings, is_top)
+    is_top &= _lies_on_floor(site, edges, endings, rim, is_top)
     sheet, landing = standable.sheet[edges.surface[drops]], endings.landing[drops]
     beside = _medians(sheet, landing, np.bincount(sheet, minlength=len(size)))
     beside[~is_top] = np.nan
     return is_top & (_count_over_room(site, beside) <= ROOM_SHARE * size)
 
 
-def _lies_on_floor(site: Site, edges: Edges, endings: Endings, asked: Bool) -> Bool:
+def _lies_on_floor(site: Site, edges: Edges, endings: Endings, rim: Int, asked: Bool) -> Bool:
     """Whether sheets lie on a floor that is larger, or that winds through them; small ones do."""
     standable, drops = site.large, np.flatnonzero(endings.kind == DROP)
     size, sheet = standable.sheet_size, standable.sheet[edges.surface]
@@ -71,14 +79,10 @@ def _lies_on_floor(site: Site, edges: Edges, endings: Endings, asked: Bool) -> B
     floor = _sheets_at(site, endings.cell[drops], endings.landing[drops])
     np.maximum.at(largest, sheet[drops], size[floor])
     lies = (size * standable.lattice.cell_size**2 <= LARGE_TOP) | (largest > size)
-    edges = edges.only((asked & ~lies)[sheet])
-    if len(edges.surface):
-        kind = endings.kind[(asked & ~lies)[sheet]]
-        rim, sheet = find_rims(edges, standable), standable.sheet[edges.surface]
-        for number in np.unique(sheet):
-            own = sheet == number
-            drops_in = np.bincount(rim[own], kind[own] == DROP)
-            lies[number] = drops_in[1:].max(initial=0) > (rim[own] == 0).sum()
+    for number in np.unique(sheet[(asked & ~lies)[sheet]]):
+        own = sheet == number
+        drops_in = np.bincount(rim[own], endings.kind[own] == DROP)
+        lies[number] = drops_in[1:].max(initial=0) > (rim[own] == 0).sum()
     return lies
 
 

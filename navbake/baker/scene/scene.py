@@ -36,7 +36,8 @@ class GeomReport:
         counted: whether it takes part in the bake.
         shape: as what: ``solid``; a plane as ``half-space``, ``strip`` (one side infinite) or
             ``rectangle``; a mesh as ``hull``, ``shell``, ``surface``, ``closed surface`` (it
-            encloses a volume, whose inside is occupied) or ``partly closed`` (parts of it do);
+            encloses a volume, whose inside is occupied) or ``partly closed`` (parts of it do),
+            with the number of triangles that were turned to face out;
             empty where it isn't counted.
         reason: why it is counted or left out.
     """
