@@ -54,7 +54,8 @@ def ask(package: Path) -> str:
     env = {**os.environ, "PYTHONPATH": str(package.parents[1])}
     env.pop("NUMBA_CACHE_DIR", None)
     run = subprocess.run(
-        [sys.executable, "-c", code],
+        # -B: bytecode is kept by time and size, which the changed sources have in common
+        [sys.executable, "-B", "-c", code],
         cwd=package.parents[1],
         env=env,
         stdout=subprocess.PIPE,

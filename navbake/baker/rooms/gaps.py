@@ -41,8 +41,6 @@ OFF_WALL, BIN, LEAST_WALL, LEAST_SHARE = 0.3, 5, 2.0, 0.01
 OFF_STEPS, ALONG_AXIS = 5, 1.0
 # Cells round the lattice in which slopes at its edge are measured
 PADDING = 2
-# Turns of other directions that are tried [degrees]
-ALIGNMENTS = (0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0)
 
 
 class Direction(NamedTuple):
@@ -122,25 +120,9 @@ def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
         if abs(mean - axis) <= ALONG_AXIS:
             directions.append(_direction(axis, open_cells.shape))
         else:
-            beside = np.abs(off) <= 1.5 * BIN
-            cells = rows[clear][beside] - PADDING, cols[clear][beside] - PADDING
-            directions.append(_align(mean, open_cells, cells))
+            directions.append(_direction(mean, open_cells.shape))
         smooth[np.arange(best - 2, best + 3) % num] = 0.0
     return directions
-
-
-def _align(angle: float, open_cells: Bool, cells: tuple[Int, Int]) -> Direction:
-    """The direction near an angle in which lines beside walls, through some cells, are longest."""
-    best, longest = None, -1.0
-    for turn in ALIGNMENTS:
-        direction = _direction(angle + turn, open_cells.shape)
-        run = kernels.measure_runs(turned(open_cells, direction), direction.shift)
-        row, col = cells[::-1] if direction.swapped else cells
-        length = float(run[row, col].mean()) * direction.stretch
-        if length > longest:
-            best, longest = direction, length
-    assert best is not None
-    return best
 
 
 def _direction(angle: float, shape: tuple[int, ...]) -> Direction:
