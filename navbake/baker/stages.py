@@ -143,7 +143,7 @@ class Stages:
         """The storeys, the floor of each, and the steps between them."""
         config, columns, tiled = self.config, self.columns, self.tiled
         given = None if config.levels == "auto" else list(config.levels)
-        # what a roof encloses does not depend on how wide the agent is
+        # how a sheet ends does not depend on how wide the agent is
         point = config.agent.model_copy(update={"radius": 0.0})
         narrow = Footprint.of(point, self.lattice.cell_size)
 

@@ -17,7 +17,7 @@ from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int
 
-# How an edge of a sheet ends, see `Endings`
+# How an edge of a sheet ends, see `find_endings`
 WALL, BARRIER, DROP, BORDER, OPEN = range(5)
 # How thick the two bands are that tell a wall, at an agent's feet and at its head [m]
 PROBE = 0.01
