@@ -13,6 +13,7 @@ from contextlib import suppress
 from typer import Exit, Option, Typer
 
 from navbake._version import __version__
+from navbake.cli.audit import audit
 from navbake.cli.bake import bake
 from navbake.cli.grids import info, plot, rooms, why
 from navbake.cli.inflate import inflate
@@ -21,6 +22,7 @@ from navbake.cli.options import grouped
 from navbake.cli.path import path
 from navbake.cli.printing import print_error
 from navbake.cli.scenes import geoms, init
+from navbake.cli.verify import verify
 from navbake.cli.voxelize import voxelize
 from navbake.cli.warm_up import warm_up
 from navbake.errors import NavbakeError
@@ -36,7 +38,8 @@ app = Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (init, geoms, bake, info, rooms, why, plot, inflate, path, voxelize, mdf, warm_up):
+commands = (init, geoms, bake, info, rooms, why, plot, inflate, path, voxelize, mdf, warm_up)
+for command in (*commands, verify, audit):
     app.command()(grouped(command))
 
 
