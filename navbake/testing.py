@@ -39,9 +39,7 @@ def assert_true(
     return report
 
 
-def assert_sound(
-    grid: NavGrid | str | PathLike[str], *, remarks: bool = True
-) -> AuditReport:
+def assert_sound(grid: NavGrid | str | PathLike[str], *, remarks: bool = True) -> AuditReport:
     """Assert that an audit finds no error in a grid, and nothing to remark.
 
     Args:

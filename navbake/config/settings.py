@@ -162,9 +162,9 @@ class DoorSettings(Settings):
 class VerifySettings(Settings):
     """Whether the bake compares its grid with the scene by MuJoCo and FCL."""
 
-    sample: Annotated[
-        int | None, Field(ge=1), expects("a whole number >= 1, or null")
-    ] = setting(None, "how many cells to look at after the bake, or null for none")
+    sample: Annotated[int | None, Field(ge=1), expects("a whole number >= 1, or null")] = setting(
+        None, "how many cells to look at after the bake, or null for none"
+    )
 
 
 def _check_ascending(levels: list[LevelSettings]) -> list[LevelSettings]:

@@ -13,7 +13,7 @@ from navbake.navgrid.doors import Door
 from navbake.navgrid.grid_base import GridBase
 from navbake.types import Int
 
-ONE_AXIS = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 class DoorPose(NamedTuple):
@@ -72,12 +72,11 @@ def _position(model: Any, body: int, door: Door) -> float | None:
     joint = int(model.body_jntadr[body])
     if door.state not in ("open", "closed") or joint < 0 or model.body_jntnum[body] != 1:
         return None
-    if model.jnt_type[joint] not in ONE_AXIS:
+    if int(model.jnt_type[joint]) not in (HINGE, SLIDE):
         return None
     low, high = (float(v) for v in model.jnt_range[joint])
     if not model.jnt_limited[joint]:
-        is_hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
-        low, high = 0.0, np.pi / 2 if is_hinge else 1.0
+        low, high = 0.0, np.pi / 2 if int(model.jnt_type[joint]) == HINGE else 1.0
     closed = min(max(0.0, low), high)
     if door.state == "closed":
         return closed

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from navbake.navgrid.grid_base import GridBase
-from navbake.types import Float
 from navbake.types import Vector3
 from navbake.verifier.lines import DOWN, Line, Lines, Surface
 from navbake.verifier.report import FLOOR_OFF, Finding, LevelCounts
@@ -44,10 +44,11 @@ class FloorCheck:
     def __init__(self, grid: GridBase, lines: Lines, agent: Agent, crack: float = CRACK) -> None:
         self._levels, self._lines, self._crack = grid.levels, lines, crack
         self.agent = agent
-        self._floors = [
-            level.floor_height.astype(np.float64) * level.unit for level in grid.levels
-        ]
+        self._floors = [level.floor_height.astype(np.float64) * level.unit for level in grid.levels]
+        self._free = [level.free for level in grid.levels]
+        self._lattices = [level.lattice for level in grid.levels]
         self.line_at = lru_cache(maxsize=200_000)(self._line_at)
+        self.standable_at = lru_cache(maxsize=200_000)(self._standable_at)
 
     def check_floors(self, sample: LevelSample, counts: LevelCounts) -> list[Finding]:
         """Find the floors where no geom has a surface: at the centre, or beside it in a crack."""
@@ -68,16 +69,14 @@ class FloorCheck:
             text = f"has its floor at {z:.4f} m, "
             text += "over no surface" if nearest is None else f"{off:.4f} m off the nearest surface"
             place = int(sample.rows[cell]), int(sample.cols[cell])
-            findings.append(
-                Finding(FLOOR_OFF, sample.number, place, (x, y, z), text, None, off)
-            )
+            findings.append(Finding(FLOOR_OFF, sample.number, place, (x, y, z), text, None, off))
         return findings
 
     def _has_surface(self, x: float, y: float, z: float) -> bool:
         limit = OFF + SHARE * max(abs(x), abs(y), abs(z))
         obstacles = self._lines.obstacles
         start = np.array([x, y, z + NEAR])
-        for number in obstacles.over(x, y).tolist():
+        for number in obstacles.over(x, y):
             if obstacles.low[number, 2] > z + limit or obstacles.high[number, 2] < z - limit:
                 continue
             for begin in (NEAR, limit):  # something of the same geom may be in between
@@ -96,14 +95,21 @@ class FloorCheck:
 
     # ------------------------------------------------------------ places that are lost
 
-    def find_unknown(self, sample: LevelSample) -> list[Unknown]:
+    def find_unknown(
+        self, sample: LevelSample, off: Collection[tuple[int, int] | None]
+    ) -> list[Unknown]:
         """The places to stand in the sampled columns that no level has, lowest first in each.
 
         A place is a surface that an agent can stand on. A step beside a free cell, it is a fault.
+
+        Args:
+            off: cells whose floors are off, which are known already.
         """
         found = []
         for cell in range(len(sample)):
             row, col = int(sample.rows[cell]), int(sample.cols[cell])
+            if (row, col) in off:
+                continue
             for surface in self.unknown_at(sample.number, row, col):
                 here = sample.number, row, col, surface.z
                 is_step = self._is_a_step_from_free(*here) and self.is_sure(*here)
@@ -127,16 +133,24 @@ class FloorCheck:
 
     def floors_at(self, number: int, row: int, col: int) -> list[float]:
         """The floors of all levels in a column of one level's lattice [m]."""
-        one, found = self._levels[number].lattice, []
-        for level, floors in zip(self._levels, self._floors, strict=True):
-            two = level.lattice
-            r = row + round((two.y_max - one.y_max) / one.cell_size)
-            c = col + round((one.x_min - two.x_min) / one.cell_size)
-            if 0 <= r < two.height and 0 <= c < two.width and not np.isnan(floors[r, c]):
-                found.append(float(floors[r, c]))
+        found = []
+        for other in range(len(self._levels)):
+            r, c = self._on(number, other, row, col)
+            floors = self._floors[other]
+            if 0 <= r < floors.shape[0] and 0 <= c < floors.shape[1]:
+                floor = float(floors[r, c])
+                found += [floor] if floor == floor else []  # not NaN
         return found
 
-    def standable_at(self, number: int, row: int, col: int) -> list[Surface]:
+    def _on(self, number: int, other: int, row: int, col: int) -> tuple[int, int]:
+        """A cell of one level, by row and column of another, also beside it."""
+        if number == other:
+            return row, col
+        one, two = self._lattices[number], self._lattices[other]
+        row += round((two.y_max - one.y_max) / one.cell_size)
+        return row, col + round((one.x_min - two.x_min) / one.cell_size)
+
+    def _standable_at(self, number: int, row: int, col: int) -> list[Surface]:
         """The surfaces in a column that an agent can stand on, lowest first."""
         agent = self.agent
         return self.line_at(number, row, col).standable(agent.height, agent.min_up)
@@ -147,14 +161,12 @@ class FloorCheck:
 
     def on_lowest(self, number: int, cell: tuple[int, int]) -> tuple[int, int]:
         """A cell of a level, by row and column of the lowest one, also beside it."""
-        one, two = self._levels[number].lattice, self._levels[0].lattice
-        row = cell[0] + round((two.y_max - one.y_max) / one.cell_size)
-        return row, cell[1] + round((one.x_min - two.x_min) / one.cell_size)
+        return self._on(number, 0, *cell)
 
     def center(self, number: int, row: int, col: int) -> tuple[float, float]:
         """World x and y of a cell, also beside the level [m]."""
-        x, y = self._levels[number].lattice.positions(row, col).tolist()
-        return x, y
+        x_min, y_max, cell_size, *_ = self._lattices[number]
+        return x_min + (col + 0.5) * cell_size, y_max - (row + 0.5) * cell_size
 
     def is_sure(self, number: int, row: int, col: int, z: float) -> bool:
         """Whether the place is there beside the centre, too, and is no rim or touching limit."""
@@ -167,16 +179,13 @@ class FloorCheck:
         return True
 
     def _is_a_step_from_free(self, number: int, row: int, col: int, z: float) -> bool:
-        agent, one = self.agent, self._levels[number].lattice
-        for level, floors in zip(self._levels, self._floors, strict=True):
-            two = level.lattice
+        for other, (floors, free) in enumerate(zip(self._floors, self._free, strict=True)):
             for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-                r = row + dr + round((two.y_max - one.y_max) / one.cell_size)
-                c = col + dc + round((one.x_min - two.x_min) / one.cell_size)
-                if not (0 <= r < two.height and 0 <= c < two.width) or not level.free[r, c]:
+                r, c = self._on(number, other, row + dr, col + dc)
+                if not (0 <= r < free.shape[0] and 0 <= c < free.shape[1]) or not free[r, c]:
                     continue
                 floor = float(floors[r, c])
-                if abs(floor - z) > agent.step - OFF:
+                if abs(floor - z) > self.agent.step - OFF:
                     continue
                 beside = self.standable_at(number, row + dr, col + dc)
                 if any(abs(s.z - floor) <= OFF + SHARE * abs(floor) for s in beside):

@@ -64,7 +64,9 @@ class Lines:
 
     def __init__(self, obstacles: Obstacles) -> None:
         self.obstacles = obstacles
-        self._normal = np.zeros(3)
+        self._normal, self._point = np.zeros(3), np.zeros(3)
+        self._kind: list[int] = obstacles.model.geom_type.tolist()
+        self._low, self._high = obstacles.low[:, 2].tolist(), obstacles.high[:, 2].tolist()
         finite = obstacles.low[np.isfinite(obstacles.low).all(axis=1)]
         self._bottom = float(finite[:, 2].min()) - BEYOND if len(finite) else -BEYOND
         upper = obstacles.high[np.isfinite(obstacles.high).all(axis=1)]
@@ -73,14 +75,15 @@ class Lines:
     def ray(self, number: int, point: Float, way: Float) -> tuple[float, float]:
         """Distance to an obstacle along a way [m], -1 for none, and the z of its normal there."""
         model, data, normal = self.obstacles.model, self.obstacles.data, self._normal
-        kind = int(model.geom_type[number])
+        kind = self._kind[number]
         if kind == GEOM.mjGEOM_MESH:
             distance = mujoco.mj_rayMesh(model, data, number, point, way, normal)
         elif kind == GEOM.mjGEOM_HFIELD:
             distance = mujoco.mj_rayHfield(model, data, number, point, way, normal)
         else:
-            pose = data.geom_xpos[number], data.geom_xmat[number], model.geom_size[number]
-            distance = mujoco.mju_rayGeom(*pose, point, way, kind, normal)
+            pos, mat = self.obstacles.pos[number], self.obstacles.mat[number]
+            size = self.obstacles.size[number]
+            distance = mujoco.mju_rayGeom(pos, mat, size, point, way, kind, normal)
         return distance, float(normal[2])
 
     def at(self, x: float, y: float) -> Line:
@@ -88,7 +91,7 @@ class Lines:
         surfaces: list[Surface] = []
         solid: list[tuple[float, float]] = []
         inside: list[tuple[float, int]] = []
-        for number in self.obstacles.over(x, y).tolist():
+        for number in self.obstacles.over(x, y):
             kind = self.obstacles.items[number].kind
             found = self._cross(number, x, y)
             surfaces += found
@@ -104,26 +107,29 @@ class Lines:
         surfaces.sort()
         return Line(surfaces, solid + _stretches(inside))
 
+    def _at(self, x: float, y: float, z: float) -> Float:
+        self._point[:] = x, y, z
+        return self._point
+
     def _cross(self, number: int, x: float, y: float) -> list[Surface]:
         """The crossings with one obstacle, lowest first."""
         kind = self.obstacles.items[number].kind
         top = max(self._top, BEYOND)
         if kind in (CONVEX, HEIGHT_FIELD):
-            above = float(self.obstacles.high[number, 2]) + BEYOND
-            below = float(self.obstacles.low[number, 2]) - BEYOND
-            down, up = self.ray(number, np.array([x, y, above]), DOWN)
+            above, below = self._high[number] + BEYOND, self._low[number] - BEYOND
+            down, up = self.ray(number, self._at(x, y, above), DOWN)
             if down < 0:
                 return []
             upper = Surface(above - down, up, number)
-            rise, under = self.ray(number, np.array([x, y, below]), UP)
+            rise, under = self.ray(number, self._at(x, y, below), UP)
             lower = Surface(below + rise, under, number) if rise >= 0 else upper
             return [lower, upper]
         if kind == HALF_SPACE:
             return self._cross_plane(number, x, y)
         found: list[Surface] = []
-        z = float(min(self.obstacles.high[number, 2] + BEYOND, top + BEYOND))
+        z = min(self._high[number] + BEYOND, top + BEYOND)
         for _ in range(MOST_HITS):
-            distance, up = self.ray(number, np.array([x, y, z]), DOWN)
+            distance, up = self.ray(number, self._at(x, y, z), DOWN)
             if distance < 0:
                 break
             found.append(Surface(z - distance, up, number))
@@ -132,14 +138,13 @@ class Lines:
 
     def _cross_plane(self, number: int, x: float, y: float) -> list[Surface]:
         """Where the line meets an infinite plane: a ray meets its front alone."""
-        data = self.obstacles.data
-        normal = data.geom_xmat[number].reshape(3, 3)[:, 2]
+        normal = self.obstacles.mat[number, 2::3]
         if abs(normal[2]) < 1e-9:
             return []
-        pos = data.geom_xpos[number]
+        pos = self.obstacles.pos[number]
         z = pos[2] - ((x - pos[0]) * normal[0] + (y - pos[1]) * normal[1]) / normal[2]
         start, way = (z + BEYOND, DOWN) if normal[2] > 0 else (z - BEYOND, UP)
-        distance, _ = self.ray(number, np.array([x, y, start]), way)
+        distance, _ = self.ray(number, self._at(x, y, start), way)
         return [Surface(start + way[2] * distance, float(normal[2]), number)]
 
 

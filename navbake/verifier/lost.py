@@ -20,6 +20,8 @@ MOST_PLACES = 20_000  # of one search
 # its outline has walls, and where clearly less than a quarter of it drops, as a top's would
 CLEARLY_LARGE = 1.25
 WALLED, DROPS = 0.5, 0.2
+REACHED = 3.0  # area of the floors that steps lead to, if it is to count as reached [m²]
+SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))
 
 Node = tuple[int, int, int]
 """Row and column on the lowest level's lattice, and the number of the surface in its column."""
@@ -65,17 +67,23 @@ class SheetSearch:
         self._edge = self._stride * cell_size
         self._seen: set[Node] = set()
 
-    def from_place(self, row: int, col: int, z: float) -> Sheet | None:
-        """The sheet of a place, by row and column of the lowest level; None if it was found before.
+    def from_place(self, row: int, col: int, z: float, *, exact: bool = False) -> Sheet | None:
+        """The sheet of a place, by row and column of the lowest level.
 
-        Places are looked at every `STRIDE`; so what is narrower than that may be missed.
+        None if it was found before, or is as narrow as furniture. Places are looked at every
+        `STRIDE`, so what is narrower may be missed; `exact` begins at this very place.
         """
-        row, col = (v - v % self._stride for v in (row, col))
+        if not exact:
+            row, col = (v - v % self._stride for v in (row, col))
         start = self._near(row, col, z)
-        if start is None or (row, col, start) in self._seen:
+        if start is None or (not exact and (row, col, start) in self._seen):
             return None
         first = self._check.standable_at(0, row, col)[start]
-        if self._is_known(row, col, first.z) or not self._check.is_sure(0, row, col, first.z):
+        if not exact and (
+            self._is_known(row, col, first.z)
+            or self._is_narrow(row, col, first.z)
+            or not self._check.is_sure(0, row, col, first.z)
+        ):
             return None
         x, y = self._check.center(0, row, col)
         sheet = Sheet((x, y, first.z), self._check.name(first.number))
@@ -89,28 +97,43 @@ class SheetSearch:
         sheet.area, sheet.inner = (len(found) * self._edge**2 for found in (places, inner))
         return sheet
 
+    def _is_narrow(self, row: int, col: int, z: float) -> bool:
+        """Whether it ends within two strides on two sides or more."""
+        ways = [(2 * self._stride * dr, 2 * self._stride * dc) for dr, dc in SIDES]
+        return sum(self._near(row + dr, col + dc, z) is None for dr, dc in ways) >= 2
+
     def _search(self, start: Node, sheet: Sheet) -> set[Node]:
-        own, queue = {start}, deque([start])
+        """Search from place to place; the places that no level has, as far as they were found.
+
+        It goes on over floors of the grid, until these are large enough to be a floor: what
+        stands on the floor may be one by its lower parts, without steps that lead there.
+        """
+        own, known, queue = {start}, set[Node](), deque([start])
         self._seen.add(start)
         while queue and len(own) < MOST_PLACES and not sheet.reached:
             row, col, number = queue.popleft()
             z = self._check.standable_at(0, row, col)[number].z
-            for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+            for dr, dc in SIDES:
                 r, c = row + dr * self._stride, col + dc * self._stride
                 beside = self._near(r, c, z)
+                is_own = (row, col, number) in own
                 if beside is None:
-                    self._note_edge(sheet, (row, col), (dr, dc), z)
-                    continue
-                there = self._check.standable_at(0, r, c)[beside].z
-                if self._is_known(r, c, there):
-                    if self._walks(row, col, dr, dc, z):
-                        sheet.reached = True
-                    else:
+                    if is_own:
                         self._note_edge(sheet, (row, col), (dr, dc), z)
-                elif (r, c, beside) not in own:
-                    own.add((r, c, beside))
-                    self._seen.add((r, c, beside))
-                    queue.append((r, c, beside))
+                    continue
+                node = (r, c, beside)
+                if node in own or node in known:
+                    continue
+                if self._is_known(r, c, self._check.standable_at(0, r, c)[beside].z):
+                    if is_own and not self._walks(row, col, dr, dc, z):
+                        self._note_edge(sheet, (row, col), (dr, dc), z)
+                        continue
+                    known.add(node)
+                    sheet.reached = len(known) * self._edge**2 >= REACHED
+                else:
+                    own.add(node)
+                    self._seen.add(node)
+                queue.append(node)
         return own
 
     def _near(self, row: int, col: int, z: float) -> int | None:

@@ -7,8 +7,10 @@ its hull is its hull there, also for rays, and what is drawn transparent is hit 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import fcl
@@ -23,6 +25,8 @@ from navbake.types import Bool, Float, Int
 from navbake.verifier.mesh_parts import CAVITY, SHEET, SOLID, UNCLEAR, split_parts
 
 GEOM = mujoco.mjtGeom
+BIN = 0.5  # edge of the squares that obstacles are sorted into [m]
+MOST_BINS = 1000  # squares that an obstacle is listed in at most
 FAR = 1e4  # half-size that stands for the infinite side of a plane with a finite one [m]
 CONVEX = "convex"  # what an obstacle is, beside the kinds of parts of meshes
 HALF_SPACE = "half-space"
@@ -61,6 +65,7 @@ class Obstacles:
         model, data: the MuJoCo model; two more geoms, a box and a cylinder, are to probe with.
         low, high: boxes of all, shape (n, 3) [m].
         names: of the scene's geoms, by id.
+        pos, mat, size: poses and sizes of the model's geoms, its own arrays.
     """
 
     items: list[Obstacle]
@@ -69,6 +74,14 @@ class Obstacles:
     low: Float
     high: Float
     names: list[str]
+    pos: Float = field(init=False)
+    mat: Float = field(init=False)
+    size: Float = field(init=False)
+
+    def __post_init__(self) -> None:
+        # MuJoCo makes these anew whenever they are asked for
+        self.pos, self.mat = self.data.geom_xpos, self.data.geom_xmat
+        self.size = self.model.geom_size
 
     @property
     def box_probe(self) -> int:
@@ -84,10 +97,36 @@ class Obstacles:
         """The name of the geom that an obstacle belongs to."""
         return self.names[self.items[number].geom]
 
-    def over(self, x: float, y: float) -> Int:
-        """The obstacles whose boxes hold a vertical line."""
-        near = (self.low[:, 0] <= x) & (self.high[:, 0] >= x)
-        return np.flatnonzero(near & (self.low[:, 1] <= y) & (self.high[:, 1] >= y))
+    def over(self, x: float, y: float) -> list[int]:
+        """The obstacles whose boxes hold a vertical line, ascending."""
+        bins, everywhere = self._bins
+        boxes = self._sides
+        found = [*everywhere, *bins.get((int(x // BIN), int(y // BIN)), ())]
+        return sorted(
+            k for k in found if boxes[k][0] <= x <= boxes[k][2] and boxes[k][1] <= y <= boxes[k][3]
+        )
+
+    @cached_property
+    def _sides(self) -> list[list[float]]:
+        sides: list[list[float]] = np.hstack([self.low[:, :2], self.high[:, :2]]).tolist()
+        return sides
+
+    @cached_property
+    def _bins(self) -> tuple[dict[tuple[int, int], list[int]], list[int]]:
+        """The obstacles over each square of `BIN`, and those that are over too many."""
+        bins: dict[tuple[int, int], list[int]] = {}
+        everywhere = []
+        for number, sides in enumerate(self._sides):
+            if not np.isfinite(sides).all():
+                everywhere.append(number)
+                continue
+            x0, y0, x1, y1 = (int(side // BIN) for side in sides)
+            if (x1 - x0 + 1) * (y1 - y0 + 1) > MOST_BINS:
+                everywhere.append(number)
+                continue
+            for place in itertools.product(range(x0, x1 + 1), range(y0, y1 + 1)):
+                bins.setdefault(place, []).append(number)
+        return bins, everywhere
 
 
 def build_obstacles(scene: Scene, data: Any, left_out: Collection[int] = ()) -> Obstacles:

@@ -122,9 +122,12 @@ class OccupancyCheck:
             wide = Bands(bands.low - margin, bands.high + margin)
             for half, is_round in footprint:
                 for number, cells in self._candidates(sample, only, half + margin, wide):
-                    if len(cells) and self._ask(
-                        sample, cells, number, half, is_round, bands, float(margin)
-                    ).any():
+                    if (
+                        len(cells)
+                        and self._ask(
+                            sample, cells, number, half, is_round, bands, float(margin)
+                        ).any()
+                    ):
                         touching = float(margin)
             if touching is not None:
                 return touching

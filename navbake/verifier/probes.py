@@ -68,10 +68,10 @@ class Probe:
 
     def select(self) -> None:
         """Give MuJoCo's probe this column's size; to be called before a run of questions."""
-        model, data = self._obstacles.model, self._obstacles.data
-        model.geom_size[self._geom] = self._size
-        model.geom_rbound[self._geom] = np.linalg.norm(self._size) + self._size.max()
-        data.geom_xmat[self._geom] = self._mat.ravel()
+        self._obstacles.size[self._geom] = self._size
+        radius = np.linalg.norm(self._size) + self._size.max()
+        self._obstacles.model.geom_rbound[self._geom] = radius
+        self._obstacles.mat[self._geom] = self._mat.ravel()
 
     def touches(self, number: int) -> int:
         """APART, TOUCHES or DISPUTED: how it stands to an obstacle."""
@@ -79,11 +79,10 @@ class Probe:
         by_fcl = fcl.collide(self._object, item.shape) > 0
         if not item.same_in_mujoco:
             return TOUCHES if by_fcl else APART
-        data = self._obstacles.data
-        data.geom_xpos[self._geom] = self._center
+        model, data = self._obstacles.model, self._obstacles.data
+        self._obstacles.pos[self._geom] = self._center
         if self._is_turned:
-            data.geom_xmat[self._geom] = self._mat.ravel()
-        model = self._obstacles.model
+            self._obstacles.mat[self._geom] = self._mat.ravel()
         by_mujoco = mujoco.mj_geomDistance(model, data, self._geom, number, 1e-3, None) <= 0.0
         if by_fcl == by_mujoco:
             return TOUCHES if by_fcl else APART
@@ -100,9 +99,9 @@ class Probe:
         request = fcl.DistanceRequest(enable_nearest_points=True)
         fcl.distance(self._object, self._obstacles.items[number].shape, request, result)
         ways = [ends[1] - ends[0], np.subtract(*result.nearest_points[::-1])]
-        middle = self._obstacles.data.geom_xpos[number] - self._center
+        middle = self._obstacles.pos[number] - self._center
         ways += [middle, middle * [1.0, 1.0, 0.0], *np.eye(3), *-np.eye(3), *self._mat.T]
-        mat = data.geom_xmat[number].reshape(3, 3)
+        mat = self._obstacles.mat[number].reshape(3, 3)
         ways += [*mat.T, *-mat.T]
         for way in ways:
             length = float(np.linalg.norm(way))
@@ -126,16 +125,16 @@ class Probe:
 
 def support(obstacles: Obstacles, number: int, way: Float) -> float:
     """How far a convex obstacle or a half-space reaches along a unit vector [m]; may be inf."""
-    item, model, data = obstacles.items[number], obstacles.model, obstacles.data
+    item = obstacles.items[number]
     if len(item.points):
         return float((item.points @ way).max())
-    pos, mat = data.geom_xpos[number], data.geom_xmat[number].reshape(3, 3)
+    pos, mat = obstacles.pos[number], obstacles.mat[number].reshape(3, 3)
     if item.kind == HALF_SPACE:
         return float(pos @ way) if way @ mat[:, 2] > 1 - 1e-12 else np.inf
     if item.kind != CONVEX:
         return np.inf
-    size, local = model.geom_size[number], mat.T @ way
-    kind = int(model.geom_type[number])
+    size, local = obstacles.size[number], mat.T @ way
+    kind = int(obstacles.model.geom_type[number])
     if kind == GEOM.mjGEOM_SPHERE:
         reach = size[0]
     elif kind == GEOM.mjGEOM_CAPSULE:

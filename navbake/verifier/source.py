@@ -113,9 +113,7 @@ def _find_file(grid: GridBase, stated: Json, grid_path: Path | None) -> Path:
     )
 
 
-def _compare_scenes(
-    grid: GridBase, scene: Scene, config: BakeConfig, *, force: bool
-) -> list[str]:
+def _compare_scenes(grid: GridBase, scene: Scene, config: BakeConfig, *, force: bool) -> list[str]:
     digest = grid.navbake.get("sceneDigest")
     if digest is None:
         return ["the grid has no digest of its scene, so nothing says that it is this one"]

@@ -139,7 +139,9 @@ class _Sweep:
         floors = level.floor_height[rows, cols].astype(np.float64) * level.unit
         return np.where(inside, floors, np.nan)
 
-    def _touch(self, piece: Piece, band: tuple[float, float]) -> tuple[int, Column, Float, float] | None:
+    def _touch(
+        self, piece: Piece, band: tuple[float, float]
+    ) -> tuple[int, Column, Float, float] | None:
         """The first obstacle that the cylinder touches on a piece, and with which column."""
         half_z = (band[1] - band[0]) / 2 - self._tolerance
         radius = self._radius - self._tolerance
@@ -199,7 +201,10 @@ def _alike(one: Piece, other: Piece) -> bool:
 def _cuts(lattice: Lattice, a: Float, b: Float) -> Float:
     """Where a line goes from cell to cell, as shares of its length from 0 to 1."""
     found = [0.0, 1.0]
-    ends = ((a[0] - lattice.x_min, b[0] - lattice.x_min), (lattice.y_max - a[1], lattice.y_max - b[1]))
+    ends = (
+        (a[0] - lattice.x_min, b[0] - lattice.x_min),
+        (lattice.y_max - a[1], lattice.y_max - b[1]),
+    )
     for first, last in ends:
         low, high = sorted((first / lattice.cell_size, last / lattice.cell_size))
         if high - low > 1e-12:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from navbake.baker.scene.scene import Scene
-from navbake.config.settings import FloorSettings
+from navbake.config.settings import BakeConfig, FloorSettings
 from navbake.errors import FormatError, QueryError
 from navbake.formats.navgrid import read_navgrid
 from navbake.navgrid.grid import NavGrid
@@ -89,10 +89,14 @@ def verify(
     path = None if isinstance(grid, GridBase) else Path(grid)
     content: Any = grid if path is None else read_navgrid(path)
     source = find_source(content, scene, path, force=force)
-    floors = source.config.floors if source.are_known else None
-    if source.are_known and (source.config.levels != "auto" or source.config.floors.reach != "all"):
-        floors = None  # then floors are left out on purpose
+    floors = floors_to_expect(source.config) if source.are_known else None
     return verify_scene(content, source.scene, options, floors, source.notes)
+
+
+def floors_to_expect(config: BakeConfig) -> FloorSettings | None:
+    """The settings of floors by which a storey may be missed; None if some may be left out."""
+    all_count = config.levels == "auto" and config.floors.reach == "all"
+    return config.floors if all_count else None
 
 
 def verify_scene(
@@ -156,7 +160,9 @@ def _check_options(options: Options) -> None:
 def _inflated(grid: Any, radius: float | None, notes: list[str]) -> tuple[Any, float | None]:
     """The grid for a radius, and the radius of the cylinder that stands on its free cells [m]."""
     stated = grid.metadata.get("inflation")
-    done = [entry for entry in stated if isinstance(entry, dict)] if isinstance(stated, list) else []
+    done = (
+        [entry for entry in stated if isinstance(entry, dict)] if isinstance(stated, list) else []
+    )
     if not done:
         return (grid, None) if radius is None else (grid.inflate(radius), radius)
     if radius is not None:
@@ -226,38 +232,31 @@ def _check_floors(
     search = SheetSearch(check, check.agent, grid.levels[0].lattice.cell_size, settings.shrink)
     left, area = 0, 0.0
     for sample, counts in zip(samples, report.levels, strict=True):
-        report.findings += check.check_floors(sample, counts)
-        for unknown in check.find_unknown(sample):
-            cell, place = (sample.number, unknown.cell), unknown.place
-            if unknown.is_step:
-                text = f"on {unknown.geom!r} an agent can stand, a step from a floor, on no level"
-                found = Finding(PLACE_LOST, *cell, place, text, unknown.geom)
-            else:
-                row, col = check.on_lowest(*cell)
-                sheet = search.from_place(row, col, place[2])
-                if sheet is None:
-                    continue
-                is_storey = floors is not None and sheet.is_storey(settings.min_area)
-                if not sheet.reached and not is_storey:
-                    left, area = left + 1, area + sheet.area
-                    continue
-                how = "steps lead there" if sheet.reached else "it has walls all round"
-                text = f"on {sheet.geom!r}, {sheet.area:.2f} m² or more are on no level, and {how}"
-                found = Finding(
-                    PLACE_LOST, *cell, sheet.place, text, sheet.geom, round(sheet.area, 6)
-                )
+        wrong = check.check_floors(sample, counts)
+        report.findings += wrong
+        for unknown in check.find_unknown(sample, {found.cell for found in wrong}):
+            row, col = check.on_lowest(sample.number, unknown.cell)
+            sheet = search.from_place(row, col, unknown.place[2], exact=unknown.is_step)
+            if sheet is None or (unknown.is_step and not sheet.reached):
+                continue
+            is_storey = floors is not None and sheet.is_storey(settings.min_area)
+            if not sheet.reached and not is_storey:
+                left, area = left + 1, area + sheet.area
+                continue
+            how = "steps lead there" if sheet.reached else "it has walls all round"
+            text = f"on {sheet.geom!r}, {sheet.area:.2f} m² or more are on no level, and {how}"
+            cell, size = (sample.number, unknown.cell), round(sheet.area, 6)
+            found = Finding(PLACE_LOST, *cell, sheet.place, text, sheet.geom, size)
             counts.lost += 1
             report.findings.append(found)
     if left:
         report.notes.append(
-            f"{left} places to stand, {area:.1f} m², are on no level: no steps lead there, and none "
-            "has walls all round, so they are tops of furniture, shelves or roofs"
+            f"{left} places to stand, {area:.1f} m², are on no level: no steps lead there, and "
+            "none has walls all round, so they are tops of furniture, shelves or roofs"
         )
 
 
-def _sweep(
-    report: VerifyReport, grid: Any, probes: Probes, agent: Agent, options: Options
-) -> None:
+def _sweep(report: VerifyReport, grid: Any, probes: Probes, agent: Agent, options: Options) -> None:
     radius = report.radius if report.radius is not None else agent.radius
     if radius <= 0:
         report.notes.append("no paths were swept: the agent has no radius")
