@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from navbake.auditor.facts import SLACK, Facts
@@ -45,13 +47,13 @@ def check_weights(facts: Facts) -> Iterator[Remark]:
         free, own = facts.free[number], "occupancy" in level.attributes
         opened = occupied & (level.solid == 0) if is_inflated else np.zeros_like(occupied)
         broken = np.isnan(weights) | (weights < 0)
-        yield from _cells(facts, "weights", number, broken, "weights that are no cost")
+        yield from _cells(facts, "weights", number, broken, "a weight that is no cost")
         on_occupied = free & occupied & ~opened
         if own:
-            text = "free by their weights, but occupied"
+            text = "free by weight, but occupied"
             yield from _cells(facts, "weights", number, on_occupied, text)
             if not is_inflated:
-                text = "blocked by their weights, but not occupied"
+                text = "blocked by weight, but not occupied"
                 blocked = ~free & ~broken & ~occupied
                 yield from _cells(facts, "weights", number, blocked, text)
 
@@ -102,10 +104,10 @@ def check_layers(facts: Facts) -> Iterator[Remark]:
             away = (distance_transform_edt(open_)[1:-1, 1:-1] - 0.5) * cell
             away = np.where(level.free, away, 0.0)
             wrong = np.abs(stored * level.unit - away) > LARGE
-            yield from _cells(facts, "layers", number, wrong, "with a wrong `clearance`")
+            yield from _cells(facts, "layers", number, wrong, "a wrong `clearance`")
 
 
-def _same_parts(one: Bool, other: Bool) -> bool:
+def _same_parts(one: NDArray[Any], other: NDArray[Any]) -> bool:
     """Whether two arrays of numbers part the cells in the same way."""
     pairs = np.unique(np.stack([one.ravel(), other.ravel()]), axis=1)
     return all(len(np.unique(side)) == pairs.shape[1] for side in pairs)
@@ -122,7 +124,6 @@ def _cells(facts: Facts, check: str, number: int, mask: Bool, what: str) -> Iter
     """One remark on all marked cells of a level, with the place of the first."""
     count = int(np.count_nonzero(mask))
     if count:
-        text = f"{count} cell{'s are' if count > 1 else ' is'} {what}"
-        text = text.replace("are weights", "have weights").replace("is weights", "has weights")
-        text = text.replace("are with", "are").replace("is with", "is")
+        verb = ("have", "has") if what.startswith("a ") else ("are", "is")
+        text = f"{count} cell{'s' if count > 1 else ''} {verb[count == 1]} {what}"
         yield Remark(check, ERROR, number, facts.first(number, mask), text)

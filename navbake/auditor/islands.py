@@ -19,7 +19,8 @@ def check_cut_off(facts: Facts) -> Iterator[Remark]:
     """One cell, or two or three side by side, cut off an island.
 
     The islands are those of a grid whose doors are all open. Where more such cells part the same
-    two islands, they are a thin wall between them, and are meant.
+    two islands, they are a thin wall between them, and are meant; cells in it that nothing
+    occupies are a gap that was closed for a larger agent.
     """
     islands = facts.open_islands
     largest = max((int(island.max(initial=0)) for island in islands), default=0)
@@ -29,7 +30,9 @@ def check_cut_off(facts: Facts) -> Iterator[Remark]:
     area = count * facts.levels[0].lattice.cell_size ** 2
     found = []
     for number, island in enumerate(islands):
-        for pair, cells in _gaps(facts, number, island).items():
+        occupied = facts.levels[number].occupancy.ravel() != 0
+        for pair, between in _gaps(facts, number, island).items():
+            cells = {cell for cell in between if not occupied[cell]} or between
             if len(cells) <= MOST_CELLS and min(area[list(pair)]) >= MIN_AREA:
                 found.append((min(area[list(pair)]), number, pair, cells))
     for smaller, number, _, cells in sorted(found, key=lambda gap: -gap[0])[:MOST_GAPS]:

@@ -61,8 +61,8 @@ def check_rooms_without_door(facts: Facts) -> Iterator[Remark]:
         for level_of, cell in ((0, 1), (2, 3)):
             here = facts.links[facts.links[:, level_of] == number]
             leads[index.ravel()[here[:, cell]]] = True
-        size = np.bincount(index[passable], minlength=len(leads))
-        size = size * level.lattice.cell_size**2
+        count = np.bincount(index[passable], minlength=len(leads))
+        size = count * level.lattice.cell_size**2
         for room in np.flatnonzero(~leads & (size >= MIN_FREE)).tolist():
             if room:
                 text = f"room {_name(facts, number, room)} of {size[room]:.1f} m² has no door"

@@ -13,8 +13,8 @@ from contextlib import suppress
 from typer import Exit, Option, Typer
 
 from navbake._version import __version__
-from navbake.cli.audit import audit
 from navbake.cli.bake import bake
+from navbake.cli.checks import audit, verify
 from navbake.cli.grids import info, plot, rooms, why
 from navbake.cli.inflate import inflate
 from navbake.cli.map_descriptor import mdf
@@ -22,7 +22,6 @@ from navbake.cli.options import grouped
 from navbake.cli.path import path
 from navbake.cli.printing import print_error
 from navbake.cli.scenes import geoms, init
-from navbake.cli.verify import verify
 from navbake.cli.voxelize import voxelize
 from navbake.cli.warm_up import warm_up
 from navbake.errors import NavbakeError

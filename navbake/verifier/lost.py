@@ -20,6 +20,7 @@ MOST_PLACES = 20_000  # of one search
 # its outline has walls, and where clearly less than a quarter of it drops, as a top's would
 CLEARLY_LARGE = 1.25
 WALLED, DROPS = 0.5, 0.2
+MIN_WALL = 1.5  # parapets are lower than walls [m]
 REACHED = 3.0  # area of the floors that steps lead to, if it is to count as reached [m²]
 SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))
 
@@ -162,12 +163,11 @@ class SheetSearch:
     ) -> None:
         """Note how a sheet ends: at a wall, over a floor that it drops to, or neither."""
         sheet.edges += 1
-        low, high = z + self._agent.step, z + self._agent.height
+        low, high = z + self._agent.step, z + max(self._agent.height, MIN_WALL)
         for k in range(1, self._stride + 1):
             row, col = here[0] + k * way[0], here[1] + k * way[1]
             line = self._check.line_at(0, row, col)
-            in_band = any(low < surface.z < high for surface in line.surfaces)
-            if in_band or any(begin < low and end > high for begin, end in line.solid):
+            if any(begin < low and end > high for begin, end in line.solid):
                 sheet.walls += 1
                 return
         lower = [s.z for s in self._check.standable_at(0, row, col) if s.z < z]

@@ -22,7 +22,7 @@ from navbake.baker.scene.chatter import catch_chatter
 from navbake.baker.scene.scene import Scene
 from navbake.errors import SceneError
 from navbake.types import Bool, Float, Int
-from navbake.verifier.mesh_parts import CAVITY, SHEET, SOLID, UNCLEAR, split_parts
+from navbake.verifier.mesh_parts import CAVITY, SHEET, SOLID, split_parts
 
 GEOM = mujoco.mjtGeom
 BIN = 0.5  # edge of the squares that obstacles are sorted into [m]
@@ -405,8 +405,3 @@ def is_enclosing(obstacles: Obstacles) -> Bool:
     """Which obstacles have an inside that their surface alone doesn't tell of."""
     kinds = (HEIGHT_FIELD, SOLID, CAVITY)
     return np.array([item.kind in kinds for item in obstacles.items], dtype=np.bool_)
-
-
-def is_unclear(obstacles: Obstacles) -> Bool:
-    """Which obstacles might enclose something or not."""
-    return np.array([item.kind == UNCLEAR for item in obstacles.items], dtype=np.bool_)

@@ -6,7 +6,8 @@ import numpy as np
 
 from navbake.types import Bool, Float, Int
 from navbake.verifier.lines import UP, Lines
-from navbake.verifier.obstacles import CAVITY, SOLID, UNCLEAR, is_enclosing
+from navbake.verifier.mesh_parts import CAVITY, UNCLEAR
+from navbake.verifier.obstacles import is_enclosing
 from navbake.verifier.probes import DISPUTED, TOUCHES, Column, Probes, depth_of
 from navbake.verifier.report import BLOCKED_APART, FREE_TOUCHES, NO_FLOOR, Finding, LevelCounts
 from navbake.verifier.sample import Agent, Bands, CellIndex, LevelSample, baked_bands, column_of
@@ -39,7 +40,7 @@ class OccupancyCheck:
         has_floor = ~np.isnan(sample.floor)
         findings = [
             _finding(NO_FLOOR, sample, cell, "is free, though it has no floor")
-            for cell in np.flatnonzero(sample.free & ~has_floor)
+            for cell in np.flatnonzero(sample.free & ~has_floor).tolist()
         ]
         counts.blocked_blocked += int(np.count_nonzero(~sample.free & ~has_floor))
         findings += self._check_free(sample, counts, footprint, bands)
@@ -69,7 +70,7 @@ class OccupancyCheck:
         counts.free_touches += int((touched >= 0).sum())
         counts.free_free += int((asked & (touched < 0) & ~disputed).sum())
         findings = []
-        for cell in np.flatnonzero(touched >= 0):
+        for cell in np.flatnonzero(touched >= 0).tolist():
             half, is_round = footprint[part_of[cell]]
             low, high = bands.low[cell], bands.high[cell]
             column = column_of(half, is_round, (low, high))
@@ -103,8 +104,8 @@ class OccupancyCheck:
         apart = apart[~unclear]
         counts.blocked_apart += len(apart)
         findings = []
-        for cell in apart:
-            gap = self._gap(sample, int(cell), footprint, bands)
+        for cell in apart.tolist():
+            gap = self._gap(sample, cell, footprint, bands)
             how = "nothing is within 1 m" if gap is None else f"the nearest geom is {gap:.4f} m off"
             text = f"is blocked, but {how}"
             findings.append(_finding(BLOCKED_APART, sample, cell, text, None, gap))
@@ -199,11 +200,11 @@ class OccupancyCheck:
         """Which cells lie in a part of a mesh that may enclose them or not."""
         maybe = np.zeros(len(cells), dtype=np.bool_)
         items = self._obstacles.items
-        for number in [k for k, item in enumerate(items) if item.kind in (UNCLEAR, SOLID)]:
+        for number in [k for k, item in enumerate(items) if item.kind == UNCLEAR]:
             low, high = self._obstacles.low[number], self._obstacles.high[number]
             for k, cell in enumerate(cells.tolist()):
                 point = np.array([*sample.xy[cell], (bands.low[cell] + bands.high[cell]) / 2])
-                if items[number].kind == UNCLEAR and ((low < point) & (point < high)).all():
+                if ((low < point) & (point < high)).all():
                     maybe[k] |= self._crossings(number, point) % 2 == 1
         return maybe
 

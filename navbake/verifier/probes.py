@@ -37,8 +37,8 @@ class Column(NamedTuple):
 
     def grown(self, margin: float) -> Column | None:
         """The same, larger on all sides [m], or smaller; None if nothing is left."""
-        sizes = [half + margin for half in self[:3]]
-        return Column(*sizes, self.is_round) if min(sizes) > 0 else None
+        x, y, z = (half + margin for half in self[:3])
+        return Column(x, y, z, self.is_round) if min(x, y, z) > 0 else None
 
 
 class Probe:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.grid_base import GridBase
 from navbake.navgrid.lattice import Lattice
 from navbake.runtime.path_finder import PathFinder
@@ -39,7 +40,7 @@ class Piece(NamedTuple):
 
 
 def sweep_paths(
-    grid: GridBase, probes: Probes, agent: Agent, radius: float, options: tuple[int, int, float]
+    grid: NavGrid, probes: Probes, agent: Agent, radius: float, options: tuple[int, int, float]
 ) -> tuple[SweepCounts, list[Finding]]:
     """Plan paths between random places, and sweep a cylinder along each.
 

@@ -20,7 +20,8 @@ from navbake.verifier.doors import pose_doors
 from navbake.verifier.floors import FloorCheck
 from navbake.verifier.lines import Lines
 from navbake.verifier.lost import SheetSearch
-from navbake.verifier.obstacles import UNCLEAR, Obstacles, build_obstacles
+from navbake.verifier.mesh_parts import UNCLEAR
+from navbake.verifier.obstacles import Obstacles, build_obstacles
 from navbake.verifier.occupancy import Footprint, OccupancyCheck
 from navbake.verifier.probes import Probes
 from navbake.verifier.report import (

@@ -1,35 +1,49 @@
-"""The command `navbake verify`."""
+"""The commands that check a grid: `navbake verify` and `navbake audit`."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from typer import Exit, Option
 
 import navbake
-from navbake.cli.options import AsJson, GridFile, beside_output, check_output
-from navbake.cli.pictures import write_marked
+from navbake.cli.options import (
+    STDOUT,
+    AsJson,
+    GridFile,
+    beside_output,
+    check_output,
+    write_stdout,
+)
 from navbake.cli.printing import print_json, print_tables, verify_table
 
 if TYPE_CHECKING:
+    from navbake.navgrid.grid import NavGrid
     from navbake.verifier.report import VerifyReport
 
 SAMPLE = 100_000
 SHOWN = 20  # disagreements that are printed one by one
 
 
+class Sample(NamedTuple):
+    """Which cells to look at."""
+
+    sample: int = Option(SAMPLE, metavar="N", help="How many cells to look at, >= 1.")
+    every: bool = Option(False, "--all", help="Look at all cells.")
+    seed: int = Option(0, min=0, help="Seed of the sample and of the paths.")
+
+
 def verify(
     grid: GridFile,
+    which: Sample,
     scene: Path | None = Option(
         None,
         metavar="SCENE|CONFIG",
         help="The scene, or the settings of the bake (YAML).  [default: the file that the grid "
         "names, beside it or in the current folder]",
     ),
-    sample: int = Option(SAMPLE, metavar="N", help="How many cells to look at, >= 1."),
-    every: bool = Option(False, "--all", help="Look at all cells."),
-    seed: int = Option(0, min=0, help="Seed of the sample and of the paths."),
     radius: float | None = Option(
         None,
         metavar="R",
@@ -57,8 +71,8 @@ def verify(
     report = compare(
         grid,
         scene,
-        sample=None if every else sample,
-        seed=seed,
+        sample=None if which.every else which.sample,
+        seed=which.seed,
         radius=radius,
         paths=paths,
         tolerance=tolerance,
@@ -71,7 +85,7 @@ def verify(
             _print(report)
     if output is not None:
         marks = [(found.level, *found.position[:2], found.kind) for found in report.findings]
-        write_marked(navbake.load(grid), output, marks)
+        _write_marked(navbake.load(grid), output, marks)
     if not report.ok:
         raise Exit(1)
 
@@ -95,3 +109,53 @@ def _print(report: VerifyReport) -> None:
     share = f"{report.checked:,} of {report.num_cells:,} cells"
     verdict = "agree" if report.ok else f"disagree at {len(report.findings)} places"
     print(f"grid and scene {verdict}, at {share}")
+
+
+def audit(
+    grid: GridFile,
+    as_json: AsJson = False,
+    output: Path | None = Option(
+        None, "-o", "--output", metavar="PNG", help="Draw the places; - for stdout."
+    ),
+) -> None:
+    """Look at a grid of any program for what a person would notice, without its scene.
+
+    The exit status is 1 if there are errors, 0 if there are only remarks.
+    """
+    if output is not None:
+        check_output(output, ".png", inputs=[grid])
+    from navbake.auditor.audit import audit as look_at  # loads numpy
+
+    content = navbake.load(grid)
+    report = look_at(content)
+    with beside_output(output):
+        if as_json:
+            print_json(report.to_json())
+        else:
+            for remark in report.remarks:
+                print(remark)
+            num_errors = len(report.errors)
+            others = len(report.remarks) - num_errors
+            print(f"{len(report.checks)} checks: {num_errors} errors, {others} remarks")
+    if output is not None:
+        marks = []
+        for remark in report.remarks:
+            if remark.place is not None:
+                level = -1 if remark.level is None else remark.level
+                marks.append((level, remark.place[0], remark.place[1], remark.check))
+        _write_marked(content, output, marks)
+    if not report.ok:
+        raise Exit(1)
+
+
+def _write_marked(
+    grid: NavGrid, output: Path, marks: Sequence[tuple[int, float, float, str]]
+) -> None:
+    """Draw a grid's occupancy with marks: level, world x and y [m], and what is there."""
+    from navbake.views.plot import Mark, plot_grid, render_png  # loads matplotlib
+
+    drawn = [Mark(*mark) for mark in marks]
+    if output == STDOUT:
+        write_stdout(render_png(grid, layers=("occupancy",), marks=drawn))
+    else:
+        plot_grid(grid, output, layers=("occupancy",), marks=drawn)
