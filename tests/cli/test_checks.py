@@ -16,10 +16,11 @@ def room(folder):
     """The folder with the grid of room.yaml, and one with two faults."""
     grid = navbake.bake("room.yaml")
     grid.save("room.grid.json")
-    row, col = np.argwhere(grid.occupancy == 1)[0].tolist()
+    (row, col) = cell = np.argwhere(grid.occupancy == 1)[0].tolist()
     grid.weights[row, col], grid.attributes["occupancy"][row, col] = 1.0, 0
     grid.attributes["floorHeight"][0, 0] += np.float32(0.02)
     grid.save("wrong.grid.json")
+    Path("cell.json").write_text(json.dumps(cell))
     return folder
 
 
@@ -44,7 +45,10 @@ def test_verify_names_what_is_wrong_and_draws_it(room, run):
     pytest.importorskip("matplotlib")
     status, out, _ = run("verify", "wrong.grid.json", "-o", "wrong.png")
     assert status == 1
-    assert "free cell touches: level 0, row 0, col 8" in out and "'wall [b]' reaches" in out
+    row, col = json.loads(Path("cell.json").read_text())
+    assert (
+        f"free cell touches: level 0, row {row}, col {col} (" in out and "'wall [b]' reaches" in out
+    )
     assert "floor off: level 0, row 0, col 0" in out
     assert "disagree at 2 places" in out
     assert Path("wrong.png").read_bytes().startswith(b"\x89PNG")
