@@ -16,6 +16,9 @@ Source: numba's `Dispatcher.enable_caching` is what ``@njit(cache=True)`` calls 
 `FunctionCache` loads and saves. Both are as they are from numba 0.61 to 0.68.
 """
 
+# numba's own types, where it has any, know nothing of what is set on its objects here
+# mypy: disable-error-code="attr-defined,arg-type,assignment,call-arg,misc"
+
 from __future__ import annotations
 
 import logging
@@ -42,13 +45,16 @@ REMEDY = "set NUMBA_CACHE_DIR to a folder that can be written"
 SECONDS, PARALLEL_SECONDS = 0.7, 4.0
 """How long a kernel and a parallel one take to compile, on average, on a core of 2024."""
 
+PLACEHOLDER = "_cached"  # what each folder of kernels has to find its cache; nobody calls it
+
 _parallel = threading.Lock()
 _is_broken_by_fork = False
 _told: set[str] = set()  # lines that are told once a process
-_kernels: list[Kernel] = []  # in the order in which they were made
+KERNELS: list[Kernel] = []
+"""All kernels that have been imported, in the order in which they were made."""
 
 
-class Kernel(CPUDispatcher):  # type: ignore[misc]
+class Kernel(CPUDispatcher):
     """A compiled function of navbake."""
 
     _is_counted = False  # whether a line has said that it will be compiled
@@ -62,6 +68,8 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
 
     def is_cold(self) -> bool:
         """Whether it has never been compiled for this machine, as far as files tell."""
+        if self.__name__ == PLACEHOLDER:
+            return False
         if isinstance(self._cache, MemoryCache):
             return not self.overloads
         return not self._cache.has_files()
@@ -86,34 +94,34 @@ class _OrReadOnly:
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> Any:
-        locator = super().from_function(py_func, py_file)  # type: ignore[misc]
+        locator = super().from_function(py_func, py_file)
         if locator is not None:
             return locator
         if issubclass(cls, caching.UserProvidedCacheLocator) and not numba.config.CACHE_DIR:
             return None
-        found: Any = cls(py_func, py_file)  # type: ignore[call-arg]
+        found: Any = cls(py_func, py_file)
         package = _package_of(py_func)
         is_fresh = read_stamp(found.get_cache_path()) == digest_folder(package)
         return found if is_fresh else None
 
 
-class _UserProvided(_OrReadOnly, caching.UserProvidedCacheLocator):  # type: ignore[misc]
+class _UserProvided(_OrReadOnly, caching.UserProvidedCacheLocator):
     pass
 
 
-class _InTree(_OrReadOnly, caching.InTreeCacheLocator):  # type: ignore[misc]
+class _InTree(_OrReadOnly, caching.InTreeCacheLocator):
     pass
 
 
-class _UserWide(_OrReadOnly, caching.UserWideCacheLocator):  # type: ignore[misc]
+class _UserWide(_OrReadOnly, caching.UserWideCacheLocator):
     pass
 
 
-class _KernelCacheImpl(caching.CompileResultCacheImpl):  # type: ignore[misc]
+class _KernelCacheImpl(caching.CompileResultCacheImpl):
     _locator_classes = (_UserProvided, _InTree, _UserWide)
 
 
-class KernelCache(caching.FunctionCache):  # type: ignore[misc]
+class KernelCache(caching.FunctionCache):
     """The compiled code of a kernel on disk, which may fail without harm."""
 
     _impl_class = _KernelCacheImpl
@@ -173,7 +181,7 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
             return None
 
 
-class MemoryCache(caching.NullCache):  # type: ignore[misc]
+class MemoryCache(caching.NullCache):
     """What a kernel has where no folder can be written."""
 
     def __init__(self, kernel: Kernel) -> None:
@@ -214,9 +222,9 @@ def _wrap(enable_caching: Callable[[Any], None]) -> Callable[[Any], None]:
             dispatcher._cache = KernelCache(dispatcher)
         except (RuntimeError, OSError):  # no folder can be written
             dispatcher._cache = MemoryCache(dispatcher)
-        _kernels.append(dispatcher)
+        KERNELS.append(dispatcher)
 
-    enable.is_of_navbake = True  # type: ignore[attr-defined]
+    enable.is_of_navbake = True
     return enable
 
 
@@ -228,7 +236,7 @@ def announce(kernel: Kernel) -> None:
     """
     if kernel._is_counted:
         return
-    new = [k for k in _kernels if k is kernel or (not k._is_counted and k.is_cold())]
+    new = [k for k in KERNELS if k is kernel or (not k._is_counted and k.is_cold())]
     seconds = sum(PARALLEL_SECONDS if isinstance(k, ParallelKernel) else SECONDS for k in new)
     if seconds < 1:
         return
@@ -246,16 +254,12 @@ def announce(kernel: Kernel) -> None:
 
 def can_keep() -> bool:
     """Whether the kernels imported so far are kept on disk."""
-    return not any(isinstance(kernel._cache, MemoryCache) for kernel in _kernels)
+    return not any(isinstance(kernel._cache, MemoryCache) for kernel in KERNELS)
 
 
 def list_cold() -> list[str]:
     """Name the kernels imported so far that have no code on disk."""
-    return [
-        f"{kernel.__module__}.{kernel.__name__}"
-        for kernel in _kernels
-        if kernel.__name__ != "_cached" and kernel.is_cold()
-    ]
+    return [f"{kernel.__module__}.{kernel.__name__}" for kernel in KERNELS if kernel.is_cold()]
 
 
 def tell_once(line: str) -> None:
@@ -268,7 +272,8 @@ def tell_once(line: str) -> None:
 def _package_of(function: Any) -> str:
     """The folder of kernels that a function is in."""
     module = str(function.__module__)
-    return module if function.__code__.co_filename.endswith("__init__.py") else module.rpartition(".")[0]
+    is_folder = function.__code__.co_filename.endswith("__init__.py")
+    return module if is_folder else module.rpartition(".")[0]
 
 
 def _after_fork() -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
@@ -54,20 +54,17 @@ class FolderLock:
         """Take a lock; wait as long as another process has it."""
         if fcntl is None:
             return
-        try:
+        # an error: there are no locks here, or two processes wait for each other
+        with suppress(OSError):
             if self._file is None:
                 self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
             fcntl.lockf(self._file, fcntl.LOCK_EX, 1, _place_of(name))
-        except OSError:  # no locks here; or two processes wait for each other, which one must end
-            pass
 
     def release(self, name: str) -> None:
         """Give a lock back."""
         if fcntl is not None and self._file is not None:
-            try:
+            with suppress(OSError):
                 fcntl.lockf(self._file, fcntl.LOCK_UN, 1, _place_of(name))
-            except OSError:
-                pass
 
 
 def _place_of(name: str) -> int:

@@ -6,6 +6,7 @@ It bakes small scenes and uses the grids: the command line is above the baker an
 from __future__ import annotations
 
 import importlib
+import json
 import pkgutil
 import tempfile
 from collections.abc import Callable, Iterable
@@ -61,6 +62,24 @@ FACES = [
     *((0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)),
     *((2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)),
 ]
+# A grid as other tools write it: with a hole in its floor that no geom is in
+FOREIGN = {
+    "type": "SceneGrid2D",
+    "metadata": {"sceneId": "foreign", "agentHeight": 1.14, "agentRadius": 0.05},
+    "width": 8,
+    "height": 8,
+    "cellSize": 0.1,
+    "min": [0, 0, 0],
+    "tileAttributes": {
+        "occupancy": {"type": "array", "datatype": "uint8", "length": 64, "data": [0] * 64},
+        "floorHeight": {
+            "type": "array",
+            "datatype": "float32",
+            "length": 64,
+            "data": [None, *[0.0] * 63],
+        },
+    },
+}
 
 
 def warm_up() -> None:
@@ -127,6 +146,9 @@ def compile_all(progress: Callable[[str, float], None]) -> None:
             file = folder / f"{number}.grid.json"
             grid.save(file)
             _use_run_time(navbake.load(file))
+        foreign = folder / "foreign.json"
+        foreign.write_text(json.dumps(FOREIGN), encoding="utf-8")
+        navbake.load(foreign).inflate(0.3)
         progress("run time", 1.0)
         progress("voxels", 0.0)
         _use_voxels(navbake.Voxelizer(path), folder)
@@ -184,7 +206,7 @@ def _use_run_time(grid: navbake.SceneGrid2D | navbake.MultiLevelGrid) -> None:
         finder.random_pose(rng, start, 2.0)
         finder.are_navigable(np.stack([start, goal]))
         for offset in np.linspace(0.2, 2.0, 7):
-            finder.snap(start + [offset, 0.0, 0.0], in_sight=True)
+            finder.snap(start + np.array([offset, 0.0, 0.0]), in_sight=True)
         finder.try_step(start, start + np.array([0.3, 0.2, 0.0]))
         finder.line_of_sight(start, goal)
         finder.nearest_obstacle(start)
