@@ -10,14 +10,14 @@ numba leaves to its users are settled here, for navbake's kernels and no others:
 - One thread at a time runs a parallel kernel. numba's threads of OpenMP don't survive a fork, and
   those of its work queue end the process when two threads use them at once. So the work queue is
   chosen, unless NUMBA_THREADING_LAYER says otherwise, with a lock around it.
-- What takes long is told to the logger ``navbake`` before it begins.
+- What takes long is told to the logger ``navbake.compiled`` before it begins.
 
 Source: numba's `Dispatcher.enable_caching` is what ``@njit(cache=True)`` calls on what it made;
 `FunctionCache` loads and saves. Both are as they are from numba 0.61 to 0.68.
 """
 
-# numba's own types, where it has any, know nothing of what is set on its objects here
-# mypy: disable-error-code="attr-defined,arg-type,assignment,call-arg,misc"
+# numba has few types, and they know nothing of what is set on its objects here
+# mypy: disable-error-code="attr-defined,arg-type,assignment,call-arg,misc,no-untyped-call"
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from navbake.digests import digest_folder, read_stamp
 from navbake.errors import NavbakeError
 from navbake.folder_lock import folder_lock
 
-LOGGER = logging.getLogger("navbake")
+LOGGER = logging.getLogger("navbake.compiled")  # bakes log their own warnings to its parent
 REMEDY = "set NUMBA_CACHE_DIR to a folder that can be written"
 SECONDS, PARALLEL_SECONDS = 0.7, 4.0
 """How long a kernel and a parallel one take to compile, on average, on a core of 2024."""

@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         # names of geoms and files may hold what the terminal's encoding lacks
         sys.stdout.reconfigure(errors="backslashreplace")
-    logger, handler = logging.getLogger("navbake"), _LogPrinter()
+    logger, handler = logging.getLogger("navbake.compiled"), _LogPrinter()
     logger.addHandler(handler)
     try:
         try:
@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 class _LogPrinter(logging.Handler):
-    """Prints what navbake logs, one line on stderr each."""
+    """Prints what is told of compiling, one line on stderr each."""
 
     def emit(self, record: logging.LogRecord) -> None:
         print_error(record.getMessage())

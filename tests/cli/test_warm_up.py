@@ -29,7 +29,7 @@ def test_commands_print_what_is_logged(monkeypatch, capsys):
     """A slow start is told on stderr, whether it is a terminal or a pipe."""
     monkeypatch.setattr(
         "navbake.cli.warm_up.load_kernels",
-        lambda: logging.getLogger("navbake").warning("compiling"),
+        lambda: logging.getLogger("navbake.compiled").warning("compiling"),
     )
     monkeypatch.setattr("navbake.cli.warm_up.compile_all", lambda progress: None)
     with pytest.raises(SystemExit):
