@@ -125,6 +125,9 @@ def compile_all(progress: Callable[[str, float], None]) -> None:
     version of navbake or numba, and for another processor. `progress` is called with the name of
     each part, and 0 and 1 as it begins and ends.
     """
+    from navbake.baker.pipeline import run_bake  # loads MuJoCo
+    from navbake.config.settings import as_config
+
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         path, hollow = folder / "warm-up.xml", folder / "hollow.xml"
@@ -132,14 +135,15 @@ def compile_all(progress: Callable[[str, float], None]) -> None:
         hollow.write_text(_draw_hollow(), encoding="utf-8")
         progress("bake", 0.0)
         grids = [
-            navbake.bake({"scene": {"path": path, "geoms": "all"}, **settings})
+            run_bake(as_config({"scene": {"path": path, "geoms": "all"}, **settings})).grid
             for settings in (
                 {"attributes": ["island", "clearance"]},
                 {"agent": {"radius": 0.2}, "rooms": {"from": ["auto"], "door_width": 1.0}},
             )
         ]
         coarse = {"cell_size": 0.3}
-        grids.append(navbake.bake({"scene": {"path": hollow, "geoms": "all"}, "grid": coarse}))
+        config = as_config({"scene": {"path": hollow, "geoms": "all"}, "grid": coarse})
+        grids.append(run_bake(config).grid)
         progress("bake", 1.0)
         progress("run time", 0.0)
         for number, grid in enumerate(grids):
@@ -205,6 +209,7 @@ def _use_run_time(grid: navbake.SceneGrid2D | navbake.MultiLevelGrid) -> None:
         finder.random_point_near(rng, start, 2.0)
         finder.random_pose(rng, start, 2.0)
         finder.are_navigable(np.stack([start, goal]))
+        finder.is_navigable(start[:2], level=0)
         for offset in np.linspace(0.2, 2.0, 7):
             finder.snap(start + np.array([offset, 0.0, 0.0]), in_sight=True)
         finder.try_step(start, start + np.array([0.3, 0.2, 0.0]))
