@@ -126,7 +126,7 @@ def compile_all(progress: Callable[[str, float], None]) -> None:
     each part, and 0 and 1 as it begins and ends.
     """
     from navbake.baker.pipeline import run_bake  # loads MuJoCo
-    from navbake.config.settings import as_config
+    from navbake.config.settings import as_config  # loads pydantic
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
