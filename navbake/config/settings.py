@@ -304,11 +304,12 @@ def settings_digest(config: BakeConfig) -> str:
 
 
 def settings_to_state(config: BakeConfig) -> Json:
-    """The settings that a grid states: those that aren't the defaults and decide its cells.
+    """The settings that a grid states: those of scene, agent, cells and floors that aren't defaults.
 
     The scene's file is stated without its folder, so that grids don't depend on where it is.
+    Doors stand as the grid itself says.
     """
-    sections = {"scene", "agent", "grid", "levels", "floors", "doors"}
+    sections = {"scene", "agent", "grid", "levels", "floors"}
     stated: Json = config.model_dump(
         mode="json", include=sections, by_alias=True, exclude_defaults=True
     )
