@@ -45,7 +45,7 @@ def check_boxes(facts: Facts) -> Iterator[Remark]:
         free = facts.free[number]
         if boxes[number] is None:
             continue
-        out = free & ~by_box[number]
+        out = free & ~by_box[number] & ~_interleaves(facts, number)
         if out.any():
             text = f"{int(out.sum())} free cells lie outside of its box (`bbox`)"
             yield Remark("boxes", ERROR, number, facts.first(number, out), text)
@@ -57,6 +57,17 @@ def check_boxes(facts: Facts) -> Iterator[Remark]:
         if taken.sum() > MOST_TAKEN * free.sum():
             text = f"{int(taken.sum())} free cells lie in the box of a lower level, too"
             yield Remark("boxes", REMARK, number, facts.first(number, taken), text)
+
+
+def _interleaves(facts: Facts, number: int) -> Bool:
+    """The cells of a level that lie between the floors of another, where no boxes are right."""
+    found = np.zeros(facts.levels[number].shape, dtype=np.bool_)
+    for other, floor in enumerate(facts.floors):
+        known = floor[facts.free[other] & ~np.isnan(floor)]
+        if other != number and len(known):
+            own = facts.floors[number]
+            found |= (own >= known.min()) & (own <= known.max())
+    return found
 
 
 def _in_box(facts: Facts, number: int, box: tuple[tuple[float, ...], ...] | None) -> Bool:

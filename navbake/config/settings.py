@@ -304,7 +304,7 @@ def settings_digest(config: BakeConfig) -> str:
 
 
 def settings_to_state(config: BakeConfig) -> Json:
-    """The settings that a grid states: those of scene, agent, cells and floors that aren't defaults.
+    """The settings that a grid states: of scene, agent, cells and floors, where not the defaults.
 
     The scene's file is stated without its folder, so that grids don't depend on where it is.
     Doors stand as the grid itself says.

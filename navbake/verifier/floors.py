@@ -163,6 +163,14 @@ class FloorCheck:
         """A cell of a level, by row and column of the lowest one, also beside it."""
         return self._on(number, 0, *cell)
 
+    def is_within(self, row: int, col: int) -> bool:
+        """Whether a cell, by row and column of the lowest level, is one of any level."""
+        for other, lattice in enumerate(self._lattices):
+            r, c = self._on(0, other, row, col)
+            if 0 <= r < lattice.height and 0 <= c < lattice.width:
+                return True
+        return False
+
     def center(self, number: int, row: int, col: int) -> tuple[float, float]:
         """World x and y of a cell, also beside the level [m]."""
         x_min, y_max, cell_size, *_ = self._lattices[number]

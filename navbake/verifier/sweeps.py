@@ -18,6 +18,7 @@ from navbake.verifier.sample import Agent
 from navbake.verifier.surroundings import Surroundings
 
 MOST_TRIES = 20  # a path, to find two places that are apart
+CORNER = 1e-6  # a line is no longer than this in a cell whose corner it runs through [m]
 LEVEL = 1e-4  # pieces whose floors differ by less are swept as one [m]
 
 
@@ -102,6 +103,8 @@ class _Sweep:
         """A path cut where it goes from cell to cell, pieces of one floor put together."""
         pieces: list[Piece] = []
         for k, (a, b) in enumerate(pairwise(positions)):
+            if np.hypot(*(b - a)[:2]) < CORNER:
+                continue  # a step up or down between the floors on both sides
             lattice = self._grid.levels[int(levels[k])].lattice
             times = _cuts(lattice, a, b)
             points = a[:2] + np.outer(times, b[:2] - a[:2])
@@ -124,7 +127,8 @@ class _Sweep:
                 around = self._around.floors_under(number, rows, cols, floor, reach)
                 low[here], high[here] = around[0][here], around[1][here]
             for n in range(len(middles)):
-                new = Piece(points[n], points[n + 1], floor[n], low[n], high[n], int(level[n]))
+                heights = float(floor[n]), float(low[n]), float(high[n])
+                new = Piece(points[n], points[n + 1], *heights, int(level[n]))
                 if pieces and n and _alike(pieces[-1], new):
                     pieces[-1] = pieces[-1]._replace(b=new.b)
                 else:
@@ -211,4 +215,10 @@ def _cuts(lattice: Lattice, a: Float, b: Float) -> Float:
         if high - low > 1e-12:
             edges = np.arange(np.floor(low) + 1, np.ceil(high)) * lattice.cell_size
             found += ((edges - first) / (last - first)).tolist()
-    return np.unique(np.clip(found, 0.0, 1.0))
+    # a line through a corner of cells is in none of those beside
+    least = CORNER / max(float(np.hypot(*(b - a)[:2])), CORNER)
+    times = [0.0]
+    for time in sorted(found):
+        if times[-1] + least < time < 1.0 - least:
+            times.append(time)
+    return np.array([*times, 1.0])

@@ -267,6 +267,14 @@ def test_names_paths_that_touch(tmp_path):
     assert len(touching) == report.sweeps.touching > 0
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_paths_through_corners_of_cells_and_over_links(house, seed):
+    """A line through a corner is in none of the cells beside, and a step up has no length."""
+    grid, config = house
+    report = navbake.verify(grid, config, sample=1, radius=0.1, paths=20, seed=seed)
+    assert report.ok and report.sweeps.paths == 20
+
+
 def test_names_an_inflation_that_closed_too_much(tmp_path):
     grid, config = of_room(tmp_path)
     wrong = grid.inflate(0.2)
