@@ -116,9 +116,9 @@ class SheetSearch:
             z = self._check.standable_at(0, row, col)[number].z
             for dr, dc in SIDES:
                 r, c = row + dr * self._stride, col + dc * self._stride
-                if not self._check.is_within(r, c):
-                    continue  # nothing is known of what lies beside the grid
-                beside = self._near(r, c, z)
+                # of what lies beside the grid, no floors are known
+                is_beside = not self._check.is_within(r, c)
+                beside = None if is_beside else self._near(r, c, z)
                 is_own = (row, col, number) in own
                 if beside is None:
                     if is_own:
