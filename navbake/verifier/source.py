@@ -102,7 +102,7 @@ def _find_file(grid: GridBase, stated: Json, grid_path: Path | None) -> Path:
             f"{grid.scene_id or 'the grid'} doesn't say which scene it was baked from: give the "
             "scene, or the settings of its bake"
         )
-    folders = [Path(), *([grid_path.parent] if grid_path is not None else [])][::-1]
+    folders = list(dict.fromkeys([grid_path.parent if grid_path else Path(), Path()]))
     for folder in folders:
         if (folder / Path(name).name).is_file():
             return folder / Path(name).name

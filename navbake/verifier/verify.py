@@ -280,10 +280,10 @@ def _add_notes(report: VerifyReport, obstacles: Obstacles, unknown: list[str], g
     surfaces = {item.geom for item in obstacles.items if not item.same_in_mujoco}
     if surfaces:
         names = sorted(obstacles.names[geom] for geom in surfaces)
-        more = f" and {len(names) - 1} more" if names[1:] else ""
+        more = f" and {len(names) - 1} more count" if names[1:] else " counts"
         report.notes.append(
-            f"{names[0]!r}{more} count by their surface, where MuJoCo collides hulls, infinite "
-            "planes or nothing: FCL and MuJoCo's rays judge them alone"
+            f"{names[0]!r}{more} by the surface, where MuJoCo collides hulls, infinite "
+            "planes or nothing: FCL and MuJoCo's rays judge alone"
         )
     if any(item.kind == UNCLEAR for item in obstacles.items):
         report.notes.append("some meshes are nearly closed: what lies inside of them isn't judged")

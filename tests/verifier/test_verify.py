@@ -11,10 +11,11 @@ import navbake
 from box_worlds import body, box, world
 from door_scenes import LEAF, ROOMS
 from door_scenes import world as door_world
-from navbake.errors import QueryError
+from navbake.errors import ConfigError, QueryError
 from navbake.navgrid.grid import MultiLevelGrid
 from navbake.testing import assert_true
 from navbake.verifier import report as kinds
+from navbake.verifier.probes import TOUCHES, Probe
 
 ROOM = "".join(
     (
@@ -153,7 +154,7 @@ def test_meshes_count_as_they_are_baked(tmp_path):
     path = write(tmp_path, text, "room.obj")
     grid = navbake.bake({"scene": {"path": str(path)}})
     report = assert_true(grid, path)
-    assert any("by their surface" in note for note in report.notes)
+    assert any("by the surface" in note for note in report.notes)
     # inside of the closed part, the floor is blocked, though no surface is near
     row, col = (int(v) for v in grid.lattice.rows_cols([0.65, -0.9]))
     assert grid.occupancy[row, col]
@@ -397,3 +398,20 @@ def test_a_bake_verifies_its_grid(tmp_path):
     assert "verified" not in without.navbake
     assert without.navbake["settingsDigest"] == grid.navbake["settingsDigest"]
     np.testing.assert_array_equal(without.weights, grid.weights)
+
+
+@pytest.mark.parametrize("sample", [0, 1.5, "all"])
+def test_the_setting_has_a_range(tmp_path, sample):
+    with pytest.raises(ConfigError, match=r"a whole number >= 1, or null, got .* `verify\.sample`"):
+        of_room(tmp_path, verify={"sample": sample})
+
+
+def test_a_bake_warns_where_it_disagrees(tmp_path, monkeypatch):
+    """MuJoCo and FCL are made to find everything touching."""
+    monkeypatch.setattr(Probe, "touches", lambda *_: TOUCHES)
+    with pytest.warns(
+        navbake.BakeWarning, match=r"verify: MuJoCo and FCL disagree .* at \d+ places"
+    ):
+        grid, _ = of_room(tmp_path, verify={"sample": 300})
+    assert grid.navbake["verified"]["disagreements"] > 0
+    assert any("navbake verify lists them" in warning for warning in grid.warnings)
