@@ -21,6 +21,10 @@ TUPLE = re.compile(r"^class \w+\(NamedTuple\):\n(?:(?:    .*)?\n)*", re.MULTILIN
 FIELD = re.compile(r"^    (\w+): ", re.MULTILINE)
 STAMP = "navbake-kernels.json"
 
+# Options of a kernel that allocates no array: numba leaves its reference counts out (an option
+# that numba has but does not document). Its caller keeps the arrays alive.
+UNCOUNTED = {"_nrt": False}
+
 
 def drop_stale_caches(cached: Callable[..., Any]) -> None:
     """Drop what was compiled from sources of a folder that have changed since.

@@ -24,15 +24,17 @@ from navbake.baker.kernels.flags import (
     solid_flags,
     triangle_flags,
 )
-from navbake.baker.kernels.gjk import make_simplex
+from navbake.baker.kernels.gjk import Simplex, make_simplex
 from navbake.baker.kernels.overlap import (
     ANY_GEOM,
+    Polygons,
     line_is_blocked,
     make_polygons,
     outside,
     plane_meets_prism,
 )
 from navbake.baker.kernels.tiles import TILE, cells_near, center_of, count_tiles, tile_window
+from navbake.compiled import UNCOUNTED
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Int
 
@@ -40,7 +42,7 @@ from navbake.types import Bool, Int
 class TileCells(NamedTuple):
     """What is known of a tile's cells before its geoms are looked at, and while they are.
 
-    Each is of shape (TILE, TILE), by row and column in the tile.
+    Arrays are of shape (TILE, TILE), by row and column in the tile.
 
     Attributes:
         count: how many geoms a cell's list has, int64; -1 where nothing is asked.
@@ -48,6 +50,7 @@ class TileCells(NamedTuple):
         known: flags of all its candidates, int64.
         flags: those of the geom whose triangles are looked at, int64.
         wanted: the flags that are asked about it, int64; 0 where it is no candidate.
+        simplex, polygons: room for the geoms' tests.
     """
 
     count: Int
@@ -55,6 +58,8 @@ class TileCells(NamedTuple):
     known: Int
     flags: Int
     wanted: Int
+    simplex: Simplex
+    polygons: Polygons
 
 
 class TileQuestion(NamedTuple):
@@ -67,7 +72,7 @@ class TileQuestion(NamedTuple):
     probe: Probe
 
 
-@njit(inline="always")
+@njit(cache=True)
 def _make_tile_cells():
     square = (TILE, TILE)
     return TileCells(
@@ -76,6 +81,8 @@ def _make_tile_cells():
         np.empty(square, np.int64),
         np.empty(square, np.int64),
         np.empty(square, np.int64),
+        make_simplex(),
+        make_polygons(),
     )
 
 
@@ -104,7 +111,7 @@ def _count_boxes(lattice, window, boxes, i, reach, cells):
                 cells.slot[row * lattice.width + col + 1] += 1
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _count_tile(tile, lattice, solids, planes, tiles, groups, footprint, cells):
     window, reach = tile_window(lattice, tile), _reach(lattice, footprint)
     if planes.geom.shape[0] > 0:
@@ -203,7 +210,7 @@ def _ask_line(asked, cell, geom, volumes, is_taken, by_line, known):
 
 
 @njit(inline="always")
-def _list_solid(asked, solids, s, cells, here, simplex):
+def _list_solid(asked, solids, s, cells, here):
     """Add a solid to the lists of the cells that it stands in or blocks."""
     lattice, window = asked.lattice, asked.window
     geom, reach = solids.geom[s], _reach(lattice, asked.footprint)
@@ -222,7 +229,7 @@ def _list_solid(asked, solids, s, cells, here, simplex):
                 here.known[r, c]
             )  # fmt: skip
             if flags & wanted != wanted:
-                flags = solid_flags(solids, s, volumes, flags, wanted, simplex)
+                flags = solid_flags(solids, s, volumes, flags, wanted, here.simplex)
             here.count[r, c] = _add(cells, cell, here.count[r, c], geom, flags)
 
 
@@ -257,14 +264,15 @@ def _begin_group(asked, window, groups, g, geom, cells, here):
 
 
 @njit(inline="always")
-def _list_group(asked, facets, tiles, groups, g, cells, here, polygons):
+def _list_group(asked, facets, tiles, groups, g, cells, here):
     """Add a geom to the lists of the cells that its triangles over a tile stand in or block."""
     lattice = asked.lattice
-    items = tiles.triangle_item[groups.first[g] : groups.first[g + 1]]
-    geom, reach = facets.geom[items[0]], _reach(lattice, asked.footprint)
+    geom = facets.geom[tiles.triangle_item[groups.first[g]]]
+    reach = _reach(lattice, asked.footprint)
     window = cells_near(lattice, asked.window, groups.box, g, reach)
     num_open, low, high = _begin_group(asked, window, groups, g, geom, cells, here)
-    for t in items:
+    for i in range(groups.first[g], groups.first[g + 1]):
+        t = tiles.triangle_item[i]
         if num_open == 0:
             break
         if facets.bounds[t, 2] >= high or facets.bounds[t, 5] <= low:
@@ -277,7 +285,7 @@ def _list_group(asked, facets, tiles, groups, g, cells, here, polygons):
                 if flags & wanted == wanted:
                     continue
                 volumes = _volumes(asked, _column(lattice, row, col, cells, reach))
-                flags = triangle_flags(facets, t, volumes, flags, wanted, polygons)
+                flags = triangle_flags(facets, t, volumes, flags, wanted, here.polygons)
                 here.flags[r, c] = flags
                 num_open -= 1 if flags & wanted == wanted else 0
     for row in range(window[0], window[1]):
@@ -288,18 +296,17 @@ def _list_group(asked, facets, tiles, groups, g, cells, here, polygons):
                 here.count[r, c] = _add(cells, cell, here.count[r, c], geom, here.flags[r, c])
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _list_tile(
-    tile, lattice, crossings, shapes, tiles, groups, footprint, probe, cells
+    tile, lattice, crossings, shapes, tiles, groups, footprint, probe, cells, here
 ):  # fmt: skip
     solids, facets, planes = shapes
     asked = TileQuestion(lattice, tile_window(lattice, tile), crossings, footprint, probe)
-    here, simplex, polygons = _make_tile_cells(), make_simplex(), make_polygons()
     _begin(asked, planes, cells, here)
     for g in range(groups.start[tile], groups.start[tile + 1]):
-        _list_group(asked, facets, tiles, groups, g, cells, here, polygons)
+        _list_group(asked, facets, tiles, groups, g, cells, here)
     for i in range(tiles.solid_start[tile], tiles.solid_start[tile + 1]):
-        _list_solid(asked, solids, tiles.solid_item[i], cells, here, simplex)
+        _list_solid(asked, solids, tiles.solid_item[i], cells, here)
 
 
 @njit(cache=True, parallel=True)
@@ -312,10 +319,11 @@ def list_geoms(lattice, crossings, solids, facets, planes, tiles, groups, footpr
     band. Where rounding leaves no proof that it blocks, it is UNPROVED.
     """
     for tile in prange(count_tiles(lattice)):
-        shapes = (solids, facets, planes)
+        here = _make_tile_cells()
         _list_tile(
-            np.int64(tile), lattice, crossings, shapes, tiles, groups, footprint, probe, cells
-        )
+            np.int64(tile), lattice, crossings, (solids, facets, planes), tiles, groups, footprint,
+            probe, cells, here
+        )  # fmt: skip
 
 
 @njit(cache=True)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
+from navbake.compiled import UNCOUNTED
 from navbake.types import Float, Int
 
 
@@ -26,7 +27,7 @@ class Groups(NamedTuple):
     box: Float
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _count_groups(tile, facets, tiles, start):
     first, last = tiles.triangle_start[tile], tiles.triangle_start[tile + 1]
     geom = -1
@@ -37,23 +38,22 @@ def _count_groups(tile, facets, tiles, start):
             start[tile + 1] += 1
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _fill_groups(tile, facets, tiles, groups):
     first, last = tiles.triangle_start[tile], tiles.triangle_start[tile + 1]
     geom, g = -1, groups.start[tile] - 1
     for i in range(first, last):
         t = tiles.triangle_item[i]
-        bounds = facets.bounds[t]
         if facets.geom[t] != geom:
             geom = facets.geom[t]
             g += 1
             groups.first[g] = i
             for k in range(6):
-                groups.box[g, k] = bounds[k]
+                groups.box[g, k] = facets.bounds[t, k]
             continue
         for k in range(3):
-            groups.box[g, k] = min(groups.box[g, k], bounds[k])
-            groups.box[g, 3 + k] = max(groups.box[g, 3 + k], bounds[3 + k])
+            groups.box[g, k] = min(groups.box[g, k], facets.bounds[t, k])
+            groups.box[g, 3 + k] = max(groups.box[g, 3 + k], facets.bounds[t, 3 + k])
 
 
 @njit(cache=True, parallel=True)

@@ -8,15 +8,17 @@ doesn't depend on the order, so that any number of threads gives the same answer
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
 
 from navbake.baker.kernels.arrays import Band, Prism
 from navbake.baker.kernels.constants import APART, MEETS, TOUCH
-from navbake.baker.kernels.gjk import make_simplex
+from navbake.baker.kernels.gjk import Simplex, make_simplex
 from navbake.baker.kernels.overlap import (
     ANY_GEOM,
+    Polygons,
     facet_meets_prism,
     line_is_blocked,
     make_polygons,
@@ -26,6 +28,28 @@ from navbake.baker.kernels.overlap import (
 )
 from navbake.baker.kernels.solids import solid_meets
 from navbake.baker.kernels.tiles import TILE, cells_near, center_of, tile_window
+from navbake.compiled import UNCOUNTED
+from navbake.types import Int
+
+
+class Search(NamedTuple):
+    """What is known of a tile's queries while its geoms are asked, and room for the geoms' tests.
+
+    Attributes:
+        run: the queries of each of its rows of cells, first and past the last, (TILE, 2) int64.
+        num_open: how many queries of each cell are open, (TILE, TILE) int64.
+    """
+
+    run: Int
+    num_open: Int
+    simplex: Simplex
+    polygons: Polygons
+
+
+@njit(cache=True)
+def _make_search():
+    run, num_open = np.empty((TILE, 2), np.int64), np.zeros((TILE, TILE), np.int64)
+    return Search(run, num_open, make_simplex(), make_polygons())
 
 
 @njit(inline="always")
@@ -37,63 +61,74 @@ def _volume(lattice, row, col, floor, footprint):
 
 
 @njit(inline="always")
-def _check_lines(lattice, crossings, planes, footprint, queries, window, run):
+def _check_lines(lattice, crossings, planes, footprint, queries, window, search):
     """Ask the lines of a tile's cells, and planes.
 
     Returns how many queries are open, and the heights between which they are.
     """
-    num_open, low, high = 0, math.inf, -math.inf
+    total, low, high = 0, math.inf, -math.inf
     for row in range(window[0], window[1]):
-        for n in range(run[row - window[0], 0], run[row - window[0], 1]):
+        r = row - window[0]
+        search.num_open[r, :] = 0
+        for n in range(search.run[r, 0], search.run[r, 1]):
             cell = queries.cell[n]
-            prism = _volume(lattice, row, cell - row * lattice.width, queries.floor[n], footprint)
-            queries.by_line[n] = line_is_blocked(crossings, cell, prism, ANY_GEOM)
-            queries.state[n] = MEETS if queries.by_line[n] else APART
+            col = cell - row * lattice.width
+            prism = _volume(lattice, row, col, queries.floor[n], footprint)
+            by_line = line_is_blocked(crossings, cell, prism, ANY_GEOM)
+            meets = by_line
             for p in range(planes.geom.shape[0]):
-                if queries.state[n] == APART and plane_meets_prism(planes, p, prism):
-                    queries.state[n] = MEETS
-            if queries.state[n] == APART:
-                num_open += 1
+                meets = meets or plane_meets_prism(planes, p, prism)
+            queries.by_line[n], queries.state[n] = by_line, MEETS if meets else APART
+            if not meets:
+                total += 1
+                search.num_open[r, col - window[2]] += 1
                 low, high = min(low, prism.low), max(high, prism.high)
-    return num_open, low, high
+    return total, low, high
 
 
 @njit(inline="always")
-def _check_solid(lattice, solids, s, footprint, queries, window, run, simplex):
-    """Ask a solid about the open cells near it; how many it closes."""
+def _check_solid(lattice, solids, s, footprint, queries, window, search):
+    """Ask a solid about the open queries near it; how many it closes."""
     closed = 0
     reach = max(footprint.square, footprint.radius)
     row0, row1, col0, col1 = cells_near(lattice, window, solids.bounds, s, reach)
     for row in range(row0, row1):
-        for n in range(run[row - window[0], 0], run[row - window[0], 1]):
+        r = row - window[0]
+        for n in range(search.run[r, 0], search.run[r, 1]):
             col = queries.cell[n] - row * lattice.width
             if queries.state[n] == MEETS or col < col0 or col >= col1:
                 continue
             prism = _volume(lattice, row, col, queries.floor[n], footprint)
             if outside(solids.bounds, s, prism):
                 continue
-            answer = solid_meets(solids, s, prism, simplex)
+            answer = solid_meets(solids, s, prism, search.simplex)
             if answer != APART:
                 queries.state[n] = answer
-                closed += 1 if answer == MEETS else 0
+            if answer == MEETS:
+                search.num_open[r, col - window[2]] -= 1
+                closed += 1
     return closed
 
 
 @njit(inline="always")
-def _check_triangle(lattice, facets, t, footprint, queries, window, run, polygons):
-    """Ask a triangle about the open cells near it; how many it closes."""
+def _check_triangle(lattice, facets, t, footprint, queries, window, search):
+    """Ask a triangle about the open queries near it; how many it closes."""
     closed = 0
     reach = max(footprint.square, footprint.radius) + 2.0 * TOUCH  # see `with_edges`
     row0, row1, col0, col1 = cells_near(lattice, window, facets.bounds, t, reach)
     for row in range(row0, row1):
-        for n in range(run[row - window[0], 0], run[row - window[0], 1]):
-            col = queries.cell[n] - row * lattice.width
-            if queries.state[n] == MEETS or col < col0 or col >= col1:
+        r = row - window[0]
+        for col in range(col0, col1):
+            if search.num_open[r, col - window[2]] == 0:
                 continue
-            prism = _volume(lattice, row, col, queries.floor[n], footprint)
-            if facet_meets_prism(facets, t, prism, with_edges(prism), polygons):
-                queries.state[n] = MEETS
-                closed += 1
+            for n in range(search.run[r, 0], search.run[r, 1]):
+                if queries.cell[n] != row * lattice.width + col or queries.state[n] == MEETS:
+                    continue
+                prism = _volume(lattice, row, col, queries.floor[n], footprint)
+                if facet_meets_prism(facets, t, prism, with_edges(prism), search.polygons):
+                    queries.state[n] = MEETS
+                    search.num_open[r, col - window[2]] -= 1
+                    closed += 1
     return closed
 
 
@@ -110,43 +145,46 @@ def _first_from(cells, cell):
     return first
 
 
-@njit(cache=True)
-def _check_band(band, lattice, crossings, solids, facets, planes, tiles, footprint, queries):
+@njit(inline="always")
+def _check_tile(
+    tile, lattice, solids, facets, tiles, footprint, queries, window, search, still_open
+):  # fmt: skip
+    """Ask the geoms over a tile about the queries that `_check_lines` left open."""
+    total, low, high = still_open
+    for i in range(tiles.solid_start[tile], tiles.solid_start[tile + 1]):
+        s = tiles.solid_item[i]
+        if total > 0 and solids.bounds[s, 2] < high and solids.bounds[s, 5] > low:
+            total -= _check_solid(lattice, solids, s, footprint, queries, window, search)
+    for i in range(tiles.triangle_start[tile], tiles.triangle_start[tile + 1]):
+        t = tiles.triangle_item[i]
+        if total == 0:
+            break
+        if facets.bounds[t, 2] < high and facets.bounds[t, 5] > low:
+            total -= _check_triangle(lattice, facets, t, footprint, queries, window, search)
+
+
+@njit(cache=True, **UNCOUNTED)
+def _check_band(
+    band, lattice, crossings, solids, facets, planes, tiles, footprint, queries, search
+):  # fmt: skip
     """Answer the queries in a row of tiles."""
-    tiles_x = (lattice.width + TILE - 1) // TILE
-    simplex, polygons = make_simplex(), make_polygons()
-    # the queries of each row of cells of a tile; they are sorted by cell, so that they follow
-    # on those of the tile before
-    run = np.empty((TILE, 2), np.int64)
+    tiles_x, run = (lattice.width + TILE - 1) // TILE, search.run
     for r in range(TILE):
         run[r, 1] = _first_from(queries.cell, (band * TILE + r) * lattice.width)
     for tile in range(band * tiles_x, (band + 1) * tiles_x):
         window = tile_window(lattice, tile)
         for row in range(window[0], window[1]):
+            # queries are sorted by cell, so a tile's follow on those of the tile before
             n = run[row - window[0], 1]
             run[row - window[0], 0] = n
             while n < queries.cell.shape[0] and queries.cell[n] < row * lattice.width + window[3]:
                 n += 1
             run[row - window[0], 1] = n
-        num_open, low, high = _check_lines(
-            lattice, crossings, planes, footprint, queries, window, run
-        )
-        if num_open == 0:
-            continue
-        for i in range(tiles.solid_start[tile], tiles.solid_start[tile + 1]):
-            s = tiles.solid_item[i]
-            if solids.bounds[s, 2] < high and solids.bounds[s, 5] > low:
-                num_open -= _check_solid(
-                    lattice, solids, s, footprint, queries, window, run, simplex
-                )
-        for i in range(tiles.triangle_start[tile], tiles.triangle_start[tile + 1]):
-            t = tiles.triangle_item[i]
-            if num_open == 0:
-                break
-            if facets.bounds[t, 2] < high and facets.bounds[t, 5] > low:
-                num_open -= _check_triangle(
-                    lattice, facets, t, footprint, queries, window, run, polygons
-                )
+        still_open = _check_lines(lattice, crossings, planes, footprint, queries, window, search)
+        if still_open[0] > 0:
+            _check_tile(
+                tile, lattice, solids, facets, tiles, footprint, queries, window, search, still_open
+            )
 
 
 @njit(cache=True, parallel=True)
@@ -160,9 +198,11 @@ def check_cells(lattice, crossings, solids, facets, planes, tiles, footprint, qu
     first = queries.cell[0] // rows if num > 0 else 0
     last = queries.cell[num - 1] // rows + 1 if num > 0 else 0
     for band in prange(first, last):
+        search = _make_search()
         _check_band(
-            np.int64(band), lattice, crossings, solids, facets, planes, tiles, footprint, queries
-        )
+            np.int64(band), lattice, crossings, solids, facets, planes, tiles, footprint, queries,
+            search
+        )  # fmt: skip
 
 
 @njit(cache=True, parallel=True)

@@ -54,12 +54,12 @@ def cells_near(lattice, window, boxes, i, reach):
     Rounding may add a cell, and never loses one. Takes and returns what `tile_window` does.
     """
     row0, row1, col0, col1 = window
-    size = lattice.cell_size
+    per_cell = 1.0 / lattice.cell_size
     # centre number c is at c + 0.5 cells
-    left = (boxes[i, 0] - reach - lattice.x_min) / size - 0.5 - BLUR
-    right = (boxes[i, 3] + reach - lattice.x_min) / size - 0.5 + BLUR
-    top = (lattice.y_max - boxes[i, 4] - reach) / size - 0.5 - BLUR
-    bottom = (lattice.y_max - boxes[i, 1] + reach) / size - 0.5 + BLUR
+    left = (boxes[i, 0] - reach - lattice.x_min) * per_cell - (0.5 + BLUR)
+    right = (boxes[i, 3] + reach - lattice.x_min) * per_cell - (0.5 - BLUR)
+    top = (lattice.y_max - boxes[i, 4] - reach) * per_cell - (0.5 + BLUR)
+    bottom = (lattice.y_max - boxes[i, 1] + reach) * per_cell - (0.5 - BLUR)
     # clipped before they are whole numbers, which a far box would exceed
     col0 = math.ceil(min(max(left, col0), col1))
     row0 = math.ceil(min(max(top, row0), row1))
