@@ -37,7 +37,8 @@ class Search(NamedTuple):
 
     Attributes:
         run: the queries of each of its rows of cells, first and past the last, (TILE, 2) int64.
-        num_open: how many queries of each cell are open, (TILE, TILE) int64.
+        num_open: the first query of each cell that lines left open, (TILE, TILE) int64, -1
+            for none.
     """
 
     run: Int
@@ -48,7 +49,7 @@ class Search(NamedTuple):
 
 @njit(cache=True)
 def _make_search():
-    run, num_open = np.empty((TILE, 2), np.int64), np.zeros((TILE, TILE), np.int64)
+    run, num_open = np.empty((TILE, 2), np.int64), np.empty((TILE, TILE), np.int64)
     return Search(run, num_open, make_simplex(), make_polygons())
 
 
@@ -69,7 +70,7 @@ def _check_lines(lattice, crossings, planes, footprint, queries, window, search)
     total, low, high = 0, math.inf, -math.inf
     for row in range(window[0], window[1]):
         r = row - window[0]
-        search.num_open[r, :] = 0
+        search.num_open[r, :] = -1
         for n in range(search.run[r, 0], search.run[r, 1]):
             cell = queries.cell[n]
             col = cell - row * lattice.width
@@ -81,9 +82,16 @@ def _check_lines(lattice, crossings, planes, footprint, queries, window, search)
             queries.by_line[n], queries.state[n] = by_line, MEETS if meets else APART
             if not meets:
                 total += 1
-                search.num_open[r, col - window[2]] += 1
+                if search.num_open[r, col - window[2]] < 0:
+                    search.num_open[r, col - window[2]] = n
                 low, high = min(low, prism.low), max(high, prism.high)
     return total, low, high
+
+
+@njit(inline="always")
+def _is_of(queries, n, cell):
+    """Whether query n, -1 for none, is about a cell."""
+    return 0 <= n < queries.cell.shape[0] and queries.cell[n] == cell
 
 
 @njit(inline="always")
@@ -93,20 +101,16 @@ def _check_solid(lattice, solids, s, footprint, queries, window, search):
     reach = max(footprint.square, footprint.radius)
     row0, row1, col0, col1 = cells_near(lattice, window, solids.bounds, s, reach)
     for row in range(row0, row1):
-        r = row - window[0]
-        for n in range(search.run[r, 0], search.run[r, 1]):
-            col = queries.cell[n] - row * lattice.width
-            if queries.state[n] == MEETS or col < col0 or col >= col1:
-                continue
-            prism = _volume(lattice, row, col, queries.floor[n], footprint)
-            if outside(solids.bounds, s, prism):
-                continue
-            answer = solid_meets(solids, s, prism, search.simplex)
-            if answer != APART:
-                queries.state[n] = answer
-            if answer == MEETS:
-                search.num_open[r, col - window[2]] -= 1
-                closed += 1
+        for col in range(col0, col1):
+            n = search.num_open[row - window[0], col - window[2]]
+            while _is_of(queries, n, row * lattice.width + col):
+                prism = _volume(lattice, row, col, queries.floor[n], footprint)
+                if queries.state[n] != MEETS and not outside(solids.bounds, s, prism):
+                    answer = solid_meets(solids, s, prism, search.simplex)
+                    if answer != APART:
+                        queries.state[n] = answer
+                    closed += 1 if answer == MEETS else 0
+                n += 1
     return closed
 
 
@@ -117,18 +121,16 @@ def _check_triangle(lattice, facets, t, footprint, queries, window, search):
     reach = max(footprint.square, footprint.radius) + 2.0 * TOUCH  # see `with_edges`
     row0, row1, col0, col1 = cells_near(lattice, window, facets.bounds, t, reach)
     for row in range(row0, row1):
-        r = row - window[0]
         for col in range(col0, col1):
-            if search.num_open[r, col - window[2]] == 0:
-                continue
-            for n in range(search.run[r, 0], search.run[r, 1]):
-                if queries.cell[n] != row * lattice.width + col or queries.state[n] == MEETS:
-                    continue
+            n = search.num_open[row - window[0], col - window[2]]
+            while _is_of(queries, n, row * lattice.width + col):
                 prism = _volume(lattice, row, col, queries.floor[n], footprint)
-                if facet_meets_prism(facets, t, prism, with_edges(prism), search.polygons):
+                if queries.state[n] != MEETS and facet_meets_prism(
+                    facets, t, prism, with_edges(prism), search.polygons
+                ):
                     queries.state[n] = MEETS
-                    search.num_open[r, col - window[2]] -= 1
                     closed += 1
+                n += 1
     return closed
 
 
