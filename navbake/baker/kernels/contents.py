@@ -35,7 +35,6 @@ from navbake.baker.kernels.overlap import (
 )
 from navbake.baker.kernels.tiles import TILE, cells_near, center_of, count_tiles, tile_window
 from navbake.compiled import UNCOUNTED
-from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Int
 
 
@@ -65,7 +64,7 @@ class TileCells(NamedTuple):
 class TileQuestion(NamedTuple):
     """What is asked about a tile's cells; `window` is of `tile_window`."""
 
-    lattice: Lattice
+    lattice: Any
     window: tuple[int, int, int, int]
     crossings: Crossings
     footprint: Any
@@ -167,7 +166,7 @@ def _add(cells, cell, count, geom, flags):
     return count + 1
 
 
-@njit(inline="always")
+@njit(cache=True, **UNCOUNTED)
 def _begin(asked, planes, cells, here):
     """Note what is known of a tile's cells, and list the planes in them."""
     lattice, window, crossings, footprint, _ = asked
@@ -209,7 +208,7 @@ def _ask_line(asked, cell, geom, volumes, is_taken, by_line, known):
     return wanted, flags
 
 
-@njit(inline="always")
+@njit(cache=True, **UNCOUNTED)
 def _list_solid(asked, solids, s, cells, here):
     """Add a solid to the lists of the cells that it stands in or blocks."""
     lattice, window = asked.lattice, asked.window
@@ -263,7 +262,7 @@ def _begin_group(asked, window, groups, g, geom, cells, here):
     return num_open, low, high
 
 
-@njit(inline="always")
+@njit(cache=True, **UNCOUNTED)
 def _list_group(asked, facets, tiles, groups, g, cells, here):
     """Add a geom to the lists of the cells that its triangles over a tile stand in or block."""
     lattice = asked.lattice

@@ -28,17 +28,6 @@ class Groups(NamedTuple):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _count_groups(tile, facets, tiles, start):
-    first, last = tiles.triangle_start[tile], tiles.triangle_start[tile + 1]
-    geom = -1
-    for i in range(first, last):
-        other = facets.geom[tiles.triangle_item[i]]
-        if other != geom:
-            geom = other
-            start[tile + 1] += 1
-
-
-@njit(cache=True, **UNCOUNTED)
 def _fill_groups(tile, facets, tiles, groups):
     first, last = tiles.triangle_start[tile], tiles.triangle_start[tile + 1]
     geom, g = -1, groups.start[tile] - 1
@@ -61,10 +50,12 @@ def group_triangles(facets, tiles):
     """Group the triangles over each tile by geom."""
     num_tiles = tiles.triangle_start.shape[0] - 1
     start = np.zeros(num_tiles + 1, np.int64)
-    for tile in prange(num_tiles):
-        _count_groups(np.int64(tile), facets, tiles, start)
     for tile in range(num_tiles):
-        start[tile + 1] += start[tile]
+        start[tile + 1], geom = start[tile], -1
+        for i in range(tiles.triangle_start[tile], tiles.triangle_start[tile + 1]):
+            if facets.geom[tiles.triangle_item[i]] != geom:
+                geom = facets.geom[tiles.triangle_item[i]]
+                start[tile + 1] += 1
     first = np.full(start[-1] + 1, tiles.triangle_item.shape[0])
     groups = Groups(start, first, np.empty((start[-1], 6)))
     for tile in prange(num_tiles):

@@ -37,20 +37,20 @@ class Search(NamedTuple):
 
     Attributes:
         run: the queries of each of its rows of cells, first and past the last, (TILE, 2) int64.
-        num_open: the first query of each cell that lines left open, (TILE, TILE) int64, -1
+        first: the first query of each cell that lines left open, (TILE, TILE) int64, -1
             for none.
     """
 
     run: Int
-    num_open: Int
+    first: Int
     simplex: Simplex
     polygons: Polygons
 
 
 @njit(cache=True)
 def _make_search():
-    run, num_open = np.empty((TILE, 2), np.int64), np.empty((TILE, TILE), np.int64)
-    return Search(run, num_open, make_simplex(), make_polygons())
+    run, first = np.empty((TILE, 2), np.int64), np.empty((TILE, TILE), np.int64)
+    return Search(run, first, make_simplex(), make_polygons())
 
 
 @njit(inline="always")
@@ -61,7 +61,7 @@ def _volume(lattice, row, col, floor, footprint):
     return Prism(x, y, low, high, footprint.square, footprint.radius)
 
 
-@njit(inline="always")
+@njit(cache=True, **UNCOUNTED)
 def _check_lines(lattice, crossings, planes, footprint, queries, window, search):
     """Ask the lines of a tile's cells, and planes.
 
@@ -70,7 +70,8 @@ def _check_lines(lattice, crossings, planes, footprint, queries, window, search)
     total, low, high = 0, math.inf, -math.inf
     for row in range(window[0], window[1]):
         r = row - window[0]
-        search.num_open[r, :] = -1
+        for c in range(TILE):
+            search.first[r, c] = -1
         for n in range(search.run[r, 0], search.run[r, 1]):
             cell = queries.cell[n]
             col = cell - row * lattice.width
@@ -82,8 +83,8 @@ def _check_lines(lattice, crossings, planes, footprint, queries, window, search)
             queries.by_line[n], queries.state[n] = by_line, MEETS if meets else APART
             if not meets:
                 total += 1
-                if search.num_open[r, col - window[2]] < 0:
-                    search.num_open[r, col - window[2]] = n
+                if search.first[r, col - window[2]] < 0:
+                    search.first[r, col - window[2]] = n
                 low, high = min(low, prism.low), max(high, prism.high)
     return total, low, high
 
@@ -102,7 +103,7 @@ def _check_solid(lattice, solids, s, footprint, queries, window, search):
     row0, row1, col0, col1 = cells_near(lattice, window, solids.bounds, s, reach)
     for row in range(row0, row1):
         for col in range(col0, col1):
-            n = search.num_open[row - window[0], col - window[2]]
+            n = search.first[row - window[0], col - window[2]]
             while _is_of(queries, n, row * lattice.width + col):
                 prism = _volume(lattice, row, col, queries.floor[n], footprint)
                 if queries.state[n] != MEETS and not outside(solids.bounds, s, prism):
@@ -122,7 +123,7 @@ def _check_triangle(lattice, facets, t, footprint, queries, window, search):
     row0, row1, col0, col1 = cells_near(lattice, window, facets.bounds, t, reach)
     for row in range(row0, row1):
         for col in range(col0, col1):
-            n = search.num_open[row - window[0], col - window[2]]
+            n = search.first[row - window[0], col - window[2]]
             while _is_of(queries, n, row * lattice.width + col):
                 prism = _volume(lattice, row, col, queries.floor[n], footprint)
                 if queries.state[n] != MEETS and facet_meets_prism(
@@ -147,16 +148,23 @@ def _first_from(cells, cell):
     return first
 
 
-@njit(inline="always")
-def _check_tile(
-    tile, lattice, solids, facets, tiles, footprint, queries, window, search, still_open
-):  # fmt: skip
-    """Ask the geoms over a tile about the queries that `_check_lines` left open."""
+@njit(cache=True, **UNCOUNTED)
+def _check_solids(tile, solids, asked, still_open):
+    """Ask the solids over a tile about its open queries; how many stay open."""
+    lattice, tiles, footprint, queries, window, search = asked
     total, low, high = still_open
     for i in range(tiles.solid_start[tile], tiles.solid_start[tile + 1]):
         s = tiles.solid_item[i]
         if total > 0 and solids.bounds[s, 2] < high and solids.bounds[s, 5] > low:
             total -= _check_solid(lattice, solids, s, footprint, queries, window, search)
+    return total
+
+
+@njit(cache=True, **UNCOUNTED)
+def _check_triangles(tile, facets, asked, still_open):
+    """Ask the triangles over a tile about its open queries."""
+    lattice, tiles, footprint, queries, window, search = asked
+    total, low, high = still_open
     for i in range(tiles.triangle_start[tile], tiles.triangle_start[tile + 1]):
         t = tiles.triangle_item[i]
         if total == 0:
@@ -182,11 +190,13 @@ def _check_band(
             while n < queries.cell.shape[0] and queries.cell[n] < row * lattice.width + window[3]:
                 n += 1
             run[row - window[0], 1] = n
-        still_open = _check_lines(lattice, crossings, planes, footprint, queries, window, search)
-        if still_open[0] > 0:
-            _check_tile(
-                tile, lattice, solids, facets, tiles, footprint, queries, window, search, still_open
-            )
+        total, low, high = _check_lines(
+            lattice, crossings, planes, footprint, queries, window, search
+        )
+        if total > 0:
+            asked = lattice, tiles, footprint, queries, window, search
+            total = _check_solids(tile, solids, asked, (total, low, high))
+            _check_triangles(tile, facets, asked, (total, low, high))
 
 
 @njit(cache=True, parallel=True)
