@@ -22,7 +22,7 @@ install()
 
 # Options of a kernel that allocates no array: numba leaves its reference counts out (an option
 # that numba has but does not document). Its caller keeps the arrays alive.
-UNCOUNTED = {"_nrt": False}
+UNCOUNTED: Any = {"_nrt": False}
 
 
 def drop_stale_caches(cached: Callable[..., Any]) -> None:

@@ -44,7 +44,7 @@ class TileCells(NamedTuple):
     Arrays are of shape (TILE, TILE), by row and column in the tile.
 
     Attributes:
-        count: how many geoms a cell's list has, int64; -1 where nothing is asked.
+        length: how many geoms a cell's list has, int64; -1 where nothing is asked.
         by_line: whether the cell is occupied, and its line alone proves it, bool.
         known: flags of all its candidates, int64.
         flags: those of the geom whose triangles are looked at, int64.
@@ -52,7 +52,7 @@ class TileCells(NamedTuple):
         simplex, polygons: room for the geoms' tests.
     """
 
-    count: Int
+    length: Int
     by_line: Bool
     known: Int
     flags: Int
@@ -175,7 +175,7 @@ def _begin(asked, planes, cells, here):
             r, c, cell = row - window[0], col - window[2], row * lattice.width + col
             num_candidates = cells.slot[cell + 1] - cells.slot[cell]
             if math.isnan(cells.floor[cell]) or num_candidates == 0:
-                here.count[r, c] = -1
+                here.length[r, c] = -1
                 continue
             column = _column(lattice, row, col, cells, _reach(lattice, footprint))
             volumes = _volumes(asked, column)
@@ -193,7 +193,7 @@ def _begin(asked, planes, cells, here):
                 flags = known | line_flags(crossings, cell, planes.geom[p], volumes) & proved
                 flags = plane_flags(planes, p, volumes, is_taken, flags)
                 count = _add(cells, cell, count, planes.geom[p], flags)
-            here.count[r, c], here.by_line[r, c], here.known[r, c] = count, by_line, known
+            here.length[r, c], here.by_line[r, c], here.known[r, c] = count, by_line, known
 
 
 @njit(inline="always")
@@ -217,7 +217,7 @@ def _list_solid(asked, solids, s, cells, here):
     for row in range(row0, row1):
         for col in range(col0, col1):
             r, c, cell = row - window[0], col - window[2], row * lattice.width + col
-            if here.count[r, c] < 0:
+            if here.length[r, c] < 0:
                 continue
             column = _column(lattice, row, col, cells, reach)
             if outside(solids.bounds, s, column):
@@ -229,7 +229,7 @@ def _list_solid(asked, solids, s, cells, here):
             )  # fmt: skip
             if flags & wanted != wanted:
                 flags = solid_flags(solids, s, volumes, flags, wanted, here.simplex)
-            here.count[r, c] = _add(cells, cell, here.count[r, c], geom, flags)
+            here.length[r, c] = _add(cells, cell, here.length[r, c], geom, flags)
 
 
 @njit(inline="always")
@@ -247,7 +247,7 @@ def _begin_group(asked, window, groups, g, geom, cells, here):
             cell = row * lattice.width + col
             here.wanted[r, c] = 0
             column = _column(lattice, row, col, cells, reach)
-            if here.count[r, c] < 0 or outside(groups.box, g, column):
+            if here.length[r, c] < 0 or outside(groups.box, g, column):
                 continue
             volumes = _volumes(asked, column)
             wanted, flags = _ask_line(
@@ -292,7 +292,7 @@ def _list_group(asked, facets, tiles, groups, g, cells, here):
             r, c = row - asked.window[0], col - asked.window[2]
             if here.wanted[r, c]:
                 cell = row * lattice.width + col
-                here.count[r, c] = _add(cells, cell, here.count[r, c], geom, here.flags[r, c])
+                here.length[r, c] = _add(cells, cell, here.length[r, c], geom, here.flags[r, c])
 
 
 @njit(cache=True, **UNCOUNTED)

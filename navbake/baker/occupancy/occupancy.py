@@ -160,8 +160,8 @@ def _check(
         order = np.argsort(cells, kind="stable")
         back = np.empty_like(order)
         back[order] = np.arange(len(order))
-        state, by_line, by_fcl = _check(columns, tiled, footprint, cells[order], floors[order])
-        return state[back], by_line[back], by_fcl
+        occupied, by_line, by_fcl = _check(columns, tiled, footprint, cells[order], floors[order])
+        return occupied[back], by_line[back], by_fcl
     geometry = (tiled.shapes.solids, tiled.facets, tiled.shapes.planes, tiled.tiles)
     queries = Queries(cells, floors, np.zeros(len(cells), np.uint8), np.zeros(len(cells), np.bool_))
     check_cells(columns.lattice, columns.crossings, *geometry, footprint, queries)
