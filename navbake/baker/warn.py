@@ -103,6 +103,8 @@ def warn_movable(scene: Scene, contents: Contents) -> list[str]:
     joint. So a cup on a table takes none.
     """
     body_of = find_free_bodies(scene.model)
+    if (body_of < 0).all():
+        return []
     num_cells: Counter[int] = Counter()
     for listed in contents.levels:
         cell, geom = listed.cell[listed.blocks], listed.geom[listed.blocks]

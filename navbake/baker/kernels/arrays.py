@@ -109,7 +109,7 @@ class Queries(NamedTuple):
     """Questions whether cells are occupied, and their answers.
 
     Attributes:
-        cell: cell ids, (n,) int64.
+        cell: cell ids, ascending, (n,) int64.
         floor: floor heights, (n,) float64 [m].
         state: (n,) uint8, receives APART, MEETS or UNDECIDED.
         by_line: (n,) bool, receives whether the cell's line alone proved it.

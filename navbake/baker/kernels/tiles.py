@@ -4,10 +4,13 @@ A uniform grid as in collision detection's broad phase (Ericson, Real-Time Colli
 2005, 7.1), of tiles of TILE x TILE cells. The lists are one counting sort: count, sum up, write.
 """
 
+import math
+
 import numpy as np
 from numba import njit
 
 TILE = 8  # cells along a tile's edge
+BLUR = 1e-3  # far more than rounding can move a box's edge [cells]
 
 
 @njit(inline="always")
@@ -32,11 +35,37 @@ def tile_window(lattice, tile):
 
 
 @njit(inline="always")
-def cell_center(lattice, cell):
-    """World x and y of a cell's centre [m]."""
-    row, col = cell // lattice.width, cell % lattice.width
+def center_of(lattice, row, col):
+    """World x and y of a cell's centre by its row and column [m]."""
     x = lattice.x_min + (col + 0.5) * lattice.cell_size
     return x, lattice.y_max - (row + 0.5) * lattice.cell_size
+
+
+@njit(inline="always")
+def cell_center(lattice, cell):
+    """World x and y of a cell's centre [m]."""
+    return center_of(lattice, cell // lattice.width, cell % lattice.width)
+
+
+@njit(inline="always")
+def cells_near(lattice, window, boxes, i, reach):
+    """The cells of a window whose centres are within `reach` of a box along both axes [m].
+
+    Rounding may add a cell, and never loses one. Takes and returns what `tile_window` does.
+    """
+    row0, row1, col0, col1 = window
+    per_cell = 1.0 / lattice.cell_size
+    # centre number c is at c + 0.5 cells
+    left = (boxes[i, 0] - reach - lattice.x_min) * per_cell - (0.5 + BLUR)
+    right = (boxes[i, 3] + reach - lattice.x_min) * per_cell - (0.5 - BLUR)
+    top = (lattice.y_max - boxes[i, 4] - reach) * per_cell - (0.5 + BLUR)
+    bottom = (lattice.y_max - boxes[i, 1] + reach) * per_cell - (0.5 - BLUR)
+    # clipped before they are whole numbers, which a far box would exceed
+    col0 = math.ceil(min(max(left, col0), col1))
+    row0 = math.ceil(min(max(top, row0), row1))
+    col1 = math.floor(max(min(right, col1 - 1.0), -1.0)) + 1
+    row1 = math.floor(max(min(bottom, row1 - 1.0), -1.0)) + 1
+    return row0, row1, col0, col1
 
 
 @njit(inline="always")
