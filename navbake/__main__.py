@@ -1,5 +1,5 @@
 """``python -m navbake`` is the same as ``navbake``."""
 
-from navbake.cli.main import main
+from navbake.cli.start import main
 
 main()

@@ -5,7 +5,13 @@ from pathlib import Path
 from typer import Argument, Option
 
 from navbake.cli.options import STDOUT, AsJson, Overrides, SceneOrConfig, refuse_unused
-from navbake.cli.printing import geom_table, print_json, print_tables, print_warnings
+from navbake.cli.printing import (
+    geom_table,
+    print_json,
+    print_tables,
+    print_warnings,
+    say_unless_quiet,
+)
 
 # Functions import what reads scenes when they run: --help loads neither MuJoCo nor numpy.
 
@@ -29,7 +35,9 @@ def init(
         print(template_for(scene, Path()), end="")
         return
     path = write_template(scene, output, force=force)
-    print(f"{path}: the default settings; `navbake bake {path}` bakes the scene with them")
+    say_unless_quiet(
+        f"{path}: the default settings; `navbake bake {path}` bakes the scene with them"
+    )
 
 
 def geoms(config: SceneOrConfig, as_json: AsJson = False, overrides: Overrides = None) -> None:

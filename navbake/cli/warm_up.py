@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import navbake
+from navbake.cli.printing import VOLUME, say_unless_quiet
 
 # Two storeys joined by stairs, with geoms of all kinds and a door
 SCENE = """<mujoco model="warm-up">
@@ -49,9 +50,9 @@ def warm_up() -> None:
     """
     from navbake.cli.progress import stage_progress  # loads rich
 
-    with stage_progress(title="compiling") as progress:
+    with stage_progress(title="compiling", hidden=VOLUME.quiet) as progress:
         compile_all(progress)
-    print("compiled: bakes and queries start at once from now on")
+    say_unless_quiet("compiled: bakes and queries start at once from now on")
 
 
 def tell_if_cold() -> None:
@@ -114,5 +115,9 @@ def _use_run_time(grid: navbake.SceneGrid2D | navbake.MultiLevelGrid) -> None:
     finder.try_step(start, start + np.array([0.3, 0.2, 0.0]))
     finder.line_of_sight(start, goal)
     finder.nearest_obstacle(start)
+    both = np.stack([start, goal])
+    finder.many.snap(both)
+    finder.many.clearance(both)
+    finder.many.try_step(both, both + np.array([0.3, 0.2, 0.0]))
     with grid.block(disc=(start, 0.3)):
         finder.find_path(start, goal)
