@@ -28,7 +28,6 @@ from navbake.cli.printing import (
     print_warnings,
     say,
 )
-from navbake.cli.warm_up import tell_if_cold
 from navbake.errors import ConfigError, NavbakeError
 from navbake.files import file_state
 
@@ -159,8 +158,6 @@ def _bake_one(
     from navbake.cli.progress import stage_progress
     from navbake.formats.navgrid import dumps_navgrid, write_navgrid
 
-    if not VOLUME.quiet:
-        tell_if_cold()
     before = file_state(target)
     with stage_progress(title=str(config.scene.id), hidden=VOLUME.quiet) as progress:
         limits = _limits(isolation)
