@@ -21,7 +21,7 @@ from navbake.cli.map_descriptor import mdf
 from navbake.cli.options import prepared
 from navbake.cli.path import path
 from navbake.cli.printing import print_causes, print_error
-from navbake.cli.scenes import geoms, init
+from navbake.cli.scenes import geoms, init, samples
 from navbake.cli.voxelize import voxelize
 from navbake.cli.warm_up import warm_up
 from navbake.errors import NavbakeError
@@ -36,7 +36,11 @@ app = Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (init, geoms, bake, info, rooms, why, plot, inflate, path, voxelize, mdf, warm_up):
+COMMANDS = (
+    *(samples, init, geoms, bake),
+    *(info, rooms, why, plot, inflate, path, voxelize, mdf, warm_up),
+)
+for command in COMMANDS:
     app.command()(prepared(command))
 
 

@@ -1,4 +1,4 @@
-"""The commands before a bake: `navbake init` and `navbake geoms`."""
+"""The commands before a bake: `navbake samples`, `navbake init` and `navbake geoms`."""
 
 from pathlib import Path
 
@@ -10,6 +10,7 @@ from navbake.cli.printing import (
     print_json,
     print_tables,
     print_warnings,
+    say,
     say_unless_quiet,
 )
 
@@ -38,6 +39,33 @@ def init(
     say_unless_quiet(
         f"{path}: the default settings; `navbake bake {path}` bakes the scene with them"
     )
+
+
+def samples(
+    names: list[str] | None = Argument(
+        None, metavar="NAME", help="Samples to copy.  [default: list them]"
+    ),
+    folder: Path = Option(
+        Path(),
+        "-o",
+        "--output",
+        metavar="FOLDER",
+        help="Where to copy them to.  [default: the current folder]",
+    ),
+) -> None:
+    """Copy sample scenes and their settings here, to try navbake with."""
+    from navbake import samples as known  # --help does without it
+
+    if not names:
+        for name in known.names():
+            first = known.path(name).read_text(encoding="utf-8").splitlines()[0]
+            say(f"{name:<10} {first.removeprefix('# ')}")
+        return
+    for name in names:
+        settings = known.copy(name, folder)[0]
+        say_unless_quiet(
+            f"{settings}: the settings of a sample; `navbake bake {settings}` bakes it"
+        )
 
 
 def geoms(config: SceneOrConfig, as_json: AsJson = False, overrides: Overrides = None) -> None:
