@@ -5,20 +5,20 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 
 MAX_LISTED = 12
-# Share of characters in common, twice over the sum of both lengths. 0.75 takes in one wrong, one
-# missing or two swapped characters of a short name, and keeps `step` apart from `state` (0.67).
-NEAR = 0.75
+NEAR = 0.8  # share of characters that two names have in common: two in ten may be wrong
 
 
 def find_near(name: object, known: Iterable[str], most: int = 1) -> list[str]:
     """The known names that were probably meant, the nearest first; often none.
 
-    Near is what differs by a slip of the finger, or has all the words of the name (``size`` of
-    ``cell_size``). Capitals don't count.
+    Near is what differs by one slip of the finger (a character too many, too few, a wrong one, or
+    two swapped), in long names by more; and what has all the words of the name and others, as
+    ``cell_size`` has ``size``. Capitals don't count.
     """
     by_folded = {other.casefold(): other for other in reversed(list(dict.fromkeys(known)))}
     folded = str(name).casefold()
     typos = get_close_matches(folded, by_folded, n=most, cutoff=NEAR)
+    typos += [other for other in by_folded if _is_one_slip(folded, other)]
     words = _words(folded)
     longer = sorted((o for o in by_folded if words and words <= _words(o)), key=len)
     return [by_folded[other] for other in dict.fromkeys([*typos, *longer])][:most]
@@ -33,5 +33,18 @@ def suggest(name: object, known: Iterable[str], limit: int = MAX_LISTED) -> str:
     return f"{hint}it has {', '.join(names[:limit]) or 'none'}{more}"
 
 
+def _is_one_slip(name: str, other: str) -> bool:
+    """Whether one edit makes one of the other; not of names as short as two characters."""
+    if min(len(name), len(other)) < 3 or abs(len(name) - len(other)) > 1:
+        return False
+    same = 0
+    while same < min(len(name), len(other)) and name[same] == other[same]:
+        same += 1
+    a, b = name[same:], other[same:]
+    return a[1:] == b[1:] or a[1:] == b or a == b[1:] or (a[:2] == b[1::-1] and a[2:] == b[2:])
+
+
 def _words(name: str) -> set[str]:
-    return set(re.findall(r"[^\W_]+", name))
+    """The words of a name, in the singular."""
+    words = re.findall(r"[^\W_]+", name)
+    return {f"{w[:-3]}y" if w.endswith("ies") else w.removesuffix("s") for w in words}
