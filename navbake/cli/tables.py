@@ -103,11 +103,17 @@ def _as_blocks(table: Table, width: int) -> list[str]:
 
 
 def _wrap(text: str, width: int) -> list[str]:
-    """Lines of at most so many columns, broken at spaces; a longer word has a line of its own."""
+    """Lines of at most so many columns, broken after commas where that does, else at spaces.
+
+    A word that is longer has a line of its own.
+    """
     if text_width(text) <= width:
         return [text]
+    pieces = text.replace(", ", ",\n").split("\n")
+    if max(map(text_width, pieces)) > width:
+        pieces = text.split(" ")
     lines: list[str] = []
-    for word in text.split(" "):
+    for word in pieces:
         if lines and text_width(lines[-1]) + 1 + text_width(word) <= width:
             lines[-1] += f" {word}"
         else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from navbake.cli.printing import print_tables, room_table
@@ -33,6 +33,7 @@ def test_rows_become_blocks_where_names_leave_no_room():
     assert lines[4] == "" and lines[5:] == lines[:4]
 
 
+@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(
     st.lists(st.lists(st.text("ab 語\x1b", max_size=30), min_size=3, max_size=3), max_size=4),
     st.integers(10, 90),
