@@ -189,22 +189,28 @@ def room_table(rooms: Sequence[Room], levels: Sequence[str]) -> Table:
 
 
 def door_table(doors: Iterable[Door], levels: Sequence[str]) -> Table:
-    """A row for each door; `levels` are the levels' names."""
+    """A row for each door; `levels` are the levels' names. Columns that say nothing are left out.
+
+    That is the level where there is but one, and the joints where they are called as the doors.
+    """
+    doors = list(doors)
+    is_joint_told = any(door.joint != door.id for door in doors)
     rows = []
     for door in doors:
         joined = " - ".join("outside" if room is None else room for room in door.rooms)
         rows.append(
             (
                 door.id,
-                door.joint or "none",
-                ", ".join(levels[level] for level in door.levels),
+                (door.joint or "none") if is_joint_told else "",
+                ", ".join(levels[level] for level in door.levels) if len(levels) > 1 else "",
                 # a body that a pattern made a door may stand anywhere
                 joined if any(door.rooms) else "nothing",
                 f"{door.state} ({door.like})" if door.like else door.state,
                 ", ".join(door.states),
             )
         )
-    return make_table(("door", "joint", "level", "joins", "is", "can be"), rows)
+    headings = ("door", "joint", "level", "joins", "is", "can be")
+    return without_empty_columns(make_table(headings, rows))
 
 
 def cell_table(facts: Json) -> Table:

@@ -54,6 +54,8 @@ def lay_out(table: Table, width: int) -> list[str]:
     columns = [list(column) for column in zip(*rows, strict=True)]
     least = [max(_longest_word(cell) for cell in column) for column in columns]
     most = [max(text_width(cell) for cell in column) for column in columns]
+    if not shown and least:
+        least[0] = most[0]  # what each row is called stays on one line
     space = width - table.gap * (len(columns) - 1)
     if sum(least) > space:
         return _as_blocks(table, width) if shown else _as_rows(table, rows, least)
