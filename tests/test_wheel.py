@@ -1,8 +1,8 @@
 """The README's commands work from the wheel, in an empty folder, where nothing can be written.
 
 The environment is that of a container: the package is read-only, there is no home and no cache.
-The superuser runs it without the capability to write where modes forbid it. The kernels are those that this checkout has on
-disk; ``tests/test_starts.py`` runs the same where none are.
+The superuser runs it without the capability to write where modes forbid it. The kernels are those
+that this checkout has on disk; `tests/test_starts.py` runs the same where none are.
 """
 
 from __future__ import annotations
