@@ -92,6 +92,7 @@ def test_options_in_the_text_are_there(page):
         for parameter in (*command.params, *COMMANDS.params)
         for option in (*parameter.opts, *parameter.secondary_opts)
     }
+    known.add("--help")  # of all
     spans = SPAN.findall(BLOCK.sub("", page.read_text()))
     options = {
         word.split("=")[0]
