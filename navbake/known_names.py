@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 
 MAX_LISTED = 12
-NEAR = 0.8  # share of characters that two names have in common: two in ten may be wrong
+NEAR = 0.85  # share of characters that two long names have in common
 
 
 def find_near(name: object, known: Iterable[str], most: int = 1) -> list[str]:

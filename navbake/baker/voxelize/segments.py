@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from navbake.baker.scene.names import body_name, names_of, warn_unmatched
 from navbake.baker.scene.scene import Scene
 from navbake.errors import ConfigError
+from navbake.known_names import find_near
 
 Segments = Literal["geom", "body", "top"] | str | Mapping[str, int] | Sequence[str]
 
@@ -95,9 +96,9 @@ def _label_by_kind(scene: Scene, kind: str) -> Labels:
 def _check_patterns(segments: Any) -> dict[str, int]:
     if isinstance(segments, Mapping):
         patterns = dict(segments)
-    elif isinstance(segments, str):
+    elif isinstance(segments, str) and not find_near(segments, KINDS):  # else a slip
         patterns = {segments: 1}
-    elif isinstance(segments, Sequence):
+    elif isinstance(segments, Sequence) and not isinstance(segments, str):
         patterns = {pattern: number for number, pattern in enumerate(segments, 1)}
     else:
         patterns = {}

@@ -318,7 +318,7 @@ def test_beyond_2_to_the_24_voxels_there_are_no_holes(tmp_path):
         ({"cells": (10**30, 1, 1), "align": True}, r"1e\+30 × 1 × 1 voxels .*memory are free"),
         ({"cells": (10**400, 1, 1)}, "GiB of memory are free"),
         ({"cells": 5}, r"3 counts of cells.*\[5\]"),
-        ({"cells": (5, 5, 5), "segments": "room"}, "geom, body, top, or name patterns.*'room'"),
+        ({"cells": (5, 5, 5), "segments": "geoms"}, "geom, body, top, or name patterns.*'geoms'"),
         ({"cells": (5, 5, 5), "segments": []}, "geom, body, top, or name patterns"),
         ({"cells": (5, 5, 5), "segments": {"a": 0}}, "an ID from 1 to .* 'a', got 0"),
     ],
