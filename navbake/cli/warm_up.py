@@ -202,6 +202,7 @@ def _use_run_time(grid: navbake.SceneGrid2D | navbake.MultiLevelGrid) -> None:
         finder = navbake.PathFinder(agent)
         start, goal = finder.random_point(rng, level=0), finder.random_point(rng, level=top)
         finder.find_path(start, goal)
+        finder.find_path(start + np.array([0.02, 0.02, 0.0]), goal)  # off a cell's centre
         for _ in range(8):  # some of them bend round corners
             finder.find_path(finder.random_point(rng), finder.random_point(rng))
         finder.why_not(start, (100.0, 0.0, 0.0))
