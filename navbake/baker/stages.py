@@ -33,6 +33,7 @@ from navbake.baker.occupancy.occupancy import (
     find_occupancy,
 )
 from navbake.baker.rooms.rooms import Blocked, Rooms, find_rooms
+from navbake.baker.scene.guard.isolated import CompileLimits
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.baker.threads import limit_threads
 from navbake.config.settings import BakeConfig, as_config
@@ -68,10 +69,12 @@ def bake_stages(
     return settle_doors(stages)
 
 
-def take_first_look(config: BakeConfig, clock: StageClock) -> Stages:
+def take_first_look(
+    config: BakeConfig, clock: StageClock, limits: CompileLimits | None = None
+) -> Stages:
     """Load a scene, and give the stages of a bake that takes every candidate for a door."""
     with clock.stage("scene"):
-        scene = load_scene(config.scene, config.agent, config.floors)
+        scene = load_scene(config.scene, config.agent, config.floors, limits=limits)
         lattice = lay_lattice(scene, config)
         candidates, unmatched = find_candidates(scene, config.doors)
     return Stages(config, scene, lattice, candidates, unmatched, clock)

@@ -18,10 +18,10 @@ from navbake.cli.bake import bake
 from navbake.cli.grids import info, plot, rooms, why
 from navbake.cli.inflate import inflate
 from navbake.cli.map_descriptor import mdf
-from navbake.cli.options import grouped
+from navbake.cli.options import prepared
 from navbake.cli.path import path
-from navbake.cli.printing import print_error
-from navbake.cli.scenes import geoms, init
+from navbake.cli.printing import print_causes, print_error
+from navbake.cli.scenes import geoms, init, samples
 from navbake.cli.voxelize import voxelize
 from navbake.cli.warm_up import warm_up
 from navbake.errors import NavbakeError
@@ -32,13 +32,16 @@ UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF, e
 app = Typer(
     name="navbake",
     help="Bake MuJoCo scenes into navigation grids, and query and convert those grids.",
-    add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (init, geoms, bake, info, rooms, why, plot, inflate, path, voxelize, mdf, warm_up):
-    app.command()(grouped(command))
+COMMANDS = (
+    *(samples, init, geoms, bake),
+    *(info, rooms, why, plot, inflate, path, voxelize, mdf, warm_up),
+)
+for command in COMMANDS:
+    app.command()(prepared(command))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -57,6 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 sys.stdout.flush()
     except NavbakeError as error:
         print_error(str(error))
+        print_causes(error)
         raise SystemExit(1) from None
     except OSError as error:
         if error.filename is not None or error.errno not in UNWRITABLE:

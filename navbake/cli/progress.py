@@ -6,12 +6,14 @@ from contextlib import contextmanager, nullcontext
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
+from navbake.errors import printable
+
 
 @contextmanager
 def stage_progress(title: str, hidden: bool = False) -> Iterator[Callable[[str, float], None]]:
     """A bar for each stage on the terminal's stderr; nothing where stderr is no terminal."""
     console = Console(stderr=True, markup=False, highlight=False, emoji=False)
-    text = TextColumn(f"{title} {{task.description}}", markup=False)
+    text = TextColumn(f"{printable(title)} {{task.description}}", markup=False)
     bars = Progress(text, BarColumn(), TimeElapsedColumn(), console=console, transient=True)
     tasks: dict[str, TaskID] = {}
 

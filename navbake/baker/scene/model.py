@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from navbake.baker.scene.chatter import catch_chatter
+from navbake.baker.scene.guard.oversized import refuse_oversized
 from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart, read_mesh_parts
 from navbake.baker.scene.names import unique_name
 from navbake.baker.scene.urdf import read_urdf
@@ -99,6 +100,7 @@ def _load_xml(path: Path, warnings: list[str], ground: float | None) -> Any:
         return _compile(path, warnings, lambda: _build_urdf(text, meshes, ground))
     if root not in ("mujoco", ""):
         raise SceneError(f"expected <mujoco> or <robot> in {path}, got <{root[:40]}>")
+    refuse_oversized(path)
     try:  # MuJoCo's parser is the judge of MJCF, also where Python's is stricter
         return _compile(path, warnings, lambda: _build_mjcf(path, ground))
     except SceneError as error:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.scene.choice import Choice, choose_geoms
 from navbake.baker.scene.collect import TYPE_NAMES, collect_shapes
+from navbake.baker.scene.guard.isolated import CompileLimits, load_isolated
 from navbake.baker.scene.hidden_room import HiddenRoom
 from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart, lies_on_side
 from navbake.baker.scene.model import catch_warnings, load_model
@@ -86,19 +87,25 @@ def load_scene(
     settings: SceneSettings,
     agent: AgentSettings | None = None,
     floors: FloorSettings | None = None,
+    *,
+    limits: CompileLimits | None = None,
 ) -> Scene:
     """Load a scene, pose it and choose the geoms that count. Nothing of it changes later.
 
     Args:
         agent: for whom `scene.meshes: auto` looks for room in the hulls of meshes, and
         floors: how large that has to be; the defaults if None.
+        limits: MuJoCo compiles in a child process, within these; in this process if None.
 
     Raises:
         SceneError: the file is missing or broken, or holds no geom that counts.
         ConfigError: the settings ask for a keyframe or joint that isn't there.
     """
     with catch_warnings() as warned:
-        model, parts, ground = load_model(settings, warned)
+        if limits is None:
+            model, parts, ground = load_model(settings, warned)
+        else:
+            model, parts, ground = load_isolated(settings, limits, warned)
         data = pose_model(model, settings)
     room = HiddenRoom(model, data, agent or AgentSettings(), floors or FloorSettings())
     with _errors_name(settings):

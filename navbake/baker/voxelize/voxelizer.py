@@ -52,7 +52,7 @@ def create_voxel_grid(
     res: float = 0.1,
     of: str | PathLike[str] | None = None,
     *,
-    ignore: Sequence[str] = (),
+    ignore: str | Sequence[str] = (),
     **options: Unpack[GridOptions],
 ) -> VoxelGrid:
     """Make the voxel grid of a scene: True where a geom that counts meets a voxel.
@@ -99,7 +99,7 @@ class Voxelizer:
         shapes: the counted geoms' geometry as it is posed now, world frame.
     """
 
-    def __init__(self, scene: Config | Scene, *, ignore: Sequence[str] = ()) -> None:
+    def __init__(self, scene: Config | Scene, *, ignore: str | Sequence[str] = ()) -> None:
         """Load a scene.
 
         Args:
@@ -264,12 +264,10 @@ class Voxelizer:
         return self._labels[key]
 
 
-def _leave_out(settings: SceneSettings, ignore: Sequence[str]) -> SceneSettings:
+def _leave_out(settings: SceneSettings, ignore: str | Sequence[str]) -> SceneSettings:
     if not ignore:
         return settings
-    if isinstance(ignore, str):
-        raise ConfigError(f"expected a list of name patterns to ignore, got {ignore!r}")
-    bodies = [*settings.exclude.bodies, *ignore]
+    bodies = [*settings.exclude.bodies, *([ignore] if isinstance(ignore, str) else ignore)]
     return settings.model_copy(
         update={"exclude": settings.exclude.model_copy(update={"bodies": bodies})}
     )
