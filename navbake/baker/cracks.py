@@ -12,7 +12,7 @@ from navbake.baker.columns import Columns, TiledShapes, cast_points
 from navbake.baker.floors.sheets import agent_limits
 from navbake.baker.kernels.arrays import AgentLimits, Crossings
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.kernels.cracks import find_gaps, floors_near
+from navbake.baker.kernels.cracks import Asked, Found, find_gaps, probe_lines
 from navbake.config.settings import AgentSettings
 from navbake.types import Bool, Float, Int
 
@@ -111,12 +111,18 @@ def _find_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
 
 def _find_open(probe: _Probe, crack: float, spacing: int) -> Bool:
     """Which gaps are open to one side: neighbouring ones of each so many ways lead to no floor."""
-    ways = np.arange(0, 2 * AXES, spacing)
-    gap, number = np.divmod(np.arange(len(probe.gaps.cell) * len(ways)), len(ways))
-    floors, _ = probe.floors(gap, ways[number], np.full(len(gap), crack_reach(crack)))
-    misses = np.isnan(floors).reshape(-1, len(ways))
-    runs = [np.roll(misses, shift, axis=1) for shift in range(OPEN_WAYS // spacing + 1)]
-    is_open: Bool = np.logical_and.reduce(runs).any(axis=1)
+    run, num = OPEN_WAYS // spacing + 1, 2 * AXES // spacing
+    misses = np.zeros((len(probe.gaps.cell), num), dtype=np.bool_)
+    is_open = np.zeros(len(misses), dtype=np.bool_)
+    # way by way, as those that are known to be open are asked no further
+    for number in range(num):
+        asked = np.flatnonzero(~is_open)
+        distance = np.full(len(asked), crack_reach(crack))
+        floors, _ = probe.floors(asked, np.full(len(asked), number * spacing), distance)
+        misses[asked, number] = np.isnan(floors)
+        # of the runs that this way is part of, those whose other ways are known are complete
+        for shift in range(run):
+            is_open |= np.take(misses, range(number - shift, number - shift + run), 1, mode="wrap").all(1)
     return is_open
 
 
@@ -186,11 +192,12 @@ class _Probe(NamedTuple):
 
         And the lowest such floor with room for an agent.
         """
-        floor, standable = np.empty(len(gap)), np.empty(len(gap))
-        crossings = _cast_beside(self.tiled, self.gaps.cell[gap], WAYS[way] * distance[:, None])
-        low, high = self.gaps.low[gap], self.gaps.high[gap]
-        floors_near(crossings, low, high, self.limits, floor, standable)
-        return floor, standable
+        tiled, shapes = self.tiled, self.tiled.shapes
+        found = Found(np.empty(len(gap)), np.empty(len(gap)))
+        geometry = (shapes.solids, tiled.facets, shapes.planes, tiled.tiles, tiled.heights)
+        asked = Asked(gap, WAYS[way] * distance[:, None])
+        probe_lines(self.gaps, tiled.lattice, *geometry, self.limits, asked, found)
+        return found.floor, found.standable
 
 
 def _cast_beside(tiled: TiledShapes, cells: Int, offset: Float) -> Crossings:

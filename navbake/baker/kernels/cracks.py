@@ -6,19 +6,26 @@ is a suspect. How wide the gap is, only lines beside the cell's own can tell.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
 
-from navbake.baker.kernels.arrays import Band
+from navbake.baker.kernels.arrays import Band, Crossings
 from navbake.baker.kernels.constants import SAME, SLACK, TOUCH
+from navbake.baker.kernels.hits import make_hits
 from navbake.baker.kernels.overlap import ANY_GEOM, line_is_blocked
+from navbake.baker.kernels.rays import cast_line, make_ray, most_hits
+from navbake.baker.kernels.tiles import cell_center, tile_of
+from navbake.types import Float, Int
 
 # The eight ways to a neighbour, by row and column
 ROW_STEP = np.array([0, 1, 0, -1, 1, 1, -1, -1])
 COL_STEP = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 # One way of each two that are opposite; the other one's number differs in the bit of two
 AXES = (0, 1, 4, 5)
+# Lines that one thread probes in a row
+CHUNK = 64
 
 
 @njit(inline="always")
@@ -41,31 +48,37 @@ def _continues(crossings, cell, low, high, limits):
 
 
 @njit(inline="always")
-def _is_alike(crossings, one, other, limits):
-    """Whether two cells have the same surfaces, one by one, within a step: there is no gap."""
-    start, z, normal = crossings.start, crossings.z, crossings.normal
-    first, beside = start[one], start[other]
-    count = start[one + 1] - first
-    if count != start[other + 1] - beside:
-        return False
-    for i in range(count):
-        if abs(z[first + i] - z[beside + i]) > limits.step:
-            return False
-        is_gentle = normal[first + i, 2] >= limits.min_up
-        if is_gentle != (normal[beside + i, 2] >= limits.min_up):
+def _goes_on(crossings, one, other, limits):
+    """Whether all that is not too steep to stand on in one cell goes on in another, within a step.
+
+    Most cells have what their neighbours have, one by one.
+    """
+    z, normal = crossings.z, crossings.normal
+    first, last = crossings.start[other], crossings.start[other + 1]
+    shift = first - crossings.start[one]
+    for i in range(crossings.start[one], crossings.start[one + 1]):
+        if normal[i, 2] < limits.min_up:
+            continue
+        j = i + shift
+        if j < last and abs(z[i] - z[j]) <= limits.step and normal[j, 2] >= limits.min_up:
+            continue
+        if not _continues(crossings, other, z[i] - limits.step, z[i] + limits.step, limits):
             return False
     return True
 
 
 @njit(inline="always")
-def _is_alike_beside(lattice, crossings, row, col, way, limits):
-    """Whether a cell is alike the one that way, or the one opposite; or has none there."""
+def _all_go_on(lattice, crossings, row, col, way, reach, limits):
+    """Whether all floors that way, so many cells away at most, go on in a cell: then it has no gap.
+
+    For a gap has two sides, and a floor on each that ends there.
+    """
     cell = row * lattice.width + col
-    for toward in (way, way ^ 2):
-        beside = _cell_beside(lattice, row, col, toward, 1)
-        if beside < 0 or _is_alike(crossings, cell, beside, limits):
-            return True
-    return False
+    for distance in range(1, reach + 1):
+        beside = _cell_beside(lattice, row, col, way, distance)
+        if beside >= 0 and not _goes_on(crossings, beside, cell, limits):
+            return False
+    return True
 
 
 @njit(inline="always")
@@ -131,10 +144,12 @@ def _gaps_of_cell(lattice, crossings, limits, reach, row, col, low, high):
     """Write the gaps of one cell, unless there is no room for them; returns their number."""
     count, last = 0, np.inf
     for axis in AXES:
-        # a gap has two sides: most cells are alike one of each two that face each other
-        if reach == 1 and _is_alike_beside(lattice, crossings, row, col, axis, limits):
+        one_side, other_side = axis, axis ^ 2
+        if _all_go_on(lattice, crossings, row, col, one_side, reach, limits):
             continue
-        for way in (axis, axis ^ 2):
+        if _all_go_on(lattice, crossings, row, col, other_side, reach, limits):
+            continue
+        for way in (one_side, other_side):
             for distance in range(1, reach + 1):
                 one = _cell_beside(lattice, row, col, way, distance)
                 if one < 0:
@@ -181,24 +196,76 @@ def find_gaps(lattice, crossings, limits, reach, start, low, high):
             _gaps_of_cell(lattice, crossings, limits, reach, row, col, *part)
 
 
-@njit(cache=True)
-def floors_near(crossings, low, high, limits, floor, standable):
-    """Find in each column the lowest surface between two heights, NaN for none [m].
+class Asked(NamedTuple):
+    """Lines beside the centres of cells with gaps.
 
-    It may be a step lower or higher, and faces up within the slope. `standable` receives the lowest
-    one with room for an agent. All but the first and `limits` have one entry a column.
+    Attributes:
+        gap: the gap that each is about, (n,) int64.
+        offset: from the centre, (n, 2) float64 [m].
     """
+
+    gap: Int
+    offset: Float
+
+
+class Found(NamedTuple):
+    """The floors on such lines, NaN for none.
+
+    Attributes:
+        floor: the lowest surface between the heights of the gap's sides, (n,) float64 [m]. It may
+            be a step lower or higher, and faces up within the slope.
+        standable: the lowest such surface with room for an agent, (n,) float64 [m].
+    """
+
+    floor: Float
+    standable: Float
+
+
+@njit(inline="always")
+def _find_floor(crossings, low, high, limits, n, found):
+    """Find the floors in the one column of the crossings, and write them as the n-th."""
     reach = limits.step + SLACK
-    for n in range(floor.shape[0]):
-        floor[n] = standable[n] = np.nan
-        for i in range(crossings.start[n], crossings.start[n + 1]):
-            z = crossings.z[i]
-            if not low[n] - reach <= z <= high[n] + reach:
-                continue
-            if crossings.normal[i, 2] < limits.min_up:
-                continue
-            if np.isnan(floor[n]):
-                floor[n] = z
-            if _has_room(crossings, np.int64(n), i, limits):
-                standable[n] = z
-                break
+    found.floor[n] = found.standable[n] = np.nan
+    for i in range(crossings.start[1]):
+        z = crossings.z[i]
+        if not low - reach <= z <= high + reach or crossings.normal[i, 2] < limits.min_up:
+            continue
+        if np.isnan(found.floor[n]):
+            found.floor[n] = z
+        if _has_room(crossings, np.int64(0), np.int64(i), limits):
+            found.standable[n] = z
+            break
+
+
+@njit(cache=True)
+def _probe_chunk(chunk, gaps, geometry, limits, asked, found):
+    """Find the floors on a chunk of lines, see `probe_lines`."""
+    lattice, solids, facets, planes, tiles, heights = geometry
+    ray, hits, start = make_ray(), make_hits(64), np.zeros(2, np.int64)
+    for n in range(chunk * CHUNK, min((chunk + 1) * CHUNK, asked.gap.shape[0])):
+        gap = asked.gap[n]
+        x, y = cell_center(lattice, gaps.cell[gap])
+        x, y = x + asked.offset[n, 0], y + asked.offset[n, 1]
+        tile = tile_of(lattice, gaps.cell[gap])
+        most = most_hits(tile, planes, tiles)
+        if most > hits.z.shape[0]:
+            hits = make_hits(2 * most)
+        start[1] = cast_line(x, y, tile, solids, facets, planes, tiles, heights, ray, hits)
+        column = Crossings(start, hits.z, hits.normal, hits.geom, hits.closed)
+        _find_floor(column, gaps.low[gap], gaps.high[gap], limits, n, found)
+
+
+@njit(cache=True, parallel=True)
+def probe_lines(gaps, lattice, solids, facets, planes, tiles, heights, limits, asked, found):
+    """Find the floors that continue the sides of gaps, on lines beside their cells' centres.
+
+    Args:
+        gaps: the cell of each, int64, and the heights of its sides, `low` and `high`.
+        tiles: what lies near each tile of cells, as far as the lines go.
+        heights: a `Band` below and above everything [m].
+        asked: the lines.
+        found: receives the floors.
+    """
+    for chunk in prange((asked.gap.shape[0] + CHUNK - 1) // CHUNK):
+        geometry = (lattice, solids, facets, planes, tiles, heights)
+        _probe_chunk(np.int64(chunk), gaps, geometry, limits, asked, found)
