@@ -51,7 +51,7 @@ def _far_of_edges(corners):
 
 
 @njit(inline="always")
-def cross_triangle(corners, x, y, far):
+def _cross_triangle(corners, x, y, far):
     """Where the line at (x, y) crosses a triangle; `far` is what `_far_of_edges` says, or NEVER_FAR.
 
     Returns 0 for nowhere, 1 for inside, 2 for within RIM of an edge; and the height.
@@ -89,7 +89,7 @@ def cross_triangle(corners, x, y, far):
 @njit(inline="always")
 def hit_triangle(facets, t, x, y, far, hits, at):
     """Note that a line crosses a triangle, at a place of the hits; returns how often, 0 or 1."""
-    place, z = cross_triangle(facets.corners[t], x, y, far)
+    place, z = _cross_triangle(facets.corners[t], x, y, far)
     if place == 0:
         return 0
     hits.z[at] = z
@@ -123,13 +123,14 @@ def _span_of_row(corners, box, y, far):
 
 
 @njit(cache=True)
-def raster_triangle(facets, t, lattice, rows, hits, end):
+def raster_triangle(facets, t, lattice, rows, hits, end, writing):
     """Note that the lines of the centres that a triangle covers cross it.
 
     Args:
         rows: the first of the rows that are asked about, and past the last.
-        hits: those of the rows' lines; empty to only count.
+        hits: those of the rows' lines.
         end: for each line of the rows, where its next hit goes; is advanced.
+        writing: whether hits go there; else they are only counted, and their place is the first.
     """
     if facets.normal[t, 2] == 0.0:
         return
@@ -140,7 +141,6 @@ def raster_triangle(facets, t, lattice, rows, hits, end):
     left, right = centers_between(box[0] - RIM - x_min, box[3] + RIM - x_min, cell, lattice.width)
     far = _far_of_edges(corners)
     is_wide = right - left >= NARROW
-    writing = hits.z.shape[0] > 0
     for row in range(first, last + 1):
         begin, stop = left, right
         y = cell_center(lattice, row * lattice.width)[1]
@@ -152,7 +152,5 @@ def raster_triangle(facets, t, lattice, rows, hits, end):
             if is_beside(box, x, y):
                 continue
             line = (row - rows[0]) * lattice.width + col
-            if writing:
-                end[line] += hit_triangle(facets, t, x, y, far, hits, end[line])
-            elif cross_triangle(corners, x, y, far)[0] != 0:
-                end[line] += 1
+            place = end[line] if writing else 0
+            end[line] += hit_triangle(facets, t, x, y, far, hits, place)

@@ -190,7 +190,7 @@ def _has_level_ends(solids, s):
 
 
 @njit(cache=True)
-def _cast_solid(solids, s, lattice, rows, ray, middle, hits, end):
+def _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing):
     """Note where the lines of some rows cross a solid; the arguments are `raster_triangle`'s.
 
     `middle` has room for the hits of the line through the solid's middle.
@@ -200,7 +200,7 @@ def _cast_solid(solids, s, lattice, rows, ray, middle, hits, end):
     first, last = centers_between(y_max - box[4] - RIM, y_max - box[1] + RIM, cell, lattice.height)
     first, last = max(first, rows[0]), min(last, rows[1] - 1)
     left, right = centers_between(box[0] - RIM - x_min, box[3] + RIM - x_min, cell, lattice.width)
-    has_rim, has_level, writing = _has_known_rim(solids, s), False, hits.z.shape[0] > 0
+    has_rim, has_level = _has_known_rim(solids, s), False
     if has_rim and _has_level_ends(solids, s):
         x, y = solids.pos[s, 0], solids.pos[s, 1]
         has_level = _hit_solid(solids, s, x, y, ray, middle, np.int64(0)) == 2
@@ -214,30 +214,27 @@ def _cast_solid(solids, s, lattice, rows, ray, middle, hits, end):
             if beyond > CLEAR:
                 continue
             line = (row - rows[0]) * lattice.width + col
-            if not has_level or beyond >= -CLEAR:
-                if writing:
-                    end[line] += _hit_solid(solids, s, x, y, ray, hits, end[line])
-                else:
-                    end[line] += _hit_solid(solids, s, x, y, ray, middle, np.int64(0))
-                continue
-            if writing:
-                copy_hit(middle, 0, hits, end[line])
-                copy_hit(middle, 1, hits, end[line] + 1)
-            end[line] += 2
+            place = end[line] if writing else 0
+            if has_level and beyond < -CLEAR:
+                for way in range(2):
+                    copy_hit(middle, way, hits, place + way)
+                end[line] += 2
+            else:
+                end[line] += _hit_solid(solids, s, x, y, ray, hits, place)
 
 
 @njit(cache=True)
-def _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end):
+def _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writing):
     """Note where the lines of some rows cross an infinite plane; else as `_cast_solid`."""
-    writing, is_level = hits.z.shape[0] > 0, _is_upright(planes.mat[p])
+    is_level = _is_upright(planes.mat[p])
     count, zero = np.int64(0), np.int64(0)
     for line in range(end.shape[0]):
         if not is_level or line == 0:
             x, y = cell_center(lattice, rows[0] * lattice.width + line)
             count = _hit_plane(planes, p, x, y, heights, ray, middle, zero)
-        if writing:
-            for i in range(count):
-                copy_hit(middle, i, hits, end[line] + i)
+        place = end[line] if writing else 0
+        for i in range(count):
+            copy_hit(middle, i, hits, place + i)
         end[line] += count
 
 
@@ -257,17 +254,17 @@ def _cast_band(band, lattice, solids, facets, planes, items, heights, crossings)
     first, last = rows[0] * lattice.width, rows[1] * lattice.width
     start, writing = crossings.start, crossings.z.shape[0] > 0
     end = np.zeros(last - first, np.int64)
-    hits = hits_of(crossings, start[first], start[last]) if writing else make_hits(0)
+    hits = hits_of(crossings, start[first], start[last]) if writing else make_hits(2)
     if writing:
         for line in range(last - first):
             end[line] = start[first + line] - start[first]
     ray, middle = make_ray(), make_hits(2)
     for p in range(planes.geom.shape[0]):
-        _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end)
+        _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writing)
     for i in range(items.solid_start[band], items.solid_start[band + 1]):
-        _cast_solid(solids, items.solid_item[i], lattice, rows, ray, middle, hits, end)
+        _cast_solid(solids, items.solid_item[i], lattice, rows, ray, middle, hits, end, writing)
     for i in range(items.triangle_start[band], items.triangle_start[band + 1]):
-        raster_triangle(facets, items.triangle_item[i], lattice, rows, hits, end)
+        raster_triangle(facets, items.triangle_item[i], lattice, rows, hits, end, writing)
     dropped = np.int64(0)
     for line in range(last - first):
         if writing:
