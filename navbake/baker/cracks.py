@@ -12,7 +12,16 @@ from navbake.baker.columns import Columns, TiledShapes, cast_points
 from navbake.baker.floors.sheets import agent_limits
 from navbake.baker.kernels.arrays import AgentLimits, Crossings
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.kernels.cracks import Asked, Found, find_gaps, probe_lines
+from navbake.baker.kernels.cracks import (
+    COUNT,
+    MARK,
+    WRITE,
+    Asked,
+    Found,
+    GapRoom,
+    find_gaps,
+    probe_lines,
+)
 from navbake.config.settings import AgentSettings
 from navbake.types import Bool, Float, Int
 
@@ -95,18 +104,20 @@ def crack_reach(crack: float) -> float:
 
 
 def _find_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
-    lattice = columns.lattice
-    start = np.zeros(len(columns.start), dtype=np.int64)
-    none = np.empty(0)
+    lattice, start = columns.lattice, np.zeros(len(columns.start), dtype=np.int64)
+    stands, none = np.empty(len(columns.z), dtype=np.bool_), np.empty(0)
+    room = GapRoom(stands, np.empty(len(start) - 1), start, none, none)
     # how far the nearest line beyond a crack may be, in cells
-    reach = int(crack / lattice.cell_size) + 1
-    find_gaps(lattice, columns.crossings, limits, reach, start, none, none)
-    counts = start[1:].copy()
+    asked = lattice, columns.crossings, limits, int(crack / lattice.cell_size) + 1
+    find_gaps(*asked, room, MARK)
+    find_gaps(*asked, room, COUNT)
+    cells = np.flatnonzero(start[1:])
+    counts = start[1:][cells]
     np.cumsum(start, out=start)
-    low, high = np.empty(start[-1]), np.empty(start[-1])
+    room = room._replace(low=np.empty(start[-1]), high=np.empty(start[-1]))
     if start[-1]:
-        find_gaps(lattice, columns.crossings, limits, reach, start, low, high)
-    return Gaps(np.repeat(np.arange(len(counts)), counts), low, high)
+        find_gaps(*asked, room, WRITE)
+    return Gaps(np.repeat(cells, counts), room.low, room.high)
 
 
 def _find_open(probe: _Probe, crack: float, spacing: int) -> Bool:
@@ -122,7 +133,8 @@ def _find_open(probe: _Probe, crack: float, spacing: int) -> Bool:
         misses[asked, number] = np.isnan(floors)
         # of the runs that this way is part of, those whose other ways are known are complete
         for shift in range(run):
-            is_open |= np.take(misses, range(number - shift, number - shift + run), 1, mode="wrap").all(1)
+            ways = np.arange(number - shift, number - shift + run) % num
+            is_open |= misses[:, ways].all(axis=1)
     return is_open
 
 

@@ -17,7 +17,7 @@ from navbake.baker.kernels.hits import make_hits
 from navbake.baker.kernels.overlap import ANY_GEOM, line_is_blocked
 from navbake.baker.kernels.rays import cast_line, make_ray, most_hits
 from navbake.baker.kernels.tiles import cell_center, tile_of
-from navbake.types import Float, Int
+from navbake.types import Bool, Float, Int
 
 # The eight ways to a neighbour, by row and column
 ROW_STEP = np.array([0, 1, 0, -1, 1, 1, -1, -1])
@@ -29,15 +29,15 @@ CHUNK = 64
 
 
 @njit(inline="always")
-def _cell_beside(lattice, row, col, way, distance):
-    """The cell so many cells away from a row and column, or -1 beyond the lattice."""
-    row, col = row + ROW_STEP[way] * distance, col + COL_STEP[way] * distance
+def _cell_beside(lattice, place, way, distance):
+    """The cell so many cells away from a place, its row and column, or -1 beyond the lattice."""
+    row, col = place[0] + ROW_STEP[way] * distance, place[1] + COL_STEP[way] * distance
     if 0 <= row < lattice.height and 0 <= col < lattice.width:
         return row * lattice.width + col
     return np.int64(-1)
 
 
-@njit(inline="always")
+@njit(cache=True, forceinline=True)
 def _continues(crossings, cell, low, high, limits):
     """Whether a cell has a surface between two heights that is not too steep to stand on."""
     for i in range(crossings.start[cell], crossings.start[cell + 1]):
@@ -45,40 +45,6 @@ def _continues(crossings, cell, low, high, limits):
         if is_between and crossings.normal[i, 2] >= limits.min_up:
             return True
     return False
-
-
-@njit(inline="always")
-def _goes_on(crossings, one, other, limits):
-    """Whether all that is not too steep to stand on in one cell goes on in another, within a step.
-
-    Most cells have what their neighbours have, one by one.
-    """
-    z, normal = crossings.z, crossings.normal
-    first, last = crossings.start[other], crossings.start[other + 1]
-    shift = first - crossings.start[one]
-    for i in range(crossings.start[one], crossings.start[one + 1]):
-        if normal[i, 2] < limits.min_up:
-            continue
-        j = i + shift
-        if j < last and abs(z[i] - z[j]) <= limits.step and normal[j, 2] >= limits.min_up:
-            continue
-        if not _continues(crossings, other, z[i] - limits.step, z[i] + limits.step, limits):
-            return False
-    return True
-
-
-@njit(inline="always")
-def _all_go_on(lattice, crossings, row, col, way, reach, limits):
-    """Whether all floors that way, so many cells away at most, go on in a cell: then it has no gap.
-
-    For a gap has two sides, and a floor on each that ends there.
-    """
-    cell = row * lattice.width + col
-    for distance in range(1, reach + 1):
-        beside = _cell_beside(lattice, row, col, way, distance)
-        if beside >= 0 and not _goes_on(crossings, beside, cell, limits):
-            return False
-    return True
 
 
 @njit(inline="always")
@@ -91,6 +57,27 @@ def _has_room(crossings, cell, i, limits):
 
 
 @njit(inline="always")
+def _mark_standable(crossings, cell, limits, stands):
+    """Note for each crossing of a cell whether it has room, as `_has_room`; all from above.
+
+    Returns the height of the one that has, NaN for none or several.
+    """
+    only, count = np.nan, 0
+    first, last = crossings.start[cell], crossings.start[cell + 1]
+    z, above, inside = crossings.z, last, 0
+    for i in range(last - 1, first - 1, -1):
+        while above - 1 > i and z[above - 1] > z[i] + SAME:
+            above -= 1
+            if crossings.closed[above]:
+                inside += 1 if crossings.normal[above, 2] > 0.0 else -1
+        is_low = above < last and z[above] < z[i] + limits.headroom - SLACK
+        stands[i] = crossings.normal[i, 2] >= limits.min_up and inside <= 0 and not is_low
+        if stands[i]:
+            only, count = z[i], count + 1
+    return only if count == 1 else np.nan
+
+
+@njit(inline="always")
 def _slope(crossings, i):
     """How steep a crossed surface that faces up is: rise over run."""
     nx, ny, nz = crossings.normal[i, 0], crossings.normal[i, 1], crossings.normal[i, 2]
@@ -98,14 +85,52 @@ def _slope(crossings, i):
 
 
 @njit(inline="always")
-def _lower_side(crossings, cell, z, slope, distance, limits):
+def _go_on(crossings, stands, one, other, limits):
+    """Whether all that an agent can stand on in one cell goes on in another, within a step.
+
+    Mostly the other cell has the same crossings, one by one.
+    """
+    z, first, last = crossings.z, crossings.start[other], crossings.start[other + 1]
+    shift = first - crossings.start[one]
+    for i in range(crossings.start[one], crossings.start[one + 1]):
+        if not stands[i]:
+            continue
+        j = i + shift
+        if j < last and stands[j] and abs(z[i] - z[j]) <= limits.step:
+            continue
+        if not _continues(crossings, other, z[i] - limits.step, z[i] + limits.step, limits):
+            return False
+    return True
+
+
+@njit(inline="always")
+def _floors_end(lattice, crossings, room, place, axis, reach, limits):
+    """Whether floors end at a place on both sides of it, at most so many cells away.
+
+    A gap has two sides, with a floor on each that ends there. In most cells none does on the first.
+    """
+    cell = place[0] * lattice.width + place[1]
+    for way in (axis, axis ^ 2):
+        ends = False
+        for distance in range(1, reach + 1):
+            beside = _cell_beside(lattice, place, way, distance)
+            if ends or beside < 0 or abs(room.only[beside] - room.only[cell]) <= limits.step:
+                continue
+            ends = not _go_on(crossings, room.stands, beside, cell, limits)
+        if not ends:
+            return False
+    return True
+
+
+@njit(inline="always")
+def _lower_side(crossings, stands, cell, z, slope, distance, limits):
     """A floor in a cell at a height or below it, or NaN: by a step, and by what slopes make.
 
     `slope` is that of the floor at the height z, `distance` how far away that is [m].
     """
     for i in range(crossings.start[cell], crossings.start[cell + 1]):
         beside = crossings.z[i]
-        if beside > z + SAME or not _has_room(crossings, cell, i, limits):
+        if beside > z + SAME or not stands[i]:
             continue
         rise = distance * max(slope, _slope(crossings, i))
         if beside >= z - limits.step - rise - SLACK:
@@ -114,52 +139,47 @@ def _lower_side(crossings, cell, z, slope, distance, limits):
 
 
 @njit(inline="always")
-def _lower_side_of_gap(lattice, crossings, limits, reach, row, col, way, distance, i):
+def _lower_side_of_gap(lattice, crossings, limits, reach, stands, place, way, distance, i):
     """The floor at the far side of a gap, below the i-th crossing on the near side, or NaN.
 
     NaN too where something fills the gap: a floor goes on, or the agent's way is barred.
     """
-    cell, z = row * lattice.width + col, crossings.z[i]
+    cell, z, beside = place[0] * lattice.width + place[1], crossings.z[i], np.nan
     if _continues(crossings, cell, z - limits.step, z + limits.step, limits):
         return np.nan
-    if not _has_room(crossings, _cell_beside(lattice, row, col, way, distance), i, limits):
-        return np.nan
-    beside = np.nan
+    slope = _slope(crossings, i)
     for back in range(1, reach + 1):
-        other = _cell_beside(lattice, row, col, way, -back)
+        other = _cell_beside(lattice, place, way, -back)
         if other >= 0 and np.isnan(beside):
             away = (distance + back) * lattice.cell_size
-            beside = _lower_side(crossings, other, z, _slope(crossings, i), away, limits)
+            beside = _lower_side(crossings, stands, other, z, slope, away, limits)
     if np.isnan(beside):
         return np.nan
-    # the lower side's floor goes on in the cell, as `floors_near` would find it
+    # the lower side's floor goes on in the cell, as `probe_lines` would find it
     if _continues(crossings, cell, beside - limits.step, z + limits.step, limits):
         return np.nan
     band = Band(z + limits.step + TOUCH, beside + limits.headroom - TOUCH)
     return np.nan if line_is_blocked(crossings, cell, band, ANY_GEOM) else beside
 
 
-@njit(cache=True)
-def _gaps_of_cell(lattice, crossings, limits, reach, row, col, low, high):
+@njit(inline="always")
+def _gaps_of_cell(lattice, crossings, limits, reach, room, place, low, high):
     """Write the gaps of one cell, unless there is no room for them; returns their number."""
-    count, last = 0, np.inf
+    count, last, stands = 0, np.inf, room.stands
     for axis in AXES:
-        one_side, other_side = axis, axis ^ 2
-        if _all_go_on(lattice, crossings, row, col, one_side, reach, limits):
+        if not _floors_end(lattice, crossings, room, place, axis, reach, limits):
             continue
-        if _all_go_on(lattice, crossings, row, col, other_side, reach, limits):
-            continue
-        for way in (one_side, other_side):
+        for way in (axis, axis ^ 2):
             for distance in range(1, reach + 1):
-                one = _cell_beside(lattice, row, col, way, distance)
+                one = _cell_beside(lattice, place, way, distance)
                 if one < 0:
                     break
                 for i in range(crossings.start[one], crossings.start[one + 1]):
                     z = crossings.z[i]
-                    if crossings.normal[i, 2] < limits.min_up or abs(z - last) <= SAME:
+                    if not stands[i] or abs(z - last) <= SAME:
                         continue
                     beside = _lower_side_of_gap(
-                        lattice, crossings, limits, reach, row, col, way, distance, i
+                        lattice, crossings, limits, reach, stands, place, way, distance, i
                     )
                     if np.isnan(beside):
                         continue
@@ -170,9 +190,48 @@ def _gaps_of_cell(lattice, crossings, limits, reach, row, col, low, high):
     return count
 
 
+class GapRoom(NamedTuple):
+    """Room for what is found on the way to gaps.
+
+    Attributes:
+        stands: by crossing, whether an agent can stand on it, bool.
+        only: by cell, the height of the one crossing that it can stand on, NaN for none or
+            several, float64 [m].
+        start: (cells + 1,) int64: cell i has the gaps ``[start[i], start[i + 1])``.
+        low, high: heights of each gap's sides [m].
+    """
+
+    stands: Bool
+    only: Float
+    start: Int
+    low: Float
+    high: Float
+
+
+# The rounds of `find_gaps`
+MARK, COUNT, WRITE = range(3)
+
+
+@njit(cache=True)
+def _search_row(row, lattice, crossings, limits, reach, room, task):
+    """Do a round of `find_gaps` in a row of cells."""
+    start = room.start
+    for col in range(lattice.width):
+        cell = row * lattice.width + col
+        if task == MARK:
+            room.only[cell] = _mark_standable(crossings, cell, limits, room.stands)
+        elif task == COUNT or start[cell + 1] > start[cell]:
+            first, last = (0, 0) if task == COUNT else (start[cell], start[cell + 1])
+            gaps = room.low[first:last], room.high[first:last]
+            place = row, col
+            count = _gaps_of_cell(lattice, crossings, limits, reach, room, place, gaps[0], gaps[1])
+            if task == COUNT:
+                start[cell + 1] = count
+
+
 @njit(cache=True, parallel=True)
-def find_gaps(lattice, crossings, limits, reach, start, low, high):
-    """Find gaps in floors: cells that have none where cells on both sides have; call it twice.
+def find_gaps(lattice, crossings, limits, reach, room, task):
+    """Find gaps in floors: cells that have none where cells on both sides have; in three rounds.
 
     On one side, at most `reach` cells away, an agent can stand at the height `high`; on the other
     at `low`, at most a step below, and what the slopes of both make; and in the cell, nothing
@@ -182,18 +241,12 @@ def find_gaps(lattice, crossings, limits, reach, start, low, high):
 
     Args:
         limits: what an agent can stand on.
-        start: (cells + 1,) int64; in the first call, ``start[cell + 1]`` receives the number of
-            gaps; in the second, the running sums stand there.
-        low, high: empty in the first call; receive the heights of each gap's sides [m].
+        room: MARK fills `stands` and `only`; COUNT, into ``start[cell + 1]``, the number of gaps;
+            WRITE, where the running sums stand there, the heights.
+        task: the round.
     """
-    for cell in prange(start.shape[0] - 1):
-        row, col = np.int64(cell) // lattice.width, np.int64(cell) % lattice.width
-        if low.shape[0] == 0:
-            count = _gaps_of_cell(lattice, crossings, limits, reach, row, col, low, high)
-            start[cell + 1] = count
-        elif start[cell + 1] > start[cell]:
-            part = low[start[cell] : start[cell + 1]], high[start[cell] : start[cell + 1]]
-            _gaps_of_cell(lattice, crossings, limits, reach, row, col, *part)
+    for row in prange(lattice.height):
+        _search_row(np.int64(row), lattice, crossings, limits, reach, room, task)
 
 
 class Asked(NamedTuple):

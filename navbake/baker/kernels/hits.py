@@ -60,7 +60,7 @@ def hits_of(crossings, first, last):
     return Hits(z, normal, geom[first:last], closed, facet, np.empty(last - first, np.bool_))
 
 
-@njit(inline="always")
+@njit(cache=True, forceinline=True)
 def copy_hit(hits, source, into, target):
     """Copy a hit to a place of the same hits or of others."""
     into.z[target] = hits.z[source]
@@ -72,7 +72,7 @@ def copy_hit(hits, source, into, target):
     into.at_edge[target] = hits.at_edge[source]
 
 
-@njit(inline="always")
+@njit(cache=True, forceinline=True)
 def _is_less(one, i, hits, j):
     """Whether a hit comes before another: by height, then geom, undersides first."""
     if one.z[i] != hits.z[j]:

@@ -52,9 +52,10 @@ def _far_of_edges(corners):
 
 @njit(inline="always")
 def _cross_triangle(corners, x, y, far):
-    """Where the line at (x, y) crosses a triangle; `far` is what `_far_of_edges` says, or NEVER_FAR.
+    """Where the line at (x, y) crosses a triangle, and whether it does.
 
-    Returns 0 for nowhere, 1 for inside, 2 for within RIM of an edge; and the height.
+    `far` is what `_far_of_edges` says, or NEVER_FAR. Returns 0 for nowhere, 1 for
+    inside, 2 for within RIM of an edge; and the height.
     """
     ax, ay = corners[0, 0] - x, corners[0, 1] - y
     bx, by = corners[1, 0] - x, corners[1, 1] - y

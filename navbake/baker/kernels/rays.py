@@ -289,9 +289,7 @@ def cast_lines(lattice, solids, facets, planes, items, heights, crossings, dropp
     """
     for band in prange(count_bands(lattice)):
         one = np.int64(band)
-        dropped[band] = _cast_band(
-            one, lattice, solids, facets, planes, items, heights, crossings
-        )
+        dropped[band] = _cast_band(one, lattice, solids, facets, planes, items, heights, crossings)
 
 
 @njit(cache=True)

@@ -77,11 +77,12 @@ def list_by_band(boxes, grow, lattice):
                 cursor[band] = start[band]
             item = np.empty(start[-1], np.int32)
         for n in range(boxes.shape[0]):
-            box = boxes[n]
-            left, right = centers_between(box[0] - grow - x_min, box[3] + grow - x_min, cell, width)
+            x0, x1 = boxes[n, 0] - grow - x_min, boxes[n, 3] + grow - x_min
+            left, right = centers_between(x0, x1, cell, width)
             if right < left:
                 continue
-            first, last = centers_between(y_max - box[4] - grow, y_max - box[1] + grow, cell, height)
+            y0, y1 = y_max - boxes[n, 4] - grow, y_max - boxes[n, 1] + grow
+            first, last = centers_between(y0, y1, cell, height)
             if last < first:
                 continue
             for band in range(first // BAND, last // BAND + 1):
