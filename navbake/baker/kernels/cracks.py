@@ -114,9 +114,8 @@ def _floors_end(lattice, crossings, room, place, axis, reach, limits):
         ends = False
         for distance in range(1, reach + 1):
             beside = _cell_beside(lattice, place, way, distance)
-            if ends or beside < 0 or abs(room.only[beside] - room.only[cell]) <= limits.step:
-                continue
-            ends = not _go_on(crossings, room.stands, beside, cell, limits)
+            if not ends and beside >= 0:
+                ends = not _go_on(crossings, room.stands, beside, cell, limits)
         if not ends:
             return False
     return True
@@ -163,6 +162,23 @@ def _lower_side_of_gap(lattice, crossings, limits, reach, stands, place, way, di
 
 
 @njit(inline="always")
+def _is_even(only, cell, width, reach, step):
+    """Whether on each axis one side of a cell is within a step of it, by the heights in `only`.
+
+    A quick test for what `_floors_end` finds; the cell is not within `reach` of the lattice's edge.
+    """
+    here = only[cell]
+    for offset in (np.int64(1), width, width + 1, width - 1):
+        before, after = True, True
+        for distance in range(offset, offset * reach + 1, offset):
+            before = before and abs(only[cell - distance] - here) <= step
+            after = after and abs(only[cell + distance] - here) <= step
+        if not before and not after:
+            return False
+    return True
+
+
+@njit(cache=True)
 def _gaps_of_cell(lattice, crossings, limits, reach, room, place, low, high):
     """Write the gaps of one cell, unless there is no room for them; returns their number."""
     count, last, stands = 0, np.inf, room.stands
@@ -215,18 +231,25 @@ MARK, COUNT, WRITE = range(3)
 @njit(cache=True)
 def _search_row(row, lattice, crossings, limits, reach, room, task):
     """Do a round of `find_gaps` in a row of cells."""
-    start = room.start
-    for col in range(lattice.width):
-        cell = row * lattice.width + col
+    start, only, width, step = room.start, room.only, lattice.width, limits.step
+    is_inner = reach <= row < lattice.height - reach
+    for col in range(width):
+        cell = row * width + col
         if task == MARK:
-            room.only[cell] = _mark_standable(crossings, cell, limits, room.stands)
-        elif task == COUNT or start[cell + 1] > start[cell]:
-            first, last = (0, 0) if task == COUNT else (start[cell], start[cell + 1])
-            gaps = room.low[first:last], room.high[first:last]
-            place = row, col
-            count = _gaps_of_cell(lattice, crossings, limits, reach, room, place, gaps[0], gaps[1])
-            if task == COUNT:
-                start[cell + 1] = count
+            only[cell] = _mark_standable(crossings, cell, limits, room.stands)
+        elif task == WRITE:
+            if start[cell + 1] > start[cell]:
+                low, high = room.low[start[cell] :], room.high[start[cell] :]
+                _gaps_of_cell(lattice, crossings, limits, reach, room, (row, col), low, high)
+        elif (
+            not is_inner
+            or not reach <= col < width - reach
+            or not _is_even(only, cell, width, reach, step)
+        ):
+            none = room.low
+            start[cell + 1] = _gaps_of_cell(
+                lattice, crossings, limits, reach, room, (row, col), none, none
+            )
 
 
 @njit(cache=True, parallel=True)
