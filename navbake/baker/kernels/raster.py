@@ -28,38 +28,34 @@ NARROW = 4
 
 
 @njit(inline="always")
-def is_beside(box, x, y):
-    """Whether a line is beside a box by more than RIM."""
-    return x < box[0] - RIM or x > box[3] + RIM or y < box[1] - RIM or y > box[4] + RIM
-
-
-@njit(inline="always")
-def _far_of_edge(corners, i, j):
-    """The edge function of a line that is twice as far from an edge as RIM."""
-    length = math.hypot(corners[j, 0] - corners[i, 0], corners[j, 1] - corners[i, 1])
-    return 2.0 * RIM * length if length > SHORT else np.inf
-
-
-@njit(inline="always")
-def _far_of_edges(corners):
-    """What edge functions are surely further from zero than RIM, opposite to each corner."""
+def is_beside(boxes, i, x, y):
+    """Whether a line is beside the i-th box by more than RIM."""
     return (
-        _far_of_edge(corners, 1, 2),
-        _far_of_edge(corners, 2, 0),
-        _far_of_edge(corners, 0, 1),
+        x < boxes[i, 0] - RIM
+        or x > boxes[i, 3] + RIM
+        or y < boxes[i, 1] - RIM
+        or y > boxes[i, 4] + RIM
     )
 
 
 @njit(inline="always")
-def _cross_triangle(corners, x, y, far):
+def _far_of_edge(corners, t, i, j):
+    """The edge function of a line that is twice as far from an edge as RIM."""
+    dx, dy = corners[t, j, 0] - corners[t, i, 0], corners[t, j, 1] - corners[t, i, 1]
+    length = math.sqrt(dx * dx + dy * dy)
+    return 2.0 * RIM * length if length > SHORT else np.inf
+
+
+@njit(inline="always")
+def _cross_triangle(corners, t, x, y, far):
     """Where the line at (x, y) crosses a triangle, and whether it does.
 
-    `far` is what `_far_of_edges` says, or NEVER_FAR. Returns 0 for nowhere, 1 for
-    inside, 2 for within RIM of an edge; and the height.
+    `far` has for each corner what `_far_of_edge` says of the edge opposite, or is NEVER_FAR.
+    Returns 0 for nowhere, 1 for inside, 2 for within RIM of an edge; and the height.
     """
-    ax, ay = corners[0, 0] - x, corners[0, 1] - y
-    bx, by = corners[1, 0] - x, corners[1, 1] - y
-    cx, cy = corners[2, 0] - x, corners[2, 1] - y
+    ax, ay = corners[t, 0, 0] - x, corners[t, 0, 1] - y
+    bx, by = corners[t, 1, 0] - x, corners[t, 1, 1] - y
+    cx, cy = corners[t, 2, 0] - x, corners[t, 2, 1] - y
     area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
     if abs(area) < 1e-14:
         return 0, 0.0
@@ -81,7 +77,7 @@ def _cross_triangle(corners, x, y, far):
             return 0, 0.0
         if nearest <= RIM:
             place = 2
-    z0, z1, z2 = corners[0, 2], corners[1, 2], corners[2, 2]
+    z0, z1, z2 = corners[t, 0, 2], corners[t, 1, 2], corners[t, 2, 2]
     z = (u * z0 + v * z1 + w * z2) / (u + v + w)
     z = min(max(z, min(z0, z1, z2)), max(z0, z1, z2))
     return place, z
@@ -90,7 +86,7 @@ def _cross_triangle(corners, x, y, far):
 @njit(inline="always")
 def hit_triangle(facets, t, x, y, far, hits, at):
     """Note that a line crosses a triangle, at a place of the hits; returns how often, 0 or 1."""
-    place, z = _cross_triangle(facets.corners[t], x, y, far)
+    place, z = _cross_triangle(facets.corners, t, x, y, far)
     if place == 0:
         return 0
     hits.z[at] = z
@@ -104,54 +100,64 @@ def hit_triangle(facets, t, x, y, far, hits, at):
 
 
 @njit(inline="always")
-def _span_of_row(corners, box, y, far):
-    """Between which x a triangle may be crossed at some y: where its edge functions allow it."""
-    low, high = box[0] - RIM, box[3] + RIM
-    x0, y0 = corners[0, 0], corners[0, 1]
-    area = (corners[1, 0] - x0) * (corners[2, 1] - y0) - (corners[2, 0] - x0) * (corners[1, 1] - y0)
+def _span_of_row(corners, t, left, right, y, far):
+    """Between which x a triangle may be crossed at some y, within (left, right) [m].
+
+    There all its edge functions, which change evenly along the row, are above those of lines that
+    are surely outside.
+    """
+    x0, y0 = corners[t, 0, 0], corners[t, 0, 1]
+    area = (corners[t, 1, 0] - x0) * (corners[t, 2, 1] - y0)
+    area -= (corners[t, 2, 0] - x0) * (corners[t, 1, 1] - y0)
     turn = 1.0 if area > 0.0 else -1.0
+    low, high = left, right
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
-        bx, by = corners[i, 0] - box[0], corners[i, 1] - y
-        cx, cy = corners[j, 0] - box[0], corners[j, 1] - y
-        # the edge function at the box's side, and how it grows along the row
-        at_side, growth = turn * (bx * cy - cx * by), turn * (corners[i, 1] - corners[j, 1])
+        bx, by = corners[t, i, 0] - left, corners[t, i, 1] - y
+        cx, cy = corners[t, j, 0] - left, corners[t, j, 1] - y
+        at_left, growth = turn * (bx * cy - cx * by), turn * (corners[t, i, 1] - corners[t, j, 1])
         if growth > 0.0:
-            low = max(low, box[0] - (at_side + far[k]) / growth)
+            low = max(low, left - (at_left + far[k]) / growth)
         elif growth < 0.0:
-            high = min(high, box[0] - (at_side + far[k]) / growth)
+            high = min(high, left - (at_left + far[k]) / growth)
     return low, high
 
 
 @njit(cache=True)
-def raster_triangle(facets, t, lattice, rows, hits, end, writing):
-    """Note that the lines of the centres that a triangle covers cross it.
+def raster_triangles(facets, listed, lattice, rows, hits, end, writing):
+    """Note that the lines of the centres that triangles cover cross them.
 
     Args:
+        listed: the triangles, ascending.
         rows: the first of the rows that are asked about, and past the last.
         hits: those of the rows' lines.
         end: for each line of the rows, where its next hit goes; is advanced.
         writing: whether hits go there; else they are only counted, and their place is the first.
     """
-    if facets.normal[t, 2] == 0.0:
-        return
-    box, corners = facets.bounds[t], facets.corners[t]
+    corners, bounds, normal = facets.corners, facets.bounds, facets.normal
     y_max, x_min, cell = lattice.y_max, lattice.x_min, lattice.cell_size
-    first, last = centers_between(y_max - box[4] - RIM, y_max - box[1] + RIM, cell, lattice.height)
-    first, last = max(first, rows[0]), min(last, rows[1] - 1)
-    left, right = centers_between(box[0] - RIM - x_min, box[3] + RIM - x_min, cell, lattice.width)
-    far = _far_of_edges(corners)
-    is_wide = right - left >= NARROW
-    for row in range(first, last + 1):
-        begin, stop = left, right
-        y = cell_center(lattice, row * lattice.width)[1]
-        if is_wide:
-            low, high = _span_of_row(corners, box, y, far)
-            begin, stop = centers_between(low - x_min, high - x_min, cell, lattice.width)
-        for col in range(begin, stop + 1):
-            x = cell_center(lattice, col)[0]
-            if is_beside(box, x, y):
-                continue
-            line = (row - rows[0]) * lattice.width + col
-            place = end[line] if writing else 0
-            end[line] += hit_triangle(facets, t, x, y, far, hits, place)
+    width, height = lattice.width, lattice.height
+    for t in listed:
+        if normal[t, 2] == 0.0:
+            continue
+        top, bottom = bounds[t, 4] + RIM, bounds[t, 1] - RIM
+        first, last = centers_between(y_max - top, y_max - bottom, cell, height)
+        x0, x1 = bounds[t, 0] - RIM, bounds[t, 3] + RIM
+        begin, stop = centers_between(x0 - x_min, x1 - x_min, cell, width)
+        is_wide = stop - begin >= NARROW
+        far = (
+            _far_of_edge(corners, t, 1, 2),
+            _far_of_edge(corners, t, 2, 0),
+            _far_of_edge(corners, t, 0, 1),
+        )
+        for row in range(max(first, rows[0]), min(last, rows[1] - 1) + 1):
+            y = cell_center(lattice, row * width)[1]
+            if is_wide:
+                low, high = _span_of_row(corners, t, x0, x1, y, far)
+                begin, stop = centers_between(low - x_min, high - x_min, cell, width)
+            for col in range(begin, stop + 1):
+                x = cell_center(lattice, col)[0]
+                if not is_beside(bounds, t, x, y):
+                    line = (row - rows[0]) * width + col
+                    place = end[line] if writing else 0
+                    end[line] += hit_triangle(facets, t, x, y, far, hits, place)

@@ -32,7 +32,7 @@ from navbake.baker.kernels.hits import (
     make_hits,
     settle,
 )
-from navbake.baker.kernels.raster import NEVER_FAR, hit_triangle, is_beside, raster_triangle
+from navbake.baker.kernels.raster import NEVER_FAR, hit_triangle, is_beside, raster_triangles
 from navbake.baker.kernels.tiles import BAND, cell_center, centers_between, count_bands
 from navbake.types import Float
 
@@ -191,7 +191,7 @@ def _has_level_ends(solids, s):
 
 @njit(cache=True)
 def _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing):
-    """Note where the lines of some rows cross a solid; the arguments are `raster_triangle`'s.
+    """Note where the lines of some rows cross a solid; the arguments are `raster_triangles`'.
 
     `middle` has room for the hits of the line through the solid's middle.
     """
@@ -208,7 +208,7 @@ def _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing):
         y = cell_center(lattice, row * lattice.width)[1]
         for col in range(left, right + 1):
             x = cell_center(lattice, col)[0]
-            if is_beside(box, x, y):
+            if is_beside(solids.bounds, s, x, y):
                 continue
             beyond = _beyond_rim(solids, s, x, y) if has_rim else 0.0
             if beyond > CLEAR:
@@ -263,8 +263,8 @@ def _cast_band(band, lattice, solids, facets, planes, items, heights, crossings)
         _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writing)
     for i in range(items.solid_start[band], items.solid_start[band + 1]):
         _cast_solid(solids, items.solid_item[i], lattice, rows, ray, middle, hits, end, writing)
-    for i in range(items.triangle_start[band], items.triangle_start[band + 1]):
-        raster_triangle(facets, items.triangle_item[i], lattice, rows, hits, end, writing)
+    listed = items.triangle_item[items.triangle_start[band] : items.triangle_start[band + 1]]
+    raster_triangles(facets, listed, lattice, rows, hits, end, writing)
     dropped = np.int64(0)
     for line in range(last - first):
         if writing:
@@ -311,11 +311,11 @@ def cast_line(x, y, tile, solids, facets, planes, tiles, heights, ray, hits):
         count += _hit_plane(planes, p, x, y, heights, ray, hits, count)
     for i in range(tiles.solid_start[tile], tiles.solid_start[tile + 1]):
         s = tiles.solid_item[i]
-        if not is_beside(solids.bounds[s], x, y):
+        if not is_beside(solids.bounds, s, x, y):
             count += _hit_solid(solids, s, x, y, ray, hits, count)
     for i in range(tiles.triangle_start[tile], tiles.triangle_start[tile + 1]):
         t = tiles.triangle_item[i]
-        if not is_beside(facets.bounds[t], x, y) and facets.normal[t, 2] != 0.0:
+        if not is_beside(facets.bounds, t, x, y) and facets.normal[t, 2] != 0.0:
             count += hit_triangle(facets, t, x, y, NEVER_FAR, hits, count)
     return count - settle(hits, zero, count, facets, hits, count)
 
