@@ -96,7 +96,7 @@ def cast_columns(tiled: TiledShapes) -> Columns:
         cast_lines(*geometry, crossings, dropped)
     if dropped.any():
         count = close_up(crossings)
-        crossings = Crossings(start, *(array[:count] for array in crossings[1:]))
+        crossings = Crossings._make([start, *(array[:count] for array in crossings[1:])])
     return Columns(lattice, crossings)
 
 
