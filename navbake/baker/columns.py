@@ -6,9 +6,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.kernels.arrays import Band, Crossings, Facets, Tiles
+from navbake.baker.kernels.arrays import Band, BandItems, Crossings, Facets, Tiles
+from navbake.baker.kernels.hits import RIM, close_up
 from navbake.baker.kernels.rays import cast_lines, cast_points_at, load_mujoco_library
-from navbake.baker.kernels.tiles import bin_boxes, tile_of
+from navbake.baker.kernels.tiles import BAND, bin_boxes, list_by_band, tile_of
 from navbake.baker.scene.model import mujoco_library
 from navbake.baker.scene.shapes import Shapes, Triangles
 from navbake.navgrid.lattice import Lattice
@@ -78,16 +79,24 @@ def cast_columns(tiled: TiledShapes) -> Columns:
     above and from below; planes from their front only. Lines within 1e-7 m of a rim cross it,
     so that a seam between two geoms never leaks.
     """
-    lattice, shapes = tiled.lattice, tiled.shapes
+    lattice, shapes, facets = tiled.lattice, tiled.shapes, tiled.facets
     load_mujoco_library(mujoco_library())
-    geometry = (lattice, shapes.solids, tiled.facets, shapes.planes, tiled.tiles, tiled.heights)
+    items = BandItems(
+        *list_by_band(shapes.solids.bounds, RIM, lattice),
+        *list_by_band(facets.bounds, RIM, lattice),
+    )
+    geometry = (lattice, shapes.solids, facets, shapes.planes, items, tiled.heights)
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
+    dropped = np.zeros(-(-lattice.height // BAND), dtype=np.int64)
     # without room for them, the crossings are only counted
-    cast_lines(*geometry, _empty_crossings(start, 0))
+    cast_lines(*geometry, _empty_crossings(start, 0), dropped)
     np.cumsum(start, out=start)
     crossings = _empty_crossings(start, int(start[-1]))
     if len(crossings.z):
-        cast_lines(*geometry, crossings)
+        cast_lines(*geometry, crossings, dropped)
+    if dropped.any():
+        count = close_up(crossings)
+        crossings = Crossings._make([start, *(array[:count] for array in crossings[1:])])
     return Columns(lattice, crossings)
 
 

@@ -12,7 +12,16 @@ from navbake.baker.columns import Columns, TiledShapes, cast_points
 from navbake.baker.floors.sheets import agent_limits
 from navbake.baker.kernels.arrays import AgentLimits, Crossings
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.kernels.cracks import find_gaps, floors_near
+from navbake.baker.kernels.cracks import (
+    COUNT,
+    MARK,
+    WRITE,
+    Asked,
+    Found,
+    GapRoom,
+    find_gaps,
+    probe_lines,
+)
 from navbake.config.settings import AgentSettings
 from navbake.types import Bool, Float, Int
 
@@ -95,28 +104,37 @@ def crack_reach(crack: float) -> float:
 
 
 def _find_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
-    lattice = columns.lattice
-    start = np.zeros(len(columns.start), dtype=np.int64)
-    none = np.empty(0)
+    lattice, start = columns.lattice, np.zeros(len(columns.start), dtype=np.int64)
+    stands, none = np.empty(len(columns.z), dtype=np.bool_), np.empty(0)
+    room = GapRoom(stands, np.empty(len(start) - 1), start, none, none)
     # how far the nearest line beyond a crack may be, in cells
-    reach = int(crack / lattice.cell_size) + 1
-    find_gaps(lattice, columns.crossings, limits, reach, start, none, none)
-    counts = start[1:].copy()
+    asked = lattice, columns.crossings, limits, int(crack / lattice.cell_size) + 1
+    find_gaps(*asked, room, MARK)
+    find_gaps(*asked, room, COUNT)
+    cells = np.flatnonzero(start[1:])
+    counts = start[1:][cells]
     np.cumsum(start, out=start)
-    low, high = np.empty(start[-1]), np.empty(start[-1])
+    room = room._replace(low=np.empty(start[-1]), high=np.empty(start[-1]))
     if start[-1]:
-        find_gaps(lattice, columns.crossings, limits, reach, start, low, high)
-    return Gaps(np.repeat(np.arange(len(counts)), counts), low, high)
+        find_gaps(*asked, room, WRITE)
+    return Gaps(np.repeat(cells, counts), room.low, room.high)
 
 
 def _find_open(probe: _Probe, crack: float, spacing: int) -> Bool:
     """Which gaps are open to one side: neighbouring ones of each so many ways lead to no floor."""
-    ways = np.arange(0, 2 * AXES, spacing)
-    gap, number = np.divmod(np.arange(len(probe.gaps.cell) * len(ways)), len(ways))
-    floors, _ = probe.floors(gap, ways[number], np.full(len(gap), crack_reach(crack)))
-    misses = np.isnan(floors).reshape(-1, len(ways))
-    runs = [np.roll(misses, shift, axis=1) for shift in range(OPEN_WAYS // spacing + 1)]
-    is_open: Bool = np.logical_and.reduce(runs).any(axis=1)
+    run, num = OPEN_WAYS // spacing + 1, 2 * AXES // spacing
+    misses = np.zeros((len(probe.gaps.cell), num), dtype=np.bool_)
+    is_open = np.zeros(len(misses), dtype=np.bool_)
+    # way by way, as those that are known to be open are asked no further
+    for number in range(num):
+        asked = np.flatnonzero(~is_open)
+        distance = np.full(len(asked), crack_reach(crack))
+        floors, _ = probe.floors(asked, np.full(len(asked), number * spacing), distance)
+        misses[asked, number] = np.isnan(floors)
+        # of the runs that this way is part of, those whose other ways are known are complete
+        for shift in range(run):
+            ways = np.arange(number - shift, number - shift + run) % num
+            is_open |= misses[:, ways].all(axis=1)
     return is_open
 
 
@@ -186,11 +204,12 @@ class _Probe(NamedTuple):
 
         And the lowest such floor with room for an agent.
         """
-        floor, standable = np.empty(len(gap)), np.empty(len(gap))
-        crossings = _cast_beside(self.tiled, self.gaps.cell[gap], WAYS[way] * distance[:, None])
-        low, high = self.gaps.low[gap], self.gaps.high[gap]
-        floors_near(crossings, low, high, self.limits, floor, standable)
-        return floor, standable
+        tiled, shapes = self.tiled, self.tiled.shapes
+        found = Found(np.empty(len(gap)), np.empty(len(gap)))
+        geometry = (shapes.solids, tiled.facets, shapes.planes, tiled.tiles, tiled.heights)
+        asked = Asked(gap, WAYS[way] * distance[:, None])
+        probe_lines(self.gaps, tiled.lattice, *geometry, self.limits, asked, found)
+        return found.floor, found.standable
 
 
 def _cast_beside(tiled: TiledShapes, cells: Int, offset: Float) -> Crossings:

@@ -67,6 +67,18 @@ class Tiles(NamedTuple):
     triangle_item: Int32
 
 
+class BandItems(NamedTuple):
+    """Which solids and triangles lie over centres of which band of rows, see `list_by_band`.
+
+    Band b holds ``solid_item[solid_start[b] : solid_start[b + 1]]``; so with the triangles.
+    """
+
+    solid_start: Int
+    solid_item: Int32
+    triangle_start: Int
+    triangle_item: Int32
+
+
 class Band(NamedTuple):
     """Two heights [m]."""
 
