@@ -7,6 +7,7 @@ import numpy as np
 from navbake.baker.columns import Columns
 from navbake.baker.floors.kernels.enclosed import count_ends, find_holders
 from navbake.baker.floors.kernels.sheets import group_members, join_by_steps
+from navbake.baker.floors.patch import Patch
 from navbake.baker.floors.sheets import AreaTest, agent_limits, middle_of
 from navbake.baker.kernels.constants import CLOSED_SURFACE
 from navbake.baker.scene.shapes import Shapes
@@ -25,7 +26,7 @@ def find_enclosed(
     floor_like: Bool,
     agent: AgentSettings,
     settings: FloorSettings,
-) -> list[tuple[int, float, float, tuple[float, float, float]]]:
+) -> list[Patch]:
     """Find floors that closed meshes hold, so that nobody can stand on them.
 
     They face up within the slope, have headroom, and are large enough to be floors. Where such
@@ -36,8 +37,7 @@ def find_enclosed(
         floor_like: which surfaces face up within the slope, shape (n,).
 
     Returns:
-        The geom that holds it, its height, its area and a place on it [m, m², m], of each, the
-        largest first.
+        The floors, the largest first; the geom of each is the mesh that holds it.
     """
     if not (columns.crossings.closed == CLOSED_SURFACE).any():
         return []
@@ -61,5 +61,6 @@ def find_enclosed(
         edges, goes_on = count_ends(lattice, *surfaces, limits.step, at_cell)
         if area >= BUILDING or goes_on < GOES_ON * edges:
             place = middle_of(lattice, cell[members], z[members])
-            found.append((int(geom[members[0]]), float(z[members].max()), area, place))
-    return sorted(found, key=lambda floor: -floor[2])
+            top = float(z[members].max())
+            found.append(Patch(int(geom[members[0]]), top, area, place, cell[members]))
+    return sorted(found, key=lambda floor: -floor.area)

@@ -10,8 +10,6 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.types import Bool, Float, Int
 
-# A given ground takes in floors down to this much below it [m]
-GIVEN_TOLERANCE = 0.02
 # Decimals of the grounds that are found: what a float adds to 3.0 is no height
 DECIMALS = 9
 

@@ -85,9 +85,7 @@ def find_shelves(site: Site) -> Bool:
         candidates[sheet] = not test.passes(standable.cell[members])
     if not candidates.any():
         return candidates
-    # a post at its edge may block the cell beside: one more
-    reach = int(np.ceil(site.settings.shrink / lattice.cell_size)) + 1
-    edges = _outer_edges(site, candidates, reach)
+    edges = _outer_edges(site, candidates, site.reach)
     kind = find_endings(edges, standable, site.columns, site.agent, site.is_occupied).kind
     known = is_known(edges, kind, site.cropped)
     return candidates & (share_of_known(standable, edges, kind == DROP, known) > HALF)

@@ -75,6 +75,14 @@ class Standable(NamedTuple):
         slopes = (np.cumsum(kept) - 1)[self.slopes[kept[self.slopes].all(axis=1)]]
         return Standable(self.lattice, start, *arrays, sheet, size, slopes)
 
+    def sheets_at(self, cells: Int, heights: Float) -> Int:
+        """The sheets of the surfaces in some cells at heights at which there is one, shape (n,)."""
+        surface = self.start[cells]
+        for _ in range(int(np.diff(self.start).max(initial=0)) - 1):
+            surface += self.z[surface] < heights
+        sheet: Int = self.sheet[surface]
+        return sheet
+
 
 def agent_limits(agent: AgentSettings) -> AgentLimits:
     """What an agent can stand and walk on, as kernels take it."""
