@@ -199,4 +199,4 @@ def _describe_tops(scene: Scene, tops: list[Patch]) -> str:
     first = tops[0]
     more = f", and {len(tops) - 1} more" if tops[1:] else ""
     name = scene.geoms[first.geom].name
-    return f"{name!r} ({first.area:.1f} m² at {first.height:.2f} m{more})"
+    return f"{name!r} ({first.area:.1f} m² at {first.place[2]:.2f} m{more})"

@@ -61,6 +61,5 @@ def find_enclosed(
         edges, goes_on = count_ends(lattice, *surfaces, limits.step, at_cell)
         if area >= BUILDING or goes_on < GOES_ON * edges:
             place = middle_of(lattice, cell[members], z[members])
-            top = float(z[members].max())
-            found.append(Patch(int(geom[members[0]]), top, area, place, cell[members]))
+            found.append(Patch(int(geom[members[0]]), area, place, cell[members]))
     return sorted(found, key=lambda floor: -floor.area)

@@ -17,14 +17,12 @@ class Patch:
 
     Attributes:
         geom: the geom that most of it belongs to.
-        height: of its highest point, world z [m].
         area: [m²].
-        place: x, y, z of a place on it, in world coordinates [m].
+        place: x, y, z of a place near its middle, in world coordinates [m].
         cells: its cells, shape (n,), int64.
     """
 
     geom: int
-    height: float
     area: float
     place: tuple[float, float, float]
     cells: Int = field(repr=False, compare=False)
@@ -36,7 +34,7 @@ def describe_patch(standable: Standable, members: Int, columns: Columns) -> Patc
     cells, z = standable.cell[members], standable.z[members]
     area = len(members) * standable.lattice.cell_size**2
     place = middle_of(standable.lattice, cells, z)
-    return Patch(int(np.bincount(geoms).argmax()), float(z.max()), area, place, cells)
+    return Patch(int(np.bincount(geoms).argmax()), area, place, cells)
 
 
 def describe_sheets(standable: Standable, chosen: Bool, columns: Columns) -> list[Patch]:
