@@ -71,6 +71,12 @@ class Columns:
         return Columns(lattice, Crossings(start, *(part[taken] for part in self.crossings[1:])))
 
 
+def cells_of(start: Int) -> Int:
+    """The cell of each item of ragged data, from the first item of each cell, (cells + 1,)."""
+    cell: Int = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    return cell
+
+
 def tile_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> TiledShapes:
     """List the shapes by tiles; `reach` is how far beyond its centre a cell looks for them [m]."""
     facets = _facets_of(shapes.triangles)

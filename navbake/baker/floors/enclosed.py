@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from navbake.baker.columns import Columns
+from navbake.baker.columns import Columns, cells_of
 from navbake.baker.floors.kernels.enclosed import count_ends, find_holders
 from navbake.baker.floors.kernels.sheets import group_members, join_by_steps
 from navbake.baker.floors.patch import Patch
@@ -48,7 +48,7 @@ def find_enclosed(
     surface = np.flatnonzero(holder >= 0)
     z, geom = columns.z[surface], holder[surface].astype(np.int64)
     part, size = join_by_steps(lattice, start, z, geom, limits.step)
-    cell = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    cell = cells_of(start)
     first, member = group_members(part, size)
     test, at_cell = AreaTest(lattice, settings), np.zeros(len(start) - 1, dtype=np.bool_)
     found = []

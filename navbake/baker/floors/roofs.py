@@ -20,11 +20,14 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.config.settings import AgentSettings
 from navbake.types import Bool, Float
 
-# The share of a roof that lies open to the sky: a higher one's eaves may cover a lower one's side
-SKY_SHARE = 0.75
-# The share of a roof or a shelf that lies over a floor; and the share of its outline that has
-# walls if it is a storey, or that drops if it is a shelf
+# The share of a roof that lies open to the sky: a higher one's eaves may cover a lower one's side,
+# and a carport's roof goes on over the tops of walls that are under the roof of the house
+SKY_SHARE = 0.5
+# The share of a shelf that lies over a floor, or of a roof that lies over a floor or a wall; and
+# the share of its outline that has walls if it is a storey, or that drops if it is a shelf
 HALF = 0.5
+# The share of a roof that lies over a floor: what thick walls and eaves leave of it
+FLOOR_SHARE = 0.25
 # Parapets are at most 1.2 m high; a storey's walls are higher than this, and than the agent [m]
 MIN_WALL = 1.5
 # Steps by row and column against the ways of edges: east, south, west, north
@@ -42,8 +45,9 @@ def find_roofs(site: Site) -> Bool:
     roof beside a higher part of the house has a wall on one side only. What is closed below, or
     open, does not matter: a carport's roof is one, and so are a tree's crown, a parasol and the
     upper shelf of a rack outdoors. A floor below counts even if it is only the top of what stands
-    there. No step reaches a roof: the sheet of one that stairs lead to includes the floors below,
-    which are not open to the sky.
+    there. Most of a roof lies over a floor; or over a floor and thick walls around it, and a
+    quarter over the floor at least. No step reaches a roof: the sheet of one that stairs lead to
+    includes the floors below, which are not open to the sky.
 
     Only the uppermost slab of a tower of slabs on columns is a roof, as the others are covered.
     Where the lattice crops the scene all around, nothing is known of walls, and a sheet is none.
@@ -52,7 +56,9 @@ def find_roofs(site: Site) -> Bool:
         Which sheets they are, shape (sheets,), bool.
     """
     sky, over = _shares(site)
-    candidates = (sky >= SKY_SHARE) & (over >= HALF)
+    candidates = (sky >= SKY_SHARE) & (over >= FLOOR_SHARE)
+    asked = candidates & (over < HALF)
+    candidates[asked] = _share_over_walls(site, asked) >= HALF
     if not candidates.any():
         return candidates
     agent = site.agent.model_copy(update={"height": max(site.agent.height, MIN_WALL)})
@@ -108,6 +114,24 @@ def _shares(site: Site) -> tuple[Float, Float]:
         np.bincount(sheet, to_sky, len(size)) / size,
         np.bincount(sheet, over_floor, len(size)) / size,
     )
+
+
+def _share_over_walls(site: Site, chosen: Bool) -> Float:
+    """The share of some sheets under which something faces up, farther down than an agent is high.
+
+    That is a floor, or what is below a wall. Returns shape (chosen sheets,).
+    """
+    standable, columns = site.large, site.columns
+    members = np.flatnonzero(chosen[standable.sheet])
+    deep = standable.z[members] - site.agent.height
+    first = columns.start[standable.cell[members]]
+    is_over = np.zeros(len(members), dtype=np.bool_)
+    for k in range(int((standable.surface[members] - first).max(initial=0))):
+        entry = np.minimum(first + k, standable.surface[members])
+        is_over |= (columns.normal[entry, 2] > 0) & (columns.z[entry] < deep - SLACK)
+    over = np.bincount(standable.sheet[members], is_over, len(chosen))[chosen]
+    share: Float = over / standable.sheet_size[chosen]
+    return share
 
 
 def _outer_edges(site: Site, chosen: Bool, reach: int) -> Edges:
