@@ -96,6 +96,14 @@ ROOFS = {
         *[YARD, *ring(0, 10, 0, 8, 0, 4), box(0, 10, 0, 8, 4, 4.2)],
         *[box(x, x + 1.8, 0.6, 7.4, 0, 2.5) for x in (0.6, 2.9, 5.2, 7.5)],
     ],
+    "thick walls and eaves without ground around": [
+        *[box(0, 10, 0, 6, -0.2, 0), *ring(0, 10, 0, 6, 0, 2.6, t=1.2)],
+        box(-0.4, 10.4, -0.4, 6.4, 2.599, 2.8),
+    ],
+    "carport that goes on over wall tops": [
+        *[YARD, *ring(0, 10, 0, 8, 0, 2.7, t=0.75), *posts(10, 14, 0, 8, 0, 2.5)],
+        *[box(10, 14, 0, 8, 2.5, 2.6), box(-0.3, 10, -0.3, 8.3, 4.2, 4.4)],
+    ],
     "canopy along a wall": [YARD, box(0, 10, 0, 8, 0, 5), box(1, 9, -1.6, 0, 2.6, 2.7)],
 }
 
