@@ -101,14 +101,22 @@ def test_from_takes_furniture_only_at_its_own_height(bake):
 
 
 def test_from_over_furniture_takes_the_floor_in_front_of_it(bake):
-    """A desk at a thin wall, with a larger room behind that the position is nearer to."""
-    rooms = [box("here", 0, 4, 0, 4, -0.2, 0), box("there", 0, 4, 4, 20, -0.2, 0)]
-    wall = box("wall", 0, 4, 4, 4.05, 0, 2.6)
-    ends = [box("", 0, 4, y, y + 0.1, 0, 2.6) for y in (0, 19.9)]
-    desk = box("desk", 1, 3, 3.2, 4, 0, 0.75)
-    settings = {"from": [[2, 3.9, 1.6]], "reach": "steps"}
-    result = bake([*rooms, wall, *ends, desk], floors=settings)
-    assert free_area(result) < 16
+    """A desk fills a niche, with a larger room behind the thin walls of its three other sides."""
+    walls = [
+        (-4, 1, 0, 0.1),
+        (2, 8, 0, 0.1),
+        (0.9, 1, 0.1, 0.9),
+        (2, 2.1, 0.1, 0.9),
+        (1, 2, 0.8, 0.9),
+    ]
+    geoms = [
+        box("ground", -4, 8, -6, 10, -0.2, 0),
+        *(box("", *wall, 0, 2.6) for wall in walls),
+        box("desk", 1, 2, 0.1, 0.8, 0, 0.75),
+    ]
+    for position in [1.5, 0.5, 1.6], [1.5, 0.75, 0.9]:
+        result = bake(geoms, floors={"from": [position], "reach": "steps"})
+        assert free_area(result) == pytest.approx(72, abs=2)
 
 
 def test_from_over_a_roof_or_a_platform_takes_these(bake):
