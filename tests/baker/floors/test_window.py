@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from box_worlds import box, world
+from navbake.baker.floors.levels import Floors, LevelFloor
+from navbake.baker.floors.patch import Patch
+from navbake.baker.floors.reach import Unreached
+from navbake.baker.floors.window import crop_floors
 from navbake.baker.lattice import lay_whole
 from navbake.baker.pipeline import BakeResult, run_bake
 from navbake.baker.stages import bake_stages
@@ -147,6 +152,32 @@ def test_levels_of_a_window_are_numbered_anew_and_keep_their_links(path, whole):
     upper = bake(path, [11.0, 6.0, 12.0, 7.0], floors={"from": [[11, 6, 3]], "reach": "steps"})
     assert grounds(upper) == [3]
     assert upper.grid.metadata["navbake"]["levels"] == [{"name": "level 0", "ground": 3.0}]
+
+
+def test_levels_and_links_of_a_window_are_numbered_anew():
+    """On the second of four levels, the window shows no standable surface."""
+    floor = np.arange(8.0).reshape(2, 4)
+    everywhere, first = np.ones((2, 4), dtype=bool), np.arange(4) < np.ones((2, 1))
+    levels = [
+        LevelFloor("level 0", 0.0, floor, everywhere),
+        LevelFloor("level 1", 3.0, floor + 3, first),
+        LevelFloor("level 2", 6.0, floor + 6, everywhere),
+        LevelFloor("attic", 9.0, floor + 9, everywhere),
+    ]
+    links = np.array([[0, 0, 1, 0], [0, 1, 2, 2], [0, 4, 2, 5], [1, 1, 2, 2], [2, 6, 3, 7]])
+    patches = [Patch(0, 1.0, (0.0, 0.0, 0.0), np.array(cells)) for cells in ([0, 4], [4, 5])]
+    unreached = [Unreached(level, patches[1], True) for level in (1, 2)]
+    whole = Floors(levels, links, patches, [], [], unreached, [], patches[:1])
+    window = crop_floors(whole, (slice(0, 2), slice(1, 4)))
+    assert [level.name for level in window.levels] == ["level 0", "level 1", "attic"]
+    assert [level.ground for level in window.levels] == [0, 6, 9]
+    assert window.links.tolist() == [[0, 0, 1, 1], [1, 4, 2, 5]]
+    assert window.tops == patches[1:] and window.enclosed == []
+    assert [part.level for part in window.unreached] == [1]
+    np.testing.assert_array_equal(window.levels[1].floor, floor[:, 1:] + 6)
+    nowhere = replace(whole, levels=[replace(level, standable=first) for level in levels])
+    with pytest.raises(SceneError, match="no floor lies inside"):
+        crop_floors(nowhere, (slice(0, 2), slice(1, 4)))
 
 
 def test_one_may_start_outside_of_the_window(path):
