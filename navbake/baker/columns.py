@@ -63,6 +63,20 @@ class Columns:
     def geom(self) -> Int32:
         return self.crossings.geom
 
+    def cut(self, rows: slice, cols: slice, lattice: Lattice) -> "Columns":
+        """The columns of a window; `lattice` is its own, with cells in the same places."""
+        cells = np.arange(len(self.start) - 1).reshape(self.lattice.shape)[rows, cols].ravel()
+        first, counts = self.start[cells], np.diff(self.start)[cells]
+        start = np.concatenate([[0], np.cumsum(counts)])
+        taken = np.repeat(first - start[:-1], counts) + np.arange(start[-1])
+        return Columns(lattice, Crossings(start, *(part[taken] for part in self.crossings[1:])))
+
+
+def cells_of(start: Int) -> Int:
+    """The cell of each item of ragged data, from the first item of each cell, (cells + 1,)."""
+    cell: Int = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    return cell
+
 
 def tile_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> TiledShapes:
     """List the shapes by tiles; `reach` is how far beyond its centre a cell looks for them [m]."""

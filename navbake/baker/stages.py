@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,8 +23,9 @@ from navbake.baker.doors.candidates import DoorCandidate, find_candidates, witho
 from navbake.baker.doors.doors import Doors, Surroundings, place_doors, warn_immovable_doors
 from navbake.baker.doors.walkable import warn_walkable_doors
 from navbake.baker.floors.levels import Floors, find_floors
+from navbake.baker.floors.window import crop_floors
 from navbake.baker.kernels.arrays import Band
-from navbake.baker.lattice import lay_lattice
+from navbake.baker.lattice import Window, lay_lattice, lay_whole
 from navbake.baker.occupancy.occupancy import (
     Footprint,
     Footprints,
@@ -95,6 +96,20 @@ def settle_doors(stages: Stages) -> Stages:
     return stages
 
 
+class WholeScene(NamedTuple):
+    """The scene on which floors are judged.
+
+    Attributes:
+        tiled: the geometry without doors, by tiles of a lattice over the whole scene.
+        window: the rows and columns of that lattice that are baked.
+        columns: all surfaces.
+    """
+
+    tiled: TiledShapes
+    window: Window
+    columns: Columns
+
+
 @dataclass(frozen=True, eq=False)
 class Stages:
     """What each stage of a bake finds, where some bodies are taken for doors.
@@ -131,20 +146,31 @@ class Stages:
     @cached_property
     def tiled(self) -> TiledShapes:
         """The geometry of the scene without doors, listed by tiles of the lattice."""
-        reach = max(self.footprints.whole.reach, crack_reach(self.config.floors.crack))
-        return tile_shapes(self.doorless.shapes, self.lattice, reach)
+        return self._tile(self.lattice)
+
+    @cached_property
+    def whole(self) -> WholeScene:
+        """The scene on which floors are judged, also where `grid.bounds` show less of it."""
+        config = self.config
+        lattice, window = lay_whole(self.lattice, self.scene.bounds, config.grid.max_cells)
+        tiled = self.tiled if lattice == self.lattice else self._tile(lattice)
+        with self.clock.stage("columns"):
+            columns = close_cracks(cast_columns(tiled), tiled, config.agent, config.floors.crack)
+        return WholeScene(tiled, window, columns)
 
     @cached_property
     def columns(self) -> Columns:
         """All surfaces on the vertical line through each cell's centre, or beside a crack there."""
-        config, tiled = self.config, self.tiled
-        with self.clock.stage("columns"):
-            return close_cracks(cast_columns(tiled), tiled, config.agent, config.floors.crack)
+        _, window, columns = self.whole
+        return columns if columns.lattice == self.lattice else columns.cut(*window, self.lattice)
 
     @cached_property
     def floors(self) -> Floors:
-        """The storeys, the floor of each, and the steps between them."""
-        config, columns, tiled = self.config, self.columns, self.tiled
+        """The storeys, the floor of each, and the steps between them.
+
+        They are found on the whole scene, and cut to the lattice.
+        """
+        config, (tiled, window, columns) = self.config, self.whole
         given = None if config.levels == "auto" else list(config.levels)
         # how a sheet ends does not depend on how wide the agent is
         point = config.agent.model_copy(update={"radius": 0.0})
@@ -155,9 +181,10 @@ class Stages:
             return check_occupancy(columns, tiled, volume, cells, floors).occupied
 
         with self.clock.stage("floors"), self._errors_say_where():
-            return find_floors(
+            floors = find_floors(
                 columns, tiled.shapes, config.agent, config.floors, given, is_occupied
             )
+            return floors if columns.lattice == self.lattice else crop_floors(floors, window)
 
     @cached_property
     def occupancy(self) -> Occupancy:
@@ -220,6 +247,10 @@ class Stages:
             self.config.agent.height,
         )
         return find_level_boxes(levels, occupied, self.lattice, self.scene.bounds, height)
+
+    def _tile(self, lattice: Lattice) -> TiledShapes:
+        reach = max(self.footprints.whole.reach, crack_reach(self.config.floors.crack))
+        return tile_shapes(self.doorless.shapes, lattice, reach)
 
     @contextmanager
     def _errors_say_where(self) -> Iterator[None]:
