@@ -25,6 +25,9 @@ BOTH, NARROWER = 0.8, 0.78
 GROWTH, RISE = 1.15, 0.2
 # Walls are at most this thick at a doorway [m]
 THICKNESS = 0.6
+# What is smaller is no space but part of the gaps round it: where walls are at an angle to the
+# lattice, lines of a gap that are next to each other leave single cells between them [m²]
+ISLAND = 0.1
 # How wide the spaces are is measured so far behind the gap; the widest counts [m]
 DEPTHS = (0.1, 0.25, 0.45)
 # A passage opens into a space as wide as it is, but is its own from this length on, measured in
@@ -36,6 +39,8 @@ CLOSE, CLOSE_WIDTH, CLOSE_AREA = 0.04, 0.8, 4.0
 # The directions of walls are taken at this distance from them, in bins of so many degrees; those
 # count that belong to this length of wall, and to this share of all
 OFF_WALL, BIN, LEAST_WALL, LEAST_SHARE = 0.3, 5, 2.0, 0.01
+# That at an angle to the lattice is found in steps of so many degrees, by lines so wide [cells]
+FINE, LINE = 0.25, 0.5
 # Nearer to it [cells] the lattice's steps disturb it; and walls this near to an axis of the
 # lattice run along it [degrees]
 OFF_STEPS, ALONG_AXIS = 5, 1.0
@@ -102,7 +107,11 @@ def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
     right = distance[rows, cols + 2] - distance[rows, cols - 2]
     # a wall runs across the slope; where two walls are as near, there is less of one
     clear = np.hypot(down, right) > 3.2
-    angle = np.mod(np.rad2deg(np.arctan2(down[clear], right[clear])) + 90.0, 180.0)
+    rows, cols, down, right = rows[clear], cols[clear], down[clear], right[clear]
+    angle = np.mod(np.rad2deg(np.arctan2(down, right)) + 90.0, 180.0)
+    foot = np.stack([rows, cols]) - distance[rows, cols] * np.stack([down, right]) / np.hypot(
+        down, right
+    )
     num = 180 // BIN
     count = np.bincount(np.rint(angle / BIN).astype(np.int64) % num, minlength=num).astype(float)
     smooth = count + np.roll(count, 1) + np.roll(count, -1)
@@ -115,14 +124,36 @@ def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
     while smooth.max() >= least:
         best = int(smooth.argmax())
         off = (angle - best * BIN + 90.0) % 180.0 - 90.0
-        mean = best * BIN + float(off[np.abs(off) <= 1.5 * BIN].mean())
+        near = np.abs(off) <= 1.5 * BIN
+        mean = best * BIN + float(off[near].mean())
         axis = 90.0 * round(mean / 90.0)
         if abs(mean - axis) <= ALONG_AXIS:
             directions.append(_direction(axis, open_cells.shape))
         else:
-            directions.append(_direction(mean, open_cells.shape))
+            directions.append(_direction(_align(foot[:, near], best * BIN), open_cells.shape))
         smooth[np.arange(best - 2, best + 3) % num] = 0.0
     return directions
+
+
+def _align(foot: Float, around: float) -> float:
+    """The angle within 1.5 bins at which points on walls gather on the fewest lines [degrees].
+
+    A Radon transform of the points, whose sharpest projection is that along the walls. The slopes
+    alone are off by some degrees, because a lattice has walls at an angle in steps.
+
+    Args:
+        foot: rows and columns of points on the walls, shape (2, n).
+    """
+    sharpest, best = -1.0, around
+    for angle in np.arange(around - 1.5 * BIN, around + 1.5 * BIN + FINE / 2, FINE):
+        turn = np.deg2rad(angle)
+        across = foot[0] * np.cos(turn) - foot[1] * np.sin(turn)
+        count = np.bincount(((across - across.min()) / LINE).astype(np.int64)).astype(float)
+        smooth = count[1:] + count[:-1] if len(count) > 1 else count
+        sharpness = float((smooth * smooth).sum())
+        if sharpness > sharpest:
+            sharpest, best = sharpness, float(angle)
+    return best
 
 
 def _direction(angle: float, shape: tuple[int, ...]) -> Direction:
@@ -170,6 +201,8 @@ def part_at_gaps(open_cells: Bool, holes: Bool, cell_size: float) -> tuple[Int32
     directions = find_directions(space, cell_size)
     marks = _find_gap_cells(space, directions, cell_size)
     marked = _join_marks(marks, directions, open_cells)
+    label, count = label_parts(open_cells & ~marked)
+    marked |= open_cells & (np.bincount(label.ravel()) * cell_size**2 < ISLAND)[label]
     label, count = label_parts(open_cells & ~marked)
     found = []
     for direction, own in zip(directions, marks, strict=True):

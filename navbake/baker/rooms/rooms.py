@@ -30,7 +30,7 @@ from navbake.config.settings import AgentSettings
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Room
-from navbake.types import Bool, Int, Int32
+from navbake.types import Bool, Float, Int, Int32
 
 # Close calls that a warning names
 LISTED = 5
@@ -95,8 +95,9 @@ def find_rooms(
 ) -> Rooms:
     """Find the room that each cell belongs to.
 
-    A cell's room is that of the first source that has one for it. Cells without a floor, and
-    cells that a wall or a window stands in, belong to none. On each level, rooms are numbered by
+    A cell's room is that of the first source that has one for it; what is left is segmented by
+    itself, see `share_rest`. Cells without a floor, and cells that a wall or a window stands in,
+    belong to none. On each level, rooms are numbered by
     their first cells in reading order: from large y to small, from small x to large. A room that
     reaches over several levels is one room on each.
 
@@ -113,7 +114,7 @@ def find_rooms(
     markers = RoomMarkers(scene, columns, levels, settings, agent)
     for source in settings.sources:
         if source == "auto":
-            assignment.segment(levels, settings, columns, agent)
+            assignment.segment(levels, settings, columns, agent, scene.bounds)
         else:
             assignment.add(markers.mark(source), source)
     index, named = assignment.number()
@@ -154,10 +155,12 @@ class _Assignment:
         settings: RoomSettings,
         columns: Columns,
         agent: AgentSettings,
+        bounds: Float | None,
     ) -> None:
         """Divide the remaining cells at gaps; see `segment_by_gaps` and `share_rest`.
 
-        All that is outdoors on a level becomes one room.
+        What is outdoors becomes one room, as far as it hangs together; see `find_outdoors`.
+        `bounds` are those of the scene.
         """
         cell_size = columns.lattice.cell_size
         labels = []
@@ -167,12 +170,11 @@ class _Assignment:
             segment = self._segment_level(number, level, settings, columns, agent)
             owner = self._owner[number]
             if owner.any():
-                least = settings.min_area / cell_size**2
-                self._owner[number], segment = share_rest(owner, segment, least)
-            outside = find_outdoors(segment, level.floor, columns, agent.height)
-            if outside:
-                segment[np.isin(segment, list(outside))] = min(outside)
-                outdoors.add(min(outside) + len(names))
+                self._owner[number], segment = share_rest(
+                    owner, segment, cell_size, settings.min_area
+                )
+            segment, outside = find_outdoors(segment, level.floor, columns, agent.height, bounds)
+            outdoors.update(room + len(names) for room in outside)
             labels.append(np.where(segment > 0, segment + len(names), 0))
             names += [None] * int(segment.max(initial=0))
         self.add(MarkedRooms(names, labels), "auto", outdoors)

@@ -13,6 +13,8 @@ from numba import njit
 DRIFT = 2
 # How far on either side of a gap the spaces behind it are measured [widths of the gap]
 REACH = 2
+# The bit of a way that follows its line exactly, see `_hold`
+EXACT = 8
 
 
 @njit(cache=True)
@@ -45,26 +47,58 @@ def measure_runs(is_open, shift):
 
 @njit(cache=True)
 def mark_bridges(low, wall, shift, bridge):
-    """Mark the cells of runs of `low` cells along a line that begin and end at a wall.
+    """Mark the `low` cells of ways along a line, which begin and end at a wall.
 
-    All are (rows, cols) bool; marks are added to `bridge`.
+    A way follows its line exactly; or it keeps within a cell of it where no wall is beside it.
+    So thin sills are followed that meet now the one line of cells and now the next, and furniture
+    along a wall is not. All are (rows, cols) bool; marks are added to `bridge`.
     """
     rows, cols = low.shape
-    held = np.zeros((rows, cols), dtype=np.bool_)  # by a wall at the run's first end
+    held = np.zeros((rows, cols), dtype=np.uint8)  # by a wall at the way's first end
     for col in range(1, cols):
-        down = shift[col - 1] - shift[col]
         for row in range(rows):
-            before = row + down
-            if low[row, col] and 0 <= before < rows:
-                held[row, col] = wall[before, col - 1] or held[before, col - 1]
-    ends = np.zeros((rows, cols), dtype=np.bool_)
+            before = row + shift[col - 1] - shift[col]
+            held[row, col] = _hold(low, wall, row, col, before, col - 1, held)
+    ends = np.zeros((rows, cols), dtype=np.uint8)
     for col in range(cols - 2, -1, -1):
-        down = shift[col + 1] - shift[col]
         for row in range(rows):
-            after = row + down
-            if held[row, col] and 0 <= after < rows:
-                ends[row, col] = wall[after, col + 1] or ends[after, col + 1]
-                bridge[row, col] |= ends[row, col]
+            after = row + shift[col + 1] - shift[col]
+            ends[row, col] = _hold(low, wall, row, col, after, col + 1, ends)
+            both = held[row, col] & ends[row, col]
+            for side in range(3):
+                if both & (1 << side):
+                    bridge[row + side - 1, col] = True
+            if both & EXACT:
+                bridge[row, col] = True
+
+
+@njit(inline="always")
+def _hold(low, wall, row, col, next_row, next_col, held):
+    """Which cells round a line's cell are low and held by a wall, over the next cell of the line.
+
+    Bits 0 to 2 are for the cells above, on and below the line, bit 3 (`EXACT`) is for the line
+    alone. `held` has them for the next cell.
+    """
+    rows = low.shape[0]
+    if next_row < 0 or next_row >= rows:
+        return np.uint8(0)
+    found = 0
+    there = held[next_row, next_col]
+    if low[row, col] and (wall[next_row, next_col] or there & EXACT):
+        found = EXACT
+    first, last = max(row - 1, 0), min(row + 1, rows - 1)
+    for other in range(first, last + 1):
+        if wall[other, col]:
+            return np.uint8(found)
+    for other in range(first, last + 1):
+        if not low[other, col]:
+            continue
+        side = other - row + 1
+        for beside in range(max(side - 1, 0), min(side + 1, 2) + 1):
+            k = next_row + beside - 1
+            if 0 <= k < rows and (wall[k, next_col] or there & (1 << beside)):
+                found |= 1 << side
+    return np.uint8(found)
 
 
 @njit(cache=True)
