@@ -6,10 +6,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from navbake.baker.columns import Columns
+from navbake.baker.contents.walls import WALL_BAND
 from navbake.baker.floors.levels import LevelFloor
-from navbake.baker.kernels.constants import SLACK
+from navbake.baker.kernels.constants import SAME, SLACK
 from navbake.baker.lattice import EDGES
-from navbake.baker.rooms.gaps import WIDEST
+from navbake.baker.rooms.spaces import WIDEST
 from navbake.config.settings import AgentSettings
 from navbake.types import Bool, Float, Int, Int32
 
@@ -30,10 +31,11 @@ def find_outdoors(
     """Find the segments of a level that are outdoors, and unite those that touch.
 
     They reach the edge of the grid, or floor beyond which there is nothing up to that edge, in one
-    piece that is wider than any door; and at least half of their cells have nothing above the
-    head of an agent of a height [m], or lie under eaves, 1.2 m from where the scene ends at most.
-    What walls enclose is a room, with a ceiling or without one: a gap parts it from what is
-    outdoors, and doors at the edge are too narrow. Walls part two pieces of outdoors, too.
+    piece that is wider than any door, walls and pillars left out; and at least half of their
+    cells have nothing above the head of an agent of a height [m], or lie under eaves, 1.2 m from
+    where the scene ends at most. What walls enclose is a room, with a ceiling or without one: a
+    gap parts it from what is outdoors, and doors at the edge are too narrow. Walls part two
+    pieces of outdoors, too.
 
     Args:
         segment: the segment of each cell, 0 for none.
@@ -46,7 +48,8 @@ def find_outdoors(
     """
     lattice = columns.lattice
     count = int(segment.max(initial=0)) + 1
-    edge = _edge_cells(columns, np.ones((2, 2), dtype=np.bool_))
+    edge = _edge_cells(columns, np.ones((2, 2), dtype=np.bool_)) & (segment > 0)
+    edge[edge] = ~_is_under_top(np.flatnonzero(edge), floor, columns)
     candidates = _longest_runs(segment, edge, count) * lattice.cell_size > EDGE_LENGTH
     if not candidates.any():
         return segment, set()
@@ -70,6 +73,20 @@ def find_outdoors(
     return united[segment], set(np.unique(united[outdoors]).tolist())
 
 
+def _is_under_top(cell: Int, floor: Float, columns: Columns) -> Bool:
+    """Whether cells hold something that reaches above heads, such as a pillar between doors."""
+    height = floor.ravel()[cell]
+    start, end = columns.start[cell], columns.start[cell + 1]
+    owner = np.repeat(np.arange(len(cell)), end - start)
+    entry = np.arange(len(owner)) + (start - np.cumsum(end - start) + (end - start))[owner]
+    below = columns.z[entry] <= height[owner] + SAME
+    above = start + np.bincount(owner[below], minlength=len(cell))
+    tall = above < end
+    above = above[tall]
+    tall[tall] = (columns.normal[above, 2] > 0) & (columns.z[above] > height[tall] + WALL_BAND[0])
+    return tall
+
+
 def _unite_touching(segment: Int32, chosen: Bool) -> Int32:
     """By segment, the least number of the chosen ones that it touches, or its own."""
     pairs = []
@@ -82,9 +99,9 @@ def _unite_touching(segment: Int32, chosen: Bool) -> Int32:
     return least[part]
 
 
-def _longest_runs(segment: Int32, edge: Bool, count: int) -> Int:
+def _longest_runs(segment: Int32, edge: Bool, count: int) -> Float:
     """How far each segment's cells at the edge reach at most without a break [cells]."""
-    rows, cols = np.nonzero(edge & (segment > 0))
+    rows, cols = np.nonzero(edge)
     number = segment[rows, cols]
     cell = rows * segment.shape[1] + cols
     pairs = []
@@ -108,7 +125,7 @@ def _longest_runs(segment: Int32, edge: Bool, count: int) -> Int:
 def _connect(pairs: Int, count: int) -> Int32:
     """The connected part of each of so many nodes; `pairs` are (2, n)."""
     graph = coo_array((np.ones(pairs.shape[1], dtype=np.bool_), pairs), shape=(count, count))
-    _, part = connected_components(graph, directed=False)
+    part: Int32 = connected_components(graph, directed=False)[1]
     return part
 
 

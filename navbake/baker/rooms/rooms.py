@@ -12,7 +12,6 @@ import numpy as np
 from navbake.baker.columns import Columns
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.rooms import openings
-from navbake.baker.rooms.gaps import CloseCall
 from navbake.baker.rooms.openings import Opening, RoomIndex, RoomKey
 from navbake.baker.rooms.outdoors import find_holes, find_outdoors
 from navbake.baker.rooms.segmentation import (
@@ -22,6 +21,7 @@ from navbake.baker.rooms.segmentation import (
     share_rest,
 )
 from navbake.baker.rooms.sources import MarkedRooms, RoomMarkers
+from navbake.baker.rooms.spaces import CloseCall
 from navbake.baker.rooms.table import NamedRoom, describe_rooms, name_neighbours
 from navbake.baker.rooms.windows import find_windows
 from navbake.baker.scene.scene import Scene

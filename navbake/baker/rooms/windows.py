@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from navbake.baker.rooms.gaps import find_directions, turned
+from navbake.baker.rooms.directions import find_directions, turned
 from navbake.baker.rooms.kernels.gaps import drop_thick, mark_bridges
 from navbake.types import Bool
 

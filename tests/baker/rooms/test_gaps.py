@@ -7,7 +7,7 @@ import os
 import numpy as np
 import pytest
 
-from navbake.baker.rooms.gaps import find_directions
+from navbake.baker.rooms.directions import find_directions
 from navbake.baker.rooms.segmentation import segment_by_gaps
 from navbake.baker.rooms.windows import find_windows
 from offices import make_plan
