@@ -142,7 +142,7 @@ def _is_slender(extents: Extents, *limits: tuple[float, float, float]) -> Bool:
         (extents.thin <= thin) & (extents.long >= np.maximum(long, ratio * extents.thin))
         for thin, long, ratio in limits
     ]
-    return np.logical_or.reduce(slender)
+    return np.array(slender).any(axis=0)
 
 
 def _meets_at_corner(thick: Bool, walls: Bool, extents: Extents) -> Bool:

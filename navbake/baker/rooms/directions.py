@@ -13,11 +13,11 @@ T = TypeVar("T", bound=np.generic)
 # The directions of walls are taken at this distance from them, in bins of so many degrees; those
 # count that belong to this length of wall, and to this share of all
 OFF_WALL, BIN, LEAST_WALL, LEAST_SHARE = 0.3, 5, 2.0, 0.01
-# That at an angle to the lattice is found in steps of so many degrees, by lines so wide [cells]
-FINE, LINE = 0.25, 0.5
-# Nearer to it [cells] the lattice's steps disturb it; and walls this near to an axis of the
-# lattice run along it [degrees]
-OFF_STEPS, ALONG_AXIS = 5, 1.0
+# Each is then found in steps of so many degrees, by lines so wide [cells], and about so many
+# points; an axis of the lattice is taken if it is as sharp as this share of the sharpest
+FINE, LINE, MOST_POINTS, AS_SHARP = 0.25, 0.5, 4000, 0.9
+# Nearer to it [cells] the lattice's steps disturb it
+OFF_STEPS = 5
 # Cells round the lattice in which slopes at its edge are measured
 PADDING = 2
 
@@ -69,13 +69,8 @@ def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
     while smooth.max() >= least:
         best = int(smooth.argmax())
         off = (angle - best * BIN + 90.0) % 180.0 - 90.0
-        near = np.abs(off) <= 1.5 * BIN
-        mean = best * BIN + float(off[near].mean())
-        axis = 90.0 * round(mean / 90.0)
-        if abs(mean - axis) <= ALONG_AXIS:
-            directions.append(_direction(axis, open_cells.shape))
-        else:
-            directions.append(_direction(_align(foot[:, near], best * BIN), open_cells.shape))
+        chosen = _align(foot[:, np.abs(off) <= 1.5 * BIN], best * BIN)
+        directions.append(_direction(chosen, open_cells.shape))
         smooth[np.arange(best - 2, best + 3) % num] = 0.0
     return directions
 
@@ -84,21 +79,26 @@ def _align(foot: Float, around: float) -> float:
     """The angle within 1.5 bins at which points on walls gather on the fewest lines [degrees].
 
     A Radon transform of the points, whose sharpest projection is that along the walls. The slopes
-    alone are off by some degrees, because a lattice has walls at an angle in steps.
+    alone are off by some degrees, because a lattice has walls at an angle in steps. It is an axis
+    of the lattice where that is about as sharp.
 
     Args:
         foot: rows and columns of points on the walls, shape (2, n).
     """
-    sharpest, best = -1.0, around
-    for angle in np.arange(around - 1.5 * BIN, around + 1.5 * BIN + FINE / 2, FINE):
-        turn = np.deg2rad(angle)
-        across = foot[0] * np.cos(turn) - foot[1] * np.sin(turn)
-        count = np.bincount(((across - across.min()) / LINE).astype(np.int64)).astype(float)
-        smooth = count[1:] + count[:-1] if len(count) > 1 else count
-        sharpness = float((smooth * smooth).sum())
-        if sharpness > sharpest:
-            sharpest, best = sharpness, float(angle)
-    return best
+    foot = foot[:, :: max(1, foot.shape[1] // MOST_POINTS)]
+    angles = around + FINE * np.arange(-round(1.5 * BIN / FINE), round(1.5 * BIN / FINE) + 1)
+    sharpness = np.zeros(len(angles))
+    for k, angle in enumerate(np.deg2rad(angles)):
+        across = foot[0] * np.cos(angle) - foot[1] * np.sin(angle)
+        across = (across - across.min()) / LINE
+        for phase in (0.0, 0.5):  # so that no wall falls between two lines
+            count = np.pad(np.bincount((across + phase).astype(np.int64)), 1)
+            sharp = np.square((count[1:] + count[:-1]).astype(np.float64)).sum()
+            sharpness[k] = max(sharpness[k], sharp)
+    is_axis = angles % 90.0 == 0.0
+    if (sharpness[is_axis] >= AS_SHARP * sharpness.max()).any():
+        return float(angles[is_axis][0])
+    return float(angles[sharpness.argmax()])
 
 
 def _direction(angle: float, shape: tuple[int, ...]) -> Direction:

@@ -15,6 +15,7 @@ from navbake.baker.rooms import openings
 from navbake.baker.rooms.openings import Opening, RoomIndex, RoomKey
 from navbake.baker.rooms.outdoors import find_holes, find_outdoors
 from navbake.baker.rooms.segmentation import (
+    give_covered,
     labels_in_order,
     segment_by_gaps,
     segment_rooms,
@@ -130,6 +131,8 @@ class _Assignment:
     def __init__(self, open_cells: Sequence[Bool]) -> None:
         self._open = open_cells
         self._owner = [np.zeros(mask.shape, dtype=np.int32) for mask in open_cells]
+        # whose floor lies under the cell's own, for cells without an owner
+        self._under = [np.zeros(mask.shape, dtype=np.int32) for mask in open_cells]
         self._rooms: list[NamedRoom] = []  # owners count from 1
         self.warnings: list[str] = []
 
@@ -141,13 +144,16 @@ class _Assignment:
         self.warnings += marked.warnings
         if not marked.names:
             return
-        for open_cells, owner, label in zip(self._open, self._owner, marked.labels, strict=True):
+        covered = marked.covered or marked.labels
+        of_levels = zip(self._open, self._owner, self._under, marked.labels, covered, strict=True)
+        for open_cells, owner, under, label, cover in of_levels:
             fresh = np.where(open_cells & (owner == 0), label, 0)
             number = np.zeros(len(marked.names) + 1, dtype=np.int32)
             for k in np.flatnonzero(np.bincount(fresh.ravel())[1:]):
                 self._rooms.append(NamedRoom(marked.names[k], source, k + 1 in outdoors))
                 number[k + 1] = len(self._rooms)
             owner += number[fresh]
+            under += np.where(under == 0, number[cover], 0)
 
     def segment(
         self,
@@ -170,6 +176,7 @@ class _Assignment:
             segment = self._segment_level(number, level, settings, columns, agent)
             owner = self._owner[number]
             if owner.any():
+                owner = give_covered(owner, self._under[number] * self._open[number], segment)
                 self._owner[number], segment = share_rest(
                     owner, segment, cell_size, settings.min_area
                 )

@@ -196,6 +196,19 @@ def wall_nodes(open_cells: Bool) -> Bool:
     return cols[:, :-1] | cols[:, 1:]
 
 
+def give_covered(owner: Int32, under: Int32, segment: Int32) -> Int32:
+    """Give cells to the room whose floor lies under theirs, if that room reaches their segment.
+
+    So a podium is part of its room, and a house is none of the ground that it stands on. All are
+    of the same shape, 0 for none; returns the owners.
+    """
+    base = int(max(owner.max(initial=0), under.max(initial=0))) + 1
+    held = np.unique(segment[owner > 0].astype(np.int64) * base + owner[owner > 0])
+    takes = (owner == 0) & (under > 0) & (segment > 0)
+    takes[takes] = np.isin(segment[takes].astype(np.int64) * base + under[takes], held)
+    return np.where(takes, under, owner)
+
+
 def share_rest(
     owner: Int32, segment: Int32, cell_size: float, min_area: float
 ) -> tuple[Int32, Int32]:

@@ -146,7 +146,7 @@ def bridges(low, wall, shift):
                         if (side, col) not in cells or not 0 <= before < cols:
                             continue
                         near = [s for s in (-1, 0, 1) if abs(s - side) <= drift]
-                        if any(at(wall, s, before) or (s, before) in found for s in near):
+                        if at(wall, 0, before) or any((s, before) in found for s in near):
                             found.add((side, col))
                 held.append(found)
             for side, col in held[0] & held[1]:

@@ -105,6 +105,21 @@ def test_a_podium_over_most_of_a_room_leaves_the_room(tmp_path):
     assert span(rooms["west"]) == [-4, -2, 0, 2]
 
 
+def test_a_house_is_none_of_the_ground_under_it(tmp_path):
+    """The floors of its rooms are a step over the ground, which is a room by its name."""
+    body = """
+    <geom name="floor|ground" type="box" size="6 4 .1" pos="0 0 -.1"/>
+    <geom name="slab" type="box" size="3 2 .1" pos="0 0 .1"/>
+    <geom type="box" size="3 .1 1.3" pos="0 1.9 1.3"/>
+    <geom type="box" size="3 .1 1.3" pos="0 -1.9 1.3"/>
+    <geom type="box" size=".1 1.8 1.3" pos="-2.9 0 1.3"/>
+    <geom type="box" size=".1 1.3 1.3" pos="2.9 -.5 1.3"/>
+    """
+    rooms = rooms_of(bake(tmp_path, body))
+    assert set(rooms) == {"ground", None}
+    assert span(rooms[None])[:2] == pytest.approx([-2.75, -1.75], abs=0.26)
+
+
 def test_geoms_that_are_only_drawn(tmp_path):
     """A floor that collides under floors that don't, of which one is a mesh a hair above it."""
     body = """

@@ -111,9 +111,10 @@ def measure_runs(is_open, shift):
 def mark_bridges(low, wall, shift, bridge):
     """Mark the `low` cells of ways along a line, which begin and end at a wall.
 
-    A way follows its line exactly; or it keeps within a cell of it where no wall is beside it.
-    So thin sills are followed that meet now the one line of cells and now the next, and furniture
-    along a wall is not. All are (rows, cols) bool; marks are added to `bridge`.
+    A way follows its line exactly; or it keeps within a cell of it where no wall is beside it, and
+    the line itself meets the walls at its ends. So thin sills are followed that meet now the one
+    line of cells and now the next, and furniture along a wall is not. All are (rows, cols) bool;
+    marks are added to `bridge`.
     """
     rows, cols = low.shape
     held = np.zeros((rows, cols), dtype=np.uint8)  # by a wall at the way's first end
@@ -156,10 +157,11 @@ def _hold(low, wall, row, col, next_row, next_col, held):
         if not low[other, col]:
             continue
         side = other - row + 1
+        reached = wall[next_row, next_col]
         for beside in range(max(side - 1, 0), min(side + 1, 2) + 1):
-            k = next_row + beside - 1
-            if 0 <= k < rows and (wall[k, next_col] or there & (1 << beside)):
-                found |= 1 << side
+            reached |= there & (1 << beside) != 0
+        if reached:
+            found |= 1 << side
     return np.uint8(found)
 
 
