@@ -142,7 +142,8 @@ def _is_slender(extents: Extents, *limits: tuple[float, float, float]) -> Bool:
         (extents.thin <= thin) & (extents.long >= np.maximum(long, ratio * extents.thin))
         for thin, long, ratio in limits
     ]
-    return np.array(slender).any(axis=0)
+    found: Bool = np.array(slender).any(axis=0)
+    return found
 
 
 def _meets_at_corner(thick: Bool, walls: Bool, extents: Extents) -> Bool:

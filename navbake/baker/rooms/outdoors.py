@@ -8,6 +8,7 @@ from scipy.sparse.csgraph import connected_components
 from navbake.baker.columns import Columns
 from navbake.baker.contents.walls import WALL_BAND
 from navbake.baker.floors.levels import LevelFloor
+from navbake.baker.floors.sheets import agent_limits
 from navbake.baker.kernels.constants import SAME, SLACK
 from navbake.baker.lattice import EDGES
 from navbake.baker.rooms.spaces import WIDEST
@@ -26,16 +27,16 @@ BEYOND = 0.5
 
 
 def find_outdoors(
-    segment: Int32, floor: Float, columns: Columns, height: float, bounds: Float | None
+    segment: Int32, floor: Float, columns: Columns, agent: AgentSettings, bounds: Float | None
 ) -> tuple[Int32, set[int]]:
     """Find the segments of a level that are outdoors, and unite those that touch.
 
-    They reach the edge of the grid, or floor beyond which there is nothing up to that edge, in one
-    piece that is wider than any door, walls and pillars left out; and at least half of their
-    cells have nothing above the head of an agent of a height [m], or lie under eaves, 1.2 m from
-    where the scene ends at most. What walls enclose is a room, with a ceiling or without one: a
-    gap parts it from what is outdoors, and doors at the edge are too narrow. Walls part two
-    pieces of outdoors, too.
+    They reach the edge of the grid (or floor beyond which there is nothing up to that edge, or
+    ground that is too steep to stand on, such as the bank of a ditch) in one piece that is wider
+    than any door, walls and pillars left out; and at least half of their cells have nothing above
+    an agent's head, or lie under eaves, 1.2 m from where the scene ends at most. What walls
+    enclose is a room, with a ceiling or without one: a gap parts it from what is outdoors, and
+    doors at the edge are too narrow. Walls part two pieces of outdoors, too; a ditch does not.
 
     Args:
         segment: the segment of each cell, 0 for none.
@@ -48,7 +49,8 @@ def find_outdoors(
     """
     lattice = columns.lattice
     count = int(segment.max(initial=0)) + 1
-    edge = _edge_cells(columns, np.ones((2, 2), dtype=np.bool_)) & (segment > 0)
+    steep = _is_steep(floor, columns, agent)
+    edge = _edge_cells(columns, steep, np.ones((2, 2), dtype=np.bool_)) & (segment > 0)
     edge[edge] = ~_is_under_top(np.flatnonzero(edge), floor, columns)
     candidates = _longest_runs(segment, edge, count) * lattice.cell_size > EDGE_LENGTH
     if not candidates.any():
@@ -56,20 +58,22 @@ def find_outdoors(
     is_candidate = candidates[segment]
     cell = np.flatnonzero(is_candidate)
     number, top = segment.ravel()[cell], columns.z[columns.start[cell + 1] - 1]
-    is_open = top <= floor.ravel()[cell] + height + SLACK
+    is_open = top <= floor.ravel()[cell] + agent.height + SLACK
     if not is_open.all() and bounds is not None:
         # a window of a larger scene cuts through rooms, and they go on beyond it
         x0, y0, x1, y1 = lattice.bounds
         (low_x, low_y), (high_x, high_y) = bounds[:, :2]
         more = np.array([[high_y - y1, y0 - low_y], [x0 - low_x, high_x - x1]])
-        end = is_candidate & _edge_cells(columns, more <= BEYOND * lattice.cell_size)
+        end = is_candidate & _edge_cells(
+            columns, np.zeros_like(steep), more <= BEYOND * lattice.cell_size
+        )
         if end.any():
             away = ndimage.distance_transform_edt(~end).ravel()[cell]
             is_open |= away * lattice.cell_size <= EAVES
     open_cells = np.bincount(number[is_open], minlength=count)
     all_cells = np.bincount(number, minlength=count)
     outdoors = candidates & (open_cells >= OPEN_SHARE * all_cells)
-    united = _unite_touching(segment, outdoors)
+    united = _unite_touching(segment, outdoors, steep)
     return united[segment], set(np.unique(united[outdoors]).tolist())
 
 
@@ -87,16 +91,30 @@ def _is_under_top(cell: Int, floor: Float, columns: Columns) -> Bool:
     return tall
 
 
-def _unite_touching(segment: Int32, chosen: Bool) -> Int32:
-    """By segment, the least number of the chosen ones that it touches, or its own."""
+def _is_steep(floor: Float, columns: Columns, agent: AgentSettings) -> Bool:
+    """Mark the cells without a floor that are steep ground under the sky."""
+    bare = np.isnan(floor).ravel() & (np.diff(columns.start) > 0)
+    up = columns.normal[columns.start[1:][bare] - 1, 2]
+    bare[bare] = (up > 0) & (up < agent_limits(agent).min_up)
+    return bare.reshape(floor.shape)
+
+
+def _unite_touching(segment: Int32, chosen: Bool, steep: Bool) -> Int32:
+    """By segment, the least number of the chosen ones that it touches, or its own.
+
+    Those touch, too, that steep ground lies between.
+    """
+    part, count = ndimage.label(steep)
+    node = np.where(steep, part + len(chosen) - 1, segment)
+    joins = np.concatenate([chosen, np.ones(count, dtype=np.bool_)])
     pairs = []
     for one, other in EDGES:
-        meet = (segment[one] != segment[other]) & chosen[segment[one]] & chosen[segment[other]]
-        pairs.append(np.stack([segment[one][meet], segment[other][meet]]))
-    part = _connect(np.concatenate(pairs, axis=1), len(chosen))
-    least = np.full(len(chosen), len(chosen), dtype=np.int32)
-    np.minimum.at(least, part, np.arange(len(chosen), dtype=np.int32))
-    return least[part]
+        meet = (node[one] != node[other]) & joins[node[one]] & joins[node[other]]
+        pairs.append(np.stack([node[one][meet], node[other][meet]]))
+    number = _connect(np.concatenate(pairs, axis=1), len(joins))
+    least = np.full(len(joins), len(joins), dtype=np.int32)
+    np.minimum.at(least, number, np.arange(len(joins), dtype=np.int32))
+    return least[number][: len(chosen)]
 
 
 def _longest_runs(segment: Int32, edge: Bool, count: int) -> Float:
@@ -129,14 +147,14 @@ def _connect(pairs: Int, count: int) -> Int32:
     return part
 
 
-def _edge_cells(columns: Columns, sides: Bool) -> Bool:
-    """Cells on the edge of the lattice, or of the empty space that reaches it.
+def _edge_cells(columns: Columns, steep: Bool, sides: Bool) -> Bool:
+    """Cells on the edge of the lattice, or of the empty space and steep ground that reach it.
 
     `sides` says which of the lattice's edges count: [[upper, lower], [left, right]].
     """
     shape = columns.lattice.shape
     empty = np.zeros((shape[0] + 2, shape[1] + 2), dtype=np.bool_)
-    empty[1:-1, 1:-1] = (np.diff(columns.start) == 0).reshape(shape)
+    empty[1:-1, 1:-1] = steep | (np.diff(columns.start) == 0).reshape(shape)
     empty[[0, -1]] |= sides[0][:, None]
     empty[:, [0, -1]] |= sides[1]
     part, _ = ndimage.label(empty)

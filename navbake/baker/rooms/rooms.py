@@ -180,7 +180,7 @@ class _Assignment:
                 self._owner[number], segment = share_rest(
                     owner, segment, cell_size, settings.min_area
                 )
-            segment, outside = find_outdoors(segment, level.floor, columns, agent.height, bounds)
+            segment, outside = find_outdoors(segment, level.floor, columns, agent, bounds)
             outdoors.update(room + len(names) for room in outside)
             labels.append(np.where(segment > 0, segment + len(names), 0))
             names += [None] * int(segment.max(initial=0))

@@ -103,7 +103,7 @@ class RoomMarkers:
                 first = np.full(label.size, model.ngeom, dtype=np.int32)
                 np.minimum.at(first, cell[here], geom[here])
                 label[:] = number[first].reshape(label.shape)
-        called = [_room_name(names[geom]) for geom in chosen]
+        called: list[str | None] = [_room_name(names[geom]) for geom in chosen]
         return MarkedRooms(called, labels, warnings, covered)
 
     def _sites(self) -> MarkedRooms:

@@ -90,6 +90,15 @@ def test_walls_part_two_gardens(rooms):
     assert rooms(slab(0, 0, 12, 12) + row) == [(20, False), (21, False), (48, True), (48, True)]
 
 
+def test_a_ditch_parts_no_outdoors(rooms):
+    """A trench with steep banks through a field, from edge to edge; its bottom is outdoors, too."""
+    bank = '<geom type="box" pos="{x} 5 -.6" size=".9 5 .05" euler="0 {turn} 0"/>'
+    banks = bank.format(x=4.5, turn=60) + bank.format(x=7.5, turn=-60)
+    field = slab(0, 0, 4, 10) + slab(8, 0, 12, 10) + box("", 5, 0, -1.5, 7, 10, -1.4)
+    found = rooms(field + banks)
+    assert len(found) == 1 and found[0][1] and found[0][0] >= 80
+
+
 def test_what_is_under_eaves_is_outdoors(rooms):
     """A house with its roof 0.9 m over its walls, up to the edge; a roof over a deep porch."""
     around = slab(0, 0, 10, 8) + house(0.9, 0.9, 9.1, 7.1, [(4, 4.9)])
