@@ -138,12 +138,11 @@ def find_walls(
 
 def _is_slender(extents: Extents, *limits: tuple[float, float, float]) -> Bool:
     """Mark what is thin and long by any of several limits; see `THIN`."""
-    slender = [
-        (extents.thin <= thin) & (extents.long >= np.maximum(long, ratio * extents.thin))
-        for thin, long, ratio in limits
-    ]
-    found: Bool = np.array(slender).any(axis=0)
-    return found
+    slender = np.zeros(len(extents.thin), dtype=np.bool_)
+    for thin, long, ratio in limits:
+        is_long = extents.long >= np.maximum(long, ratio * extents.thin)
+        slender |= (extents.thin <= thin) & is_long
+    return slender
 
 
 def _meets_at_corner(thick: Bool, walls: Bool, extents: Extents) -> Bool:

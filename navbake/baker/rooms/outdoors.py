@@ -12,6 +12,7 @@ from navbake.baker.floors.sheets import agent_limits
 from navbake.baker.kernels.constants import SAME, SLACK
 from navbake.baker.lattice import EDGES
 from navbake.baker.rooms.spaces import WIDEST
+from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings
 from navbake.types import Bool, Float, Int, Int32
 
@@ -27,7 +28,7 @@ BEYOND = 0.5
 
 
 def find_outdoors(
-    segment: Int32, floor: Float, columns: Columns, agent: AgentSettings, bounds: Float | None
+    segment: Int32, floor: Float, columns: Columns, agent: AgentSettings, scene: Scene
 ) -> tuple[Int32, set[int]]:
     """Find the segments of a level that are outdoors, and unite those that touch.
 
@@ -36,12 +37,13 @@ def find_outdoors(
     than any door, walls and pillars left out; and at least half of their cells have nothing above
     an agent's head, or lie under eaves, 1.2 m from where the scene ends at most. What walls
     enclose is a room, with a ceiling or without one: a gap parts it from what is outdoors, and
-    doors at the edge are too narrow. Walls part two pieces of outdoors, too; a ditch does not.
+    doors at the edge are too narrow. Walls part two pieces of outdoors, too; a ditch
+    does not, nor what stands on endless ground, because one walks round it.
 
     Args:
         segment: the segment of each cell, 0 for none.
         floor: heights of the floor, of the same shape, NaN for none [m].
-        bounds: of the whole scene, shape (2, 3), None for one without any [m].
+        scene: with its bounds, and ground that goes on beyond them.
 
     Returns:
         The segments, of which those that are outdoors and touch have the least number of all; and
@@ -59,10 +61,10 @@ def find_outdoors(
     cell = np.flatnonzero(is_candidate)
     number, top = segment.ravel()[cell], columns.z[columns.start[cell + 1] - 1]
     is_open = top <= floor.ravel()[cell] + agent.height + SLACK
-    if not is_open.all() and bounds is not None:
+    if not is_open.all() and scene.bounds is not None:
         # a window of a larger scene cuts through rooms, and they go on beyond it
         x0, y0, x1, y1 = lattice.bounds
-        (low_x, low_y), (high_x, high_y) = bounds[:, :2]
+        (low_x, low_y), (high_x, high_y) = scene.bounds[:, :2]
         more = np.array([[high_y - y1, y0 - low_y], [x0 - low_x, high_x - x1]])
         end = is_candidate & _edge_cells(
             columns, np.zeros_like(steep), more <= BEYOND * lattice.cell_size
@@ -74,6 +76,8 @@ def find_outdoors(
     all_cells = np.bincount(number, minlength=count)
     outdoors = candidates & (open_cells >= OPEN_SHARE * all_cells)
     united = _unite_touching(segment, outdoors, steep)
+    if outdoors.any() and len(scene.shapes.planes.geom):
+        united[outdoors] = united[outdoors].min()
     return united[segment], set(np.unique(united[outdoors]).tolist())
 
 

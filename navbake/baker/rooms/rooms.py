@@ -31,7 +31,7 @@ from navbake.config.settings import AgentSettings
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Room
-from navbake.types import Bool, Float, Int, Int32
+from navbake.types import Bool, Int, Int32
 
 # Close calls that a warning names
 LISTED = 5
@@ -115,7 +115,7 @@ def find_rooms(
     markers = RoomMarkers(scene, columns, levels, settings, agent)
     for source in settings.sources:
         if source == "auto":
-            assignment.segment(levels, settings, columns, agent, scene.bounds)
+            assignment.segment(levels, settings, columns, agent, scene)
         else:
             assignment.add(markers.mark(source), source)
     index, named = assignment.number()
@@ -161,12 +161,11 @@ class _Assignment:
         settings: RoomSettings,
         columns: Columns,
         agent: AgentSettings,
-        bounds: Float | None,
+        scene: Scene,
     ) -> None:
         """Divide the remaining cells at gaps; see `segment_by_gaps` and `share_rest`.
 
         What is outdoors becomes one room, as far as it hangs together; see `find_outdoors`.
-        `bounds` are those of the scene.
         """
         cell_size = columns.lattice.cell_size
         labels = []
@@ -180,7 +179,7 @@ class _Assignment:
                 self._owner[number], segment = share_rest(
                     owner, segment, cell_size, settings.min_area
                 )
-            segment, outside = find_outdoors(segment, level.floor, columns, agent, bounds)
+            segment, outside = find_outdoors(segment, level.floor, columns, agent, scene)
             outdoors.update(room + len(names) for room in outside)
             labels.append(np.where(segment > 0, segment + len(names), 0))
             names += [None] * int(segment.max(initial=0))

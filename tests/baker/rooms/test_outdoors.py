@@ -88,6 +88,10 @@ def test_walls_part_two_gardens(rooms):
     """A row of houses from edge to edge, gardens on both sides."""
     row = house(0, 4, 6, 8, [(2, 2.9)]) + house(5.8, 4, 12, 8, [(8, 8.9)])
     assert rooms(slab(0, 0, 12, 12) + row) == [(20, False), (21, False), (48, True), (48, True)]
+    # on endless ground one walks round the row
+    endless = '<geom type="plane" size="0 0 1"/>'
+    front = box("post", 6, 0, 0, 6.1, 0.1, 1) + box("post 2", 6, 11.9, 0, 6.1, 12, 1)
+    assert [area for area, is_out in rooms(endless + row + front) if is_out] == [96]
 
 
 def test_a_ditch_parts_no_outdoors(rooms):
