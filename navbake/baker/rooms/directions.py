@@ -15,7 +15,7 @@ T = TypeVar("T", bound=np.generic)
 OFF_WALL, BIN, LEAST_WALL, LEAST_SHARE = 0.3, 5, 2.0, 0.01
 # Each is then found in steps of so many degrees, by lines so wide [cells], and about so many
 # points; an axis of the lattice is taken if it is as sharp as this share of the sharpest
-FINE, LINE, MOST_POINTS, AS_SHARP = 0.25, 0.5, 4000, 0.9
+FINE, LINE, MOST_POINTS, AS_SHARP = 0.25, 0.5, 2000, 0.9
 # Nearer to it [cells] the lattice's steps disturb it
 OFF_STEPS = 5
 # Cells round the lattice in which slopes at its edge are measured

@@ -237,7 +237,7 @@ def test_what_marks_leave_is_rooms_by_itself():
     assert not new[owner > 0].any()
     # too narrow for a room: it goes to the room that it touches most
     owner[:, 8] = 1
-    taken, new = share_rest(owner, segment, 0.25, 1.0)
+    taken, new = share_rest(owner, segment, 0.25, 0.5)
     assert (taken[:, 9] == 1).all() and (new[2:, 10:] == 1).all() and new.max() == 1
     # too small for one
     taken, new = share_rest(owner, segment, 0.25, 6.0)
