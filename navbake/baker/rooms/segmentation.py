@@ -231,9 +231,12 @@ def share_rest(
     part = _label_equal(np.where(owner == 0, segment, 0))
     count = int(part.max(initial=0)) + 1
     reach = int(SLIVER / cell_size) + 2
-    cells, peaks, _ = measure_regions(
-        part, squared_distances(wall_nodes(part > 0), reach, 0, 1), count - 1
-    )
+    around = wall_nodes(part > 0)
+    height, width = part.shape
+    for k in range(3):  # the nodes on each edge between two parts
+        around[k : k + 2 * height - 1 : 2, 2:-1:2] |= part[:, :-1] != part[:, 1:]
+        around[2:-1:2, k : k + 2 * width - 1 : 2] |= part[:-1] != part[1:]
+    cells, peaks, _ = measure_regions(part, squared_distances(around, reach, 0, 1), count - 1)
     # twice the distance to what is around, in half cells: the widest disc that fits
     is_room = (cells >= least) & (peaks >= (SLIVER / cell_size) ** 2 - ROUNDING)
     is_room[0] = False
