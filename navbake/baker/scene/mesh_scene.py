@@ -11,13 +11,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import trimesh
 
 from navbake.baker.scene.meshes.gltf import check_gltf
 from navbake.baker.scene.meshes.text import check_ply, prepare_obj, prepare_ply, prepare_stl
 from navbake.baker.scene.names import unique_name
 from navbake.errors import SceneError
+from navbake.lazy import lazy
 from navbake.types import Float, Int
+
+trimesh = lazy("trimesh")
 
 MESH_SUFFIXES = frozenset({".obj", ".ply", ".stl", ".glb", ".gltf", ".dae"})
 

@@ -7,10 +7,12 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from navbake.lazy import lazy
 from navbake.types import Bool, Float, Int32
+
+spatial = lazy("scipy.spatial")
 
 # Half-size that stands for the infinite side of a plane that has a finite one: heights on a tilted
 # one are off by about 1e-16 FAR^2 [m]
@@ -187,8 +189,8 @@ def hull_triangles(vertices: Float) -> Float | None:
         Corners, shape (m, 3, 3), float64, counter-clockwise from outside.
     """
     try:
-        hull = ConvexHull(vertices)
-    except (QhullError, ValueError):  # flat, or fewer than four
+        hull = spatial.ConvexHull(vertices)
+    except (spatial.QhullError, ValueError):  # flat, or fewer than four
         return None
     corners: Float = vertices[hull.simplices]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
