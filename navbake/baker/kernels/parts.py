@@ -392,32 +392,54 @@ def _is_inside(point, corners, member, low, high, block):
     return total > 0
 
 
+@njit(inline="always")
+def _is_around(box, q, p):
+    """Whether the box of part q holds that of part p."""
+    is_around = True
+    for k in range(3):
+        is_around &= box[q, k] <= box[p, k] and box[q, 3 + k] >= box[p, 3 + k]
+    return is_around
+
+
 @njit(cache=True)
-def find_cavities(start, member, corners, point, encloses, facing_in):
+def find_around(box, encloses, facing_in):
+    """Mark parts that enclose something and whose box holds that of a part that faces in.
+
+    Takes the boxes of the parts, (parts, 6) float64 [m], and bools by part.
+    """
+    marked = np.zeros(box.shape[0], np.bool_)
+    inner = np.flatnonzero(facing_in)
+    for q in range(box.shape[0]):
+        if encloses[q]:
+            for p in inner:
+                if _is_around(box, q, p):
+                    marked[q] = True
+                    break
+    return marked
+
+
+@njit(cache=True)
+def find_cavities(start, member, corners, point, box, encloses, facing_in):
     """Mark parts that face in and lie inside of one that encloses something, in `encloses`.
 
     Args:
-        start, member: the triangles of each part, ragged, int64; fast where neighbours in the list
-            are neighbours in space.
-        corners: of all triangles, (m, 3, 3) float64 [m].
+        start, member: the triangles of each part that `find_around` marks, ragged, int64; fast
+            where neighbours in the list are neighbours in space.
+        corners: of these triangles, (m, 3, 3) float64 [m].
         point: a point of each part, (parts, 3) float64 [m].
+        box: of each part, (parts, 6) float64 [m].
         encloses, facing_in: by part, bool.
     """
     num = start.shape[0] - 1
-    box = np.empty((num, 6), np.float64)
-    box[:, :3], box[:, 3:] = math.inf, -math.inf
     block = np.empty((member.shape[0] // BLOCK + 1, 4), np.float64)
     block[:, :2], block[:, 2:] = math.inf, -math.inf
-    for p in range(num):
-        for i in range(start[p], start[p + 1]):
-            b = i // BLOCK
-            for corner in range(3):
-                for k in range(3):
-                    value = corners[member[i], corner, k]
-                    box[p, k], box[p, 3 + k] = min(box[p, k], value), max(box[p, 3 + k], value)
-                    if k < 2:
-                        block[b, k] = min(block[b, k], value)
-                        block[b, 2 + k] = max(block[b, 2 + k], value)
+    for i in range(member.shape[0]):
+        b = i // BLOCK
+        for corner in range(3):
+            for k in range(2):
+                value = corners[member[i], corner, k]
+                block[b, k] = min(block[b, k], value)
+                block[b, 2 + k] = max(block[b, 2 + k], value)
     outer = np.flatnonzero(encloses)
     outer = outer[np.argsort(box[outer, 0], kind="mergesort")]
     for p in range(num):
@@ -426,43 +448,8 @@ def find_cavities(start, member, corners, point, encloses, facing_in):
         for q in outer:
             if box[q, 0] > box[p, 0]:
                 break
-            is_around = True
-            for k in range(3):
-                is_around &= box[q, k] <= box[p, k] and box[q, 3 + k] >= box[p, 3 + k]
-            if is_around and _is_inside(point[p], corners, member, start[q], start[q + 1], block):
+            if not _is_around(box, q, p):
+                continue
+            if _is_inside(point[p], corners, member, start[q], start[q + 1], block):
                 encloses[p] = True
                 break
-
-
-@njit(cache=True)
-def weld_points(points):
-    """Number points, (n, 3) float64, so that equal ones have equal numbers, by first appearance.
-
-    A hash table with open addressing over the coordinates' bits. Returns (n,) int64.
-    """
-    num = points.shape[0]
-    size = 16
-    while size < 2 * num:  # at most half full, so that probing stays short
-        size *= 2
-    bits = (points + 0.0).view(np.uint64)  # -0.0 is 0.0
-    table = np.full(size, -1, np.int64)
-    number = np.empty(num, np.int64)
-    count = 0
-    for i in range(num):
-        key = np.uint64(1469598103934665603)
-        for k in range(3):
-            key = (key ^ bits[i, k]) * np.uint64(1099511628211)
-            key ^= key >> np.uint64(29)
-        place = np.int64(key & np.uint64(size - 1))
-        while table[place] >= 0:
-            j = table[place]
-            if bits[j, 0] == bits[i, 0] and bits[j, 1] == bits[i, 1] and bits[j, 2] == bits[i, 2]:
-                break
-            place = (place + 1) & (size - 1)
-        if table[place] < 0:
-            table[place] = i
-            number[i] = count
-            count += 1
-        else:
-            number[i] = number[table[place]]
-    return number

@@ -13,7 +13,7 @@ from navbake.baker.kernels import constants
 from navbake.baker.scene.choice import Choice, MeshMode
 from navbake.baker.scene.mesh_scene import MeshPart
 from navbake.baker.scene.names import name_at, names_of
-from navbake.baker.scene.parts import split_mesh
+from navbake.baker.scene.parts import split_mesh, take_rows
 from navbake.baker.scene.shapes import (
     Planes,
     Shapes,
@@ -65,7 +65,7 @@ def collect_shapes(
 
     Args:
         choices: what becomes of each geom, by its id.
-        parts: exact meshes by geom id, world frame (the model's are rounded to float32).
+        parts: exact meshes by geom id, world frame (the model has none of these).
         only: ids of the geoms to look at, ascending; all if None.
 
     Raises:
@@ -120,22 +120,15 @@ class _Collector:
         return self._add_mesh(geom, shape, mesh_mode)
 
     def shapes(self) -> Shapes:
-        """All that was taken in."""
+        """All that was taken in; it can be had once, because it would be large twice."""
         model, data = self._model, self._data
         index, plane = (np.array(ids, dtype=np.int32) for ids in (self._solids, self._planes))
         kind, size = model.geom_type[index], model.geom_size[index]
         pos, mat = data.geom_xpos[index], data.geom_xmat[index]
-        of_triangles = np.array(list(self._triangles), dtype=np.int32)
-        found = [GeomTriangles.all_alike(np.zeros((0, 3, 3)), 0), *self._triangles.values()]
-        num_triangles = [len(triangles.corners) for triangles in found[1:]]
-        part, closed, corners = (
-            np.concatenate([getattr(triangles, name) for triangles in found])
-            for name in ("part", "closed", "corners")
-        )
         return Shapes(
             solids=Solids(index, kind, pos, mat, size, solid_bounds(kind, pos, mat, size)),
             planes=Planes(plane, data.geom_xpos[plane], data.geom_xmat[plane]),
-            triangles=Triangles(np.repeat(of_triangles, num_triangles), part, closed, corners),
+            triangles=_join_triangles(self._triangles),
             endless=self._endless,
         )
 
@@ -175,13 +168,35 @@ class _Collector:
                 f"it counts by its triangles"
             )
         if mode == "shell":
-            return GeomTriangles.all_alike(vertices[faces], constants.OPEN_SURFACE), "shell"
+            corners = take_rows(vertices, faces)
+            return GeomTriangles.all_alike(corners, constants.OPEN_SURFACE), "shell"
         split = split_mesh(vertices, faces)
-        return GeomTriangles(vertices[split.faces], split.part, split.closed), split.kind
+        corners = take_rows(vertices, split.faces)
+        return GeomTriangles(corners, split.part, split.closed), split.kind
 
     def _to_world(self, geom: int, corners: Float) -> Float:
         mat = self._data.geom_xmat[geom].reshape(3, 3)
         return np.asarray(corners @ mat.T + self._data.geom_xpos[geom])
+
+
+def _join_triangles(found: dict[int, GeomTriangles]) -> Triangles:
+    """The triangles of all geoms in one; what is joined is taken out of `found`."""
+    counts = [len(triangles.corners) for triangles in found.values()]
+    geom = np.repeat(np.array(list(found), dtype=np.int32), counts)
+    if len(found) == 1:
+        only = found.popitem()[1]
+        return Triangles(geom, only.part, only.closed, only.corners)
+    num = sum(counts)
+    part, closed = np.empty(num, dtype=np.int32), np.empty(num, dtype=np.uint8)
+    joined = Triangles(geom, part, closed, np.empty((num, 3, 3)))
+    end = num
+    while found:  # memory of the joined array is used as that of the parts is given back
+        triangles = found.popitem()[1]
+        here = slice(end - len(triangles.corners), end)
+        joined.part[here], joined.closed[here] = triangles.part, triangles.closed
+        joined.corners[here] = triangles.corners
+        end = here.start
+    return joined
 
 
 def _height_field(model: Any, hfield: int) -> Float:

@@ -63,11 +63,11 @@ class Scene:
             where only infinite planes count.
         digest: sha256 of the posed model: what its geoms are, where, and what they can do.
         warnings: what the user should know, one line each.
-        model: the compiled mujoco.MjModel.
+        model: the compiled mujoco.MjModel; of a mesh file it has the names, the bodies and the
+            ground, but a tetrahedron in place of each part, see `parts`.
         data: its mujoco.MjData in the pose that is baked.
         choices: what becomes of each geom, by geom id.
-        parts: the meshes of a mesh file by geom id, world frame, exact: the model rounds them to
-            float32 in frames of its own.
+        parts: the meshes of a mesh file by geom id, world frame, exact.
     """
 
     id: str
