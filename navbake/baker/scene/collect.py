@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from navbake.baker.kernels import constants
 from navbake.baker.scene.choice import Choice, MeshMode
+from navbake.baker.scene.kernels.triangles import take_corners
 from navbake.baker.scene.mesh_scene import MeshPart
 from navbake.baker.scene.names import name_at, names_of
-from navbake.baker.scene.parts import split_mesh, take_rows
+from navbake.baker.scene.parts import split_mesh
 from navbake.baker.scene.shapes import (
     Planes,
     Shapes,
@@ -168,10 +169,10 @@ class _Collector:
                 f"it counts by its triangles"
             )
         if mode == "shell":
-            corners = take_rows(vertices, faces)
+            corners = take_corners(vertices, faces)
             return GeomTriangles.all_alike(corners, constants.OPEN_SURFACE), "shell"
         split = split_mesh(vertices, faces)
-        corners = take_rows(vertices, split.faces)
+        corners = take_corners(vertices, split.faces)
         return GeomTriangles(corners, split.part, split.closed), split.kind
 
     def _to_world(self, geom: int, corners: Float) -> Float:

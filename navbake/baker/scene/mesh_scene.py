@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from navbake.baker.scene.kernels.triangles import check_faces, find_used, sum_by_facing
+from navbake.baker.scene.meshes.binary import read_plain_ply, read_plain_stl
 from navbake.baker.scene.meshes.gltf import check_gltf
 from navbake.baker.scene.meshes.text import check_ply, prepare_obj, prepare_ply, prepare_stl
 from navbake.baker.scene.names import unique_name
@@ -34,13 +35,14 @@ MAX_COORDINATE = 1e10
 # is to be taken for one that lies on its side
 LYING = 1.5
 MAX_BYTES = 2 << 30  # of a file; trimesh takes several times as much memory
-# How trimesh reads a format, and what repairs a file for it
+# How trimesh reads a format, what repairs a file for it, and what reads a file without it
 PLAIN: dict[str, Any] = {"skip_materials": True}
 OPTIONS = {
     ".obj": PLAIN | {"split_objects": True, "split_groups": True, "group_material": False},
     ".glb": PLAIN,
     ".gltf": PLAIN,
 }
+PLAIN_READERS = {".ply": read_plain_ply, ".stl": read_plain_stl}
 PREPARE = {".obj": prepare_obj, ".stl": prepare_stl, ".ply": prepare_ply}
 
 
@@ -115,7 +117,15 @@ def _read_parts(path: Path) -> list[MeshPart]:
         raise SceneError(f"{path} is too large: expected a mesh of {MAX_BYTES >> 20} MiB at most")
     if suffix in (".glb", ".gltf"):
         check_gltf(path)
-    source: Any = io.BytesIO(PREPARE[suffix](path)) if suffix in PREPARE else path
+    data = PREPARE[suffix](path) if suffix in PREPARE else b""
+    plain = PLAIN_READERS[suffix](data) if suffix in PLAIN_READERS else None
+    if plain is not None:
+        return [MeshPart("", *plain)]
+    return _read_by_trimesh(path, io.BytesIO(data) if suffix in PREPARE else path)
+
+
+def _read_by_trimesh(path: Path, source: Any) -> list[MeshPart]:
+    suffix = path.suffix.lower()
     options = OPTIONS.get(suffix, {})
     try:
         with _silence():

@@ -17,13 +17,12 @@ from navbake.baker.kernels.parts import (
     find_parts,
     list_edges,
 )
-from navbake.baker.scene.kernels.shells import find_shells, has_three_points, weld_points
+from navbake.baker.scene.kernels.shells import find_shells, weld_faces, weld_points
 from navbake.baker.scene.kernels.triangles import measure_parts
 from navbake.types import Bool, Float, Int, Int32
 
 # A part that encloses less than this times its area is a sheet with two sides [m]
 THICKNESS = 1e-6
-BLOCK = 1 << 16  # rows of an array that are worked on at once
 
 
 @dataclass(frozen=True)
@@ -72,8 +71,7 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
         faces: shape (m, 3), indices, counter-clockwise from the front.
     """
     number = weld_points(np.ascontiguousarray(vertices, dtype=np.float64).view(np.uint64))
-    point = take_rows(number, faces)
-    kept = has_three_points(point)
+    point, kept = weld_faces(faces, number)
     if not kept.all():
         faces, point = faces[kept], point[kept]
     found, is_shell = find_shells(point, len(vertices))
@@ -93,14 +91,6 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     if turned.any():
         faces = np.where(turned[:, None], faces[:, ::-1], faces)
     return MeshParts(faces, part, closed, int(np.count_nonzero(turned)))
-
-
-def take_rows(values: NDArray[Any], index: NDArray[np.integer[Any]]) -> NDArray[Any]:
-    """``values[index]``, block by block: numpy copies an index that isn't int64 as a whole."""
-    taken = np.empty(index.shape + values.shape[1:], dtype=values.dtype)
-    for first in range(0, len(index), BLOCK):
-        taken[first : first + BLOCK] = values[index[first : first + BLOCK]]
-    return taken
 
 
 def _find_parts(

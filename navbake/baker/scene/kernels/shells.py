@@ -66,13 +66,19 @@ def weld_points(points):
 
 
 @njit(cache=True)
-def has_three_points(faces):
-    """Mark triangles, corners as numbers of points, whose corners are three points, (m,) bool."""
-    marked = np.empty(faces.shape[0], np.bool_)
+def weld_faces(faces, number):
+    """The triangles' corners as numbers of points, (m, 3) int32, and whether these are three.
+
+    Args:
+        faces: corners of each triangle, indices of vertices, (m, 3).
+        number: the point of each vertex, see `weld_points`.
+    """
+    point, is_triangle = np.empty(faces.shape, np.int32), np.empty(faces.shape[0], np.bool_)
     for f in range(faces.shape[0]):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        marked[f] = a != b and b != c and c != a
-    return marked
+        a, b, c = number[faces[f, 0]], number[faces[f, 1]], number[faces[f, 2]]
+        point[f, 0], point[f, 1], point[f, 2] = a, b, c
+        is_triangle[f] = a != b and b != c and c != a
+    return point, is_triangle
 
 
 @njit(inline="always")

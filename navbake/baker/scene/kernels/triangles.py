@@ -23,6 +23,17 @@ def _length(x, y, z):
 
 
 @njit(cache=True)
+def take_corners(vertices, faces):
+    """The corners of triangles, (m, 3, 3) float64."""
+    corners = np.empty((faces.shape[0], 3, 3))
+    for f in range(faces.shape[0]):
+        for corner in range(3):
+            for k in range(3):
+                corners[f, corner, k] = vertices[faces[f, corner], k]
+    return corners
+
+
+@njit(cache=True)
 def measure_triangles(corners, upright):
     """Unit normals and boxes of triangles, corners (m, 3, 3) float64 [m].
 
