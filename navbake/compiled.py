@@ -6,20 +6,19 @@ modules that use a changed one are dropped, before the first kernel of a folder 
 all caches where a named tuple has other fields: compiled code knows fields by their places.
 """
 
-import hashlib
 import json
 import os
-import re
 from collections.abc import Callable
-from functools import cache
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-PACKAGE = Path(__file__).parent
-IMPORT = re.compile(r"^from (navbake\.[\w.]*\bkernels\.\w+) import", re.MULTILINE)
-TUPLE = re.compile(r"^class \w+\(NamedTuple\):\n(?:(?:    .*)?\n)*", re.MULTILINE)
-FIELD = re.compile(r"^    (\w+): ", re.MULTILINE)
-STAMP = "navbake-kernels.json"
+from navbake.digests import STAMP, digest_folder, read_stamp
+from navbake.dispatch import install
+from navbake.folder_lock import folder_lock
+
+# each folder of kernels imports this module before its first kernel is made
+install()
 
 
 def drop_stale_caches(cached: Callable[..., Any]) -> None:
@@ -27,64 +26,32 @@ def drop_stale_caches(cached: Callable[..., Any]) -> None:
 
     Any function of the folder made by ``numba.njit(cache=True)`` tells where numba keeps its code.
     """
-    place = cached.stats.cache_path  # type: ignore[attr-defined]
-    if place is None:
+    stats = getattr(cached, "stats", None)  # None under NUMBA_DISABLE_JIT
+    if stats is None or stats.cache_path is None:
         return
-    package = cached.__module__
-    digests = {
-        name.removeprefix(f"{package}."): digest
-        for name, digest in _own_digests().items()
-        if name.rpartition(".")[0] == package
-    }
-    stamp = Path(place) / STAMP
-    try:
-        known = dict(json.loads(stamp.read_text()))
-    except (OSError, ValueError, TypeError):
-        known = {}
-    if known == digests:
+    place = Path(stats.cache_path)
+    digests = digest_folder(cached.__module__)
+    if read_stamp(place) == digests:
         return
+    # A folder that can't be written has nothing to drop: it is chosen only where it is fresh.
+    with suppress(OSError):
+        place.mkdir(parents=True, exist_ok=True)
+        with folder_lock(place).hold(""):
+            _drop(place, digests)
+
+
+def _drop(place: Path, digests: dict[str, str]) -> None:
+    known = read_stamp(place)  # another process may have been faster
     for module, digest in digests.items():
         if known.get(module) != digest:
-            for path in Path(place).glob(f"{module}.*.nb[ic]"):
+            for path in place.glob(f"{module}.*.nb[ic]"):
                 path.unlink(missing_ok=True)
-    # Written beside and renamed. Where that fails, numba has not cached anything there either.
-    beside = stamp.with_suffix(f".{os.getpid()}")
+    if known == digests:
+        return
+    # written beside and renamed
+    beside = place / f"{STAMP}.{os.getpid()}"
     try:
-        stamp.parent.mkdir(parents=True, exist_ok=True)
         beside.write_text(json.dumps(digests))
-        beside.replace(stamp)
+        beside.replace(place / STAMP)
     except OSError:
         beside.unlink(missing_ok=True)
-
-
-@cache
-def _own_digests() -> dict[str, str]:
-    return digest_modules(PACKAGE)
-
-
-def digest_modules(package: Path) -> dict[str, str]:
-    """Hash each module of kernels, by its dotted name, with all that its compiled code depends on.
-
-    That is the modules of kernels that it uses, and the fields of the package's named tuples.
-    """
-    sources = {path: path.read_bytes() for path in sorted(package.rglob("*.py"))}
-    texts = {
-        ".".join(path.relative_to(package.parent).with_suffix("").parts): text
-        for path, text in sources.items()
-        if path.parent.name == "kernels" and path.stem != "__init__"
-    }
-    has_tuples = [text.decode() for text in sources.values() if b"(NamedTuple)" in text]
-    tuples = [found for text in has_tuples for found in TUPLE.findall(text)]
-    fields = repr([(t.partition("(")[0], FIELD.findall(t)) for t in tuples]).encode()
-    uses = {name: set(IMPORT.findall(text.decode())) for name, text in texts.items()}
-    digests = {}
-    for name in texts:
-        # all modules that can be reached over imports, the module itself included
-        found, left = {name}, [name]
-        while left:
-            new = uses.get(left.pop(), set()) - found
-            found |= new
-            left += new
-        parts = b"\0".join([fields, *(texts.get(used, b"") for used in sorted(found))])
-        digests[name] = hashlib.sha256(parts).hexdigest()
-    return digests

@@ -18,6 +18,7 @@ except ImportError:  # Windows has no such locks; it refuses to remove a file th
     fcntl = None  # type: ignore[assignment]
 
 TEMPORARY = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp")
+RETRIES = 20  # how often Windows is asked within a second to replace a file that is being read
 OLD = 86400.0  # age at which a temporary file is a leftover where nothing can be locked [s]
 _swept: set[Path] = set()  # folders that this process has removed leftovers from
 
@@ -82,13 +83,24 @@ def write_whole(
 
 def _replace(temporary: Path, target: Path, unless_changed: FileState | None) -> None:
     if unless_changed is None:
-        os.replace(temporary, target)
+        _rename(temporary, target)
         return
     with _folder_lock(target.parent):
         if file_state(target) != unless_changed:
             why = "another process wrote it meanwhile, and that is kept"
             raise FileExistsError(errno.EEXIST, why, str(target))
-        os.replace(temporary, target)
+        _rename(temporary, target)
+
+
+def _rename(temporary: Path, target: Path) -> None:
+    """Rename a file; on Windows, try again for a second where a process reads the old one."""
+    if fcntl is None:
+        for _ in range(RETRIES):
+            with suppress(PermissionError):
+                os.replace(temporary, target)
+                return
+            time.sleep(1.0 / RETRIES)
+    os.replace(temporary, target)
 
 
 @contextmanager

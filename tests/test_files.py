@@ -170,3 +170,19 @@ def test_a_file_that_is_taken_for_a_leftover_is_made_again(tmp_path, monkeypatch
     write_whole(b"now", tmp_path / "a")
     assert len(taken) == 1
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_tries_again_where_a_reader_is_in_the_way(tmp_path, monkeypatch):
+    """Windows replaces no file while it is open elsewhere."""
+    target, real, failures = tmp_path / "grid.json", os.replace, [1, 2]
+
+    def replace(source, to):
+        if failures:
+            failures.pop()
+            raise PermissionError(13, "Access is denied")
+        real(source, to)
+
+    monkeypatch.setattr("navbake.files.fcntl", None)
+    monkeypatch.setattr("navbake.files.os.replace", replace)
+    write_whole(b"new", target)
+    assert target.read_bytes() == b"new" and failures == []

@@ -21,7 +21,6 @@ from navbake.cli.options import (
 )
 from navbake.cli.outputs import check_name, is_folder, lay_out
 from navbake.cli.printing import level_table, print_error, print_tables, print_warnings
-from navbake.cli.warm_up import tell_if_cold
 from navbake.errors import ConfigError, NavbakeError
 from navbake.files import file_state
 
@@ -127,8 +126,6 @@ def _bake_one(
     from navbake.cli.progress import stage_progress
     from navbake.formats.navgrid import dumps_navgrid, write_navgrid
 
-    if not quiet:
-        tell_if_cold()
     before = file_state(target)
     with stage_progress(title=str(config.scene.id), hidden=quiet) as progress:
         result = run_bake(config, threads=threads, progress=progress)

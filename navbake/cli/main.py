@@ -5,6 +5,7 @@ Only the modules of `navbake.cli` print, and only this one ends the process.
 
 import errno
 import io
+import logging
 import os
 import sys
 from collections.abc import Sequence
@@ -48,10 +49,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         # names of geoms and files may hold what the terminal's encoding lacks
         sys.stdout.reconfigure(errors="backslashreplace")
+    logger, handler = logging.getLogger("navbake.compiled"), _LogPrinter()
+    logger.addHandler(handler)
     try:
         try:
             app(None if arguments is None else list(arguments), prog_name="navbake")
         finally:  # what is buffered may not fit any more, either
+            logger.removeHandler(handler)
             if sys.stdout is not None:
                 sys.stdout.flush()
     except NavbakeError as error:
@@ -64,6 +68,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if error.errno != errno.EPIPE:  # whoever closed a pipe wants no more
             print_error(f"cannot write to stdout: {error.strerror}")
         raise SystemExit(1) from None
+
+
+class _LogPrinter(logging.Handler):
+    """Prints what is told of compiling, one line on stderr each."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        print_error(record.getMessage())
 
 
 def _drop_stdout() -> None:

@@ -1,18 +1,21 @@
 """The command `navbake warm-up`: compiles the kernels, so that no first bake or query waits.
 
-It bakes a small scene and uses the grid: the command line is above the baker and the run time.
+It bakes small scenes and uses the grids: the command line is above the baker and the run time.
 """
 
 from __future__ import annotations
 
-import sys
+import importlib
+import json
+import pkgutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import navbake
+from navbake.cli.printing import print_warnings
 
-# Two storeys joined by stairs, with geoms of all kinds and a door
+# Two storeys joined by stairs, with geoms of all kinds, a door, and a crack in the floor
 SCENE = """<mujoco model="warm-up">
 <asset>
   <mesh name="wedge" vertex="0 0 0 .4 0 0 0 .4 0 0 0 .6" face="0 2 1 0 1 3 1 2 3 0 3 2"/>
@@ -20,10 +23,11 @@ SCENE = """<mujoco model="warm-up">
 </asset>
 <worldbody>
   <geom type="plane" size="0 0 1" pos="0 0 -.2"/>
-  <geom type="box" size="4 3 .1" pos="0 0 -.1"/>
+  <geom type="box" size="3.3225 3 .1" pos="-.6775 0 -.1"/>
+  <geom type="box" size=".6725 3 .1" pos="3.3275 0 -.1"/>
   <geom type="box" size="1.5 3 .1" pos="-2.5 0 1.9"/>
   <replicate count="9" offset="-.3 0 .2">
-    <geom type="box" size=".15 .6 .1" pos=".9 0 .1"/>
+    <geom type="box" size=".15 .6 .1" pos="1.5 0 .1"/>
   </replicate>
   <geom type="box" size=".05 1.2 1.2" pos="2.4 1.8 1.2"/>
   <geom type="box" size=".05 1.2 1.2" pos="2.4 -1.8 1.2"/>
@@ -35,37 +39,83 @@ SCENE = """<mujoco model="warm-up">
   <geom type="mesh" mesh="wedge" pos="3 -2 0" contype="0" conaffinity="0"/>
   <geom type="hfield" hfield="hill" pos="3.3 0 0"/>
   <body name="door" pos="2.4 -.6 1">
-    <joint type="hinge" axis="0 0 1" range="0 90"/>
+    <joint name="hinge" type="hinge" axis="0 0 1" range="0 90"/>
     <geom type="box" size=".02 .55 1" pos="0 .6 0"/>
   </body>
 </worldbody></mujoco>"""
+
+# Rooms as sites, a ramp, a mesh with a cavity, and a closed one that holds a floor
+HOLLOW = """<mujoco model="hollow">
+<asset>
+  <mesh name="hollow" inertia="shell" vertex="{vertices}" face="{faces}"/>
+  <mesh name="hall" inertia="shell" vertex="{hall}" face="{hall_faces}"/>
+</asset>
+<worldbody>
+  <geom type="box" size="4 3 .1" pos="0 0 -.1"/>
+  <geom type="box" size="1 1 .1" pos="-2.5 1 .4" euler="0 20 0"/>
+  <geom type="mesh" mesh="hollow" pos="2 0 .5" contype="0" conaffinity="0"/>
+  <geom type="mesh" mesh="hall" pos="0 1.5 .9" contype="0" conaffinity="0"/>
+  <site name="room_a" type="box" size="1 1 1" pos="-2 0 1"/>
+</worldbody></mujoco>"""
+CORNERS = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+FACES = [
+    *((0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)),
+    *((2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)),
+]
+# A grid as other tools write it: with a hole in its floor that no geom is in
+FOREIGN = {
+    "type": "SceneGrid2D",
+    "metadata": {"sceneId": "foreign", "agentHeight": 1.14, "agentRadius": 0.05},
+    "width": 8,
+    "height": 8,
+    "cellSize": 0.1,
+    "min": [0, 0, 0],
+    "tileAttributes": {
+        "occupancy": {"type": "array", "datatype": "uint8", "length": 64, "data": [0] * 64},
+        "floorHeight": {
+            "type": "array",
+            "datatype": "float32",
+            "length": 64,
+            "data": [None, *[0.0] * 63],
+        },
+    },
+}
 
 
 def warm_up() -> None:
     """Compile all kernels for this machine, once.
 
-    It takes a minute or two. Without it, the first bake and the first query compile what they
-    use.
+    It takes some minutes. Without it, the first bake and the first query compile what they use.
     """
     from navbake.cli.progress import stage_progress  # loads rich
+    from navbake.dispatch import REMEDY, can_keep  # loads numba
 
+    load_kernels()
+    if not can_keep():
+        lost = f"no folder for compiled code can be written, so nothing can be kept: {REMEDY}"
+        print_warnings([lost])
+        return
     with stage_progress(title="compiling") as progress:
         compile_all(progress)
-    print("compiled: bakes and queries start at once from now on")
+    cold = cold_kernels()
+    if cold:
+        print_warnings([f"not compiled, or not kept: {', '.join(cold)}"])
+    else:
+        print("compiled: bakes and queries start at once from now on")
 
 
-def tell_if_cold() -> None:
-    """Print on a terminal that the first bake waits for the compiler."""
-    if sys.stderr.isatty() and not is_warm():
-        print("navbake: compiling for this machine, once: about a minute", file=sys.stderr)
+def load_kernels() -> None:
+    """Import all modules of kernels, so that one line tells how long all of them take."""
+    for module in pkgutil.walk_packages(navbake.__path__, "navbake."):
+        if ".kernels." in module.name:
+            importlib.import_module(module.name)
 
 
-def is_warm() -> bool:
-    """Whether a bake has been compiled for this machine before."""
-    from navbake.baker.kernels.rays import cast_lines  # loads numba
+def cold_kernels() -> list[str]:
+    """Name the kernels imported so far that are not on disk."""
+    from navbake.dispatch import list_cold  # loads numba
 
-    folder = cast_lines.stats.cache_path
-    return folder is not None and any(Path(folder).glob("*cast_lines-*.nbc"))
+    return list_cold()
 
 
 def compile_all(progress: Callable[[str, float], None]) -> None:
@@ -75,22 +125,66 @@ def compile_all(progress: Callable[[str, float], None]) -> None:
     version of navbake or numba, and for another processor. `progress` is called with the name of
     each part, and 0 and 1 as it begins and ends.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "warm-up.xml"
+    from navbake.baker.pipeline import run_bake  # loads MuJoCo
+    from navbake.config.settings import as_config  # loads pydantic
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        path, hollow = folder / "warm-up.xml", folder / "hollow.xml"
         path.write_text(SCENE, encoding="utf-8")
-        settings = {"scene": {"path": path, "geoms": "all"}, "attributes": ["island", "clearance"]}
+        hollow.write_text(_draw_hollow(), encoding="utf-8")
         progress("bake", 0.0)
-        grid = navbake.bake(settings)
-        grid.save(Path(folder) / "warm-up.json")
+        grids = [
+            run_bake(as_config({"scene": {"path": path, "geoms": "all"}, **settings})).grid
+            for settings in (
+                {"attributes": ["island", "clearance"]},
+                {"agent": {"radius": 0.2}, "rooms": {"from": ["auto"], "door_width": 1.0}},
+            )
+        ]
+        coarse = {"cell_size": 0.3}
+        config = as_config({"scene": {"path": hollow, "geoms": "all"}, "grid": coarse})
+        grids.append(run_bake(config).grid)
         progress("bake", 1.0)
         progress("run time", 0.0)
-        _use_run_time(grid)
+        for number, grid in enumerate(grids):
+            file = folder / f"{number}.grid.json"
+            grid.save(file)
+            _use_run_time(navbake.load(file))
+        foreign = folder / "foreign.json"
+        foreign.write_text(json.dumps(FOREIGN), encoding="utf-8")
+        navbake.load(foreign).inflate(0.3)
         progress("run time", 1.0)
         progress("voxels", 0.0)
-        voxelizer = navbake.Voxelizer(path)
-        voxelizer.create((0.0, 0.0, 1.0), (20, 20, 20), res=0.1)
-        voxelizer.create((0.0, 0.0, 1.0), (20, 20, 20), res=0.1, segments="top")
+        _use_voxels(navbake.Voxelizer(path), folder)
         progress("voxels", 1.0)
+
+
+def _draw_hollow() -> str:
+    """Write the scene with a mesh that has a cavity."""
+    inner = [(0.9 * x, 0.9 * y, 0.9 * z) for x, y, z in CORNERS]
+    faces = [*FACES, *((a + 8, c + 8, b + 8) for a, b, c in FACES)]
+    return HOLLOW.format(
+        vertices=_join([*CORNERS, *inner]),
+        faces=_join(faces),
+        hall=_join(CORNERS),
+        hall_faces=_join(FACES),
+    )
+
+
+def _join(rows: Iterable[tuple[float, ...]]) -> str:
+    return " ".join(f"{value}" for row in rows for value in row)
+
+
+def _use_voxels(voxelizer: navbake.Voxelizer, folder: Path) -> None:
+    """Make voxels of each type, and write and read them."""
+    voxelizer.set_pose(joints={"hinge": 0.5})
+    place = (0.0, 0.0, 1.0), (20, 20, 20)
+    for suffix in ("binvox", "npz", "bt", "ot"):
+        voxelizer.create(*place, res=0.1, align=True).save(folder / f"voxels.{suffix}")
+        navbake.load_voxels(folder / f"voxels.{suffix}")
+    voxelizer.create(*place, res=0.1, segments="top").save(folder / "ids.binvox")
+    navbake.load_voxels(folder / "ids.binvox")
+    voxelizer.create(*place, res=0.1, segments={"*": 999})
 
 
 def _use_run_time(grid: navbake.SceneGrid2D | navbake.MultiLevelGrid) -> None:
@@ -103,16 +197,23 @@ def _use_run_time(grid: navbake.SceneGrid2D | navbake.MultiLevelGrid) -> None:
     grid.inflate(0.1, costs="nav2")
     grid.inflate(0.1, clearance=0.1, mode="minos")
     grid.inflate_footprint([(0.2, 0.1), (-0.2, 0.1), (0.0, -0.2)], 4)
-    finder = navbake.PathFinder(grid)
-    start, goal = finder.random_point(rng, level=0), finder.random_point(rng, level=1)
-    finder.find_path(start, goal)
-    finder.why_not(start, (100.0, 0.0, 0.0))
-    finder.distance_field(goal)
-    finder.random_point_near(rng, start, 2.0)
-    finder.are_navigable(np.stack([start, goal]))
-    finder.snap(start + 0.2, in_sight=True)
-    finder.try_step(start, start + np.array([0.3, 0.2, 0.0]))
-    finder.line_of_sight(start, goal)
-    finder.nearest_obstacle(start)
-    with grid.block(disc=(start, 0.3)):
+    top = len(grid.levels) - 1
+    for agent in (grid, grid.inflate(0.3)):
+        finder = navbake.PathFinder(agent)
+        start, goal = finder.random_point(rng, level=0), finder.random_point(rng, level=top)
         finder.find_path(start, goal)
+        for _ in range(8):  # some of them bend round corners
+            finder.find_path(finder.random_point(rng), finder.random_point(rng))
+        finder.why_not(start, (100.0, 0.0, 0.0))
+        finder.distance_field(goal)
+        finder.random_point_near(rng, start, 2.0)
+        finder.random_pose(rng, start, 2.0)
+        finder.are_navigable(np.stack([start, goal]))
+        finder.is_navigable(start[:2], level=0)
+        for offset in np.linspace(0.2, 2.0, 7):
+            finder.snap(start + np.array([offset, 0.0, 0.0]), in_sight=True)
+        finder.try_step(start, start + np.array([0.3, 0.2, 0.0]))
+        finder.line_of_sight(start, goal)
+        finder.nearest_obstacle(start)
+        with agent.block(disc=(start, 0.3)):
+            finder.find_path(start, goal)

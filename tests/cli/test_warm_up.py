@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import logging
+
 import pytest
 
-from navbake.cli import warm_up as module
 from navbake.cli.main import main
-from navbake.cli.warm_up import compile_all, is_warm, tell_if_cold
+from navbake.cli.warm_up import cold_kernels, compile_all
 
 
 def test_warms_up_from_one_end_to_the_other():
@@ -14,7 +15,7 @@ def test_warms_up_from_one_end_to_the_other():
     compile_all(lambda name, share: parts.append((name, share)))
     names = ["bake", "run time", "voxels"]
     assert parts == [(name, share) for name in names for share in (0.0, 1.0)]
-    assert is_warm()
+    assert cold_kernels() == []
 
 
 def test_the_command(capsys):
@@ -24,11 +25,13 @@ def test_the_command(capsys):
     assert capsys.readouterr().out.startswith("compiled")
 
 
-def test_a_first_bake_says_why_it_takes_long(monkeypatch, capsys):
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    monkeypatch.setattr(module, "is_warm", lambda: False)
-    tell_if_cold()
-    assert "compiling for this machine, once" in capsys.readouterr().err
-    monkeypatch.setattr(module, "is_warm", lambda: True)
-    tell_if_cold()
-    assert capsys.readouterr().err == ""
+def test_commands_print_what_is_logged(monkeypatch, capsys):
+    """A slow start is told on stderr, whether it is a terminal or a pipe."""
+    monkeypatch.setattr(
+        "navbake.cli.warm_up.load_kernels",
+        lambda: logging.getLogger("navbake.compiled").warning("compiling"),
+    )
+    monkeypatch.setattr("navbake.cli.warm_up.compile_all", lambda progress: None)
+    with pytest.raises(SystemExit):
+        main(["warm-up"])
+    assert "navbake: compiling\n" in capsys.readouterr().err

@@ -1,0 +1,284 @@
+"""How the kernels are compiled, kept on disk, and called.
+
+numba compiles a kernel when it is first called, and keeps the code on disk. Some things that
+numba leaves to its users are settled here, for navbake's kernels and no others:
+
+- Where no folder can be written, or a disk is full, code is compiled in memory. A folder that can
+  only be read is used where its code is fresh, as in a container that was warmed up.
+- Broken files of the cache are replaced.
+- Of several processes that need the same code, one compiles it and the others wait.
+- One thread at a time runs a parallel kernel. numba's threads of OpenMP don't survive a fork, and
+  those of its work queue end the process when two threads use them at once. So the work queue is
+  chosen, unless NUMBA_THREADING_LAYER says otherwise, with a lock around it.
+- What takes long is told to the logger ``navbake.compiled`` before it begins.
+
+Source: numba's `Dispatcher.enable_caching` is what ``@njit(cache=True)`` calls on what it made;
+`FunctionCache` loads and saves. Both are as they are from numba 0.61 to 0.68.
+"""
+
+# numba has few types, and they know nothing of what is set on its objects here
+# mypy: disable-error-code="attr-defined,arg-type,assignment,call-arg,misc,no-untyped-call"
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numba
+import numba.np.ufunc.parallel as numba_threads
+from numba.core import caching
+from numba.core.dispatcher import Dispatcher
+from numba.core.registry import CPUDispatcher
+
+from navbake.digests import digest_folder, read_stamp
+from navbake.errors import NavbakeError
+from navbake.folder_lock import folder_lock
+
+LOGGER = logging.getLogger("navbake.compiled")  # bakes log their own warnings to its parent
+REMEDY = "set NUMBA_CACHE_DIR to a folder that can be written"
+SECONDS, PARALLEL_SECONDS = 0.7, 4.0
+"""How long a kernel and a parallel one take to compile, on average, on a core of 2024."""
+
+PLACEHOLDER = "_cached"  # what each folder of kernels has to find its cache; nobody calls it
+
+_parallel = threading.Lock()
+_is_broken_by_fork = False
+_told: set[str] = set()  # lines that are told once a process
+KERNELS: list[Kernel] = []
+"""All kernels that have been imported, in the order in which they were made."""
+
+
+class Kernel(CPUDispatcher):
+    """A compiled function of navbake."""
+
+    _is_counted = False  # whether a line has said that it will be compiled
+
+    def compile(self, sig: Any) -> Any:
+        """Compile for a signature, or load what was compiled for it."""
+        try:
+            return super().compile(sig)
+        finally:
+            self._cache.release()
+
+    def is_cold(self) -> bool:
+        """Whether it has never been compiled for this machine, as far as files tell."""
+        if self.__name__ == PLACEHOLDER:
+            return False
+        if isinstance(self._cache, MemoryCache):
+            return not self.overloads
+        return not self._cache.has_files()
+
+
+class ParallelKernel(Kernel):
+    """A kernel that runs on several threads; one thread of Python at a time starts it."""
+
+    def __call__(self, *args: Any) -> Any:
+        if _is_broken_by_fork:
+            raise NavbakeError(
+                "this process was forked from one in which numba ran threads of OpenMP, which "
+                "no child can use: set NUMBA_THREADING_LAYER=workqueue, or start processes by "
+                "multiprocessing.get_context('spawn')"
+            )
+        with _parallel:
+            return super().__call__(*args)
+
+
+class _OrReadOnly:
+    """A folder of the cache counts, too, where it can only be read and its code is fresh."""
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> Any:
+        locator = super().from_function(py_func, py_file)
+        if locator is not None:
+            return locator
+        if issubclass(cls, caching.UserProvidedCacheLocator) and not numba.config.CACHE_DIR:
+            return None
+        found: Any = cls(py_func, py_file)
+        package = _package_of(py_func)
+        is_fresh = read_stamp(found.get_cache_path()) == digest_folder(package)
+        return found if is_fresh else None
+
+
+class _UserProvided(_OrReadOnly, caching.UserProvidedCacheLocator):
+    pass
+
+
+class _InTree(_OrReadOnly, caching.InTreeCacheLocator):
+    pass
+
+
+class _UserWide(_OrReadOnly, caching.UserWideCacheLocator):
+    pass
+
+
+class _KernelCacheImpl(caching.CompileResultCacheImpl):
+    _locator_classes = (_UserProvided, _InTree, _UserWide)
+
+
+class KernelCache(caching.FunctionCache):
+    """The compiled code of a kernel on disk, which may fail without harm."""
+
+    _impl_class = _KernelCacheImpl
+
+    def __init__(self, kernel: Kernel) -> None:
+        super().__init__(kernel.py_func)
+        self._kernel = kernel
+        self._is_locked = False
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load the code for a signature; wait where another process compiles it; else None."""
+        found = self._try_load(sig, target_context)
+        if found is None:
+            announce(self._kernel)
+            self._lock.acquire(self._name_of_lock)
+            self._is_locked = True
+            found = self._try_load(sig, target_context)
+        return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the code for a signature, if that can be."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            tell_once(
+                f"cannot keep compiled code in {self.cache_path} ({error.strerror or error}), so "
+                f"each process compiles it anew: free some space there, or {REMEDY}"
+            )
+
+    def release(self) -> None:
+        """Let other processes compile it."""
+        if self._is_locked:
+            self._is_locked = False
+            self._lock.release(self._name_of_lock)
+
+    def has_files(self) -> bool:
+        """Whether code for some signature is there, whole or not."""
+        base = Path(self.cache_path, self._impl.filename_base)
+        return any(os.path.isfile(f"{base}.{number}.nbc") for number in (1, 2))
+
+    @property
+    def _lock(self) -> Any:
+        return folder_lock(Path(self.cache_path))
+
+    @property
+    def _name_of_lock(self) -> str:
+        return str(self._impl.filename_base)
+
+    def _try_load(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # a broken file makes the reader raise whatever it happens to run into
+            base = Path(self.cache_path, self._impl.filename_base)
+            for path in base.parent.glob(f"{base.name}.*nb[ic]"):
+                with suppress(OSError):
+                    path.unlink()
+            return None
+
+
+class MemoryCache(caching.NullCache):
+    """What a kernel has where no folder can be written."""
+
+    def __init__(self, kernel: Kernel) -> None:
+        self._kernel = kernel
+
+    def load_overload(self, sig: Any, target_context: Any) -> None:
+        """Find nothing."""
+        announce(self._kernel)
+
+    def release(self) -> None:
+        """Do nothing: no other process waits."""
+
+
+def install() -> None:
+    """Take over the compiling of navbake's kernels from numba, once a process."""
+    if numba.config.DISABLE_JIT:
+        # they call MuJoCo by the addresses of its functions, which plain Python cannot
+        numba.config.DISABLE_JIT = 0
+        tell_once("NUMBA_DISABLE_JIT is set, but navbake's kernels run compiled only: unset it")
+    if getattr(Dispatcher.enable_caching, "is_of_navbake", False):
+        return
+    Dispatcher.enable_caching = _wrap(Dispatcher.enable_caching)
+    if numba.config.THREADING_LAYER == "default" and not numba_threads._is_initialized:
+        numba.config.THREADING_LAYER = "workqueue"
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=_after_fork)
+
+
+def _wrap(enable_caching: Callable[[Any], None]) -> Callable[[Any], None]:
+    def enable(dispatcher: Any) -> None:
+        function = dispatcher.py_func
+        if type(dispatcher) is not CPUDispatcher or not function.__module__.startswith("navbake."):
+            enable_caching(dispatcher)
+            return
+        is_parallel = dispatcher.targetoptions.get("parallel", False)
+        dispatcher.__class__ = ParallelKernel if is_parallel else Kernel
+        try:
+            dispatcher._cache = KernelCache(dispatcher)
+        except (RuntimeError, OSError):  # no folder can be written
+            dispatcher._cache = MemoryCache(dispatcher)
+        KERNELS.append(dispatcher)
+
+    enable.is_of_navbake = True
+    return enable
+
+
+def announce(kernel: Kernel) -> None:
+    """Say that this kernel and others like it are about to be compiled, and how long that takes.
+
+    The time is that of all kernels that have been imported and that no line has spoken of. Where
+    it is less than a second, nothing is said.
+    """
+    if kernel._is_counted:
+        return
+    new = [k for k in KERNELS if k is kernel or (not k._is_counted and k.is_cold())]
+    seconds = sum(PARALLEL_SECONDS if isinstance(k, ParallelKernel) else SECONDS for k in new)
+    if seconds < 1:
+        return
+    for k in new:
+        k._is_counted = True
+    about = f"about {seconds:.0f} s" if seconds < 60 else f"about {seconds / 60:.1f} minutes"
+    if isinstance(kernel._cache, MemoryCache):
+        LOGGER.warning(
+            f"compiling in memory: {about}, in each process anew, as no folder for compiled code "
+            f"can be written: {REMEDY}"
+        )
+    else:
+        LOGGER.warning(f"compiling for this machine, once: {about}")
+
+
+def can_keep() -> bool:
+    """Whether the kernels imported so far are kept on disk."""
+    return not any(isinstance(kernel._cache, MemoryCache) for kernel in KERNELS)
+
+
+def list_cold() -> list[str]:
+    """Name the kernels imported so far that have no code on disk."""
+    return [f"{kernel.__module__}.{kernel.__name__}" for kernel in KERNELS if kernel.is_cold()]
+
+
+def tell_once(line: str) -> None:
+    """Log a warning, unless this process has done so before."""
+    if line not in _told:
+        _told.add(line)
+        LOGGER.warning(line)
+
+
+def _package_of(function: Any) -> str:
+    """The folder of kernels that a function is in."""
+    module = str(function.__module__)
+    is_folder = function.__code__.co_filename.endswith("__init__.py")
+    return module if is_folder else module.rpartition(".")[0]
+
+
+def _after_fork() -> None:
+    """Start afresh in a forked child: another thread of the parent may have held the lock."""
+    global _parallel, _is_broken_by_fork
+    _parallel = threading.Lock()
+    is_omp = numba_threads._is_initialized and numba_threads._threading_layer == "omp"
+    _is_broken_by_fork = is_omp and sys.platform == "linux"  # GNU's OpenMP; others survive

@@ -1,0 +1,231 @@
+"""Rows of the run time, on a grid of the main house, next to what others take."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import orjson
+from scipy import sparse
+from scipy.sparse import csgraph
+
+import navbake
+from benchmarks.measure import Job, Row, here
+from benchmarks.scenes import APARTMENT, CELL, Scenes
+
+RADIUS = 0.3  # [m]
+MISSING = 'no {} to compare with: pip install -e ".[bench]"'
+
+
+class House(NamedTuple):
+    """The grid that all rows are about, and its file."""
+
+    path: Path
+    grid: navbake.SceneGrid2D | navbake.MultiLevelGrid
+
+
+def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
+    """The rows by name, each made when it is asked for."""
+
+    @cache
+    def house() -> House:
+        path = scenes.folder / "main.grid.json"
+        if not path.exists():
+            settings = {"scene": {"path": str(scenes.main)}, "grid": {"cell_size": CELL}}
+            navbake.bake(settings).save(path)
+        return House(path, navbake.load(path))
+
+    return {name: lambda make=make: make(house()) for name, make in ROWS.items()}  # type: ignore[misc]
+
+
+def load_row(house: House) -> Row:
+    content = house.path.read_bytes()
+    return Row(
+        here("navbake.load, user data unread", lambda: navbake.load(house.path)),
+        [here("orjson.loads of the whole file", lambda: orjson.loads(content))],
+        limit=0.06,
+    )
+
+
+def user_data_row(house: House) -> Row:
+    content = house.path.read_bytes()
+    return Row(
+        here("navbake.load and user_data", lambda: navbake.load(house.path).levels[0].user_data),
+        [here("orjson.loads of the whole file", lambda: orjson.loads(content))],
+    )
+
+
+def inflate_row(house: House) -> Row:
+    return _inflate(house, f"inflate({RADIUS})", ratio=3.0)
+
+
+def step_costs_row(house: House) -> Row:
+    return _inflate(house, f"inflate({RADIUS}, 0.25)", clearance=0.25)
+
+
+def nav2_costs_row(house: House) -> Row:
+    return _inflate(house, f"inflate({RADIUS}, costs='nav2')", costs="nav2")
+
+
+def minos_row(house: House) -> Row:
+    return _inflate(house, f"inflate({RADIUS}, mode='minos')", mode="minos")
+
+
+def footprint_row(house: House) -> Row:
+    car = [(0.4, 0.25), (-0.4, 0.25), (-0.4, -0.25), (0.4, -0.25)]
+    job = here("inflate_footprint, 16 headings", lambda: house.grid.inflate_footprint(car, 16))
+    return _against_distance(house, job)
+
+
+def navigable_row(house: House) -> Row:
+    """One million positions all over the house, at heights below a storey's."""
+    finder = navbake.PathFinder(house.grid)
+    level = house.grid.levels[0]
+    x0, y0, x1, y1 = level.lattice.bounds
+    low, high = (x0, y0, level.ground), (x1, y1, level.ground + 0.6)
+    positions = np.random.default_rng(0).uniform(low, high, size=(1_000_000, 3))
+    if not np.array_equal(plain_navigable(level, positions), finder.are_navigable(positions)):
+        raise SystemExit("are_navigable and plain numpy differ")
+    return Row(
+        here("a million answers of are_navigable", lambda: finder.are_navigable(positions)),
+        [here("plain numpy, for one level", lambda: plain_navigable(level, positions))],
+        limit=0.03,
+    )
+
+
+def plain_navigable(level: navbake.SceneGrid2D, positions: np.ndarray) -> np.ndarray:
+    """The same answers by numpy alone: a cell that is free, and at most 0.5 m below."""
+    rows, cols = level.lattice.rows_cols(positions)
+    inside = (rows >= 0) & (rows < level.height) & (cols >= 0) & (cols < level.width)
+    rows, cols = np.where(inside, rows, 0), np.where(inside, cols, 0)
+    rise = positions[:, 2] - level.floor_height[rows, cols]
+    return inside & level.free[rows, cols] & (rise <= 0.5) & (rise >= -0.25)
+
+
+def path_row(house: House) -> Row:
+    """Eight paths between random places, smooth ones."""
+    finder = navbake.PathFinder(house.grid)
+    pairs = random_pairs(finder, 8)
+    job = here("8 × find_path", lambda: [finder.find_path(a, b) for a, b in pairs])
+    try:
+        import pyastar2d
+    except ImportError:
+        return Row(job, ratio=1.0, missing=MISSING.format("pyastar2d"))
+    level = house.grid.levels[0]
+    weights = level.weights.astype(np.float32)
+    ends = [[tuple(int(v) for v in level.lattice.rows_cols(p)) for p in pair] for pair in pairs]
+
+    def search() -> None:
+        for start, goal in ends:
+            if pyastar2d.astar_path(weights, start, goal, allow_diagonal=True) is None:
+                raise SystemExit("pyastar2d finds no path")
+
+    return Row(job, [here("8 × pyastar2d, diagonals cost 1", search)], ratio=1.0)
+
+
+def field_row(house: House) -> Row:
+    """The whole distance field of one goal, without what is kept of the last."""
+    finder = navbake.PathFinder(house.grid)
+    goal = finder.random_point(np.random.default_rng(0), island=1)
+    cells = finder.search.flat.free.nonzero()[0]
+    level = house.grid.levels[0]
+    row, col = (int(v) for v in level.lattice.rows_cols(goal))
+    source = row * level.width + col
+    graph = step_graph(finder)
+    own = finder.search.field(np.array([source]))
+    if not np.allclose(own[cells], csgraph.dijkstra(graph, indices=source)[cells]):
+        raise SystemExit("distance_field and scipy differ")
+    job = here("distance field", lambda: finder.search.field(np.array([source])))
+    peer = here("scipy csgraph, its graph given", lambda: csgraph.dijkstra(graph, indices=source))
+    try:
+        import dijkstra3d
+    except ImportError:
+        return Row(job, [peer], missing=MISSING.format("dijkstra3d"))
+    costs = np.where(level.free, 1.0, np.inf).astype(np.float32)
+
+    def search() -> None:
+        dijkstra3d.distance_field(costs, source=(row, col), connectivity=8)
+
+    return Row(job, [here("dijkstra3d, node costs", search), peer], ratio=1.0)
+
+
+def thousand_row(house: House) -> Row:
+    """A thousand smooth paths in the apartment, which has 5 rooms."""
+    finder = navbake.PathFinder(navbake.bake(str(APARTMENT)))
+    pairs = random_pairs(finder, 1000)
+    job = here("1,000 × find_path, apartment", lambda: [finder.find_path(*p) for p in pairs])
+    return Row(job, limit=1.0)
+
+
+def block_row(house: House) -> Row:
+    """Something of 0.3 m comes and goes, with paths right after each."""
+    finder = navbake.PathFinder(house.grid)
+    place = finder.random_point(np.random.default_rng(0), island=1)
+
+    def come_and_go() -> None:
+        with house.grid.block(disc=(place, 0.3)):
+            finder.search.update()
+        finder.search.update()
+
+    return Row(
+        here("block a disc, and free it", come_and_go),
+        [here("a new PathFinder", lambda: navbake.PathFinder(house.grid))],
+        ratio=1.0,
+    )
+
+
+def random_pairs(finder: navbake.PathFinder, count: int) -> list[np.ndarray]:
+    """Pairs of places that a path joins, on the largest island."""
+    points = finder.random_point(np.random.default_rng(0), 2 * count, island=1)
+    return list(points.reshape(count, 2, 3))
+
+
+def step_graph(finder: navbake.PathFinder) -> Any:
+    """All steps of a grid of one level as scipy wants them: lengths times weights."""
+    flat, moves = finder.search.flat, finder.search.graph.moves
+    width, size = int(flat.layout.width[0]), float(flat.layout.cell_size[0])
+    steps = [1, -width, -1, width, 1 - width, -1 - width, width - 1, width + 1]
+    sources = [np.flatnonzero(moves >> way & 1) for way in range(8)]
+    targets = [source + step for source, step in zip(sources, steps, strict=True)]
+    lengths = np.repeat([size] * 4 + [size * 2**0.5] * 4, [len(source) for source in sources])
+    source, target = np.concatenate(sources), np.concatenate(targets)
+    shape = (flat.num_cells, flat.num_cells)
+    return sparse.csr_array((lengths * flat.weight[target], (source, target)), shape=shape)
+
+
+def _inflate(house: House, name: str, ratio: float | None = None, **given: Any) -> Row:
+    job = here(name, lambda: house.grid.inflate(RADIUS, **given))
+    return _against_distance(house, job, ratio)
+
+
+def _against_distance(house: House, job: Job, ratio: float | None = None) -> Row:
+    """Compare with OpenCV's precise distance transform of the same occupancy."""
+    try:
+        import cv2
+    except ImportError:
+        return Row(job, ratio=ratio, missing=MISSING.format("OpenCV"))
+    free = (house.grid.levels[0].occupancy == 0).astype(np.uint8)
+
+    def transform() -> Any:
+        return cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+
+    return Row(job, [here("OpenCV distanceTransform, precise", transform)], ratio=ratio)
+
+
+ROWS: dict[str, Callable[[House], Row]] = {
+    "load": load_row,
+    "user_data": user_data_row,
+    "inflate": inflate_row,
+    "step": step_costs_row,
+    "nav2": nav2_costs_row,
+    "minos": minos_row,
+    "footprint": footprint_row,
+    "navigable": navigable_row,
+    "path": path_row,
+    "field": field_row,
+    "thousand": thousand_row,
+    "block": block_row,
+}

@@ -1,0 +1,95 @@
+"""What runs in a process of its own: a bake, and a command up to its first ray.
+
+    python worker.py bake SETTINGS [--warm-up SETTINGS] [--threads N]
+    python worker.py first-ray SETTINGS
+    python worker.py read SETTINGS
+
+SETTINGS is JSON. Each prints a line of JSON; its `seconds`, if any, leave out what starts up.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import sys
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from benchmarks.measure import peak
+
+SHORT = 0.5  # a bake is repeated for at least this long [s]
+
+
+def bake(settings: dict[str, Any], warm_up: dict[str, Any], threads: int | None) -> dict[str, Any]:
+    """Bake by the clock, after a bake that warms up; short bakes several times, their median."""
+    from navbake.baker.pipeline import run_bake
+    from navbake.config.settings import parse_config
+
+    warnings.simplefilter("ignore")
+    if warm_up:
+        run_bake(parse_config(warm_up), threads=threads)
+    times: list[float] = []
+    while not times or (not _is_long(settings) and sum(times) < SHORT):
+        start = time.perf_counter()
+        done = run_bake(parse_config(settings), threads=threads)
+        times.append(time.perf_counter() - start)
+    return {
+        "seconds": statistics.median(times),
+        "stages": done.timings,
+        "peak": peak(),
+        "doors": len(done.grid.doors),
+        "cells": sum(level.width * level.height for level in done.grid.levels),
+    }
+
+
+def read_mesh(path: str) -> dict[str, Any]:
+    """Read a mesh file by the clock, as trimesh does."""
+    import trimesh
+
+    start = time.perf_counter()
+    trimesh.load(path, process=False, force="mesh")
+    return {"seconds": time.perf_counter() - start}
+
+
+def _is_long(settings: dict[str, Any]) -> bool:
+    return os.path.getsize(settings["scene"]["path"]) > 10**7
+
+
+def reach_first_ray(settings: dict[str, Any]) -> None:
+    """Run the command `navbake bake`, and end the process where the first ray would be cast."""
+    import navbake.baker.columns as columns
+    import navbake.baker.stages as stages
+    from navbake.cli.main import main
+
+    def end(*_: Any, **__: Any) -> None:
+        print("{}", flush=True)
+        os._exit(0)
+
+    columns.cast_columns = stages.cast_columns = end  # type: ignore[attr-defined]
+    options = ["--cell", str(settings["grid"]["cell_size"])]
+    sys.argv = ["navbake", "bake", settings["scene"]["path"], "-o", os.devnull, *options]
+    main()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Run one job by the clock.")
+    parser.add_argument("job", choices=("bake", "first-ray", "read"))
+    parser.add_argument("settings", type=json.loads)
+    parser.add_argument("--warm-up", type=json.loads, default={})
+    parser.add_argument("--threads", type=int)
+    given = parser.parse_args()
+    if given.job == "bake":
+        print(json.dumps(bake(given.settings, given.warm_up, given.threads)))
+    elif given.job == "read":
+        print(json.dumps(read_mesh(given.settings["scene"]["path"])))
+    else:
+        reach_first_ray(given.settings)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,192 @@
+"""Bakes start anywhere: after a fork, from threads, in new processes, and warm after warm-up."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+import navbake
+from navbake.cli.main import main
+
+ROOT = Path(__file__).parents[1]
+SCENE = """<mujoco model="stool">
+<worldbody>
+  <geom type="box" size="2 2 .1" pos="0 0 -.1"/>
+  <geom type="box" size=".2 .2 .5" pos=".5 .5 .5"/>
+</worldbody></mujoco>"""
+
+
+def bake_and_voxelize(path: str) -> str:
+    """A digest of a scene's grid and of its voxels."""
+    grid = navbake.bake({"scene": {"path": path}})
+    voxels = navbake.Voxelizer(path).create(res=0.1, align=True)
+    voxels.save(f"{path}.{os.getpid()}-{id(voxels)}.bt")  # by parallel kernels, too
+    data = grid.levels[0].occupancy.tobytes() + voxels.values.tobytes()
+    return hashlib.sha256(data).hexdigest()
+
+
+@pytest.fixture
+def scene(tmp_path):
+    path = tmp_path / "stool.xml"
+    path.write_text(SCENE)
+    return str(path)
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_bakes_in_processes_after_a_bake(scene, method):
+    expected = bake_and_voxelize(scene)
+    with multiprocessing.get_context(method).Pool(4) as pool:
+        assert pool.map_async(bake_and_voxelize, [scene] * 8).get(120) == [expected] * 8
+
+
+def test_bakes_in_threads(scene):
+    expected = bake_and_voxelize(scene)
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(bake_and_voxelize, [scene] * 12)) == [expected] * 12
+
+
+def test_a_fork_after_openmp_is_an_error_that_says_what_to_do(scene):
+    """Another threading layer is the user's choice, and a child must not just end."""
+    code = f"""
+import multiprocessing, navbake
+def bake(_):
+    try:
+        navbake.bake({{"scene": {{"path": {scene!r}}}}})
+    except navbake.NavbakeError as error:
+        return str(error)
+bake(0)
+import numba
+print(numba.threading_layer())
+with multiprocessing.get_context("fork").Pool(1) as pool:
+    print(pool.map_async(bake, [0]).get(60)[0])
+"""
+    env = {**os.environ, "NUMBA_THREADING_LAYER": "omp"}
+    run = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
+    if not run.stdout.startswith("omp") or sys.platform != "linux":
+        pytest.skip("numba has no OpenMP of GNU here")
+    assert "set NUMBA_THREADING_LAYER=workqueue" in run.stdout
+
+
+RECORD = """
+import json, sys
+from navbake import dispatch
+def record():
+    return {
+        f"{k.__module__}.{k.__name__} {signature}"
+        for k in dispatch.KERNELS for signature in k.overloads
+    }
+"""
+
+
+def read_me() -> tuple[list[list[str]], str]:
+    """The README's commands for the sample `my_scene.xml`, and its Python."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```(sh|python)\n(.*?)```", text, re.DOTALL)
+    shell = "\n".join(block for kind, block in blocks if kind == "sh")
+    commands = [
+        shlex.split(line, comments=True)[1:]
+        for line in shell.splitlines()
+        if line.startswith("navbake ") and "warm-up" not in line
+    ]
+    assert len(commands) >= 8
+    return commands, "".join(block for kind, block in blocks if kind == "python")
+
+
+@pytest.fixture
+def empty_folder(tmp_path):
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    shutil.copytree(ROOT / "configs", folder / "configs")
+    shutil.copytree(ROOT / "configs" / "scenes" / "assets", folder / "assets")
+    shutil.copy(ROOT / "configs" / "scenes" / "apartment.xml", folder / "my_scene.xml")
+    return folder
+
+
+def use_read_me(warm_up: bool) -> str:
+    """Code that runs the README, warm-up or not, and prints which kernels were used for what."""
+    commands, python = read_me()
+    use = f"""
+from navbake.cli.main import main
+for command in {commands!r}:
+    try:
+        main(command)
+    except SystemExit as end:
+        assert end.code == 0 or command[0] == 'path', command  # 1: there is no path
+exec({python!r})
+"""
+    warm = """
+import navbake
+from navbake.cli.warm_up import compile_all
+compile_all(lambda name, share: None)
+"""
+    return RECORD + (warm if warm_up else use) + "\nprint('\\n' + json.dumps(sorted(record())))"
+
+
+def test_nothing_is_compiled_after_warm_up(empty_folder):
+    """What the README's commands call, with the types that they call it with, warm-up did, too."""
+    pytest.importorskip("matplotlib")
+    used = []
+    for warm_up in (True, False):
+        run = subprocess.run(
+            [sys.executable, "-c", use_read_me(warm_up)],
+            cwd=empty_folder,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            stdout=subprocess.PIPE,
+            text=True,
+            check=True,
+        )
+        used.append(set(json.loads(run.stdout.splitlines()[-1])))
+    assert len(used[1]) > 40
+    assert used[1] - used[0] == set()
+
+
+def test_warm_up_reaches_every_kernel():
+    from navbake.cli.warm_up import cold_kernels, compile_all, load_kernels
+
+    compile_all(lambda name, share: None)
+    load_kernels()
+    assert cold_kernels() == []
+
+
+@pytest.mark.skipif("NAVBAKE_EXAMPLES" not in os.environ, reason="it compiles all for minutes")
+def test_the_read_me_runs_where_nothing_can_be_written(empty_folder, tmp_path):
+    pytest.importorskip("matplotlib")
+    site = tmp_path / "site"
+    shutil.copytree(
+        ROOT / "navbake", site / "navbake", ignore=shutil.ignore_patterns("__pycache__")
+    )
+    for folder in site.rglob("kernels"):
+        (folder / "__pycache__").write_text("")  # a file, so that no folder can be made there
+    place = str(tmp_path / "file")
+    Path(place).write_text("")
+    env = {"NUMBA_CACHE_DIR": place, "HOME": place, "XDG_CACHE_HOME": place}
+    run = subprocess.run(
+        [sys.executable, "-B", "-c", use_read_me(warm_up=False)],
+        cwd=empty_folder,
+        env={**os.environ, "PYTHONPATH": str(site), **env},
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 0, run.stderr
+    assert "compiling in memory" in run.stderr
+    assert "set NUMBA_CACHE_DIR" in run.stderr
+
+
+def test_warm_up_says_where_nothing_can_be_kept(monkeypatch, capsys):
+    monkeypatch.setattr("navbake.dispatch.can_keep", lambda: False)
+    with pytest.raises(SystemExit) as done:
+        main(["warm-up"])
+    assert done.value.code == 0
+    out, err = capsys.readouterr()
+    assert out == "" and "nothing can be kept: set NUMBA_CACHE_DIR" in err
