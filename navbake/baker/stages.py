@@ -218,6 +218,15 @@ class Stages:
         )
         return find_level_boxes(levels, occupied, self.lattice, self.scene.bounds, height)
 
+    def free_geometry(self) -> None:
+        """Give back the memory of the columns and of the listed geometry.
+
+        They are the largest of all values, and nothing needs them once the doors are settled. One
+        that is asked for again is found again.
+        """
+        for name in ("tiled", "columns"):
+            self.__dict__.pop(name, None)
+
     @contextmanager
     def _errors_say_where(self) -> Iterator[None]:
         """Add the scene's file and extent to a SceneError: often the unit or bounds are wrong."""
