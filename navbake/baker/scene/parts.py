@@ -15,10 +15,9 @@ from navbake.baker.kernels.parts import (
     find_around,
     find_cavities,
     find_parts,
-    list_edges,
 )
-from navbake.baker.scene.kernels.shells import find_shells, weld_faces, weld_points
-from navbake.baker.scene.kernels.triangles import measure_parts
+from navbake.baker.scene.kernels.shells import find_shells, list_edges, weld_faces, weld_points
+from navbake.baker.scene.kernels.triangles import measure_areas, measure_parts
 from navbake.types import Bool, Float, Int, Int32
 
 # A part that encloses less than this times its area is a sheet with two sides [m]
@@ -97,11 +96,11 @@ def _find_parts(
     vertices: Float, faces: NDArray[np.integer[Any]], point: Int32, rest: Int
 ) -> tuple[Int, Bool]:
     """What `find_parts` finds of some triangles, which hang together with no others."""
-    point = point[rest].astype(np.int64)
-    corners = vertices[faces[rest]]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(cross, axis=1) / 2
-    found, turned = find_parts(point, area, *list_edges(point, int(point.max(initial=0)) + 1))
+    if len(rest) < len(faces):
+        faces, point = faces[rest], point[rest]
+    found, turned = find_parts(
+        point, measure_areas(vertices, faces), *list_edges(point, len(vertices))
+    )
     return np.where(found >= 0, rest[found], found), turned
 
 

@@ -103,7 +103,7 @@ def _list_by_lower_point(faces, num):
 
 
 @njit(inline="always")
-def _sort(keys, num):
+def sort_keys(keys, num):
     """Sort the first keys, ascending, in place: Shell's sort."""
     gap = 1
     while gap < num // 3:
@@ -160,7 +160,7 @@ def find_shells(faces, num):
             # the direction in the lowest bit
             keys[i] = (np.int64(high) << 32) | (np.int64(f) << 1) | (faces[f, k] == low)
         first = end[low]
-        _sort(keys, count)
+        sort_keys(keys, count)
         i = 0
         while i < count:
             last = i + 1
@@ -179,3 +179,39 @@ def find_shells(faces, num):
     for f in range(part.shape[0]):
         is_shell[f] = is_shell[part[f]]
     return part, is_shell
+
+
+@njit(cache=True)
+def list_edges(faces, num):
+    """Number the undirected edges of triangles.
+
+    Args:
+        faces: see `find_shells`.
+
+    Returns:
+        edge: the undirected edge of each half-edge 3 f + k, from corner k of triangle f to the next
+            one, (3 m,) int32.
+        start, half: the half-edges of each edge, ragged, ascending, int32.
+    """
+    end, half = _list_by_lower_point(faces, num)
+    edge, start = np.empty(half.shape[0], np.int32), np.empty(half.shape[0] + 1, np.int32)
+    keys = np.empty(16, np.int64)
+    first, edges = 0, 0
+    for low in range(num):
+        count = end[low] - first
+        if count > keys.shape[0]:
+            keys = np.empty(2 * count, np.int64)
+        for i in range(count):
+            h = half[first + i]
+            high = max(faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3])
+            keys[i] = (np.int64(high) << 32) | h
+        sort_keys(keys, count)
+        for i in range(count):
+            h = keys[i] & 0xFFFFFFFF
+            if i == 0 or keys[i] >> 32 != keys[i - 1] >> 32:
+                start[edges] = first + i
+                edges += 1
+            half[first + i], edge[h] = h, edges - 1
+        first = end[low]
+    start[edges] = half.shape[0]
+    return edge, start[: edges + 1].copy(), half

@@ -109,6 +109,16 @@ def check_faces(vertices, faces, smallest):
 
 
 @njit(cache=True)
+def measure_areas(vertices, faces):
+    """The areas of triangles, (m,) float64 [m²]."""
+    area = np.empty(faces.shape[0])
+    for f in range(faces.shape[0]):
+        x, y, z = _cross(vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]])
+        area[f] = _length(x, y, z) / 2.0
+    return area
+
+
+@njit(cache=True)
 def sum_by_facing(vertices, faces, cosine):
     """Twice the area of the triangles that face along y, and of those that face along z [m²].
 
