@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.scene.choice import Choice, choose_geoms
-from navbake.baker.scene.collect import TYPE_NAMES, collect_shapes
+from navbake.baker.scene.collect import TYPE_NAMES, MeshTriangles, collect_shapes
 from navbake.baker.scene.hidden_room import HiddenRoom
 from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart, lies_on_side
 from navbake.baker.scene.model import catch_warnings, load_model
@@ -68,6 +68,7 @@ class Scene:
         data: its mujoco.MjData in the pose that is baked.
         choices: what becomes of each geom, by geom id.
         parts: the meshes of a mesh file by geom id, world frame, exact.
+        meshes: what the model's meshes count by, for geoms in other poses.
     """
 
     id: str
@@ -80,6 +81,7 @@ class Scene:
     data: Any
     choices: list[Choice]
     parts: dict[int, MeshPart]
+    meshes: MeshTriangles
 
 
 def load_scene(
@@ -100,14 +102,15 @@ def load_scene(
     with catch_warnings() as warned:
         model, parts, ground = load_model(settings, warned)
         data = pose_model(model, settings)
-    room = HiddenRoom(model, data, agent or AgentSettings(), floors or FloorSettings())
+    meshes = MeshTriangles(model)
+    room = HiddenRoom(model, data, meshes, agent or AgentSettings(), floors or FloorSettings())
     with _errors_name(settings):
         choices, notes = choose_geoms(model, settings, room.is_in_hull, ground)
     own = [choice for geom, choice in enumerate(choices) if geom != ground]
     if not any(choice.counted for choice in own):
         raise SceneError(_nothing_counts(settings, own))
     with _errors_name(settings):
-        collected = collect_shapes(model, data, choices, parts)
+        collected = collect_shapes(model, data, choices, parts, meshes=meshes)
     warnings = [f"MuJoCo: {' '.join(warning.split())}" for warning in warned]
     warnings += [*warn_out_of_range(model, settings), *_find_unusable(model)]
     warnings += [*_find_unused_settings(settings), *_warn_lying(settings, parts)]
@@ -123,6 +126,7 @@ def load_scene(
         data=data,
         choices=choices,
         parts=parts,
+        meshes=meshes,
     )
 
 
