@@ -10,10 +10,13 @@ from navbake.baker.kernels.arrays import Band, BandItems, Crossings, Facets, Til
 from navbake.baker.kernels.hits import RIM, close_up
 from navbake.baker.kernels.rays import cast_lines, cast_points_at, load_mujoco_library
 from navbake.baker.kernels.tiles import BAND, bin_boxes, list_by_band, tile_of
+from navbake.baker.scene.kernels.triangles import measure_triangles
 from navbake.baker.scene.model import mujoco_library
 from navbake.baker.scene.shapes import Shapes, Triangles
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Float, Int, Int32
+
+UPRIGHT = 1e-9  # the z of a unit normal below which a triangle counts as upright
 
 
 @dataclass(frozen=True)
@@ -141,12 +144,7 @@ def _empty_crossings(start: Int, count: int) -> Crossings:
 
 
 def _facets_of(triangles: Triangles) -> Facets:
-    corners = triangles.corners
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(cross, axis=1, keepdims=True)
-    normal: Float = np.divide(cross, length, out=np.zeros_like(cross), where=length > 0)
-    normal[np.abs(normal[:, 2]) < 1e-9, 2] = 0.0
-    return Facets(*triangles[:-1], corners, np.ascontiguousarray(normal), triangles.bounds)
+    return Facets(*triangles, *measure_triangles(triangles.corners, UPRIGHT))
 
 
 def _height_range(shapes: Shapes, lattice: Lattice) -> Band:

@@ -120,6 +120,7 @@ def run_bake(
     clock = StageClock(progress)
     with limit_threads(threads):
         stages = settle_doors(take_first_look(config, clock, limits))
+        stages.free_geometry()
         with clock.stage("grid"):
             grid = build_grid(stages)
     grid.timings = clock.to_json()

@@ -252,6 +252,15 @@ class Stages:
         reach = max(self.footprints.whole.reach, crack_reach(self.config.floors.crack))
         return tile_shapes(self.doorless.shapes, lattice, reach)
 
+    def free_geometry(self) -> None:
+        """Give back the memory of the columns and of the listed geometry.
+
+        They are the largest of all values, and nothing needs them once the doors are settled. One
+        that is asked for again is found again.
+        """
+        for name in ("tiled", "whole", "columns"):
+            self.__dict__.pop(name, None)
+
     @contextmanager
     def _errors_say_where(self) -> Iterator[None]:
         """Add the scene's file and extent to a SceneError: often the unit or bounds are wrong."""

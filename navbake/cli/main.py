@@ -26,6 +26,9 @@ from navbake.cli.voxelize import voxelize
 from navbake.cli.warm_up import warm_up
 from navbake.errors import NavbakeError
 
+# No command draws with OpenGL. MuJoCo's import is faster without looking for it.
+os.environ.setdefault("MUJOCO_GL", "disable")
+
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF, errno.EPIPE)
 """The system's numbers for an output that takes no more."""
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 import json
 import pkgutil
+import struct
 import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -144,6 +145,9 @@ def compile_all(progress: Callable[[str, float], None]) -> None:
         coarse = {"cell_size": 0.3}
         config = as_config({"scene": {"path": hollow, "geoms": "all"}, "grid": coarse})
         grids.append(run_bake(config).grid)
+        soup = folder / "soup.ply"
+        soup.write_bytes(_draw_soup())
+        grids.append(run_bake(as_config({"scene": {"path": soup}, "grid": coarse})).grid)
         progress("bake", 1.0)
         progress("run time", 0.0)
         for number, grid in enumerate(grids):
@@ -168,6 +172,20 @@ def _draw_hollow() -> str:
         faces=_join(faces),
         hall=_join(CORNERS),
         hall_faces=_join(FACES),
+    )
+
+
+def _draw_soup() -> bytes:
+    """Write a box that lacks a triangle as a binary PLY."""
+    faces = FACES[:-1]
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(CORNERS)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    vertices = (struct.pack("<3f", *(2 * value for value in corner)) for corner in CORNERS)
+    return (
+        header.encode() + b"".join(vertices) + b"".join(struct.pack("<B3i", 3, *f) for f in faces)
     )
 
 

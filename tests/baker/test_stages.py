@@ -100,6 +100,20 @@ def test_a_bake_is_its_stages(name):
     assert [int((level.room_index > 0).sum()) for level in removed.levels] == num_in_room
 
 
+def test_geometry_is_given_back_before_the_grid_is_made(tmp_path, monkeypatch):
+    kept = []
+    stages = stages_of_xml(tmp_path, world(FLOOR))
+    monkeypatch.setattr("navbake.baker.pipeline.settle_doors", lambda _: settle_doors(stages))
+    build = navbake.baker.pipeline.build_grid
+    monkeypatch.setattr(
+        "navbake.baker.pipeline.build_grid", lambda made: (kept.extend(vars(made)), build(made))[1]
+    )
+    run_bake(stages.config)
+    assert "floors" in kept
+    assert not {"tiled", "columns"} & {*kept, *vars(stages)}  # the grid needs neither
+    assert isinstance(stages.columns, Columns)
+
+
 # ---------------------------------------------------------------- which candidates are doors
 
 

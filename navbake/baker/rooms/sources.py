@@ -167,7 +167,7 @@ def _upward_surfaces(
     parts = [(columns, known)]
     if others := set(chosen) - known:
         choices = [Choice(geom in others, "marks a room", "surface") for geom in range(num)]
-        shapes = collect_shapes(scene.model, scene.data, choices, {}).shapes
+        shapes = collect_shapes(scene.model, scene.data, choices, scene.parts).shapes
         parts.append((cast_columns(tile_shapes(shapes, columns.lattice, 0.0)), others))
     found = []
     for surfaces, geoms in parts:

@@ -23,6 +23,8 @@ from navbake.types import Float, Int
 
 XML_SUFFIXES = frozenset({".xml", ".mjcf", ".urdf"})
 MJB_SUFFIX = ".mjb"
+TETRAHEDRON = np.eye(4, 3), np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+"""Vertices and faces, counter-clockwise from outside."""
 _WARNING_LOCK = threading.Lock()  # MuJoCo has one hook for warnings, whatever the thread
 
 
@@ -155,12 +157,15 @@ def _add_ground(spec: Any, height: float | None) -> None:
 
 
 def _build_model(parts: list[MeshPart], ground: float | None) -> Any:
-    """A model of mesh parts: one static body and geom a part, which can't collide."""
+    """A model of mesh parts: one static body and geom a part, which can't collide.
+
+    It has their names alone. Each geom has a tetrahedron in place of its triangles, because MuJoCo
+    compiles millions of them for many seconds: their geometry is in the parts.
+    """
     spec = mujoco.MjSpec()
     for part in parts:
-        center = (part.vertices.min(axis=0) + part.vertices.max(axis=0)) / 2
-        _fill_mesh(spec.add_mesh(name=part.name), part.vertices - center, part.faces)
-        body = spec.worldbody.add_body(name=part.name, pos=center)
+        _fill_mesh(spec.add_mesh(name=part.name), *TETRAHEDRON)
+        body = spec.worldbody.add_body(name=part.name)
         geom = body.add_geom(name=part.name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=part.name)
         geom.contype = geom.conaffinity = 0
     _add_ground(spec, ground)

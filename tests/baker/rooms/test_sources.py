@@ -137,6 +137,18 @@ def test_geoms_that_are_only_drawn(tmp_path):
     assert not ((rooms["room|2"][0] > 2) & (rooms["room|2"][1] > 0)).any()
 
 
+def test_parts_of_a_mesh_file_that_are_left_out(tmp_path):
+    path = tmp_path / "scene.obj"
+    corners = ("-4 -2", "0 -2", "4 -2", "4 2", "0 2", "-4 2")
+    text = "".join(f"v {corner} 0\n" for corner in corners)
+    rooms = "o floor|west\nf 1 2 5 6\no floor|east\nf 2 3 4 5\n"
+    path.write_text(f"{text}o slab\nf 1 3 4 6\n{rooms}")
+    scene = {"path": path, "exclude": {"geoms": ["floor|*"]}}
+    config = {"scene": scene, "grid": {"cell_size": 0.25}}
+    rooms = rooms_of(run_bake(parse_config(config)))
+    assert span(rooms["west"]) == [-4, -2, 0, 2]
+
+
 def test_what_is_no_floor_is_no_room(tmp_path):
     """A wall, a lamp and a box that stands on the floor have names like rooms."""
     body = """
