@@ -6,9 +6,9 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.baker.rooms.distances import squared_distances
 from navbake.baker.rooms.kernels import gaps as kernels
 from navbake.baker.rooms.kernels.labels import label_parts
-from navbake.baker.rooms.kernels.watershed import squared_distances
 from navbake.types import Bool, Float, Int, Int32
 
 T = TypeVar("T", bound=np.generic)
