@@ -264,7 +264,7 @@ def announce(kernel: Kernel) -> None:
     The time is that of all kernels that have been imported and that no line has spoken of. Where
     it is less than a second, nothing is said. Where it is long, other processes help.
     """
-    if kernel._is_counted or IS_HELPER in os.environ:
+    if kernel._is_counted:
         return
     costs: dict[str, float] = {}
     for entry in read_list().entries:
@@ -276,7 +276,8 @@ def announce(kernel: Kernel) -> None:
         return
     for k in new:
         k._is_counted = True
-    helpers = 0 if isinstance(kernel._cache, MemoryCache) else _start_helpers(kernel, seconds)
+    can_share = bool(costs) and isinstance(kernel._cache, KernelCache)
+    helpers = _start_helpers(kernel, seconds) if can_share else 0
     seconds /= 1 + 0.8 * helpers
     about = f"about {seconds:.0f} s" if seconds < 60 else f"about {seconds / 60:.1f} minutes"
     if isinstance(kernel._cache, MemoryCache):
@@ -295,7 +296,8 @@ def _start_helpers(kernel: Kernel, seconds: float) -> int:
     """
     count = min(_num_cores(), MOST_PROCESSES) - 1
     program = Path(sys.executable or "")  # other programs than Python may hold Python
-    if seconds < WORTH_HELP or count < 1 or not program.name.lower().startswith("python"):
+    is_python = program.name.lower().startswith("python")
+    if seconds < WORTH_HELP or count < 1 or not is_python or IS_HELPER in os.environ:
         return 0
     if any(helper.poll() is None for helper in _helpers):
         return 0
