@@ -12,10 +12,10 @@ from navbake.baker.clock import Progress, StageClock
 from navbake.baker.scene.guard.isolated import CompileLimits
 from navbake.baker.scene.scene import GeomReport
 from navbake.baker.stages import settle_doors, take_first_look
-from navbake.baker.threads import limit_threads
 from navbake.config.settings import BakeConfig, as_config
 from navbake.errors import BakeWarning
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+from navbake.threads import limit_threads
 
 LOG = logging.getLogger("navbake")
 # without it, Python prints warnings of loggers that nobody has set up

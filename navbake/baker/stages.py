@@ -36,10 +36,10 @@ from navbake.baker.occupancy.occupancy import (
 from navbake.baker.rooms.rooms import Blocked, Rooms, find_rooms
 from navbake.baker.scene.guard.isolated import CompileLimits
 from navbake.baker.scene.scene import Scene, load_scene
-from navbake.baker.threads import limit_threads
 from navbake.config.settings import BakeConfig, as_config
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
+from navbake.threads import limit_threads
 from navbake.types import Bool, Float, Int
 
 STAGES = ("scene", "columns", "floors", "occupancy", "contents", "rooms", "doors", "grid")

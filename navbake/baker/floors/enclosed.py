@@ -12,6 +12,7 @@ from navbake.baker.floors.sheets import AreaTest, agent_limits, middle_of
 from navbake.baker.kernels.constants import CLOSED_SURFACE
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings
+from navbake.threads import run_in_bands
 from navbake.types import Bool
 
 # A floor that goes on beyond this share of its outline is what a closed thing stands on
@@ -43,7 +44,8 @@ def find_enclosed(
         return []
     lattice, limits = columns.lattice, agent_limits(agent)
     holder = np.empty(len(columns.z), dtype=np.int32)
-    find_holders(lattice, columns.crossings, shapes.planes, limits, holder)
+    cells = len(columns.start) - 1
+    run_in_bands(find_holders, cells, lattice, columns.crossings, shapes.planes, limits, holder)
     start = np.concatenate([[0], np.cumsum(holder >= 0)])[columns.start]
     surface = np.flatnonzero(holder >= 0)
     z, geom = columns.z[surface], holder[surface].astype(np.int64)

@@ -23,6 +23,7 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int
 
 
@@ -97,7 +98,8 @@ def find_standable(
     """
     lattice, limits = columns.lattice, agent_limits(agent)
     floor_like, is_standable = (np.zeros(len(columns.z), dtype=np.bool_) for _ in range(2))
-    mark_surfaces(lattice, columns.crossings, shapes.planes, limits, floor_like, is_standable)
+    known = lattice, columns.crossings, shapes.planes, limits
+    run_in_bands(mark_surfaces, len(columns.start) - 1, *known, floor_like, is_standable)
     start = np.concatenate([[0], np.cumsum(is_standable)])[columns.start]
     surface = np.flatnonzero(is_standable)
     z, one_group = columns.z[surface], np.zeros(len(surface), dtype=np.int64)

@@ -5,7 +5,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.rooms.kernels.watershed import squared_distances
+from navbake.baker.rooms.distances import squared_distances
 from navbake.types import Bool, Float, Int
 
 T = TypeVar("T", bound=np.generic)

@@ -12,10 +12,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from navbake.baker.lattice import EDGES, Window, bounding_window
+from navbake.baker.rooms.distances import squared_distances
 from navbake.baker.rooms.gaps import part_at_gaps
 from navbake.baker.rooms.kernels import labels
 from navbake.baker.rooms.kernels.labels import label_parts, measure_regions
-from navbake.baker.rooms.kernels.watershed import flood, squared_distances
+from navbake.baker.rooms.kernels.watershed import flood
 from navbake.baker.rooms.regions import ROUGHNESS, ROUNDING, STAIR_SHARE, Regions
 from navbake.baker.rooms.spaces import WIDEST, CloseCall
 from navbake.types import Bool, Float, Int, Int32

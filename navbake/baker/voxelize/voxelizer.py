@@ -23,6 +23,7 @@ from navbake.config.scene import SceneSettings
 from navbake.config.settings import BakeConfig, as_config
 from navbake.errors import ConfigError, SceneError
 from navbake.navgrid.lattice import CELL_SLACK
+from navbake.threads import run_in_bands
 from navbake.types import Float
 from navbake.voxels.grid import VoxelGrid, dtype_of
 from navbake.voxels.placement import Placement, check_memory, place_grid
@@ -250,7 +251,8 @@ class Voxelizer:
         tiles = Tiles(*bin_items(shapes.solids.bounds, *grid), *bin_items(self._boxes, *grid))
         voxels = Voxels(values, place.origin, place.res, TOUCH)
         geometry = (shapes.solids, shapes.planes, shapes.triangles)
-        fill_voxels(voxels, *geometry, tiles, ids)
+        num_tiles = len(tiles.solid_start) - 1
+        run_in_bands(fill_voxels, num_tiles, voxels, *geometry, tiles, ids)
 
     def _box_triangles(self) -> Float:
         return np.asarray(box_triangles(self.shapes.triangles))

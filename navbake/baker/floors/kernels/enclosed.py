@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from navbake.baker.floors.kernels.sheets import count_planes_over, look_up, neighbour
 from navbake.baker.kernels.constants import CLOSED_SURFACE, SAME, SLACK
@@ -26,15 +26,16 @@ def _find_holder(crossings, i, last):
     return np.int32(-1)
 
 
-@njit(cache=True, parallel=True)
-def find_holders(lattice, crossings, planes, limits, holder):
+@njit(cache=True, nogil=True)
+def find_holders(lattice, crossings, planes, limits, holder, first_cell, end):
     """Find the surfaces that an agent could stand on if closed meshes held nothing inside.
 
     They face up within the slope, have headroom, and lie inside of closed meshes alone. `holder`,
-    (n,) int32, receives the geom of such a mesh, and -1 for all other surfaces.
+    (n,) int32, receives the geom of such a mesh, and -1 for all other surfaces. Looks at the
+    cells ``range(first_cell, end)``.
     """
-    for cell in prange(crossings.start.shape[0] - 1):
-        x, y = cell_center(lattice, np.int64(cell))
+    for cell in range(first_cell, end):
+        x, y = cell_center(lattice, cell)
         first, last = crossings.start[cell], crossings.start[cell + 1]
         previous = -math.inf
         for i in range(first, last):

@@ -8,7 +8,7 @@ apart, by union-find. Floors grow ring by ring, breadth first.
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE, SAME, SLACK
 from navbake.baker.kernels.tiles import cell_center
@@ -54,17 +54,17 @@ def look_up(crossings, i, last):
     return surfaces, others, above
 
 
-@njit(cache=True, parallel=True)
-def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable):
+@njit(cache=True, nogil=True)
+def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable, first_cell, end):
     """Tell which crossings are floor-like and which are standable, into two (n,) bool arrays.
 
     Floor-like: faces up within the slope, or faces up more steeply at most a step above one that
     does: a bump too low to be an obstacle. Standable: faces up within the slope, lies inside of
     no solid, and the next surface above is at least the headroom higher. Of several surfaces at
-    one height the lowest counts.
+    one height the lowest counts. Looks at the cells ``range(first_cell, end)``.
     """
-    for cell in prange(crossings.start.shape[0] - 1):
-        x, y = cell_center(lattice, np.int64(cell))
+    for cell in range(first_cell, end):
+        x, y = cell_center(lattice, cell)
         first, last = crossings.start[cell], crossings.start[cell + 1]
         previous, gentle = -math.inf, -math.inf
         for i in range(first, last):
