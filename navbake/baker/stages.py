@@ -149,10 +149,14 @@ class Stages:
         return self._tile(self.lattice)
 
     @cached_property
+    def judged(self) -> tuple[Lattice, Window]:
+        """The lattice on which floors are judged, and the window of it that is baked."""
+        return lay_whole(self.lattice, self.scene.bounds, self.config.grid.max_cells)
+
+    @cached_property
     def whole(self) -> WholeScene:
         """The scene on which floors are judged, also where `grid.bounds` show less of it."""
-        config = self.config
-        lattice, window = lay_whole(self.lattice, self.scene.bounds, config.grid.max_cells)
+        config, (lattice, window) = self.config, self.judged
         tiled = self.tiled if lattice == self.lattice else self._tile(lattice)
         with self.clock.stage("columns"):
             columns = close_cracks(cast_columns(tiled), tiled, config.agent, config.floors.crack)

@@ -83,7 +83,7 @@ def warn_missing_floors(scene: Scene, floors: Floors, config: BakeConfig) -> lis
 
 def warn_part_judged(stages: Stages) -> list[str]:
     """Warn where floors were judged on a part of the scene, as the whole has too many cells."""
-    whole, grid, bounds = stages.whole.columns.lattice, stages.config.grid, stages.scene.bounds
+    (whole, _), grid, bounds = stages.judged, stages.config.grid, stages.scene.bounds
     if bounds is None or not find_cropped(whole, bounds).any():
         return []
     x0, y0, x1, y1 = whole.bounds

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import navbake
+import navbake.baker.stages as stages_module
 from box_worlds import FLOOR, box, stages_of_xml, world
 from differences import first_difference
 from door_scenes import CUPBOARD, LEAF, ROOMS, SHELL, bake_world
@@ -192,3 +193,13 @@ def test_threads_are_given_back(tmp_path):
     (tmp_path / "scene.xml").write_text(door_world(SHELL))
     navbake.bake(tmp_path / "scene.xml", threads=1)
     assert numba.get_num_threads() == before
+
+
+def test_columns_are_cast_once(tmp_path, monkeypatch):
+    """What gives the geometry back must not be followed by a stage that asks for it again."""
+    casts = []
+    cast = stages_module.cast_columns
+    monkeypatch.setattr(stages_module, "cast_columns", lambda tiled: casts.append(0) or cast(tiled))
+    (tmp_path / "scene.xml").write_text(world(FLOOR))
+    navbake.bake({"scene": {"path": str(tmp_path / "scene.xml")}, "grid": {"bounds": [0, 0, 1, 1]}})
+    assert len(casts) == 1
