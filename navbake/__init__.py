@@ -6,6 +6,7 @@ none of its dependencies; each name below loads what it needs when it is first u
 
 from __future__ import annotations
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 from navbake._version import __version__
@@ -21,6 +22,7 @@ from navbake.errors import (
 from navbake.navgrid.operations import OPERATIONS, resolve
 
 if TYPE_CHECKING:
+    from navbake import samples
     from navbake.arena.explored import ExploredMap
     from navbake.auditor.audit import audit
     from navbake.baker.pipeline import bake
@@ -54,6 +56,7 @@ __all__ = [
     "create_voxel_grid",
     "load",
     "load_voxels",
+    "samples",
     "verify",
 ]
 
@@ -88,6 +91,8 @@ OPERATIONS |= {
 
 
 def __getattr__(name: str) -> Any:
+    if name == "samples":
+        return importlib.import_module("navbake.samples")
     if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = resolve(_LAZY[name])
@@ -96,4 +101,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_LAZY})
+    return sorted({*globals(), *_LAZY, "samples"})

@@ -20,6 +20,10 @@ from navbake.folder_lock import folder_lock
 # each folder of kernels imports this module before its first kernel is made
 install()
 
+# Options of a kernel that allocates no array: numba leaves its reference counts out (an option
+# that numba has but does not document). Its caller keeps the arrays alive.
+UNCOUNTED: Any = {"_nrt": False}
+
 
 def drop_stale_caches(cached: Callable[..., Any]) -> None:
     """Drop what was compiled from sources of a folder that have changed since.

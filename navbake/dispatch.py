@@ -6,7 +6,9 @@ numba leaves to its users are settled here, for navbake's kernels and no others:
 - Where no folder can be written, or a disk is full, code is compiled in memory. A folder that can
   only be read is used where its code is fresh, as in a container that was warmed up.
 - Broken files of the cache are replaced.
-- Of several processes that need the same code, one compiles it and the others wait.
+- Of several processes that need the same code, one compiles it and the others wait. Where there is
+  more than one core and much to compile, the first process starts others that compile from the
+  other end of the list of kernels, see `kernel_list`; they end when it does.
 - One thread at a time runs a parallel kernel. numba's threads of OpenMP don't survive a fork, and
   those of its work queue end the process when two threads use them at once. So the work queue is
   chosen, unless NUMBA_THREADING_LAYER says otherwise, with a lock around it.
@@ -21,8 +23,11 @@ Source: numba's `Dispatcher.enable_caching` is what ``@njit(cache=True)`` calls 
 
 from __future__ import annotations
 
+import atexit
+import json
 import logging
 import os
+import subprocess
 import sys
 import threading
 from collections.abc import Callable
@@ -39,17 +44,22 @@ from numba.core.registry import CPUDispatcher
 from navbake.digests import digest_folder, read_stamp
 from navbake.errors import NavbakeError
 from navbake.folder_lock import folder_lock
+from navbake.kernel_list import PREFIX, read_list
 
 LOGGER = logging.getLogger("navbake.compiled")  # bakes log their own warnings to its parent
 REMEDY = "set NUMBA_CACHE_DIR to a folder that can be written"
-SECONDS, PARALLEL_SECONDS = 0.7, 4.0
-"""How long a kernel and a parallel one take to compile, on average, on a core of 2024."""
+SECONDS = 0.7  # how long a kernel that is not in the list takes to compile, on average
+WORTH_HELP = 4.0  # work for which other processes are started; one takes 1 s to begin [s]
+MOST_PROCESSES = 4  # that compile side by side: parts of the work build on each other
+IS_HELPER = "NAVBAKE_COMPILES_BESIDE"  # in the environment of processes that compile for another
 
 PLACEHOLDER = "_cached"  # what each folder of kernels has to find its cache; nobody calls it
 
 _parallel = threading.Lock()
 _is_broken_by_fork = False
 _told: set[str] = set()  # lines that are told once a process
+_helpers: list[subprocess.Popen[bytes]] = []
+watch: Callable[[int, int], None] | None = None  # is told how many kernels of how many are compiled
 KERNELS: list[Kernel] = []
 """All kernels that have been imported, in the order in which they were made."""
 
@@ -65,6 +75,19 @@ class Kernel(CPUDispatcher):
             return super().compile(sig)
         finally:
             self._cache.release()
+            _tell_progress()
+
+    def compile_if_free(self, sig: Any) -> None:
+        """Compile for a signature, unless that is done or another process is doing it."""
+        cache = self._cache
+        if isinstance(cache, KernelCache) and cache.try_lock():
+            self.compile(sig)
+            cache.release()
+
+    @property
+    def full_name(self) -> str:
+        """Its module and name, without the package's."""
+        return f"{self.__module__.removeprefix(PREFIX)}.{self.__name__}"
 
     def is_cold(self) -> bool:
         """Whether it has never been compiled for this machine, as far as files tell."""
@@ -136,8 +159,9 @@ class KernelCache(caching.FunctionCache):
         found = self._try_load(sig, target_context)
         if found is None:
             announce(self._kernel)
-            self._lock.acquire(self._name_of_lock)
-            self._is_locked = True
+            if not self._is_locked:
+                self._lock.acquire(self._name_of_lock)
+                self._is_locked = True
             found = self._try_load(sig, target_context)
         return found
 
@@ -150,6 +174,11 @@ class KernelCache(caching.FunctionCache):
                 f"cannot keep compiled code in {self.cache_path} ({error.strerror or error}), so "
                 f"each process compiles it anew: free some space there, or {REMEDY}"
             )
+
+    def try_lock(self) -> bool:
+        """Keep other processes from compiling it, unless one does so now."""
+        self._is_locked = self._lock.try_acquire(self._name_of_lock)
+        return self._is_locked
 
     def release(self) -> None:
         """Let other processes compile it."""
@@ -218,6 +247,7 @@ def _wrap(enable_caching: Callable[[Any], None]) -> Callable[[Any], None]:
             return
         is_parallel = dispatcher.targetoptions.get("parallel", False)
         dispatcher.__class__ = ParallelKernel if is_parallel else Kernel
+        dispatcher.targetoptions["no_cfunc_wrapper"] = True  # what only ctypes would call
         try:
             dispatcher._cache = KernelCache(dispatcher)
         except (RuntimeError, OSError):  # no folder can be written
@@ -232,16 +262,23 @@ def announce(kernel: Kernel) -> None:
     """Say that this kernel and others like it are about to be compiled, and how long that takes.
 
     The time is that of all kernels that have been imported and that no line has spoken of. Where
-    it is less than a second, nothing is said.
+    it is less than a second, nothing is said. Where it is long, other processes help.
     """
     if kernel._is_counted:
         return
+    costs: dict[str, float] = {}
+    for entry in read_list().entries:
+        costs[entry.name] = costs.get(entry.name, 0.0) + entry.seconds
     new = [k for k in KERNELS if k is kernel or (not k._is_counted and k.is_cold())]
-    seconds = sum(PARALLEL_SECONDS if isinstance(k, ParallelKernel) else SECONDS for k in new)
+    # what only kernels call is part of the costs of those
+    seconds = sum(costs.get(k.full_name, 0.0 if costs else SECONDS) for k in new)
     if seconds < 1:
         return
     for k in new:
         k._is_counted = True
+    can_share = bool(costs) and isinstance(kernel._cache, KernelCache)
+    helpers = _start_helpers(kernel, seconds) if can_share else 0
+    seconds /= 1 + 0.8 * helpers
     about = f"about {seconds:.0f} s" if seconds < 60 else f"about {seconds / 60:.1f} minutes"
     if isinstance(kernel._cache, MemoryCache):
         LOGGER.warning(
@@ -250,6 +287,64 @@ def announce(kernel: Kernel) -> None:
         )
     else:
         LOGGER.warning(f"compiling for this machine, once: {about}")
+
+
+def _start_helpers(kernel: Kernel, seconds: float) -> int:
+    """Start processes that compile what this one will need; how many of them there are now.
+
+    Of processes that start at once, one does so, as far as they use the same folder.
+    """
+    count = min(_num_cores(), MOST_PROCESSES) - 1
+    program = Path(sys.executable or "")  # other programs than Python may hold Python
+    is_python = program.name.lower().startswith("python")
+    if seconds < WORTH_HELP or count < 1 or not is_python or IS_HELPER in os.environ:
+        return 0
+    if any(helper.poll() is None for helper in _helpers):
+        return 0
+    if not folder_lock(Path(kernel._cache.cache_path)).try_acquire("helpers"):
+        return 0
+    modules = sorted({k.__module__ for k in KERNELS})
+    root = str(Path(__file__).parents[1])
+    # after all others in the path: the folder that holds navbake may hold anything
+    code = f"import sys; sys.path.append({root!r}); from navbake.kernel_list import main; main()"
+    environment = {**os.environ, IS_HELPER: "1"}
+    if numba.config.CACHE_DIR:
+        environment["NUMBA_CACHE_DIR"] = numba.config.CACHE_DIR
+    for number in range(count):
+        task = {"modules": modules, "share": number / count, "parent": os.getpid()}
+        with suppress(OSError):
+            _helpers.append(
+                subprocess.Popen(
+                    [program, "-c", code, json.dumps(task)],
+                    env=environment,
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                )
+            )
+    return count
+
+
+def _num_cores() -> int:
+    """How many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@atexit.register
+def _stop_helpers() -> None:
+    for helper in _helpers:
+        if helper.poll() is None:
+            helper.terminate()
+            helper.wait()
+
+
+def _tell_progress() -> None:
+    if watch is not None:
+        counted = [k for k in KERNELS if k._is_counted]
+        if counted:
+            watch(sum(not k.is_cold() for k in counted), len(counted))
 
 
 def can_keep() -> bool:
@@ -280,5 +375,6 @@ def _after_fork() -> None:
     """Start afresh in a forked child: another thread of the parent may have held the lock."""
     global _parallel, _is_broken_by_fork
     _parallel = threading.Lock()
+    _helpers.clear()  # they are the parent's
     is_omp = numba_threads._is_initialized and numba_threads._threading_layer == "omp"
     _is_broken_by_fork = is_omp and sys.platform == "linux"  # GNU's OpenMP; others survive

@@ -1,6 +1,7 @@
 """Files that are written as a whole or not at all."""
 
 import errno
+import logging
 import os
 import re
 import stat
@@ -17,6 +18,7 @@ try:
 except ImportError:  # Windows has no such locks; it refuses to remove a file that is open
     fcntl = None  # type: ignore[assignment]
 
+LOG = logging.getLogger("navbake")
 TEMPORARY = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp")
 RETRIES = 20  # how often Windows is asked within a second to replace a file that is being read
 OLD = 86400.0  # age at which a temporary file is a leftover where nothing can be locked [s]
@@ -61,6 +63,7 @@ def write_whole(
     """
     if not _is_replaceable(path):
         Path(path).write_bytes(data)
+        LOG.debug("wrote %s", path)
         return
     target = Path(os.path.realpath(path))
     if target.parent not in _swept:
@@ -79,6 +82,7 @@ def write_whole(
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+    LOG.debug("wrote %s, %d bytes", path, len(data))
 
 
 def _replace(temporary: Path, target: Path, unless_changed: FileState | None) -> None:

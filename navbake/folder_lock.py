@@ -56,9 +56,22 @@ class FolderLock:
             return
         # an error: there are no locks here, or two processes wait for each other
         with suppress(OSError):
-            if self._file is None:
-                self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-            fcntl.lockf(self._file, fcntl.LOCK_EX, 1, _place_of(name))
+            fcntl.lockf(self._open(), fcntl.LOCK_EX, 1, _place_of(name))
+
+    def try_acquire(self, name: str) -> bool:
+        """Take a lock, unless another process has it or there are no locks here."""
+        if fcntl is None:
+            return False
+        try:
+            fcntl.lockf(self._open(), fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _place_of(name))
+        except OSError:
+            return False
+        return True
+
+    def _open(self) -> int:
+        if self._file is None:
+            self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        return self._file
 
     def release(self, name: str) -> None:
         """Give a lock back."""

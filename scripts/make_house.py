@@ -2,6 +2,7 @@
 
 python scripts/make_house.py 100 -o house-100.xml
 python scripts/make_house.py 100 --doors -o house-100-doors.xml
+python scripts/make_house.py 100 --triangles 4000 -o house-100-round.xml
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import argparse
 import math
 import random
+from functools import partial
 from pathlib import Path
 
 ROOM = 5.0  # edge of a room [m], between the middles of its walls
@@ -31,7 +33,7 @@ RADII = {  # of the circle round a piece, from, to [m]
 Point = tuple[float, float]
 
 
-def make_house(rooms: int, seed: int = 0, *, with_doors: bool = False) -> str:
+def make_house(rooms: int, seed: int = 0, *, with_doors: bool = False, triangles: int = 0) -> str:
     """Write a house of furnished rooms in a square as MJCF.
 
     The house lies in the plane's first quadrant, from the origin on. All neighbours are joined
@@ -41,18 +43,23 @@ def make_house(rooms: int, seed: int = 0, *, with_doors: bool = False) -> str:
         rooms: how many, a square number >= 1.
         seed: of the furniture and of the doorways' places; the same bytes for the same seed.
         with_doors: hang a hinged door into each doorway, closed.
+        triangles: of each mesh's hull, an even number >= 4: the meshes are round; 0 for meshes of
+            a few corners.
 
     Returns:
         The document.
 
     Raises:
-        ValueError: `rooms` is no square number.
+        ValueError: `rooms` is no square number, or `triangles` odd or too small.
     """
     side = math.isqrt(max(rooms, 0))
     if rooms < 1 or side * side != rooms:
         raise ValueError(f"expected a square number of rooms >= 1, got {rooms}")
+    if triangles and (triangles < 4 or triangles % 2):
+        raise ValueError(f"expected an even number of triangles >= 4, got {triangles}")
     rng = random.Random(seed)
-    assets = [_mesh(f"mesh_{i}", rng) for i in range(MESHES)]
+    make = partial(_round_mesh, triangles=triangles) if triangles else _mesh
+    assets = [make(f"mesh_{i}", rng) for i in range(MESHES)]
     edge = side * ROOM
     middle = (edge / 2, edge / 2, -0.1)
     geoms = [_geom("ground", "plane", (0, 0, -0.25), size=(0, 0, 1))]
@@ -179,6 +186,22 @@ def _mesh(name: str, rng: random.Random) -> str:
     return f'    <mesh name="{name}" vertex="{_text(vertices)}"/>'
 
 
+def _round_mesh(name: str, rng: random.Random, triangles: int) -> str:
+    """A convex mesh asset of the size of `_mesh`'s: an ellipsoid, its lowest point on the floor.
+
+    Its hull has so many triangles, as that of n corners, no four in a plane, has 2 n - 4.
+    """
+    x, y, z = (rng.uniform(0.7, 1.0) * size for size in (MESH_RADIUS, MESH_RADIUS, 0.4))
+    count, golden = triangles // 2 + 2, math.pi * (3 - math.sqrt(5))
+    vertices = []
+    for i in range(count):  # a spiral of even steps (Fibonacci's lattice)
+        up = 1 - (2 * i + 1) / count
+        out, angle = math.sqrt(1 - up * up), golden * i
+        vertices += [x * out * math.cos(angle), y * out * math.sin(angle), z * (1 + up)]
+    text = " ".join(f"{value:.6f}" for value in vertices)
+    return f'    <mesh name="{name}" vertex="{text}"/>'
+
+
 def _distance(point: Point, a: Point, b: Point) -> float:
     """Distance of a point from the segment between two others [m]."""
     dx, dy = b[0] - a[0], b[1] - a[1]
@@ -204,10 +227,16 @@ def main() -> None:
     parser.add_argument("rooms", type=int, help="how many, a square number")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--doors", action="store_true", help="hang a door into each doorway")
+    parser.add_argument("--triangles", type=int, default=0, help="of each mesh; default: a few")
     parser.add_argument("-o", "--output", type=Path, help="default: house-ROOMS.xml")
     arguments = parser.parse_args()
     try:
-        document = make_house(arguments.rooms, arguments.seed, with_doors=arguments.doors)
+        document = make_house(
+            arguments.rooms,
+            arguments.seed,
+            with_doors=arguments.doors,
+            triangles=arguments.triangles,
+        )
     except ValueError as error:
         parser.error(str(error))
     output = arguments.output or Path(f"house-{arguments.rooms}.xml")

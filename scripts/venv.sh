@@ -16,7 +16,7 @@ use_venv() { # use_venv EXTRA
     # installed again only when what is to be installed has changed
     stamp=$(cat pyproject.toml constraints.txt | cksum)
     if [ "$(cat ".venv/installed-$extra" 2>/dev/null)" != "$stamp" ]; then
-        echo "$0: installing navbake[$extra] into .venv" >&2
+        echo "$0: installing navbake[$extra] into .venv, about 600 MB:" >&2
         # the pinned versions are for 3.11 and newer; 3.10 takes the newest that it can have
         local pins=(--constraint constraints.txt)
         if ! python -c "import sys; sys.exit(sys.version_info < (3, 11))"; then
@@ -24,8 +24,11 @@ use_venv() { # use_venv EXTRA
             # the pip that comes with 3.10 tries versions for ten minutes and more
             python -m pip install --quiet --quiet --disable-pip-version-check --upgrade pip
         fi
-        python -m pip install --quiet --quiet --disable-pip-version-check \
-            --editable ".[$extra]" ${pins[@]+"${pins[@]}"}
+        # --no-compile: bytecode of what is imported is made then, that of the rest never;
+        # a line for each package shows that it goes on
+        python -u -m pip install --disable-pip-version-check --no-compile --progress-bar off \
+            --editable ".[$extra]" ${pins[@]+"${pins[@]}"} |
+            sed -u -n -e 's/^Collecting \([^ ]*\).*/  \1/p' -e 's/^Installing collected.*/  unpacking/p' >&2
         echo "$stamp" >".venv/installed-$extra"
     fi
 }

@@ -14,7 +14,7 @@ import pytest
 import navbake
 from navbake.digests import digest_modules
 
-MACHINERY = ("compiled", "digests", "dispatch", "errors", "folder_lock")
+MACHINERY = ("compiled", "digests", "dispatch", "errors", "folder_lock", "kernel_list")
 INNER = """from numba import njit
 
 @njit(cache=True)

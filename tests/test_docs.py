@@ -49,7 +49,8 @@ def shell_lines(page: Path) -> list[list[str]]:
 
 def commands_of(page: Path) -> list[list[str]]:
     """The words that follow `navbake` in each command line of a page."""
-    return [words[1:] for words in shell_lines(page) if words[0] == "navbake"]
+    lines = shell_lines(page)
+    return [words[1:] for words in lines if words[0] == "navbake" and words[1][0] != "-"]
 
 
 @each_page
@@ -88,9 +89,10 @@ def test_options_in_the_text_are_there(page):
     known = {
         option
         for command in COMMANDS.commands.values()
-        for parameter in command.params
+        for parameter in (*command.params, *COMMANDS.params)
         for option in (*parameter.opts, *parameter.secondary_opts)
     }
+    known.add("--help")  # of all
     spans = SPAN.findall(BLOCK.sub("", page.read_text()))
     options = {
         word.split("=")[0]
@@ -102,7 +104,7 @@ def test_options_in_the_text_are_there(page):
     assert options <= known
     for span in spans:
         words = span.split()
-        if words[0] == "navbake" and len(words) > 1:
+        if words[0] == "navbake" and len(words) > 1 and not words[1].startswith("-"):
             assert words[1] in COMMANDS.commands, f"{page.name}: {span}"
 
 

@@ -70,6 +70,9 @@ def imports(path: Path) -> set[str]:
             assert node.module is not None
             found.add(node.module)
             found.update(f"{node.module}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "lazy":
+            assert isinstance(node.args[0], ast.Constant), f"{path} hides what it loads"
+            found.add(str(node.args[0].value))
     return found
 
 
@@ -234,7 +237,7 @@ def loaded_after(code):
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
-    return set(done.stdout.split())
+    return set(done.stdout.splitlines()[-1].split())
 
 
 def test_importing_navbake_loads_none_of_its_dependencies():
@@ -259,6 +262,39 @@ def test_help_loads_no_baker():
         "from navbake.cli.main import main\ntry: main(['bake', '--help'])\nexcept SystemExit: pass"
     )
     assert loaded_after(code).isdisjoint(["mujoco", "fcl", "trimesh", "numba", "scipy", "numpy"])
+
+
+# command -> what it doesn't load; `house` and `cup` are scenes without and with a mesh
+LIGHT_COMMANDS = {
+    "info house.grid.json": ("numba", "scipy", "mujoco", "trimesh", "matplotlib", "PIL"),
+    "rooms house.grid.json": ("numba", "scipy", "mujoco", "trimesh", "matplotlib", "PIL"),
+    "why house.grid.json --at 0,0": ("numba", "scipy", "mujoco", "trimesh", "matplotlib", "PIL"),
+    "bake house.xml -o again.grid.json": ("trimesh", "scipy.spatial", "matplotlib", "PIL", "glfw"),
+    "geoms house.xml": ("trimesh", "scipy.spatial", "matplotlib", "PIL", "glfw"),
+    "bake cup.xml -o again.grid.json": ("trimesh", "matplotlib", "PIL", "glfw"),
+}
+
+
+@pytest.fixture(scope="module")
+def baked(tmp_path_factory):
+    """A folder with two scenes, and the grid of one."""
+    folder = tmp_path_factory.mktemp("baked")
+    floor = '<geom type="box" size="2 2 .1" pos="0 0 -.1"/>'
+    cup = '<asset><mesh name="cup" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>'
+    (folder / "house.xml").write_text(f"<mujoco><worldbody>{floor}</worldbody></mujoco>")
+    geom = '<geom type="mesh" mesh="cup"/>'
+    (folder / "cup.xml").write_text(f"<mujoco>{cup}<worldbody>{floor}{geom}</worldbody></mujoco>")
+    navbake.bake(folder / "house.xml").save(folder / "house.grid.json")
+    return folder
+
+
+@pytest.mark.parametrize(("command", "unloaded"), LIGHT_COMMANDS.items())
+def test_a_command_loads_only_what_it_needs(baked, command, unloaded):
+    code = (
+        f"import os\nos.chdir({str(baked)!r})\nfrom navbake.cli.main import main\n"
+        f"try: main({command.split()})\nexcept SystemExit as end: assert not end.code"
+    )
+    assert loaded_after(code) & {*unloaded} == set()
 
 
 def test_all_public_names_are_there():

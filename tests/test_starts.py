@@ -90,14 +90,14 @@ def record():
 
 
 def read_me() -> tuple[list[list[str]], str]:
-    """The README's commands for the sample `my_scene.xml`, and its Python."""
+    """The README's commands for a sample, and its Python."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```(sh|python)\n(.*?)```", text, re.DOTALL)
     shell = "\n".join(block for kind, block in blocks if kind == "sh")
     commands = [
         shlex.split(line, comments=True)[1:]
         for line in shell.splitlines()
-        if line.startswith("navbake ") and "warm-up" not in line
+        if line.startswith("navbake ") and "warm-up" not in line and "completion" not in line
     ]
     assert len(commands) >= 8
     return commands, "".join(block for kind, block in blocks if kind == "python")
@@ -107,9 +107,6 @@ def read_me() -> tuple[list[list[str]], str]:
 def empty_folder(tmp_path):
     folder = tmp_path / "empty"
     folder.mkdir()
-    shutil.copytree(ROOT / "configs", folder / "configs")
-    shutil.copytree(ROOT / "configs" / "scenes" / "assets", folder / "assets")
-    shutil.copy(ROOT / "configs" / "scenes" / "apartment.xml", folder / "my_scene.xml")
     return folder
 
 
@@ -166,6 +163,7 @@ def test_the_read_me_runs_where_nothing_can_be_written(empty_folder, tmp_path):
     shutil.copytree(
         ROOT / "navbake", site / "navbake", ignore=shutil.ignore_patterns("__pycache__")
     )
+    shutil.copytree(ROOT / "configs", site / "navbake" / "sample_files")  # as a wheel has them
     for folder in site.rglob("kernels"):
         (folder / "__pycache__").write_text("")  # a file, so that no folder can be made there
     place = str(tmp_path / "file")

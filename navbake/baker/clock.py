@@ -1,8 +1,11 @@
 """The time that each stage of a bake takes, told to whoever watches."""
 
+import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+
+LOG = logging.getLogger("navbake")
 
 Progress = Callable[[str, float], None]
 """Called with a stage's name and how much of it is done, 0 or 1."""
@@ -25,7 +28,9 @@ class StageClock:
         if self._progress is not None:
             self._progress(name, 0.0)
         yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
+        taken = time.perf_counter() - begin
+        self.seconds[name] = self.seconds.get(name, 0.0) + taken
+        LOG.debug("%s: %.2f s", name, taken)
         if self._progress is not None:
             self._progress(name, 1.0)
 

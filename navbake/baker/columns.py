@@ -6,13 +6,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.kernels.arrays import Band, Crossings, Facets, Tiles
+from navbake.baker.kernels.arrays import Band, BandItems, Crossings, Facets, Tiles
+from navbake.baker.kernels.hits import RIM, close_up
 from navbake.baker.kernels.rays import cast_lines, cast_points_at, load_mujoco_library
-from navbake.baker.kernels.tiles import bin_boxes, tile_of
+from navbake.baker.kernels.tiles import BAND, bin_boxes, list_by_band, tile_of
+from navbake.baker.scene.kernels.triangles import measure_triangles
 from navbake.baker.scene.model import mujoco_library
 from navbake.baker.scene.shapes import Shapes, Triangles
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Float, Int, Int32
+
+UPRIGHT = 1e-9  # the z of a unit normal below which a triangle counts as upright
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,20 @@ class Columns:
     def geom(self) -> Int32:
         return self.crossings.geom
 
+    def cut(self, rows: slice, cols: slice, lattice: Lattice) -> "Columns":
+        """The columns of a window; `lattice` is its own, with cells in the same places."""
+        cells = np.arange(len(self.start) - 1).reshape(self.lattice.shape)[rows, cols].ravel()
+        first, counts = self.start[cells], np.diff(self.start)[cells]
+        start = np.concatenate([[0], np.cumsum(counts)])
+        taken = np.repeat(first - start[:-1], counts) + np.arange(start[-1])
+        return Columns(lattice, Crossings(start, *(part[taken] for part in self.crossings[1:])))
+
+
+def cells_of(start: Int) -> Int:
+    """The cell of each item of ragged data, from the first item of each cell, (cells + 1,)."""
+    cell: Int = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    return cell
+
 
 def tile_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> TiledShapes:
     """List the shapes by tiles; `reach` is how far beyond its centre a cell looks for them [m]."""
@@ -78,16 +96,24 @@ def cast_columns(tiled: TiledShapes) -> Columns:
     above and from below; planes from their front only. Lines within 1e-7 m of a rim cross it,
     so that a seam between two geoms never leaks.
     """
-    lattice, shapes = tiled.lattice, tiled.shapes
+    lattice, shapes, facets = tiled.lattice, tiled.shapes, tiled.facets
     load_mujoco_library(mujoco_library())
-    geometry = (lattice, shapes.solids, tiled.facets, shapes.planes, tiled.tiles, tiled.heights)
+    items = BandItems(
+        *list_by_band(shapes.solids.bounds, RIM, lattice),
+        *list_by_band(facets.bounds, RIM, lattice),
+    )
+    geometry = (lattice, shapes.solids, facets, shapes.planes, items, tiled.heights)
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
+    dropped = np.zeros(-(-lattice.height // BAND), dtype=np.int64)
     # without room for them, the crossings are only counted
-    cast_lines(*geometry, _empty_crossings(start, 0))
+    cast_lines(*geometry, _empty_crossings(start, 0), dropped)
     np.cumsum(start, out=start)
     crossings = _empty_crossings(start, int(start[-1]))
     if len(crossings.z):
-        cast_lines(*geometry, crossings)
+        cast_lines(*geometry, crossings, dropped)
+    if dropped.any():
+        count = close_up(crossings)
+        crossings = Crossings._make([start, *(array[:count] for array in crossings[1:])])
     return Columns(lattice, crossings)
 
 
@@ -118,12 +144,7 @@ def _empty_crossings(start: Int, count: int) -> Crossings:
 
 
 def _facets_of(triangles: Triangles) -> Facets:
-    corners = triangles.corners
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(cross, axis=1, keepdims=True)
-    normal: Float = np.divide(cross, length, out=np.zeros_like(cross), where=length > 0)
-    normal[np.abs(normal[:, 2]) < 1e-9, 2] = 0.0
-    return Facets(*triangles[:-1], corners, np.ascontiguousarray(normal), triangles.bounds)
+    return Facets(*triangles, *measure_triangles(triangles.corners, UPRIGHT))
 
 
 def _height_range(shapes: Shapes, lattice: Lattice) -> Band:

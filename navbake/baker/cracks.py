@@ -12,7 +12,16 @@ from navbake.baker.columns import Columns, TiledShapes, cast_points
 from navbake.baker.floors.sheets import agent_limits
 from navbake.baker.kernels.arrays import AgentLimits, Crossings
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.kernels.cracks import find_gaps, floors_near
+from navbake.baker.kernels.cracks import (
+    COUNT,
+    MARK,
+    WRITE,
+    Asked,
+    Found,
+    GapRoom,
+    find_gaps,
+    probe_lines,
+)
 from navbake.config.settings import AgentSettings
 from navbake.types import Bool, Float, Int
 
@@ -64,7 +73,8 @@ def close_cracks(
     cell gets the one just beyond the crack's edge, all of it, so that solids are entered and left
     as often as they should be. An agent has room to stand on it there; where it has on neither
     side, the crack stays. The line stays inside of the cell's square, for which it speaks, unless
-    the square is so small that all of it lies in the crack.
+    the square is so small that all of it lies in the crack. Of storeys over each other whose cracks
+    are not plumb, the line falls into as few as it can.
 
     Args:
         tiled: what the columns were cast at, listed for lines up to `crack_reach` away.
@@ -81,12 +91,55 @@ def close_cracks(
         if not len(gaps.cell):
             return columns
     offset = _measure(_Probe(gaps, tiled, limits), crack)
-    closed = np.flatnonzero(~np.isnan(offset[:, 0]))
-    # of several gaps in a cell, over each other, the lowest that is a crack decides
-    cells, first = np.unique(gaps.cell[closed], return_index=True)
-    if not len(cells):
+    closed = ~np.isnan(offset[:, 0, 0])
+    if not closed.any():
         return columns
-    return _replace_lines(columns, tiled, cells, offset[closed[first]])
+    cells, candidates = _list_candidates(gaps.cell[closed], offset[closed])
+    return _replace_by_best(columns, tiled, cells, candidates, limits, crack)
+
+
+def _list_candidates(cell: Int, offset: Float) -> tuple[Int, Float]:
+    """The lines that each cell with cracks may get, the best first, NaN where there are fewer.
+
+    Before the second choices for its cracks come the first ones, those for lower cracks first.
+
+    Args:
+        cell: of each crack, ascending, shape (n,).
+        offset: the two choices for each, shape (n, 2, 2) [m].
+
+    Returns:
+        The cells, and offsets from their centres, shape (cells, choices, 2) [m].
+    """
+    cells, first, row, count = np.unique(cell, True, True, True)
+    rank = np.arange(len(cell)) - first[row]
+    candidates = np.full((len(cells), 2 * count.max(), 2), np.nan)
+    candidates[row, rank] = offset[:, 0]
+    candidates[row, count.max() + rank] = offset[:, 1]
+    return cells, candidates
+
+
+def _replace_by_best(
+    columns: Columns,
+    tiled: TiledShapes,
+    cells: Int,
+    candidates: Float,
+    limits: AgentLimits,
+    crack: float,
+) -> Columns:
+    """The columns with the line in each cell that leaves the fewest gaps, the first of several."""
+    best = candidates[:, 0].copy()
+    fewest = np.full(len(cells), np.iinfo(np.int64).max)
+    for offset in candidates.swapaxes(0, 1):
+        asked = (fewest > 0) & ~np.isnan(offset[:, 0])
+        if not asked.any():
+            continue
+        trial = np.where(asked[:, None], offset, best)
+        replaced = _replace_lines(columns, tiled, cells, trial)
+        gaps = _find_gaps(replaced, limits, crack)
+        left = np.bincount(gaps.cell, minlength=len(columns.start) - 1)[cells]
+        better = asked & (left < fewest)
+        best[better], fewest[better] = offset[better], left[better]
+    return replaced if (trial == best).all() else _replace_lines(columns, tiled, cells, best)
 
 
 def crack_reach(crack: float) -> float:
@@ -95,36 +148,46 @@ def crack_reach(crack: float) -> float:
 
 
 def _find_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
-    lattice = columns.lattice
-    start = np.zeros(len(columns.start), dtype=np.int64)
-    none = np.empty(0)
+    lattice, start = columns.lattice, np.zeros(len(columns.start), dtype=np.int64)
+    stands, none = np.empty(len(columns.z), dtype=np.bool_), np.empty(0)
+    room = GapRoom(stands, np.empty(len(start) - 1), start, none, none)
     # how far the nearest line beyond a crack may be, in cells
-    reach = int(crack / lattice.cell_size) + 1
-    find_gaps(lattice, columns.crossings, limits, reach, start, none, none)
-    counts = start[1:].copy()
+    asked = lattice, columns.crossings, limits, int(crack / lattice.cell_size) + 1
+    find_gaps(*asked, room, MARK)
+    find_gaps(*asked, room, COUNT)
+    cells = np.flatnonzero(start[1:])
+    counts = start[1:][cells]
     np.cumsum(start, out=start)
-    low, high = np.empty(start[-1]), np.empty(start[-1])
+    room = room._replace(low=np.empty(start[-1]), high=np.empty(start[-1]))
     if start[-1]:
-        find_gaps(lattice, columns.crossings, limits, reach, start, low, high)
-    return Gaps(np.repeat(np.arange(len(counts)), counts), low, high)
+        find_gaps(*asked, room, WRITE)
+    return Gaps(np.repeat(cells, counts), room.low, room.high)
 
 
 def _find_open(probe: _Probe, crack: float, spacing: int) -> Bool:
     """Which gaps are open to one side: neighbouring ones of each so many ways lead to no floor."""
-    ways = np.arange(0, 2 * AXES, spacing)
-    gap, number = np.divmod(np.arange(len(probe.gaps.cell) * len(ways)), len(ways))
-    floors, _ = probe.floors(gap, ways[number], np.full(len(gap), crack_reach(crack)))
-    misses = np.isnan(floors).reshape(-1, len(ways))
-    runs = [np.roll(misses, shift, axis=1) for shift in range(OPEN_WAYS // spacing + 1)]
-    is_open: Bool = np.logical_and.reduce(runs).any(axis=1)
+    run, num = OPEN_WAYS // spacing + 1, 2 * AXES // spacing
+    misses = np.zeros((len(probe.gaps.cell), num), dtype=np.bool_)
+    is_open = np.zeros(len(misses), dtype=np.bool_)
+    # way by way, as those that are known to be open are asked no further
+    for number in range(num):
+        asked = np.flatnonzero(~is_open)
+        distance = np.full(len(asked), crack_reach(crack))
+        floors, _ = probe.floors(asked, np.full(len(asked), number * spacing), distance)
+        misses[asked, number] = np.isnan(floors)
+        # of the runs that this way is part of, those whose other ways are known are complete
+        for shift in range(run):
+            ways = np.arange(number - shift, number - shift + run) % num
+            is_open |= misses[:, ways].all(axis=1)
     return is_open
 
 
 def _measure(probe: _Probe, crack: float) -> Float:
-    """Where beside a cell's centre the line lies that is not in the crack, NaN for no crack.
+    """Where beside a cell's centre lines lie that are not in the crack, NaN for no crack.
 
-    Shape (n, 2) [m]. Along each of some axes, both ways, one looks for the first line that meets
-    a floor, first from sample to sample, then by bisection.
+    The better one first, shape (n, 2, 2) [m]; the other is NaN where it is no choice. Along each of
+    some axes, both ways, one looks for the first line that meets a floor, first from sample to
+    sample, then by bisection.
     """
     gaps = probe.gaps
     gap, way = np.divmod(np.arange(len(gaps.cell) * 2 * AXES), 2 * AXES)
@@ -149,29 +212,32 @@ def _measure(probe: _Probe, crack: float) -> Float:
     one = np.arange(len(gaps.cell)) * 2 * AXES + narrowest
     one = one[width[one] < crack]
     sides = np.stack([one, opposite[one]])
-    offset = np.full((len(gaps.cell), 2), np.nan)
+    offset = np.full((len(gaps.cell), 2, 2), np.nan)
     if len(one):
-        offset[gap[one]] = _choose_side(probe, gap[sides], way[sides], far[sides])
+        offset[gap[one]] = _order_sides(probe, gap[sides], way[sides], far[sides])
     return offset
 
 
-def _choose_side(probe: _Probe, gap: Int, way: Int, far: Float) -> Float:
-    """Of the two sides of each crack, arrays of shape (2, n), the line that the cell gets [m].
+def _order_sides(probe: _Probe, gap: Int, way: Int, far: Float) -> Float:
+    """Of the two sides of each crack, arrays of shape (2, n), the lines that the cell may get [m].
 
-    Inside of the cell's square if one is, on the lower floor with room for an agent; of two at one
-    height, the nearer. NaN where there is none, or the floors are more than a step apart.
+    First the one on the lower floor with room for an agent; of two at one height, the nearer. NaN
+    where there is no room, the floors are more than a step apart, or the line lies outside of the
+    cell's square and the other one inside. Shape (n, 2, 2).
     """
     found = [probe.floors(*side) for side in zip(gap, way, far, strict=True)]
     floor, standable = (np.stack(heights) for heights in zip(*found, strict=True))
     offset = WAYS[way] * far[:, :, None]
     half = WITHIN * probe.tiled.lattice.cell_size / 2
     is_outside = abs(offset).max(axis=2) > half
-    best = np.lexsort((far, standable, is_outside, np.isnan(standable)), axis=0)[0]
-    pair = np.arange(len(best))
-    chosen: Float = offset[best, pair]
+    order = np.lexsort((far, standable, is_outside, np.isnan(standable)), axis=0)
     level = abs(floor[0] - floor[1]) <= probe.limits.step + SLACK
-    chosen[~level | np.isnan(standable[best, pair])] = np.nan
-    return chosen
+    chosen = level & ~np.isnan(standable)
+    is_inside = chosen & ~is_outside
+    chosen &= is_inside | ~is_inside.any(axis=0)
+    offset[~chosen] = np.nan
+    ordered: Float = np.take_along_axis(offset, order[:, :, None], axis=0).swapaxes(0, 1)
+    return ordered
 
 
 class _Probe(NamedTuple):
@@ -186,11 +252,12 @@ class _Probe(NamedTuple):
 
         And the lowest such floor with room for an agent.
         """
-        floor, standable = np.empty(len(gap)), np.empty(len(gap))
-        crossings = _cast_beside(self.tiled, self.gaps.cell[gap], WAYS[way] * distance[:, None])
-        low, high = self.gaps.low[gap], self.gaps.high[gap]
-        floors_near(crossings, low, high, self.limits, floor, standable)
-        return floor, standable
+        tiled, shapes = self.tiled, self.tiled.shapes
+        found = Found(np.empty(len(gap)), np.empty(len(gap)))
+        geometry = (shapes.solids, tiled.facets, shapes.planes, tiled.tiles, tiled.heights)
+        asked = Asked(gap, WAYS[way] * distance[:, None])
+        probe_lines(self.gaps, tiled.lattice, *geometry, self.limits, asked, found)
+        return found.floor, found.standable
 
 
 def _cast_beside(tiled: TiledShapes, cells: Int, offset: Float) -> Crossings:

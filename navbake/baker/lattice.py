@@ -1,14 +1,15 @@
 """The lattice that a scene is baked on."""
 
 import math
+from bisect import bisect_left
 
 import numpy as np
 
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
 from navbake.errors import ConfigError, SceneError
-from navbake.navgrid.lattice import Lattice
-from navbake.types import Bool, Int
+from navbake.navgrid.lattice import CELL_SLACK, Lattice
+from navbake.types import Bool, Float, Int
 
 Window = tuple[slice, slice]
 """Rows and columns of the whole lattice, with a start and a stop each."""
@@ -46,6 +47,46 @@ def lay_lattice(scene: Scene, config: BakeConfig) -> Lattice:
             f"check the scene's unit (`scene.unit`), the cell size, or raise the limit"
         )
     return Lattice.cover(tuple(float(b) for b in bounds), settings.cell_size, settings.margin)
+
+
+def lay_whole(lattice: Lattice, bounds: Float | None, max_cells: int) -> tuple[Lattice, Window]:
+    """Lay a lattice over a whole scene, of which a given lattice is a window.
+
+    It goes on beyond the window by whole cells, up to the scene's sides. Where that would be more
+    than a number of cells, it goes on as far to all sides as it can.
+
+    Args:
+        bounds: the box round the scene, shape (2, 3) [m]; None if it is endless.
+
+    Returns:
+        The lattice, and the window's rows and columns on it.
+    """
+    if bounds is None:
+        return lattice, (slice(0, lattice.height), slice(0, lattice.width))
+    x0, y0, x1, y1 = lattice.bounds
+    (west, south), (east, north) = bounds[:, :2].tolist()
+    west, east, south, north = (
+        max(0, math.ceil(side / lattice.cell_size - CELL_SLACK))
+        for side in (x0 - west, east - x1, y0 - south, north - y1)
+    )
+
+    def extend(reach: int) -> Lattice:
+        left, above = min(west, reach), min(north, reach)
+        return lattice._replace(
+            x_min=lattice.x_min - left * lattice.cell_size,
+            y_max=lattice.y_max + above * lattice.cell_size,
+            width=lattice.width + left + min(east, reach),
+            height=lattice.height + above + min(south, reach),
+        )
+
+    def is_too_large(reach: int) -> bool:
+        width, height = extend(reach)[3:]
+        return width * height > max_cells
+
+    reaches = range(1, max(west, east, south, north) + 1)
+    reach = bisect_left(reaches, True, key=is_too_large)  # the farthest that is not too large
+    row, col = min(north, reach), min(west, reach)
+    return extend(reach), (slice(row, row + lattice.height), slice(col, col + lattice.width))
 
 
 def bounding_window(mask: Bool) -> Window:

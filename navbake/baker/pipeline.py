@@ -9,12 +9,13 @@ from typing import Any
 
 from navbake.baker.assemble import build_grid
 from navbake.baker.clock import Progress, StageClock
+from navbake.baker.scene.guard.isolated import CompileLimits
 from navbake.baker.scene.scene import GeomReport
 from navbake.baker.stages import Stages, settle_doors, take_first_look
-from navbake.baker.threads import limit_threads
 from navbake.config.settings import BakeConfig, as_config
 from navbake.errors import BakeWarning
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+from navbake.threads import limit_threads
 from navbake.types import Json
 
 LOG = logging.getLogger("navbake")
@@ -44,38 +45,71 @@ class BakeResult:
 
 
 def bake(
-    config: BakeConfig | str | PathLike[str] | Mapping[str, Any], *, threads: int | None = None
+    config: BakeConfig | str | PathLike[str] | Mapping[str, Any],
+    *,
+    threads: int | None = None,
+    isolate: bool = False,
 ) -> SceneGrid2D | MultiLevelGrid:
-    """Bake a scene.
+    """Bake a MuJoCo scene, or a building mesh, into a navigation grid.
+
+    The grid says for each cell of each storey how high the floor is, whether an agent can stand
+    there, which room the cell belongs to, and what stands in it. Lengths are in metres, angles in
+    degrees, positions in MuJoCo's world frame, z up. The first bake on a machine compiles
+    navbake's kernels; ``navbake warm-up`` does that beforehand.
 
     What a user should know about the bake is warned of, each line as a `BakeWarning`, and stays
     in `grid.warnings`, also when the grid is saved. The logger ``navbake`` gets it, too.
 
     Args:
-        config: settings, the path of a YAML or of a scene file, or the YAML as a mapping.
-        threads: number of threads, >= 1; all cores if None. The result doesn't depend on it.
+        config: the path of a scene (MJCF, MJB, URDF, OBJ, PLY, STL, GLB, DAE) for default
+            settings; the path of a YAML file with settings; the same as a mapping; or a
+            `BakeConfig`. ``navbake init SCENE`` writes a YAML file with all settings, explained.
+            The most used: ``scene.path``, ``agent.height`` and ``agent.radius`` [m],
+            ``agent.traversable_floor_height`` (the highest step) [m], ``grid.cell_size`` [m].
+        threads: how many to use, >= 1; all cores if None. The result doesn't depend on it.
+        isolate: let MuJoCo compile the scene in a process of its own, within 60 s and 4 GiB, so
+            that a crash of its compiler is a SceneError.
 
     Returns:
-        The grid, not saved yet.
+        A `SceneGrid2D`, or a `MultiLevelGrid` where there are several levels; not saved yet.
+        ``grid.levels`` lists the levels of either, with arrays of shape (height, width).
 
     Raises:
         ConfigError: a setting is wrong.
         SceneError: the scene cannot be read, or holds nothing to bake.
+
+    Example:
+        >>> import navbake
+        >>> grid = navbake.bake(navbake.samples.path("apartment"))
+        >>> grid.save("apartment.grid.json")
+        >>> grid = navbake.bake({
+        ...     "scene": {"path": "my_scene.xml"},
+        ...     "agent": {"height": 1.2, "radius": 0.2},
+        ...     "grid": {"cell_size": 0.05},
+        ... })
+        >>> finder = navbake.PathFinder(grid)
+        >>> path = finder.find_path(finder.random_point(), finder.random_point())
     """
-    grid = run_bake(as_config(config), threads=threads).grid
+    limits = CompileLimits() if isolate else None
+    grid = run_bake(as_config(config), threads=threads, limits=limits).grid
     for warning in grid.warnings:
         warnings.warn(warning, BakeWarning, stacklevel=2)
     return grid
 
 
 def run_bake(
-    config: BakeConfig, *, threads: int | None = None, progress: Progress | None = None
+    config: BakeConfig,
+    *,
+    threads: int | None = None,
+    progress: Progress | None = None,
+    limits: CompileLimits | None = None,
 ) -> BakeResult:
     """Bake a scene into a navigation grid.
 
     Args:
         threads: how many to use, >= 1; all cores if None. It never changes the result.
         progress: called with each stage's name, and 0 when it begins or 1 when it ends.
+        limits: MuJoCo compiles the scene in a child process, within these; here if None.
 
     Returns:
         The grid, and what is worth knowing about how it came about.
@@ -86,7 +120,8 @@ def run_bake(
     """
     clock = StageClock(progress)
     with limit_threads(threads):
-        stages = settle_doors(take_first_look(config, clock))
+        stages = settle_doors(take_first_look(config, clock, limits))
+        stages.free_geometry()
         with clock.stage("grid"):
             grid = build_grid(stages)
         if config.verify.sample is not None:

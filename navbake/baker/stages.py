@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,8 +23,9 @@ from navbake.baker.doors.candidates import DoorCandidate, find_candidates, witho
 from navbake.baker.doors.doors import Doors, Surroundings, place_doors, warn_immovable_doors
 from navbake.baker.doors.walkable import warn_walkable_doors
 from navbake.baker.floors.levels import Floors, find_floors
+from navbake.baker.floors.window import crop_floors
 from navbake.baker.kernels.arrays import Band
-from navbake.baker.lattice import lay_lattice
+from navbake.baker.lattice import Window, lay_lattice, lay_whole
 from navbake.baker.occupancy.occupancy import (
     Footprint,
     Footprints,
@@ -33,11 +34,12 @@ from navbake.baker.occupancy.occupancy import (
     find_occupancy,
 )
 from navbake.baker.rooms.rooms import Blocked, Rooms, find_rooms
+from navbake.baker.scene.guard.isolated import CompileLimits
 from navbake.baker.scene.scene import Scene, load_scene
-from navbake.baker.threads import limit_threads
 from navbake.config.settings import BakeConfig, as_config
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
+from navbake.threads import limit_threads
 from navbake.types import Bool, Float, Int
 
 STAGES = ("scene", "columns", "floors", "occupancy", "contents", "rooms", "doors", "grid")
@@ -68,10 +70,12 @@ def bake_stages(
     return settle_doors(stages)
 
 
-def take_first_look(config: BakeConfig, clock: StageClock) -> Stages:
+def take_first_look(
+    config: BakeConfig, clock: StageClock, limits: CompileLimits | None = None
+) -> Stages:
     """Load a scene, and give the stages of a bake that takes every candidate for a door."""
     with clock.stage("scene"):
-        scene = load_scene(config.scene, config.agent, config.floors)
+        scene = load_scene(config.scene, config.agent, config.floors, limits=limits)
         lattice = lay_lattice(scene, config)
         candidates, unmatched = find_candidates(scene, config.doors)
     return Stages(config, scene, lattice, candidates, unmatched, clock)
@@ -90,6 +94,20 @@ def settle_doors(stages: Stages) -> Stages:
         kept = [candidate for candidate in stages.candidates if candidate not in rejected]
         stages = replace(stages, candidates=kept)
     return stages
+
+
+class WholeScene(NamedTuple):
+    """The scene on which floors are judged.
+
+    Attributes:
+        tiled: the geometry without doors, by tiles of a lattice over the whole scene.
+        window: the rows and columns of that lattice that are baked.
+        columns: all surfaces.
+    """
+
+    tiled: TiledShapes
+    window: Window
+    columns: Columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,20 +146,35 @@ class Stages:
     @cached_property
     def tiled(self) -> TiledShapes:
         """The geometry of the scene without doors, listed by tiles of the lattice."""
-        reach = max(self.footprints.whole.reach, crack_reach(self.config.floors.crack))
-        return tile_shapes(self.doorless.shapes, self.lattice, reach)
+        return self._tile(self.lattice)
+
+    @cached_property
+    def judged(self) -> tuple[Lattice, Window]:
+        """The lattice on which floors are judged, and the window of it that is baked."""
+        return lay_whole(self.lattice, self.scene.bounds, self.config.grid.max_cells)
+
+    @cached_property
+    def whole(self) -> WholeScene:
+        """The scene on which floors are judged, also where `grid.bounds` show less of it."""
+        config, (lattice, window) = self.config, self.judged
+        tiled = self.tiled if lattice == self.lattice else self._tile(lattice)
+        with self.clock.stage("columns"):
+            columns = close_cracks(cast_columns(tiled), tiled, config.agent, config.floors.crack)
+        return WholeScene(tiled, window, columns)
 
     @cached_property
     def columns(self) -> Columns:
         """All surfaces on the vertical line through each cell's centre, or beside a crack there."""
-        config, tiled = self.config, self.tiled
-        with self.clock.stage("columns"):
-            return close_cracks(cast_columns(tiled), tiled, config.agent, config.floors.crack)
+        _, window, columns = self.whole
+        return columns if columns.lattice == self.lattice else columns.cut(*window, self.lattice)
 
     @cached_property
     def floors(self) -> Floors:
-        """The storeys, the floor of each, and the steps between them."""
-        config, columns, tiled = self.config, self.columns, self.tiled
+        """The storeys, the floor of each, and the steps between them.
+
+        They are found on the whole scene, and cut to the lattice.
+        """
+        config, (tiled, window, columns) = self.config, self.whole
         given = None if config.levels == "auto" else list(config.levels)
         # how a sheet ends does not depend on how wide the agent is
         point = config.agent.model_copy(update={"radius": 0.0})
@@ -152,9 +185,10 @@ class Stages:
             return check_occupancy(columns, tiled, volume, cells, floors).occupied
 
         with self.clock.stage("floors"), self._errors_say_where():
-            return find_floors(
+            floors = find_floors(
                 columns, tiled.shapes, config.agent, config.floors, given, is_occupied
             )
+            return floors if columns.lattice == self.lattice else crop_floors(floors, window)
 
     @cached_property
     def occupancy(self) -> Occupancy:
@@ -217,6 +251,19 @@ class Stages:
             self.config.agent.height,
         )
         return find_level_boxes(levels, occupied, self.lattice, self.scene.bounds, height)
+
+    def _tile(self, lattice: Lattice) -> TiledShapes:
+        reach = max(self.footprints.whole.reach, crack_reach(self.config.floors.crack))
+        return tile_shapes(self.doorless.shapes, lattice, reach)
+
+    def free_geometry(self) -> None:
+        """Give back the memory of the columns and of the listed geometry.
+
+        They are the largest of all values, and nothing needs them once the doors are settled. One
+        that is asked for again is found again.
+        """
+        for name in ("tiled", "whole", "columns"):
+            self.__dict__.pop(name, None)
 
     @contextmanager
     def _errors_say_where(self) -> Iterator[None]:

@@ -7,7 +7,10 @@ import numpy as np
 
 from navbake.baker.boxes import LevelBoxes
 from navbake.baker.contents.contents import Contents
-from navbake.baker.floors.levels import DroppedSheet, Floors
+from navbake.baker.floors.levels import Floors
+from navbake.baker.floors.outline import find_cropped
+from navbake.baker.floors.patch import Patch
+from navbake.baker.floors.reach import TOLD_AREA, Unreached
 from navbake.baker.floors.tops import LARGE_TOP
 from navbake.baker.scene.bodies import find_free_bodies
 from navbake.baker.scene.mesh_scene import MESH_SUFFIXES
@@ -30,6 +33,7 @@ def _find_warnings(stages: Stages) -> list[str]:
     return [
         *stages.scene.warnings,
         *stages.unmatched,
+        *warn_part_judged(stages),
         *warn_nothing_free(stages.floors, stages.occupancy.levels, stages.config),
         *(warn_movable(stages.scene, stages.contents) if stages.contents else ()),
         *warn_missing_floors(stages.scene, stages.floors, stages.config),
@@ -61,12 +65,12 @@ def warn_missing_floors(scene: Scene, floors: Floors, config: BakeConfig) -> lis
             f"{_describe_tops(scene, floors.small_starts)}; give the height of the floor that "
             "one starts from, at a place where nothing stands on it"
         )
-    for unreached in floors.unreached:
-        level, name = floors.levels[unreached.level], scene.geoms[unreached.geom].name
+    warnings += [_describe_unreached(scene, floors, part) for part in floors.unreached]
+    left_out = [patch for patch in floors.left_out if patch.area >= TOLD_AREA]
+    if left_out:
         warnings.append(
-            f"no step leads to {level.name!r} ({unreached.area:.1f} m² at {level.ground:.2f} m, "
-            f"most of it on {name!r}): `floors.reach: steps` leaves such levels out, "
-            "`floors.from` names places that count as reached"
+            "left out by `floors.reach: steps`, because no step leads there: "
+            f"{_describe_tops(scene, left_out)}; {_remedy(left_out[0])}"
         )
     if floors.enclosed:
         meshes = _describe_tops(scene, floors.enclosed)
@@ -75,6 +79,19 @@ def warn_missing_floors(scene: Scene, floors: Floors, config: BakeConfig) -> lis
             "makes meshes hollow, all or by pattern"
         )
     return [*warnings, *_warn_hidden_ground(scene, floors, config)]
+
+
+def warn_part_judged(stages: Stages) -> list[str]:
+    """Warn where floors were judged on a part of the scene, as the whole has too many cells."""
+    (whole, _), grid, bounds = stages.judged, stages.config.grid, stages.scene.bounds
+    if bounds is None or not find_cropped(whole, bounds).any():
+        return []
+    x0, y0, x1, y1 = whole.bounds
+    return [
+        "which floors are roofs or reached was decided on a part of the scene, "
+        f"x {x0:.6g} to {x1:.6g} m and y {y0:.6g} to {y1:.6g} m: all of it has more cells than "
+        f"`grid.max_cells` = {grid.max_cells}"
+    ]
 
 
 def warn_nothing_free(floors: Floors, occupied: Sequence[Bool], config: BakeConfig) -> list[str]:
@@ -103,6 +120,8 @@ def warn_movable(scene: Scene, contents: Contents) -> list[str]:
     joint. So a cup on a table takes none.
     """
     body_of = find_free_bodies(scene.model)
+    if (body_of < 0).all():
+        return []
     num_cells: Counter[int] = Counter()
     for listed in contents.levels:
         cell, geom = listed.cell[listed.blocks], listed.geom[listed.blocks]
@@ -155,15 +174,31 @@ def _warn_hidden_ground(scene: Scene, floors: Floors, config: BakeConfig) -> lis
     return []
 
 
-def _remedy(sheet: DroppedSheet) -> str:
+def _describe_unreached(scene: Scene, floors: Floors, part: Unreached) -> str:
+    """The warning of what no step leads to on a level."""
+    level, patch = floors.levels[part.level], part.patch
+    name, area = scene.geoms[patch.geom].name, f"{patch.area:.1f} m²"
+    if part.whole:
+        what = f"{level.name!r} ({area} at {level.ground:.2f} m, most of it on {name!r})"
+    else:
+        x, y, z = patch.place
+        what = f"{area} of {level.name!r} (most of it on {name!r}, as at {x:.2f}, {y:.2f}, {z:.2f})"
+    return (
+        f"no step leads to {what}: `floors.reach: steps` leaves such "
+        f"{'levels' if part.whole else 'floors'} out, `floors.from` names places that count as "
+        "reached"
+    )
+
+
+def _remedy(sheet: Patch) -> str:
     """How to keep a sheet that was dropped."""
     x, y, z = sheet.place
     return f"`floors.from: [[{x:.2f}, {y:.2f}, {z:.2f}]]` keeps it"
 
 
-def _describe_tops(scene: Scene, tops: list[DroppedSheet]) -> str:
+def _describe_tops(scene: Scene, tops: list[Patch]) -> str:
     """The name, area and height of the first of some tops, and how many more there are."""
     first = tops[0]
     more = f", and {len(tops) - 1} more" if tops[1:] else ""
     name = scene.geoms[first.geom].name
-    return f"{name!r} ({first.area:.1f} m² at {first.height:.2f} m{more})"
+    return f"{name!r} ({first.area:.1f} m² at {first.place[2]:.2f} m{more})"

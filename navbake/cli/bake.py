@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from typer import Argument, BadParameter, Exit, Option
 
@@ -20,18 +20,47 @@ from navbake.cli.options import (
     write_stdout,
 )
 from navbake.cli.outputs import check_name, is_folder, lay_out
-from navbake.cli.printing import level_table, print_error, print_tables, print_warnings
+from navbake.cli.printing import (
+    VOLUME,
+    level_table,
+    print_error,
+    print_tables,
+    print_warnings,
+    say,
+)
 from navbake.errors import ConfigError, NavbakeError
 from navbake.files import file_state
 
 if TYPE_CHECKING:
     from navbake.baker.pipeline import BakeResult
+    from navbake.baker.scene.guard.isolated import CompileLimits
     from navbake.config.settings import BakeConfig
 
 # Functions import the baker and the settings when they run: --help loads neither MuJoCo nor numpy.
 
 
+class Isolation(NamedTuple):
+    """Options that keep MuJoCo's compiler in a process of its own."""
+
+    isolate: bool = Option(
+        False,
+        "--isolate",
+        help="Compile scenes in a process of its own: a crash of MuJoCo is an error then.",
+    )
+    seconds: float | None = Option(
+        None, "--isolate-seconds", min=0.0, help="How long that may take [s].  [default: 60]"
+    )
+    memory: float | None = Option(
+        None,
+        "--isolate-memory",
+        metavar="GIB",
+        min=0.0,
+        help="How much memory it may take, on Linux [GiB].  [default: 4]",
+    )
+
+
 def bake(
+    isolation: Isolation,
     configs: list[Path] = Argument(
         ..., metavar="CONFIG", help="Settings (YAML), or a scene file for default settings."
     ),
@@ -56,7 +85,6 @@ def bake(
     no_timings: bool = Option(
         False, "--no-timings", help="Leave out timings, so that two bakes give the same bytes."
     ),
-    quiet: bool = Option(False, "--quiet", "-q", help="Print only warnings and errors."),
 ) -> None:
     """Bake scenes into navigation grids.
 
@@ -71,6 +99,10 @@ def bake(
     refuse_unused(("--name", name is not None, not is_file, "files in a folder"))
     if name is not None:
         check_name(name)
+    refuse_unused(
+        ("--isolate-seconds", isolation.seconds is not None, isolation.isolate, "--isolate"),
+        ("--isolate-memory", isolation.memory is not None, isolation.isolate, "--isolate"),
+    )
     from navbake.config.settings import load_config
 
     jobs: list[tuple[Path, BakeConfig]] = []
@@ -87,7 +119,7 @@ def bake(
                     "name files by --name, as in --name '{parent}-{stem}'"
                 )
             _check(path, config, target, may_make_folder=not is_file)
-            _bake_one(config, target, threads, quiet, not no_timings)
+            _bake_one(config, target, threads, isolation, not no_timings)
             written.add(target.resolve())
     if failed:
         print_error(f"{len(failed)} of {len(configs)} failed")
@@ -120,15 +152,16 @@ def _check(path: Path, config: BakeConfig, target: Path, *, may_make_folder: boo
 
 
 def _bake_one(
-    config: BakeConfig, target: Path, threads: int | None, quiet: bool, with_timings: bool
+    config: BakeConfig, target: Path, threads: int | None, isolation: Isolation, with_timings: bool
 ) -> None:
     from navbake.baker.pipeline import run_bake
     from navbake.cli.progress import stage_progress
     from navbake.formats.navgrid import dumps_navgrid, write_navgrid
 
     before = file_state(target)
-    with stage_progress(title=str(config.scene.id), hidden=quiet) as progress:
-        result = run_bake(config, threads=threads, progress=progress)
+    with stage_progress(title=str(config.scene.id), hidden=VOLUME.quiet) as progress:
+        limits = _limits(isolation)
+        result = run_bake(config, threads=threads, progress=progress, limits=limits)
     if not with_timings:
         result.grid.timings = {}
     begin = time.perf_counter()
@@ -138,20 +171,29 @@ def _bake_one(
         target.parent.mkdir(parents=True, exist_ok=True)
         write_navgrid(result.grid, target, unless_changed=before)
     result.timings["write"] = time.perf_counter() - begin
-    if quiet:
+    if VOLUME.quiet:
         print_warnings(result.warnings)
         return
     with beside_output(target):
         _print_result(result, target)
 
 
+def _limits(isolation: Isolation) -> CompileLimits | None:
+    from navbake.baker.scene.guard.isolated import CompileLimits
+
+    if not isolation.isolate:
+        return None
+    given = {"seconds": isolation.seconds, "memory": isolation.memory}
+    return CompileLimits(**{name: value for name, value in given.items() if value is not None})
+
+
 def _print_result(result: BakeResult, target: Path) -> None:
     from navbake.views.info import describe
 
     if target != STDOUT:
-        print(target)
+        say(target)
     print_tables(level_table(describe(result.grid)))
     for warning in result.warnings:
-        print(f"warning: {warning}")
+        say(f"warning: {warning}")
     stages = ", ".join(f"{stage} {seconds:.2f}" for stage, seconds in result.timings.items())
     print(f"{sum(result.timings.values()):.2f} s: {stages}")

@@ -17,7 +17,7 @@ from navbake.cli.options import (
     check_output,
     write_stdout,
 )
-from navbake.cli.printing import print_json, print_tables, verify_table
+from navbake.cli.printing import print_json, print_tables, say, verify_table
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -94,21 +94,21 @@ def _print(report: VerifyReport) -> None:
     print_tables(verify_table(report))
     if report.sweeps is not None:
         swept = report.sweeps
-        print(
+        say(
             f"{swept.paths} paths of {swept.length:.0f} m in all swept with {swept.radius:g} m: "
             f"{swept.touching} touch, {swept.beside} meet what lies within a step of their ends"
         )
     for note in report.notes:
-        print(f"note: {note}")
+        say(f"note: {note}")
     for found in report.findings[:SHOWN]:
         x, y, z = found.position
         cell = "" if found.cell is None else f", row {found.cell[0]}, col {found.cell[1]}"
-        print(f"{found.kind}: level {found.level}{cell} ({x:.3f}, {y:.3f}, {z:.3f}): {found.text}")
+        say(f"{found.kind}: level {found.level}{cell} ({x:.3f}, {y:.3f}, {z:.3f}): {found.text}")
     if len(report.findings) > SHOWN:
-        print(f"and {len(report.findings) - SHOWN} more: --json lists them")
+        say(f"and {len(report.findings) - SHOWN} more: --json lists them")
     share = f"{report.checked:,} of {report.num_cells:,} cells"
     verdict = "agree" if report.ok else f"disagree at {len(report.findings)} places"
-    print(f"grid and scene {verdict}, at {share}")
+    say(f"grid and scene {verdict}, at {share}")
 
 
 def audit(
@@ -133,10 +133,10 @@ def audit(
             print_json(report.to_json())
         else:
             for remark in report.remarks:
-                print(remark)
+                say(remark)
             num_errors = len(report.errors)
             others = len(report.remarks) - num_errors
-            print(f"{len(report.checks)} checks: {num_errors} errors, {others} remarks")
+            say(f"{len(report.checks)} checks: {num_errors} errors, {others} remarks")
     if output is not None:
         marks = []
         for remark in report.remarks:

@@ -101,4 +101,4 @@ def plot(
     if output == STDOUT:
         write_stdout(render_png(content, level=level, layers=chosen))
     else:
-        print(plot_grid(content, output, level=level, layers=chosen))
+        printing.say_unless_quiet(plot_grid(content, output, level=level, layers=chosen))

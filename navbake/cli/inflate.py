@@ -14,6 +14,7 @@ from navbake.cli.options import (
     refuse_unused,
     write_stdout,
 )
+from navbake.cli.printing import say_unless_quiet
 
 
 def inflate(
@@ -71,7 +72,7 @@ def inflate(
     ]
     share = f" ({areas[1] / areas[0]:.1%})" if areas[0] else ""
     with beside_output(output):
-        print(
+        say_unless_quiet(
             f"{output}: {areas[1]:.2f} of {areas[0]:.2f} m² free{share} "
             f"for an agent of radius {radius:g} m ({mode})"
         )

@@ -19,13 +19,16 @@ from navbake.cli.checks import audit, verify
 from navbake.cli.grids import info, plot, rooms, why
 from navbake.cli.inflate import inflate
 from navbake.cli.map_descriptor import mdf
-from navbake.cli.options import grouped
+from navbake.cli.options import prepared
 from navbake.cli.path import path
-from navbake.cli.printing import print_error
-from navbake.cli.scenes import geoms, init
+from navbake.cli.printing import print_causes, print_error
+from navbake.cli.scenes import geoms, init, samples
 from navbake.cli.voxelize import voxelize
 from navbake.cli.warm_up import warm_up
 from navbake.errors import NavbakeError
+
+# No command draws with OpenGL. MuJoCo's import is faster without looking for it.
+os.environ.setdefault("MUJOCO_GL", "disable")
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF, errno.EPIPE)
 """The system's numbers for an output that takes no more."""
@@ -33,14 +36,17 @@ UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF, e
 app = Typer(
     name="navbake",
     help="Bake MuJoCo scenes into navigation grids, and query and convert those grids.",
-    add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-commands = (init, geoms, bake, info, rooms, why, plot, inflate, path, voxelize, mdf, warm_up)
-for command in (*commands, verify, audit):
-    app.command()(grouped(command))
+COMMANDS = (
+    *(samples, init, geoms, bake),
+    *(info, rooms, why, plot, inflate, path, voxelize, mdf, warm_up),
+    *(verify, audit),
+)
+for command in COMMANDS:
+    app.command()(prepared(command))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -59,6 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 sys.stdout.flush()
     except NavbakeError as error:
         print_error(str(error))
+        print_causes(error)
         raise SystemExit(1) from None
     except OSError as error:
         if error.filename is not None or error.errno not in UNWRITABLE:

@@ -12,6 +12,7 @@ from typing import Annotated, Any, get_type_hints
 from typer import Argument, BadParameter, Option
 
 from navbake import files
+from navbake.cli.printing import volume
 from navbake.errors import ConfigError
 
 
@@ -37,6 +38,12 @@ Overrides = Annotated[
     ),
 ]
 AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
+Quiet = Annotated[
+    bool, Option("-q", "--quiet", help="Print only what was asked for, warnings and errors.")
+]
+Verbose = Annotated[
+    bool, Option("-v", "--verbose", help="Print on stderr what is read, done and written, too.")
+]
 
 
 STDOUT = Path("-")
@@ -114,24 +121,30 @@ def refuse_unused(*uses: tuple[str, bool, bool, str]) -> None:
             raise BadParameter(f"does nothing here: it is for {purpose}", param_hint=name)
 
 
-def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """Let a command take options that belong together as one NamedTuple.
+def prepared(command: Callable[..., None]) -> Callable[..., None]:
+    """A command as typer takes it: with the options that all have, and with groups of options.
 
-    typer makes an option of each parameter. So what it sees in place of a NamedTuple are the
-    NamedTuple's fields, with their annotations and defaults.
+    All commands have --quiet and --verbose. typer makes an option of each parameter; so what it
+    sees in place of a NamedTuple are the NamedTuple's fields, with their annotations and defaults.
     """
     groups = {p.name: p.annotation for p in _parameters(command) if hasattr(p.annotation, "_make")}
 
     @wraps(command)
-    def run(**values: Any) -> None:
+    def run(quiet: bool, verbose: bool, **values: Any) -> None:
+        if quiet and verbose:
+            raise BadParameter("expected one of them", param_hint="--quiet, --verbose")
         for name, group in groups.items():
             values[name] = group(**{field: values.pop(field) for field in group._fields})
-        command(**values)
+        with volume(quiet=quiet, verbose=verbose):
+            command(**values)
 
     parameters: list[inspect.Parameter] = []
     for parameter in _parameters(command):
         is_group = parameter.name in groups
         parameters += _parameters(parameter.annotation) if is_group else [parameter]
+    for name, option in (("quiet", Quiet), ("verbose", Verbose)):
+        kind = inspect.Parameter.KEYWORD_ONLY
+        parameters.append(inspect.Parameter(name, kind, default=False, annotation=option))
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return run
 

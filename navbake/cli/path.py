@@ -10,7 +10,7 @@ from typer import BadParameter, Exit, Option
 import navbake
 from navbake.cli.options import STDOUT, AsJson, GridFile, beside_output, check_output, write_stdout
 from navbake.cli.places import PLACE, PLACE_HELP, parse_place, position_of_place
-from navbake.cli.printing import print_json
+from navbake.cli.printing import print_json, say
 
 if TYPE_CHECKING:
     from navbake.runtime.paths import path as paths
@@ -62,7 +62,7 @@ def path(
         elif found:
             _print_path(found)
         else:
-            print(f"no path: {reason}")
+            say(f"no path: {reason}")
     if output is not None:
         from navbake.views.plot import plot_grid, render_png  # loads numpy
 
@@ -83,8 +83,8 @@ def _to_json(found: paths.Path) -> dict[str, Any]:
 def _print_path(found: paths.Path) -> None:
     print(f"length  {found.length:.3f} m")
     print(f"cost    {found.cost:.3f}")
-    print(f"rooms   {', '.join(found.rooms) or '-'}")
-    print(f"doors   {', '.join(found.doors) or '-'}")
+    say(f"rooms   {', '.join(found.rooms) or '-'}")
+    say(f"doors   {', '.join(found.doors) or '-'}")
     print("      x       y       z  level")
     for (x, y, z), level in zip(found.positions, found.levels, strict=True):
         print(f"{x:7.3f} {y:7.3f} {z:7.3f}  {level}")

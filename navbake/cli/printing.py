@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import json
+import logging
+import shutil
 import sys
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-# Functions import rich when they run: without it, --help starts a fifth sooner.
-if TYPE_CHECKING:
-    from rich.table import Table
+from navbake.cli.tables import Table, lay_out, make_table, without_empty_columns
+from navbake.errors import printable
 
+if TYPE_CHECKING:
     from navbake.baker.scene.scene import GeomReport
     from navbake.navgrid.doors import Door
     from navbake.navgrid.rooms import Room
     from navbake.types import Json
     from navbake.verifier.report import VerifyReport
 
+LOG = logging.getLogger("navbake")
 PIPE_WIDTH = 10_000  # columns where stdout is no terminal, so that nothing is cut or wrapped
 LEVEL_COLUMNS = {
     "#": "{index}",
@@ -46,14 +52,78 @@ VERIFY_COLUMNS = {
 """Headings, and which of a level's counts stand under them: the grid first, then the scene."""
 
 
+@dataclass
+class Volume:
+    """How much commands print: `quiet` and `verbose` are what --quiet and --verbose ask for."""
+
+    quiet: bool = False
+    verbose: bool = False
+
+
+VOLUME = Volume()
+"""Of the command that runs; `volume` sets it."""
+
+
+@contextmanager
+def volume(*, quiet: bool, verbose: bool) -> Iterator[None]:
+    """Print less or more inside.
+
+    With `verbose`, the records of the logger ``navbake`` go to stderr, but for warnings, which
+    commands print anyway, and then how long it took.
+    """
+    VOLUME.quiet, VOLUME.verbose = quiet, verbose
+    if not verbose:
+        yield
+        return
+    begin, level = time.perf_counter(), LOG.level
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter("navbake: %(message)s"))
+    handler.addFilter(_is_for_the_terminal)
+    LOG.addHandler(handler)
+    LOG.setLevel(logging.DEBUG)
+    try:
+        yield
+    finally:
+        LOG.debug("%.2f s in all", time.perf_counter() - begin)
+        LOG.removeHandler(handler)
+        LOG.setLevel(level)
+
+
+def _is_for_the_terminal(record: logging.LogRecord) -> bool:
+    """Whether a record is to be printed; then control characters in it are escaped."""
+    record.msg, record.args = printable(record.getMessage()), ()
+    return record.levelno < logging.WARNING
+
+
 def print_json(value: Any) -> None:
     """Print a value as JSON; NaN and infinity are refused, as JSON has neither."""
-    print(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False))
+    text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
+    # JSON escapes what is below a space; other characters may control a terminal, too
+    print("".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text))
+
+
+def say(text: object) -> None:
+    """Print one line, control characters escaped: names may hold what moves a cursor."""
+    print(printable(str(text)))
+
+
+def say_unless_quiet(text: object) -> None:
+    """Print one line that nobody asked for; with --quiet nothing."""
+    if not VOLUME.quiet:
+        say(text)
 
 
 def print_error(message: str) -> None:
     """Print one line on stderr."""
-    print(f"navbake: {message}", file=sys.stderr)
+    print(f"navbake: {printable(message)}", file=sys.stderr)
+
+
+def print_causes(error: BaseException) -> None:
+    """Print on stderr what led to an error, one line each; without --verbose nothing."""
+    cause = error.__cause__ if VOLUME.verbose else None
+    while cause is not None:
+        print_error(f"because of {type(cause).__name__}: {cause}")
+        cause = cause.__cause__
 
 
 def print_warnings(warnings: Iterable[str]) -> None:
@@ -63,15 +133,10 @@ def print_warnings(warnings: Iterable[str]) -> None:
 
 
 def print_tables(*tables: Table) -> None:
-    """Print tables on stdout, one under the other."""
-    from rich.console import Console
-
-    width = None if sys.stdout.isatty() else PIPE_WIDTH
-    console = Console(width=width, markup=False, highlight=False, emoji=False)
+    """Print tables on stdout, one under the other, at most as wide as the terminal."""
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else PIPE_WIDTH
     for index, table in enumerate(tables):
-        if index:
-            console.print()
-        console.print(table)
+        print("\n" * (index > 0) + "\n".join(lay_out(table, width)))
 
 
 def geom_table(geoms: Iterable[GeomReport]) -> Table:
@@ -80,12 +145,12 @@ def geom_table(geoms: Iterable[GeomReport]) -> Table:
         (g.id, g.name, g.body, g.type, "yes" if g.counted else "no", g.shape, g.reason)
         for g in geoms
     )
-    return _table(("id", "geom", "body", "type", "counted", "as", "why"), rows, numbers=("id",))
+    return make_table(("id", "geom", "body", "type", "counted", "as", "why"), rows, numbers=("id",))
 
 
 def summary_table(facts: Json) -> Table:
     """A row for each fact about the whole grid, from `navbake.views.info.describe`."""
-    return _table(
+    return make_table(
         ("", ""),
         [
             ("type", facts["type"]),
@@ -115,49 +180,59 @@ def level_table(facts: Json) -> Table:
         floor = "{floor_min:.3f} to {floor_max:.3f}".format_map(level) if has_floor else "none"
         known = {**level, "index": index, "floor": floor}
         rows.append([text.format_map(known) for text in columns.values()])
-    return _table(tuple(columns), rows, numbers=columns.keys() - {"name"}, gap=1)
+    return make_table(tuple(columns), rows, numbers=columns.keys() - {"name"}, gap=1)
 
 
-def room_table(rooms: Iterable[Room], levels: Sequence[str]) -> Table:
-    """A row for each room; `levels` are the levels' names."""
+def room_table(rooms: Sequence[Room], levels: Sequence[str]) -> Table:
+    """A row for each room; `levels` are the levels' names. Columns that say nothing are left out.
+
+    That is the level where there is but one, and the index of rooms whose ids hold it.
+    """
     rows = []
     for room in rooms:
         opens_to = []
         for neighbour in room.neighbours:
             how = neighbour.door or ("steps" if neighbour.kind == "link" else "")
             opens_to.append(f"{neighbour.room} ({how})" if how else neighbour.room)
+        index = "" if room.id == f"{room.level}:{room.index}" else room.index
+        named = (room.id, room.name or "", levels[room.level] if len(levels) > 1 else "", index)
         centroid = " ".join(f"{value:.2f}" for value in room.centroid)
-        named = (room.id, room.name or "", levels[room.level], room.index)
         source = f"{room.source or ''}{', outdoors' if room.outdoors else ''}"
         rows.append((*named, f"{room.area:.2f}", centroid, source, ", ".join(opens_to)))
     headings = ("id", "name", "level", "index", "m2", "centroid x y z m", "from", "opens to")
-    return _table(headings, rows, numbers=("index", "m2"))
+    return without_empty_columns(make_table(headings, rows, numbers=("index", "m2")))
 
 
 def door_table(doors: Iterable[Door], levels: Sequence[str]) -> Table:
-    """A row for each door; `levels` are the levels' names."""
+    """A row for each door; `levels` are the levels' names. Columns that say nothing are left out.
+
+    That is the level where there is but one, and the joints where they are called as the doors.
+    """
+    doors = list(doors)
+    is_joint_told = any(door.joint != door.id for door in doors)
     rows = []
     for door in doors:
         joined = " - ".join("outside" if room is None else room for room in door.rooms)
         rows.append(
             (
                 door.id,
-                door.joint or "none",
-                ", ".join(levels[level] for level in door.levels),
+                (door.joint or "none") if is_joint_told else "",
+                ", ".join(levels[level] for level in door.levels) if len(levels) > 1 else "",
                 # a body that a pattern made a door may stand anywhere
                 joined if any(door.rooms) else "nothing",
                 f"{door.state} ({door.like})" if door.like else door.state,
                 ", ".join(door.states),
             )
         )
-    return _table(("door", "joint", "level", "joins", "is", "can be"), rows)
+    headings = ("door", "joint", "level", "joins", "is", "can be")
+    return without_empty_columns(make_table(headings, rows))
 
 
 def cell_table(facts: Json) -> Table:
     """A row for each fact about a cell, from `navbake.views.why.describe_cell`."""
     room, weight, floor = facts["room"], facts["weight"], facts["floor"]
     blocked = "no floor here" if floor is None else "blocked"
-    return _table(
+    return make_table(
         ("", ""),
         [
             ("verdict", "an agent can stand here" if facts["free"] else blocked),
@@ -180,20 +255,4 @@ def verify_table(report: VerifyReport) -> Table:
         [getattr(level, key) for key in VERIFY_COLUMNS.values()]
         for level in ([*report.levels, report.total] if report.levels[1:] else report.levels)
     ]
-    return _table(tuple(VERIFY_COLUMNS), rows, numbers=VERIFY_COLUMNS.keys() - {"level"})
-
-
-def _table(
-    headings: Sequence[str],
-    rows: Iterable[Sequence[Any]],
-    numbers: Iterable[str] = (),
-    gap: int = 2,
-) -> Table:
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, padding=(0, gap, 0, 0), show_header=any(headings))
-    for name in headings:
-        table.add_column(name, justify="right" if name in numbers else "left", overflow="fold")
-    for row in rows:
-        table.add_row(*map(str, row))
-    return table
+    return make_table(tuple(VERIFY_COLUMNS), rows, numbers=VERIFY_COLUMNS.keys() - {"level"})

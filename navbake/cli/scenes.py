@@ -1,11 +1,18 @@
-"""The commands before a bake: `navbake init` and `navbake geoms`."""
+"""The commands before a bake: `navbake samples`, `navbake init` and `navbake geoms`."""
 
 from pathlib import Path
 
 from typer import Argument, Option
 
 from navbake.cli.options import STDOUT, AsJson, Overrides, SceneOrConfig, refuse_unused
-from navbake.cli.printing import geom_table, print_json, print_tables, print_warnings
+from navbake.cli.printing import (
+    geom_table,
+    print_json,
+    print_tables,
+    print_warnings,
+    say,
+    say_unless_quiet,
+)
 
 # Functions import what reads scenes when they run: --help loads neither MuJoCo nor numpy.
 
@@ -29,7 +36,36 @@ def init(
         print(template_for(scene, Path()), end="")
         return
     path = write_template(scene, output, force=force)
-    print(f"{path}: the default settings; `navbake bake {path}` bakes the scene with them")
+    say_unless_quiet(
+        f"{path}: the default settings; `navbake bake {path}` bakes the scene with them"
+    )
+
+
+def samples(
+    names: list[str] | None = Argument(
+        None, metavar="NAME", help="Samples to copy.  [default: list them]"
+    ),
+    folder: Path = Option(
+        Path(),
+        "-o",
+        "--output",
+        metavar="FOLDER",
+        help="Where to copy them to.  [default: the current folder]",
+    ),
+) -> None:
+    """Copy sample scenes and their settings here, to try navbake with."""
+    from navbake import samples as known  # --help does without it
+
+    if not names:
+        for name in known.names():
+            first = known.path(name).read_text(encoding="utf-8").splitlines()[0]
+            say(f"{name:<10} {first.removeprefix('# ')}")
+        return
+    for name in names:
+        settings = known.copy(name, folder)[0]
+        say_unless_quiet(
+            f"{settings}: the settings of a sample; `navbake bake {settings}` bakes it"
+        )
 
 
 def geoms(config: SceneOrConfig, as_json: AsJson = False, overrides: Overrides = None) -> None:

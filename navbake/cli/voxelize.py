@@ -9,7 +9,7 @@ from typer import BadParameter, Option
 
 import navbake
 from navbake.cli.options import STDOUT, Overrides, SceneOrConfig, check_output, refuse_unused
-from navbake.cli.printing import print_warnings
+from navbake.cli.printing import print_warnings, say_unless_quiet
 from navbake.formats.suffixes import OCTREES, VOXELS
 
 Triple = tuple[float, float, float]  # navbake.types would load numpy
@@ -103,7 +103,7 @@ def voxelize(
     print_warnings(grid.notes[known:])
     low, high = (f"({', '.join(f'{c:.6g}' for c in corner)})" for corner in grid.bounds)
     ids = f", {len(grid.names)} IDs" if grid.is_segmented else ""
-    print(
+    say_unless_quiet(
         f"{' × '.join(map(str, grid.shape))} voxels of {grid.res:g} m, {low} to {high} m: "
         f"{grid.occupied.sum()} occupied{ids}"
     )
@@ -116,13 +116,13 @@ def _write(grid: navbake.VoxelGrid, output: Path, layout: Layout) -> None:
     form: Literal["airsim", "binvox"] = "airsim" if layout.airsim else "binvox"
     mapping: Literal["compact"] | None = "compact" if layout.compact and is_binvox else None
     write_voxels(grid, output, free=layout.free, layout=form, mapping=mapping)
-    print(output)
+    say_unless_quiet(output)
     if grid.is_segmented and output.suffix.lower() in (".binvox", ".npz"):
-        print(names_path(output))
+        say_unless_quiet(names_path(output))
     if layout.twin and grid.is_segmented and is_binvox:
         beside = output.with_suffix(".occupied.binvox")
         write_voxels(grid.without_ids(), beside, layout=form)
-        print(beside)
+        say_unless_quiet(beside)
 
 
 def _parse_segments(words: list[str] | None) -> Any:

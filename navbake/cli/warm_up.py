@@ -8,12 +8,13 @@ from __future__ import annotations
 import importlib
 import json
 import pkgutil
+import struct
 import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import navbake
-from navbake.cli.printing import print_warnings
+from navbake.cli.printing import VOLUME, print_warnings, say_unless_quiet
 
 # Two storeys joined by stairs, with geoms of all kinds, a door, and a crack in the floor
 SCENE = """<mujoco model="warm-up">
@@ -95,13 +96,13 @@ def warm_up() -> None:
         lost = f"no folder for compiled code can be written, so nothing can be kept: {REMEDY}"
         print_warnings([lost])
         return
-    with stage_progress(title="compiling") as progress:
+    with stage_progress(title="compiling", hidden=VOLUME.quiet) as progress:
         compile_all(progress)
     cold = cold_kernels()
     if cold:
         print_warnings([f"not compiled, or not kept: {', '.join(cold)}"])
     else:
-        print("compiled: bakes and queries start at once from now on")
+        say_unless_quiet("compiled: bakes and queries start at once from now on")
 
 
 def load_kernels() -> None:
@@ -144,6 +145,9 @@ def compile_all(progress: Callable[[str, float], None]) -> None:
         coarse = {"cell_size": 0.3}
         config = as_config({"scene": {"path": hollow, "geoms": "all"}, "grid": coarse})
         grids.append(run_bake(config).grid)
+        soup = folder / "soup.ply"
+        soup.write_bytes(_draw_soup())
+        grids.append(run_bake(as_config({"scene": {"path": soup}, "grid": coarse})).grid)
         progress("bake", 1.0)
         progress("run time", 0.0)
         for number, grid in enumerate(grids):
@@ -168,6 +172,20 @@ def _draw_hollow() -> str:
         faces=_join(faces),
         hall=_join(CORNERS),
         hall_faces=_join(FACES),
+    )
+
+
+def _draw_soup() -> bytes:
+    """Write a box that lacks a triangle as a binary PLY."""
+    faces = FACES[:-1]
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(CORNERS)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    vertices = (struct.pack("<3f", *(2 * value for value in corner)) for corner in CORNERS)
+    return (
+        header.encode() + b"".join(vertices) + b"".join(struct.pack("<B3i", 3, *f) for f in faces)
     )
 
 
@@ -202,6 +220,7 @@ def _use_run_time(grid: navbake.SceneGrid2D | navbake.MultiLevelGrid) -> None:
         finder = navbake.PathFinder(agent)
         start, goal = finder.random_point(rng, level=0), finder.random_point(rng, level=top)
         finder.find_path(start, goal)
+        finder.find_path(start + np.array([0.02, 0.02, 0.0]), goal)  # off a cell's centre
         for _ in range(8):  # some of them bend round corners
             finder.find_path(finder.random_point(rng), finder.random_point(rng))
         finder.why_not(start, (100.0, 0.0, 0.0))
@@ -213,6 +232,10 @@ def _use_run_time(grid: navbake.SceneGrid2D | navbake.MultiLevelGrid) -> None:
         for offset in np.linspace(0.2, 2.0, 7):
             finder.snap(start + np.array([offset, 0.0, 0.0]), in_sight=True)
         finder.try_step(start, start + np.array([0.3, 0.2, 0.0]))
+        both = np.stack([start, goal])
+        finder.many.snap(both)
+        finder.many.clearance(both)
+        finder.many.try_step(both, both + np.array([0.3, 0.2, 0.0]))
         finder.line_of_sight(start, goal)
         finder.nearest_obstacle(start)
         with agent.block(disc=(start, 0.3)):

@@ -1,6 +1,5 @@
 """Words pydantic's errors as one line: what was expected, what was found, where."""
 
-import difflib
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -9,6 +8,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from navbake.config.yaml_text import override_key
+from navbake.known_names import find_near
 
 EXPECTED = {
     "model_type": "a mapping",
@@ -19,6 +19,19 @@ EXPECTED = {
     "finite_number": "a number",
     "invalid_key": "text as a key",
 }
+OTHER_WORDS = {
+    "climb": "agent.traversable_floor_height",
+    "file": "scene.path",
+    "max_climb": "agent.traversable_floor_height",
+    "max_step": "agent.traversable_floor_height",
+    "res": "grid.cell_size",
+    "resolution": "grid.cell_size",
+    "robot": "agent",
+    "scale": "scene.unit",
+    "step": "agent.traversable_floor_height",
+    "step_height": "agent.traversable_floor_height",
+}
+"""What other tools call a setting, and its key here."""
 MAX_SHOWN = 60  # characters of a value in a message
 MAX_ITEMS = 6  # of a list that is shown
 NESTED = (Mapping, list, tuple, set)
@@ -75,16 +88,20 @@ def _complaint(error: ErrorDetails, loc: Location, sections: Sections) -> str:
 
 
 def _unknown_key(loc: Location, sections: Sections) -> str:
-    """Name the nearest known key: of the same section first, then of all."""
+    """Name the key that was probably meant: of the same section first, then of all."""
     section = ".".join(p for p in loc[:-1] if isinstance(p, str))
     # reversed, so that of sections with a key in common the first one is named
     elsewhere: dict[str, str] = {}
     for name in reversed(list(sections)):
         elsewhere |= _keys(sections, name)
     known = _keys(sections, section)
-    for keys in (known, elsewhere):
-        if near := difflib.get_close_matches(str(loc[-1]), keys, n=1):
-            return f"unknown key `{_dotted(loc)}`, the nearest known one is `{keys[near[0]]}`,"
+    unknown = str(loc[-1])
+    near = [keys[name] for keys in (known, elsewhere) for name in find_near(unknown, keys)]
+    meant = OTHER_WORDS.get(unknown, "")
+    if meant and section in ("", meant.rpartition(".")[0]):
+        near = [meant]
+    if near:
+        return f"unknown key `{_dotted(loc)}`, the nearest known one is `{near[0]}`,"
     return f"unknown key `{_dotted(loc)}`, known are {', '.join(known)},"
 
 

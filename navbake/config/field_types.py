@@ -76,6 +76,10 @@ Positive = Annotated[float, Field(gt=0), expects("a number > 0")]
 NotNegative = Annotated[float, Field(ge=0), expects("a number >= 0")]
 Name = Annotated[str, Field(min_length=1), expects("text that is not empty")]
 OptionalName = Annotated[Name | None, expects("text that is not empty, or null")]
+# one pattern is a list of one: `bodies: robot*`
+Patterns = Annotated[
+    list[Name], BeforeValidator(lambda value: [value] if isinstance(value, str) else value)
+]
 FilePath = Annotated[Path, BeforeValidator(to_path), expects("a path")]
 Model = TypeVar("Model", bound=BaseModel)
 # `grid:` with nothing under it is null in YAML, and means the section's defaults

@@ -10,6 +10,7 @@ from navbake.config.field_types import (
     Name,
     NotNegative,
     OptionalName,
+    Patterns,
     Positive,
     Settings,
     check_distinct,
@@ -87,8 +88,8 @@ class RoomSettings(Settings):
         description="polygons, geoms, sites, auto, in order of preference: a cell gets its room "
         "from the first that covers it, auto divides the rest at doors; default all four",
     )
-    geoms: list[Name] = setting(list(DEFAULT_GEOMS), "floor geoms, by name patterns (*, ?, [...])")
-    sites: list[Name] = setting(list(DEFAULT_SITES), "sites as volumes, by name patterns")
+    geoms: Patterns = setting(list(DEFAULT_GEOMS), "floor geoms, by name patterns (*, ?, [...])")
+    sites: Patterns = setting(list(DEFAULT_SITES), "sites as volumes, by name patterns")
     polygons: Annotated[list[RoomPolygon], BeforeValidator(_read_polygons)] = setting(
         [],
         "outlines in metres: a GeoJSON file, relative to this file, or a list of "

@@ -9,6 +9,7 @@ from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag,
 
 from navbake.config.field_types import (
     Name,
+    Patterns,
     Positive,
     Section,
     Settings,
@@ -42,10 +43,10 @@ SceneId = Annotated[
 class ExcludeSettings(Settings):
     """What is left out of the scene, by name patterns with the shell's wildcards."""
 
-    bodies: list[Name] = setting(
+    bodies: Patterns = setting(
         [], "body name patterns (*, ?, [...]); child bodies are left out too"
     )
-    geoms: list[Name] = setting([], "geom name patterns")
+    geoms: Patterns = setting([], "geom name patterns")
     movable: bool = setting(False, "true: leave out bodies with a free joint; or false")
 
 

@@ -27,9 +27,9 @@ from pydantic import (
 from navbake.config.errors import describe_errors
 from navbake.config.field_types import (
     FilePath,
-    Name,
     NotNegative,
     OptionalName,
+    Patterns,
     Positive,
     Section,
     Settings,
@@ -142,7 +142,7 @@ class NameSettings(Settings):
     """The names of what stands in the cells."""
 
     enabled: bool = setting(True, "write them: true or false")
-    walls: list[Name] = setting(
+    walls: Patterns = setting(
         [], "body, geom or mesh name patterns of walls", "[], which finds walls by their shape"
     )
 
@@ -150,7 +150,7 @@ class NameSettings(Settings):
 class DoorSettings(Settings):
     """Which bodies are doors, and the state in which they are baked."""
 
-    patterns: list[Name] = setting([], "body name patterns of doors (*, ?, [...])")
+    patterns: Patterns = setting([], "body name patterns of doors (*, ?, [...])")
     find: bool = setting(
         True, "find doors between rooms by shape and joint (one hinge or slide): true or false"
     )

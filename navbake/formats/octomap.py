@@ -30,6 +30,7 @@ DEPTH = 16
 CENTER = 2 ** (DEPTH - 1)  # key of the world's origin
 FIRST_LINES = {"bt": "# Octomap OcTree binary file", "ot": "# Octomap OcTree file"}
 COMMENT = "# (feel free to add / change comments, but leave the first line as it is!)\n#"
+BAND = 1 << 16  # nodes that are worth a thread's while
 OFF = 1e-3  # of a voxel: what a grid may lie off the tree's lattice
 
 # OctoMap's clamping thresholds: the log-odds of what is certainly free or occupied
@@ -72,6 +73,7 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
 def _build_pyramid(grid: VoxelGrid, first: Int, free: bool) -> tuple[NDArray[np.uint8], ...]:
     """The states of all nodes over the grid, from the voxels up to the root."""
     from navbake.formats.kernels.octree import OCCUPIED, join_states
+    from navbake.threads import run_in_bands  # loads numba, too
 
     states = grid.occupied.astype(np.uint8)
     states *= OCCUPIED
@@ -82,7 +84,9 @@ def _build_pyramid(grid: VoxelGrid, first: Int, free: bool) -> tuple[NDArray[np.
     last = first + np.array(grid.shape) - 1
     for level in range(1, DEPTH + 1):
         above = np.empty((last >> level) - (first >> level) + 1, np.uint8)
-        join_states(levels[-1], first >> (level - 1), above)
+        below, begin = levels[-1], first >> (level - 1)
+        least = max(1, BAND // above[0].size)
+        run_in_bands(join_states, len(above), below, begin, above, least=least)
         levels.append(above)
     return tuple(levels)
 

@@ -2,6 +2,7 @@
 
 import gzip
 import io
+import logging
 import os
 import stat
 import zlib
@@ -16,6 +17,7 @@ from navbake.formats.json_path import JsonPath, shown
 Source: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO
 """A path, a file's content, or a file opened in binary mode."""
 
+LOG = logging.getLogger("navbake")
 MAX_BYTES = 4 << 30  # of JSON
 UNPACKED_BYTES = 64 << 20  # what any gzipped file may unpack to; beyond it, UNPACKED_RATIO counts
 UNPACKED_RATIO = 200
@@ -65,6 +67,7 @@ def open_source(source: Source) -> Iterator[tuple[BinaryIO, str]]:
     elif isinstance(source, str | os.PathLike):
         try:
             with open(source, "rb") as file:
+                LOG.debug("reading %s", os.fsdecode(source))
                 yield file, os.fsdecode(source)
         except (OSError, ValueError) as error:  # ValueError: a path with a NUL
             raise FormatError(f"cannot read {path_name(source)}: {os_message(error)}") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 from hashlib import blake2b
 from typing import TYPE_CHECKING
@@ -9,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.types import Int32
+from navbake.navgrid.plain_islands import label_plainly
+from navbake.types import Bool, Float, Int, Int32
 
 if TYPE_CHECKING:
     from navbake.navgrid.block_state import Window
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from navbake.navgrid.grid_base import GridBase
 
 STEP_SLACK = 1e-6  # metres that a step may be over the highest one
+FEW_CELLS = 2_000_000  # plain numpy is done with these while numba still loads
 TOO_MANY = 65535  # the island that all further ones share in a file
 
 
@@ -31,8 +34,6 @@ def find_islands(grid: GridBase) -> list[Int32]:
         One array a level, shape (height, width), int32: 0 where the cell isn't free, else the
         number of its part. Parts of equal size are numbered by their lowest (level, cell id).
     """
-    from navbake.navgrid.kernels.islands import label_islands  # numba loads slowly
-
     levels = grid.levels
     start = np.cumsum([0] + [level.width * level.height for level in levels], dtype=np.int64)
     width = np.array([level.width for level in levels], dtype=np.int64)
@@ -40,8 +41,20 @@ def find_islands(grid: GridBase) -> list[Int32]:
     floor = np.concatenate([level.floor_height.ravel() for level in levels])
     # one row of cells for all levels, so that links join cells like edges do
     links = start[grid.link_array[:, ::2]] + grid.link_array[:, 1::2]
-    islands, _ = label_islands(start, width, free, floor, step_limit(grid), links)
+    islands = _label_islands(start, width, free, floor, step_limit(grid), links)
     return [islands[start[i] : start[i + 1]].reshape(level.shape) for i, level in enumerate(levels)]
+
+
+def _label_islands(
+    start: Int, width: Int, free: Bool, floor: Float, limit: float, links: Int
+) -> Int32:
+    """Number the parts, by the kernel or plainly: whichever is sooner done."""
+    if "numba" not in sys.modules and len(free) <= FEW_CELLS:
+        return label_plainly(start, width, free, floor, limit, links)
+    from navbake.navgrid.kernels.islands import label_islands  # numba loads slowly
+
+    islands: Int32 = label_islands(start, width, free, floor, limit, links)[0]
+    return islands
 
 
 def islands_of(grid: GridBase) -> list[Int32]:

@@ -1,6 +1,7 @@
 """Plans paths on a grid, and answers questions about places on it."""
 
 import math
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,6 +10,7 @@ from navbake.errors import QueryError
 from navbake.navgrid.cells import Cell
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.grid_cache import GridCache
+from navbake.runtime.many import ManyPlaces
 from navbake.runtime.paths.goals import Goal, cells_named
 from navbake.runtime.paths.path import Path
 from navbake.runtime.paths.planner import Planner
@@ -290,7 +292,7 @@ class PathFinder:
 
     def random_point(
         self,
-        rng: np.random.Generator,
+        rng: np.random.Generator | None = None,
         count: int | None = None,
         *,
         level: int | None = None,
@@ -302,6 +304,7 @@ class PathFinder:
         """Draw places where an agent can stand, each as likely as its area has it.
 
         Args:
+            rng: draws them; another one each time if None. One with a seed repeats itself.
             count: how many, with repetition; one unless given.
             level: on this level.
             room: in this room, by id or name.
@@ -328,7 +331,7 @@ class PathFinder:
 
     def random_point_near(
         self,
-        rng: np.random.Generator,
+        rng: np.random.Generator | None,
         position: ArrayLike,
         max_distance: float,
         count: int | None = None,
@@ -345,6 +348,7 @@ class PathFinder:
         through walls as well. They are measured to the cells' centres.
 
         Args:
+            rng: see `random_point`.
             position: world position [m]; with paths, one where an agent can stand.
             max_distance: [m].
             count: how many, with repetition; one unless given.
@@ -380,7 +384,7 @@ class PathFinder:
 
     def random_pose(
         self,
-        rng: np.random.Generator,
+        rng: np.random.Generator | None = None,
         target: ArrayLike | None = None,
         max_distance: float = 1.0,
         *,
@@ -392,6 +396,7 @@ class PathFinder:
         """Draw where an agent stands and looks: at a target, if there is one.
 
         Args:
+            rng: see `random_point`.
             target: world position [m], which may be in something; the agent stands on its level.
             max_distance, min_distance: from the target, straight on the map [m].
             in_sight: nothing stands between, but for what the target is in, as with `snap`.
@@ -408,6 +413,11 @@ class PathFinder:
         )  # fmt: skip
 
     # --- islands and rooms -----------------------------------------------------------------
+
+    @cached_property
+    def many(self) -> ManyPlaces:
+        """The same questions about many positions at once: `snap`, `clearance` and others."""
+        return ManyPlaces(self._cache, self._planner)
 
     @property
     def search(self) -> Search:

@@ -266,7 +266,8 @@ class _Builder:
         key = (int(self._model.geom_dataid[geom]), mode)
         if part is not None or key not in self._shared:
             if part is not None:
-                vertices, faces, on_hull = part.vertices, part.faces, part.vertices
+                vertices, on_hull = part.vertices, part.vertices
+                faces = part.faces.astype(np.int64)
             else:
                 vertices, faces, on_hull = _mesh_arrays(self._model, key[0])
             pieces = self._pieces(vertices, faces, on_hull, mode)

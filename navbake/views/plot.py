@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from navbake.errors import MissingDependencyError, NavbakeError, QueryError
+from navbake.errors import MissingDependencyError, NavbakeError, QueryError, printable
 from navbake.files import write_whole
 from navbake.navgrid.cells import check_level
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
@@ -106,7 +106,9 @@ def render_png(
                 _draw_route(ax, route, index)
             _draw_marks(ax, marks, index)
     cell_size = grid.levels[0].lattice.cell_size
-    figure.suptitle(f"{grid.scene_id or 'grid'}, cells of {cell_size:g} m", parse_math=False)
+    figure.suptitle(
+        f"{printable(grid.scene_id or 'grid')}, cells of {cell_size:g} m", parse_math=False
+    )
     _draw_legend(figure, [panels[index] for panels in columns for index in chosen], route, marks)
 
     content = io.BytesIO()

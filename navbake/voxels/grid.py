@@ -30,7 +30,8 @@ class VoxelGrid:
             ID of what is there, 0 for nothing.
         origin: the lower corner of voxel (0, 0, 0), world frame [m].
         res: edge of a voxel [m], > 0.
-        names: what the IDs stand for; empty where nothing says so.
+        names: what the IDs stand for; empty where nothing says so. 0 is not among them, so
+            ``names.get(id)`` is None where there is nothing.
         known: shape (nx, ny, nz), bool: False where nobody knows whether something is there (an
             octree has such space); None where all is known.
         notes: what whoever made, read or wrote it had to assume or to warn of, one line each.

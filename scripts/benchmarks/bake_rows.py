@@ -84,6 +84,13 @@ def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
         job = bake_job(f"house-{LARGE}, {num_cells(LARGE):,} cells", scenes.house(LARGE))
         return Row(job, limit=16.0, peak=2500)
 
+    def cell_memory_row() -> Row:
+        return Row(_per_item("a million cells", *(scenes.house(n) for n in SIZES[-2:]), "cells"))
+
+    def triangle_memory_row() -> Row:
+        soups = (scenes.soup(n, triangles=TRIANGLES).path for n in (SMALL, main))
+        return Row(_per_item("a million triangles, and their cells", *soups, "triangles"))
+
     rows: dict[str, Callable[[], Row]] = {
         "house": house_row,
         "many": many_row,
@@ -95,6 +102,8 @@ def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
         "doors": doors_row,
         "scaling": scaling_row,
         "tiles": tiles_row,
+        "cell-memory": cell_memory_row,
+        "triangle-memory": triangle_memory_row,
     }
     for name in SAMPLES:
         path = ROOT / "configs" / "scenes" / f"{name}.xml"
@@ -158,3 +167,16 @@ def _per_million(scenes: Scenes, rooms: int) -> Job:
         return sample._replace(seconds=sample.seconds / num_cells(rooms) * 1e6)
 
     return Job(f"house-{rooms}, a million cells", measure)
+
+
+def _per_item(name: str, small: Path, large: Path, counted: str) -> Job:
+    """What a million of something adds to a bake's time and to its peak, from a small one on."""
+    bakes = bake_job("", small), bake_job("", large)
+
+    def measure() -> Sample:
+        one, other = (bake.measure() for bake in bakes)
+        millions = (other.facts[counted] - one.facts[counted]) / 1e6  # type: ignore[index]
+        more = None if one.peak is None or other.peak is None else other.peak - one.peak
+        return Sample((other.seconds - one.seconds) / millions, more and more / millions)
+
+    return Job(name, measure)

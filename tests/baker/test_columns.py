@@ -18,7 +18,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from navbake.baker.columns import Columns, cast_columns, tile_shapes
+from navbake.baker.columns import Columns, cast_columns, cast_points, tile_shapes
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.settings import parse_config
 from navbake.navgrid.lattice import Lattice
@@ -224,6 +224,68 @@ def test_threads_change_nothing(tmp_path: Path, seed: int) -> None:
     assert len(once.z) > len(once.start)
     for name in ("start", "z", "normal", "geom"):
         np.testing.assert_array_equal(getattr(once, name), getattr(twice, name), err_msg=name)
+
+
+def aligned_xml(rng: Generator) -> str:
+    """Geoms of all kinds, and some whose rims and edges run through the centres of a raster."""
+    parts = [geom_xml(kind, group % 6, rng) for group, kind in enumerate(rng.choice(KINDS, 8))]
+    assets = "".join(a.replace('name="a', f'name="{k}a') for k, (a, _) in enumerate(parts))
+    geoms = "".join(
+        g.replace('mesh="a', f'mesh="{k}a').replace('field="a', f'field="{k}a')
+        for k, (_, g) in enumerate(parts)
+    )
+    for kind in ("box", "cylinder", "sphere", "capsule", "ellipsoid"):
+        pos, size = np.round(rng.uniform(-0.8, 0.8, 3), 1), np.round(rng.uniform(0.1, 0.5, 3), 1)
+        yaw = rng.choice([0, 30, 45, 90])
+        place = f'pos="{numbers(pos)}" euler="0 0 {yaw}"'
+        geoms += f'<geom type="{kind}" size="{numbers(size)}" {place}/>'
+    heights = numbers(np.round(rng.uniform(0, 1, (9, 9)), 1))
+    assets += f'<hfield name="f" nrow="9" ncol="9" elevation="{heights}" size=".8 .8 .5 .1"/>'
+    geoms += '<geom type="hfield" hfield="f" pos="0 0 -1"/>'
+    return f"<mujoco><asset>{assets}</asset><worldbody>{geoms}</worldbody></mujoco>"
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_lines_together_cross_what_each_crosses_by_itself(tmp_path: Path, seed: int) -> None:
+    """Geometry that visits cells against one line at a time that asks all geometry nearby."""
+    rng = np.random.default_rng(seed)
+    scene = load(tmp_path, aligned_xml(rng))
+    corner = rng.uniform(-1.3, -0.7, 2)
+    for lattice in (
+        Lattice(-1.05, 1.05, 0.1, 21, 21),
+        Lattice(corner[0], -corner[1], rng.uniform(0.01, 0.05), 37, 41),
+    ):
+        tiled = tile_shapes(scene.shapes, lattice, 0.1)
+        cells = np.arange(lattice.width * lattice.height)
+        centers = lattice.positions(*np.divmod(cells, lattice.width))
+        alone, together = cast_points(tiled, cells, centers), cast_columns(tiled).crossings
+        assert len(alone.z)
+        for name in ("start", "z", "normal", "geom", "closed"):
+            one, other = getattr(alone, name), getattr(together, name)
+            np.testing.assert_array_equal(one, other, err_msg=name)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_slivers_across_many_cells(tmp_path: Path, seed: int) -> None:
+    """Triangles that are long, thin and askew: rows' spans must lose none of their cells."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-1, 1, (300, 3))
+    points[1::3] = points[::3] + rng.normal(size=(100, 3)) * 10 ** rng.uniform(-4, -1, (100, 1))
+    faces = " ".join(map(str, range(300)))
+    scene = load(
+        tmp_path,
+        f'<mujoco><asset><mesh name="m" inertia="shell" vertex="{numbers(points)}" face="{faces}"/>'
+        '</asset><worldbody><geom type="mesh" mesh="m" contype="0" conaffinity="0"/></worldbody>'
+        "</mujoco>",
+        meshes="surface",
+    )
+    tiled = tile_shapes(scene.shapes, Lattice(-1.0, 1.0, 0.01, 200, 200), 0.1)
+    cells = np.arange(200 * 200)
+    centers = tiled.lattice.positions(*np.divmod(cells, 200))
+    alone, together = cast_points(tiled, cells, centers), cast_columns(tiled).crossings
+    assert len(alone.z) > 50
+    np.testing.assert_array_equal(alone.start, together.start)
+    np.testing.assert_array_equal(alone.z, together.z)
 
 
 # ---------------------------------------------------------------- seams

@@ -139,9 +139,26 @@ def test_cracks_over_each_other(folder):
     assert not np.isnan(heights(columns, 6.0)).any()
 
 
+@pytest.mark.parametrize(
+    ("lower", "upper"),
+    [(0.032, 0.032), (0.068, 0.068), (0.05, 0.032), (0.068, 0.05), (0.06, 0.068)],
+)
+def test_cracks_over_each_other_need_not_be_plumb(folder, lower, upper):
+    """Three storeys' joints, some aside by up to the width of one: a line is moved past all."""
+    joints = [(HEIGHT, lower), (2 * HEIGHT, upper), (3 * HEIGHT, 0.05)]
+    geoms = [
+        part
+        for z, at in joints
+        for part in (slab(-3, at - 0.014, -2, 2, z), slab(at + 0.014, 3, -2, 2, z))
+    ]
+    columns = stages_of(folder, GROUND + "".join(geoms), roofs=True).columns
+    for z, _ in joints:
+        assert not np.isnan(heights(columns, z)).any()
+
+
 def test_what_stands_in_a_crack_blocks_it(folder):
     wall = '<geom type="box" size=".002 2 1.5" pos=".05 0 3"/>'
-    stages = stages_of(folder, GROUND + two_slabs(0.01, at=0.05) + wall)
+    stages = stages_of(folder, GROUND + two_slabs(0.01, at=0.05) + wall, roofs=True)
     col = int(stages.lattice.rows_cols([0.05, 0.0])[1])
     assert stages.occupancy.levels[-1][:, col].all()
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import navbake
+import navbake.baker.stages as stages_module
 from box_worlds import FLOOR, box, stages_of_xml, world
 from differences import first_difference
 from door_scenes import CUPBOARD, LEAF, ROOMS, SHELL, bake_world
@@ -100,6 +101,20 @@ def test_a_bake_is_its_stages(name):
     assert [int((level.room_index > 0).sum()) for level in removed.levels] == num_in_room
 
 
+def test_geometry_is_given_back_before_the_grid_is_made(tmp_path, monkeypatch):
+    kept = []
+    stages = stages_of_xml(tmp_path, world(FLOOR))
+    monkeypatch.setattr("navbake.baker.pipeline.settle_doors", lambda _: settle_doors(stages))
+    build = navbake.baker.pipeline.build_grid
+    monkeypatch.setattr(
+        "navbake.baker.pipeline.build_grid", lambda made: (kept.extend(vars(made)), build(made))[1]
+    )
+    run_bake(stages.config)
+    assert "floors" in kept
+    assert not {"tiled", "columns"} & {*kept, *vars(stages)}  # the grid needs neither
+    assert isinstance(stages.columns, Columns)
+
+
 # ---------------------------------------------------------------- which candidates are doors
 
 
@@ -178,3 +193,13 @@ def test_threads_are_given_back(tmp_path):
     (tmp_path / "scene.xml").write_text(door_world(SHELL))
     navbake.bake(tmp_path / "scene.xml", threads=1)
     assert numba.get_num_threads() == before
+
+
+def test_columns_are_cast_once(tmp_path, monkeypatch):
+    """What gives the geometry back must not be followed by a stage that asks for it again."""
+    casts = []
+    cast = stages_module.cast_columns
+    monkeypatch.setattr(stages_module, "cast_columns", lambda tiled: casts.append(0) or cast(tiled))
+    (tmp_path / "scene.xml").write_text(world(FLOOR))
+    navbake.bake({"scene": {"path": str(tmp_path / "scene.xml")}, "grid": {"bounds": [0, 0, 1, 1]}})
+    assert len(casts) == 1

@@ -25,7 +25,7 @@ def test_rooms_and_their_picture(folder, run):
     status, out, _ = run("rooms", "room.grid.json")
     assert status == 0
     header, *rows, last = out.splitlines()
-    assert " ".join(header.split()) == "id name level index m2 centroid x y z m from opens to"
+    assert " ".join(header.split()) == "id m2 centroid x y z m from"
     assert last == f"{len(rows)} room{'' if len(rows) == 1 else 's'}"
     status, out, _ = run("rooms", "room.grid.json", "--json")
     listed = json.loads(out)
@@ -54,8 +54,8 @@ def test_doors_are_listed_with_their_states(folder, run):
         status, out, _ = run(command, "doors.grid.json", "--json")
         assert (status, json.loads(out)["doors"][0]) == (0, expected)
         *_, header, row, other = run(command, "doors.grid.json")[1].splitlines()
-        assert header.split() == ["door", "joint", "level", "joins", "is", "can", "be"]
-        cells = "leaf leaf level 0 0:1 - 0:2 open modelled, open, closed, removed"
+        assert header.split() == ["door", "joint", "joins", "is", "can", "be"]
+        cells = "leaf leaf 0:1 - 0:2 open modelled, open, closed, removed"
         assert " ".join(row.split()) == cells
-        expected_other = "box none level 0 nothing modelled (closed) modelled, closed, removed"
+        expected_other = "box none nothing modelled (closed) modelled, closed, removed"
         assert " ".join(other.split()) == expected_other

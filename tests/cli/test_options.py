@@ -8,7 +8,7 @@ from typing import Annotated, NamedTuple
 import pytest
 import typer
 
-from navbake.cli.options import check_output, grouped
+from navbake.cli.options import check_output, prepared
 from navbake.errors import ConfigError
 
 
@@ -22,7 +22,7 @@ def test_options_that_belong_together_are_one_value(capsys):
     got = []
 
     @app.command()
-    @grouped
+    @prepared
     def draw(
         size: Size,
         name: Annotated[str, typer.Argument(help="What.")],

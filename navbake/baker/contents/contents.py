@@ -30,6 +30,7 @@ from navbake.baker.kernels import contents as kernels
 from navbake.baker.kernels.arrays import Probe, StoreyCells
 from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS, UNPROVED
+from navbake.baker.kernels.groups import Groups, group_triangles
 from navbake.baker.lattice import Window
 from navbake.baker.occupancy.occupancy import Footprint
 from navbake.baker.scene.extents import Extents, measure_geoms
@@ -153,8 +154,9 @@ def find_contents(
     # each storey ends at the next one's ground, the last one at the scene's top [m]
     highest = -np.inf if scene.bounds is None else float(scene.bounds[1, 2])
     tops = [*(level.ground for level in floors.levels[1:]), highest]
+    groups = group_triangles(tiled.facets, tiled.tiles)
     levels = [
-        _list_level(columns, tiled, level, top, mask, agent, candidates)
+        _list_level(columns, tiled, groups, level, top, mask, agent, candidates)
         for level, top, mask in zip(floors.levels, tops, occupied, strict=True)
     ]
     supports = [listed.support for listed in levels]
@@ -178,6 +180,7 @@ def find_contents(
 def _list_level(
     columns: Columns,
     tiled: TiledShapes,
+    groups: Groups,
     level: LevelFloor,
     top: float,
     occupied: Bool,
@@ -186,14 +189,15 @@ def _list_level(
 ) -> LevelContents:
     """List the geoms of one storey's cells; a cell's ceiling is never lower than the agent."""
     lattice, shapes = columns.lattice, tiled.shapes
-    geometry = (shapes.solids, tiled.facets, shapes.planes, tiled.tiles)
+    boxes = (shapes.solids, shapes.planes, tiled.tiles, groups)
+    geometry = (shapes.solids, tiled.facets, shapes.planes, tiled.tiles, groups)
     footprint = Footprint.of(agent, lattice.cell_size)
     floor = level.floor.ravel()
     ceiling = np.maximum(top, floor + agent.height) - TOUCH
     slot = np.zeros(len(floor) + 1, dtype=np.int64)
     lists = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint8)  # no room yet
     cells = StoreyCells(floor, ceiling, occupied.ravel(), slot, *lists)
-    kernels.count_candidates(lattice, *geometry, footprint, cells)
+    kernels.count_candidates(lattice, *boxes, footprint, cells)
     np.cumsum(slot, out=slot)
     geom, flags = np.empty(slot[-1], dtype=np.int32), np.zeros(slot[-1], dtype=np.uint8)
     cells = cells._replace(geom=geom, flags=flags)

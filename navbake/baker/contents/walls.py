@@ -23,6 +23,10 @@ HINTS = ("wall", "partition")  # in the names of walls, whatever the case
 NEAR_FLOOR, TALL = 0.6, 1.5
 # Most thickness, least length and least ratio of both, of a thin wall and of a thick one [m, m, 1]
 THIN = ((0.25, 0.5, 3.0), (0.5, 3.0, 6.0))
+# The same of one that is thicker still, and meets another at a corner, with tops this near [m]
+THICK, AS_HIGH = (1.2, 3.0, 3.0), 0.1
+# Two walls meet at a corner where they are no nearer to one direction than 45 degrees [1]
+CROSSWISE = 0.5**0.5
 # Least heights of what is named like a wall, and of that if it is thin and long, too [m]
 NAMED_TALL, LOW = 1.0, 0.5
 # A body that is deeper than its panel by this, and at most so deep, long [m] and made of so many
@@ -62,7 +66,8 @@ class GeomsOverFloors:
 def wall_candidates(scene: Scene, extents: Extents) -> Bool:
     """Mark the geoms that may be walls or hold a building, by their own shape alone."""
     tall = extents.high - extents.low >= TALL
-    return tall & is_static(scene) & _is_slender(extents) | _may_hold_building(scene, extents)
+    slender = _is_slender(extents, *THIN, THICK)
+    return tall & is_static(scene) & slender | _may_hold_building(scene, extents)
 
 
 def find_buildings(scene: Scene, extents: Extents, over_floors: GeomsOverFloors) -> Bool:
@@ -105,7 +110,9 @@ def find_walls(
     """Mark the walls by their shape, and by their names where the shape leaves it open.
 
     A wall is static, rises from near a floor over 1.5 m, straight up, and is thin (0.25 m) and
-    long; a thicker one (0.5 m) is longer. A panel of a deeper piece of furniture is none. With
+    long; a thicker one (0.5 m) is longer. One that is thicker still (1.2 m) is a wall if it meets
+    another wall, or another such one, at a corner, and is as high: a rack, a container or a row of
+    cupboards does not. A panel of a deeper piece of furniture is none. With
     `wall` or `partition` in its geom's, mesh's or body's name 1 m is tall enough, however thick
     it is; and 0.5 m for something thin and long. What continues in the line of a wall is wall,
     too: parapets, lintels, stubs, windows. Something that one can stand on is a wall only if it
@@ -113,25 +120,56 @@ def find_walls(
     """
     named_by_geom = [" ".join(_names(scene, report.id)).lower() for report in scene.geoms]
     hinted = np.array([any(hint in names for hint in HINTS) for names in named_by_geom])
-    static, slender = is_static(scene) & ~excluded, _is_slender(extents)
+    static, slender = is_static(scene) & ~excluded, _is_slender(extents, *THIN)
     stands = static & (over_floors.base <= NEAR_FLOOR)
     named = stands & hinted
     named &= (over_floors.rise >= NAMED_TALL) | (slender & (over_floors.rise >= LOW))
-    shaped = stands & slender & (over_floors.rise >= TALL) & ~carriers.stood_on & ~named
-    shaped &= over_floors.upper_area >= UPRIGHT * over_floors.area
+    upright = stands & (over_floors.rise >= TALL) & ~carriers.stood_on & ~named
+    upright &= over_floors.upper_area >= UPRIGHT * over_floors.area
+    shaped = upright & slender
     ends = find_subtree_ends(scene.model)
     for geom in np.flatnonzero(shaped):
         shaped[geom] = not _is_furniture_panel(scene, extents, int(geom), ends)
+    thick = upright & ~slender & _is_slender(extents, THICK)
+    shaped |= _meets_at_corner(thick, named | shaped, extents)
     pieces = static & ~carriers.building & ~carriers.things
     return _in_line(named | shaped, pieces, extents)
 
 
-def _is_slender(extents: Extents) -> Bool:
-    slender = [
-        (extents.thin <= thin) & (extents.long >= np.maximum(long, ratio * extents.thin))
-        for thin, long, ratio in THIN
-    ]
-    return np.logical_or(*slender)
+def _is_slender(extents: Extents, *limits: tuple[float, float, float]) -> Bool:
+    """Mark what is thin and long by any of several limits; see `THIN`."""
+    slender = np.zeros(len(extents.thin), dtype=np.bool_)
+    for thin, long, ratio in limits:
+        is_long = extents.long >= np.maximum(long, ratio * extents.thin)
+        slender |= (extents.thin <= thin) & is_long
+    return slender
+
+
+def _meets_at_corner(thick: Bool, walls: Bool, extents: Extents) -> Bool:
+    """Mark what is thick and meets a wall, or another that is thick, at a corner, as high as it."""
+    meets = np.zeros(len(thick), dtype=np.bool_)
+    if not thick.any():
+        return meets
+    for one, other in _near_pairs(np.flatnonzero(thick), np.flatnonzero(thick | walls), extents):
+        turn = np.abs((extents.along[one] * extents.along[other]).sum(axis=1))
+        corner = (turn <= CROSSWISE) & (np.abs(extents.high[one] - extents.high[other]) <= AS_HIGH)
+        corner &= _ends_at(one, other, extents) | _ends_at(other, one, extents)
+        meets[one[corner]] = True
+    return meets
+
+
+def _ends_at(one: Int, other: Int, extents: Extents) -> Bool:
+    """Whether the middle of an end of each geom is on another one, seen from above."""
+    ends = np.zeros(len(one), dtype=np.bool_)
+    for half in (-0.5, 0.5):
+        end = extents.center[one] + half * extents.long[one, None] * extents.along[one]
+        off = end - extents.center[other]
+        across = np.abs((off * extents.across[other]).sum(axis=1))
+        along = np.abs((off * extents.along[other]).sum(axis=1))
+        ends |= (across <= extents.thin[other] / 2 + TOUCHING) & (
+            along <= extents.long[other] / 2 + TOUCHING
+        )
+    return ends
 
 
 def _may_hold_building(scene: Scene, extents: Extents) -> Bool:
@@ -141,9 +179,9 @@ def _may_hold_building(scene: Scene, extents: Extents) -> Bool:
 
 
 def _in_line(walls: Bool, candidates: Bool, extents: Extents) -> Bool:
-    """Add the pieces that touch a thin wall and continue in its line, no thicker than it is."""
+    """Add the pieces that touch a wall's end and continue in its line, no thicker than it is."""
     walls = walls.copy()
-    thin = extents.thin <= THIN[-1][0]
+    thin = extents.thin <= THICK[0]
     candidates = candidates & thin
     new = np.flatnonzero(walls & thin)
     while len(new):

@@ -104,7 +104,8 @@ def pose_doors(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Shap
         return scene.shapes.only(mask)
     data = data_with_joints(scene.model, scene.data, moved)
     geoms = np.flatnonzero(mask).tolist()
-    return collect_shapes(scene.model, data, scene.choices, scene.parts, geoms).shapes
+    collected = collect_shapes(scene.model, data, scene.choices, scene.parts, geoms, scene.meshes)
+    return collected.shapes
 
 
 class _BodySearch:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from navbake.baker.columns import Columns
+from navbake.baker.columns import Columns, cells_of
 from navbake.baker.floors.kernels.enclosed import count_ends, find_holders
 from navbake.baker.floors.kernels.sheets import group_members, join_by_steps
+from navbake.baker.floors.patch import Patch
 from navbake.baker.floors.sheets import AreaTest, agent_limits, middle_of
 from navbake.baker.kernels.constants import CLOSED_SURFACE
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings
+from navbake.threads import run_in_bands
 from navbake.types import Bool
 
 # A floor that goes on beyond this share of its outline is what a closed thing stands on
@@ -25,7 +27,7 @@ def find_enclosed(
     floor_like: Bool,
     agent: AgentSettings,
     settings: FloorSettings,
-) -> list[tuple[int, float, float, tuple[float, float, float]]]:
+) -> list[Patch]:
     """Find floors that closed meshes hold, so that nobody can stand on them.
 
     They face up within the slope, have headroom, and are large enough to be floors. Where such
@@ -36,19 +38,19 @@ def find_enclosed(
         floor_like: which surfaces face up within the slope, shape (n,).
 
     Returns:
-        The geom that holds it, its height, its area and a place on it [m, m², m], of each, the
-        largest first.
+        The floors, the largest first; the geom of each is the mesh that holds it.
     """
     if not (columns.crossings.closed == CLOSED_SURFACE).any():
         return []
     lattice, limits = columns.lattice, agent_limits(agent)
     holder = np.empty(len(columns.z), dtype=np.int32)
-    find_holders(lattice, columns.crossings, shapes.planes, limits, holder)
+    cells = len(columns.start) - 1
+    run_in_bands(find_holders, cells, lattice, columns.crossings, shapes.planes, limits, holder)
     start = np.concatenate([[0], np.cumsum(holder >= 0)])[columns.start]
     surface = np.flatnonzero(holder >= 0)
     z, geom = columns.z[surface], holder[surface].astype(np.int64)
     part, size = join_by_steps(lattice, start, z, geom, limits.step)
-    cell = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    cell = cells_of(start)
     first, member = group_members(part, size)
     test, at_cell = AreaTest(lattice, settings), np.zeros(len(start) - 1, dtype=np.bool_)
     found = []
@@ -61,5 +63,5 @@ def find_enclosed(
         edges, goes_on = count_ends(lattice, *surfaces, limits.step, at_cell)
         if area >= BUILDING or goes_on < GOES_ON * edges:
             place = middle_of(lattice, cell[members], z[members])
-            found.append((int(geom[members[0]]), float(z[members].max()), area, place))
-    return sorted(found, key=lambda floor: -floor[2])
+            found.append(Patch(int(geom[members[0]]), area, place, cell[members]))
+    return sorted(found, key=lambda floor: -floor.area)

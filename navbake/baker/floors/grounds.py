@@ -4,14 +4,12 @@ import numpy as np
 
 from navbake.baker.floors.kernels.places import place_on_levels
 from navbake.baker.floors.kernels.sheets import find_links, group_members, join_by_steps
-from navbake.baker.floors.sheets import AreaTest, Standable, mask_window, shrink_mask
+from navbake.baker.floors.sheets import AreaTest, Standable
 from navbake.baker.floors.stairs import PLATEAU
 from navbake.baker.kernels.constants import SLACK
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.types import Bool, Float, Int
 
-# A given ground takes in floors down to this much below it [m]
-GIVEN_TOLERANCE = 0.02
 # Decimals of the grounds that are found: what a float adds to 3.0 is no height
 DECIMALS = 9
 
@@ -153,10 +151,7 @@ def _lowest_plateau(
     for number in np.flatnonzero((both > 0) & (both >= test.needed)):
         chosen = member[start[number] : start[min(number + 2, len(counts))]]
         if test.passes(cells[chosen]):
-            mask, row0, col0 = mask_window(cells[chosen], lattice, margin=0)
-            inner = shrink_mask(mask, lattice.cell_size, settings.shrink)
-            row, col = np.divmod(cells[chosen], lattice.width)
-            heights = z[chosen][inner[row - row0, col - col0]]
+            heights = z[chosen][test.inner(cells[chosen])]
             # the cells that shrinking leaves decide, not stairs or thresholds at the edge
             return _common_height(heights if len(heights) else z[chosen])
     return None

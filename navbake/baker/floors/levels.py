@@ -7,24 +7,19 @@ import numpy as np
 
 from navbake.baker.columns import Columns
 from navbake.baker.floors.enclosed import find_enclosed
-from navbake.baker.floors.grounds import (
-    GIVEN_TOLERANCE,
-    assign_levels,
-    find_grounds,
-    lower_grounds,
-)
+from navbake.baker.floors.grounds import assign_levels, find_grounds, lower_grounds
 from navbake.baker.floors.kernels.sheets import find_links, grow_floor
 from navbake.baker.floors.outline import OccupancyTest, Site, find_cropped
+from navbake.baker.floors.patch import Patch, describe_sheets
 from navbake.baker.floors.reach import (
-    UnreachedLevel,
+    Unreached,
     find_starts,
     find_unreached,
     largest_of_lowest,
 )
-from navbake.baker.floors.roofs import find_roofs, find_shelves
-from navbake.baker.floors.sheets import Standable, drop_furniture, find_standable, middle_of
+from navbake.baker.floors.rejected import GIVEN_TOLERANCE, find_rejected, given_levels
+from navbake.baker.floors.sheets import Standable, drop_furniture, find_standable
 from navbake.baker.floors.stairs import find_stairs
-from navbake.baker.floors.tops import find_tops
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
@@ -54,23 +49,6 @@ class LevelFloor:
 
 
 @dataclass(frozen=True)
-class DroppedSheet:
-    """A sheet that is no floor, see `find_tops`, `find_shelves` and `find_roofs`.
-
-    Attributes:
-        geom: the geom that most of it belongs to.
-        height: of its highest point, world z [m].
-        area: [m²].
-        place: x, y, z of a place on it, in world coordinates [m].
-    """
-
-    geom: int
-    height: float
-    area: float
-    place: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
 class Floors:
     """All storeys, lowest first, and where they meet.
 
@@ -82,17 +60,19 @@ class Floors:
         tops: large tops and shelves that are no floors, the largest first.
         roofs: roofs that are clearly larger than every floor that is left, the largest first.
         small_starts: what `floors.from` names, though it is too small for a floor.
-        unreached: levels that no step leads to, lowest first.
-        enclosed: floors inside of closed meshes, as tops; `geom` is the mesh's.
+        unreached: what no step leads to, by level, lowest first.
+        left_out: floors that `floors.reach: steps` leaves out, the largest first.
+        enclosed: floors inside of closed meshes; the geom of each is the mesh's.
     """
 
     levels: list[LevelFloor]
     links: Int
-    tops: list[DroppedSheet]
-    roofs: list[DroppedSheet]
-    small_starts: list[DroppedSheet]
-    unreached: list[UnreachedLevel]
-    enclosed: list[DroppedSheet]
+    tops: list[Patch]
+    roofs: list[Patch]
+    small_starts: list[Patch]
+    unreached: list[Unreached]
+    left_out: list[Patch]
+    enclosed: list[Patch]
 
 
 def find_floors(
@@ -105,6 +85,9 @@ def find_floors(
 ) -> Floors:
     """Find the storeys, the floor of each, and the steps between them.
 
+    All standable surfaces → the sheets that are large enough → those of them that count, without
+    tops, shelves and roofs → their levels → those that are reached → floors, level by level.
+
     Args:
         shapes: the geometry that the columns were cast at.
         given: the levels of the configuration, or None to find them.
@@ -113,71 +96,36 @@ def find_floors(
         SceneError: there is no floor at all, none on a given level, or none at a place that one
             starts from.
     """
-    standable, floor_like = find_standable(columns, shapes, agent)
-    lost = find_enclosed(columns, shapes, floor_like, agent, settings)
-    enclosed = [DroppedSheet(*floor) for floor in lost]
-    if not len(standable.z):
+    every, floor_like = find_standable(columns, shapes, agent)
+    enclosed = find_enclosed(columns, shapes, floor_like, agent, settings)
+    if not len(every.z):
         raise SceneError(_no_floor(columns, floor_like, agent))
-    large = drop_furniture(standable, settings)
-    starts = find_starts(standable, large, settings.starts, agent.traversable_floor_height)
-    is_large = large.sheet_size > 0
-    large = standable.only_sheets(is_large | starts)
-    if not len(large.z):
-        raise SceneError(
-            f"no floor: the largest standable sheet keeps less than {settings.min_area:g} m² "
-            f"after shrinking by {settings.shrink:g} m; lower `floors.min_area` or "
-            f"`floors.shrink` if it is a floor"
-        )
+    large = drop_furniture(every, settings)
     cropped = find_cropped(columns.lattice, shapes.bounds())
-    site = Site(standable, large, columns, agent, settings, is_occupied, cropped)
-    is_top = is_roof = np.zeros(len(starts), dtype=np.bool_)
-    if not settings.tops:
-        is_top = (find_tops(site) | find_shelves(site)) & ~starts
-    if given is None and not settings.roofs:
-        is_roof = find_roofs(site) & ~starts
-    counted = large.only_sheets(~(is_top | is_roof))
-    if not len(counted.z):  # a roof over nothing but small things is the floor there is
-        is_roof = is_top & False
-        counted = large.only_sheets(~is_top)
-    tops = _describe(large, is_top & ~is_roof, columns)
-    is_told = large.sheet_size > LARGE_ROOF * counted.sheet_size.max()
-    roofs = _describe(large, is_roof & is_told, columns)
-    small = _describe(large, starts & ~is_large, columns)
-    if given is not None:
-        counted = _within_given(counted, given, columns)
-    placed = _place_on_levels(counted, agent, settings, given)
-    reached = starts if starts.any() else largest_of_lowest(placed.standable, placed.level)
-    if settings.reach == "steps":
-        counted = counted.only_sheets(reached)
-        if not len(counted.z):
-            raise SceneError("no floor: what `floors.from` names lies outside of the `levels`")
-        placed = _place_on_levels(counted, agent, settings, given)
-    unreached = find_unreached(placed.standable, placed.level, reached, columns)
-    # a floor goes on only where no other one is, nor a roof, nor the top of furniture
-    dropped = np.setdiff1d(large.surface, counted.surface, assume_unique=True)
-    floor_like[large.surface] = False
-    floor_like[_just_below(columns, dropped, agent.traversable_floor_height)] = False
+    site = Site(every, large, columns, agent, settings, is_occupied, cropped)
+    rejected = find_rejected(site, given)
+    starts = find_starts(site, rejected, settings.starts)
+    is_large = large.sheet_size > 0
+    counted = every.only_sheets(is_large & ~rejected.any | starts)
+    if not len(counted.z):
+        raise SceneError(_no_large_floor(settings))
+    placed, left_out, unreached = _place_reached(counted, starts, site, given)
+    candidate = _mark_candidates(placed.standable, every.only_sheets(is_large | starts), site)
     levels = [
-        LevelFloor(label, ground, *_level_floor(k, placed, columns, floor_like, agent))
+        LevelFloor(label, ground, *_level_floor(k, placed, columns, floor_like & candidate, agent))
         for k, (label, ground) in enumerate(zip(placed.labels, placed.grounds, strict=True))
     ]
-    return Floors(levels, _cell_links(placed, agent), tops, roofs, small, unreached, enclosed)
-
-
-def _just_below(columns: Columns, surface: Int, step: float) -> Int:
-    """The surfaces a step at most below some others, in their columns.
-
-    An agent there would walk on those above, as on a roof in which a wall's top is hidden.
-    """
-    cell = np.searchsorted(columns.start, surface, side="right") - 1
-    found, k = [surface[:0]], 1
-    while len(surface):
-        near = surface - k >= columns.start[cell]
-        near[near] = (columns.z[surface] - columns.z[surface - k])[near] <= step + SLACK
-        surface, cell = surface[near], cell[near]
-        found.append(surface - k)
-        k += 1
-    return np.concatenate(found)
+    is_told = large.sheet_size > LARGE_ROOF * counted.sheet_size.max()
+    return Floors(
+        levels,
+        _cell_links(placed, agent),
+        tops=describe_sheets(large, (rejected.tops | rejected.shelves) & ~starts, columns),
+        roofs=describe_sheets(large, rejected.roofs & ~starts & is_told, columns),
+        small_starts=describe_sheets(every, starts & ~is_large, columns),
+        unreached=unreached,
+        left_out=left_out,
+        enclosed=enclosed,
+    )
 
 
 class _Placed(NamedTuple):
@@ -187,6 +135,35 @@ class _Placed(NamedTuple):
     level: Int
     grounds: list[float]
     labels: list[str]
+
+
+def _place_reached(
+    counted: Standable, starts: Bool, site: Site, given: list[LevelSettings] | None
+) -> tuple[_Placed, list[Patch], list[Unreached]]:
+    """Place the surfaces that count on levels; of all, or of those that steps lead to.
+
+    What is reached is decided before levels are given, from the lowest level that there is.
+
+    Returns:
+        The surfaces on their levels, the sheets that are left out because no step leads to them,
+        and what no step leads to of those that are not.
+    """
+    agent, settings, columns = site.agent, site.settings, site.columns
+    placed = _place_on_levels(counted, agent, settings, None)
+    reached = starts if starts.any() else largest_of_lowest(placed.standable, placed.level)
+    kept = counted if given is None else _within_given(counted, given, columns)
+    left_out = []
+    if settings.reach == "steps":
+        left_out = describe_sheets(kept, (kept.sheet_size > 0) & ~reached, columns)
+        kept = kept.only_sheets(reached)
+        if not len(kept.z):
+            what = "the largest floor of the lowest level"
+            if starts.any():
+                what = "what `floors.from` names"
+            raise SceneError(f"no floor: {what} lies outside of the `levels`")
+    if given is not None or kept is not counted:
+        placed = _place_on_levels(kept, agent, settings, given)
+    return placed, left_out, find_unreached(placed.standable, placed.level, reached, columns)
 
 
 def _place_on_levels(
@@ -206,31 +183,15 @@ def _place_on_levels(
     return _Placed(standable, *placed)
 
 
-def _describe(standable: Standable, chosen: Bool, columns: Columns) -> list[DroppedSheet]:
-    """Describe some sheets, the largest first."""
-    dropped = []
-    for _, members in standable.members(np.flatnonzero(chosen)):
-        geoms = columns.geom[standable.surface[members]]
-        area = len(members) * standable.lattice.cell_size**2
-        z = standable.z[members]
-        place = middle_of(standable.lattice, standable.cell[members], z)
-        dropped.append(DroppedSheet(int(np.bincount(geoms).argmax()), float(z.max()), area, place))
-    return sorted(dropped, key=lambda sheet: -sheet.area)
-
-
 def _within_given(standable: Standable, given: list[LevelSettings], columns: Columns) -> Standable:
-    """Keep the surfaces between the grounds and the tops of the given levels.
-
-    A level begins a little below its ground, since a hand that writes 3.0 means a floor at 2.99.
-    """
+    """Keep the surfaces between the grounds and the tops of the given levels."""
     kept = np.zeros(len(standable.z), dtype=np.bool_)
-    next_grounds = [*(level.ground - GIVEN_TOLERANCE for level in given[1:]), np.inf]
-    for number, (level, above) in enumerate(zip(given, next_grounds, strict=True)):
-        top = above if level.top is None else min(above, level.top)
-        on_level = standable.z >= level.ground - GIVEN_TOLERANCE
-        on_level &= standable.z < top - SLACK
+    on_levels = given_levels(standable, given)
+    for number, (level, on_level) in enumerate(zip(given, on_levels, strict=True)):
         if not on_level.any():
             name = f"level {level.name!r}" if level.name else f"level {number}"
+            above = given[number + 1].ground if given[number + 1 :] else np.inf
+            top = above if level.top is None else min(above, level.top)
             low, high = float(columns.z.min()), float(columns.z.max())
             raise SceneError(
                 f"no floor on {name} (ground {level.ground:g} m, top {top:g} m) of `levels`: "
@@ -238,6 +199,35 @@ def _within_given(standable: Standable, given: list[LevelSettings], columns: Col
             )
         kept |= on_level
     return standable.only(kept)
+
+
+def _mark_candidates(counted: Standable, large: Standable, site: Site) -> Bool:
+    """Mark the surfaces at which a floor may go on under things, of all, shape (n,).
+
+    It goes on only where no other floor is, nor a roof, nor the top of furniture.
+    """
+    columns = site.columns
+    candidate = np.ones(len(columns.z), dtype=np.bool_)
+    dropped = np.setdiff1d(large.surface, counted.surface, assume_unique=True)
+    candidate[large.surface] = False
+    candidate[_just_below(columns, dropped, site.agent.traversable_floor_height)] = False
+    return candidate
+
+
+def _just_below(columns: Columns, surface: Int, step: float) -> Int:
+    """The surfaces a step at most below some others, in their columns.
+
+    An agent there would walk on those above, as on a roof in which a wall's top is hidden.
+    """
+    cell = np.searchsorted(columns.start, surface, side="right") - 1
+    found, k = [surface[:0]], 1
+    while len(surface):
+        near = surface - k >= columns.start[cell]
+        near[near] = (columns.z[surface] - columns.z[surface - k])[near] <= step + SLACK
+        surface, cell = surface[near], cell[near]
+        found.append(surface - k)
+        k += 1
+    return np.concatenate(found)
 
 
 def _level_floor(
@@ -269,6 +259,14 @@ def _cell_links(placed: _Placed, agent: AgentSettings) -> Int:
     a, b = np.concatenate([steps, slopes]).T
     links = np.stack([level[a], standable.cell[a], level[b], standable.cell[b]], axis=1)
     return links[np.lexsort(links.T[::-1])]
+
+
+def _no_large_floor(settings: FloorSettings) -> str:
+    return (
+        f"no floor: the largest standable sheet keeps less than {settings.min_area:g} m² "
+        f"after shrinking by {settings.shrink:g} m; lower `floors.min_area` or "
+        f"`floors.shrink` if it is a floor"
+    )
 
 
 def _no_floor(columns: Columns, floor_like: Bool, agent: AgentSettings) -> str:

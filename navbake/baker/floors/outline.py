@@ -62,6 +62,14 @@ class Site(NamedTuple):
     is_occupied: OccupancyTest
     cropped: Bool
 
+    @property
+    def reach(self) -> int:
+        """How many cells one looks out from a sheet for floors beside it.
+
+        The side of the thing itself, or a post, may block the cell at its edge: one more.
+        """
+        return int(np.ceil(self.settings.shrink / self.large.lattice.cell_size)) + 1
+
 
 class Edges(NamedTuple):
     """Edges of sheets: sides of cells beyond which there is no surface of the same sheet.
@@ -129,14 +137,16 @@ def find_endings(
       matter how a wall ends at the ceiling, nor whether it is thinner than a cell; and a chair's
       back is none.
     - BARRIER: something stands at an agent's feet only: a parapet, a headboard, a sill.
-    - DROP: an agent that steps out gets to a floor more than a step lower, where it can stand, with
-      nothing between the two heights there: the storey below an attic is no floor that one drops
-      to. One looks past what is lower than the sheet, such as a bed's frame, as far as
-      `edges.cells` reach, and stops at a barrier.
+    - DROP: an agent that steps out gets to a floor more than a step lower, where it can stand.
+      Where a surface goes on from the sheet's height over that floor, one that is too steep or
+      has too little headroom, there is no drop: the storey below an attic is no floor that one
+      drops to. One looks past what is lower than the sheet, such as a bed's frame or a rail, as
+      far as `edges.cells` reach, and stops at a barrier.
     - BORDER: the lattice ends.
     - OPEN: none of these: an abyss, a steep slope, a floor on which nobody can stand.
     """
     z, inner = standable.z[edges.surface], standable.cell[edges.surface]
+    step = agent.traversable_floor_height
     feet, head = probe_bands(agent)
     outer = edges.cells[:, 0]
     at_feet = _either_occupied(inner, outer, z, feet, is_occupied)
@@ -149,18 +159,18 @@ def find_endings(
     ending[outer < 0] = BORDER
     ending[at_feet] = BARRIER
     ending[at_head] = WALL
-    looking = np.flatnonzero(ending == OPEN)
+    looking, ground = np.flatnonzero(ending == OPEN), z.copy()
     for k in range(edges.cells.shape[1]):
         looking = looking[edges.cells[looking, k] >= 0]
         if k > 0:  # the nearest cell has been asked
             stops = is_occupied(edges.cells[looking, k], z[looking], feet)
             ending[looking[stops]] = BARRIER
             looking = looking[~stops]
+        ground[looking] = _find_surface(columns, edges.cells[looking, k], ground[looking], step)
         below = looking[~np.isnan(edges.floors[looking, k])]
         cells, floors = edges.cells[below, k], edges.floors[below, k]
-        lands = below[
-            ~is_occupied(cells, floors) & _is_open(columns, cells, floors + agent.height, z[below])
-        ]
+        goes_on = ground[below] > floors + agent.height + SLACK
+        lands = below[~goes_on & ~is_occupied(cells, floors)]
         ending[lands], landing[lands] = DROP, edges.floors[lands, k]
         cell[lands] = edges.cells[lands, k]
         looking = looking[ending[looking] == OPEN]
@@ -224,14 +234,15 @@ def find_rims(edges: Edges, standable: Standable) -> Int:
     return rim
 
 
-def _is_open(columns: Columns, cells: Int, low: Float, high: Float) -> Bool:
-    """Whether cells' lines cross nothing between two heights each, shape (n,) [m]."""
+def _find_surface(columns: Columns, cells: Int, z: Float, step: float) -> Float:
+    """The highest surface of cells' columns within a step of heights, shape (n,), else NaN [m]."""
     first, last = columns.start[cells], columns.start[cells + 1]
-    is_open = np.ones(len(cells), dtype=np.bool_)
+    found = np.full(len(cells), np.nan)
     for k in range(int((last - first).max(initial=0))):
         height = columns.z[np.minimum(first + k, last - 1)]
-        is_open &= (height <= low + SLACK) | (height > high)
-    return is_open
+        near = (first + k < last) & (abs(height - z) <= step + SLACK)
+        found[near] = height[near]
+    return found
 
 
 def probe_bands(agent: AgentSettings) -> tuple[Band, Band]:

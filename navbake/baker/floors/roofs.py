@@ -16,15 +16,19 @@ from navbake.baker.floors.outline import (
     share_of_known,
 )
 from navbake.baker.floors.sheets import AreaTest, Standable
-from navbake.baker.kernels.constants import SLACK
+from navbake.baker.kernels.constants import SAME, SLACK
 from navbake.config.settings import AgentSettings
-from navbake.types import Bool, Float
+from navbake.types import Bool, Float, Int
 
-# The share of a roof that lies open to the sky: a higher one's eaves may cover a lower one's side
-SKY_SHARE = 0.75
+# The share of a roof that lies open to the sky: a higher one's eaves may cover a lower one's side,
+# and a carport's roof goes on over the tops of walls that are under the roof of the house
+SKY_SHARE = 0.5
 # The share of a roof or a shelf that lies over a floor; and the share of its outline that has
 # walls if it is a storey, or that drops if it is a shelf
 HALF = 0.5
+# Where thick walls and eaves leave less of a roof over a floor: the least share that does, and the
+# share that lies over a floor or a wall. The rest are eaves.
+FLOOR_SHARE, WALLED_SHARE = 0.25, 2 / 3
 # Parapets are at most 1.2 m high; a storey's walls are higher than this, and than the agent [m]
 MIN_WALL = 1.5
 # Steps by row and column against the ways of edges: east, south, west, north
@@ -42,8 +46,9 @@ def find_roofs(site: Site) -> Bool:
     roof beside a higher part of the house has a wall on one side only. What is closed below, or
     open, does not matter: a carport's roof is one, and so are a tree's crown, a parasol and the
     upper shelf of a rack outdoors. A floor below counts even if it is only the top of what stands
-    there. No step reaches a roof: the sheet of one that stairs lead to includes the floors below,
-    which are not open to the sky.
+    there. Most of a roof lies over a floor; or two thirds over a floor and thick walls around it,
+    and a quarter over the floor at least. No step reaches a roof: the sheet of one that stairs
+    lead to includes the floors below, which are not open to the sky.
 
     Only the uppermost slab of a tower of slabs on columns is a roof, as the others are covered.
     Where the lattice crops the scene all around, nothing is known of walls, and a sheet is none.
@@ -52,7 +57,9 @@ def find_roofs(site: Site) -> Bool:
         Which sheets they are, shape (sheets,), bool.
     """
     sky, over = _shares(site)
-    candidates = (sky >= SKY_SHARE) & (over >= HALF)
+    candidates = (sky >= SKY_SHARE) & (over >= FLOOR_SHARE)
+    asked = candidates & (over < HALF)
+    candidates[asked] = _share_over_walls(site, asked) >= WALLED_SHARE
     if not candidates.any():
         return candidates
     agent = site.agent.model_copy(update={"height": max(site.agent.height, MIN_WALL)})
@@ -85,9 +92,7 @@ def find_shelves(site: Site) -> Bool:
         candidates[sheet] = not test.passes(standable.cell[members])
     if not candidates.any():
         return candidates
-    # a post at its edge may block the cell beside: one more
-    reach = int(np.ceil(site.settings.shrink / lattice.cell_size)) + 1
-    edges = _outer_edges(site, candidates, reach)
+    edges = _outer_edges(site, candidates, site.reach)
     kind = find_endings(edges, standable, site.columns, site.agent, site.is_occupied).kind
     known = is_known(edges, kind, site.cropped)
     return candidates & (share_of_known(standable, edges, kind == DROP, known) > HALF)
@@ -99,17 +104,46 @@ def _shares(site: Site) -> tuple[Float, Float]:
     The other one may be furniture: what stands in a hall does not take the floor away below its
     roof.
     """
-    standable, every, columns = site.large, site.every, site.columns
+    standable, columns = site.large, site.columns
     cells, sheet, size = standable.cell, standable.sheet, np.maximum(standable.sheet_size, 1)
     last_of_column = columns.start[cells + 1] - 1
     to_sky = columns.z[last_of_column] - standable.z <= SLACK
-    itself = np.searchsorted(every.surface, standable.surface)
-    below = np.maximum(itself - 1, 0)
-    over_floor = (every.cell[below] == cells) & (every.sheet[below] != sheet)
+    over_floor = _is_over_sheet(site, np.arange(len(cells)))
     return (
         np.bincount(sheet, to_sky, len(size)) / size,
         np.bincount(sheet, over_floor, len(size)) / size,
     )
+
+
+def _share_over_walls(site: Site, chosen: Bool) -> Float:
+    """The share of some sheets that lies over another sheet, or over a wall.
+
+    A wall's top is a surface that faces up, with less than a step of room above: a roof that lies
+    on it, or that it ends within. Returns shape (chosen sheets,).
+    """
+    standable, columns, step = site.large, site.columns, site.agent.traversable_floor_height
+    members = np.flatnonzero(chosen[standable.sheet])
+    surface = standable.surface[members]
+    is_over = _is_over_sheet(site, members)
+    depth = surface - columns.start[standable.cell[members]]
+    for k in range(1, int(depth.max(initial=0)) + 1):
+        deep = np.flatnonzero(depth >= k)
+        below, above = columns.z[surface[deep] - k], columns.z[surface[deep] - k + 1]
+        is_top = (columns.normal[surface[deep] - k, 2] > 0) & (above - below < step)
+        is_over[deep] |= is_top & (below < columns.z[surface[deep]] - SAME)
+    over = np.bincount(standable.sheet[members], is_over, len(chosen))[chosen]
+    share: Float = over / standable.sheet_size[chosen]
+    return share
+
+
+def _is_over_sheet(site: Site, members: Int) -> Bool:
+    """Whether large surfaces, given by their indices, lie over a surface of another sheet."""
+    standable, every = site.large, site.every
+    itself = np.searchsorted(every.surface, standable.surface[members])
+    below = np.maximum(itself - 1, 0)
+    is_over: Bool = every.sheet[below] != standable.sheet[members]
+    is_over &= every.cell[below] == standable.cell[members]
+    return is_over
 
 
 def _outer_edges(site: Site, chosen: Bool, reach: int) -> Edges:

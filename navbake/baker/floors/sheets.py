@@ -7,27 +7,24 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from navbake.baker.columns import Columns
+from navbake.baker.columns import Columns, cells_of
 from navbake.baker.floors.kernels.sheets import (
     group_members,
     join_by_slopes,
     join_by_steps,
     mark_surfaces,
 )
-from navbake.baker.floors.kernels.shrink import count_inner, near_offsets
+from navbake.baker.floors.kernels.shrink import mark_inner, near_offsets
 from navbake.baker.kernels.arrays import AgentLimits
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int
-
-# Cells along the edge of the blocks in which masks are shrunk
-BLOCK = 256
 
 
 class Standable(NamedTuple):
@@ -75,6 +72,14 @@ class Standable(NamedTuple):
         slopes = (np.cumsum(kept) - 1)[self.slopes[kept[self.slopes].all(axis=1)]]
         return Standable(self.lattice, start, *arrays, sheet, size, slopes)
 
+    def sheets_at(self, cells: Int, heights: Float) -> Int:
+        """The sheets of the surfaces in some cells at heights at which there is one, shape (n,)."""
+        surface = self.start[cells]
+        for _ in range(int(np.diff(self.start).max(initial=0)) - 1):
+            surface += self.z[surface] < heights
+        sheet: Int = self.sheet[surface]
+        return sheet
+
 
 def agent_limits(agent: AgentSettings) -> AgentLimits:
     """What an agent can stand and walk on, as kernels take it."""
@@ -93,7 +98,8 @@ def find_standable(
     """
     lattice, limits = columns.lattice, agent_limits(agent)
     floor_like, is_standable = (np.zeros(len(columns.z), dtype=np.bool_) for _ in range(2))
-    mark_surfaces(lattice, columns.crossings, shapes.planes, limits, floor_like, is_standable)
+    known = lattice, columns.crossings, shapes.planes, limits
+    run_in_bands(mark_surfaces, len(columns.start) - 1, *known, floor_like, is_standable)
     start = np.concatenate([[0], np.cumsum(is_standable)])[columns.start]
     surface = np.flatnonzero(is_standable)
     z, one_group = columns.z[surface], np.zeros(len(surface), dtype=np.int64)
@@ -101,8 +107,7 @@ def find_standable(
     slopes = find_slopes(lattice, start, z, columns.normal[surface], agent)
     if len(slopes):
         sheet, size = _unite(sheet, sheet[slopes], len(size))
-    cell = np.repeat(np.arange(len(start) - 1), np.diff(start))
-    return Standable(lattice, start, z, cell, surface, sheet, size, slopes), floor_like
+    return Standable(lattice, start, z, cells_of(start), surface, sheet, size, slopes), floor_like
 
 
 def find_slopes(
@@ -172,24 +177,10 @@ def mask_window(cells: Int, lattice: Lattice, margin: int) -> tuple[Bool, Int, I
     return mask, row0, col0
 
 
-def shrink_mask(mask: Bool, cell_size: float, shrink: float) -> Bool:
-    """Cells of a mask whose centres are at least `shrink` from its edge [m]."""
-    inner = np.zeros_like(mask)
-    reach = int(np.ceil(shrink / cell_size)) + 2
-    padded = np.pad(mask, reach)
-    for row in range(0, mask.shape[0], BLOCK):
-        for col in range(0, mask.shape[1], BLOCK):
-            block = padded[row : row + BLOCK + 2 * reach, col : col + BLOCK + 2 * reach]
-            # beyond the reach nothing matters, so the block may end in empty cells
-            cells = ndimage.distance_transform_edt(np.pad(block, 1))[1:-1, 1:-1]
-            far = (cells - 0.5) * cell_size >= shrink - SLACK
-            place = slice(row, row + BLOCK), slice(col, col + BLOCK)
-            inner[place] = (block & far)[reach:-reach, reach:-reach]
-    return inner
-
-
 class AreaTest:
-    """Whether cells are enough for a floor: `min_area` after shrinking, see `shrink_mask`.
+    """Whether cells are enough for a floor: `min_area` after shrinking.
+
+    Shrinking leaves the cells whose centres are at least `shrink` from the edge of the set.
 
     Attributes:
         needed: cells that have to be left after shrinking; smaller sets need no test.
@@ -200,10 +191,20 @@ class AreaTest:
         self._shape = lattice.width, lattice.height
         limit = (settings.shrink - SLACK) / lattice.cell_size + 0.5
         self._offsets = near_offsets(limit, min(self._shape))
-        self._masks = tuple(np.zeros(lattice.width * lattice.height, np.bool_) for _ in range(2))
+        self._mask = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
+        self._counted = self._mask.copy()
 
     def passes(self, cells: Int) -> bool:
         """Whether a set of cells is large enough; ids may repeat, shape (n,), int64."""
         needed = int(np.ceil(max(self.needed, 0.0)))
-        found = count_inner(cells, self._offsets, *self._shape, needed, *self._masks)
-        return bool(found >= needed)
+        return self._mark(cells, needed)[0] >= needed
+
+    def inner(self, cells: Int) -> Bool:
+        """Which cells of a set are left after shrinking, shape (n,)."""
+        return self._mark(cells, len(cells) + 1)[1]
+
+    def _mark(self, cells: Int, needed: int) -> tuple[int, Bool]:
+        inner = np.zeros(len(cells), dtype=np.bool_)
+        masks = self._mask, self._counted
+        found = mark_inner(cells, self._offsets, *self._shape, needed, *masks, inner)
+        return int(found), inner

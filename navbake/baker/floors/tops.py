@@ -46,9 +46,7 @@ def find_tops(site: Site) -> Bool:
     """
     standable, agent = site.large, site.agent
     size, step = standable.sheet_size, agent.traversable_floor_height
-    # the side of the thing itself may block the cell at its edge: one more
-    reach = int(np.ceil(site.settings.shrink / standable.lattice.cell_size)) + 1
-    edges = find_edges(standable, size > 0, step, reach)
+    edges = find_edges(standable, size > 0, step, site.reach)
     # most sheets have no floor below their edges: only the others are looked at closely
     has_floor = np.asarray((~np.isnan(edges.floors)).any(axis=1))
     asked = np.bincount(standable.sheet[edges.surface], has_floor, len(size)) > 0
@@ -76,7 +74,7 @@ def _lies_on_floor(site: Site, edges: Edges, endings: Endings, rim: Int, asked: 
     standable, drops = site.large, np.flatnonzero(endings.kind == DROP)
     size, sheet = standable.sheet_size, standable.sheet[edges.surface]
     largest = np.zeros(len(size), dtype=np.int64)
-    floor = _sheets_at(site, endings.cell[drops], endings.landing[drops])
+    floor = standable.sheets_at(endings.cell[drops], endings.landing[drops])
     np.maximum.at(largest, sheet[drops], size[floor])
     lies = (size * standable.lattice.cell_size**2 <= LARGE_TOP) | (largest > size)
     for number in np.unique(sheet[(asked & ~lies)[sheet]]):
@@ -84,16 +82,6 @@ def _lies_on_floor(site: Site, edges: Edges, endings: Endings, rim: Int, asked: 
         drops_in = np.bincount(rim[own], endings.kind[own] == DROP)
         lies[number] = drops_in[1:].max(initial=0) > (rim[own] == 0).sum()
     return lies
-
-
-def _sheets_at(site: Site, cells: Int, heights: Float) -> Int:
-    """The sheets of the surfaces in some cells at heights at which there is one."""
-    standable = site.large
-    surface = standable.start[cells]
-    for _ in range(int(np.diff(standable.start).max(initial=0)) - 1):
-        surface += standable.z[surface] < heights
-    sheet: Int = standable.sheet[surface]
-    return sheet
 
 
 def _medians(group: Int, values: Float, count: Int) -> Float:

@@ -67,6 +67,18 @@ class Tiles(NamedTuple):
     triangle_item: Int32
 
 
+class BandItems(NamedTuple):
+    """Which solids and triangles lie over centres of which band of rows, see `list_by_band`.
+
+    Band b holds ``solid_item[solid_start[b] : solid_start[b + 1]]``; so with the triangles.
+    """
+
+    solid_start: Int
+    solid_item: Int32
+    triangle_start: Int
+    triangle_item: Int32
+
+
 class Band(NamedTuple):
     """Two heights [m]."""
 
@@ -109,7 +121,7 @@ class Queries(NamedTuple):
     """Questions whether cells are occupied, and their answers.
 
     Attributes:
-        cell: cell ids, (n,) int64.
+        cell: cell ids, ascending, (n,) int64.
         floor: floor heights, (n,) float64 [m].
         state: (n,) uint8, receives APART, MEETS or UNDECIDED.
         by_line: (n,) bool, receives whether the cell's line alone proved it.

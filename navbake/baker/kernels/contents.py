@@ -1,17 +1,18 @@
 """What stands in each cell: every geom that meets its column, and which of them block it.
 
 Two passes over the tiles: the first counts for each cell the geoms whose boxes meet its column,
-so that the second knows where each cell may write. A geom's triangles are looked at together,
-behind the box of those that lie over the tile.
+so that the second knows where each cell may write. In both the geoms go to the cells near them,
+not the cells to the geoms. A geom's triangles are looked at together, behind the box of those
+that lie over the tile; where lines have proved all that is asked about it, none of them is.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, prange
 
-from navbake.baker.kernels.arrays import Prism
+from navbake.baker.kernels.arrays import Crossings, Prism, Probe
 from navbake.baker.kernels.constants import SAME, TOUCH
 from navbake.baker.kernels.flags import (
     BLOCKS,
@@ -23,76 +24,65 @@ from navbake.baker.kernels.flags import (
     solid_flags,
     triangle_flags,
 )
-from navbake.baker.kernels.gjk import make_simplex
+from navbake.baker.kernels.gjk import Simplex, make_simplex
 from navbake.baker.kernels.overlap import (
     ANY_GEOM,
+    Polygons,
     line_is_blocked,
     make_polygons,
     outside,
     plane_meets_prism,
 )
-from navbake.baker.kernels.tiles import cell_center, count_tiles, tile_window
-from navbake.types import Float, Int, Int32
+from navbake.baker.kernels.tiles import TILE, cells_near, center_of, count_tiles, tile_window
+from navbake.compiled import UNCOUNTED
+from navbake.types import Bool, Int
 
 
-class Groups(NamedTuple):
-    """A tile's triangles by geom: group g is ``items[start[g] : start[g + 1]]`` in ``box[g]``."""
+class TileCells(NamedTuple):
+    """What is known of a tile's cells before its geoms are looked at, and while they are.
 
-    items: Int32
-    start: Int
-    box: Float
-
-
-class CellQuestion(NamedTuple):
-    """What is asked about one cell, and what is known before its geoms are looked at.
+    Arrays are of shape (TILE, TILE), by row and column in the tile.
 
     Attributes:
-        cell: its id.
-        column: all of it from floor to ceiling, as wide as anything is looked for.
-        volumes: what a geom may meet.
-        is_taken: whether the cell is occupied, so that something blocks it.
-        by_line: whether its line alone proves that.
-        known: flags of all its candidates.
+        length: how many geoms a cell's list has, int64; -1 where nothing is asked.
+        by_line: whether the cell is occupied, and its line alone proves it, bool.
+        known: flags of all its candidates, int64.
+        flags: those of the geom whose triangles are looked at, int64.
+        wanted: the flags that are asked about it, int64; 0 where it is no candidate.
+        simplex, polygons: room for the geoms' tests.
     """
 
-    cell: int
-    column: Prism
-    volumes: Volumes
-    is_taken: bool
-    by_line: bool
-    known: int
+    length: Int
+    by_line: Bool
+    known: Int
+    flags: Int
+    wanted: Int
+    simplex: Simplex
+    polygons: Polygons
 
 
-@njit(inline="always")
-def _group_triangles(items, facets):
-    """Group a tile's triangles, which are sorted by geom."""
-    geom, num = facets.geom, 0
-    for i in range(items.shape[0]):
-        if i == 0 or geom[items[i]] != geom[items[i - 1]]:
-            num += 1
-    start = np.empty(num + 1, np.int64)
-    box = np.empty((num, 6), np.float64)
-    group = -1
-    for i in range(items.shape[0]):
-        bounds = facets.bounds[items[i]]
-        is_first = i == 0 or geom[items[i]] != geom[items[i - 1]]
-        if is_first:
-            group += 1
-            start[group] = i
-        for k in range(3):
-            box[group, k] = bounds[k] if is_first else min(box[group, k], bounds[k])
-        for k in range(3, 6):
-            box[group, k] = bounds[k] if is_first else max(box[group, k], bounds[k])
-    start[num] = items.shape[0]
-    return Groups(items, start, box)
+class TileQuestion(NamedTuple):
+    """What is asked about a tile's cells; `window` is of `tile_window`."""
+
+    lattice: Any
+    window: tuple[int, int, int, int]
+    crossings: Crossings
+    footprint: Any
+    probe: Probe
 
 
-@njit(inline="always")
-def _tile_items(tile, tiles, facets):
-    """The solids and the triangles over a tile."""
-    solids = tiles.solid_item[tiles.solid_start[tile] : tiles.solid_start[tile + 1]]
-    first, last = tiles.triangle_start[tile], tiles.triangle_start[tile + 1]
-    return solids, _group_triangles(tiles.triangle_item[first:last], facets)
+@njit(cache=True)
+def _make_tile_cells():
+    square = (TILE, TILE)
+    return TileCells(
+        np.empty(square, np.int64),
+        np.empty(square, np.bool_),
+        np.empty(square, np.int64),
+        np.empty(square, np.int64),
+        np.empty(square, np.int64),
+        make_simplex(),
+        make_polygons(),
+    )
 
 
 @njit(inline="always")
@@ -102,44 +92,62 @@ def _reach(lattice, footprint):
 
 
 @njit(inline="always")
-def _column(lattice, cell, cells, reach):
+def _column(lattice, row, col, cells, reach):
     """All of a cell's column; NaN heights where there is no floor."""
-    x, y = cell_center(lattice, cell)
+    x, y = center_of(lattice, row, col)
+    cell = row * lattice.width + col
     return Prism(x, y, cells.floor[cell], cells.ceiling[cell], reach, reach)
 
 
-@njit(cache=True)
-def _count_tile(tile, lattice, solids, facets, planes, tiles, footprint, cells):
-    nearby, groups = _tile_items(tile, tiles, facets)
-    reach = _reach(lattice, footprint)
-    row0, row1, col0, col1 = tile_window(lattice, tile)
+@njit(inline="always")
+def _count_boxes(lattice, window, boxes, i, reach, cells):
+    """Count a box in each cell whose column it meets."""
+    row0, row1, col0, col1 = cells_near(lattice, window, boxes, i, reach)
     for row in range(row0, row1):
         for col in range(col0, col1):
-            cell = row * lattice.width + col
-            column = _column(lattice, cell, cells, reach)
-            if math.isnan(column.low):
-                continue
-            count = 0
-            for p in range(planes.geom.shape[0]):
-                if plane_meets_prism(planes, p, column):
-                    count += 1
-            for s in nearby:
-                if not outside(solids.bounds, s, column):
-                    count += 1
-            for g in range(groups.box.shape[0]):
-                if not outside(groups.box, g, column):
-                    count += 1
-            cells.slot[cell + 1] = count
+            column = _column(lattice, row, col, cells, reach)
+            if not math.isnan(column.low) and not outside(boxes, i, column):
+                cells.slot[row * lattice.width + col + 1] += 1
+
+
+@njit(cache=True, **UNCOUNTED)
+def _count_tile(tile, lattice, solids, planes, tiles, groups, footprint, cells):
+    window, reach = tile_window(lattice, tile), _reach(lattice, footprint)
+    if planes.geom.shape[0] > 0:
+        for row in range(window[0], window[1]):
+            for col in range(window[2], window[3]):
+                column = _column(lattice, row, col, cells, reach)
+                for p in range(planes.geom.shape[0]):
+                    if not math.isnan(column.low) and plane_meets_prism(planes, p, column):
+                        cells.slot[row * lattice.width + col + 1] += 1
+    for i in range(tiles.solid_start[tile], tiles.solid_start[tile + 1]):
+        _count_boxes(lattice, window, solids.bounds, tiles.solid_item[i], reach, cells)
+    for g in range(groups.start[tile], groups.start[tile + 1]):
+        _count_boxes(lattice, window, groups.box, g, reach, cells)
 
 
 @njit(cache=True, parallel=True)
-def count_candidates(lattice, solids, facets, planes, tiles, footprint, cells):
+def count_candidates(lattice, solids, planes, tiles, groups, footprint, cells):
     """Count for each cell with a floor the geoms whose boxes meet its column: an upper bound.
 
-    ``cells.slot[cell + 1]`` receives the number.
+    ``cells.slot[cell + 1]``, 0 at first, receives the number.
     """
     for tile in prange(count_tiles(lattice)):
-        _count_tile(np.int64(tile), lattice, solids, facets, planes, tiles, footprint, cells)
+        _count_tile(np.int64(tile), lattice, solids, planes, tiles, groups, footprint, cells)
+
+
+@njit(inline="always")
+def _volumes(asked, column):
+    """What is asked about in a cell's column."""
+    footprint, probe = asked.footprint, asked.probe
+    half = asked.lattice.cell_size / 2 - TOUCH
+    x, y, floor = column.x, column.y, column.low
+    low, high = floor + footprint.low, floor + footprint.high
+    return Volumes(
+        Prism(x, y, floor + (SAME + TOUCH), column.high, half, 0.0),
+        Prism(x, y, low, high, footprint.square, footprint.radius),
+        Prism(x, y, floor + probe.low, floor + probe.high, half, 0.0),
+    )
 
 
 @njit(inline="always")
@@ -158,105 +166,150 @@ def _add(cells, cell, count, geom, flags):
     return count + 1
 
 
-@njit(inline="always")
-def _ask(lattice, cell, crossings, footprint, probe, cells):
-    """Put together what is asked about a cell."""
-    half = lattice.cell_size / 2 - TOUCH
-    column = _column(lattice, cell, cells, _reach(lattice, footprint))
-    x, y, floor = column.x, column.y, column.low
-    low, high = floor + footprint.low, floor + footprint.high
-    volumes = Volumes(
-        Prism(x, y, floor + (SAME + TOUCH), column.high, half, 0.0),
-        Prism(x, y, low, high, footprint.square, footprint.radius),
-        Prism(x, y, floor + probe.low, floor + probe.high, half, 0.0),
-    )
-    is_taken, by_line, known = cells.occupied[cell], False, 0
-    if is_taken and cells.slot[cell + 1] - cells.slot[cell] == 1:
-        # nothing else can be what blocks it; within the square alone it stands there, too
-        known = BLOCKS if footprint.radius > 0.0 else BLOCKS | STANDS
-    elif is_taken:
-        by_line = line_is_blocked(crossings, cell, volumes.blocks, ANY_GEOM)
-    return CellQuestion(cell, column, volumes, is_taken, by_line, known)
+@njit(cache=True, **UNCOUNTED)
+def _begin(asked, planes, cells, here):
+    """Note what is known of a tile's cells, and list the planes in them."""
+    lattice, window, crossings, footprint, _ = asked
+    for row in range(window[0], window[1]):
+        for col in range(window[2], window[3]):
+            r, c, cell = row - window[0], col - window[2], row * lattice.width + col
+            num_candidates = cells.slot[cell + 1] - cells.slot[cell]
+            if math.isnan(cells.floor[cell]) or num_candidates == 0:
+                here.length[r, c] = -1
+                continue
+            column = _column(lattice, row, col, cells, _reach(lattice, footprint))
+            volumes = _volumes(asked, column)
+            is_taken, by_line, known = cells.occupied[cell], False, 0
+            if is_taken and num_candidates == 1:
+                # nothing else can be what blocks it; within the square alone it stands there, too
+                known = BLOCKS if footprint.radius > 0.0 else BLOCKS | STANDS
+            elif is_taken:
+                by_line = line_is_blocked(crossings, cell, volumes.blocks, ANY_GEOM)
+            count = 0
+            for p in range(planes.geom.shape[0]):
+                if not plane_meets_prism(planes, p, column):
+                    continue
+                proved = STANDS | (BLOCKS if by_line else 0)
+                flags = known | line_flags(crossings, cell, planes.geom[p], volumes) & proved
+                flags = plane_flags(planes, p, volumes, is_taken, flags)
+                count = _add(cells, cell, count, planes.geom[p], flags)
+            here.length[r, c], here.by_line[r, c], here.known[r, c] = count, by_line, known
 
 
 @njit(inline="always")
-def _wanted(question, geom, probe):
-    """The flags that a geom may have in a cell, and those of them that a line may prove."""
-    wanted = STANDS | (PROBED if probe.geoms[geom] else 0)
-    by_line = wanted | (BLOCKS if question.by_line else 0)
-    return wanted | (BLOCKS if question.is_taken else 0), by_line
+def _ask_line(asked, cell, geom, volumes, is_taken, by_line, known):
+    """The flags that a geom may have in a cell, and those that its line alone proves."""
+    wanted = STANDS | (PROBED if asked.probe.geoms[geom] else 0)
+    proved = wanted | (BLOCKS if by_line else 0)
+    wanted |= BLOCKS if is_taken else 0
+    flags = known
+    if flags & wanted != wanted:
+        flags |= line_flags(asked.crossings, cell, geom, volumes) & proved
+    return wanted, flags
 
 
-@njit(inline="always")
-def _list_planes(question, planes, crossings, cells):
-    count, cell, volumes = np.int64(0), question.cell, question.volumes
-    by_line = STANDS | (BLOCKS if question.by_line else 0)
-    for p in range(planes.geom.shape[0]):
-        if not plane_meets_prism(planes, p, question.column):
-            continue
-        geom = planes.geom[p]
-        flags = question.known | line_flags(crossings, cell, geom, volumes, by_line)
-        flags = plane_flags(planes, p, volumes, question.is_taken, flags)
-        count = _add(cells, cell, count, geom, flags)
-    return count
-
-
-@njit(inline="always")
-def _list_triangles(question, groups, facets, crossings, probe, cells, count, polygons):
-    cell, volumes = question.cell, question.volumes
-    for g in range(groups.box.shape[0]):
-        if outside(groups.box, g, question.column):
-            continue
-        items = groups.items[groups.start[g] : groups.start[g + 1]]
-        geom = facets.geom[items[0]]
-        wanted, by_line = _wanted(question, geom, probe)
-        flags = question.known
-        if flags & wanted != wanted:
-            flags |= line_flags(crossings, cell, geom, volumes, by_line)
-        flags = triangle_flags(items, facets, volumes, flags, wanted, polygons)
-        count = _add(cells, cell, count, geom, flags)
-    return count
-
-
-@njit(inline="always")
-def _list_solids(question, nearby, solids, crossings, probe, cells, count, simplex):
-    cell, volumes = question.cell, question.volumes
-    for s in nearby:
-        if outside(solids.bounds, s, question.column):
-            continue
-        geom = solids.geom[s]
-        wanted, by_line = _wanted(question, geom, probe)
-        flags = question.known
-        if flags & wanted != wanted:
-            flags |= line_flags(crossings, cell, geom, volumes, by_line)
-        if flags & wanted != wanted:
-            flags = solid_flags(solids, s, volumes, flags, wanted, simplex)
-        count = _add(cells, cell, count, geom, flags)
-    return count
-
-
-@njit(cache=True)
-def _list_tile(
-    tile, lattice, crossings, solids, facets, planes, tiles, footprint, probe, cells
-):  # fmt: skip
-    nearby, groups = _tile_items(tile, tiles, facets)
-    simplex, polygons = make_simplex(), make_polygons()
-    row0, row1, col0, col1 = tile_window(lattice, tile)
+@njit(cache=True, **UNCOUNTED)
+def _list_solid(asked, solids, s, cells, here):
+    """Add a solid to the lists of the cells that it stands in or blocks."""
+    lattice, window = asked.lattice, asked.window
+    geom, reach = solids.geom[s], _reach(lattice, asked.footprint)
+    row0, row1, col0, col1 = cells_near(lattice, window, solids.bounds, s, reach)
     for row in range(row0, row1):
         for col in range(col0, col1):
-            cell = row * lattice.width + col
-            if math.isnan(cells.floor[cell]) or cells.slot[cell + 1] == cells.slot[cell]:
+            r, c, cell = row - window[0], col - window[2], row * lattice.width + col
+            if here.length[r, c] < 0:
                 continue
-            question = _ask(lattice, cell, crossings, footprint, probe, cells)
-            count = _list_planes(question, planes, crossings, cells)
-            count = _list_triangles(
-                question, groups, facets, crossings, probe, cells, count, polygons
-            )
-            _list_solids(question, nearby, solids, crossings, probe, cells, count, simplex)
+            column = _column(lattice, row, col, cells, reach)
+            if outside(solids.bounds, s, column):
+                continue
+            volumes = _volumes(asked, column)
+            wanted, flags = _ask_line(
+                asked, cell, geom, volumes, cells.occupied[cell], here.by_line[r, c],
+                here.known[r, c]
+            )  # fmt: skip
+            if flags & wanted != wanted:
+                flags = solid_flags(solids, s, volumes, flags, wanted, here.simplex)
+            here.length[r, c] = _add(cells, cell, here.length[r, c], geom, flags)
+
+
+@njit(inline="always")
+def _begin_group(asked, window, groups, g, geom, cells, here):
+    """Ask the lines of the cells near a group of triangles.
+
+    Returns in how many cells there is more to ask, and the heights between which it is.
+    """
+    lattice = asked.lattice
+    num_open, low, high = 0, math.inf, -math.inf
+    reach = _reach(lattice, asked.footprint)
+    for row in range(window[0], window[1]):
+        for col in range(window[2], window[3]):
+            r, c = row - asked.window[0], col - asked.window[2]
+            cell = row * lattice.width + col
+            here.wanted[r, c] = 0
+            column = _column(lattice, row, col, cells, reach)
+            if here.length[r, c] < 0 or outside(groups.box, g, column):
+                continue
+            volumes = _volumes(asked, column)
+            wanted, flags = _ask_line(
+                asked, cell, geom, volumes, cells.occupied[cell], here.by_line[r, c],
+                here.known[r, c]
+            )  # fmt: skip
+            here.wanted[r, c], here.flags[r, c] = wanted, flags
+            if flags & wanted != wanted:
+                num_open += 1
+                for volume in volumes:
+                    low, high = min(low, volume.low), max(high, volume.high)
+    return num_open, low, high
+
+
+@njit(cache=True, **UNCOUNTED)
+def _list_group(asked, facets, tiles, groups, g, cells, here):
+    """Add a geom to the lists of the cells that its triangles over a tile stand in or block."""
+    lattice = asked.lattice
+    geom = facets.geom[tiles.triangle_item[groups.first[g]]]
+    reach = _reach(lattice, asked.footprint)
+    window = cells_near(lattice, asked.window, groups.box, g, reach)
+    num_open, low, high = _begin_group(asked, window, groups, g, geom, cells, here)
+    for i in range(groups.first[g], groups.first[g + 1]):
+        t = tiles.triangle_item[i]
+        if num_open == 0:
+            break
+        if facets.bounds[t, 2] >= high or facets.bounds[t, 5] <= low:
+            continue
+        row0, row1, col0, col1 = cells_near(lattice, window, facets.bounds, t, reach)
+        for row in range(row0, row1):
+            for col in range(col0, col1):
+                r, c = row - asked.window[0], col - asked.window[2]
+                wanted, flags = here.wanted[r, c], here.flags[r, c]
+                if flags & wanted == wanted:
+                    continue
+                volumes = _volumes(asked, _column(lattice, row, col, cells, reach))
+                flags = triangle_flags(facets, t, volumes, flags, wanted, here.polygons)
+                here.flags[r, c] = flags
+                num_open -= 1 if flags & wanted == wanted else 0
+    for row in range(window[0], window[1]):
+        for col in range(window[2], window[3]):
+            r, c = row - asked.window[0], col - asked.window[2]
+            if here.wanted[r, c]:
+                cell = row * lattice.width + col
+                here.length[r, c] = _add(cells, cell, here.length[r, c], geom, here.flags[r, c])
+
+
+@njit(cache=True, **UNCOUNTED)
+def _list_tile(
+    tile, lattice, crossings, shapes, tiles, groups, footprint, probe, cells, here
+):  # fmt: skip
+    solids, facets, planes = shapes
+    asked = TileQuestion(lattice, tile_window(lattice, tile), crossings, footprint, probe)
+    _begin(asked, planes, cells, here)
+    for g in range(groups.start[tile], groups.start[tile + 1]):
+        _list_group(asked, facets, tiles, groups, g, cells, here)
+    for i in range(tiles.solid_start[tile], tiles.solid_start[tile + 1]):
+        _list_solid(asked, solids, tiles.solid_item[i], cells, here)
 
 
 @njit(cache=True, parallel=True)
-def list_geoms(lattice, crossings, solids, facets, planes, tiles, footprint, probe, cells):
+def list_geoms(lattice, crossings, solids, facets, planes, tiles, groups, footprint, probe, cells):
     """List for each cell with a floor the geoms that stand in it or block it.
 
     A geom stands in a cell when it meets the cell's square between a hair over the floor and the
@@ -265,9 +318,10 @@ def list_geoms(lattice, crossings, solids, facets, planes, tiles, footprint, pro
     band. Where rounding leaves no proof that it blocks, it is UNPROVED.
     """
     for tile in prange(count_tiles(lattice)):
+        here = _make_tile_cells()
         _list_tile(
-            np.int64(tile), lattice, crossings, solids, facets, planes, tiles, footprint, probe,
-            cells
+            np.int64(tile), lattice, crossings, (solids, facets, planes), tiles, groups, footprint,
+            probe, cells, here
         )  # fmt: skip
 
 

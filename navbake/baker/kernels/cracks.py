@@ -6,64 +6,43 @@ is a suspect. How wide the gap is, only lines beside the cell's own can tell.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
 
-from navbake.baker.kernels.arrays import Band
+from navbake.baker.kernels.arrays import Band, Crossings
 from navbake.baker.kernels.constants import SAME, SLACK, TOUCH
+from navbake.baker.kernels.hits import make_hits
 from navbake.baker.kernels.overlap import ANY_GEOM, line_is_blocked
+from navbake.baker.kernels.rays import cast_line, make_ray, most_hits
+from navbake.baker.kernels.tiles import cell_center, tile_of
+from navbake.types import Bool, Float, Int
 
 # The eight ways to a neighbour, by row and column
 ROW_STEP = np.array([0, 1, 0, -1, 1, 1, -1, -1])
 COL_STEP = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 # One way of each two that are opposite; the other one's number differs in the bit of two
 AXES = (0, 1, 4, 5)
+# Lines that one thread probes in a row
+CHUNK = 64
 
 
 @njit(inline="always")
-def _cell_beside(lattice, row, col, way, distance):
-    """The cell so many cells away from a row and column, or -1 beyond the lattice."""
-    row, col = row + ROW_STEP[way] * distance, col + COL_STEP[way] * distance
+def _cell_beside(lattice, place, way, distance):
+    """The cell so many cells away from a place, its row and column, or -1 beyond the lattice."""
+    row, col = place[0] + ROW_STEP[way] * distance, place[1] + COL_STEP[way] * distance
     if 0 <= row < lattice.height and 0 <= col < lattice.width:
         return row * lattice.width + col
     return np.int64(-1)
 
 
-@njit(inline="always")
+@njit(cache=True, forceinline=True)
 def _continues(crossings, cell, low, high, limits):
     """Whether a cell has a surface between two heights that is not too steep to stand on."""
     for i in range(crossings.start[cell], crossings.start[cell + 1]):
         is_between = low - SLACK <= crossings.z[i] <= high + SLACK
         if is_between and crossings.normal[i, 2] >= limits.min_up:
-            return True
-    return False
-
-
-@njit(inline="always")
-def _is_alike(crossings, one, other, limits):
-    """Whether two cells have the same surfaces, one by one, within a step: there is no gap."""
-    start, z, normal = crossings.start, crossings.z, crossings.normal
-    first, beside = start[one], start[other]
-    count = start[one + 1] - first
-    if count != start[other + 1] - beside:
-        return False
-    for i in range(count):
-        if abs(z[first + i] - z[beside + i]) > limits.step:
-            return False
-        is_gentle = normal[first + i, 2] >= limits.min_up
-        if is_gentle != (normal[beside + i, 2] >= limits.min_up):
-            return False
-    return True
-
-
-@njit(inline="always")
-def _is_alike_beside(lattice, crossings, row, col, way, limits):
-    """Whether a cell is alike the one that way, or the one opposite; or has none there."""
-    cell = row * lattice.width + col
-    for toward in (way, way ^ 2):
-        beside = _cell_beside(lattice, row, col, toward, 1)
-        if beside < 0 or _is_alike(crossings, cell, beside, limits):
             return True
     return False
 
@@ -78,6 +57,27 @@ def _has_room(crossings, cell, i, limits):
 
 
 @njit(inline="always")
+def _mark_standable(crossings, cell, limits, stands):
+    """Note for each crossing of a cell whether it has room, as `_has_room`; all from above.
+
+    Returns the height of the one that has, NaN for none or several.
+    """
+    only, count = np.nan, 0
+    first, last = crossings.start[cell], crossings.start[cell + 1]
+    z, above, inside = crossings.z, last, 0
+    for i in range(last - 1, first - 1, -1):
+        while above - 1 > i and z[above - 1] > z[i] + SAME:
+            above -= 1
+            if crossings.closed[above]:
+                inside += 1 if crossings.normal[above, 2] > 0.0 else -1
+        is_low = above < last and z[above] < z[i] + limits.headroom - SLACK
+        stands[i] = crossings.normal[i, 2] >= limits.min_up and inside <= 0 and not is_low
+        if stands[i]:
+            only, count = z[i], count + 1
+    return only if count == 1 else np.nan
+
+
+@njit(inline="always")
 def _slope(crossings, i):
     """How steep a crossed surface that faces up is: rise over run."""
     nx, ny, nz = crossings.normal[i, 0], crossings.normal[i, 1], crossings.normal[i, 2]
@@ -85,14 +85,51 @@ def _slope(crossings, i):
 
 
 @njit(inline="always")
-def _lower_side(crossings, cell, z, slope, distance, limits):
+def _go_on(crossings, stands, one, other, limits):
+    """Whether all that an agent can stand on in one cell goes on in another, within a step.
+
+    Mostly the other cell has the same crossings, one by one.
+    """
+    z, first, last = crossings.z, crossings.start[other], crossings.start[other + 1]
+    shift = first - crossings.start[one]
+    for i in range(crossings.start[one], crossings.start[one + 1]):
+        if not stands[i]:
+            continue
+        j = i + shift
+        if j < last and stands[j] and abs(z[i] - z[j]) <= limits.step:
+            continue
+        if not _continues(crossings, other, z[i] - limits.step, z[i] + limits.step, limits):
+            return False
+    return True
+
+
+@njit(inline="always")
+def _floors_end(lattice, crossings, room, place, axis, reach, limits):
+    """Whether floors end at a place on both sides of it, at most so many cells away.
+
+    A gap has two sides, with a floor on each that ends there. In most cells none does on the first.
+    """
+    cell = place[0] * lattice.width + place[1]
+    for way in (axis, axis ^ 2):
+        ends = False
+        for distance in range(1, reach + 1):
+            beside = _cell_beside(lattice, place, way, distance)
+            if not ends and beside >= 0:
+                ends = not _go_on(crossings, room.stands, beside, cell, limits)
+        if not ends:
+            return False
+    return True
+
+
+@njit(inline="always")
+def _lower_side(crossings, stands, cell, z, slope, distance, limits):
     """A floor in a cell at a height or below it, or NaN: by a step, and by what slopes make.
 
     `slope` is that of the floor at the height z, `distance` how far away that is [m].
     """
     for i in range(crossings.start[cell], crossings.start[cell + 1]):
         beside = crossings.z[i]
-        if beside > z + SAME or not _has_room(crossings, cell, i, limits):
+        if beside > z + SAME or not stands[i]:
             continue
         rise = distance * max(slope, _slope(crossings, i))
         if beside >= z - limits.step - rise - SLACK:
@@ -101,50 +138,64 @@ def _lower_side(crossings, cell, z, slope, distance, limits):
 
 
 @njit(inline="always")
-def _lower_side_of_gap(lattice, crossings, limits, reach, row, col, way, distance, i):
+def _lower_side_of_gap(lattice, crossings, limits, reach, stands, place, way, distance, i):
     """The floor at the far side of a gap, below the i-th crossing on the near side, or NaN.
 
     NaN too where something fills the gap: a floor goes on, or the agent's way is barred.
     """
-    cell, z = row * lattice.width + col, crossings.z[i]
+    cell, z, beside = place[0] * lattice.width + place[1], crossings.z[i], np.nan
     if _continues(crossings, cell, z - limits.step, z + limits.step, limits):
         return np.nan
-    if not _has_room(crossings, _cell_beside(lattice, row, col, way, distance), i, limits):
-        return np.nan
-    beside = np.nan
+    slope = _slope(crossings, i)
     for back in range(1, reach + 1):
-        other = _cell_beside(lattice, row, col, way, -back)
+        other = _cell_beside(lattice, place, way, -back)
         if other >= 0 and np.isnan(beside):
             away = (distance + back) * lattice.cell_size
-            beside = _lower_side(crossings, other, z, _slope(crossings, i), away, limits)
+            beside = _lower_side(crossings, stands, other, z, slope, away, limits)
     if np.isnan(beside):
         return np.nan
-    # the lower side's floor goes on in the cell, as `floors_near` would find it
+    # the lower side's floor goes on in the cell, as `probe_lines` would find it
     if _continues(crossings, cell, beside - limits.step, z + limits.step, limits):
         return np.nan
     band = Band(z + limits.step + TOUCH, beside + limits.headroom - TOUCH)
     return np.nan if line_is_blocked(crossings, cell, band, ANY_GEOM) else beside
 
 
+@njit(inline="always")
+def _is_even(only, cell, width, reach, step):
+    """Whether on each axis one side of a cell is within a step of it, by the heights in `only`.
+
+    A quick test for what `_floors_end` finds; the cell is not within `reach` of the lattice's edge.
+    """
+    here = only[cell]
+    for offset in (np.int64(1), width, width + 1, width - 1):
+        before, after = True, True
+        for distance in range(offset, offset * reach + 1, offset):
+            before = before and abs(only[cell - distance] - here) <= step
+            after = after and abs(only[cell + distance] - here) <= step
+        if not before and not after:
+            return False
+    return True
+
+
 @njit(cache=True)
-def _gaps_of_cell(lattice, crossings, limits, reach, row, col, low, high):
+def _gaps_of_cell(lattice, crossings, limits, reach, room, place, low, high):
     """Write the gaps of one cell, unless there is no room for them; returns their number."""
-    count, last = 0, np.inf
+    count, last, stands = 0, np.inf, room.stands
     for axis in AXES:
-        # a gap has two sides: most cells are alike one of each two that face each other
-        if reach == 1 and _is_alike_beside(lattice, crossings, row, col, axis, limits):
+        if not _floors_end(lattice, crossings, room, place, axis, reach, limits):
             continue
         for way in (axis, axis ^ 2):
             for distance in range(1, reach + 1):
-                one = _cell_beside(lattice, row, col, way, distance)
+                one = _cell_beside(lattice, place, way, distance)
                 if one < 0:
                     break
                 for i in range(crossings.start[one], crossings.start[one + 1]):
                     z = crossings.z[i]
-                    if crossings.normal[i, 2] < limits.min_up or abs(z - last) <= SAME:
+                    if not stands[i] or abs(z - last) <= SAME:
                         continue
                     beside = _lower_side_of_gap(
-                        lattice, crossings, limits, reach, row, col, way, distance, i
+                        lattice, crossings, limits, reach, stands, place, way, distance, i
                     )
                     if np.isnan(beside):
                         continue
@@ -155,9 +206,55 @@ def _gaps_of_cell(lattice, crossings, limits, reach, row, col, low, high):
     return count
 
 
+class GapRoom(NamedTuple):
+    """Room for what is found on the way to gaps.
+
+    Attributes:
+        stands: by crossing, whether an agent can stand on it, bool.
+        only: by cell, the height of the one crossing that it can stand on, NaN for none or
+            several, float64 [m].
+        start: (cells + 1,) int64: cell i has the gaps ``[start[i], start[i + 1])``.
+        low, high: heights of each gap's sides [m].
+    """
+
+    stands: Bool
+    only: Float
+    start: Int
+    low: Float
+    high: Float
+
+
+# The rounds of `find_gaps`
+MARK, COUNT, WRITE = range(3)
+
+
+@njit(cache=True)
+def _search_row(row, lattice, crossings, limits, reach, room, task):
+    """Do a round of `find_gaps` in a row of cells."""
+    start, only, width, step = room.start, room.only, lattice.width, limits.step
+    is_inner = reach <= row < lattice.height - reach
+    for col in range(width):
+        cell = row * width + col
+        if task == MARK:
+            only[cell] = _mark_standable(crossings, cell, limits, room.stands)
+        elif task == WRITE:
+            if start[cell + 1] > start[cell]:
+                low, high = room.low[start[cell] :], room.high[start[cell] :]
+                _gaps_of_cell(lattice, crossings, limits, reach, room, (row, col), low, high)
+        elif (
+            not is_inner
+            or not reach <= col < width - reach
+            or not _is_even(only, cell, width, reach, step)
+        ):
+            none = room.low
+            start[cell + 1] = _gaps_of_cell(
+                lattice, crossings, limits, reach, room, (row, col), none, none
+            )
+
+
 @njit(cache=True, parallel=True)
-def find_gaps(lattice, crossings, limits, reach, start, low, high):
-    """Find gaps in floors: cells that have none where cells on both sides have; call it twice.
+def find_gaps(lattice, crossings, limits, reach, room, task):
+    """Find gaps in floors: cells that have none where cells on both sides have; in three rounds.
 
     On one side, at most `reach` cells away, an agent can stand at the height `high`; on the other
     at `low`, at most a step below, and what the slopes of both make; and in the cell, nothing
@@ -167,38 +264,84 @@ def find_gaps(lattice, crossings, limits, reach, start, low, high):
 
     Args:
         limits: what an agent can stand on.
-        start: (cells + 1,) int64; in the first call, ``start[cell + 1]`` receives the number of
-            gaps; in the second, the running sums stand there.
-        low, high: empty in the first call; receive the heights of each gap's sides [m].
+        room: MARK fills `stands` and `only`; COUNT, into ``start[cell + 1]``, the number of gaps;
+            WRITE, where the running sums stand there, the heights.
+        task: the round.
     """
-    for cell in prange(start.shape[0] - 1):
-        row, col = np.int64(cell) // lattice.width, np.int64(cell) % lattice.width
-        if low.shape[0] == 0:
-            count = _gaps_of_cell(lattice, crossings, limits, reach, row, col, low, high)
-            start[cell + 1] = count
-        elif start[cell + 1] > start[cell]:
-            part = low[start[cell] : start[cell + 1]], high[start[cell] : start[cell + 1]]
-            _gaps_of_cell(lattice, crossings, limits, reach, row, col, *part)
+    for row in prange(lattice.height):
+        _search_row(np.int64(row), lattice, crossings, limits, reach, room, task)
+
+
+class Asked(NamedTuple):
+    """Lines beside the centres of cells with gaps.
+
+    Attributes:
+        gap: the gap that each is about, (n,) int64.
+        offset: from the centre, (n, 2) float64 [m].
+    """
+
+    gap: Int
+    offset: Float
+
+
+class Found(NamedTuple):
+    """The floors on such lines, NaN for none.
+
+    Attributes:
+        floor: the lowest surface between the heights of the gap's sides, (n,) float64 [m]. It may
+            be a step lower or higher, and faces up within the slope.
+        standable: the lowest such surface with room for an agent, (n,) float64 [m].
+    """
+
+    floor: Float
+    standable: Float
+
+
+@njit(inline="always")
+def _find_floor(crossings, low, high, limits, n, found):
+    """Find the floors in the one column of the crossings, and write them as the n-th."""
+    reach = limits.step + SLACK
+    found.floor[n] = found.standable[n] = np.nan
+    for i in range(crossings.start[1]):
+        z = crossings.z[i]
+        if not low - reach <= z <= high + reach or crossings.normal[i, 2] < limits.min_up:
+            continue
+        if np.isnan(found.floor[n]):
+            found.floor[n] = z
+        if _has_room(crossings, np.int64(0), np.int64(i), limits):
+            found.standable[n] = z
+            break
 
 
 @njit(cache=True)
-def floors_near(crossings, low, high, limits, floor, standable):
-    """Find in each column the lowest surface between two heights, NaN for none [m].
+def _probe_chunk(chunk, gaps, geometry, limits, asked, found):
+    """Find the floors on a chunk of lines, see `probe_lines`."""
+    lattice, solids, facets, planes, tiles, heights = geometry
+    ray, hits, start = make_ray(), make_hits(64), np.zeros(2, np.int64)
+    for n in range(chunk * CHUNK, min((chunk + 1) * CHUNK, asked.gap.shape[0])):
+        gap = asked.gap[n]
+        x, y = cell_center(lattice, gaps.cell[gap])
+        x, y = x + asked.offset[n, 0], y + asked.offset[n, 1]
+        tile = tile_of(lattice, gaps.cell[gap])
+        most = most_hits(tile, planes, tiles)
+        if most > hits.z.shape[0]:
+            hits = make_hits(2 * most)
+        start[1] = cast_line(x, y, tile, solids, facets, planes, tiles, heights, ray, hits)
+        column = Crossings(start, hits.z, hits.normal, hits.geom, hits.closed)
+        _find_floor(column, gaps.low[gap], gaps.high[gap], limits, n, found)
 
-    It may be a step lower or higher, and faces up within the slope. `standable` receives the lowest
-    one with room for an agent. All but the first and `limits` have one entry a column.
+
+@njit(cache=True, parallel=True)
+def probe_lines(gaps, lattice, solids, facets, planes, tiles, heights, limits, asked, found):
+    """Find the floors that continue the sides of gaps, on lines beside their cells' centres.
+
+    Args:
+        gaps: the cell of each, int64, and the heights of its sides, `low` and `high`.
+        tiles: what lies near each tile of cells, as far as the lines go.
+        heights: a `Band` below and above everything [m].
+        asked: the lines.
+        found: receives the floors.
     """
-    reach = limits.step + SLACK
-    for n in range(floor.shape[0]):
-        floor[n] = standable[n] = np.nan
-        for i in range(crossings.start[n], crossings.start[n + 1]):
-            z = crossings.z[i]
-            if not low[n] - reach <= z <= high[n] + reach:
-                continue
-            if crossings.normal[i, 2] < limits.min_up:
-                continue
-            if np.isnan(floor[n]):
-                floor[n] = z
-            if _has_room(crossings, np.int64(n), i, limits):
-                standable[n] = z
-                break
+    for chunk in prange((asked.gap.shape[0] + CHUNK - 1) // CHUNK):
+        geometry = (lattice, solids, facets, planes, tiles, heights)
+        _probe_chunk(np.int64(chunk), gaps, geometry, limits, asked, found)

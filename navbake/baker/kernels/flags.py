@@ -10,16 +10,15 @@ from typing import NamedTuple
 from numba import njit
 
 from navbake.baker.kernels.arrays import Prism
-from navbake.baker.kernels.constants import APART, MEETS, UNDECIDED
-from navbake.baker.kernels.gjk import SQUARE
+from navbake.baker.kernels.constants import APART, MEETS
+from navbake.baker.kernels.gjk import DISC, SQUARE
 from navbake.baker.kernels.overlap import (
     facet_meets_prism,
-    line_is_blocked,
     outside,
     plane_meets_prism,
     with_edges,
 )
-from navbake.baker.kernels.solids import disc_too, part_of_solid
+from navbake.baker.kernels.solids import part_of_solid
 
 # It stands in the cell, it meets the occupancy's volume, it meets the square in the probed band,
 # and it meets the occupancy's volume or not, without a proof either way
@@ -40,17 +39,37 @@ class Volumes(NamedTuple):
     probed: Prism
 
 
-@njit(cache=True)
-def line_flags(crossings, cell, geom, volumes, wanted):
-    """The flags that a cell's line alone proves of a geom, of those that are wanted."""
-    flags = 0
-    if wanted & STANDS and line_is_blocked(crossings, cell, volumes.stands, geom):
-        flags |= STANDS
-    if wanted & BLOCKS and line_is_blocked(crossings, cell, volumes.blocks, geom):
-        flags |= BLOCKS
-    if wanted & PROBED and line_is_blocked(crossings, cell, volumes.probed, geom):
-        flags |= PROBED
-    return flags
+@njit(inline="always")
+def line_flags(crossings, cell, geom, volumes):
+    """The flags that a cell's line alone proves of a geom: `line_is_blocked` for each volume."""
+    stands, blocks, probed = volumes
+    lowest = min(stands.low, blocks.low, probed.low)
+    flags, in_stands, in_blocks, in_probed = 0, 0, 0, 0
+    for i in range(crossings.start[cell + 1] - 1, crossings.start[cell] - 1, -1):
+        z = crossings.z[i]
+        if z <= lowest:
+            break
+        if crossings.geom[i] != geom:
+            continue
+        entered = 0
+        if crossings.closed[i]:
+            entered = 1 if crossings.normal[i, 2] > 0.0 else -1
+        # a crossing is within a volume, or counts for the winding number of what is below it
+        if z >= stands.high:
+            in_stands += entered
+        elif z > stands.low:
+            flags |= STANDS
+        if z >= blocks.high:
+            in_blocks += entered
+        elif z > blocks.low:
+            flags |= BLOCKS
+        if z >= probed.high:
+            in_probed += entered
+        elif z > probed.low:
+            flags |= PROBED
+    flags |= STANDS if in_stands > 0 else 0
+    flags |= BLOCKS if in_blocks > 0 else 0
+    return flags | (PROBED if in_probed > 0 else 0)
 
 
 @njit(inline="always")
@@ -64,40 +83,42 @@ def plane_flags(planes, p, volumes, is_taken, flags):
 
 
 @njit(inline="always")
-def triangle_flags(items, facets, volumes, flags, wanted, polygons):
-    """Add what a geom's triangles meet, until all wanted flags are set."""
-    blocks, stands = with_edges(volumes.blocks), with_edges(volumes.stands)
-    probed = with_edges(volumes.probed)
-    for t in items:
-        if flags & wanted == wanted:
-            break
-        for flag, prism, wide in (
-            (BLOCKS, volumes.blocks, blocks),
-            (STANDS, volumes.stands, stands),
-            (PROBED, volumes.probed, probed),
-        ):
-            if not wanted & ~flags & flag:
-                continue
-            if facet_meets_prism(facets, t, prism, wide, polygons):
-                flags |= flag
+def triangle_flags(facets, t, volumes, flags, wanted, polygons):
+    """Add what a triangle meets of the wanted flags."""
+    for flag, prism in (
+        (BLOCKS, volumes.blocks),
+        (STANDS, volumes.stands),
+        (PROBED, volumes.probed),
+    ):
+        if not wanted & ~flags & flag:
+            continue
+        if facet_meets_prism(facets, t, prism, with_edges(prism), polygons):
+            flags |= flag
     return flags
 
 
 @njit(inline="always")
 def solid_flags(solids, s, volumes, flags, wanted, simplex):
     """Add what a solid meets of the wanted flags."""
-    if wanted & ~flags & BLOCKS and not outside(solids.bounds, s, volumes.blocks):
-        part = part_of_solid(solids, s, volumes.blocks, SQUARE, simplex)
-        if part != APART:
-            flags |= STANDS  # the cell's square is the footprint's
-        part = disc_too(solids, s, volumes.blocks, part, simplex)
-        if part == MEETS:
-            flags |= BLOCKS
-        elif part == UNDECIDED:
-            flags |= UNPROVED
-    for flag, prism in ((STANDS, volumes.stands), (PROBED, volumes.probed)):
+    is_open = False
+    for flag, prism, is_round in (
+        (BLOCKS, volumes.blocks, SQUARE),
+        (BLOCKS, volumes.blocks, DISC),
+        (STANDS, volumes.stands, SQUARE),
+        (PROBED, volumes.probed, SQUARE),
+    ):
         if not wanted & ~flags & flag or outside(solids.bounds, s, prism):
             continue
-        if part_of_solid(solids, s, prism, SQUARE, simplex) != APART:
+        part = part_of_solid(solids, s, prism, is_round, simplex)
+        if part == APART:
+            continue
+        if flag != BLOCKS:
             flags |= flag
-    return flags
+            continue
+        if not is_round:
+            flags |= STANDS  # the cell's square is the footprint's
+        if part == MEETS:
+            flags |= BLOCKS
+        else:
+            is_open = True
+    return flags | (UNPROVED if is_open and not flags & BLOCKS else 0)

@@ -1,16 +1,24 @@
 """Occupancy of cells over their floors: the cell's line first, then geom by geom.
 
-Most cells are told by their line. The others ask planes, triangles and solids of their tile, and
-the first proof that something is in the way ends the search.
+Most cells are told by their line. For the others the search is turned round: tile by tile, each
+solid and each triangle goes to the cells near it that are still open, as a rasterizer goes over
+pixels, and asks whether it meets the volume over their floors. So a triangle smaller than a cell
+costs one or two questions, and a tile without open cells costs none. What is asked of a cell
+doesn't depend on the order, so that any number of threads gives the same answers.
 """
 
+import math
+from typing import NamedTuple
+
+import numpy as np
 from numba import njit, prange
 
 from navbake.baker.kernels.arrays import Band, Prism
-from navbake.baker.kernels.constants import APART, MEETS, UNDECIDED
-from navbake.baker.kernels.gjk import SQUARE, make_simplex
+from navbake.baker.kernels.constants import APART, MEETS, TOUCH
+from navbake.baker.kernels.gjk import Simplex, make_simplex
 from navbake.baker.kernels.overlap import (
     ANY_GEOM,
+    Polygons,
     facet_meets_prism,
     line_is_blocked,
     make_polygons,
@@ -18,70 +26,195 @@ from navbake.baker.kernels.overlap import (
     plane_meets_prism,
     with_edges,
 )
-from navbake.baker.kernels.solids import disc_too, part_of_solid
-from navbake.baker.kernels.tiles import cell_center, tile_of
+from navbake.baker.kernels.solids import solid_meets
+from navbake.baker.kernels.tiles import TILE, cells_near, center_of, tile_window
+from navbake.compiled import UNCOUNTED
+from navbake.types import Int
+
+
+class Search(NamedTuple):
+    """What is known of a tile's queries while its geoms are asked, and room for the geoms' tests.
+
+    Attributes:
+        run: the queries of each of its rows of cells, first and past the last, (TILE, 2) int64.
+        first: the first query of each cell that lines left open, (TILE, TILE) int64, -1
+            for none.
+    """
+
+    run: Int
+    first: Int
+    simplex: Simplex
+    polygons: Polygons
+
+
+@njit(cache=True)
+def _make_search():
+    run, first = np.empty((TILE, 2), np.int64), np.empty((TILE, TILE), np.int64)
+    return Search(run, first, make_simplex(), make_polygons())
 
 
 @njit(inline="always")
-def _any_triangle(items, facets, prism):
-    if items.shape[0] == 0:
-        return False
-    polygons, wide = make_polygons(), with_edges(prism)
-    for t in items:  # noqa: SIM110 (numba has no generators in `any`)
-        if facet_meets_prism(facets, t, prism, wide, polygons):
-            return True
-    return False
+def _volume(lattice, row, col, floor, footprint):
+    """What has to be free over a cell's floor."""
+    x, y = center_of(lattice, row, col)
+    low, high = floor + footprint.low, floor + footprint.high
+    return Prism(x, y, low, high, footprint.square, footprint.radius)
+
+
+@njit(cache=True, **UNCOUNTED)
+def _check_lines(lattice, crossings, planes, footprint, queries, window, search):
+    """Ask the lines of a tile's cells, and planes.
+
+    Returns how many queries are open, and the heights between which they are.
+    """
+    total, low, high = 0, math.inf, -math.inf
+    for row in range(window[0], window[1]):
+        r = row - window[0]
+        for c in range(TILE):
+            search.first[r, c] = -1
+        for n in range(search.run[r, 0], search.run[r, 1]):
+            cell = queries.cell[n]
+            col = cell - row * lattice.width
+            prism = _volume(lattice, row, col, queries.floor[n], footprint)
+            by_line = line_is_blocked(crossings, cell, prism, ANY_GEOM)
+            meets = by_line
+            for p in range(planes.geom.shape[0]):
+                meets = meets or plane_meets_prism(planes, p, prism)
+            queries.by_line[n], queries.state[n] = by_line, MEETS if meets else APART
+            if not meets:
+                total += 1
+                if search.first[r, col - window[2]] < 0:
+                    search.first[r, col - window[2]] = n
+                low, high = min(low, prism.low), max(high, prism.high)
+    return total, low, high
 
 
 @njit(inline="always")
-def _any_solid(items, solids, prism):
-    """MEETS where any solid does; else UNDECIDED where that of any is open; else APART."""
-    if items.shape[0] == 0:
-        return APART
-    simplex, answer = make_simplex(), APART
-    for s in items:
-        if outside(solids.bounds, s, prism):
-            continue
-        part = part_of_solid(solids, s, prism, SQUARE, simplex)
-        part = disc_too(solids, s, prism, part, simplex)
-        if part == MEETS:
-            return MEETS
-        if part == UNDECIDED:
-            answer = UNDECIDED
-    return answer
+def _is_of(queries, n, cell):
+    """Whether query n, -1 for none, is about a cell."""
+    return 0 <= n < queries.cell.shape[0] and queries.cell[n] == cell
 
 
 @njit(inline="always")
-def _any_geom(tile, solids, facets, planes, tiles, prism):
-    """Whether any geom over a tile meets a prism."""
-    for p in range(planes.geom.shape[0]):
-        if plane_meets_prism(planes, p, prism):
-            return MEETS
-    first, last = tiles.triangle_start[tile], tiles.triangle_start[tile + 1]
-    if _any_triangle(tiles.triangle_item[first:last], facets, prism):
-        return MEETS
-    first, last = tiles.solid_start[tile], tiles.solid_start[tile + 1]
-    return _any_solid(tiles.solid_item[first:last], solids, prism)
+def _check_solid(lattice, solids, s, footprint, queries, window, search):
+    """Ask a solid about the open queries near it; how many it closes."""
+    closed = 0
+    reach = max(footprint.square, footprint.radius)
+    row0, row1, col0, col1 = cells_near(lattice, window, solids.bounds, s, reach)
+    for row in range(row0, row1):
+        for col in range(col0, col1):
+            n = search.first[row - window[0], col - window[2]]
+            while _is_of(queries, n, row * lattice.width + col):
+                prism = _volume(lattice, row, col, queries.floor[n], footprint)
+                if queries.state[n] != MEETS and not outside(solids.bounds, s, prism):
+                    answer = solid_meets(solids, s, prism, search.simplex)
+                    if answer != APART:
+                        queries.state[n] = answer
+                    closed += 1 if answer == MEETS else 0
+                n += 1
+    return closed
+
+
+@njit(inline="always")
+def _check_triangle(lattice, facets, t, footprint, queries, window, search):
+    """Ask a triangle about the open queries near it; how many it closes."""
+    closed = 0
+    reach = max(footprint.square, footprint.radius) + 2.0 * TOUCH  # see `with_edges`
+    row0, row1, col0, col1 = cells_near(lattice, window, facets.bounds, t, reach)
+    for row in range(row0, row1):
+        for col in range(col0, col1):
+            n = search.first[row - window[0], col - window[2]]
+            while _is_of(queries, n, row * lattice.width + col):
+                prism = _volume(lattice, row, col, queries.floor[n], footprint)
+                if queries.state[n] != MEETS and facet_meets_prism(
+                    facets, t, prism, with_edges(prism), search.polygons
+                ):
+                    queries.state[n] = MEETS
+                    closed += 1
+                n += 1
+    return closed
+
+
+@njit(inline="always")
+def _first_from(cells, cell):
+    """How many of the cells, which ascend, come before one."""
+    first, last = 0, cells.shape[0]
+    while first < last:
+        middle = (first + last) // 2
+        if cells[middle] < cell:
+            first = middle + 1
+        else:
+            last = middle
+    return first
+
+
+@njit(cache=True, **UNCOUNTED)
+def _check_solids(tile, solids, asked, still_open):
+    """Ask the solids over a tile about its open queries; how many stay open."""
+    lattice, tiles, footprint, queries, window, search = asked
+    total, low, high = still_open
+    for i in range(tiles.solid_start[tile], tiles.solid_start[tile + 1]):
+        s = tiles.solid_item[i]
+        if total > 0 and solids.bounds[s, 2] < high and solids.bounds[s, 5] > low:
+            total -= _check_solid(lattice, solids, s, footprint, queries, window, search)
+    return total
+
+
+@njit(cache=True, **UNCOUNTED)
+def _check_triangles(tile, facets, asked, still_open):
+    """Ask the triangles over a tile about its open queries."""
+    lattice, tiles, footprint, queries, window, search = asked
+    total, low, high = still_open
+    for i in range(tiles.triangle_start[tile], tiles.triangle_start[tile + 1]):
+        t = tiles.triangle_item[i]
+        if total == 0:
+            break
+        if facets.bounds[t, 2] < high and facets.bounds[t, 5] > low:
+            total -= _check_triangle(lattice, facets, t, footprint, queries, window, search)
+
+
+@njit(cache=True, **UNCOUNTED)
+def _check_band(
+    band, lattice, crossings, solids, facets, planes, tiles, footprint, queries, search
+):  # fmt: skip
+    """Answer the queries in a row of tiles."""
+    tiles_x, run = (lattice.width + TILE - 1) // TILE, search.run
+    for r in range(TILE):
+        run[r, 1] = _first_from(queries.cell, (band * TILE + r) * lattice.width)
+    for tile in range(band * tiles_x, (band + 1) * tiles_x):
+        window = tile_window(lattice, tile)
+        for row in range(window[0], window[1]):
+            # queries are sorted by cell, so a tile's follow on those of the tile before
+            n = run[row - window[0], 1]
+            run[row - window[0], 0] = n
+            while n < queries.cell.shape[0] and queries.cell[n] < row * lattice.width + window[3]:
+                n += 1
+            run[row - window[0], 1] = n
+        total, low, high = _check_lines(
+            lattice, crossings, planes, footprint, queries, window, search
+        )
+        if total > 0:
+            asked = lattice, tiles, footprint, queries, window, search
+            total = _check_solids(tile, solids, asked, (total, low, high))
+            _check_triangles(tile, facets, asked, (total, low, high))
 
 
 @njit(cache=True, parallel=True)
 def check_cells(lattice, crossings, solids, facets, planes, tiles, footprint, queries):
     """Tell for each cell and floor of the queries whether anything is in the band above it.
 
-    `footprint` is what an agent sweeps over a cell; the answers are written into the queries.
+    `footprint` is what an agent sweeps over a cell; the queries are sorted by cell, and the
+    answers are written into them.
     """
-    # writes into these by way of their tuple would be dropped, see `arrays`
-    state, by_line = queries.state, queries.by_line
-    for n in prange(queries.cell.shape[0]):
-        cell, floor = queries.cell[n], queries.floor[n]
-        x, y = cell_center(lattice, cell)
-        low, high = floor + footprint.low, floor + footprint.high
-        prism = Prism(x, y, low, high, footprint.square, footprint.radius)
-        by_line[n] = line_is_blocked(crossings, cell, prism, ANY_GEOM)
-        if by_line[n]:
-            state[n] = MEETS
-        else:
-            state[n] = _any_geom(tile_of(lattice, cell), solids, facets, planes, tiles, prism)
+    num, rows = queries.cell.shape[0], TILE * lattice.width
+    first = queries.cell[0] // rows if num > 0 else 0
+    last = queries.cell[num - 1] // rows + 1 if num > 0 else 0
+    for band in prange(first, last):
+        search = _make_search()
+        _check_band(
+            np.int64(band), lattice, crossings, solids, facets, planes, tiles, footprint, queries,
+            search
+        )  # fmt: skip
 
 
 @njit(cache=True, parallel=True)

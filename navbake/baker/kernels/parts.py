@@ -16,52 +16,14 @@ import math
 import numpy as np
 from numba import njit
 
+from navbake.baker.scene.kernels.shells import sort_keys
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 # What a triangle is when it belongs to no closed part: one of a sheet, or a copy of another
-SHEET, COPY = np.int64(-1), np.int64(-2)
+SHEET, COPY = np.int32(-1), np.int32(-2)
 
 # Triangles that share one box when one looks for those over a point
 BLOCK = 64
-
-
-@njit(cache=True)
-def _sort_by(key, order, num):
-    """Sort items by a key below num, stable: a counting sort. Returns the new order."""
-    start = np.zeros(num + 1, np.int64)
-    for item in order:
-        start[key[item] + 1] += 1
-    for k in range(num):
-        start[k + 1] += start[k]
-    out = np.empty_like(order)
-    for item in order:
-        out[start[key[item]]] = item
-        start[key[item]] += 1
-    return out
-
-
-@njit(cache=True)
-def list_edges(faces, num):
-    """Number the undirected edges of triangles whose corners are numbers below num.
-
-    Returns:
-        edge, start and half, as `find_parts` takes them.
-    """
-    size = 3 * faces.shape[0]
-    low, high = np.empty(size, np.int64), np.empty(size, np.int64)
-    for h in range(size):
-        one, other = faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3]
-        low[h], high[h] = min(one, other), max(one, other)
-    half = _sort_by(low, _sort_by(high, np.arange(size), num), num)
-    edge, start = np.empty(size, np.int64), np.empty(size + 1, np.int64)
-    count = 0
-    for i in range(size):
-        if i == 0 or low[half[i]] != low[half[i - 1]] or high[half[i]] != high[half[i - 1]]:
-            start[count] = i
-            count += 1
-        edge[half[i]] = count - 1
-    start[count] = size
-    return edge, start[: count + 1].copy(), half
 
 
 @njit(inline="always")
@@ -81,26 +43,30 @@ def _direction(faces, turned, half):
     return 1 if runs_up != turned[face] else -1
 
 
-@njit(cache=True)
-def _drop_copies(faces, part):
-    """Mark triangles that have the corners of an earlier one, the same way round."""
-    num = faces.shape[0]
-    first = np.empty(num, np.int64)  # of each triangle, where its lowest corner stands
-    for face in range(num):
-        first[face] = np.argmin(faces[face])
-    order = np.arange(num)
-    key = np.empty(num, np.int64)
-    for k in range(3):
-        for face in range(num):
-            key[face] = faces[face, (first[face] + k) % 3]
-        order = _sort_by(key, order, faces.max() + 1)
-    for i in range(1, num):
-        one, other = order[i - 1], order[i]
-        is_same = True
-        for k in range(3):
-            is_same &= faces[one, (first[one] + k) % 3] == faces[other, (first[other] + k) % 3]
-        if is_same:
-            part[other] = COPY
+@njit(inline="always")
+def _drop_copies(faces, start, half, part):
+    """Mark triangles that have the corners of an earlier one, the same way round.
+
+    Each triangle is listed at one of its edges, by its third corner and the way it runs: copies are
+    neighbours then.
+    """
+    keys = np.empty(16, np.int64)
+    for e in range(start.shape[0] - 1):
+        if start[e + 1] - start[e] > keys.shape[0]:
+            keys = np.empty(2 * (start[e + 1] - start[e]), np.int64)
+        count = 0
+        for h in half[start[e] : start[e + 1]]:
+            f, k = h // 3, h % 3
+            here, after, third = faces[f, k], faces[f, (k + 1) % 3], _opposite(faces, h)
+            # the edge behind the lowest corner is the one that copies are listed at
+            if here < after and here < third:
+                keys[count] = (np.int64(third) << 32) | f
+                count += 1
+        if count > 1:
+            sort_keys(keys, count)
+        for i in range(1, count):
+            if keys[i] >> 32 == keys[i - 1] >> 32:
+                part[keys[i] & 0xFFFFFFFF] = COPY
 
 
 @njit(inline="always")
@@ -125,11 +91,11 @@ def _peel(faces, edge, start, half, kept):
 
     Returns how many triangles are left at each edge.
     """
-    left = np.zeros(start.shape[0] - 1, np.int64)
+    left = np.zeros(start.shape[0] - 1, np.int32)
     for h in range(edge.shape[0]):
         if kept[h // 3]:
             left[edge[h]] += 1
-    queue = np.empty(faces.shape[0], np.int64)
+    queue = np.empty(faces.shape[0], np.int32)
     end = at = 0
     for e in range(start.shape[0] - 1):
         if left[e] > 0 and _is_bare(faces, e, start, half, left, kept):
@@ -168,14 +134,14 @@ def _find_patches(faces, edge, start, half, kept, left):
     """Number what hangs together over edges with two triangles: the manifold patches.
 
     Returns:
-        patch: of each triangle, -1 for one that is not kept, (m,) int64.
-        face, first: the triangles of each patch, ragged, int64.
+        patch: of each triangle, -1 for one that is not kept, (m,) int32.
+        face, first: the triangles of each patch, ragged, int32.
         differs: whether a triangle has to be turned to face to the same side as the first one of
             its patch, (m,) bool.
     """
     num = faces.shape[0]
-    patch, differs = np.full(num, np.int64(-1)), np.zeros(num, np.bool_)
-    queue, first = np.empty(num, np.int64), np.empty(num + 1, np.int64)
+    patch, differs = np.full(num, np.int32(-1), np.int32), np.zeros(num, np.bool_)
+    queue, first = np.empty(num, np.int32), np.empty(num + 1, np.int32)
     count = at = end = 0
     for seed in range(num):
         if not kept[seed] or patch[seed] >= 0:
@@ -242,7 +208,7 @@ def _drop_membranes(faces, area, edge, left, face, first, turned, kept):
 
     Such as a wall without thickness across the inside of a block. Returns whether any was.
     """
-    balance = np.zeros(left.shape[0], np.int64)
+    balance = np.zeros(left.shape[0], np.int32)
     size = np.zeros(first.shape[0] - 1)
     for p in range(first.shape[0] - 1):
         for f in face[first[p] : first[p + 1]]:
@@ -301,24 +267,24 @@ def find_parts(faces, area, edge, start, half):
     """Find the closed parts of a mesh.
 
     Args:
-        faces: corners of each triangle, (m, 3) int64, no two of one triangle the same; equal
+        faces: corners of each triangle, (m, 3) int32, no two of one triangle the same; equal
             numbers are the same point.
         area: of each triangle, (m,) float64 [m²].
         edge: the undirected edge of each half-edge 3 f + k, from corner k of triangle f to the
-            next one, (3 m,) int64.
-        start, half: the half-edges of each edge, ragged, ascending, int64.
+            next one, (3 m,) int32.
+        start, half: the half-edges of each edge, ragged, ascending, int32; see `list_edges`.
 
     Returns:
         part: by triangle, a number of its closed part, the lowest triangle in it, or SHEET, or
-            COPY; (m,) int64.
+            COPY; (m,) int32.
         turned: whether a triangle of a closed part faces to the other side than the part, (m,)
             bool.
     """
     num = faces.shape[0]
-    part, turned = np.full(num, SHEET), np.zeros(num, np.bool_)
+    part, turned = np.full(num, SHEET, np.int32), np.zeros(num, np.bool_)
     if num == 0:
         return part, turned
-    _drop_copies(faces, part)
+    _drop_copies(faces, start, half, part)
     kept = part == SHEET
     while True:  # a membrane that is gone joins the patches at its rim
         left = _peel(faces, edge, start, half, kept)
@@ -392,32 +358,54 @@ def _is_inside(point, corners, member, low, high, block):
     return total > 0
 
 
+@njit(inline="always")
+def _is_around(box, q, p):
+    """Whether the box of part q holds that of part p."""
+    is_around = True
+    for k in range(3):
+        is_around &= box[q, k] <= box[p, k] and box[q, 3 + k] >= box[p, 3 + k]
+    return is_around
+
+
 @njit(cache=True)
-def find_cavities(start, member, corners, point, encloses, facing_in):
+def find_around(box, encloses, facing_in):
+    """Mark parts that enclose something and whose box holds that of a part that faces in.
+
+    Takes the boxes of the parts, (parts, 6) float64 [m], and bools by part.
+    """
+    marked = np.zeros(box.shape[0], np.bool_)
+    inner = np.flatnonzero(facing_in)
+    for q in range(box.shape[0]):
+        if encloses[q]:
+            for p in inner:
+                if _is_around(box, q, p):
+                    marked[q] = True
+                    break
+    return marked
+
+
+@njit(cache=True)
+def find_cavities(start, member, corners, point, box, encloses, facing_in):
     """Mark parts that face in and lie inside of one that encloses something, in `encloses`.
 
     Args:
-        start, member: the triangles of each part, ragged, int64; fast where neighbours in the list
-            are neighbours in space.
-        corners: of all triangles, (m, 3, 3) float64 [m].
+        start, member: the triangles of each part that `find_around` marks, ragged, int64; fast
+            where neighbours in the list are neighbours in space.
+        corners: of these triangles, (m, 3, 3) float64 [m].
         point: a point of each part, (parts, 3) float64 [m].
+        box: of each part, (parts, 6) float64 [m].
         encloses, facing_in: by part, bool.
     """
     num = start.shape[0] - 1
-    box = np.empty((num, 6), np.float64)
-    box[:, :3], box[:, 3:] = math.inf, -math.inf
     block = np.empty((member.shape[0] // BLOCK + 1, 4), np.float64)
     block[:, :2], block[:, 2:] = math.inf, -math.inf
-    for p in range(num):
-        for i in range(start[p], start[p + 1]):
-            b = i // BLOCK
-            for corner in range(3):
-                for k in range(3):
-                    value = corners[member[i], corner, k]
-                    box[p, k], box[p, 3 + k] = min(box[p, k], value), max(box[p, 3 + k], value)
-                    if k < 2:
-                        block[b, k] = min(block[b, k], value)
-                        block[b, 2 + k] = max(block[b, 2 + k], value)
+    for i in range(member.shape[0]):
+        b = i // BLOCK
+        for corner in range(3):
+            for k in range(2):
+                value = corners[member[i], corner, k]
+                block[b, k] = min(block[b, k], value)
+                block[b, 2 + k] = max(block[b, 2 + k], value)
     outer = np.flatnonzero(encloses)
     outer = outer[np.argsort(box[outer, 0], kind="mergesort")]
     for p in range(num):
@@ -426,43 +414,8 @@ def find_cavities(start, member, corners, point, encloses, facing_in):
         for q in outer:
             if box[q, 0] > box[p, 0]:
                 break
-            is_around = True
-            for k in range(3):
-                is_around &= box[q, k] <= box[p, k] and box[q, 3 + k] >= box[p, 3 + k]
-            if is_around and _is_inside(point[p], corners, member, start[q], start[q + 1], block):
+            if not _is_around(box, q, p):
+                continue
+            if _is_inside(point[p], corners, member, start[q], start[q + 1], block):
                 encloses[p] = True
                 break
-
-
-@njit(cache=True)
-def weld_points(points):
-    """Number points, (n, 3) float64, so that equal ones have equal numbers, by first appearance.
-
-    A hash table with open addressing over the coordinates' bits. Returns (n,) int64.
-    """
-    num = points.shape[0]
-    size = 16
-    while size < 2 * num:  # at most half full, so that probing stays short
-        size *= 2
-    bits = (points + 0.0).view(np.uint64)  # -0.0 is 0.0
-    table = np.full(size, -1, np.int64)
-    number = np.empty(num, np.int64)
-    count = 0
-    for i in range(num):
-        key = np.uint64(1469598103934665603)
-        for k in range(3):
-            key = (key ^ bits[i, k]) * np.uint64(1099511628211)
-            key ^= key >> np.uint64(29)
-        place = np.int64(key & np.uint64(size - 1))
-        while table[place] >= 0:
-            j = table[place]
-            if bits[j, 0] == bits[i, 0] and bits[j, 1] == bits[i, 1] and bits[j, 2] == bits[i, 2]:
-                break
-            place = (place + 1) & (size - 1)
-        if table[place] < 0:
-            table[place] = i
-            number[i] = count
-            count += 1
-        else:
-            number[i] = number[table[place]]
-    return number

@@ -1,16 +1,17 @@
-"""Vertical lines through cells' centres against all geometry: every crossing, both ways.
+"""Vertical lines through all geometry: every crossing, both ways.
 
-Solids and infinite planes are crossed by MuJoCo's own rays (`mju_rayGeom`), one down from above
-and one up from below: a convex solid's line has two ends. Triangles are crossed here by edge
-functions (Pineda, A parallel algorithm for polygon rasterization, 1988), because `mj_rayMesh`
-loses lines that run through a shared edge, and stops at the first crossing.
+Solids and infinite planes are crossed by MuJoCo's own rays (`mju_rayGeom`), one up from below and
+one down from above: a convex solid's line has two ends. Triangles are crossed in `raster`, and
+`hits` tells how what was hit becomes a column.
 
-A line through a rim or an edge that two geoms or triangles share is the hard case. It crosses
-whatever it passes within RIM, so that no seam leaks; where that makes two crossings of neighbouring
-triangles of one part, one is dropped. A line that runs within an upright side of a closed part
-crosses triangles there that rounding has tilted a little, up or down: then the steepest of them are
-dropped, until the part is left as often as it was entered. Else all that lies below would count as
-inside of it.
+Geometry visits the cells that it lies over, rather than each cell asking all that is nearby (as
+rasterizers do; Pineda 1988): each thread takes bands of rows, so no two write to one column, and
+within a band planes, solids and triangles come in their order, so the answer is the same for any
+number of threads. All is done twice: to count, then to write.
+
+Level faces make most of the crossings: the ends of upright boxes and cylinders, and level planes.
+There MuJoCo's ray gives the same heights on all lines to the last bit, as x and y are multiplied by
+zero; so one ray through the middle speaks for all that are well inside of the rim.
 """
 
 import math
@@ -20,19 +21,28 @@ import numpy as np
 from llvmlite import binding
 from numba import njit, prange, types
 
-from navbake.baker.kernels.constants import CONVEX_SOLID, OPEN_SURFACE, PLANE, SAME
-from navbake.baker.kernels.tiles import cell_center, count_tiles, tile_window
-from navbake.types import Bool, Float, Int32
+from navbake.baker.kernels.constants import BOX, CONVEX_SOLID, CYLINDER, OPEN_SURFACE, PLANE, SPHERE
+from navbake.baker.kernels.hits import (
+    INSIDE,
+    OF_PLANE,
+    OF_SOLID,
+    RIM,
+    copy_hit,
+    hits_of,
+    make_hits,
+    settle,
+)
+from navbake.baker.kernels.raster import NEVER_FAR, hit_triangle, is_beside, raster_triangles
+from navbake.baker.kernels.tiles import BAND, cell_center, centers_between, count_bands
+from navbake.types import Float
 
-# Lines this close to a rim cross it, so that seams between geoms never leak [m]
-RIM = 1e-7
 # An eighth of a turn [rad]
 EIGHTH = 0.7853981633974483
-# What is no crossing at an edge, and a plane's type; a plain False or int would be a type of its
-# own, and compile what takes it once more
-INSIDE, PLANE_KIND = np.bool_(False), np.int32(PLANE)
-# In place of a triangle, what crosses a line that is none
-OF_SOLID, OF_PLANE = np.int32(-1), np.int32(-2)
+# A plane's type; a plain int would be a type of its own, and compile what takes it once more
+PLANE_KIND = np.int32(PLANE)
+# Lines this far from the rim of an upright solid are inside or outside of it, whatever rounding
+# does; and solids narrower than WIDE ask MuJoCo on all lines [m]
+CLEAR, WIDE = 1e-5, 1e-3
 
 _ray_geom = types.ExternalFunction(
     "mju_rayGeom",
@@ -40,22 +50,6 @@ _ray_geom = types.ExternalFunction(
         types.uintp, types.uintp, types.uintp, types.uintp, types.uintp, types.intc, types.uintp
     ),
 )
-
-
-class Column(NamedTuple):
-    """Room for one column's crossings, in float64 until they are written.
-
-    Attributes:
-        z, normal, geom: as in `Crossings`.
-        facet: the triangle that was crossed, OF_SOLID or OF_PLANE.
-        is_edge: whether a triangle was crossed within RIM of its edge.
-    """
-
-    z: Float
-    normal: Float
-    geom: Int32
-    facet: Int32
-    is_edge: Bool
 
 
 class Ray(NamedTuple):
@@ -109,305 +103,237 @@ def _cast_at_rim(solids, s, ray):
 
 
 @njit(inline="always")
-def _cross_triangle(corners, x, y):
-    """Where the line at (x, y) crosses a triangle.
-
-    Returns 0 for nowhere, 1 for inside, 2 for within RIM of an edge; and the height.
-    """
-    ax, ay = corners[0, 0] - x, corners[0, 1] - y
-    bx, by = corners[1, 0] - x, corners[1, 1] - y
-    cx, cy = corners[2, 0] - x, corners[2, 1] - y
-    area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-    if abs(area) < 1e-14:
-        return 0, 0.0
-    # edge functions: twice the areas that (x, y) spans with the edges, all of one sign inside
-    turn = 1.0 if area > 0.0 else -1.0
-    u = turn * (bx * cy - cx * by)
-    v = turn * (cx * ay - ax * cy)
-    w = turn * (ax * by - bx * ay)
-    # distance to an edge = edge function / edge length
-    du = u / math.hypot(cx - bx, cy - by)
-    dv = v / math.hypot(ax - cx, ay - cy)
-    dw = w / math.hypot(bx - ax, by - ay)
-    nearest = min(du, dv, dw)
-    if nearest < -RIM:
-        return 0, 0.0
-    z0, z1, z2 = corners[0, 2], corners[1, 2], corners[2, 2]
-    z = (u * z0 + v * z1 + w * z2) / (u + v + w)
-    z = min(max(z, min(z0, z1, z2)), max(z0, z1, z2))
-    return (2 if nearest <= RIM else 1), z
+def _aim(ray, way, low, high):
+    """Point a ray up from a height (way 0) or down from another (way 1)."""
+    ray.direction[2] = 1.0 if way == 0 else -1.0
+    ray.point[2] = low if way == 0 else high
 
 
 @njit(inline="always")
-def _is_less(column, i, z, geom, faces_up):
-    """Whether a crossing comes before the i-th: by height, then geom, undersides first."""
-    if z != column.z[i]:
-        return z < column.z[i]
-    if geom != column.geom[i]:
-        return geom < column.geom[i]
-    return faces_up < (column.normal[i, 2] > 0.0)
-
-
-@njit(inline="always")
-def _copy(column, source, target):
-    column.z[target] = column.z[source]
-    for axis in range(3):
-        column.normal[target, axis] = column.normal[source, axis]
-    column.geom[target] = column.geom[source]
-    column.facet[target] = column.facet[source]
-    column.is_edge[target] = column.is_edge[source]
+def _hit(hits, at, z, normal, up, geom):
+    """Note what a line hits that is no triangle; all but `closed` and `facet`."""
+    hits.z[at] = z
+    hits.normal[at, 0], hits.normal[at, 1], hits.normal[at, 2] = normal[0], normal[1], up
+    hits.geom[at] = geom
+    hits.at_edge[at] = INSIDE
 
 
 @njit(cache=True)
-def _insert(column, count, z, normal, geom, facet, is_edge):
-    """Insert a crossing into a column of a number of them; normal is (x, y, z)."""
-    i = count
-    while i > 0 and _is_less(column, i - 1, z, geom, normal[2] > 0.0):
-        _copy(column, i - 1, i)
-        i -= 1
-    column.z[i] = z
-    column.normal[i, 0], column.normal[i, 1], column.normal[i, 2] = normal
-    column.geom[i] = geom
-    column.facet[i] = facet
-    column.is_edge[i] = is_edge
-    return count + 1
-
-
-@njit(inline="always")
-def _is_same_part(column, i, j, facets):
-    """Whether two crossings at edges, so of triangles, are of one part of one geom."""
-    is_same_geom = column.geom[i] == column.geom[j]
-    return is_same_geom and facets.part[column.facet[i]] == facets.part[column.facet[j]]
-
-
-@njit(inline="always")
-def _drop_doubles(column, count, facets):
-    """Drop crossings that two neighbouring triangles of a part report at their shared edge."""
-    kept = 0
-    for i in range(count):
-        is_double = False
-        if column.is_edge[i]:
-            j = kept - 1
-            while j >= 0 and column.z[i] - column.z[j] <= SAME:
-                same_side = (column.normal[i, 2] > 0.0) == (column.normal[j, 2] > 0.0)
-                if column.is_edge[j] and same_side and _is_same_part(column, i, j, facets):
-                    is_double = True
-                    break
-                j -= 1
-        if not is_double:
-            _copy(column, i, kept)
-            kept += 1
-    return kept
-
-
-@njit(inline="always")
-def _steepest_of_part(column, count, i, facets, side):
-    """The steepest crossing at an edge of the i-th one's part that faces up (1) or down (-1)."""
-    steepest = -1
-    for j in range(count):
-        if not column.is_edge[j] or side * column.normal[j, 2] <= 0.0:
-            continue
-        is_steeper = steepest < 0 or abs(column.normal[j, 2]) < abs(column.normal[steepest, 2])
-        if is_steeper and _is_same_part(column, i, j, facets):
-            steepest = j
-    return steepest
-
-
-@njit(inline="always")
-def _has_edge(column, count):
-    """Whether any crossing of a column is at a triangle's edge; most columns have none."""
-    is_edge = column.is_edge
-    for i in range(count):  # noqa: SIM110 (numba has no generators in `any`)
-        if is_edge[i]:
-            return True
-    return False
-
-
-@njit(cache=True)
-def _balance_parts(column, count, facets):
-    """Drop crossings at edges, so that each closed part is left as often as it is entered."""
-    i = 0
-    while i < count:
-        surplus = 0
-        if column.is_edge[i] and facets.closed[column.facet[i]] != OPEN_SURFACE:
-            for j in range(count):
-                if column.facet[j] >= 0 and _is_same_part(column, i, j, facets):
-                    surplus += 1 if column.normal[j, 2] > 0.0 else -1
-        dropped = -1
-        if surplus != 0:
-            side = 1.0 if surplus > 0 else -1.0
-            dropped = _steepest_of_part(column, count, i, facets, side)
-        if dropped < 0:
-            i += 1
-            continue
-        for j in range(dropped + 1, count):
-            _copy(column, j, j - 1)
-        count -= 1
-        # the i-th one is looked at again, and it is the next one where an earlier one was dropped
-        if dropped < i:
-            i -= 1
+def _hit_solid(solids, s, x, y, ray, hits, at):
+    """Note where a line enters and leaves a solid, at a place of the hits; returns how often."""
+    box, count = solids.bounds[s], np.int64(0)
+    ray.point[0], ray.point[1] = x, y
+    for way in range(2):
+        _aim(ray, way, box[2] - 1.0, box[5] + 1.0)
+        distance = _cast_at_rim(solids, s, ray)
+        if distance >= 0.0:
+            up = ray.normal[2]
+            # a grazed side has no up or down of its own: the ray's way tells
+            up = min(up, -1e-12) if way == 0 else max(up, 1e-12)
+            z = ray.point[2] + ray.direction[2] * distance
+            _hit(hits, at + count, z, ray.normal, up, solids.geom[s])
+            hits.closed[at + count], hits.facet[at + count] = CONVEX_SOLID, OF_SOLID
+            count += 1
     return count
 
 
-@njit(inline="always")
-def _is_beside(box, x, y):
-    return x < box[0] - RIM or x > box[3] + RIM or y < box[1] - RIM or y > box[4] + RIM
-
-
-@njit(inline="always")
-def _cross_solids(x, y, items, solids, column, ray):
-    """Write the crossings of one line with solids; returns their number."""
+@njit(cache=True)
+def _hit_plane(planes, p, x, y, heights, ray, hits, at):
+    """Note where a line crosses an infinite plane, from its front only; returns how often."""
     count = np.int64(0)
     ray.point[0], ray.point[1] = x, y
-    for s in items:
-        box = solids.bounds[s]
-        if _is_beside(box, x, y):
-            continue
-        for way in range(2):
-            ray.direction[2] = -1.0 if way == 0 else 1.0
-            ray.point[2] = box[5] + 1.0 if way == 0 else box[2] - 1.0
-            distance = _cast_at_rim(solids, s, ray)
-            if distance >= 0.0:
-                z = ray.point[2] + ray.direction[2] * distance
-                nx, ny, nz = ray.normal[0], ray.normal[1], ray.normal[2]
-                # a grazed side has no up or down of its own: the ray's way tells
-                nz = max(nz, 1e-12) if way == 0 else min(nz, -1e-12)
-                count = _insert(column, count, z, (nx, ny, nz), solids.geom[s], OF_SOLID, INSIDE)
+    ray.grown[:] = 0.0  # a plane of no size is infinite
+    for way in range(2):
+        _aim(ray, way, heights.low, heights.high)
+        distance = _cast(planes.pos[p], planes.mat[p], ray.grown, PLANE_KIND, ray.point, ray)
+        if distance >= 0.0:
+            z = ray.point[2] + ray.direction[2] * distance
+            _hit(hits, at + count, z, ray.normal, ray.normal[2], planes.geom[p])
+            hits.closed[at + count], hits.facet[at + count] = OPEN_SURFACE, OF_PLANE
+            count += 1
     return count
 
 
 @njit(inline="always")
-def _cross_planes(planes, heights, column, count, ray):
-    """Add the crossings of the ray's line with infinite planes, from their front only."""
-    for p in range(planes.geom.shape[0]):
-        for way in range(2):
-            ray.direction[2] = -1.0 if way == 0 else 1.0
-            ray.point[2] = heights.high if way == 0 else heights.low
-            ray.grown[:] = 0.0  # a plane of no size is infinite
-            distance = _cast(planes.pos[p], planes.mat[p], ray.grown, PLANE_KIND, ray.point, ray)
-            if distance >= 0.0:
-                z = ray.point[2] + ray.direction[2] * distance
-                normal = (ray.normal[0], ray.normal[1], ray.normal[2])
-                count = _insert(column, count, z, normal, planes.geom[p], OF_PLANE, INSIDE)
-    return count
+def _is_upright(mat):
+    """Whether a geom's z is the world's, or its opposite, to the last bit."""
+    return mat[2] == 0.0 and mat[5] == 0.0 and mat[6] == 0.0 and mat[7] == 0.0
 
 
 @njit(inline="always")
-def _cross_triangles(x, y, items, facets, column, count):
-    """Add the crossings of one line with triangles."""
-    for t in items:
-        if _is_beside(facets.bounds[t], x, y):
-            continue
-        nx, ny, nz = facets.normal[t, 0], facets.normal[t, 1], facets.normal[t, 2]
-        if nz == 0.0:
-            continue
-        crossing, z = _cross_triangle(facets.corners[t], x, y)
-        if crossing:
-            count = _insert(column, count, z, (nx, ny, nz), facets.geom[t], t, crossing == 2)
-    return count
+def _beyond_rim(solids, s, x, y):
+    """How far a line is beyond an upright solid's rim, less than 0 inside [m].
+
+    For a box, along the axis of the two on which it is further.
+    """
+    mat, size, kind = solids.mat[s], solids.size[s], solids.kind[s]
+    dx, dy = x - solids.pos[s, 0], y - solids.pos[s, 1]
+    if kind == BOX:
+        across, along = mat[0] * dx + mat[3] * dy, mat[1] * dx + mat[4] * dy
+        return max(abs(across) - size[0], abs(along) - size[1])
+    return math.hypot(dx, dy) - size[0]
 
 
 @njit(inline="always")
-def _write(column, count, facets, crossings, first):
-    for i in range(count):
-        facet, closed = column.facet[i], OPEN_SURFACE
-        if facet != OF_PLANE:
-            closed = CONVEX_SOLID if facet == OF_SOLID else facets.closed[facet]
-        crossings.closed[first + i] = closed
-        crossings.z[first + i] = column.z[i]
-        crossings.geom[first + i] = column.geom[i]
-        for axis in range(3):
-            crossings.normal[first + i, axis] = column.normal[i, axis]
+def _has_known_rim(solids, s):
+    """Whether `_beyond_rim` knows a solid's rim, as seen from above."""
+    kind = solids.kind[s]
+    return kind == SPHERE or (kind in (BOX, CYLINDER) and _is_upright(solids.mat[s]))
 
 
 @njit(inline="always")
-def _items_over(tile, tiles):
-    """The solids and the triangles over a tile."""
-    nearby = tiles.solid_item[tiles.solid_start[tile] : tiles.solid_start[tile + 1]]
-    begin, end = tiles.triangle_start[tile], tiles.triangle_start[tile + 1]
-    return nearby, tiles.triangle_item[begin:end]
-
-
-@njit(inline="always")
-def _make_room(nearby, triangles, planes):
-    """Room for one column of a tile, and for its rays."""
-    most = 2 * (nearby.shape[0] + planes.geom.shape[0]) + triangles.shape[0]
-    geom, facet = np.empty(most, np.int32), np.empty(most, np.int32)
-    column = Column(np.empty(most), np.empty((most, 3)), geom, facet, np.empty(most, np.bool_))
-    return column, Ray(np.empty(3), np.zeros(3), np.zeros(3), np.empty(3), np.empty(3))
+def _has_level_ends(solids, s):
+    """Whether all lines well inside of a solid's rim cross it at the same two heights."""
+    size, kind = solids.size[s], solids.kind[s]
+    is_wide = size[0] > WIDE and (kind == CYLINDER or size[1] > WIDE)
+    return kind != SPHERE and is_wide
 
 
 @njit(cache=True)
-def _cast_tile(tile, lattice, solids, facets, planes, tiles, heights, crossings):
-    """Cross the lines of one tile with what lies over it."""
-    nearby, triangles = _items_over(tile, tiles)
-    column, ray = _make_room(nearby, triangles, planes)
-    writing = crossings.z.shape[0] > 0
-    row0, row1, col0, col1 = tile_window(lattice, tile)
-    for row in range(row0, row1):
-        for col in range(col0, col1):
-            cell = row * lattice.width + col
-            x, y = cell_center(lattice, cell)
-            count = _cross_solids(x, y, nearby, solids, column, ray)
-            count = _cross_planes(planes, heights, column, count, ray)
-            count = _cross_triangles(x, y, triangles, facets, column, count)
-            if _has_edge(column, count):
-                count = _drop_doubles(column, count, facets)
-                count = _balance_parts(column, count, facets)
-            if writing:
-                _write(column, count, facets, crossings, crossings.start[cell])
+def _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing):
+    """Note where the lines of some rows cross a solid; the arguments are `raster_triangles`'.
+
+    `middle` has room for the hits of the line through the solid's middle.
+    """
+    box, cell = solids.bounds[s], lattice.cell_size
+    x_min, y_max = lattice.x_min, lattice.y_max
+    first, last = centers_between(y_max - box[4] - RIM, y_max - box[1] + RIM, cell, lattice.height)
+    first, last = max(first, rows[0]), min(last, rows[1] - 1)
+    left, right = centers_between(box[0] - RIM - x_min, box[3] + RIM - x_min, cell, lattice.width)
+    has_rim, has_level = _has_known_rim(solids, s), False
+    if has_rim and _has_level_ends(solids, s):
+        x, y = solids.pos[s, 0], solids.pos[s, 1]
+        has_level = _hit_solid(solids, s, x, y, ray, middle, np.int64(0)) == 2
+    for row in range(first, last + 1):
+        y = cell_center(lattice, row * lattice.width)[1]
+        for col in range(left, right + 1):
+            x = cell_center(lattice, col)[0]
+            if is_beside(solids.bounds, s, x, y):
+                continue
+            beyond = _beyond_rim(solids, s, x, y) if has_rim else 0.0
+            if beyond > CLEAR:
+                continue
+            line = (row - rows[0]) * lattice.width + col
+            place = end[line] if writing else 0
+            if has_level and beyond < -CLEAR:
+                for way in range(2):
+                    copy_hit(middle, way, hits, place + way)
+                end[line] += 2
             else:
-                crossings.start[cell + 1] = count
+                end[line] += _hit_solid(solids, s, x, y, ray, hits, place)
+
+
+@njit(cache=True)
+def _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writing):
+    """Note where the lines of some rows cross an infinite plane; else as `_cast_solid`."""
+    is_level = _is_upright(planes.mat[p])
+    count, zero = np.int64(0), np.int64(0)
+    for line in range(end.shape[0]):
+        if not is_level or line == 0:
+            x, y = cell_center(lattice, rows[0] * lattice.width + line)
+            count = _hit_plane(planes, p, x, y, heights, ray, middle, zero)
+        place = end[line] if writing else 0
+        for i in range(count):
+            copy_hit(middle, i, hits, place + i)
+        end[line] += count
+
+
+@njit(inline="always")
+def make_ray():
+    """A ray; its point and direction are for who casts it."""
+    return Ray(np.empty(3), np.zeros(3), np.zeros(3), np.empty(3), np.empty(3))
+
+
+@njit(cache=True)
+def _cast_band(band, lattice, solids, facets, planes, items, heights, crossings):
+    """Cross the lines of one band's rows with all that is over it; returns how many hits it drops.
+
+    In counting, the numbers of hits go to `start`, each one place on.
+    """
+    rows = band * BAND, min((band + 1) * BAND, lattice.height)
+    first, last = rows[0] * lattice.width, rows[1] * lattice.width
+    start, writing = crossings.start, crossings.z.shape[0] > 0
+    end = np.zeros(last - first, np.int64)
+    hits = hits_of(crossings, start[first], start[last]) if writing else make_hits(2)
+    if writing:
+        for line in range(last - first):
+            end[line] = start[first + line] - start[first]
+    ray, middle = make_ray(), make_hits(2)
+    for p in range(planes.geom.shape[0]):
+        _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writing)
+    for i in range(items.solid_start[band], items.solid_start[band + 1]):
+        _cast_solid(solids, items.solid_item[i], lattice, rows, ray, middle, hits, end, writing)
+    listed = items.triangle_item[items.triangle_start[band] : items.triangle_start[band + 1]]
+    raster_triangles(facets, listed, lattice, rows, hits, end, writing)
+    dropped = np.int64(0)
+    for line in range(last - first):
+        if writing:
+            begin = start[first + line] - start[first]
+            dropped += settle(hits, begin, end[line], facets, middle, np.int64(0))
+        else:
+            start[first + line + 1] = end[line]
+    return dropped
 
 
 @njit(cache=True, parallel=True)
-def cast_lines(lattice, solids, facets, planes, tiles, heights, crossings):
+def cast_lines(lattice, solids, facets, planes, items, heights, crossings, dropped):
     """Cross every cell's vertical line with all geometry; twice: to count, then to write.
 
     Args:
+        items: what lies over which band of rows.
         heights: a `Band` below and above everything [m].
         crossings: in the first call all but `start` are empty, and ``start[cell + 1]``
-            receives the number of crossings; in the second, the running sums stand there, and
-            the others receive the crossings.
+            receives the number of hits; in the second, the running sums stand there, and
+            the others receive the crossings, and after a column's last what `close_up` removes.
+        dropped: by band, int64; receives the number of hits that are no crossings.
     """
-    for tile in prange(count_tiles(lattice)):
-        _cast_tile(np.int64(tile), lattice, solids, facets, planes, tiles, heights, crossings)
-
-
-# Lines that one thread casts in a row: neighbouring ones mostly lie over one tile
-CHUNK = 256
+    for band in prange(count_bands(lattice)):
+        one = np.int64(band)
+        dropped[band] = _cast_band(one, lattice, solids, facets, planes, items, heights, crossings)
 
 
 @njit(cache=True)
-def _cast_chunk(chunk, points, tile, solids, facets, planes, tiles, heights, crossings):
-    """Cross a chunk of some lines, each of which lies over a tile, as `_cast_tile` does."""
-    first = chunk * CHUNK
-    last = min(first + CHUNK, points.shape[0])
-    over = tile[first]
-    nearby, triangles = _items_over(over, tiles)
-    column, ray = _make_room(nearby, triangles, planes)
-    writing = crossings.z.shape[0] > 0
-    for n in range(first, last):
-        if tile[n] != over:
-            over = tile[n]
-            nearby, triangles = _items_over(over, tiles)
-            column, ray = _make_room(nearby, triangles, planes)
-        x, y = points[n, 0], points[n, 1]
-        count = _cross_solids(x, y, nearby, solids, column, ray)
-        count = _cross_planes(planes, heights, column, count, ray)
-        count = _cross_triangles(x, y, triangles, facets, column, count)
-        if _has_edge(column, count):
-            count = _drop_doubles(column, count, facets)
-            count = _balance_parts(column, count, facets)
-        if writing:
-            _write(column, count, facets, crossings, crossings.start[n])
-        else:
-            crossings.start[n + 1] = count
+def most_hits(tile, planes, tiles):
+    """How much room the hits of a line over a tile need, with that for sorting them."""
+    solids = tiles.solid_start[tile + 1] - tiles.solid_start[tile]
+    triangles = tiles.triangle_start[tile + 1] - tiles.triangle_start[tile]
+    return 2 * (solids + planes.geom.shape[0]) + triangles + 1
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
+def cast_line(x, y, tile, solids, facets, planes, tiles, heights, ray, hits):
+    """Cross the line at (x, y) with all geometry near a tile.
+
+    The crossings are the first of the hits, which have room for `most_hits`; returns their number.
+    """
+    zero, count = np.int64(0), np.int64(0)
+    for p in range(planes.geom.shape[0]):
+        count += _hit_plane(planes, p, x, y, heights, ray, hits, count)
+    for i in range(tiles.solid_start[tile], tiles.solid_start[tile + 1]):
+        s = tiles.solid_item[i]
+        if not is_beside(solids.bounds, s, x, y):
+            count += _hit_solid(solids, s, x, y, ray, hits, count)
+    for i in range(tiles.triangle_start[tile], tiles.triangle_start[tile + 1]):
+        t = tiles.triangle_item[i]
+        if not is_beside(facets.bounds, t, x, y) and facets.normal[t, 2] != 0.0:
+            count += hit_triangle(facets, t, x, y, NEVER_FAR, hits, count)
+    return count - settle(hits, zero, count, facets, hits, count)
+
+
+@njit(cache=True)
 def cast_points_at(points, tile, solids, facets, planes, tiles, heights, crossings):
-    """Cross vertical lines at points, (n, 2) [m], over tiles, (n,) int64; see `cast_lines`."""
-    for chunk in prange((points.shape[0] + CHUNK - 1) // CHUNK):
-        of_chunk = np.int64(chunk), points, tile
-        _cast_chunk(*of_chunk, solids, facets, planes, tiles, heights, crossings)
+    """Cross vertical lines at points, (n, 2) [m], over tiles, (n,) int64.
+
+    Twice, as `cast_lines`, but what is counted is exact.
+    """
+    ray = make_ray()
+    for n in range(points.shape[0]):
+        hits = make_hits(most_hits(tile[n], planes, tiles))
+        x, y = points[n, 0], points[n, 1]
+        count = cast_line(x, y, tile[n], solids, facets, planes, tiles, heights, ray, hits)
+        if crossings.z.shape[0] == 0:
+            crossings.start[n + 1] = count
+            continue
+        out = hits_of(crossings, crossings.start[n], crossings.start[n + 1])
+        for i in range(count):
+            copy_hit(hits, i, out, i)

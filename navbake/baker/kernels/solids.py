@@ -12,6 +12,7 @@ from numba import njit
 
 from navbake.baker.kernels.constants import APART, BOX, CAPSULE, CYLINDER, MEETS, SPHERE
 from navbake.baker.kernels.gjk import DISC, SQUARE, solid_meets_prism
+from navbake.compiled import UNCOUNTED
 
 SURE = 1e-9  # a gap or an overlap of more than this is no rounding [m]
 
@@ -83,7 +84,7 @@ def _gap(solids, s, prism, half, is_round):
     return 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def part_of_solid(solids, s, prism, is_round, simplex):
     """Whether a solid meets a prism's disc (`is_round`) or its square; APART where it has none."""
     half = prism.radius if is_round else prism.square
@@ -96,9 +97,12 @@ def part_of_solid(solids, s, prism, is_round, simplex):
 
 
 @njit(inline="always")
-def disc_too(solids, s, prism, by_square, simplex):
-    """The answer for a whole prism, given that for its square."""
-    if by_square == MEETS:
-        return MEETS
-    by_disc = part_of_solid(solids, s, prism, DISC, simplex)
-    return MEETS if by_disc == MEETS else max(by_square, by_disc)
+def solid_meets(solids, s, prism, simplex):
+    """Whether a solid meets a prism, by its square and its disc."""
+    answer = APART
+    for is_round in (SQUARE, DISC):
+        part = part_of_solid(solids, s, prism, is_round, simplex)
+        if part == MEETS:
+            return MEETS
+        answer = max(answer, part)
+    return answer

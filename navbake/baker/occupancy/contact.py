@@ -1,14 +1,16 @@
 """Asks FCL whether a solid meets a cell's prism. Only this module imports fcl."""
 
 from collections.abc import Callable
-
-import fcl
+from typing import Any
 
 from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from navbake.baker.scene.shapes import Solids
+from navbake.lazy import lazy
 from navbake.types import Float, Int32
 
-GEOMETRY: dict[int, Callable[[Float], fcl.CollisionGeometry]] = {
+fcl = lazy("fcl")  # few scenes have a cell that nothing else decides
+
+GEOMETRY: dict[int, Callable[[Float], Any]] = {
     SPHERE: lambda size: fcl.Sphere(size[0]),
     CAPSULE: lambda size: fcl.Capsule(size[0], 2 * size[1]),
     ELLIPSOID: lambda size: fcl.Ellipsoid(*size),

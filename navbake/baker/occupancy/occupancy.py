@@ -156,6 +156,12 @@ def _check(
     columns: Columns, tiled: TiledShapes, footprint: Footprint, cells: Int, floors: Float
 ) -> tuple[Bool, Bool, int]:
     """See `check_occupancy`; also which cells a ray proved occupied, and how many FCL decided."""
+    if len(cells) and np.any(cells[1:] < cells[:-1]):  # the kernel goes tile by tile
+        order = np.argsort(cells, kind="stable")
+        back = np.empty_like(order)
+        back[order] = np.arange(len(order))
+        occupied, by_line, by_fcl = _check(columns, tiled, footprint, cells[order], floors[order])
+        return occupied[back], by_line[back], by_fcl
     geometry = (tiled.shapes.solids, tiled.facets, tiled.shapes.planes, tiled.tiles)
     queries = Queries(cells, floors, np.zeros(len(cells), np.uint8), np.zeros(len(cells), np.bool_))
     check_cells(columns.lattice, columns.crossings, *geometry, footprint, queries)

@@ -2,53 +2,168 @@
 
 import numpy as np
 from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from navbake.baker.columns import Columns
+from navbake.baker.contents.walls import WALL_BAND
 from navbake.baker.floors.levels import LevelFloor
-from navbake.baker.kernels.constants import SLACK
+from navbake.baker.floors.sheets import agent_limits
+from navbake.baker.kernels.constants import SAME, SLACK
+from navbake.baker.lattice import EDGES
+from navbake.baker.rooms.spaces import WIDEST
+from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings
-from navbake.types import Bool, Float, Int32
+from navbake.types import Bool, Float, Int, Int32
 
-# What is outdoors reaches the edge over more than this: the doorways of a wall at the edge are
-# narrower [m]
-EDGE_LENGTH = 2.5
-# Outdoors, at least this share of the floor has nothing over it
-SKY_SHARE = 0.5
+# What is outdoors reaches the edge over more than this in one piece: no opening in a wall at the
+# edge is so wide [m]
+EDGE_LENGTH = WIDEST
+# What is no further from the edge lies under eaves, if it isn't under the sky [m]
+EAVES = 1.2
+# Outdoors, at least this share of the floor is under the sky or under eaves
+OPEN_SHARE = 0.5
+# The scene goes on beyond the lattice where it does so by more than this share of a cell
+BEYOND = 0.5
 
 
-def find_outdoors(segment: Int32, floor: Float, columns: Columns, height: float) -> set[int]:
-    """Find the segments of a level that are outdoors.
+def find_outdoors(
+    segment: Int32, floor: Float, columns: Columns, agent: AgentSettings, scene: Scene
+) -> tuple[Int32, set[int]]:
+    """Find the segments of a level that are outdoors, and unite those that touch.
 
-    They reach the edge of the grid, or floor beyond which there is nothing up to that edge, over
-    more than a door's width; and most of their cells have nothing above the head of an agent of
-    a height [m]. What walls enclose is a room, with a ceiling or without one: a gap parts it from
-    what is outdoors.
+    They reach the edge of the grid (or floor beyond which there is nothing up to that edge, or
+    ground that is too steep to stand on, such as the bank of a ditch) in one piece that is wider
+    than any door, walls and pillars left out; and at least half of their cells have nothing above
+    an agent's head, or lie under eaves, 1.2 m from where the scene ends at most. What walls
+    enclose is a room, with a ceiling or without one: a gap parts it from what is outdoors, and
+    doors at the edge are too narrow. Walls part two pieces of outdoors, too; a ditch
+    does not, nor what stands on endless ground, because one walks round it.
 
     Args:
         segment: the segment of each cell, 0 for none.
         floor: heights of the floor, of the same shape, NaN for none [m].
+        scene: with its bounds, and ground that goes on beyond them.
+
+    Returns:
+        The segments, of which those that are outdoors and touch have the least number of all; and
+        the numbers of those that are outdoors.
     """
+    lattice = columns.lattice
     count = int(segment.max(initial=0)) + 1
-    at_edge = np.bincount(segment[_edge_cells(columns)], minlength=count)
-    candidates = at_edge * columns.lattice.cell_size > EDGE_LENGTH
-    candidates[0] = False
+    steep = _is_steep(floor, columns, agent)
+    edge = _edge_cells(columns, steep, np.ones((2, 2), dtype=np.bool_)) & (segment > 0)
+    edge[edge] = ~_is_under_top(np.flatnonzero(edge), floor, columns)
+    candidates = _longest_runs(segment, edge, count) * lattice.cell_size > EDGE_LENGTH
     if not candidates.any():
-        return set()
-    cell = np.flatnonzero(candidates[segment.ravel()])
+        return segment, set()
+    is_candidate = candidates[segment]
+    cell = np.flatnonzero(is_candidate)
     number, top = segment.ravel()[cell], columns.z[columns.start[cell + 1] - 1]
-    is_sky = top <= floor.ravel()[cell] + height + SLACK
-    open_cells = np.bincount(number[is_sky], minlength=count)
+    is_open = top <= floor.ravel()[cell] + agent.height + SLACK
+    if not is_open.all() and scene.bounds is not None:
+        # a window of a larger scene cuts through rooms, and they go on beyond it
+        x0, y0, x1, y1 = lattice.bounds
+        (low_x, low_y), (high_x, high_y) = scene.bounds[:, :2]
+        more = np.array([[high_y - y1, y0 - low_y], [x0 - low_x, high_x - x1]])
+        end = is_candidate & _edge_cells(
+            columns, np.zeros_like(steep), more <= BEYOND * lattice.cell_size
+        )
+        if end.any():
+            away = ndimage.distance_transform_edt(~end).ravel()[cell]
+            is_open |= away * lattice.cell_size <= EAVES
+    open_cells = np.bincount(number[is_open], minlength=count)
     all_cells = np.bincount(number, minlength=count)
-    return set(np.flatnonzero(candidates & (open_cells >= SKY_SHARE * all_cells)).tolist())
+    outdoors = candidates & (open_cells >= OPEN_SHARE * all_cells)
+    united = _unite_touching(segment, outdoors, steep)
+    if outdoors.any() and len(scene.shapes.planes.geom):
+        united[outdoors] = united[outdoors].min()
+    return united[segment], set(np.unique(united[outdoors]).tolist())
 
 
-def _edge_cells(columns: Columns) -> Bool:
-    """Cells on the edge of the lattice, or of the empty space that reaches it."""
+def _is_under_top(cell: Int, floor: Float, columns: Columns) -> Bool:
+    """Whether cells hold something that reaches above heads, such as a pillar between doors."""
+    height = floor.ravel()[cell]
+    start, end = columns.start[cell], columns.start[cell + 1]
+    owner = np.repeat(np.arange(len(cell)), end - start)
+    entry = np.arange(len(owner)) + (start - np.cumsum(end - start) + (end - start))[owner]
+    below = columns.z[entry] <= height[owner] + SAME
+    above = start + np.bincount(owner[below], minlength=len(cell))
+    tall = above < end
+    above = above[tall]
+    tall[tall] = (columns.normal[above, 2] > 0) & (columns.z[above] > height[tall] + WALL_BAND[0])
+    return tall
+
+
+def _is_steep(floor: Float, columns: Columns, agent: AgentSettings) -> Bool:
+    """Mark the cells without a floor that are steep ground under the sky."""
+    bare = np.isnan(floor).ravel() & (np.diff(columns.start) > 0)
+    up = columns.normal[columns.start[1:][bare] - 1, 2]
+    bare[bare] = (up > 0) & (up < agent_limits(agent).min_up)
+    return bare.reshape(floor.shape)
+
+
+def _unite_touching(segment: Int32, chosen: Bool, steep: Bool) -> Int32:
+    """By segment, the least number of the chosen ones that it touches, or its own.
+
+    Those touch, too, that steep ground lies between.
+    """
+    part, count = ndimage.label(steep)
+    node = np.where(steep, part + len(chosen) - 1, segment)
+    joins = np.concatenate([chosen, np.ones(count, dtype=np.bool_)])
+    pairs = []
+    for one, other in EDGES:
+        meet = (node[one] != node[other]) & joins[node[one]] & joins[node[other]]
+        pairs.append(np.stack([node[one][meet], node[other][meet]]))
+    number = _connect(np.concatenate(pairs, axis=1), len(joins))
+    least = np.full(len(joins), len(joins), dtype=np.int32)
+    np.minimum.at(least, number, np.arange(len(joins), dtype=np.int32))
+    return least[number][: len(chosen)]
+
+
+def _longest_runs(segment: Int32, edge: Bool, count: int) -> Float:
+    """How far each segment's cells at the edge reach at most without a break [cells]."""
+    rows, cols = np.nonzero(edge)
+    number = segment[rows, cols]
+    cell = rows * segment.shape[1] + cols
+    pairs = []
+    for row, col in ((0, 1), (1, -1), (1, 0), (1, 1)):  # neighbours over edges and corners
+        place = np.searchsorted(cell, cell + row * segment.shape[1] + col).clip(max=len(cell) - 1)
+        same = (rows[place] - rows == row) & (cols[place] - cols == col)
+        same &= number[place] == number
+        pairs.append(np.stack([np.flatnonzero(same), place[same]]))
+    run = _connect(np.concatenate(pairs, axis=1), len(cell))
+    reach = np.zeros(len(cell))
+    for place in (rows, cols):
+        low, high = np.full(len(cell), np.inf), np.full(len(cell), -np.inf)
+        np.minimum.at(low, run, place)
+        np.maximum.at(high, run, place)
+        reach = np.hypot(reach, (high - low)[run])
+    longest = np.zeros(count)
+    np.maximum.at(longest, number, reach + 1)
+    return longest
+
+
+def _connect(pairs: Int, count: int) -> Int32:
+    """The connected part of each of so many nodes; `pairs` are (2, n)."""
+    graph = coo_array((np.ones(pairs.shape[1], dtype=np.bool_), pairs), shape=(count, count))
+    part: Int32 = connected_components(graph, directed=False)[1]
+    return part
+
+
+def _edge_cells(columns: Columns, steep: Bool, sides: Bool) -> Bool:
+    """Cells on the edge of the lattice, or of the empty space and steep ground that reach it.
+
+    `sides` says which of the lattice's edges count: [[upper, lower], [left, right]].
+    """
     shape = columns.lattice.shape
-    empty = np.ones((shape[0] + 2, shape[1] + 2), dtype=np.bool_)
-    empty[1:-1, 1:-1] = (np.diff(columns.start) == 0).reshape(shape)
+    empty = np.zeros((shape[0] + 2, shape[1] + 2), dtype=np.bool_)
+    empty[1:-1, 1:-1] = steep | (np.diff(columns.start) == 0).reshape(shape)
+    empty[[0, -1]] |= sides[0][:, None]
+    empty[:, [0, -1]] |= sides[1]
     part, _ = ndimage.label(empty)
-    beyond = part == part[0, 0]
+    outer = np.unique(np.concatenate([part[[0, -1]].ravel(), part[:, [0, -1]].ravel()]))
+    beyond = np.isin(part, outer[outer > 0])
     edge = ndimage.binary_dilation(beyond)[1:-1, 1:-1]
     edge &= ~beyond[1:-1, 1:-1]
     result: Bool = edge

@@ -12,16 +12,17 @@ import numpy as np
 from navbake.baker.columns import Columns
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.rooms import openings
-from navbake.baker.rooms.gaps import CloseCall
 from navbake.baker.rooms.openings import Opening, RoomIndex, RoomKey
 from navbake.baker.rooms.outdoors import find_holes, find_outdoors
 from navbake.baker.rooms.segmentation import (
+    give_covered,
     labels_in_order,
     segment_by_gaps,
     segment_rooms,
     share_rest,
 )
 from navbake.baker.rooms.sources import MarkedRooms, RoomMarkers
+from navbake.baker.rooms.spaces import CloseCall
 from navbake.baker.rooms.table import NamedRoom, describe_rooms, name_neighbours
 from navbake.baker.rooms.windows import find_windows
 from navbake.baker.scene.scene import Scene
@@ -95,8 +96,9 @@ def find_rooms(
 ) -> Rooms:
     """Find the room that each cell belongs to.
 
-    A cell's room is that of the first source that has one for it. Cells without a floor, and
-    cells that a wall or a window stands in, belong to none. On each level, rooms are numbered by
+    A cell's room is that of the first source that has one for it; what is left is segmented by
+    itself, see `share_rest`. Cells without a floor, and cells that a wall or a window stands in,
+    belong to none. On each level, rooms are numbered by
     their first cells in reading order: from large y to small, from small x to large. A room that
     reaches over several levels is one room on each.
 
@@ -113,7 +115,7 @@ def find_rooms(
     markers = RoomMarkers(scene, columns, levels, settings, agent)
     for source in settings.sources:
         if source == "auto":
-            assignment.segment(levels, settings, columns, agent)
+            assignment.segment(levels, settings, columns, agent, scene)
         else:
             assignment.add(markers.mark(source), source)
     index, named = assignment.number()
@@ -129,6 +131,8 @@ class _Assignment:
     def __init__(self, open_cells: Sequence[Bool]) -> None:
         self._open = open_cells
         self._owner = [np.zeros(mask.shape, dtype=np.int32) for mask in open_cells]
+        # whose floor lies under the cell's own, for cells without an owner
+        self._under = [np.zeros(mask.shape, dtype=np.int32) for mask in open_cells]
         self._rooms: list[NamedRoom] = []  # owners count from 1
         self.warnings: list[str] = []
 
@@ -140,13 +144,16 @@ class _Assignment:
         self.warnings += marked.warnings
         if not marked.names:
             return
-        for open_cells, owner, label in zip(self._open, self._owner, marked.labels, strict=True):
+        covered = marked.covered or marked.labels
+        of_levels = zip(self._open, self._owner, self._under, marked.labels, covered, strict=True)
+        for open_cells, owner, under, label, cover in of_levels:
             fresh = np.where(open_cells & (owner == 0), label, 0)
             number = np.zeros(len(marked.names) + 1, dtype=np.int32)
             for k in np.flatnonzero(np.bincount(fresh.ravel())[1:]):
                 self._rooms.append(NamedRoom(marked.names[k], source, k + 1 in outdoors))
                 number[k + 1] = len(self._rooms)
             owner += number[fresh]
+            under += np.where(under == 0, number[cover], 0)
 
     def segment(
         self,
@@ -154,10 +161,11 @@ class _Assignment:
         settings: RoomSettings,
         columns: Columns,
         agent: AgentSettings,
+        scene: Scene,
     ) -> None:
         """Divide the remaining cells at gaps; see `segment_by_gaps` and `share_rest`.
 
-        All that is outdoors on a level becomes one room.
+        What is outdoors becomes one room, as far as it hangs together; see `find_outdoors`.
         """
         cell_size = columns.lattice.cell_size
         labels = []
@@ -167,12 +175,12 @@ class _Assignment:
             segment = self._segment_level(number, level, settings, columns, agent)
             owner = self._owner[number]
             if owner.any():
-                least = settings.min_area / cell_size**2
-                self._owner[number], segment = share_rest(owner, segment, least)
-            outside = find_outdoors(segment, level.floor, columns, agent.height)
-            if outside:
-                segment[np.isin(segment, list(outside))] = min(outside)
-                outdoors.add(min(outside) + len(names))
+                owner = give_covered(owner, self._under[number] * self._open[number], segment)
+                self._owner[number], segment = share_rest(
+                    owner, segment, cell_size, settings.min_area
+                )
+            segment, outside = find_outdoors(segment, level.floor, columns, agent, scene)
+            outdoors.update(room + len(names) for room in outside)
             labels.append(np.where(segment > 0, segment + len(names), 0))
             names += [None] * int(segment.max(initial=0))
         self.add(MarkedRooms(names, labels), "auto", outdoors)

@@ -12,19 +12,21 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from navbake.baker.lattice import EDGES, Window, bounding_window
-from navbake.baker.rooms.gaps import WIDEST, CloseCall, part_at_gaps
+from navbake.baker.rooms.distances import squared_distances
+from navbake.baker.rooms.gaps import part_at_gaps
 from navbake.baker.rooms.kernels import labels
 from navbake.baker.rooms.kernels.labels import label_parts, measure_regions
-from navbake.baker.rooms.kernels.watershed import flood, squared_distances
+from navbake.baker.rooms.kernels.watershed import flood
 from navbake.baker.rooms.regions import ROUGHNESS, ROUNDING, STAIR_SHARE, Regions
+from navbake.baker.rooms.spaces import WIDEST, CloseCall
 from navbake.types import Bool, Float, Int, Int32
 
 # A narrow region begins at this distance from where a disc wider than the door fits [door widths]
 NARROW_GAP = 0.1
 # A narrow region of less width is a crack, and no room [door widths]
 CRACK_WIDTH = 0.5
-# Marked rooms that hold at least this share of a segment take over all of it
-MAJORITY = 0.5
+# What marked rooms leave is no room of its own if it is nowhere as wide as this [m]
+SLIVER = 0.5
 # A cell is steep, like a stair, where the floor rises by this share of the distance
 STEEPNESS = 0.3
 # That is measured over this distance on both sides of the cell [m]
@@ -195,33 +197,54 @@ def wall_nodes(open_cells: Bool) -> Bool:
     return cols[:, :-1] | cols[:, 1:]
 
 
-def share_rest(owner: Int32, segment: Int32, least: float) -> tuple[Int32, Int32]:
-    """Divide what marked rooms leave of segments between these rooms and new ones.
+def give_covered(owner: Int32, under: Int32, segment: Int32) -> Int32:
+    """Give cells to the room whose floor lies under theirs, if that room reaches their segment.
 
-    The rest of a segment is made of connected parts. A part goes to the marked room that it
-    touches most if marked rooms hold most of the segment, or if it is too small for a room.
+    So a podium is part of its room, and a house is none of the ground that it stands on. All are
+    of the same shape, 0 for none; returns the owners.
+    """
+    base = int(max(owner.max(initial=0), under.max(initial=0))) + 1
+    held = np.unique(segment[owner > 0].astype(np.int64) * base + owner[owner > 0])
+    takes = (owner == 0) & (under > 0) & (segment > 0)
+    takes[takes] = np.isin(segment[takes].astype(np.int64) * base + under[takes], held)
+    return np.where(takes, under, owner)
+
+
+def share_rest(
+    owner: Int32, segment: Int32, cell_size: float, min_area: float
+) -> tuple[Int32, Int32]:
+    """Make rooms of what marked rooms leave of segments.
+
+    The rest of a segment is made of connected parts. Each is a room by itself, whatever share of
+    the segment is marked: a mark says where its room ends. Only a part that is too small for a
+    room (smaller than `min_area`, or nowhere half a metre wide: the gap between a drawn floor and
+    its wall, the depth of a doorway) goes to the marked room that it touches most.
 
     Args:
         owner, segment: the marked room and the segment of each cell, 0 for none.
-        least: cells that a room has at least.
+        cell_size: edge of a cell [m].
+        min_area: what a room has at least [m²].
 
     Returns:
         Owners with what they take over, and new rooms in what is left, each of the same shape.
     """
-    left = np.where(owner == 0, segment, 0)
-    part = _label_equal(left)
+    least = min_area / cell_size**2 - ROUNDING
+    part = _label_equal(np.where(owner == 0, segment, 0))
     count = int(part.max(initial=0)) + 1
-    cells = np.bincount(part.ravel(), minlength=count)
-    all_of = np.bincount(segment.ravel())
-    held = np.bincount(segment[owner > 0].ravel(), minlength=len(all_of)) / np.maximum(all_of, 1)
-    of_part = np.zeros(count, dtype=np.int32)
-    of_part[part.ravel()] = left.ravel()
+    reach = int(SLIVER / cell_size) + 2
+    around = wall_nodes(part > 0)
+    height, width = part.shape
+    for k in range(3):  # the nodes on each edge between two parts
+        around[k : k + 2 * height - 1 : 2, 2:-1:2] |= part[:, :-1] != part[:, 1:]
+        around[2:-1:2, k : k + 2 * width - 1 : 2] |= part[:-1] != part[1:]
+    cells, peaks, _ = measure_regions(part, squared_distances(around, reach, 0, 1), count - 1)
+    # twice the distance to what is around, in half cells: the widest disc that fits
+    is_room = (cells >= least) & (peaks >= (SLIVER / cell_size) ** 2 - ROUNDING)
+    is_room[0] = False
     touched = _most_touched(part, owner, count)
-    joins = (touched > 0) & ((cells < least) | (held[of_part] >= MAJORITY))
-    is_room = ~joins & (cells >= least)
-    joins[0] = is_room[0] = False
-    taken = np.where(joins[part], touched[part], owner).astype(np.int32)
-    return taken, renumber(np.where(is_room[part], part, 0).astype(np.int32))
+    taken = np.where(is_room[part], 0, touched[part])
+    new = renumber(np.where(is_room[part], part, 0).astype(np.int32))
+    return np.where(owner > 0, owner, taken).astype(np.int32), new
 
 
 def renumber(label: Int32) -> Int32:

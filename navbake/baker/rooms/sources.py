@@ -44,11 +44,14 @@ class MarkedRooms:
     Attributes:
         names: a room's name, or None; the room of ``names[k]`` has the number k + 1.
         labels: the number of each cell's room by level, shape (height, width), 0 for none.
+        covered: the same of cells whose floor lies on the room's, up to a step higher, as on a
+            podium; [] where the source has no such cells.
     """
 
     names: list[str | None]
     labels: list[Int32]
     warnings: list[str] = field(default_factory=list)
+    covered: list[Int32] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,8 @@ class RoomMarkers:
         floor to 5 mm above it, and of several at one height the first. So a rug does not hide the
         room's floor, and a floor may be only drawn and not count in the bake. Meshes are taken as
         their triangles. Furniture may be named like a room: so a geom counts as a floor only if
-        half of its upper side is floor, or lies up to a step under one (a carpet, a podium).
+        half of its upper side is floor, or lies up to a step under one (a carpet, a podium). What
+        lies so over a room's floor is `covered`.
         """
         model = self.scene.model
         names = [name_at(model, address) for address in model.name_geomadr]
@@ -89,15 +93,18 @@ class RoomMarkers:
         at_floor = np.any([(h >= lowest) & (h <= ABOVE + SAME) for h in heights], axis=0)
         sides = np.bincount(geom, minlength=model.ngeom)
         is_floor = np.bincount(geom[at_floor], minlength=model.ngeom) >= FLOOR_SHARE * sides
-        for label, height in zip(labels, heights, strict=True):
-            here = (height >= -BELOW - SAME) & (height <= ABOVE + SAME) & is_floor[geom]
-            highest = np.full(label.size, -np.inf)
-            np.maximum.at(highest, cell[here], z[here])
-            here &= z >= highest[cell] - SAME
-            first = np.full(label.size, model.ngeom, dtype=np.int32)
-            np.minimum.at(first, cell[here], geom[here])
-            label[:] = number[first].reshape(label.shape)
-        return MarkedRooms([_room_name(names[geom]) for geom in chosen], labels, warnings)
+        covered = self._no_rooms()
+        for found, reach in ((labels, -BELOW - SAME), (covered, lowest)):
+            for label, height in zip(found, heights, strict=True):
+                here = (height >= reach) & (height <= ABOVE + SAME) & is_floor[geom]
+                highest = np.full(label.size, -np.inf)
+                np.maximum.at(highest, cell[here], z[here])
+                here &= z >= highest[cell] - SAME
+                first = np.full(label.size, model.ngeom, dtype=np.int32)
+                np.minimum.at(first, cell[here], geom[here])
+                label[:] = number[first].reshape(label.shape)
+        called: list[str | None] = [_room_name(names[geom]) for geom in chosen]
+        return MarkedRooms(called, labels, warnings, covered)
 
     def _sites(self) -> MarkedRooms:
         """Give each cell the room in whose site's volume an agent in it stands.
@@ -160,7 +167,7 @@ def _upward_surfaces(
     parts = [(columns, known)]
     if others := set(chosen) - known:
         choices = [Choice(geom in others, "marks a room", "surface") for geom in range(num)]
-        shapes = collect_shapes(scene.model, scene.data, choices, {}).shapes
+        shapes = collect_shapes(scene.model, scene.data, choices, scene.parts).shapes
         parts.append((cast_columns(tile_shapes(shapes, columns.lattice, 0.0)), others))
     found = []
     for surfaces, geoms in parts:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from navbake.baker.rooms.gaps import find_directions, turned
+from navbake.baker.rooms.directions import find_directions, turned
 from navbake.baker.rooms.kernels.gaps import drop_thick, mark_bridges
 from navbake.types import Bool
 
@@ -15,7 +15,8 @@ def find_windows(low: Bool, wall: Bool, cell_size: float) -> Bool:
 
     Where walls, floors and furniture are one mesh, only heights tell what is wall: that reaches
     above heads. A window's sill doesn't. But along the direction of a wall it goes from one piece
-    of wall to the next without a break, and it is as thin as a wall. A table or a bed ends
+    of wall to the next without a break, to a cell on either side of a line, and it is as thin as
+    a wall. A table or a bed ends
     somewhere, and a counter along a wall has no wall at its ends, or fills a niche that is deeper
     than a wall is thick.
 

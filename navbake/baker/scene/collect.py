@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.kernels import constants
 from navbake.baker.scene.choice import Choice, MeshMode
+from navbake.baker.scene.kernels.triangles import take_corners
 from navbake.baker.scene.mesh_scene import MeshPart
 from navbake.baker.scene.names import name_at, names_of
 from navbake.baker.scene.parts import split_mesh
@@ -46,6 +47,44 @@ class GeomTriangles:
         return cls(corners, np.zeros(num, np.int32), np.full(num, closed, np.uint8))
 
 
+class CountedMesh(NamedTuple):
+    """The triangles that a mesh counts by, in its own frame, and its `GeomReport.shape`."""
+
+    triangles: GeomTriangles
+    kind: str
+
+
+class MeshTriangles:
+    """What the meshes of a model count by, each found once, however many geoms have it."""
+
+    def __init__(self, model: Any) -> None:
+        self._model = model
+        self._found: dict[tuple[int, str], CountedMesh] = {}
+
+    def count(self, mesh: int, mode: str) -> CountedMesh:
+        """Count a mesh as a mode says; see `count_mesh`."""
+        if (mesh, mode) not in self._found:
+            self._found[mesh, mode] = count_mesh(*_mesh_arrays(self._model, mesh), mode)
+        return self._found[mesh, mode]
+
+
+def count_mesh(vertices: Float, faces: Int | Int32, on_hull: Float, mode: str) -> CountedMesh:
+    """Count a mesh as its hull, as a shell, or as its triangles; a flat one has no hull.
+
+    Args:
+        on_hull: the vertices that its hull has, shape (n, 3).
+    """
+    hull = hull_triangles(on_hull) if mode == "hull" else None
+    if hull is not None:
+        return CountedMesh(GeomTriangles.all_alike(hull, constants.CONVEX_SOLID), "hull")
+    if mode == "shell":
+        corners = take_corners(vertices, faces)
+        return CountedMesh(GeomTriangles.all_alike(corners, constants.OPEN_SURFACE), "shell")
+    split = split_mesh(vertices, faces)
+    corners = take_corners(vertices, split.faces)
+    return CountedMesh(GeomTriangles(corners, split.part, split.closed), split.kind)
+
+
 class Collected(NamedTuple):
     """The shapes, world frame; each geom's `GeomReport.shape`; what the user should know."""
 
@@ -60,18 +99,20 @@ def collect_shapes(
     choices: Sequence[Choice],
     parts: Mapping[int, MeshPart],
     only: Iterable[int] | None = None,
+    meshes: MeshTriangles | None = None,
 ) -> Collected:
     """Gather the geometry of the geoms that count.
 
     Args:
         choices: what becomes of each geom, by its id.
-        parts: exact meshes by geom id, world frame (the model's are rounded to float32).
+        parts: exact meshes by geom id, world frame (the model has none of these).
         only: ids of the geoms to look at, ascending; all if None.
+        meshes: what is known of the model's meshes; nothing if None.
 
     Raises:
         SceneError: a geom that counts stands at no finite place, or is broken.
     """
-    collector = _Collector(model, data, parts)
+    collector = _Collector(model, data, parts, meshes or MeshTriangles(model))
     kinds = [""] * len(choices)
     for geom in range(len(choices)) if only is None else only:
         if choices[geom].counted:
@@ -79,9 +120,9 @@ def collect_shapes(
     return Collected(collector.shapes(), kinds, collector.notes)
 
 
-def mesh_shapes(model: Any, data: Any, geom: int, mode: MeshMode) -> Shapes:
+def mesh_shapes(model: Any, data: Any, geom: int, mode: MeshMode, meshes: MeshTriangles) -> Shapes:
     """The triangles of one geom that is a mesh, counted as a mode says, world frame."""
-    collector = _Collector(model, data, {})
+    collector = _Collector(model, data, {}, meshes)
     collector.add(geom, mode)
     return collector.shapes()
 
@@ -89,13 +130,16 @@ def mesh_shapes(model: Any, data: Any, geom: int, mode: MeshMode) -> Shapes:
 class _Collector:
     """Gathers geometry, kind by kind."""
 
-    def __init__(self, model: Any, data: Any, parts: Mapping[int, MeshPart]) -> None:
+    def __init__(
+        self, model: Any, data: Any, parts: Mapping[int, MeshPart], meshes: MeshTriangles
+    ) -> None:
         self._model, self._data, self._parts = model, data, parts
         self._solids: list[int] = []
         self._planes: list[int] = []
         self._triangles: dict[int, GeomTriangles] = {}  # by geom, world frame
         self._endless = np.zeros(model.ngeom, dtype=np.bool_)
-        self._meshes: dict[tuple[int, str], tuple[GeomTriangles, str]] = {}
+        self._meshes = meshes
+        self._flat: set[str] = set()  # meshes that a note tells of
         numbers = np.hstack([data.geom_xpos, data.geom_xmat, model.geom_size])
         self._is_finite = np.isfinite(numbers).all(axis=1)
         self.notes: list[str] = []
@@ -120,22 +164,15 @@ class _Collector:
         return self._add_mesh(geom, shape, mesh_mode)
 
     def shapes(self) -> Shapes:
-        """All that was taken in."""
+        """All that was taken in; it can be had once, because it would be large twice."""
         model, data = self._model, self._data
         index, plane = (np.array(ids, dtype=np.int32) for ids in (self._solids, self._planes))
         kind, size = model.geom_type[index], model.geom_size[index]
         pos, mat = data.geom_xpos[index], data.geom_xmat[index]
-        of_triangles = np.array(list(self._triangles), dtype=np.int32)
-        found = [GeomTriangles.all_alike(np.zeros((0, 3, 3)), 0), *self._triangles.values()]
-        num_triangles = [len(triangles.corners) for triangles in found[1:]]
-        part, closed, corners = (
-            np.concatenate([getattr(triangles, name) for triangles in found])
-            for name in ("part", "closed", "corners")
-        )
         return Shapes(
             solids=Solids(index, kind, pos, mat, size, solid_bounds(kind, pos, mat, size)),
             planes=Planes(plane, data.geom_xpos[plane], data.geom_xmat[plane]),
-            triangles=Triangles(np.repeat(of_triangles, num_triangles), part, closed, corners),
+            triangles=_join_triangles(self._triangles),
             endless=self._endless,
         )
 
@@ -152,36 +189,44 @@ class _Collector:
     def _add_mesh(self, geom: int, mesh: int, mode: str) -> str:
         part = self._parts.get(geom)
         if part is not None:
-            triangles, kind = self._mesh_triangles(geom, *part[1:], part.vertices, mode)
+            counted = count_mesh(part.vertices, part.faces, part.vertices, mode)
+            self._triangles[geom] = counted.triangles
         else:
-            if (mesh, mode) not in self._meshes:
-                arrays = _mesh_arrays(self._model, mesh)
-                self._meshes[mesh, mode] = self._mesh_triangles(geom, *arrays, mode)
-            triangles, kind = self._meshes[mesh, mode]
-            triangles = replace(triangles, corners=self._to_world(geom, triangles.corners))
-        self._triangles[geom] = triangles
-        return kind
-
-    def _mesh_triangles(
-        self, geom: int, vertices: Float, faces: Int | Int32, on_hull: Float, mode: str
-    ) -> tuple[GeomTriangles, str]:
-        if mode == "hull":
-            hull = hull_triangles(on_hull)
-            if hull is not None:
-                return GeomTriangles.all_alike(hull, constants.CONVEX_SOLID), "hull"
-            name = names_of(self._model, geom)
+            counted = self._meshes.count(mesh, mode)
+            corners = self._to_world(geom, counted.triangles.corners)
+            self._triangles[geom] = replace(counted.triangles, corners=corners)
+        name = names_of(self._model, geom)
+        if mode == "hull" and counted.kind != "hull" and name.mesh not in self._flat:
+            self._flat.add(name.mesh)
             self.notes.append(
                 f"mesh {name.mesh!r} of geom {name.geom!r} is flat, so it has no convex hull: "
                 f"it counts by its triangles"
             )
-        if mode == "shell":
-            return GeomTriangles.all_alike(vertices[faces], constants.OPEN_SURFACE), "shell"
-        split = split_mesh(vertices, faces)
-        return GeomTriangles(vertices[split.faces], split.part, split.closed), split.kind
+        return counted.kind
 
     def _to_world(self, geom: int, corners: Float) -> Float:
         mat = self._data.geom_xmat[geom].reshape(3, 3)
         return np.asarray(corners @ mat.T + self._data.geom_xpos[geom])
+
+
+def _join_triangles(found: dict[int, GeomTriangles]) -> Triangles:
+    """The triangles of all geoms in one; what is joined is taken out of `found`."""
+    counts = [len(triangles.corners) for triangles in found.values()]
+    geom = np.repeat(np.array(list(found), dtype=np.int32), counts)
+    if len(found) == 1:
+        only = found.popitem()[1]
+        return Triangles(geom, only.part, only.closed, only.corners)
+    num = sum(counts)
+    part, closed = np.empty(num, dtype=np.int32), np.empty(num, dtype=np.uint8)
+    joined = Triangles(geom, part, closed, np.empty((num, 3, 3)))
+    end = num
+    while found:  # memory of the joined array is used as that of the parts is given back
+        triangles = found.popitem()[1]
+        here = slice(end - len(triangles.corners), end)
+        joined.part[here], joined.closed[here] = triangles.part, triangles.closed
+        joined.corners[here] = triangles.corners
+        end = here.start
+    return joined
 
 
 def _height_field(model: Any, hfield: int) -> Float:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from navbake.baker.scene.kernels.facing import find_facing, measure_spans
 from navbake.baker.scene.shapes import Shapes, Solids
 from navbake.types import Float, Int, Int32
 
@@ -92,39 +93,16 @@ def _support(solids: Solids, way: Float) -> Float:
 
 
 def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
-    first = np.flatnonzero(np.diff(geom, prepend=-1))
-    group = np.repeat(np.arange(len(first)), np.diff(first, append=len(geom)))
-    angle = _facing(group, corners, len(first))
+    first = np.flatnonzero(np.diff(geom, prepend=np.int32(-1)))
+    which = geom[first]
+    group = np.repeat(np.arange(len(first), dtype=np.int32), np.diff(first, append=len(geom)))
+    angle = find_facing(corners, group, len(first), DIRECTIONS)
     way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     turned = np.stack([-way[:, 1], way[:, 0]], axis=1)
-
-    def span(direction: Float) -> tuple[Float, Float]:
-        """Of each group, how far it extends along its direction, and the middle of that [m]."""
-        along = np.einsum("mci,mi->mc", corners[:, :, :2], direction[group])
-        low = np.minimum.reduceat(along.min(axis=1), first)
-        high = np.maximum.reduceat(along.max(axis=1), first)
-        return high - low, (low + high) / 2
-
-    (one, middle), (other, middle2) = span(way), span(turned)
-    which = geom[first]
+    low, high = measure_spans(corners, group, way)
+    one, other, _ = (high - low).T
+    middle = (low + high) / 2
     out.across[which] = np.where((one <= other)[:, None], way, turned)
     out.thin[which], out.long[which] = np.minimum(one, other), np.maximum(one, other)
-    out.center[which] = way * middle[:, None] + turned * middle2[:, None]
-    out.low[which] = np.minimum.reduceat(corners[:, :, 2].min(axis=1), first)
-    out.high[which] = np.maximum.reduceat(corners[:, :, 2].max(axis=1), first)
-
-
-def _facing(group: Int, corners: Float, num: int) -> Float:
-    """The angle, modulo a right one, that most upright faces of each group look at [rad]."""
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    weight = np.hypot(normal[:, 0], normal[:, 1])
-    right, step = np.pi / 2, np.pi / 2 / DIRECTIONS
-    angle = np.mod(np.arctan2(normal[:, 1], normal[:, 0]), right)
-    direction = np.floor(angle / step + 0.5).astype(np.int64) % DIRECTIONS
-    votes = np.bincount(group * DIRECTIONS + direction, weight, num * DIRECTIONS)
-    chosen = votes.reshape(num, DIRECTIONS).argmax(axis=1)
-    off = np.mod(angle - chosen[group] * step + right / 2, right) - right / 2
-    near = np.where(direction == chosen[group], weight, 0.0)
-    total = np.bincount(group, near, num)
-    mean = np.bincount(group, near * off, num) / np.where(total > 0, total, 1.0)
-    return np.asarray(chosen * step + mean)
+    out.center[which] = way * middle[:, :1] + turned * middle[:, 1:2]
+    out.low[which], out.high[which] = low[:, 2], high[:, 2]

@@ -9,7 +9,7 @@ import numpy as np
 from navbake.baker.columns import Columns, cast_columns, tile_shapes
 from navbake.baker.floors.sheets import AreaTest
 from navbake.baker.kernels.constants import OPEN_SURFACE, SLACK
-from navbake.baker.scene.collect import mesh_shapes
+from navbake.baker.scene.collect import MeshTriangles, mesh_shapes
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
@@ -22,8 +22,16 @@ SPACING, MOST_LINES = 0.1, 10_000
 class HiddenRoom:
     """Tells of the meshes of a posed model whether their hulls hide room for an agent."""
 
-    def __init__(self, model: Any, data: Any, agent: AgentSettings, floors: FloorSettings) -> None:
-        self._model, self._data, self._agent, self._floors = model, data, agent, floors
+    def __init__(
+        self,
+        model: Any,
+        data: Any,
+        meshes: MeshTriangles,
+        agent: AgentSettings,
+        floors: FloorSettings,
+    ) -> None:
+        self._model, self._data, self._meshes = model, data, meshes
+        self._agent, self._floors = agent, floors
         self._answers: dict[tuple[int, bytes], bool] = {}
 
     def is_in_hull(self, geom: int) -> bool:
@@ -54,14 +62,14 @@ class HiddenRoom:
         return bool(left[0] * left[1] >= self._floors.min_area - SLACK)
 
     def _look(self, geom: int) -> bool:
-        hull = mesh_shapes(self._model, self._data, geom, "hull")
+        hull = mesh_shapes(self._model, self._data, geom, "hull", self._meshes)
         bounds = hull.bounds()
         if bounds is None or not np.isfinite(bounds).all():
             return False
         x0, y0, x1, y1 = (float(v) for v in bounds[:, :2].ravel())
         spacing = max(SPACING, float(np.sqrt((x1 - x0) * (y1 - y0) / MOST_LINES)))
         lattice = Lattice.cover((x0, y0, x1, y1), spacing)
-        mesh = mesh_shapes(self._model, self._data, geom, "surface")
+        mesh = mesh_shapes(self._model, self._data, geom, "surface", self._meshes)
         has_room = _find_room(_cast(mesh, lattice), _cast(hull, lattice), self._agent.height)
         return AreaTest(lattice, self._floors).passes(np.flatnonzero(has_room))
 

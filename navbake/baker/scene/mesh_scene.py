@@ -11,13 +11,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import trimesh
 
+from navbake.baker.scene.kernels.triangles import check_faces, find_used, sum_by_facing
+from navbake.baker.scene.meshes.binary import read_plain_ply, read_plain_stl
 from navbake.baker.scene.meshes.gltf import check_gltf
 from navbake.baker.scene.meshes.text import check_ply, prepare_obj, prepare_ply, prepare_stl
 from navbake.baker.scene.names import unique_name
 from navbake.errors import SceneError
-from navbake.types import Float, Int
+from navbake.lazy import lazy
+from navbake.types import Bool, Float, Int32
+
+trimesh = lazy("trimesh")
 
 MESH_SUFFIXES = frozenset({".obj", ".ply", ".stl", ".glb", ".gltf", ".dae"})
 
@@ -31,13 +35,14 @@ MAX_COORDINATE = 1e10
 # is to be taken for one that lies on its side
 LYING = 1.5
 MAX_BYTES = 2 << 30  # of a file; trimesh takes several times as much memory
-# How trimesh reads a format, and what repairs a file for it
+# How trimesh reads a format, what repairs a file for it, and what reads a file without it
 PLAIN: dict[str, Any] = {"skip_materials": True}
 OPTIONS = {
     ".obj": PLAIN | {"split_objects": True, "split_groups": True, "group_material": False},
     ".glb": PLAIN,
     ".gltf": PLAIN,
 }
+PLAIN_READERS = {".ply": read_plain_ply, ".stl": read_plain_stl}
 PREPARE = {".obj": prepare_obj, ".stl": prepare_stl, ".ply": prepare_ply}
 
 
@@ -48,12 +53,12 @@ class MeshPart(NamedTuple):
         name: as the file has it; unique only once `read_mesh_parts` has seen it.
         vertices: shape (n, 3), float64: the file's own frame and unit from a reader, the world's
             [m] from `read_mesh_parts`.
-        faces: shape (m, 3), int64, indices into `vertices`, counter-clockwise from outside.
+        faces: shape (m, 3), int32, indices into `vertices`, counter-clockwise from outside.
     """
 
     name: str
     vertices: Float
-    faces: Int
+    faces: Int32
 
 
 def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPart]:
@@ -96,13 +101,12 @@ def lies_on_side(parts: Iterable[MeshPart]) -> bool:
     `LYING` times the area of that facing along z. Buildings and sites are lower than they are
     wide, and have more floor and ceiling than walls that face one way.
     """
-    corners = np.concatenate([part.vertices[part.faces] for part in parts])
-    width, depth, height = np.ptp(corners.reshape(-1, 3), axis=0)
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(cross, axis=1)
-    faces_y, faces_z = (
-        area[np.abs(cross[:, axis]) >= area * np.sqrt(0.5)].sum() for axis in (1, 2)
-    )
+    parts = list(parts)
+    low = np.min([part.vertices.min(axis=0) for part in parts], axis=0)
+    high = np.max([part.vertices.max(axis=0) for part in parts], axis=0)
+    width, depth, height = high - low
+    facing = [sum_by_facing(part.vertices, part.faces, np.sqrt(0.5)) for part in parts]
+    faces_y, faces_z = np.sum(facing, axis=0)
     return bool(depth < min(width, height) and faces_y > LYING * faces_z)
 
 
@@ -113,7 +117,15 @@ def _read_parts(path: Path) -> list[MeshPart]:
         raise SceneError(f"{path} is too large: expected a mesh of {MAX_BYTES >> 20} MiB at most")
     if suffix in (".glb", ".gltf"):
         check_gltf(path)
-    source: Any = io.BytesIO(PREPARE[suffix](path)) if suffix in PREPARE else path
+    data = PREPARE[suffix](path) if suffix in PREPARE else b""
+    plain = PLAIN_READERS[suffix](data) if suffix in PLAIN_READERS else None
+    if plain is not None:
+        return [MeshPart("", *plain)]
+    return _read_by_trimesh(path, io.BytesIO(data) if suffix in PREPARE else path)
+
+
+def _read_by_trimesh(path: Path, source: Any) -> list[MeshPart]:
+    suffix = path.suffix.lower()
     options = OPTIONS.get(suffix, {})
     try:
         with _silence():
@@ -144,12 +156,17 @@ def _part_of(loaded: Any, node: str) -> MeshPart | None:
     if len(faces) and not 0 <= int(faces.min()) <= int(faces.max()) < len(vertices):
         raise ValueError(f"a face of {geometry_name!r} has vertices that are not there")
     matrix = np.asarray(matrix, dtype=np.float64)
-    if np.linalg.det(matrix[:3, :3]) < 0:  # a mirror turns every triangle over
-        faces = faces[:, ::-1]
+    way = -1 if np.linalg.det(matrix[:3, :3]) < 0 else 1  # a mirror turns every triangle over
+    corners = np.ascontiguousarray(faces[:, ::way], dtype=np.int32)
     name = str(node)
     if geometry.metadata.get("from_gltf_primitive"):  # trimesh makes such names up at random
         name = str(loaded.graph.transforms.parents.get(node, geometry_name))
-    return MeshPart(name, vertices @ matrix[:3, :3].T + matrix[:3, 3], faces)
+    return MeshPart(name, _turn(vertices, matrix[:3, :3]) + matrix[:3, 3], corners)
+
+
+def _turn(vertices: Float, matrix: Float) -> Float:
+    """Vertices times a matrix; those of most files stay as they are."""
+    return vertices if (matrix == np.eye(3)).all() else vertices @ matrix.T
 
 
 @contextmanager
@@ -184,26 +201,26 @@ def _dae_unit(path: Path) -> float:
 def _clean(part: MeshPart, turn: Float, path: Path) -> MeshPart:
     """Turn a part into the world frame; leave out empty triangles and unused vertices."""
     name = _own_name(part.name, path)
-    vertices, faces = _only_used(part.vertices, part.faces)
+    is_used = find_used(part.faces, len(part.vertices))
+    vertices, faces = _only_used(part.vertices, part.faces, is_used)
     with np.errstate(all="ignore"):
-        vertices = vertices @ turn.T
+        vertices = _turn(vertices, turn)
     if not np.isfinite(vertices).all():
         raise SceneError(f"mesh {name!r} in {path} has coordinates that are no numbers")
     if len(vertices) and np.abs(vertices).max() > MAX_COORDINATE:
         raise SceneError(
             f"mesh {name!r} in {path} reaches beyond {MAX_COORDINATE:g} m: check `scene.unit`"
         )
-    corners = vertices[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    has_area = np.linalg.norm(cross, axis=1) > NO_AREA
-    return MeshPart(name, *_only_used(vertices, faces[has_area]))
+    has_area, is_used = check_faces(vertices, faces, NO_AREA)
+    faces = faces if has_area.all() else faces[has_area]
+    return MeshPart(name, *_only_used(vertices, faces, is_used))
 
 
-def _only_used(vertices: Float, faces: Int) -> tuple[Float, Int]:
+def _only_used(vertices: Float, faces: Int32, is_used: Bool) -> tuple[Float, Int32]:
     """The vertices that faces use, and the faces counted in them."""
-    is_used = np.zeros(len(vertices), dtype=np.bool_)
-    is_used[faces] = True
-    return vertices[is_used], (np.cumsum(is_used, dtype=np.int64) - 1)[faces]
+    if is_used.all():
+        return vertices, faces
+    return vertices[is_used], (np.cumsum(is_used, dtype=np.int32) - 1)[faces]
 
 
 def _own_name(name: str, path: Path) -> str:

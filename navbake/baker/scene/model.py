@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from navbake.baker.scene.chatter import catch_chatter
+from navbake.baker.scene.guard.oversized import refuse_oversized
 from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart, read_mesh_parts
 from navbake.baker.scene.names import unique_name
 from navbake.baker.scene.urdf import read_urdf
@@ -22,6 +23,8 @@ from navbake.types import Float, Int
 
 XML_SUFFIXES = frozenset({".xml", ".mjcf", ".urdf"})
 MJB_SUFFIX = ".mjb"
+TETRAHEDRON = np.eye(4, 3), np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+"""Vertices and faces, counter-clockwise from outside."""
 _WARNING_LOCK = threading.Lock()  # MuJoCo has one hook for warnings, whatever the thread
 
 
@@ -99,6 +102,7 @@ def _load_xml(path: Path, warnings: list[str], ground: float | None) -> Any:
         return _compile(path, warnings, lambda: _build_urdf(text, meshes, ground))
     if root not in ("mujoco", ""):
         raise SceneError(f"expected <mujoco> or <robot> in {path}, got <{root[:40]}>")
+    refuse_oversized(path)
     try:  # MuJoCo's parser is the judge of MJCF, also where Python's is stricter
         return _compile(path, warnings, lambda: _build_mjcf(path, ground))
     except SceneError as error:
@@ -153,12 +157,15 @@ def _add_ground(spec: Any, height: float | None) -> None:
 
 
 def _build_model(parts: list[MeshPart], ground: float | None) -> Any:
-    """A model of mesh parts: one static body and geom a part, which can't collide."""
+    """A model of mesh parts: one static body and geom a part, which can't collide.
+
+    It has their names alone. Each geom has a tetrahedron in place of its triangles, because MuJoCo
+    compiles millions of them for many seconds: their geometry is in the parts.
+    """
     spec = mujoco.MjSpec()
     for part in parts:
-        center = (part.vertices.min(axis=0) + part.vertices.max(axis=0)) / 2
-        _fill_mesh(spec.add_mesh(name=part.name), part.vertices - center, part.faces)
-        body = spec.worldbody.add_body(name=part.name, pos=center)
+        _fill_mesh(spec.add_mesh(name=part.name), *TETRAHEDRON)
+        body = spec.worldbody.add_body(name=part.name)
         geom = body.add_geom(name=part.name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=part.name)
         geom.contype = geom.conaffinity = 0
     _add_ground(spec, ground)

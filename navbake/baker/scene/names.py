@@ -1,11 +1,11 @@
 """Names of a model's geoms, bodies and joints, and the warning when no name matches."""
 
-import difflib
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 from navbake.baker.kernels.constants import MESH, SDF
+from navbake.known_names import find_near
 
 
 class GeomNames(NamedTuple):
@@ -72,7 +72,6 @@ def unique_name(name: str, taken: set[str]) -> str:
 
 def warn_unmatched(setting: str, pattern: str, known: Iterable[str], found: str = "nothing") -> str:
     """The warning that a pattern of a setting matches none of the known names, with near ones."""
-    names = sorted({name for name in known if name})
-    near = difflib.get_close_matches(pattern.strip("*"), names, n=3, cutoff=0.4)
+    near = find_near(pattern.strip("*"), sorted({name for name in known if name}), most=3)
     hint = f"; near names are {', '.join(near)}" if near else ""
     return f"`{setting}` pattern {pattern!r} matches {found}{hint}"

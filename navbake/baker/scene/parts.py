@@ -12,12 +12,13 @@ from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE
 from navbake.baker.kernels.parts import (
     COPY,
     SHEET,
+    find_around,
     find_cavities,
     find_parts,
-    list_edges,
-    weld_points,
 )
-from navbake.types import Float, Int, Int32
+from navbake.baker.scene.kernels.shells import find_shells, list_edges, weld_faces, weld_points
+from navbake.baker.scene.kernels.triangles import measure_areas, measure_parts
+from navbake.types import Bool, Float, Int, Int32
 
 # A part that encloses less than this times its area is a sheet with two sides [m]
 THICKNESS = 1e-6
@@ -68,53 +69,70 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
         vertices: shape (n, 3), float64 [m].
         faces: shape (m, 3), indices, counter-clockwise from the front.
     """
-    point = weld_points(np.ascontiguousarray(vertices, dtype=np.float64))[faces]
-    has_area = (point != np.roll(point, -1, axis=1)).all(axis=1)
-    faces, point = faces[has_area], point[has_area]
-    cross = _cross(vertices[faces])
-    area = np.linalg.norm(cross, axis=1) / 2
-    edges = list_edges(point, int(point.max(initial=0)) + 1)
-    found, turned = find_parts(point, area, *edges)
+    number = weld_points(np.ascontiguousarray(vertices, dtype=np.float64).view(np.uint64))
+    point, kept = weld_faces(faces, number)
+    if not kept.all():
+        faces, point = faces[kept], point[kept]
+    found, is_shell = find_shells(point, len(vertices))
+    turned = np.zeros(len(faces), dtype=np.bool_)
+    if not is_shell.all():
+        rest = np.flatnonzero(~is_shell)
+        found[rest], turned[rest] = _find_parts(vertices, faces, point, rest)
+    del point, is_shell
     kept = found != COPY
-    faces, found, turned = faces[kept], found[kept], turned[kept]
-    roots, part = np.unique(found, return_inverse=True)
-    if len(roots) and roots[0] == SHEET:
-        roots = roots[1:]
-    else:
-        part = part + 1
-    consistent = np.where(turned[:, None], faces[:, ::-1], faces)
-    encloses = _find_enclosing(vertices, consistent, part, len(roots))
-    number = np.where(encloses, np.cumsum(encloses), 0)[part].astype(np.int32)
-    closed = np.where(number > 0, CLOSED_SURFACE, OPEN_SURFACE).astype(np.uint8)
-    turned &= number > 0
-    faces = np.where(turned[:, None], consistent, faces)
-    return MeshParts(faces, number, closed, int(np.count_nonzero(turned)))
+    if not kept.all():
+        faces, found, turned = faces[kept], found[kept], turned[kept]
+    part, num = _number_parts(found)
+    encloses = _find_enclosing(vertices, faces, turned, part, num)
+    part = np.where(encloses, np.cumsum(encloses), 0).astype(np.int32)[part]
+    closed = np.where(part > 0, CLOSED_SURFACE, OPEN_SURFACE).astype(np.uint8)
+    turned &= part > 0
+    if turned.any():
+        faces = np.where(turned[:, None], faces[:, ::-1], faces)
+    return MeshParts(faces, part, closed, int(np.count_nonzero(turned)))
 
 
-def _cross(corners: Float) -> Float:
-    """Normals of triangles, as long as twice their area, shape (m, 3) [m²]."""
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+def _find_parts(
+    vertices: Float, faces: NDArray[np.integer[Any]], point: Int32, rest: Int
+) -> tuple[Int, Bool]:
+    """What `find_parts` finds of some triangles, which hang together with no others."""
+    if len(rest) < len(faces):
+        faces, point = faces[rest], point[rest]
+    found, turned = find_parts(
+        point, measure_areas(vertices, faces), *list_edges(point, len(vertices))
+    )
+    return np.where(found >= 0, rest[found], found), turned
+
+
+def _number_parts(found: Int32) -> tuple[Int32, int]:
+    """Number closed parts from 1 by their lowest triangles; sheets are 0. Also returns how many."""
+    is_first = np.zeros(int(found.max(initial=-1)) + 1, dtype=np.bool_)
+    is_first[found[found != SHEET]] = True
+    number = np.cumsum(is_first, dtype=np.int32)
+    num = int(number[-1]) if len(number) else 0
+    return np.where(found == SHEET, np.int32(0), np.append(number, np.int32(0))[found]), num
 
 
 def _find_enclosing(
-    vertices: Float, faces: NDArray[np.integer[Any]], part: Int, num: int
-) -> NDArray[np.bool_]:
+    vertices: Float, faces: NDArray[np.integer[Any]], turned: Bool, part: Int32, num: int
+) -> Bool:
     """Mark the closed parts, numbered from 1, that enclose a volume; index 0 stands for sheets."""
     encloses = np.zeros(num + 1, dtype=np.bool_)
     if num == 0:
         return encloses
-    corners = vertices[faces] - vertices[faces[0, 0]]
-    cross = _cross(corners)
-    volume = np.bincount(part, np.einsum("ij,ij->i", corners[:, 0], cross), num + 1) / 6
-    area = np.bincount(part, np.linalg.norm(cross, axis=1), num + 1) / 2
+    volume, area, box, largest = measure_parts(vertices, faces, turned, part, num + 1)
     encloses[1:] = volume[1:] > THICKNESS * area[1:]
     facing_in = volume < -THICKNESS * area
     facing_in[0] = False
-    if facing_in.any() and encloses.any():
-        member = np.lexsort((corners[:, :, 0].sum(axis=1), part))  # from west to east
-        start = np.searchsorted(part[member], np.arange(num + 2))
-        point = np.zeros((num + 1, 3))
-        by_size = np.argsort(np.linalg.norm(cross, axis=1), kind="stable")
-        point[part[by_size]] = corners[by_size].mean(axis=1)  # of its largest triangle
-        find_cavities(start, member, corners, point, encloses, facing_in)
+    is_around = find_around(box, encloses, facing_in)
+    if not is_around.any():
+        return encloses
+    some = np.flatnonzero(is_around[part])
+    of_part = np.where(turned[some, None], faces[some, ::-1], faces[some])
+    origin = vertices[faces[0, 0]]
+    corners = vertices[of_part] - origin
+    member = np.lexsort((corners[:, :, 0].sum(axis=1), part[some]))  # from west to east
+    start = np.searchsorted(part[some][member], np.arange(num + 2))
+    point = (vertices[faces[largest]] - origin).mean(axis=1)
+    find_cavities(start, member, corners, point, box, encloses, facing_in)
     return encloses

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.scene.choice import Choice, choose_geoms
-from navbake.baker.scene.collect import TYPE_NAMES, collect_shapes
+from navbake.baker.scene.collect import TYPE_NAMES, MeshTriangles, collect_shapes
+from navbake.baker.scene.guard.isolated import CompileLimits, load_isolated
 from navbake.baker.scene.hidden_room import HiddenRoom
 from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart, lies_on_side
 from navbake.baker.scene.model import catch_warnings, load_model
@@ -63,11 +64,12 @@ class Scene:
             where only infinite planes count.
         digest: sha256 of the posed model: what its geoms are, where, and what they can do.
         warnings: what the user should know, one line each.
-        model: the compiled mujoco.MjModel.
+        model: the compiled mujoco.MjModel; of a mesh file it has the names, the bodies and the
+            ground, but a tetrahedron in place of each part, see `parts`.
         data: its mujoco.MjData in the pose that is baked.
         choices: what becomes of each geom, by geom id.
-        parts: the meshes of a mesh file by geom id, world frame, exact: the model rounds them to
-            float32 in frames of its own.
+        parts: the meshes of a mesh file by geom id, world frame, exact.
+        meshes: what the model's meshes count by, for geoms in other poses.
     """
 
     id: str
@@ -80,34 +82,42 @@ class Scene:
     data: Any
     choices: list[Choice]
     parts: dict[int, MeshPart]
+    meshes: MeshTriangles
 
 
 def load_scene(
     settings: SceneSettings,
     agent: AgentSettings | None = None,
     floors: FloorSettings | None = None,
+    *,
+    limits: CompileLimits | None = None,
 ) -> Scene:
     """Load a scene, pose it and choose the geoms that count. Nothing of it changes later.
 
     Args:
         agent: for whom `scene.meshes: auto` looks for room in the hulls of meshes, and
         floors: how large that has to be; the defaults if None.
+        limits: MuJoCo compiles in a child process, within these; in this process if None.
 
     Raises:
         SceneError: the file is missing or broken, or holds no geom that counts.
         ConfigError: the settings ask for a keyframe or joint that isn't there.
     """
     with catch_warnings() as warned:
-        model, parts, ground = load_model(settings, warned)
+        if limits is None:
+            model, parts, ground = load_model(settings, warned)
+        else:
+            model, parts, ground = load_isolated(settings, limits, warned)
         data = pose_model(model, settings)
-    room = HiddenRoom(model, data, agent or AgentSettings(), floors or FloorSettings())
+    meshes = MeshTriangles(model)
+    room = HiddenRoom(model, data, meshes, agent or AgentSettings(), floors or FloorSettings())
     with _errors_name(settings):
         choices, notes = choose_geoms(model, settings, room.is_in_hull, ground)
     own = [choice for geom, choice in enumerate(choices) if geom != ground]
     if not any(choice.counted for choice in own):
         raise SceneError(_nothing_counts(settings, own))
     with _errors_name(settings):
-        collected = collect_shapes(model, data, choices, parts)
+        collected = collect_shapes(model, data, choices, parts, meshes=meshes)
     warnings = [f"MuJoCo: {' '.join(warning.split())}" for warning in warned]
     warnings += [*warn_out_of_range(model, settings), *_find_unusable(model)]
     warnings += [*_find_unused_settings(settings), *_warn_lying(settings, parts)]
@@ -123,6 +133,7 @@ def load_scene(
         data=data,
         choices=choices,
         parts=parts,
+        meshes=meshes,
     )
 
 

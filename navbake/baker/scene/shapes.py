@@ -7,10 +7,13 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from navbake.baker.scene.kernels.triangles import find_box
+from navbake.lazy import lazy
 from navbake.types import Bool, Float, Int32
+
+spatial = lazy("scipy.spatial")
 
 # Half-size that stands for the infinite side of a plane that has a finite one: heights on a tilted
 # one are off by about 1e-16 FAR^2 [m]
@@ -73,11 +76,6 @@ class Triangles(NamedTuple):
     closed: NDArray[np.uint8]
     corners: Float
 
-    @property
-    def bounds(self) -> Float:
-        """Boxes round them, shape (m, 6), float64: lower corner, upper corner [m]."""
-        return np.concatenate([self.corners.min(axis=1), self.corners.max(axis=1)], axis=1)
-
 
 Items = TypeVar("Items", Solids, Planes, Triangles)
 
@@ -101,9 +99,9 @@ class Shapes:
 
     def bounds(self) -> Float | None:
         """The box round everything finite, shape (2, 3), float64 [m]; None if all is infinite."""
-        finite = self.triangles.bounds[~self.endless[self.triangles.geom]]
-        boxes = np.concatenate([self.solids.bounds, finite])
-        if not len(boxes):
+        box = find_box(self.triangles.corners, self.triangles.geom, self.endless)
+        boxes = np.concatenate([self.solids.bounds, box[None]])
+        if not len(self.solids.bounds) and not (box[:3] <= box[3:]).any():
             return None
         return np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
 
@@ -112,6 +110,8 @@ class Shapes:
 
         def marked(items: Items) -> Items:
             kept = geoms[items.geom]
+            if kept.all():
+                return items
             return type(items)._make(array[kept] for array in items)
 
         return Shapes(
@@ -187,8 +187,8 @@ def hull_triangles(vertices: Float) -> Float | None:
         Corners, shape (m, 3, 3), float64, counter-clockwise from outside.
     """
     try:
-        hull = ConvexHull(vertices)
-    except (QhullError, ValueError):  # flat, or fewer than four
+        hull = spatial.ConvexHull(vertices)
+    except (spatial.QhullError, ValueError):  # flat, or fewer than four
         return None
     corners: Float = vertices[hull.simplices]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from navbake.baker.scene.names import body_name, names_of, warn_unmatched
 from navbake.baker.scene.scene import Scene
 from navbake.errors import ConfigError
+from navbake.known_names import find_near
 
-Segments = Literal["geom", "body", "top"] | Mapping[str, int] | Sequence[str]
+Segments = Literal["geom", "body", "top"] | str | Mapping[str, int] | Sequence[str]
 
 KINDS = ("geom", "body", "top")
 MOST = 2**32 - 1
@@ -48,7 +49,8 @@ def label_geoms(scene: Scene, segments: Segments) -> Labels:
 
     Args:
         segments: ``geom``, ``body``, ``top``, a mapping of name patterns (``*``, ``?``, ``[…]``)
-            to IDs from 1, or a list of patterns, whose IDs are 1, 2, 3, ….
+            to IDs from 1, or a list of patterns, whose IDs are 1, 2, 3, …. One pattern is a list
+            of one.
 
     Raises:
         ConfigError: it is none of these, or an ID is none.
@@ -94,6 +96,8 @@ def _label_by_kind(scene: Scene, kind: str) -> Labels:
 def _check_patterns(segments: Any) -> dict[str, int]:
     if isinstance(segments, Mapping):
         patterns = dict(segments)
+    elif isinstance(segments, str) and not find_near(segments, KINDS):  # else a slip
+        patterns = {segments: 1}
     elif isinstance(segments, Sequence) and not isinstance(segments, str):
         patterns = {pattern: number for number, pattern in enumerate(segments, 1)}
     else:

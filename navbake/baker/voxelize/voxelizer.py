@@ -23,6 +23,7 @@ from navbake.config.scene import SceneSettings
 from navbake.config.settings import BakeConfig, as_config
 from navbake.errors import ConfigError, SceneError
 from navbake.navgrid.lattice import CELL_SLACK
+from navbake.threads import run_in_bands
 from navbake.types import Float
 from navbake.voxels.grid import VoxelGrid, dtype_of
 from navbake.voxels.placement import Placement, check_memory, place_grid
@@ -52,7 +53,7 @@ def create_voxel_grid(
     res: float = 0.1,
     of: str | PathLike[str] | None = None,
     *,
-    ignore: Sequence[str] = (),
+    ignore: str | Sequence[str] = (),
     **options: Unpack[GridOptions],
 ) -> VoxelGrid:
     """Make the voxel grid of a scene: True where a geom that counts meets a voxel.
@@ -99,7 +100,7 @@ class Voxelizer:
         shapes: the counted geoms' geometry as it is posed now, world frame.
     """
 
-    def __init__(self, scene: Config | Scene, *, ignore: Sequence[str] = ()) -> None:
+    def __init__(self, scene: Config | Scene, *, ignore: str | Sequence[str] = ()) -> None:
         """Load a scene.
 
         Args:
@@ -250,7 +251,8 @@ class Voxelizer:
         tiles = Tiles(*bin_items(shapes.solids.bounds, *grid), *bin_items(self._boxes, *grid))
         voxels = Voxels(values, place.origin, place.res, TOUCH)
         geometry = (shapes.solids, shapes.planes, shapes.triangles)
-        fill_voxels(voxels, *geometry, tiles, ids)
+        num_tiles = len(tiles.solid_start) - 1
+        run_in_bands(fill_voxels, num_tiles, voxels, *geometry, tiles, ids)
 
     def _box_triangles(self) -> Float:
         return np.asarray(box_triangles(self.shapes.triangles))
@@ -264,12 +266,10 @@ class Voxelizer:
         return self._labels[key]
 
 
-def _leave_out(settings: SceneSettings, ignore: Sequence[str]) -> SceneSettings:
+def _leave_out(settings: SceneSettings, ignore: str | Sequence[str]) -> SceneSettings:
     if not ignore:
         return settings
-    if isinstance(ignore, str):
-        raise ConfigError(f"expected a list of name patterns to ignore, got {ignore!r}")
-    bodies = [*settings.exclude.bodies, *ignore]
+    bodies = [*settings.exclude.bodies, *([ignore] if isinstance(ignore, str) else ignore)]
     return settings.model_copy(
         update={"exclude": settings.exclude.model_copy(update={"bodies": bodies})}
     )

@@ -9,18 +9,21 @@ Source: OctoMap 1.9, `OcTreeBaseImpl::pruneRecurs`, `OccupancyOcTreeBase::writeB
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 DEPTH = 16
 UNKNOWN, FREE, OCCUPIED, MIXED_FREE, MIXED = 0, 1, 2, 3, 4  # the mixed ones have children
 OVERRUN, TOO_DEEP = -1, -2
 
 
-@njit(cache=True, parallel=True)
-def join_states(below, first, above):
-    """Find the states of a level's nodes from those below, whose first node is `first`."""
+@njit(cache=True, nogil=True)
+def join_states(below, first, above, row, end):
+    """Find the states of a level's nodes from those below, whose first node is `first`.
+
+    Fills ``above[row:end]``.
+    """
     nx, ny, nz = below.shape
-    for i in prange(above.shape[0]):
+    for i in range(row, end):
         for j in range(above.shape[1]):
             for k in range(above.shape[2]):
                 # the first child's index below, which is -1 where a node begins before the grid

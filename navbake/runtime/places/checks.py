@@ -7,12 +7,15 @@ from navbake.errors import QueryError
 REAL = int | float | np.integer | np.floating
 
 
-def check_generator(rng: object) -> np.random.Generator:
-    """Raise for anything but a generator, such as a seed."""
+def as_generator(rng: object) -> np.random.Generator:
+    """The generator given, or a new one for None; raises for anything else, such as a seed."""
+    if rng is None:
+        return np.random.default_rng()
     if isinstance(rng, np.random.Generator):
         return rng
     raise QueryError(
-        f"expected a numpy.random.Generator, got {rng!r}: make one with numpy.random.default_rng"
+        f"expected a numpy.random.Generator, or None, got {rng!r}: make one with "
+        "numpy.random.default_rng"
     )
 
 

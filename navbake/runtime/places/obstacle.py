@@ -44,7 +44,7 @@ def nearest_obstacle(
     if home is None:
         raise QueryError(f"{', '.join(f'{v:g}' for v in p)} lies beside the grid: no obstacles")
     z = flat.positions(home)[2]
-    overlap = agent_height - flat.floors.max_step  # as `grid.inflate` has it
+    overlap = overlap_height(flat, agent_height)
     number = int(flat.level_of(home))
     wanted = Wanted(flat.layout, occupied, flat.floors.z, TO_OBSTACLE, overlap)
     cell, distance = nearest_cell(wanted, number, np.array([p[0], p[1], z]), float(max_distance))
@@ -53,3 +53,8 @@ def nearest_obstacle(
     half = flat.layout.cell_size[number] / 2
     center = flat.positions(cell)[:2]
     return Obstacle(distance, np.append(np.clip(p[:2], center - half, center + half), z))
+
+
+def overlap_height(flat: FlatGrid, agent_height: float) -> float:
+    """Floors less than this apart are at one height for an agent [m]; as `grid.inflate` has it."""
+    return agent_height - flat.floors.max_step

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from navbake.errors import QueryError
 from navbake.runtime.flat_grid import FlatGrid
 from navbake.runtime.grid_cache import GridCache
-from navbake.runtime.places.checks import check_distances, check_generator
+from navbake.runtime.places.checks import as_generator, check_distances
 from navbake.types import Bool, Float, Int
 
 INSIDE = 1e-6  # of a cell: how far from its edges a point stays
@@ -32,13 +32,13 @@ class Pose(NamedTuple):
 def draw_places(
     cache: GridCache,
     cells: Int,
-    rng: np.random.Generator,
+    rng: np.random.Generator | None,
     count: int | None,
     anywhere: bool,
     limits: Mapping[str, object],
 ) -> Float:
     """Draw places in some cells; where there are none, `limits` tell what was asked for."""
-    check_generator(rng)
+    rng = as_generator(rng)
     if count is not None and (not isinstance(count, int | np.integer) or count < 0):
         raise QueryError(f"expected a count >= 0, got {count!r}")
     if not len(cells):
@@ -57,7 +57,7 @@ def draw_places(
 
 def draw_pose(
     cache: GridCache,
-    rng: np.random.Generator,
+    rng: np.random.Generator | None,
     target: ArrayLike | None,
     distances: tuple[float, float],
     *,
@@ -68,7 +68,7 @@ def draw_pose(
     """`PathFinder.random_pose`."""
     from navbake.runtime.kernels.nearest import first_in_sight  # saves numba at start-up
 
-    check_generator(rng)
+    rng = as_generator(rng)
     if target is None:
         cells = np.flatnonzero(cache.allowed(level=level))
         place = draw_places(cache, cells, rng, None, False, {"level": level})

@@ -26,14 +26,18 @@ def try_step(
     q = check_positions(end, flat.num_levels, 0)  # wherever the way leads, its level follows
     if q.ndim != 1:
         raise QueryError(f"expected one end, got an array of shape {q.shape}")
-    p, q = p[:2], q[:2]
-    way = q - p
-    farthest = float(np.abs(way).max())
-    if farthest > FARTHEST:  # beyond all grids, so no need to count cells up to there
-        q = p + way * (FARTHEST / farthest)
+    p = p[:2]
+    q = within_reach(p, q[:2])
     space = Space(flat.layout, flat.links, flat.floors, flat.free)
     cell, share = walk_line(space, NO_ROOMS, cell, *p, *q)
     x, y = put_into(flat.layout, cell, *(p + share * (q - p)))
     if share < 1.0 and slide:
         cell, x, y = slide_along(space, cell, x, y, *q)
     return np.array([x, y, flat.positions(cell)[2]])
+
+
+def within_reach(p: Float, q: Float) -> Float:
+    """Ends q moved towards p where they are beyond all grids: no cells are counted up to there."""
+    way = q - p
+    farthest = np.abs(way).max(axis=-1, keepdims=True)
+    return np.where(farthest > FARTHEST, p + way * (FARTHEST / np.maximum(farthest, FARTHEST)), q)

@@ -145,6 +145,24 @@ def test_a_panel_of_furniture_is_no_wall(tmp_path):
     assert kinds(stages_of(tmp_path, f"<body>{rooms}</body>"))[1:] == ["wall", "wall"]
 
 
+def test_thick_walls_are_told_by_their_corners(tmp_path):
+    """Walls of 0.7 m with a door, whose lintel and stub go on in their line."""
+    ring = (
+        box(-4, 4, -4, -3.3, 0, 2.6)
+        + box(-4, 4, 3.3, 4, 0, 2.6)
+        + box(-4, -3.3, -3.3, 3.3, 0, 2.6)
+        + box(3.3, 4, -3.3, 1, 0, 2.6)
+        + box(3.3, 4, 1, 2, 2.1, 2.6)  # the lintel
+        + box(3.3, 4, 2, 3.3, 0, 2.6)
+    )
+    others = (
+        box(-3.3, 1, -0.4, 0.4, 0, 1.9)  # a rack with an end at the wall, lower than it
+        + box(-2, 2, 1.5, 2.3, 0, 2.6)  # one as high as the walls, away from them
+    )
+    found = kinds(stages_of(tmp_path, ring + others))
+    assert found == ["structure", *["wall"] * 6, "object", "object"]
+
+
 # ---------------------------------------------------------------- in line
 
 

@@ -183,6 +183,16 @@ def test_two_storeys_joined_by_nothing(bake):
 RISE = 3.0 / 17
 
 
+def test_part_of_a_storey_that_lies_a_little_lower_belongs_to_it(bake):
+    """A terrace beside the house, 10 cm lower than the upper storey, and with nothing below it."""
+    lower = [box(0, 10, 0, 8, -0.1, 0), *walls(0, 10, 0, 8, 0, 2.7, door=True)]
+    upper = [box(0, 10, 0, 8, 2.7, 3.0), box(10, 13, 0, 8, 2.6, 2.9), box(0, 13, 0, 8, 5.7, 5.9)]
+    grid = bake([*lower, *upper])
+    assert grounds(grid) == [0, 2.9]
+    assert floor_at(grid, 1, 12, 4) == pytest.approx(2.9)
+    assert floor_at(grid, 1, 5, 4) == pytest.approx(3.0)
+
+
 def storeys_with_stair(closed: bool) -> list[str]:
     steps = []
     for i in range(16):
@@ -403,7 +413,8 @@ def test_tells_of_large_tops_that_are_no_floors(tmp_path):
     [warning] = run_bake(parse_config(settings)).warnings
     assert "'dock' (40.0 m² at 1.20 m)" in warning and "bed" not in warning
     settings["floors"] = {"tops": True}
-    assert run_bake(parse_config(settings)).warnings == []
+    [warning] = run_bake(parse_config(settings)).warnings
+    assert "no step leads to 40.0 m² of 'level 0'" in warning
 
 
 def test_no_two_levels_are_called_the_same(tmp_path):

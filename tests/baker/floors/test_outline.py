@@ -123,3 +123,8 @@ def test_nobody_drops_through_a_slab_that_only_lacks_headroom(endings_at, height
     assert (found == {DROP}) == (height == 2.0)
     if height == 1.2:
         assert found == {OPEN}
+
+
+def test_one_does_not_look_past_a_parapet_on_a_frame(endings_at):
+    frame = wall(1.0, 1.1, 0.0, 0.4) + wall(1.11, 1.19, 0.0, 1.2)
+    assert endings_at(GROUND + BLOCK + frame, 0.6) == ({BARRIER}, {DROP})

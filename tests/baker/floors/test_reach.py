@@ -42,6 +42,10 @@ def grounds(result: BakeResult) -> list[float]:
     return [level.ground for level in result.grid.levels]
 
 
+def free_area(result: BakeResult) -> float:
+    return sum(float(level.free.sum()) * level.cell_size**2 for level in result.grid.levels)
+
+
 def test_each_level_that_no_step_leads_to_is_told(bake):
     result = bake(TOWER)
     assert grounds(result) == [0, 3, 6]
@@ -53,7 +57,10 @@ def test_each_level_that_no_step_leads_to_is_told(bake):
 def test_steps_leaves_them_out(bake):
     result = bake(TOWER, floors={"reach": "steps"})
     assert grounds(result) == [0, 3]
-    assert result.warnings == []
+    [warning] = result.warnings
+    assert (
+        warning.startswith("left out by `floors.reach: steps`") and "'second' (36.0 m²" in warning
+    )
     assert all(np.isfinite(level.floor_height).any() for level in result.grid.levels)
 
 
@@ -76,16 +83,97 @@ def test_from_takes_a_roof_and_a_bed_for_floors(bake):
     assert grounds(result) == [pytest.approx(0.6)]
 
 
-def test_from_takes_furniture_only_where_there_is_no_floor_below(bake):
+def test_from_takes_furniture_only_at_its_own_height(bake):
     ground, shelf = box("ground", -4, 4, -4, 4, -0.2, 0), box("shelf", -1, 1, 0, 0.4, 2.0, 2.1)
     settings = {"from": [[0, 0.2, 2.5]], "reach": "steps"}
     result = bake([ground, shelf], floors=settings)
     assert grounds(result) == [0] and result.warnings == []
+    for thing in box("desk", -1, 1, 0, 0.4, 0, 0.75), box("bed", -1, 1, -1, 1, 0, 0.75):
+        result = bake([ground, thing], floors=settings)
+        assert grounds(result) == [0] and result.warnings == []
+        assert free_area(result) > 50
     desk = box("desk", -1, 1, 0, 0.4, 0, 0.75)
-    result = bake([ground, desk], floors=settings)
+    result = bake([ground, desk], floors={**settings, "from": [[0, 0.2, 0.76]]})
     assert grounds(result) == [0.75]
-    [warning] = result.warnings
+    warning, left_out = result.warnings
     assert "too small" in warning and "'desk' (0.8 m² at 0.75 m)" in warning
+    assert "'ground' (63.2 m² at 0.00 m)" in left_out
+
+
+def test_from_over_furniture_takes_the_floor_in_front_of_it(bake):
+    """A desk fills a niche, with a larger room behind the thin walls of its three other sides."""
+    walls = [
+        (-4, 1, 0, 0.1),
+        (2, 8, 0, 0.1),
+        (0.9, 1, 0.1, 0.9),
+        (2, 2.1, 0.1, 0.9),
+        (1, 2, 0.8, 0.9),
+    ]
+    geoms = [
+        box("ground", -4, 8, -6, 10, -0.2, 0),
+        *(box("", *wall, 0, 2.6) for wall in walls),
+        box("desk", 1, 2, 0.1, 0.8, 0, 0.75),
+    ]
+    for position in [1.5, 0.5, 1.6], [1.5, 0.75, 0.9]:
+        result = bake(geoms, floors={"from": [position], "reach": "steps"})
+        assert free_area(result) == pytest.approx(72, abs=2)
+
+
+def test_from_over_a_roof_or_a_platform_takes_these(bake):
+    platform = box("platform", -4, 2, 1, 5, 0, 0.8)
+    for start, expected in ([3, 3, 10.5], 9), ([-1, 3, 2.4], 0.8):
+        settings = {"from": [start], "reach": "steps"}
+        geoms = TOWER if expected == 9 else [TOWER[0], platform]
+        assert grounds(bake(geoms, floors=settings)) == [expected]
+
+
+TWO_HOUSES = [
+    box(name, x, x + 8, 0, 8, z - 0.2, z)
+    for x, house in ((0, "a"), (12, "b"))
+    for z, name in ((0, f"{house}0"), (3, f"{house}1"), (6, f"{house}2"))
+] + [
+    wall
+    for x in (0, 12)
+    for z in (0, 3)
+    for wall in (
+        box("", x, x + 8, 0, 0.2, z, z + 2.8), box("", x, x + 8, 7.8, 8, z, z + 2.8),
+        box("", x, x + 0.2, 0.2, 7.8, z, z + 2.8), box("", x + 7.8, x + 8, 0.2, 7.8, z, z + 2.8),
+    )
+]  # fmt: skip
+
+
+def test_floors_beside_reached_ones_are_told_of(bake):
+    """Two closed houses side by side, one of them reached: its neighbour's ground floor is not."""
+    result = bake(TWO_HOUSES)
+    assert grounds(result) == [0, 3]
+    beside, above = result.warnings
+    assert beside.startswith(
+        "no step leads to 57.8 m² of 'level 0' (most of it on 'b0', as at 15.9"
+    )
+    assert above.startswith("no step leads to 'level 1' (115.5 m² at 3.00 m")
+    result = bake(TWO_HOUSES, floors={"reach": "steps"})
+    [warning] = result.warnings
+    assert "(57.8 m² at 3.00 m, and 2 more)" in warning
+    x, y, z = (float(word) for word in warning.split("[[")[1].split("]]")[0].split(","))
+    starts = [[4, 4, 0], [x, y, z]]
+    assert free_area(bake(TWO_HOUSES, floors={"reach": "steps", "from": starts})) > 110
+
+
+def test_niches_that_no_step_leads_to_are_not_told_of(bake):
+    shaft = [box("", 2, 4.3, 2, 2.1, 0, 3), box("", 2, 4.3, 4.2, 4.3, 0, 3),
+             box("", 2, 2.1, 2, 4.3, 0, 3), box("", 4.2, 4.3, 2, 4.3, 0, 3)]  # fmt: skip
+    assert bake([TOWER[0], *shaft]).warnings == []
+
+
+def test_what_given_levels_show_is_reached_from_the_whole_scene(bake):
+    """Of the tower's upper levels alone, the lower one is reached, by stairs from the ground."""
+    levels = [{"ground": 3.0, "top": 5.0}, {"ground": 6.0, "top": 8.0}]
+    [warning] = bake(TOWER, levels=levels).warnings
+    assert warning.startswith("no step leads to 'level 1'")
+    result = bake(TOWER, levels=levels[:1], floors={"reach": "steps"})
+    assert grounds(result) == [3] and result.warnings == []
+    with pytest.raises(SceneError, match="the largest floor of the lowest level lies outside of"):
+        bake(TOWER, levels=levels[1:], floors={"reach": "steps"})
 
 
 def test_a_position_belongs_to_the_floor_below_it_or_a_step_above(bake):

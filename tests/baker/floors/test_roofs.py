@@ -96,6 +96,14 @@ ROOFS = {
         *[YARD, *ring(0, 10, 0, 8, 0, 4), box(0, 10, 0, 8, 4, 4.2)],
         *[box(x, x + 1.8, 0.6, 7.4, 0, 2.5) for x in (0.6, 2.9, 5.2, 7.5)],
     ],
+    "thick walls and eaves without ground around": [
+        *[box(0, 10, 0, 6, -0.2, 0), *ring(0, 10, 0, 6, 0, 2.6, t=1.2)],
+        box(-0.4, 10.4, -0.4, 6.4, 2.599, 2.8),
+    ],
+    "carport that goes on over wall tops": [
+        *[YARD, *ring(0, 10, 0, 8, 0, 2.7, t=0.75), *posts(10, 14, 0, 8, 0, 2.5)],
+        *[box(10, 14, 0, 8, 2.5, 2.6), box(-0.3, 10, -0.3, 8.3, 4.2, 4.4)],
+    ],
     "canopy along a wall": [YARD, box(0, 10, 0, 8, 0, 5), box(1, 9, -1.6, 0, 2.6, 2.7)],
 }
 
@@ -104,7 +112,7 @@ ROOFS = {
 def test_roof_is_no_level(bake, name):
     result = bake(ROOFS[name])
     assert grounds(result) == [0]
-    assert not any("no step leads to" in warning for warning in result.warnings)
+    assert not any("no step leads to 'level" in warning for warning in result.warnings)
 
 
 @pytest.mark.parametrize("name", [name for name in ROOFS if "canopy" not in name])
@@ -147,7 +155,7 @@ STOREYS = {
 def test_storey_without_stairs_is_a_level_and_is_told_of(bake, name):
     result = bake(STOREYS[name])
     assert grounds(result) == [0, 2.8]
-    [warning] = result.warnings
+    [warning] = [text for text in result.warnings if "of 'level 0'" not in text]
     assert "no step leads to 'level 1'" in warning and "2.80 m" in warning
 
 
@@ -160,6 +168,23 @@ def test_racks_are_furniture_outdoors_and_under_a_ceiling(bake):
     assert grounds(result) == [0, 6.2]
     assert any("not a floor, because it is higher than a step" in text for text in result.warnings)
     assert len(grounds(bake([*hall, *rack(0, 0)], floors={"tops": True}))) > 1
+
+
+@pytest.mark.parametrize("depth", [0.12, 0.3, 0.5])
+def test_shelf_is_furniture_with_a_rail_under_its_edge(bake, depth):
+    """Neither the rail nor a lamp below the edge is in the way of what falls off the shelf."""
+    hall = [YARD, *ring(-2, 12, -2, 10, 0, 6), box(-2, 12, -2, 10, 6, 6.2)]
+    rails = [box(1, 9, y, y + depth, 1.45, 1.55) for y in (3 - depth, 4.2)]
+    assert grounds(bake([*hall, box(1, 9, 3, 4.2, 1.9, 2), *rails])) == [0]
+
+
+def test_given_levels_leave_roofs_out(bake):
+    """A roof is a level only where it is all that there is on a level that is given."""
+    scene = [*LOWER, *ring(0, 10, 0, 8, 2.8, 5.4), box(0, 10, 0, 8, 5.4, 5.6)]
+    levels = [{"ground": 0}, {"ground": 2.8}]
+    assert grounds(bake(scene, levels=levels)) == [0, 2.8]
+    assert grounds(bake(scene, levels=[*levels, {"ground": 5.6}])) == [0, 2.8, 5.6]
+    assert grounds(bake(scene, levels=levels, floors={"roofs": True})) == [0, 2.8, 5.6]
 
 
 def test_what_was_dropped_is_no_floor_beyond_a_wall(bake):

@@ -6,8 +6,9 @@ import os
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
-from navbake.baker.rooms.gaps import find_directions
+from navbake.baker.rooms.directions import find_directions
 from navbake.baker.rooms.segmentation import segment_by_gaps
 from navbake.baker.rooms.windows import find_windows
 from offices import make_plan
@@ -144,6 +145,26 @@ def test_sills_go_from_wall_to_wall():
     assert np.count_nonzero(found) == 24
 
 
+@pytest.mark.parametrize("angle", [2.0, 4.0, 7.4, 21.0, 44.0, 82.6])
+@pytest.mark.parametrize("offset", [0.0, 0.03, 0.05, 0.08])
+def test_sills_of_walls_thinner_than_a_cell_at_an_angle(angle, offset):
+    """The sill of 3 m in a wall of 0.08 m; in front of it a bookcase along the wall."""
+    x, y = np.meshgrid(np.arange(-60, 60) * CELL, np.arange(-60, 60) * CELL)
+    turn = np.deg2rad(angle)
+    u, v = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn) - offset
+    reach = CELL / 2 * (abs(np.cos(turn)) + abs(np.sin(turn)))  # of a cell, across the wall
+    line = (np.abs(v) < 0.04 + reach) & (np.abs(u) < 4.5)
+    ends = (np.abs(np.abs(u) - 4.5) < 0.04 + reach) & (np.abs(v) < 4.0)
+    sill = line & (np.abs(u) < 1.5)
+    wall = (line & ~sill) | ends
+    bookcase = (v > 0.04 + reach) & (v < 0.4) & (u > 2.0) & (u < 4.0)
+    found = find_windows((sill | bookcase) & ~wall, wall, CELL)
+    assert not (found & bookcase & (v > 0.04 + reach + CELL)).any()  # but for cells at the wall
+    label, _ = ndimage.label(~wall & ~found & (np.abs(u) < 4.5) & (np.abs(v) < 4.0))
+    sides = [set(np.unique(label[(sign * v > 0.5) & (np.abs(u) < 4.0)])) for sign in (-1, 1)]
+    assert not (sides[0] & sides[1]) - {0}
+
+
 @pytest.mark.parametrize("as_mesh", [False, True])
 def test_rooms_of_offices_and_flats(tmp_path, as_mesh):
     """A sample; ``scripts/bench_rooms.py`` measures many."""
@@ -154,4 +175,4 @@ def test_rooms_of_offices_and_flats(tmp_path, as_mesh):
         rooms = stages.rooms.index[0]
         shares += overlaps(rooms, plan.truth(stages.lattice))
         assert count_leaks(rooms, plan, stages.lattice) == 0
-    assert np.mean(np.array(shares) >= 0.8) >= 0.85
+    assert np.mean(np.array(shares) >= 0.8) >= 0.9

@@ -224,16 +224,24 @@ def test_gaps_between_marked_floors_go_to_the_rooms_they_touch(tmp_path):
     check_iou(masks(grid), masks(plan), at_least=0.98)
 
 
-def test_share_rest():
-    owner = np.array([[1, 1, 0, 0, 2, 0, 0, 0, 0]], dtype=np.int32)
-    segment = np.array([[1, 1, 1, 1, 2, 2, 2, 2, 0]], dtype=np.int32)
-    # half of segment 1 is marked, a quarter of segment 2
-    taken, new = share_rest(owner, segment, least=2)
-    assert taken.tolist() == [[1, 1, 1, 1, 2, 0, 0, 0, 0]]
-    assert new.tolist() == [[0, 0, 0, 0, 0, 1, 1, 1, 0]]
-    taken, new = share_rest(owner, segment, least=4)
-    assert taken.tolist() == [[1, 1, 1, 1, 2, 2, 2, 2, 0]]
-    assert not new.any()
+def test_what_marks_leave_is_rooms_by_itself():
+    """Cells of 0.25 m: two segments, 2.5 m high, and a doorway of two cells between them."""
+    segment = np.ones((10, 21), dtype=np.int32)
+    segment[:, 10:] = 2
+    owner = np.zeros_like(segment)
+    owner[:, :8] = 1  # most of the first one; what is left of it is as wide as a doorway is deep
+    owner[:2, 10:] = 2
+    taken, new = share_rest(owner, segment, 0.25, 1.0)
+    np.testing.assert_array_equal(taken, owner)
+    assert (new[:, 8:10] == 1).all() and (new[2:, 10:] == 2).all() and new.max() == 2
+    assert not new[owner > 0].any()
+    # too narrow for a room: it goes to the room that it touches most
+    owner[:, 8] = 1
+    taken, new = share_rest(owner, segment, 0.25, 0.5)
+    assert (taken[:, 9] == 1).all() and (new[2:, 10:] == 1).all() and new.max() == 1
+    # too small for one
+    taken, new = share_rest(owner, segment, 0.25, 6.0)
+    assert not new.any() and (taken[2:, 10:] == 2).all()
 
 
 def test_storeys_are_linked_by_steps():

@@ -45,6 +45,33 @@ def span(cells):
     return [float(v) for v in (x.min() - 0.125, y.min() - 0.125, x.max() + 0.125, y.max() + 0.125)]
 
 
+# ---------------------------------------------------------------- what they leave
+
+
+SITE = '<site name="room_desk" type="box" pos="-2 0 1" size=".5 .5 1"/>'
+
+
+def test_a_room_is_as_large_as_its_site(tmp_path):
+    """A site of 1 m² in a room of 16 m², which keeps the rest."""
+    wall = '<geom type="box" pos="0 0 1" size=".05 2 1"/>'
+    result = bake(tmp_path, SLABS.replace("floor|", "slab ") + wall + SITE)
+    table = [(room.name, room.source, round(room.area, 2)) for room in result.grid.rooms]
+    assert sorted(table, key=lambda room: room[2])[0] == ("room_desk", "sites", 1.0)
+    rest = [area for name, source, area in table if (name, source) == (None, "auto")]
+    assert rest == pytest.approx([14.0, 15.0], abs=0.6)  # less the cells of the wall
+    assert span(rooms_of(result)["room_desk"]) == [-2.5, -0.5, -1.5, 0.5]
+
+
+def test_a_mark_that_covers_most_of_a_room_ends_where_it_ends(tmp_path):
+    points = [[-4, -2], [-1, -2], [-1, 2], [-4, 2]]
+    given = {"from": ["polygons", "auto"], "polygons": [{"name": "most", "points": points}]}
+    wall = '<geom type="box" pos="0 0 1" size=".05 2 1"/>'
+    result = bake(tmp_path, SLABS + wall, rooms=given)
+    assert span(rooms_of(result)["most"]) == [-4, -2, -1, 2]
+    areas = sorted(round(room.area, 1) for room in result.grid.rooms)
+    assert len(areas) == 3 and areas[0] == pytest.approx(3.5, abs=0.6) and areas[1] == 12.0
+
+
 # ---------------------------------------------------------------- geoms
 
 
@@ -78,6 +105,21 @@ def test_a_podium_over_most_of_a_room_leaves_the_room(tmp_path):
     assert span(rooms["west"]) == [-4, -2, 0, 2]
 
 
+def test_a_house_is_none_of_the_ground_under_it(tmp_path):
+    """The floors of its rooms are a step over the ground, which is a room by its name."""
+    body = """
+    <geom name="floor|ground" type="box" size="6 4 .1" pos="0 0 -.1"/>
+    <geom name="slab" type="box" size="3 2 .1" pos="0 0 .1"/>
+    <geom type="box" size="3 .1 1.3" pos="0 1.9 1.3"/>
+    <geom type="box" size="3 .1 1.3" pos="0 -1.9 1.3"/>
+    <geom type="box" size=".1 1.8 1.3" pos="-2.9 0 1.3"/>
+    <geom type="box" size=".1 1.3 1.3" pos="2.9 -.5 1.3"/>
+    """
+    rooms = rooms_of(bake(tmp_path, body))
+    assert set(rooms) == {"ground", None}
+    assert span(rooms[None])[:2] == pytest.approx([-2.75, -1.75], abs=0.26)
+
+
 def test_geoms_that_are_only_drawn(tmp_path):
     """A floor that collides under floors that don't, of which one is a mesh a hair above it."""
     body = """
@@ -93,6 +135,18 @@ def test_geoms_that_are_only_drawn(tmp_path):
     assert span(rooms["room|1"]) == [-4, -2, 0, 2]
     assert len(rooms["room|2"][0]) == 12 * 16
     assert not ((rooms["room|2"][0] > 2) & (rooms["room|2"][1] > 0)).any()
+
+
+def test_parts_of_a_mesh_file_that_are_left_out(tmp_path):
+    path = tmp_path / "scene.obj"
+    corners = ("-4 -2", "0 -2", "4 -2", "4 2", "0 2", "-4 2")
+    text = "".join(f"v {corner} 0\n" for corner in corners)
+    rooms = "o floor|west\nf 1 2 5 6\no floor|east\nf 2 3 4 5\n"
+    path.write_text(f"{text}o slab\nf 1 3 4 6\n{rooms}")
+    scene = {"path": path, "exclude": {"geoms": ["floor|*"]}}
+    config = {"scene": scene, "grid": {"cell_size": 0.25}}
+    rooms = rooms_of(run_bake(parse_config(config)))
+    assert span(rooms["west"]) == [-4, -2, 0, 2]
 
 
 def test_what_is_no_floor_is_no_room(tmp_path):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from navbake.baker.rooms.kernels.watershed import flood, squared_distances
+from navbake.baker.rooms.distances import squared_distances
+from navbake.baker.rooms.kernels.watershed import flood
 
 
 @pytest.mark.parametrize("reach", [0, 1, 7, 40])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import trimesh
 from PIL import Image
 
 from navbake.baker.scene import mesh_scene
-from navbake.baker.scene.mesh_scene import read_mesh_parts
+from navbake.baker.scene.mesh_scene import PLAIN_READERS, read_mesh_parts
 from navbake.baker.scene.scene import load_scene
 from navbake.config.scene import SceneSettings
 from navbake.errors import SceneError
@@ -68,8 +69,8 @@ def test_every_format_in_every_frame(tmp_path, name):
     assert [geom.shape for geom in scene.geoms] == ["closed surface"]
 
 
-def test_exact_where_mujoco_rounds(tmp_path):
-    """Walls that share an edge still share it, and floors stay level."""
+def test_exact_and_not_compiled(tmp_path):
+    """Walls that share an edge still share it, and floors stay level; MuJoCo has names alone."""
     mesh = trimesh.creation.box(bounds=[[0.1, 0.2, 0.3], [40.7, 30.1, 3.3]])
     path = tmp_path / "hall.obj"
     mesh.export(path, digits=15)
@@ -77,9 +78,7 @@ def test_exact_where_mujoco_rounds(tmp_path):
     np.testing.assert_array_equal(scene.bounds, mesh.bounds)
     top = scene.shapes.triangles.corners[:, :, 2].max(axis=1)
     assert set(top) == {0.3, 3.3}
-    turn = scene.data.geom_xmat[0].reshape(3, 3)
-    rounded = scene.model.mesh_vert @ turn.T + scene.data.geom_xpos[0]
-    np.testing.assert_allclose(rounded.max(axis=0), mesh.bounds[1], atol=1e-5)
+    assert (scene.model.ngeom, scene.model.nmeshface) == (1, 4)
 
 
 # ---------------------------------------------------------------- names and parts
@@ -361,6 +360,71 @@ PLY_TEXT = WEDGE.export(file_type="ply", encoding="ascii")
 def test_ways_to_write_stl_and_ply(read, name, content):
     (part,) = read(name, content)
     same_triangles(part, WEDGE.triangles)
+
+
+def ply(format_="binary_little_endian", kinds=("<f4", "<i4"), extra=(), corners=3, tail=b""):
+    """The wedge as a binary PLY with these types of coordinates and indices."""
+    names = {"f4": "float", "f8": "double", "i4": "int", "u4": "uint"}
+    coordinate, index = (names[kind[1:]] for kind in kinds)
+    vertex = np.dtype([*((axis, kinds[0]) for axis in "xyz"), *((name, "u1") for name in extra)])
+    face = np.dtype([("count", "u1"), ("index", kinds[1], 3)])
+    vertices, faces = np.zeros(len(WEDGE.vertices), vertex), np.zeros(len(WEDGE.faces), face)
+    for number, axis in enumerate("xyz"):
+        vertices[axis] = WEDGE.vertices[:, number]
+    faces["count"], faces["index"] = corners, WEDGE.faces
+    properties = [f"property {coordinate} {axis}\n" for axis in "xyz"]
+    properties += [f"property uchar {name}\n" for name in extra]
+    header = (
+        f"ply\nformat {format_} 1.0\ncomment of a wedge\nelement vertex {len(vertices)}\n"
+        f"{''.join(properties)}element face {len(faces)}\n"
+        f"property list uchar {index} vertex_indices\nend_header\n"
+    )
+    return header.encode() + vertices.tobytes() + faces.tobytes() + tail
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("w.stl", STL),
+        ("w.ply", PLY),
+        ("w.ply", ply()),
+        ("w.ply", ply(kinds=("<f8", "<u4"), extra=("red", "green", "blue"))),
+        ("w.ply", ply("binary_big_endian", (">f4", ">i4"))),
+    ],
+)
+def test_plain_files_are_read_as_trimesh_reads_them(read, name, content, monkeypatch):
+    (by_trimesh,) = unplain(monkeypatch, lambda: read(name, content))
+    monkeypatch.setattr("navbake.baker.scene.mesh_scene.trimesh", None)
+    (part,) = read(name, content)
+    for one, other in zip(part, by_trimesh, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("w.ply", PLY_TEXT),
+        ("w.ply", ply(extra=("s", "t"))),  # texture coordinates
+        ("w.ply", ply(tail=b"more")),
+        ("w.ply", ply(corners=4)),
+        ("w.ply", ply().replace(b"vertex 4", b"vertex 3")),
+        ("w.ply", ply()[:-1]),
+        ("w.ply", ply().replace(b"uchar int", b"uchar half")),
+        ("w.stl", STL_TEXT.encode()),
+        ("w.stl", STL[:-1]),
+        ("w.stl", b"solid" + STL[5:]),
+        ("w.stl", STL[:80] + bytes(4)),
+    ],
+)
+def test_what_is_not_plain_is_left_to_trimesh(name, content):
+    assert PLAIN_READERS[Path(name).suffix](content) is None
+
+
+def unplain(monkeypatch, function):
+    """What a function gives where no file is read as a plain one."""
+    with monkeypatch.context() as changed:
+        changed.setattr("navbake.baker.scene.mesh_scene.PLAIN_READERS", {})
+        return function()
 
 
 def test_polygons_of_a_ply(read):

@@ -294,3 +294,48 @@ def test_large_meshes(subdivisions):
     assert codes(ball) == [True]
     assert codes(ball[1:]) == [False]
     assert split(ball, ball[1:] + 5).kind == "partly closed"
+
+
+# ---------------------------------------------------------------- shells, the fast way
+
+
+def draw_soup(rng):
+    """Boxes on a lattice, touching or inside of each other, some broken, in any order."""
+    pieces = []
+    for _ in range(rng.integers(1, 6)):
+        triangles = box(rng.integers(1, 4, 3), rng.integers(0, 5, 3) / 2)
+        triangles = turned(triangles) if rng.random() < 0.3 else triangles
+        one, other = rng.integers(12, size=2)
+        if rng.random() < 0.3:  # a copy in place of another
+            triangles[one] = triangles[other]
+        if rng.random() < 0.3:
+            triangles[one] = triangles[one, ::-1]
+        if rng.random() < 0.3:
+            triangles = np.delete(triangles, other, axis=0)
+        pieces.append(triangles)
+    soup = rng.permutation(np.concatenate(pieces))
+    return np.stack([np.roll(triangle, rng.integers(3), axis=0) for triangle in soup])
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_shells_are_what_the_general_way_finds(seed, monkeypatch):
+    soup = draw_soup(np.random.default_rng(seed))
+    fast = split(soup)
+    monkeypatch.setattr(
+        "navbake.baker.scene.parts.find_shells",
+        lambda faces, num: (np.zeros(len(faces), np.int32), np.zeros(len(faces), np.bool_)),
+    )
+    general = split(soup)
+    for name in ("faces", "part", "closed"):
+        np.testing.assert_array_equal(getattr(fast, name), getattr(general, name))
+    assert fast.num_turned == general.num_turned
+
+
+def test_a_fan_of_many_triangles_at_one_edge():
+    """Each is a sheet, and the copies among them are dropped; in no time that grows as k²."""
+    height = np.repeat(np.arange(20_000.0), 2)
+    fan = np.zeros((len(height), 3, 3))
+    fan[:, 1, 0], fan[:, 2, 1], fan[:, 2, 2] = 1.0, 1.0, height
+    found = split(fan)
+    assert len(found.part) == 20_000
+    assert not found.part.any()

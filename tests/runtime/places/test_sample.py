@@ -225,7 +225,7 @@ def two_islands():
 @pytest.mark.parametrize(
     ("ask", "message"),
     [
-        (lambda s: s.random_point(3), "numpy.random.Generator, got 3: make one with"),
+        (lambda s: s.random_point(3), "numpy.random.Generator, or None, got 3: make one with"),
         (lambda s: s.random_point(make_rng(), -1), "a count >= 0, got -1"),
         (lambda s: s.random_point(make_rng(), 1.5), "a count >= 0, got 1.5"),
         (lambda s: s.random_point(make_rng(), island=3), "no island 3: there are 1 to 2"),

@@ -1,34 +1,13 @@
-"""Surfaces like floors that lie inside of closed meshes, by the winding of their column's line.
-
-Of the surfaces above, how many were entered and not left is counted for closed surfaces by
-themselves, as `sheets` counts it for all solids together.
-"""
+"""Surfaces like floors that lie inside of closed meshes, by the winding of their column's line."""
 
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-from navbake.baker.floors.kernels.sheets import count_planes_over, neighbour
-from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE, SAME, SLACK
+from navbake.baker.floors.kernels.sheets import count_planes_over, look_up, neighbour
+from navbake.baker.kernels.constants import CLOSED_SURFACE, SAME, SLACK
 from navbake.baker.kernels.tiles import cell_center
-
-
-@njit(inline="always")
-def _look_up(crossings, i, last):
-    """How many closed surfaces hold the i-th one, how many other solids, and the next one above."""
-    z, normal, closed = crossings.z, crossings.normal, crossings.closed
-    surfaces, others, above = 0, 0, math.inf
-    for j in range(i + 1, last):
-        if z[j] - z[i] <= SAME:
-            continue
-        above = min(above, z[j])
-        turn = 1 if normal[j, 2] > 0.0 else -1
-        if closed[j] == CLOSED_SURFACE:
-            surfaces += turn
-        elif closed[j] != OPEN_SURFACE:
-            others += turn
-    return surfaces, others, above
 
 
 @njit(inline="always")
@@ -47,15 +26,16 @@ def _find_holder(crossings, i, last):
     return np.int32(-1)
 
 
-@njit(cache=True, parallel=True)
-def find_holders(lattice, crossings, planes, limits, holder):
+@njit(cache=True, nogil=True)
+def find_holders(lattice, crossings, planes, limits, holder, first_cell, end):
     """Find the surfaces that an agent could stand on if closed meshes held nothing inside.
 
     They face up within the slope, have headroom, and lie inside of closed meshes alone. `holder`,
-    (n,) int32, receives the geom of such a mesh, and -1 for all other surfaces.
+    (n,) int32, receives the geom of such a mesh, and -1 for all other surfaces. Looks at the
+    cells ``range(first_cell, end)``.
     """
-    for cell in prange(crossings.start.shape[0] - 1):
-        x, y = cell_center(lattice, np.int64(cell))
+    for cell in range(first_cell, end):
+        x, y = cell_center(lattice, cell)
         first, last = crossings.start[cell], crossings.start[cell + 1]
         previous = -math.inf
         for i in range(first, last):
@@ -63,7 +43,7 @@ def find_holders(lattice, crossings, planes, limits, holder):
             z = crossings.z[i]
             if crossings.normal[i, 2] < limits.min_up or z - previous <= SAME:
                 continue
-            surfaces, others, above = _look_up(crossings, i, last)
+            surfaces, others, above = look_up(crossings, i, last)
             if surfaces <= 0 or others > 0 or above - z < limits.headroom - SLACK:
                 continue
             if count_planes_over(planes, x, y, z) == 0:

@@ -8,9 +8,9 @@ apart, by union-find. Floors grow ring by ring, breadth first.
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-from navbake.baker.kernels.constants import OPEN_SURFACE, SAME, SLACK
+from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE, SAME, SLACK
 from navbake.baker.kernels.tiles import cell_center
 from navbake.navgrid.kernels.union_find import find_root, unite
 
@@ -31,34 +31,40 @@ def count_planes_over(planes, x, y, z):
 
 
 @njit(cache=True)
-def _look_up(crossings, i, last):
+def look_up(crossings, i, last):
     """How many solids of a column hold the i-th surface, and the height of the next one above.
 
     A solid that begins at the surface's own height (within SAME) stands on it and covers it: its
     underside doesn't count as left. One that ends there doesn't cover it.
+
+    Returns how many closed surfaces hold it, how many other solids, and the height.
     """
     z, normal, closed = crossings.z, crossings.normal, crossings.closed
-    inside, above = 0, math.inf
+    surfaces, others, above = 0, 0, math.inf
     for j in range(i + 1, last):
-        is_apart = z[j] - z[i] > SAME
-        if is_apart and above == math.inf:
+        if z[j] - z[i] <= SAME:
+            continue
+        if above == math.inf:
             above = z[j]
-        if is_apart and closed[j] != OPEN_SURFACE:
-            inside += 1 if normal[j, 2] > 0.0 else -1
-    return inside, above
+        turn = 1 if normal[j, 2] > 0.0 else -1
+        if closed[j] == CLOSED_SURFACE:
+            surfaces += turn
+        elif closed[j] != OPEN_SURFACE:
+            others += turn
+    return surfaces, others, above
 
 
-@njit(cache=True, parallel=True)
-def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable):
+@njit(cache=True, nogil=True)
+def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable, first_cell, end):
     """Tell which crossings are floor-like and which are standable, into two (n,) bool arrays.
 
     Floor-like: faces up within the slope, or faces up more steeply at most a step above one that
     does: a bump too low to be an obstacle. Standable: faces up within the slope, lies inside of
     no solid, and the next surface above is at least the headroom higher. Of several surfaces at
-    one height the lowest counts.
+    one height the lowest counts. Looks at the cells ``range(first_cell, end)``.
     """
-    for cell in prange(crossings.start.shape[0] - 1):
-        x, y = cell_center(lattice, np.int64(cell))
+    for cell in range(first_cell, end):
+        x, y = cell_center(lattice, cell)
         first, last = crossings.start[cell], crossings.start[cell + 1]
         previous, gentle = -math.inf, -math.inf
         for i in range(first, last):
@@ -71,8 +77,8 @@ def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable):
             gentle = z
             if z - previous <= SAME:
                 continue
-            inside, above = _look_up(crossings, i, last)
-            inside += count_planes_over(planes, x, y, z)
+            surfaces, others, above = look_up(crossings, i, last)
+            inside = surfaces + others + count_planes_over(planes, x, y, z)
             if inside <= 0 and above - z >= limits.headroom - SLACK:
                 standable[i] = True
                 previous = z

@@ -27,28 +27,29 @@ def near_offsets(limit: float, shorter: int) -> np.ndarray:
 
 
 @njit(cache=True)
-def count_inner(cells, offsets, width, height, needed, mask, counted):
-    """Count the cells of a set whose neighbours at all offsets belong to it, up to `needed`.
+def mark_inner(cells, offsets, width, height, needed, mask, counted, inner):
+    """Mark the cells of a set whose neighbours at all offsets belong to it, until enough are found.
 
-    Far neighbours are asked first, because near the edge of a set one of them is missing soon. A
-    cell that is named twice counts once. `mask` and `counted`, by cell, are all False, and so again
-    afterwards.
+    Far neighbours are asked first, because near the edge of a set one of them is missing soon.
+    `mask` and `counted`, by cell, are all False, and so again afterwards. `inner`, (n,) bool, all
+    False, receives the marks. Returns how many cells were found; one that is named twice counts
+    once.
     """
     for cell in cells:
         mask[cell] = True
     found = 0
-    for cell in cells:
+    for n in range(cells.shape[0]):
         if found >= needed:
             break
-        row, col = cell // width, cell % width
-        inner = True
+        row, col = cells[n] // width, cells[n] % width
+        inner[n] = True
         for k in range(offsets.shape[0]):
             r, c = row + offsets[k, 0], col + offsets[k, 1]
             if r < 0 or r >= height or c < 0 or c >= width or not mask[r * width + c]:
-                inner = False
+                inner[n] = False
                 break
-        if inner and not counted[cell]:
-            counted[cell] = True
+        if inner[n] and not counted[cells[n]]:
+            counted[cells[n]] = True
             found += 1
     for cell in cells:
         mask[cell] = False

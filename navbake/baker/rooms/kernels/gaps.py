@@ -6,13 +6,77 @@ is on one line, and the cell above or below is on the next one. Directions are a
 the rows; steeper ones scan the lattice with its axes swapped.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+from navbake.navgrid.kernels.union_find import find_root
+from navbake.types import Bool, Int, Int32
 
 # The nearest cells of a wall's ends may lie on lines this far apart where a gap goes on [lines]
 DRIFT = 2
 # How far on either side of a gap the spaces behind it are measured [widths of the gap]
 REACH = 2
+# The bit of a way that follows its line exactly, see `_hold`
+EXACT = 8
+
+
+class Crossings(NamedTuple):
+    """Where columns of cells cross gaps, shape (n,), int64.
+
+    Attributes:
+        col: the column.
+        top, bottom: its first and its last marked row.
+        above, below: the labels of the regions there.
+        mark: the highest mark between, uint8; see `mark_gaps`.
+    """
+
+    col: Int
+    top: Int
+    bottom: Int
+    above: Int
+    below: Int
+    mark: NDArray[np.uint8]
+
+
+class Gaps(NamedTuple):
+    """The gaps of a direction, int64.
+
+    Attributes:
+        first, last: their columns, shape (n,).
+        top, bottom: the first and the last marked row in the first and in the last column,
+            shape (n, 2).
+        above, below: the labels of the regions on both sides, shape (n,).
+        is_doorway: whether the space widens on both sides, shape (n,), bool.
+    """
+
+    first: Int
+    last: Int
+    top: Int
+    bottom: Int
+    above: Int
+    below: Int
+    is_doorway: Bool
+
+
+class Scan(NamedTuple):
+    """A lattice as it is scanned in a direction.
+
+    Attributes:
+        label: the region of each cell, (rows, cols) int32, 0 for none.
+        is_open: (rows, cols) bool.
+        shift: the line's row in each column less that in the first, (cols,) int64.
+        depths: how far behind gaps to measure, int64 [rows].
+        leans: how many columns a line at right angles goes along on the way up so far, int64.
+    """
+
+    label: Int32
+    is_open: Bool
+    shift: Int
+    depths: Int
+    leans: Int
 
 
 @njit(cache=True)
@@ -45,26 +109,60 @@ def measure_runs(is_open, shift):
 
 @njit(cache=True)
 def mark_bridges(low, wall, shift, bridge):
-    """Mark the cells of runs of `low` cells along a line that begin and end at a wall.
+    """Mark the `low` cells of ways along a line, which begin and end at a wall.
 
-    All are (rows, cols) bool; marks are added to `bridge`.
+    A way follows its line exactly; or it keeps within a cell of it where no wall is beside it, and
+    the line itself meets the walls at its ends. So thin sills are followed that meet now the one
+    line of cells and now the next, and furniture along a wall is not. All are (rows, cols) bool;
+    marks are added to `bridge`.
     """
     rows, cols = low.shape
-    held = np.zeros((rows, cols), dtype=np.bool_)  # by a wall at the run's first end
+    held = np.zeros((rows, cols), dtype=np.uint8)  # by a wall at the way's first end
     for col in range(1, cols):
-        down = shift[col - 1] - shift[col]
         for row in range(rows):
-            before = row + down
-            if low[row, col] and 0 <= before < rows:
-                held[row, col] = wall[before, col - 1] or held[before, col - 1]
-    ends = np.zeros((rows, cols), dtype=np.bool_)
+            before = row + shift[col - 1] - shift[col]
+            held[row, col] = _hold(low, wall, row, col, before, col - 1, held)
+    ends = np.zeros((rows, cols), dtype=np.uint8)
     for col in range(cols - 2, -1, -1):
-        down = shift[col + 1] - shift[col]
         for row in range(rows):
-            after = row + down
-            if held[row, col] and 0 <= after < rows:
-                ends[row, col] = wall[after, col + 1] or ends[after, col + 1]
-                bridge[row, col] |= ends[row, col]
+            after = row + shift[col + 1] - shift[col]
+            ends[row, col] = _hold(low, wall, row, col, after, col + 1, ends)
+            both = held[row, col] & ends[row, col]
+            for side in range(3):
+                if both & (1 << side):
+                    bridge[row + side - 1, col] = True
+            if both & EXACT:
+                bridge[row, col] = True
+
+
+@njit(inline="always")
+def _hold(low, wall, row, col, next_row, next_col, held):
+    """Which cells round a line's cell are low and held by a wall, over the next cell of the line.
+
+    Bits 0 to 2 are for the cells above, on and below the line, bit 3 (`EXACT`) is for the line
+    alone. `held` has them for the next cell.
+    """
+    rows = low.shape[0]
+    if next_row < 0 or next_row >= rows:
+        return np.uint8(0)
+    found = 0
+    there = held[next_row, next_col]
+    if low[row, col] and (wall[next_row, next_col] or there & EXACT):
+        found = EXACT
+    first, last = max(row - 1, 0), min(row + 1, rows - 1)
+    for other in range(first, last + 1):
+        if wall[other, col]:
+            return np.uint8(found)
+    for other in range(first, last + 1):
+        if not low[other, col]:
+            continue
+        side = other - row + 1
+        reached = wall[next_row, next_col]
+        for beside in range(max(side - 1, 0), min(side + 1, 2) + 1):
+            reached |= there & (1 << beside) != 0
+        if reached:
+            found |= 1 << side
+    return np.uint8(found)
 
 
 @njit(cache=True)
@@ -122,63 +220,76 @@ def list_crossings(label, gap, own, thickness):
 
     `label` is (rows, cols) int32, 0 where there is no region; `gap` marks the cells of all gaps,
     `own` those of the gaps of this direction, of which there must be one; at most `thickness` rows
-    are crossed. Returns (n, 6) int64: the column, the first and the last marked row, the labels
-    above and below, and the highest mark of `own`.
+    are crossed. Returns `Crossings`, sorted by column.
     """
+    count = _fill_crossings(label, gap, own, thickness, _empty_crossings(0), False)
+    crossings = _empty_crossings(count)
+    _fill_crossings(label, gap, own, thickness, crossings, True)
+    return crossings
+
+
+@njit(cache=True)
+def _empty_crossings(count):
+    return Crossings(
+        np.empty(count, dtype=np.int64),
+        np.empty(count, dtype=np.int64),
+        np.empty(count, dtype=np.int64),
+        np.empty(count, dtype=np.int64),
+        np.empty(count, dtype=np.int64),
+        np.empty(count, dtype=np.uint8),
+    )
+
+
+@njit(cache=True)
+def _fill_crossings(label, gap, own, thickness, crossings, writing):
+    """Write the crossings, or only count them."""
     rows, cols = label.shape
-    found = np.empty((0, 6), dtype=np.int64)
-    for writing in (False, True):
-        count = 0
-        for col in range(cols):
-            row = 1
-            while row < rows - 1:
-                if not gap[row, col] or label[row - 1, col] == 0:
-                    row += 1
-                    continue
-                last = row
-                while last + 1 < rows and gap[last + 1, col]:
-                    last += 1
-                if last + 1 < rows:
-                    above, below = label[row - 1, col], label[last + 1, col]
-                    mark = 0
-                    for k in range(row, last + 1):
-                        mark = max(mark, own[k, col])
-                    if below > 0 and below != above and mark > 0 and last - row < thickness:
-                        if writing:
-                            found[count, 0], found[count, 1], found[count, 2] = col, row, last
-                            found[count, 3], found[count, 4] = above, below
-                            found[count, 5] = mark
-                        count += 1
-                row = last + 1
-        if not writing:
-            found = np.empty((count, 6), dtype=np.int64)
-    return found
+    count = 0
+    for col in range(cols):
+        row = 1
+        while row < rows - 1:
+            if not gap[row, col] or label[row - 1, col] == 0:
+                row += 1
+                continue
+            last = row
+            while last + 1 < rows and gap[last + 1, col]:
+                last += 1
+            if last + 1 < rows:
+                above, below = label[row - 1, col], label[last + 1, col]
+                mark = own[row : last + 1, col].max()
+                if below > 0 and below != above and mark > 0 and last - row < thickness:
+                    if writing:
+                        crossings.col[count] = col
+                        crossings.top[count], crossings.bottom[count] = row, last
+                        crossings.above[count], crossings.below[count] = above, below
+                        crossings.mark[count] = mark
+                    count += 1
+            row = last + 1
+    return count
 
 
 @njit(cache=True)
 def group_crossings(crossings, shift):
     """Number the gaps that crossings of neighbouring columns between the same regions make up.
 
-    `crossings` are sorted by column. Returns the number of each one's gap, int64, from 0.
+    Returns the number of each one's gap, int64, from 0.
     """
-    count = len(crossings)
+    col, above, below = crossings.col, crossings.above, crossings.below
+    count = len(col)
     number = np.empty(count, dtype=np.int64)
+    line = (crossings.top + crossings.bottom) / 2 - shift[col]
     gaps = 0
     begin, end = 0, 0  # the crossings of the column before
     k = 0
     while k < count:
-        col = crossings[k, 0]
         first = k
-        if end == 0 or crossings[begin, 0] != col - 1:
+        if end == 0 or col[begin] != col[first] - 1:
             begin, end = first, first
-        while k < count and crossings[k, 0] == col:
+        while k < count and col[k] == col[first]:
             number[k] = -1
-            middle = (crossings[k, 1] + crossings[k, 2]) / 2 - shift[col]
             for before in range(begin, end):
-                same = crossings[before, 3] == crossings[k, 3]
-                same &= crossings[before, 4] == crossings[k, 4]
-                was = (crossings[before, 1] + crossings[before, 2]) / 2 - shift[col - 1]
-                if same and abs(was - middle) <= DRIFT:
+                same = above[before] == above[k] and below[before] == below[k]
+                if same and abs(line[before] - line[k]) <= DRIFT:
                     number[k] = number[before]
                     break
             if number[k] < 0:
@@ -190,68 +301,109 @@ def group_crossings(crossings, shift):
 
 
 @njit(cache=True)
-def measure_gap(label, is_open, whole, shift, gap, depths):
-    """How open the line of a gap is, seen from the region above it and from the one below.
+def measure_gaps(scan, gaps, chosen, parent):
+    """How open the lines of some gaps are, seen from the regions above them and below them.
 
-    Behind the gap, at each depth, a line runs along it as far as the region reaches, but on either
+    Behind a gap, at each depth, a line runs along it as far as the region reaches, but on either
     side no further than the gap is wide, times `REACH`. Of that length, the gap is a share,
     together with other openings in its line to the same region, which also count as its width.
+    The line begins straight behind the gap's ends, at right angles to it.
 
     Args:
-        label: (rows, cols) int32, 0 where there is no region.
-        is_open: (rows, cols) bool.
-        whole: the region that each one is part of, by label.
-        gap: first and last column, first and last row at both of them, labels above and below:
-            (8,) int64.
-        depths: (n,) int64 [rows].
+        scan: `Scan`.
+        gaps: `Gaps`.
+        chosen: which of them to measure, (n,) int64.
+        parent: the union-find of the regions that have been joined, by label, int32.
 
     Returns:
-        The least share over all depths, of either side.
+        The least share over all depths, from above and from below, (n, 2) float64, 1 where both
+        sides are one region. Then which other regions the lines met, ragged: `start`, (n + 1,)
+        int64, and their labels, int64. Only when one of these is joined to a side of the gap
+        will its shares change.
     """
-    first, last = gap[0], gap[1]
-    above, below = whole[gap[6]], whole[gap[7]]
-    width = last - first + 1
-    shares = np.ones(2)
-    for side in range(2):
-        own, other = (above, below) if side == 0 else (below, above)
-        for depth in depths:
-            length, through = width, width
-            for end in range(2):
-                way = -1 if end == 0 else 1
-                start = first if end == 0 else last
-                top = gap[2] if end == 0 else gap[4]
-                bottom = gap[3] if end == 0 else gap[5]
-                reached, opened, met = 0, 0, 0
-                for step in range(1, label.shape[1]):
-                    col = start + way * step
-                    if step > REACH * (width + opened) or col < 0 or col >= label.shape[1]:
-                        break
-                    down = shift[col] - shift[start]
-                    up_row, low_row = top + down - depth, bottom + down + depth
-                    row, opposite = (up_row, low_row) if side == 0 else (low_row, up_row)
-                    middle = (top + bottom) // 2 + down
-                    if row < 0 or row >= label.shape[0] or not is_open[row, col]:
-                        break
-                    here = label[row, col]
-                    if here > 0 and whole[here] != own:
-                        break
-                    if 0 <= middle < label.shape[0] and 0 <= opposite < label.shape[0]:
-                        there = label[opposite, col]
-                        if is_open[middle, col] and there > 0 and whole[there] == other:
-                            opened += 1
-                    if here > 0:
-                        reached, met = step, opened
-                length += reached
-                through += met
-            shares[side] = min(shares[side], through / length)
-    return shares[0], shares[1]
+    shares = np.ones((len(chosen), 2))
+    start = np.zeros(len(chosen) + 1, dtype=np.int64)
+    met = np.empty(16, dtype=np.int64)
+    count = 0
+    for i in range(len(chosen)):
+        k = chosen[i]
+        above = find_root(parent, gaps.above[k])
+        below = find_root(parent, gaps.below[k])
+        if above != below:
+            for side in range(2):
+                own, other = (above, below) if side == 0 else (below, above)
+                for depth in range(len(scan.depths)):
+                    share, met, count = _measure_line(
+                        scan, gaps, k, (side, depth, own, other), parent, met, (start[i], count)
+                    )
+                    shares[i, side] = min(shares[i, side], share)
+        start[i + 1] = count
+    return shares, start, met[:count]
 
 
 @njit(cache=True)
-def measure_gaps(label, is_open, whole, shift, gaps, depths):
-    """The shares of several gaps of one direction, (n, 2) float64; see `measure_gap`."""
-    shares = np.ones((len(gaps), 2))
-    for k in range(len(gaps)):
-        if whole[gaps[k, 6]] != whole[gaps[k, 7]]:
-            shares[k] = measure_gap(label, is_open, whole, shift, gaps[k], depths)
-    return shares
+def _measure_line(scan, gaps, k, line, parent, met, noted):
+    """The share that gap k has of a line behind it, and the regions met so far.
+
+    `line` is its side (0 above, 1 below), the number of its depth, and the regions on its side
+    and on the other one.
+    """
+    side, depth, own, other = line
+    begin, count = noted
+    label, is_open, shift = scan.label, scan.is_open, scan.shift
+    rows, cols = label.shape
+    # from the gap to the line behind it, and on the other side to that before it
+    down = -scan.depths[depth] if side == 0 else scan.depths[depth]
+    lean = scan.leans[depth] if side == 0 else -scan.leans[depth]
+    width = gaps.last[k] - gaps.first[k] + 1
+    length, through = width, width
+    for end in range(2):
+        way = -1 if end == 0 else 1
+        start = gaps.first[k] if end == 0 else gaps.last[k]
+        top, bottom = gaps.top[k, end], gaps.bottom[k, end]
+        near_row, far_row = (top, bottom) if side == 0 else (bottom, top)
+        reached, opened, passed = 0, 0, 0
+        for step in range(1, cols):
+            col = start + way * step
+            near, far = col + lean, col - lean
+            if step > REACH * (width + opened) or not 0 <= near < cols:
+                break
+            row = near_row + down + shift[near] - shift[start]
+            if not 0 <= row < rows or not is_open[row, near]:
+                break
+            here = label[row, near]
+            if here > 0:
+                here = find_root(parent, here)
+                if here != own:
+                    met, count = _note(met, begin, count, here)
+                    break
+            if 0 <= col < cols and 0 <= far < cols:
+                middle = (top + bottom) // 2 + shift[col] - shift[start]
+                opposite = far_row - down + shift[far] - shift[start]
+                if 0 <= middle < rows and 0 <= opposite < rows and is_open[middle, col]:
+                    there = label[opposite, far]
+                    if there > 0:
+                        there = find_root(parent, there)
+                        if there == other:
+                            opened += 1
+                        else:
+                            met, count = _note(met, begin, count, there)
+            if here > 0:
+                reached, passed = step, opened
+        length += reached
+        through += passed
+    return through / length, met, count
+
+
+@njit(cache=True)
+def _note(met, begin, count, region):
+    """Add a region to those that a gap has met, from `begin` on, if it is new."""
+    for k in range(begin, count):
+        if met[k] == region:
+            return met, count
+    if count == len(met):
+        longer = np.empty(2 * count, dtype=np.int64)
+        longer[:count] = met
+        met = longer
+    met[count] = region
+    return met, count + 1

@@ -12,49 +12,22 @@ one bucket for each height in place of a priority queue.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from navbake.types import Bool, Int32
 
-# Columns that one thread sweeps at a time
-STRIP = 256
 
+@njit(cache=True, nogil=True)
+def sweep_columns(target, far, along, col0, end):
+    """Distances to the nearest target within columns ``range(col0, end)``, at most `far`.
 
-@njit(cache=True, parallel=True)
-def squared_distances(target, reach, first, step):
-    """Squared distance of each node to the nearest target, exact up to `reach`.
-
-    Args:
-        target: shape (rows, cols), bool.
-        reach: nodes, >= 0.
-        first, step: which rows to answer for: those of ``range(first, rows, step)``.
-
-    Returns:
-        Shape (answered rows, cols), int32; ``(reach + 1) ** 2`` where there is none within reach.
+    `target` is (rows, cols) bool, and `along`, int16, receives the distances.
     """
-    rows, cols = target.shape
-    far = np.int16(reach + 1)
-    beyond = np.int32((reach + 1) ** 2)
-    along = np.empty((rows, cols), dtype=np.int16)
-    for strip in prange((cols + STRIP - 1) // STRIP):
-        part = slice(strip * STRIP, min((strip + 1) * STRIP, cols))
-        _sweep(target[:, part], along[:, part], far)
-    answer = np.empty((max(0, (rows - first + step - 1) // step), cols), dtype=np.int32)
-    for number in prange(answer.shape[0]):
-        squares = np.full(cols + 2 * reach, beyond, dtype=np.int32)
-        for col in range(cols):
-            value = np.int32(along[first + number * step, col])
-            squares[col + reach] = value * value
-        nearest = answer[number]
-        nearest[:] = beyond
-        for shift in range(2 * reach + 1):
-            _take_lower(nearest, squares[shift : shift + cols], np.int32((shift - reach) ** 2))
-    return answer
+    _sweep(target[:, col0:end], along[:, col0:end], far)  # loops from 0 vectorize
 
 
 @njit(cache=True)
 def _sweep(target, along, far):
-    """Distances within the columns, at most `far`."""
     rows, cols = target.shape
     for col in range(cols):
         along[0, col] = 0 if target[0, col] else far
@@ -65,6 +38,26 @@ def _sweep(target, along, far):
     for row in range(rows - 2, -1, -1):
         for col in range(cols):
             along[row, col] = min(along[row, col], along[row + 1, col] + np.int16(1))
+
+
+@njit(cache=True, nogil=True)
+def sweep_rows(along, reach, rows, answer, number0, end):
+    """Squared distances, for the `number0`-th to the end-th of some rows, from those in columns.
+
+    `along` is what `sweep_columns` found, `rows` (n,) int64, and `answer`, (n, cols) int32,
+    receives ``(reach + 1) ** 2`` where there is no target within reach.
+    """
+    cols = along.shape[1]
+    beyond = np.int32((reach + 1) ** 2)
+    squares = np.full(cols + 2 * reach, beyond, dtype=np.int32)
+    for number in range(number0, end):
+        for col in range(cols):
+            value = np.int32(along[rows[number], col])
+            squares[col + reach] = value * value
+        nearest = answer[number]
+        nearest[:] = beyond
+        for shift in range(2 * reach + 1):
+            _take_lower(nearest, squares[shift : shift + cols], np.int32((shift - reach) ** 2))
 
 
 @njit(cache=True)

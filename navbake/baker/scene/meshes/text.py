@@ -6,6 +6,7 @@ from pathlib import Path
 from navbake.errors import SceneError
 
 STL_HEADER, STL_TRIANGLE = 84, 50  # [bytes]
+MOST_HEADER = 1 << 20  # of a PLY; what counts stands before that [bytes]
 
 
 def prepare_obj(path: Path) -> bytes:
@@ -50,8 +51,8 @@ def _absolute(reference: bytes, num_vertices: int, where: str) -> bytes:
 def prepare_stl(path: Path) -> bytes:
     """An STL's bytes; refuses one that is cut off, or neither text nor binary."""
     data = path.read_bytes()
-    words = data.lower()
-    if words.lstrip().startswith(b"solid") and b"facet" in words:
+    is_solid = data.lstrip()[:5].lower() == b"solid"
+    if is_solid and b"facet" in (words := data.lower()):
         num_solids, num_ends = (
             len(re.findall(rb"(?m)^\s*" + word, words)) for word in (b"solid", b"endsolid")
         )
@@ -76,7 +77,8 @@ def prepare_ply(path: Path) -> bytes:
 
 def check_ply(path: Path, num_vertices: int, num_faces: int) -> None:
     """Refuse a PLY of which trimesh found fewer vertices or triangles than its header says."""
-    header = path.read_bytes().partition(b"end_header")[0]
+    with path.open("rb") as file:
+        header = file.read(MOST_HEADER).partition(b"end_header")[0]
     for name, found in ((b"vertex", num_vertices), (b"face", num_faces)):
         said = re.search(rb"element %s (\d+)" % name, header)
         if said and int(said[1]) > found:

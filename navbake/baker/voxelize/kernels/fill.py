@@ -17,7 +17,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from navbake.baker.kernels.constants import CONVEX_SOLID, OPEN_SURFACE
@@ -322,21 +322,18 @@ def _fill_tile(voxels, number, tile, solids, planes, triangles, tiles, labels):
         _fill_geoms(voxels, tile, items, triangles, labels, polygons)
 
 
-@njit(cache=True, parallel=True)
-def fill_voxels(voxels, solids, planes, triangles, tiles, labels):
-    """Label all voxels that geoms meet; labels are added to what the grid holds.
+@njit(cache=True, nogil=True)
+def fill_voxels(voxels, solids, planes, triangles, tiles, labels, first, end):
+    """Label the voxels of some tiles that geoms meet; labels are added to what the grid holds.
 
     Args:
         solids, planes, triangles: the geometry; the triangles sorted by geom.
         tiles: what lies over each tile of columns.
         labels: by geom id, > 0, in the dtype of the grid's values.
+        first, end: which tiles.
     """
     tiles_y = (voxels.values.shape[1] + TILE - 1) // TILE
-    num_tiles = (voxels.values.shape[0] + TILE - 1) // TILE * tiles_y
-    # neighbours are alike: with every second tile in each half, threads have as much to do
-    half = (num_tiles + 1) // 2
-    for turn in prange(num_tiles):
-        number = np.int64(2 * turn if turn < half else 2 * (turn - half) + 1)
+    for number in range(first, end):
         i, j = number // tiles_y * TILE, number % tiles_y * TILE
         num_x, num_y, _ = voxels.values.shape
         tile = Patch(i, min(i + TILE, num_x), j, min(j + TILE, num_y))

@@ -23,7 +23,8 @@ def fill(corners, origin, res, shape):
     tiles = Tiles(*bin_items(solids.bounds, *place), *bin_items(boxes, *place))
     values = np.zeros(shape, np.uint8)
     voxels = Voxels(values, origin, res, TOUCH)
-    fill_voxels(voxels, solids, planes, triangles, tiles, np.ones(1, np.uint8))
+    num_tiles, ones = len(tiles.solid_start) - 1, np.ones(1, np.uint8)
+    fill_voxels(voxels, solids, planes, triangles, tiles, ones, 0, num_tiles)
     return values
 
 

@@ -1,0 +1,115 @@
+"""The directions that walls run in, and the lattice as it is scanned along them."""
+
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.baker.rooms.distances import squared_distances
+from navbake.types import Bool, Float, Int
+
+T = TypeVar("T", bound=np.generic)
+
+# The directions of walls are taken at this distance from them, in bins of so many degrees; those
+# count that belong to this length of wall, and to this share of all
+OFF_WALL, BIN, LEAST_WALL, LEAST_SHARE = 0.3, 5, 2.0, 0.01
+# Each is then found in steps of so many degrees, by lines so wide [cells], and about so many
+# points; an axis of the lattice is taken if it is as sharp as this share of the sharpest
+FINE, LINE, MOST_POINTS, AS_SHARP = 0.25, 0.5, 2000, 0.9
+# Nearer to it [cells] the lattice's steps disturb it
+OFF_STEPS = 5
+# Cells round the lattice in which slopes at its edge are measured
+PADDING = 2
+
+
+class Direction(NamedTuple):
+    """A direction that walls run in.
+
+    Attributes:
+        swapped: whether it is scanned with rows and columns swapped.
+        shift: the row of a line in each column less that in the first, (cols,) int64.
+        slope: rows that a line goes down with each column.
+        stretch: length of a step along the line [cells].
+    """
+
+    swapped: bool
+    shift: Int
+    slope: float
+    stretch: float
+
+
+def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
+    """Find the directions that walls run in, from the slope of the distance to them."""
+    reach = max(OFF_STEPS, round(OFF_WALL / cell_size))
+    # the edge of the lattice is no wall: what is there goes on beyond it
+    closed = np.pad(~open_cells, PADDING, mode="edge")
+    squared = squared_distances(closed, reach + 2, 0, 1)
+    distance = np.sqrt(squared, dtype=np.float32)
+    at = (squared[2:-2, 2:-2] >= (reach - 1) ** 2) & (squared[2:-2, 2:-2] < reach**2)
+    rows, cols = np.nonzero(at)
+    rows, cols = rows + 2, cols + 2
+    down = distance[rows + 2, cols] - distance[rows - 2, cols]
+    right = distance[rows, cols + 2] - distance[rows, cols - 2]
+    # a wall runs across the slope; where two walls are as near, there is less of one
+    clear = np.hypot(down, right) > 3.2
+    rows, cols, down, right = rows[clear], cols[clear], down[clear], right[clear]
+    angle = np.mod(np.rad2deg(np.arctan2(down, right)) + 90.0, 180.0)
+    foot = np.stack([rows, cols]) - distance[rows, cols] * np.stack([down, right]) / np.hypot(
+        down, right
+    )
+    num = 180 // BIN
+    count = np.bincount(np.rint(angle / BIN).astype(np.int64) % num, minlength=num).astype(float)
+    smooth = count + np.roll(count, 1) + np.roll(count, -1)
+    # round the corners of walls the slope has all directions alike
+    around = 2.0 * float(np.median(smooth))
+    least = around + max(LEAST_WALL / cell_size, LEAST_SHARE * count.sum())
+    is_peak = np.all([smooth >= np.roll(smooth, k) for k in (-2, -1, 1, 2)], axis=0)
+    smooth[~is_peak] = 0.0
+    directions = []
+    while smooth.max() >= least:
+        best = int(smooth.argmax())
+        off = (angle - best * BIN + 90.0) % 180.0 - 90.0
+        chosen = _align(foot[:, np.abs(off) <= 1.5 * BIN], best * BIN)
+        directions.append(_direction(chosen, open_cells.shape))
+        smooth[np.arange(best - 2, best + 3) % num] = 0.0
+    return directions
+
+
+def _align(foot: Float, around: float) -> float:
+    """The angle within 1.5 bins at which points on walls gather on the fewest lines [degrees].
+
+    A Radon transform of the points, whose sharpest projection is that along the walls. The slopes
+    alone are off by some degrees, because a lattice has walls at an angle in steps. It is an axis
+    of the lattice where that is about as sharp.
+
+    Args:
+        foot: rows and columns of points on the walls, shape (2, n).
+    """
+    foot = foot[:, :: max(1, foot.shape[1] // MOST_POINTS)]
+    angles = around + FINE * np.arange(-round(1.5 * BIN / FINE), round(1.5 * BIN / FINE) + 1)
+    sharpness = np.zeros(len(angles))
+    for k, angle in enumerate(np.deg2rad(angles)):
+        across = foot[0] * np.cos(angle) - foot[1] * np.sin(angle)
+        across = (across - across.min()) / LINE
+        for phase in (0.0, 0.5):  # so that no wall falls between two lines
+            count = np.pad(np.bincount((across + phase).astype(np.int64)), 1)
+            sharp = np.square((count[1:] + count[:-1]).astype(np.float64)).sum()
+            sharpness[k] = max(sharpness[k], sharp)
+    is_axis = angles % 90.0 == 0.0
+    if (sharpness[is_axis] >= AS_SHARP * sharpness.max()).any():
+        return float(angles[is_axis][0])
+    return float(angles[sharpness.argmax()])
+
+
+def _direction(angle: float, shape: tuple[int, ...]) -> Direction:
+    """A direction from its angle from the columns' axis towards the rows' [degrees]."""
+    swapped = 45.0 < angle < 135.0
+    slope = np.tan(np.deg2rad(90.0 - angle if swapped else angle))
+    count = shape[0] if swapped else shape[1]
+    shift = np.rint(np.arange(count) * slope).astype(np.int64)
+    return Direction(swapped, shift, float(slope), float(np.hypot(1.0, slope)))
+
+
+def turned(array: NDArray[T], direction: Direction) -> NDArray[T]:
+    """An array as the kernels scan it in a direction."""
+    return np.ascontiguousarray(array.T) if direction.swapped else array

@@ -1,0 +1,1 @@
+"""Keeps MuJoCo's compiler from ending the process, or from working without end."""

@@ -1,0 +1,143 @@
+"""Lets MuJoCo compile a scene in a process of its own, with limits of time and memory.
+
+MuJoCo's compiler is C++: what crashes it ends its process, and what keeps it busy can't be stopped
+from Python. In a child process both are an error like any other. The compiled model comes back as
+a file (MJB), which holds every bit of it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mujoco
+
+from navbake.baker.scene.guard.oversized import refuse_oversized
+from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart, read_mesh_parts
+from navbake.baker.scene.model import XML_SUFFIXES, catch_warnings, load_model
+from navbake.config.scene import SceneSettings
+from navbake.errors import NavbakeError, SceneError
+
+try:
+    import resource
+except ImportError:  # Windows limits no process that way
+    resource = None  # type: ignore[assignment]
+
+GIB = 1 << 30  # bytes
+# The child finds navbake where this process did, whatever its own search path would be.
+CHILD = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
+    "from navbake.baker.scene.guard.isolated import compile_job; compile_job(sys.argv[2])"
+)
+JOB, MODEL, RESULT = "job.pickle", "model.mjb", "result.pickle"
+STARTED = b"started\n"  # what the child writes when it begins to compile
+
+
+class CompileLimits(NamedTuple):
+    """What MuJoCo may take to compile a scene.
+
+    Attributes:
+        seconds: time [s].
+        memory: what it may reserve beyond what the process starts with [GiB]; kept on Linux only.
+    """
+
+    seconds: float = 60.0
+    memory: float = 4.0
+
+
+def load_isolated(
+    settings: SceneSettings, limits: CompileLimits, warnings: list[str]
+) -> tuple[Any, dict[int, MeshPart], int | None]:
+    """`load_model` in a child process.
+
+    Raises:
+        SceneError: MuJoCo crashed, or took more time or memory than it may; or as `load_model`.
+        ConfigError: as `load_model`.
+    """
+    path = Path(settings.path)
+    if path.suffix.lower() in XML_SUFFIXES and path.is_file():
+        refuse_oversized(path)  # no process is needed to see that
+    with tempfile.TemporaryDirectory(prefix="navbake-") as folder:
+        place = Path(folder)
+        (place / JOB).write_bytes(pickle.dumps((settings, limits.memory)))
+        _run_child(place, path, limits)
+        warned, error = pickle.loads((place / RESULT).read_bytes())
+        warnings += warned
+        if error is not None:
+            raise error
+        model = mujoco.MjModel.from_binary_path(str(place / MODEL))
+    parts = {}
+    if path.suffix.lower() in MESH_SUFFIXES:
+        own = read_mesh_parts(path, settings.up, settings.unit)
+        parts = {int(model.geom(part.name).id): part for part in own}
+    return model, parts, None if settings.ground is None else int(model.ngeom) - 1
+
+
+def _run_child(place: Path, scene: Path, limits: CompileLimits) -> None:
+    command = [sys.executable, "-c", CHILD, json.dumps(sys.path), str(place)]
+    none = subprocess.DEVNULL
+    with subprocess.Popen(command, stdin=none, stdout=subprocess.PIPE, stderr=none) as child:
+        try:
+            assert child.stdout is not None
+            child.stdout.read(len(STARTED))  # importing takes as long as the machine is busy
+            status = child.wait(timeout=limits.seconds)
+        except subprocess.TimeoutExpired:
+            raise SceneError(
+                f"MuJoCo did not compile {scene} within {limits.seconds:g} s: make the scene "
+                "smaller, or give it more time"
+            ) from None
+        finally:
+            child.kill()
+    if not (place / RESULT).exists():
+        raise SceneError(
+            f"MuJoCo crashed as it compiled {scene} ({_how_it_ended(status)}): the scene asks for "
+            f"too much, or for more than {limits.memory:g} GiB of memory, or is broken"
+        )
+
+
+def _how_it_ended(status: int) -> str:
+    if status >= 0:
+        return f"exit status {status}"
+    try:
+        return signal.Signals(-status).name
+    except ValueError:  # a number without a name
+        return f"signal {-status}"
+
+
+def compile_job(folder: str) -> None:
+    """What the child does: compile the scene of a job, and leave the model or the error."""
+    place = Path(folder)
+    settings, memory = pickle.loads((place / JOB).read_bytes())
+    _limit_memory(memory)
+    os.write(sys.stdout.fileno(), STARTED)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nobody reads on
+    failed: NavbakeError | None = None
+    with catch_warnings() as warned:
+        try:
+            model = load_model(settings, warned)[0]
+            mujoco.mj_saveModel(model, str(place / MODEL), None)
+        except NavbakeError as error:
+            failed = error
+        except MemoryError:
+            failed = SceneError(f"{settings.path} needs more than {memory:g} GiB of memory")
+    (place / RESULT).write_bytes(pickle.dumps((warned, failed)))
+
+
+def _limit_memory(gib: float) -> None:
+    """Limit what this process may reserve from now on, and let it leave no core dump."""
+    if resource is None:
+        return
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+    except OSError:  # no Linux: such limits are not kept there
+        return
+    most = pages * resource.getpagesize() + int(gib * GIB)
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))

@@ -1,0 +1,70 @@
+"""Where the upright faces of geoms look, and how far geoms reach along two directions.
+
+The facing is the mode of a histogram of directions, weighted by area and modulo a right angle, and
+the mean of what fell into that bin.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+RIGHT = math.pi / 2
+
+
+@njit(cache=True)
+def find_facing(corners, group, num, directions):
+    """The angle, modulo a right one, that most upright faces of each group look at [rad].
+
+    Args:
+        corners: of triangles, (m, 3, 3) float64 [m].
+        group: the group of each triangle, a number below num, (m,) int32.
+        directions: how many are told apart over a right angle.
+
+    Returns:
+        (num,) float64.
+    """
+    step = RIGHT / directions
+    votes, off = np.zeros((num, directions)), np.zeros((num, directions))
+    for t in range(corners.shape[0]):
+        c = corners[t]
+        ux, uy, uz = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[1, 2] - c[0, 2]
+        vx, vy, vz = c[2, 0] - c[0, 0], c[2, 1] - c[0, 1], c[2, 2] - c[0, 2]
+        x, y = uy * vz - uz * vy, uz * vx - ux * vz
+        weight = math.sqrt(x * x + y * y)
+        if weight > 0.0:
+            angle = math.atan2(y, x) % RIGHT
+            direction = np.int64(math.floor(angle / step + 0.5)) % directions
+            votes[group[t], direction] += weight
+            # from the direction, also over the end of the range
+            left = (angle - direction * step + RIGHT / 2) % RIGHT - RIGHT / 2
+            off[group[t], direction] += weight * left
+    angles = np.empty(num)
+    for g in range(num):
+        most = np.argmax(votes[g])
+        total = votes[g, most]
+        angles[g] = most * step + off[g, most] / (total if total > 0.0 else 1.0)
+    return angles
+
+
+@njit(cache=True)
+def measure_spans(corners, group, way):
+    """How far groups of triangles reach: along their ways, along what is left of these, and up.
+
+    Args:
+        corners, group: see `find_facing`.
+        way: a horizontal unit vector for each group, (num, 2) float64.
+
+    Returns:
+        low and high, (num, 3) float64 [m].
+    """
+    low, high = np.full((way.shape[0], 3), math.inf), np.full((way.shape[0], 3), -math.inf)
+    for t in range(corners.shape[0]):
+        g = group[t]
+        for corner in range(3):
+            x, y, z = corners[t, corner, 0], corners[t, corner, 1], corners[t, corner, 2]
+            along, left = x * way[g, 0] + y * way[g, 1], y * way[g, 0] - x * way[g, 1]
+            low[g, 0], high[g, 0] = min(low[g, 0], along), max(high[g, 0], along)
+            low[g, 1], high[g, 1] = min(low[g, 1], left), max(high[g, 1], left)
+            low[g, 2], high[g, 2] = min(low[g, 2], z), max(high[g, 2], z)
+    return low, high

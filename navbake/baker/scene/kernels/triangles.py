@@ -1,0 +1,170 @@
+"""Normals, boxes and areas of many triangles in one pass, without arrays between.
+
+Each number is computed in the order in which numpy's cross product and norm do it.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(inline="always")
+def _cross(a, b, c):
+    """The normal of a triangle, as long as twice its area."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+
+
+@njit(inline="always")
+def _length(x, y, z):
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@njit(cache=True)
+def take_corners(vertices, faces):
+    """The corners of triangles, (m, 3, 3) float64."""
+    corners = np.empty((faces.shape[0], 3, 3))
+    for f in range(faces.shape[0]):
+        for corner in range(3):
+            for k in range(3):
+                corners[f, corner, k] = vertices[faces[f, corner], k]
+    return corners
+
+
+@njit(cache=True)
+def measure_triangles(corners, upright):
+    """Unit normals and boxes of triangles, corners (m, 3, 3) float64 [m].
+
+    Args:
+        upright: a normal with a smaller z than this gets none, as that of an upright triangle.
+
+    Returns:
+        normal, (m, 3) float64, 0 where a triangle has no area; and bounds, (m, 6) float64: lower
+        corner, upper corner [m].
+    """
+    num = corners.shape[0]
+    normal, bounds = np.zeros((num, 3)), np.empty((num, 6))
+    for t in range(num):
+        c = corners[t]
+        x, y, z = _cross(c[0], c[1], c[2])
+        length = _length(x, y, z)
+        if length > 0.0:
+            normal[t, 0], normal[t, 1], normal[t, 2] = x / length, y / length, z / length
+        if abs(normal[t, 2]) < upright:
+            normal[t, 2] = 0.0
+        for k in range(3):
+            bounds[t, k] = min(c[0, k], c[1, k], c[2, k])
+            bounds[t, 3 + k] = max(c[0, k], c[1, k], c[2, k])
+    return normal, bounds
+
+
+@njit(cache=True)
+def find_box(corners, geom, left_out):
+    """The box round triangles, (6,) float64; those of geoms that are left out, bool, count not.
+
+    Its lower corner is inf where there are none.
+    """
+    box = np.empty(6)
+    box[:3], box[3:] = math.inf, -math.inf
+    for t in range(corners.shape[0]):
+        if left_out[geom[t]]:
+            continue
+        for corner in range(3):
+            for k in range(3):
+                value = corners[t, corner, k]
+                box[k], box[3 + k] = min(box[k], value), max(box[3 + k], value)
+    return box
+
+
+@njit(cache=True)
+def find_used(faces, num):
+    """Mark which of some vertices triangles have, (num,) bool."""
+    is_used = np.zeros(num, np.bool_)
+    for f in range(faces.shape[0]):
+        is_used[faces[f, 0]] = is_used[faces[f, 1]] = is_used[faces[f, 2]] = True
+    return is_used
+
+
+@njit(cache=True)
+def check_faces(vertices, faces, smallest):
+    """Mark triangles that are larger than nothing, and the vertices that these use.
+
+    Args:
+        smallest: twice the area that a triangle has to have more than [m²].
+
+    Returns:
+        has_area, (m,) bool, and is_used, (n,) bool.
+    """
+    has_area = np.empty(faces.shape[0], np.bool_)
+    is_used = np.zeros(vertices.shape[0], np.bool_)
+    for f in range(faces.shape[0]):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        x, y, z = _cross(vertices[a], vertices[b], vertices[c])
+        has_area[f] = _length(x, y, z) > smallest
+        if has_area[f]:
+            is_used[a] = is_used[b] = is_used[c] = True
+    return has_area, is_used
+
+
+@njit(cache=True)
+def measure_areas(vertices, faces):
+    """The areas of triangles, (m,) float64 [m²]."""
+    area = np.empty(faces.shape[0])
+    for f in range(faces.shape[0]):
+        x, y, z = _cross(vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]])
+        area[f] = _length(x, y, z) / 2.0
+    return area
+
+
+@njit(cache=True)
+def sum_by_facing(vertices, faces, cosine):
+    """Twice the area of the triangles that face along y, and of those that face along z [m²].
+
+    A triangle faces along an axis where the cosine of the angle between them is at least one given.
+    """
+    along_y = along_z = 0.0
+    for f in range(faces.shape[0]):
+        x, y, z = _cross(vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]])
+        size = _length(x, y, z)
+        if abs(y) >= size * cosine:
+            along_y += size
+        if abs(z) >= size * cosine:
+            along_z += size
+    return along_y, along_z
+
+
+@njit(cache=True)
+def measure_parts(vertices, faces, turned, part, num):
+    """Volume, area, box and largest triangle of each part of a mesh.
+
+    Args:
+        turned: whether a triangle is to be taken as turned, (m,) bool.
+        part: of each triangle, a number below num, (m,) int32.
+
+    Returns:
+        volume, that the part's triangles sum up to, positive where they face out, and area, both
+        (num,) float64; box, (num, 6) float64; largest, (num,) int64, the last one of several.
+    """
+    volume, area = np.zeros(num), np.zeros(num)
+    best, largest = np.full(num, -1.0), np.zeros(num, np.int64)
+    box = np.empty((num, 6))
+    box[:, :3], box[:, 3:] = math.inf, -math.inf
+    origin = vertices[faces[0, 0]]
+    for f in range(faces.shape[0]):
+        p = part[f]
+        one, other = (2, 0) if turned[f] else (0, 2)
+        a, b, c = vertices[faces[f, one]], vertices[faces[f, 1]], vertices[faces[f, other]]
+        x, y, z = _cross(a, b, c)
+        size = _length(x, y, z)
+        # from a corner of the mesh, so that rounding doesn't grow with the distance to the origin
+        ox, oy, oz = a[0] - origin[0], a[1] - origin[1], a[2] - origin[2]
+        volume[p] += (ox * x + oy * y + oz * z) / 6.0
+        area[p] += size / 2.0
+        if size >= best[p]:
+            best[p], largest[p] = size, f
+        for k in range(3):
+            box[p, k] = min(box[p, k], a[k], b[k], c[k])
+            box[p, 3 + k] = max(box[p, 3 + k], a[k], b[k], c[k])
+    return volume, area, box, largest

@@ -1,0 +1,104 @@
+"""How kernels run on several threads: threads of Python, each with a range of the work.
+
+A kernel that lets go of Python's lock runs beside others of its kind. That takes a fraction of the
+time to compile that numba's own parallel loops take, and works after a fork and from any thread.
+"""
+
+import os
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+import numba
+import numpy as np
+
+from navbake.errors import ConfigError
+
+BANDS = 8  # ranges for each thread: enough that all end at about the same time
+_limit = threading.local()  # `count`: the most threads for what this thread starts
+_pool: ThreadPoolExecutor | None = None
+_pool_lock = threading.Lock()
+
+
+def run_in_bands(kernel: Callable[..., Any], count: int, *args: Any, least: int = 1) -> None:
+    """Call a kernel for all of ``range(count)``, by ranges, on as many threads as are allowed.
+
+    The threads take the ranges in order, each the next one when it is done with its last. Which
+    thread takes which must not matter: each range writes what no other one reads or writes.
+
+    Args:
+        kernel: ``kernel(*args, first, last)`` does the work of ``range(first, last)``; compiled
+            with ``nogil=True``.
+        count: how much work there is, >= 0.
+        args: what all calls are given.
+        least: how much work is worth a call, >= 1; less of it than that runs on this thread.
+    """
+    threads = num_threads()
+    size = max(least, -(-count // (threads * BANDS)))
+    bands = iter([(first, min(first + size, count)) for first in range(0, count, size)])
+    if threads == 1 or count <= size:
+        _work(kernel, args, iter([(0, count)] if count else []))
+        return
+    others = min(threads, -(-count // size)) - 1
+    started = [_get_pool().submit(_work, kernel, args, bands) for _ in range(others)]
+    try:
+        _work(kernel, args, bands)
+    finally:
+        # one that has not begun has nothing left to do
+        _wait([future for future in started if not future.cancel()])
+
+
+def _work(
+    kernel: Callable[..., Any], args: tuple[Any, ...], bands: Iterator[tuple[int, int]]
+) -> None:
+    # `next` of a list's iterator is one step of Python's: two threads never get the same
+    for first, last in bands:
+        kernel(*args, first, last)
+
+
+def _wait(futures: list["Future[None]"]) -> None:
+    for future in futures:
+        future.result()
+
+
+def num_threads() -> int:
+    """How many threads the kernels that this thread of Python starts may take."""
+    return int(getattr(_limit, "count", None) or numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
+
+
+@contextmanager
+def limit_threads(count: int | None) -> Iterator[None]:
+    """Run what is inside on at most `count` threads, or a ConfigError; None changes nothing."""
+    before, numba_before = getattr(_limit, "count", None), numba.get_num_threads()
+    if count is not None:
+        is_whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
+        if not is_whole or count < 1:
+            raise ConfigError(f"expected a number of threads >= 1, got {count!r}")
+        _limit.count = min(int(count), int(numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
+        numba.set_num_threads(_limit.count)
+    try:
+        yield
+    finally:
+        _limit.count = before
+        numba.set_num_threads(numba_before)
+
+
+def _get_pool() -> ThreadPoolExecutor:
+    global _pool
+    with _pool_lock:
+        if _pool is None:
+            most = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
+            _pool = ThreadPoolExecutor(most, "navbake")
+        return _pool
+
+
+def _after_fork() -> None:
+    """A forked child has none of its parent's threads, and the lock may be held by one of them."""
+    global _pool, _pool_lock
+    _pool, _pool_lock = None, threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)

@@ -1,0 +1,324 @@
+"""The kernels that find and measure gaps, against plain oracles, and spaces that are joined."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from navbake.baker.rooms import gaps as gaps_module
+from navbake.baker.rooms.directions import _direction, find_directions
+from navbake.baker.rooms.gaps import GROWTH, part_at_gaps
+from navbake.baker.rooms.kernels import gaps as kernels
+from navbake.baker.rooms.spaces import Spaces
+from offices import make_plan
+
+CELL = 0.1
+ANGLES = (0.0, 7.0, 26.5, 44.0, -12.0, -38.0, 90.0, 61.0, 118.0)
+REACH, DRIFT = kernels.REACH, kernels.DRIFT
+
+
+def blobs(rng, rows=38, cols=46, smooth=1.6, most=0.1):
+    """A random map; as many cells as that are closed depends on `most`."""
+    noise = ndimage.gaussian_filter(rng.normal(size=(rows, cols)), smooth)
+    return noise > most * noise.std() - noise.std() / 2
+
+
+def floor_plan(rng, rows=60, cols=70):
+    """Rooms at random: walls with openings, and pillars."""
+    is_open = np.ones((rows, cols), dtype=np.bool_)
+    is_open[[0, -1]] = is_open[:, [0, -1]] = False
+    for _ in range(3):
+        row, col = rng.integers(8, rows - 8), rng.integers(8, cols - 8)
+        is_open[row : row + 2] = is_open[:, col : col + 2] = False
+        for at in rng.integers(2, cols - 20, 3):
+            is_open[row : row + 2, at : at + rng.integers(6, 20)] = True
+        for at in rng.integers(2, rows - 20, 3):
+            is_open[at : at + rng.integers(6, 20), col : col + 2] = True
+    for _ in range(4):
+        row, col = rng.integers(4, rows - 8), rng.integers(4, cols - 8)
+        is_open[row : row + 3, col : col + 3] = False
+    return is_open
+
+
+def line_of(row, col, shift):
+    """The cells of the line through a cell, by column."""
+    return {c: row + int(shift[c] - shift[col]) for c in range(len(shift))}
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_runs_are_as_long_as_lines_go_on(angle):
+    rng = np.random.default_rng(0)
+    is_open = blobs(rng)
+    shift = _direction(angle, is_open.shape).shift[: is_open.shape[1]]
+    shift = np.concatenate([shift, np.repeat(shift[-1:], max(0, is_open.shape[1] - len(shift)))])
+    run = kernels.measure_runs(is_open, shift)
+    for row, col in np.ndindex(is_open.shape):
+        line = line_of(row, col, shift)
+        length = 0
+        if is_open[row, col]:
+            length = 1
+            for way in (-1, 1):
+                c = col + way
+                while 0 <= c < len(shift) and 0 <= line[c] < len(run) and is_open[line[c], c]:
+                    length += 1
+                    c += way
+        assert run[row, col] == length
+
+
+@pytest.mark.parametrize("both", [True, False])
+def test_gaps_are_beside_longer_runs(both):
+    rng = np.random.default_rng(1)
+    widest, rise, thickness = 14, 2.0, 5
+    for _ in range(4):
+        run = kernels.measure_runs(floor_plan(rng), np.zeros(70, dtype=np.int64))
+        gap = np.zeros(run.shape, dtype=np.uint8)
+        kernels.mark_gaps(run, widest, GROWTH, rise, thickness, both, gap)
+
+        def widens(here, there):
+            return there >= max(GROWTH * here, here + rise)
+
+        expected = np.zeros_like(gap)
+        for row, col in np.ndindex(run.shape):
+            lane, here = run[:, col], run[row, col]
+            if not 0 < here <= widest:
+                continue
+            above = row > 0 and widens(here, lane[row - 1])
+            below = row + 1 < len(lane) and widens(here, lane[row + 1])
+            if not both and (above or below):
+                expected[row, col] = max(expected[row, col], 1)
+            if not above:
+                continue
+            for other in range(row, min(row + thickness, len(lane))):
+                there = lane[other]
+                if not 0 < there <= widest or max(GROWTH * there, there + rise) <= here:
+                    break
+                if other + 1 < len(lane) and widens(there, lane[other + 1]):
+                    expected[row : other + 1, col] = 2
+                    break
+        np.testing.assert_array_equal(gap, expected)
+        assert (gap > 0).any()
+
+
+@pytest.mark.parametrize("angle", [0.0, 9.0, 33.0, -21.0])
+def test_bridges_lead_from_wall_to_wall(angle):
+    rng = np.random.default_rng(2)
+    marked = 0
+    for _ in range(6):
+        wall = ~blobs(rng, smooth=1.2, most=-0.6)
+        low = blobs(rng, smooth=1.0) & ~wall
+        shift = _direction(angle, low.shape).shift
+        bridge = np.zeros_like(low)
+        kernels.mark_bridges(low, wall, shift, bridge)
+        expected = bridges(low, wall, shift)
+        np.testing.assert_array_equal(bridge, expected)
+        marked += bridge.sum()
+    assert marked > 50
+
+
+def bridges(low, wall, shift):
+    """Ways from wall to wall along each line: exact ones, and ones in a band without walls."""
+    rows, cols = low.shape
+    expected = np.zeros_like(low)
+    reach = int(np.abs(shift).max()) + rows
+    for base in range(-reach, reach + rows):
+        line = base + shift
+
+        def at(mask, side, col, line=line):
+            row = line[col] + side
+            return 0 <= line[col] < rows and 0 <= row < rows and bool(mask[row, col])
+
+        exact = {(0, col) for col in range(cols) if at(low, 0, col)}
+        band = {
+            (side, col)
+            for col in range(cols)
+            if not any(at(wall, side, col) for side in (-1, 0, 1))
+            for side in (-1, 0, 1)
+            if at(low, side, col)
+        }
+        for cells, drift in ((exact, 0), (band, 1)):
+            held = []
+            for way in (-1, 1):
+                found = set()
+                for col in range(cols) if way < 0 else range(cols - 1, -1, -1):
+                    before = col + way
+                    for side in (-1, 0, 1):
+                        if (side, col) not in cells or not 0 <= before < cols:
+                            continue
+                        near = [s for s in (-1, 0, 1) if abs(s - side) <= drift]
+                        if at(wall, 0, before) or any((s, before) in found for s in near):
+                            found.add((side, col))
+                held.append(found)
+            for side, col in held[0] & held[1]:
+                expected[line[col] + side, col] = True
+    return expected
+
+
+def parted(is_open):
+    """The gaps of a map with the spaces between them, before any are joined."""
+    kept = []
+
+    class Kept(Spaces):
+        def __init__(self, found, cells, cell_size):
+            super().__init__(found, cells, cell_size)
+            kept.append((found, cells, cell_size))
+
+    original = gaps_module.Spaces
+    gaps_module.Spaces = Kept
+    try:
+        part_at_gaps(is_open, np.zeros_like(is_open), CELL)
+    finally:
+        gaps_module.Spaces = original
+    return kept[0]
+
+
+def turned_plan(seed, angle):
+    """A floor plan at an angle to the lattice."""
+    is_open = floor_plan(np.random.default_rng(seed))
+    return ndimage.rotate(is_open.astype(np.uint8), angle, order=0) > 0
+
+
+def share_of(scan, gaps, k, side, depth, whole):
+    """The share of a line behind a gap, as `measure_gaps` says it, and what regions it met."""
+    sides = whole[gaps.above[k]], whole[gaps.below[k]]
+    own, other = sides if side == 0 else sides[::-1]
+    sign = 1 if side == 0 else -1
+    rows, cols = scan.label.shape
+    width = int(gaps.last[k] - gaps.first[k]) + 1
+    length = through = width
+    met = set()
+    for end, (way, start) in enumerate(((-1, int(gaps.first[k])), (1, int(gaps.last[k])))):
+        top, bottom = int(gaps.top[k, end]), int(gaps.bottom[k, end])
+
+        def cell(row, col, start=start):
+            row = row + int(scan.shift[col] - scan.shift[start]) if 0 <= col < cols else -1
+            return (row, col) if 0 <= row < rows else None
+
+        opened = reached = passed = 0
+        for step in range(1, cols):
+            col, lean = start + way * step, sign * int(scan.leans[depth])
+            down = sign * int(scan.depths[depth])
+            near = cell((top if side == 0 else bottom) - down, col + lean)
+            if step > REACH * (width + opened) or near is None or not scan.is_open[near]:
+                break
+            here = scan.label[near]
+            if here and whole[here] != own:
+                met.add(int(whole[here]))
+                break
+            middle = cell((top + bottom) // 2, col)
+            far = cell((bottom if side == 0 else top) + down, col - lean)
+            if middle and far and scan.is_open[middle] and scan.label[far]:
+                if whole[scan.label[far]] == other:
+                    opened += 1
+                else:
+                    met.add(int(whole[scan.label[far]]))
+            if here:
+                reached, passed = step, opened
+        length, through = length + reached, through + passed
+    return through / length, met
+
+
+@pytest.mark.parametrize("angle", [0, 24, 45])
+def test_the_share_that_a_gap_has(angle):
+    rng = np.random.default_rng(3)
+    measured = 0
+    for seed in range(3):
+        found, cells, _ = parted(turned_plan(seed, angle))
+        parent = np.arange(len(cells), dtype=np.int32)
+        for _ in range(len(cells) // 3):
+            kernels.find_root(parent, 0)
+            one, other = (kernels.find_root(parent, k) for k in rng.integers(1, len(cells), 2))
+            parent[max(one, other)] = min(one, other)
+        whole = np.array([kernels.find_root(parent, k) for k in range(len(cells))])
+        for _, scan, gaps in found:
+            chosen = np.arange(len(gaps.first))
+            shares, start, met = kernels.measure_gaps(scan, gaps, chosen, parent)
+            for k in chosen:
+                listed = met[start[k] : start[k + 1]].tolist()
+                if whole[gaps.above[k]] == whole[gaps.below[k]]:
+                    assert shares[k].tolist() == [1, 1] and not listed
+                    continue
+                lines = [
+                    [share_of(scan, gaps, k, side, d, whole) for d in range(len(scan.depths))]
+                    for side in (0, 1)
+                ]
+                expected = [min(1.0, *(share for share, _ in side)) for side in lines]
+                np.testing.assert_allclose(shares[k], expected)
+                assert len(listed) == len(set(listed))
+                assert set(listed) == set().union(*(m for side in lines for _, m in side))
+                measured += 1
+    assert measured > 30
+
+
+class Remeasured(Spaces):
+    """Measures all gaps again whenever two spaces are joined."""
+
+    def _join(self, gap):
+        before = self._shares.copy()
+        super()._join(gap)
+        apart = self._all()
+        self._measure(np.array(apart, dtype=np.int64))
+        return [k for k in apart if (before[k] != self._shares[k]).any()]
+
+
+@pytest.mark.parametrize("angle", [0, 24, 45])
+def test_spaces_are_joined_as_if_all_gaps_were_measured_after_each(angle):
+    joined = 0
+    for seed in range(5):
+        found, cells, size = parted(turned_plan(seed, angle))
+        fast, slow = Spaces(found, cells, size), Remeasured(found, cells, size)
+        for spaces in (fast, slow):
+            spaces.join_continued()
+            spaces.join_narrower()
+        np.testing.assert_array_equal(fast.wholes(), slow.wholes())
+        assert fast.close_calls() == slow.close_calls()
+        joined += len(cells) - len(np.unique(fast.wholes()))
+    assert joined > 25
+
+
+def test_what_is_far_from_a_change_is_not_measured_again():
+    """A hall with many niches: each is joined to it, and hardly any gap is measured twice."""
+    counts = []
+    for niches in (20, 80):
+        is_open = np.zeros((80, 17 * niches + 4), dtype=np.bool_)
+        is_open[2:52, 2:-2] = True
+        for k in range(niches):
+            is_open[52:62, 2 + 17 * k : 17 + 17 * k] = True
+        found, cells, size = parted(is_open)
+        measured = 0
+
+        class Counted(Spaces):
+            def _measure(self, gaps):
+                nonlocal measured
+                measured += len(gaps)
+                super()._measure(gaps)
+
+        spaces = Counted(found, cells, size)
+        spaces.join_continued()
+        spaces.join_narrower()
+        assert len(np.unique(spaces.wholes())) == 2  # the hall, and 0 for none
+        counts.append(measured)
+    assert counts[1] <= 5 * counts[0]
+
+
+@pytest.mark.parametrize("turn", [0.0, 7.4, 26.0, 39.15, 50.67, 71.0])
+def test_directions_are_those_of_the_walls(turn):
+    """In a hall with a partition, to half a degree."""
+    x, y = np.meshgrid(np.arange(-75, 75) * CELL, np.arange(-75, 75) * CELL)
+    angle = np.deg2rad(turn)
+    u, v = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
+    is_open = (np.abs(u) < 5.0) & (np.abs(v) < 3.5) & ((np.abs(u - 1) > 0.1) | (v > 1.5))
+    found = []
+    for direction in find_directions(is_open, CELL):
+        slope = np.rad2deg(np.arctan(direction.slope))
+        found.append((90 - slope if direction.swapped else slope) % 180)
+    assert sorted(found) == pytest.approx(sorted([turn, turn + 90]), abs=0.5)
+
+
+def test_rooms_at_any_angle_are_those_along_the_lattice(tmp_path):
+    """A plan that came apart in single cells between the lines of its gaps."""
+    from offices_truth import bake_plan, overlaps
+
+    plan = make_plan(5041)
+    stages = bake_plan(plan, tmp_path, as_mesh=False)
+    assert min(overlaps(stages.rooms.index[0], plan.truth(stages.lattice))) > 0.85

@@ -1,0 +1,124 @@
+"""MuJoCo compiles in a child process: the same model, and its crashes are errors."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import navbake
+from navbake.baker.scene.guard import isolated
+from navbake.baker.scene.guard.isolated import CompileLimits, load_isolated
+from navbake.baker.scene.model import load_model
+from navbake.cli.main import main
+from navbake.config.scene import SceneSettings
+from navbake.errors import ConfigError, SceneError
+from project_paths import CONFIGS
+
+ROOM = """<mujoco><worldbody>
+  <geom name="floor" type="box" size="2 2 .1" pos="0 0 -.1"/>
+  <geom name="wall" type="box" size=".1 2 1" pos="1 0 1"/>
+</worldbody></mujoco>"""
+
+
+@pytest.fixture
+def room(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "room.xml").write_text(ROOM)
+    return tmp_path / "room.xml"
+
+
+@pytest.mark.parametrize("name", ["house.xml", "clutter.obj"])
+def test_the_model_is_the_same(name):
+    settings = SceneSettings(path=CONFIGS / "scenes" / name, ground=-1.0)
+    model, parts, ground = load_isolated(settings, CompileLimits(), [])
+    expected, expected_parts, expected_ground = load_model(settings, [])
+    assert ground == expected_ground
+    assert list(parts) == list(expected_parts)
+    assert model.names == expected.names
+    for array in ("geom_pos", "geom_size", "mesh_vert", "mesh_graph", "body_inertia"):
+        np.testing.assert_array_equal(getattr(model, array), getattr(expected, array))
+
+
+def test_errors_are_those_of_this_process(room):
+    room.write_text("<mujoco><worldbody><geom/></worldbody></mujoco>")
+    for settings in (SceneSettings(path=room), SceneSettings(path="none.xml")):
+        messages = []
+        for load in (load_model, lambda s, w: load_isolated(s, CompileLimits(), w)):
+            with pytest.raises(SceneError) as caught:
+                load(settings, [])
+            messages.append(str(caught.value))
+        assert messages[0] == messages[1]
+    (room.parent / "a.mjb").write_bytes(b"")
+    with pytest.raises(ConfigError, match="can't be added to an MJB"):
+        load_isolated(SceneSettings(path="a.mjb", ground=0.0), CompileLimits(), [])
+
+
+def crash(monkeypatch, code):
+    """Let the child run some code in place of MuJoCo's compiler, with its limits."""
+    begin = "from navbake.baker.scene.guard import isolated\n"
+    hook = f"def load(*_):\n    {code}\nisolated.load_model = load\n"
+    run = "isolated.compile_job(sys.argv[2])"
+    child = f"import json, sys; sys.path[:] = json.loads(sys.argv[1])\n{begin}{hook}{run}"
+    monkeypatch.setattr(isolated, "CHILD", child)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a signal ends a process on POSIX")
+def test_a_crash_is_one_line_and_status_1(room, monkeypatch, capsys):
+    crash(monkeypatch, "import ctypes; ctypes.string_at(0)")
+    with pytest.raises(SystemExit) as caught:
+        main(["bake", "room.xml", "--isolate"])
+    assert caught.value.code == 1
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1
+    assert err.startswith("navbake: MuJoCo crashed as it compiled room.xml (SIGSEGV)")
+
+
+def test_what_does_not_end_is_ended(room, monkeypatch):
+    crash(monkeypatch, "import time; time.sleep(600)")
+    with pytest.raises(SceneError, match=r"did not compile .*room\.xml within 0\.2 s"):
+        load_isolated(SceneSettings(path=room), CompileLimits(seconds=0.2), [])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is limited on Linux")
+def test_memory_is_limited(room, monkeypatch):
+    crash(monkeypatch, "return bytearray(1 << 30)")
+    with pytest.raises(SceneError, match=r"needs more than 0\.5 GiB of memory"):
+        load_isolated(SceneSettings(path=room), CompileLimits(memory=0.5), [])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is limited on Linux")
+@pytest.mark.parametrize(
+    ("asset", "world"),
+    [
+        (
+            '<texture name="t" type="2d" builtin="flat" width="18000" height="18000"/>',
+            "<geom size='1'/>",
+        ),
+        ("", '<replicate count="90000" offset="1 0 0"><geom size=".1"/></replicate>'),
+    ],
+    ids=["texture", "replicate"],
+)
+def test_what_is_just_allowed_stays_within_limits(room, asset, world):
+    room.write_text(f"<mujoco><asset>{asset}</asset><worldbody>{world}</worldbody></mujoco>")
+    with pytest.raises(SceneError, match=r"within 1 s|GiB|allocate"):
+        load_isolated(SceneSettings(path=room), CompileLimits(seconds=1.0, memory=0.5), [])
+
+
+def test_isolated_or_not_the_grid_is_the_same(room):
+    main_grid = navbake.bake("room.xml")
+    child_grid = navbake.bake("room.xml", isolate=True)
+    for grid, name in ((main_grid, "a.json"), (child_grid, "b.json")):
+        grid.timings = {}
+        grid.save(name)
+    assert Path("a.json").read_bytes() == Path("b.json").read_bytes()
+
+
+def test_limits_without_isolate_are_refused(room, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["bake", "room.xml", "--isolate-seconds", "3"])
+    assert caught.value.code == 2
+    assert "it is for --isolate" in capsys.readouterr().err

@@ -1,0 +1,91 @@
+"""Normals, boxes, areas and spans of triangles, against numpy over all of them at once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from navbake.baker.scene.extents import DIRECTIONS
+from navbake.baker.scene.kernels.facing import find_facing, measure_spans
+from navbake.baker.scene.kernels.triangles import (
+    check_faces,
+    find_box,
+    find_used,
+    measure_areas,
+    measure_triangles,
+    sum_by_facing,
+    take_corners,
+)
+
+
+@pytest.fixture(params=range(10))
+def mesh(request):
+    """Vertices on a lattice, and faces of which some have no area."""
+    rng = np.random.default_rng(request.param)
+    vertices = rng.integers(-4, 5, (40, 3)) * 0.3
+    return vertices, rng.integers(0, 30, (100, 3)).astype(np.int32)
+
+
+def cross_of(vertices, faces):
+    a, b, c = np.swapaxes(vertices[faces], 0, 1)
+    return np.cross(b - a, c - a)
+
+
+def test_normals_and_boxes(mesh):
+    corners = take_corners(*mesh)
+    np.testing.assert_array_equal(corners, mesh[0][mesh[1]])
+    normal, bounds = measure_triangles(corners, 1e-9)
+    cross = cross_of(*mesh)
+    length = np.linalg.norm(cross, axis=1, keepdims=True)
+    expected = np.divide(cross, length, out=np.zeros_like(cross), where=length > 0)
+    expected[np.abs(expected[:, 2]) < 1e-9, 2] = 0.0
+    np.testing.assert_array_equal(normal, expected)
+    np.testing.assert_array_equal(bounds, np.hstack([corners.min(axis=1), corners.max(axis=1)]))
+
+
+def test_box_leaves_geoms_out(mesh):
+    corners, geom = take_corners(*mesh), np.repeat(np.arange(4, dtype=np.int32), 25)
+    left_out = np.array([False, True, False, True])
+    kept = corners[~left_out[geom]].reshape(-1, 3)
+    box = find_box(corners, geom, left_out)
+    np.testing.assert_array_equal(box, [*kept.min(axis=0), *kept.max(axis=0)])
+    assert (find_box(corners, geom, np.ones(4, np.bool_)) == [np.inf] * 3 + [-np.inf] * 3).all()
+
+
+def test_areas_and_what_they_use(mesh):
+    vertices, faces = mesh
+    double = np.linalg.norm(cross_of(*mesh), axis=1)
+    np.testing.assert_array_equal(measure_areas(*mesh), double / 2)
+    has_area, is_used = check_faces(vertices, faces, 0.05)
+    np.testing.assert_array_equal(has_area, double > 0.05)
+    assert set(np.flatnonzero(is_used)) == set(faces[has_area].ravel())
+    assert set(np.flatnonzero(find_used(faces, len(vertices)))) == set(faces.ravel())
+
+
+def test_area_by_facing(mesh):
+    cross = cross_of(*mesh)
+    double = np.linalg.norm(cross, axis=1)
+    expected = [double[np.abs(cross[:, k]) >= 0.7 * double].sum() for k in (1, 2)]
+    np.testing.assert_allclose(sum_by_facing(*mesh, 0.7), expected)
+
+
+def test_facing_and_spans(mesh):
+    corners = take_corners(*mesh)
+    group = np.repeat(np.arange(4, dtype=np.int32), 25)
+    step = np.pi / 2 / DIRECTIONS
+    angles = find_facing(corners, group, 4, DIRECTIONS)
+    low, high = measure_spans(corners, group, np.stack([np.cos(angles), np.sin(angles)], axis=1))
+    for k, angle in enumerate(angles):
+        own = group == k
+        cross = cross_of(*mesh)[own]
+        facing = np.mod(np.arctan2(cross[:, 1], cross[:, 0]), np.pi / 2)
+        bins = np.floor(facing / step + 0.5).astype(int) % DIRECTIONS
+        votes = np.bincount(bins, np.hypot(cross[:, 0], cross[:, 1]), DIRECTIONS)
+        off = np.mod(angle - np.arange(DIRECTIONS) * step + np.pi / 4, np.pi / 2) - np.pi / 4
+        assert votes[np.abs(off) <= step / 2 + 1e-12].max() == pytest.approx(votes.max())
+        points = corners[own].reshape(-1, 3)
+        along = points[:, :2] @ [np.cos(angle), np.sin(angle)]
+        left = points[:, :2] @ [-np.sin(angle), np.cos(angle)]
+        spans = np.stack([along, left, points[:, 2]])
+        np.testing.assert_allclose(low[k], spans.min(axis=1), atol=1e-12)
+        np.testing.assert_allclose(high[k], spans.max(axis=1), atol=1e-12)

@@ -1,0 +1,115 @@
+"""The list of kernels: its types come back, it is complete, and processes share its work."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numba import typeof
+
+from navbake.kernel_list import FILE, decode, encode, read_list
+
+ROOT = Path(__file__).parents[1]
+
+
+class Pair(NamedTuple):
+    one: np.ndarray
+    two: float
+
+
+def test_types_come_back():
+    frozen = np.zeros(3)
+    frozen.flags.writeable = False
+    values = [
+        1, 2.5, True, np.int32(3), np.zeros((2, 3), np.float32), np.zeros((2, 2, 2), bool),
+        np.zeros((3, 4))[:, ::2], np.asfortranarray(np.zeros((3, 4))), frozen, (1, 2.0), (1, 1),
+        Pair(np.zeros(2), 1.0), Pair(np.zeros(2, np.int8), 1.0), (Pair(np.zeros(2), 1.0), 3),
+    ]  # fmt: skip
+    tuples: dict = {}
+    for value in values:
+        written = json.loads(json.dumps(encode(typeof(value), tuples)))
+        # this module is not to be imported again by its name
+        tuples_here = {k: [v[0], v[1]] for k, v in tuples.items()}
+        sys.modules.setdefault(Pair.__module__, sys.modules[__name__])
+        assert decode(written, tuples_here) == typeof(value)
+    assert len(tuples) == 2
+    with pytest.raises(ValueError, match="expected numbers, arrays or tuples"):
+        encode(typeof("text"), tuples)
+
+
+def test_a_list_that_cannot_be_read_is_empty(monkeypatch, tmp_path):
+    for text in (None, "", "[]", '{"kernels": [1]}'):
+        path = tmp_path / "kernels.json"
+        if text is not None:
+            path.write_text(text)
+        monkeypatch.setattr("navbake.kernel_list.FILE", path)
+        read_list.cache_clear()
+        assert read_list().entries == []
+    read_list.cache_clear()
+
+
+USE = """
+import json
+import navbake
+from navbake.dispatch import Kernel
+from navbake.kernel_list import encode
+called, depth, compile_one = [], [0], Kernel.compile
+def note(kernel, sig):
+    depth[0] += 1
+    try:
+        return compile_one(kernel, sig)
+    finally:
+        depth[0] -= 1
+        if not depth[0]:
+            called.append([kernel.full_name, [encode(t, {}) for t in sig]])
+Kernel.compile = note
+navbake.bake("configs/apartment.yaml")
+print("\\n" + json.dumps(called))
+"""
+
+
+def test_the_list_has_what_a_bake_calls():
+    """If it fails: run `python scripts/list_kernels.py`."""
+    run = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", USE],
+        cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True,
+    )  # fmt: skip
+    listed = [[entry.name, entry.types] for entry in read_list().entries]
+    missing = [call for call in json.loads(run.stdout.splitlines()[-1]) if call not in listed]
+    assert missing == [], f"{FILE.name} is out of date: run `python scripts/list_kernels.py`"
+
+
+HELP = """
+import json, os, sys
+from navbake import dispatch, kernel_list
+import navbake.formats.kernels.runs as runs
+modules = [runs.__name__]
+if sys.argv[1:] == ["help"]:
+    kernel_list.compile_listed(modules, 0.0, os.getppid())
+else:
+    import numpy as np
+    entries, tuples = kernel_list.read_list()
+    hits = 0
+    for entry in entries:
+        if entry.module in modules:
+            kernel = getattr(runs, entry.name.rpartition(".")[2])
+            kernel.compile(tuple(kernel_list.decode(t, tuples) for t in entry.types))
+            hits += sum(kernel.stats.cache_hits.values())
+            assert not kernel.stats.cache_misses, entry
+    print(hits)
+"""
+
+
+def test_what_a_helper_compiles_is_found(tmp_path):
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, "-c", HELP, "help"], env=env, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", HELP], env=env, stdout=subprocess.PIPE, text=True, check=True
+    )
+    assert int(run.stdout) > 0

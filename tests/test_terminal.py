@@ -1,0 +1,201 @@
+"""The terminal: quiet and verbose commands, completion, Ctrl-C, names that would send escapes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from grid_maps import level_from
+from navbake.cli.main import COMMANDS, main
+from project_paths import ROOT
+
+ESCAPE = "\x1b[31mred"
+
+
+@pytest.fixture
+def grid(tmp_path, monkeypatch):
+    """The current folder, with the grid of a level whose scene and object have escape codes."""
+    monkeypatch.chdir(tmp_path)
+    level = level_from("......\n..##..\n......")
+    level.user_data = {8: {"objects": [ESCAPE]}, 9: {"objects": [ESCAPE]}}
+    level.metadata["sceneId"] = ESCAPE
+    level.save("a.grid.json")
+    return tmp_path / "a.grid.json"
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*arguments):
+        with pytest.raises(SystemExit) as caught:
+            main([str(argument) for argument in arguments])
+        return caught.value.code or 0, *capsys.readouterr()
+
+    return call
+
+
+def test_all_commands_take_quiet_and_verbose(run):
+    for command in COMMANDS:
+        _, out, _ = run(command.__name__.replace("_", "-"), "--help")
+        assert "-q, --quiet" in out and "-v, --verbose" in out
+
+
+def test_quiet_prints_nothing_but_what_was_asked_for(grid, run):
+    assert run("inflate", grid, "--radius", "0.1", "-o", "b.json", "-q") == (0, "", "")
+    assert run("plot", grid, "-o", "b.png", "-q") == (0, "", "")
+    assert run("info", grid, "-q")[1] == run("info", grid)[1] != ""
+    assert run("info", "none.json", "-q")[2].startswith("navbake: ")
+
+
+def test_verbose_says_what_is_read_and_written_on_stderr(grid, run):
+    status, out, err = run("inflate", grid, "--radius", "0.1", "-o", "b.json", "-v")
+    assert status == 0
+    assert out == run("inflate", grid, "--radius", "0.1", "-o", "b.json")[1]
+    assert f"navbake: reading {grid}\n" in err
+    assert "navbake: wrote b.json, " in err
+    assert "s in all\n" in err
+
+
+def test_verbose_says_what_led_to_an_error(grid, run):
+    assert "because of" not in run("info", "none.json")[2]
+    assert "because of FileNotFoundError" in run("info", "none.json", "-v")[2]
+
+
+def test_quiet_and_verbose_at_once_are_refused(grid, run):
+    status, _, err = run("info", grid, "-q", "-v")
+    assert status == 2 and "--quiet, --verbose" in err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["info"],
+        ["info", "--json"],
+        ["rooms", "--json"],
+        ["why", "--at", "0.25,-0.15"],
+        ["why", "--at", "0.25,-0.15", "--json"],
+        ["path", "--from", "0.05,-0.05", "--to", "object:x"],
+        ["path", "--from", "0.05,-0.05", "--to", f"object:{ESCAPE}"],
+        ["info", "-v"],
+    ],
+)
+def test_escape_codes_in_names_are_shown_not_sent(grid, run, arguments):
+    _, out, err = run(arguments[0], grid, *arguments[1:])
+    assert "\x1b" not in out + err
+    if arguments[:1] != ["rooms"]:
+        assert "x1b[31m" in out + err or "u001b[31m" in out + err or arguments[0] == "path"
+    if "--json" in arguments:
+        json.loads(out)
+
+
+def test_characters_beyond_ascii_control_no_terminal_in_json(capsys):
+    from navbake.cli.printing import print_json
+
+    value = {"name": "\x9b31mred é 厨房 \U000e0001"}
+    print_json(value)
+    out = capsys.readouterr().out
+    assert "\x9b" not in out and "é 厨房" in out
+    assert json.loads(out) == value
+
+
+# ---------------------------------------------------------------- completion
+
+
+@pytest.mark.parametrize(
+    ("typed", "expected"),
+    [("navbake ro", {"rooms"}), ("navbake bake --iso", {"--isolate", "--isolate-memory"})],
+)
+def test_a_shell_completes_commands_and_options(typed, expected):
+    env = {
+        **os.environ,
+        "_NAVBAKE_COMPLETE": "complete_bash",
+        "COMP_WORDS": typed,
+        "COMP_CWORD": str(len(typed.split()) - 1),
+    }
+    done = subprocess.run(
+        [sys.executable, "-m", "navbake"], env=env, capture_output=True, text=True, check=False
+    )
+    assert expected <= set(done.stdout.split())
+
+
+def test_completion_can_be_installed(run):
+    _, out, _ = run("--help")
+    assert "--install-completion" in out and "--show-completion" in out
+
+
+# ---------------------------------------------------------------- Ctrl-C
+
+# Says when it is ready: before that, while Python itself starts, Ctrl-C is not navbake's.
+STARTED = """
+import signal
+from navbake import __main__ as start
+set_handler = signal.signal
+def tell(*arguments):
+    set_handler(*arguments)
+    print("ready", flush=True)
+signal.signal = tell
+start.main()
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are sent as on POSIX")
+@pytest.mark.parametrize("delay", [0.0, 0.03, 0.1, 0.3, 0.6, 1.0, 1.5])
+def test_ctrl_c_is_clean_at_any_time(tmp_path, delay):
+    """During the imports of the command line, of MuJoCo, of numba, and during the bake itself."""
+    command = [sys.executable, "-c", STARTED, "bake", str(ROOT / "configs" / "house.yaml")]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "ready\n"
+        time.sleep(delay)
+        child.send_signal(signal.SIGINT)
+        _, err = child.communicate(timeout=60)
+    assert "Traceback" not in err and "KeyboardInterrupt" not in err
+    assert child.returncode in (130, 0)  # 0: it was done before
+    assert delay > 0.3 or child.returncode == 130
+
+
+LIBRARY = """
+import signal, sys, types
+from navbake import __main__ as start
+import navbake.cli.main as command_line
+def run():
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt as error:
+        {body}
+command_line.main = run
+start.main()
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are sent as on POSIX")
+@pytest.mark.parametrize(
+    "body",
+    [
+        "raise ImportError('a library was interrupted') from error",
+        "sys.unraisablehook(types.SimpleNamespace(exc_type=KeyboardInterrupt))",
+    ],
+)
+def test_libraries_that_turn_or_drop_ctrl_c_change_nothing(body):
+    done = subprocess.run(
+        [sys.executable, "-c", LIBRARY.format(body=body)], capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (130, "")
+
+
+def test_bugs_are_no_ctrl_c():
+    body = "raise SystemExit(0)"
+    done = subprocess.run(
+        [sys.executable, "-c", LIBRARY.format(body=body)], capture_output=True, text=True
+    )
+    assert done.returncode == 0
+    code = LIBRARY.replace("signal.raise_signal(signal.SIGINT)", "1 / 0").format(body="pass")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 1 and "ZeroDivisionError" in done.stderr

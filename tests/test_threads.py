@@ -1,0 +1,68 @@
+"""How many threads a bake may be told to run on."""
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import numba
+import numpy as np
+import pytest
+from numba import njit
+
+import navbake
+from navbake.errors import ConfigError
+from navbake.threads import limit_threads, num_threads, run_in_bands
+
+
+@pytest.mark.parametrize("count", ["2", 1.5, True, 0, -1, [], "x"], ids=repr)
+def test_what_is_no_number_of_threads(tmp_path, count):
+    with (
+        pytest.raises(ConfigError, match="expected a number of threads >= 1, got"),
+        limit_threads(count),
+    ):
+        pass
+    scene = tmp_path / "scene.xml"
+    scene.write_text('<mujoco><worldbody><geom type="box" size="1 1 .1"/></worldbody></mujoco>')
+    with pytest.raises(ConfigError, match="expected a number of threads >= 1, got"):
+        navbake.bake(scene, threads=count)
+
+
+@pytest.mark.parametrize("count", [1, np.int64(1), 10**30, None], ids=repr)
+def test_numbers_of_threads(count):
+    before = numba.get_num_threads()
+    with limit_threads(count):
+        assert numba.get_num_threads() == (1 if count == 1 else before)
+    assert numba.get_num_threads() == before
+
+
+@njit(nogil=True)
+def _count(values, first, end):
+    for i in range(first, end):
+        values[i] += 1
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+@pytest.mark.parametrize("count", [0, 1, 7, 8, 1000])
+@pytest.mark.parametrize("least", [1, 3, 2000])
+def test_each_part_of_the_work_is_done_once(monkeypatch, threads, count, least):
+    monkeypatch.setattr("navbake.threads.num_threads", lambda: threads)
+    values = np.zeros(1000, np.int64)
+    run_in_bands(_count, count, values, least=least)
+    assert (values == (np.arange(1000) < count)).all()
+
+
+def test_an_error_in_a_thread_is_raised(monkeypatch):
+    monkeypatch.setattr("navbake.threads.num_threads", lambda: 4)
+
+    def fail(first, end):
+        time.sleep(0.01)
+        raise ValueError(f"{first}")
+
+    with pytest.raises(ValueError, match=r"\d"):
+        run_in_bands(fail, 100)
+
+
+def test_a_limit_holds_in_its_thread_alone():
+    with limit_threads(1), ThreadPoolExecutor(1) as pool:
+        assert num_threads() == 1
+        assert pool.submit(num_threads).result() == numba.config.NUMBA_NUM_THREADS
+    assert num_threads() == numba.config.NUMBA_NUM_THREADS
