@@ -5,16 +5,26 @@
 
 from __future__ import annotations
 
+import _thread
 import os
+import select
 import signal
 import sys
+import threading
 from types import FrameType
 from typing import Any
 
 INTERRUPTED = 130
 """The exit status after Ctrl-C, as shells have it: 128 and the signal's number."""
 
-_pressed = 0  # how many times
+TERMINATED = 143
+"""The exit status after SIGTERM, likewise."""
+
+PATIENCE = 2.0  # how long Python may take to hear of a signal, before the process is ended [s]
+DELAY = 0.05  # after which a Ctrl-C that was dropped comes again [s]
+_heard = 0  # how many signals Python has heard of
+_pressed = 0  # how many times Ctrl-C has not taken effect yet
+_is_terminated = False
 
 
 def main() -> None:
@@ -23,37 +33,75 @@ def main() -> None:
     Ctrl-C raises KeyboardInterrupt wherever Python is. Libraries may turn that into an error of
     their own, as numpy does while it is imported, or drop it, as callbacks from C must; so
     whatever ends a process after Ctrl-C is taken for its effect, and what was dropped is raised
-    again. Another Ctrl-C ends the process at once.
+    again. Another Ctrl-C ends the process at once. While MuJoCo compiles, Python hears of nothing;
+    then the first one ends the process after PATIENCE, too. SIGTERM is like Ctrl-C, so that files
+    and processes that only help are removed.
     """
     # where Ctrl-C is ignored, as in the background of a script, it stays ignored
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt)
+        signal.signal(signal.SIGTERM, _terminate)
         sys.unraisablehook = _raise_again
+        _start_watch()
     try:
         from navbake.cli.main import main as run  # now that Ctrl-C is expected
 
         run()
     except BaseException as error:
         done = isinstance(error, SystemExit) and error.code in (None, 0)
+        if _is_terminated:
+            sys.exit(TERMINATED)
         if _pressed and not done:
             sys.exit(INTERRUPTED)
         raise
 
 
+def _start_watch() -> None:
+    """Watch signals from a thread: code in C lets no Python run on the main one, but others."""
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    threading.Thread(target=_watch, args=(reading,), name="signals", daemon=True).start()
+
+
+def _watch(reading: int) -> None:
+    came = 0
+    while True:
+        number = os.read(reading, 1)[0]
+        if number not in (signal.SIGINT, signal.SIGTERM):
+            continue
+        came += 1
+        patience = PATIENCE if came - _heard < 2 else PATIENCE / 10
+        is_next, _, _ = select.select([reading], [], [], patience)
+        if not is_next and _heard < came:
+            os._exit(INTERRUPTED if number == signal.SIGINT else TERMINATED)
+
+
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    global _pressed
+    global _heard, _pressed
+    _heard += 1
     _pressed += 1
     if _pressed > 1:
         os._exit(INTERRUPTED)
     raise KeyboardInterrupt
 
 
+def _terminate(number: int, frame: FrameType | None) -> None:
+    global _heard, _is_terminated
+    _heard += 1
+    _is_terminated = True
+    raise SystemExit(TERMINATED)
+
+
 def _raise_again(unraisable: Any) -> None:
-    """Raise a KeyboardInterrupt again that Python could not raise where it came."""
+    """Raise a KeyboardInterrupt again, a little later, that was dropped where it came."""
     global _pressed
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
         _pressed = 0
-        signal.raise_signal(signal.SIGINT)
+        # not here: what a hook raises is dropped, too
+        again = threading.Timer(DELAY, _thread.interrupt_main)
+        again.daemon = True
+        again.start()
     else:
         sys.__unraisablehook__(unraisable)
 

@@ -6,6 +6,7 @@ time to compile that numba's own parallel loops take, and works after a fork and
 
 import os
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -46,6 +47,7 @@ def run_in_bands(kernel: Callable[..., Any], count: int, *args: Any, least: int 
     try:
         _work(kernel, args, bands)
     finally:
+        deque(bands, maxlen=0)  # after an error here nothing more is begun
         # one that has not begun has nothing left to do
         _wait([future for future in started if not future.cancel()])
 

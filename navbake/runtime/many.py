@@ -165,8 +165,11 @@ class ManyPlaces:
         targets: list[Goal] = [goals] * len(p)
         if not isinstance(goals, str):
             q = check_positions(goals, num_levels, level)
-            if q.ndim != 1 and len(q) != len(p):
-                raise QueryError(f"expected a goal for each of {len(p)} starts, got {len(q)}")
+            if q.ndim > 2 or (q.ndim == 2 and len(q) != len(p)):
+                raise QueryError(
+                    f"expected one goal, or goals of shape ({len(p)}, 3) as there are starts, got "
+                    f"shape {q.shape}"
+                )
             targets = list(np.broadcast_to(q, (len(p), q.shape[-1])))
         return [
             self._planner.find_path(start, goal, level, smooth=smooth)

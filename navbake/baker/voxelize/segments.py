@@ -96,7 +96,9 @@ def _label_by_kind(scene: Scene, kind: str) -> Labels:
 def _check_patterns(segments: Any) -> dict[str, int]:
     if isinstance(segments, Mapping):
         patterns = dict(segments)
-    elif isinstance(segments, str) and not find_near(segments, KINDS):  # else a slip
+    elif isinstance(segments, str) and (
+        set(segments) & set("*?[") or not find_near(segments, KINDS)  # else a slip
+    ):
         patterns = {segments: 1}
     elif isinstance(segments, Sequence) and not isinstance(segments, str):
         patterns = {pattern: number for number, pattern in enumerate(segments, 1)}

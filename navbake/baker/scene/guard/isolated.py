@@ -7,13 +7,14 @@ a file (MJB), which holds every bit of it.
 
 from __future__ import annotations
 
-import json
+import ctypes
 import os
 import pickle
 import signal
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,13 +32,16 @@ except ImportError:  # Windows limits no process that way
     resource = None  # type: ignore[assignment]
 
 GIB = 1 << 30  # bytes
-# The child finds navbake where this process did, whatever its own search path would be.
+# The child finds modules where this process did: with -c, Python would look in the current folder
+# first, which is as little to be trusted as the scene. So the path is set before anything else.
 CHILD = (
-    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from navbake.baker.scene.guard.isolated import compile_job; compile_job(sys.argv[2])"
+    "import sys; sys.path[:] = {path!r}; "
+    "from navbake.baker.scene.guard.isolated import compile_job; compile_job(sys.argv[1])"
 )
+IMPORT_SECONDS = 120.0  # what the child may take before it begins to compile; machines are busy
+END_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
 JOB, MODEL, RESULT = "job.pickle", "model.mjb", "result.pickle"
-STARTED = b"started\n"  # what the child writes when it begins to compile
+STARTED = "started"  # what the child writes when it begins to compile
 
 
 class CompileLimits(NamedTuple):
@@ -81,13 +85,14 @@ def load_isolated(
 
 
 def _run_child(place: Path, scene: Path, limits: CompileLimits) -> None:
-    command = [sys.executable, "-c", CHILD, json.dumps(sys.path), str(place)]
+    path = [entry or os.getcwd() for entry in sys.path]
+    command = [sys.executable, "-c", CHILD.format(path=path), str(place)]
     none = subprocess.DEVNULL
-    with subprocess.Popen(command, stdin=none, stdout=subprocess.PIPE, stderr=none) as child:
+    with subprocess.Popen(command, stdin=none, stdout=none, stderr=none) as child:
         try:
-            assert child.stdout is not None
-            child.stdout.read(len(STARTED))  # importing takes as long as the machine is busy
-            status = child.wait(timeout=limits.seconds)
+            status = _wait_for_start(child, place / STARTED)
+            if status is None:
+                status = child.wait(timeout=limits.seconds)
         except subprocess.TimeoutExpired:
             raise SceneError(
                 f"MuJoCo did not compile {scene} within {limits.seconds:g} s: make the scene "
@@ -95,11 +100,29 @@ def _run_child(place: Path, scene: Path, limits: CompileLimits) -> None:
             ) from None
         finally:
             child.kill()
+    if not (place / STARTED).exists():
+        raise NavbakeError(
+            f"cannot start a process to compile {scene} in ({_how_it_ended(status)}): does "
+            f"{sys.executable!r} find navbake?"
+        )
     if not (place / RESULT).exists():
         raise SceneError(
             f"MuJoCo crashed as it compiled {scene} ({_how_it_ended(status)}): the scene asks for "
             f"too much, or for more than {limits.memory:g} GiB of memory, or is broken"
         )
+
+
+def _wait_for_start(child: subprocess.Popen[bytes], started: Path) -> int | None:
+    """Wait until a child begins to compile; return its exit status if it ends before."""
+    end = time.monotonic() + IMPORT_SECONDS
+    while child.poll() is None and not started.exists():
+        if time.monotonic() > end:
+            raise NavbakeError(
+                f"the process to compile in did not start within {IMPORT_SECONDS:g} s: is the "
+                "machine overloaded?"
+            )
+        time.sleep(0.01)
+    return child.poll()
 
 
 def _how_it_ended(status: int) -> str:
@@ -116,8 +139,8 @@ def compile_job(folder: str) -> None:
     place = Path(folder)
     settings, memory = pickle.loads((place / JOB).read_bytes())
     _limit_memory(memory)
-    os.write(sys.stdout.fileno(), STARTED)
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nobody reads on
+    _end_with_parent()
+    (place / STARTED).touch()
     failed: NavbakeError | None = None
     with catch_warnings() as warned:
         try:
@@ -128,6 +151,12 @@ def compile_job(folder: str) -> None:
         except MemoryError:
             failed = SceneError(f"{settings.path} needs more than {memory:g} GiB of memory")
     (place / RESULT).write_bytes(pickle.dumps((warned, failed)))
+
+
+def _end_with_parent() -> None:
+    """Ask the system to end this process when its parent ends, however that happens."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(END_WITH_PARENT, signal.SIGKILL)
 
 
 def _limit_memory(gib: float) -> None:

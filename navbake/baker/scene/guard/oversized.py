@@ -43,7 +43,7 @@ def refuse_oversized(path: Path) -> None:
         tag, where = element.tag, f"in {place.file}"
         if place.copies > 1:
             num_copies += place.copies
-            _check("copies by <replicate>", num_copies, MAX_COPIES, where)
+            _check("elements made by <replicate>", num_copies, MAX_COPIES, where)
         if tag == "texture":
             num_bytes += _texture_bytes(element)
             _check("bytes of textures", num_bytes, MAX_TEXTURE, _named(element, where))
@@ -67,24 +67,29 @@ def _elements(
 
     A file counts once: MuJoCo includes none twice.
     """
-    seen.add(file.resolve())
-    try:
-        root = ElementTree.parse(file).getroot()
-    except (ElementTree.ParseError, ValueError, LookupError, OSError, RecursionError):
-        return  # MuJoCo says what is wrong with it
-    waiting = [(root, copies)]
+    waiting = _root_of(file, copies, seen)
     while waiting:
-        element, copies = waiting.pop()
+        element, (file, copies) = waiting.pop()
         if element.tag in ("include", "model") and element.get("file"):
             # MuJoCo looks beside the main file; newer versions beside the including one, too
             beside = [folder / element.attrib["file"] for folder in (home, file.parent)]
             included = next((other for other in beside if other.is_file()), None)
             if included is not None and included.resolve() not in seen:
-                yield from _elements(included, home, copies, seen)
+                waiting += _root_of(included, copies, seen)
         yield element, Place(file, copies)
         if element.tag == "replicate":
             copies *= max(_number(element, "count", 1), 1)
-        waiting += [(child, copies) for child in reversed(element)]
+        waiting += [(child, Place(file, copies)) for child in reversed(element)]
+
+
+def _root_of(file: Path, copies: int, seen: set[Path]) -> list[tuple[ElementTree.Element, Place]]:
+    """The outermost element of a file; none if Python can't read it."""
+    seen.add(file.resolve())
+    try:
+        root = ElementTree.parse(file).getroot()
+    except (ElementTree.ParseError, ValueError, LookupError, OSError, RecursionError):
+        return []  # MuJoCo says what is wrong with it
+    return [(root, Place(file, copies))]
 
 
 def _texture_bytes(element: ElementTree.Element) -> int:

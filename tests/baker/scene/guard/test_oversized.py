@@ -38,10 +38,16 @@ TOO_LARGE = [
         {"assets": texture(20000, 20000, more='nchannel="4"')},
         "bytes of textures, got 1,600,000,000",
     ),
-    ({"world": replicate(1_000_000)}, "at most 100,000 copies by <replicate>, got 1,000,000"),
-    ({"world": replicate(1000, replicate(1000))}, "copies by <replicate>, got 1,00"),
-    ({"world": replicate(1000, f"<body>{replicate(500)}</body>")}, "copies by <replicate>, got"),
-    ({"world": replicate(30_000, BALL * 4)}, "copies by <replicate>, got 120,000"),
+    (
+        {"world": replicate(1_000_000)},
+        "at most 100,000 elements made by <replicate>, got 1,000,000",
+    ),
+    ({"world": replicate(1000, replicate(1000))}, "elements made by <replicate>, got 1,00"),
+    (
+        {"world": replicate(1000, f"<body>{replicate(500)}</body>")},
+        "elements made by <replicate>, got",
+    ),
+    ({"world": replicate(30_000, BALL * 4)}, "elements made by <replicate>, got 120,000"),
     ({"assets": '<hfield name="h" nrow="60000" ncol="60000" size="1 1 1 1"/>'}, "height field"),
     ({"world": '<flexcomp name="f" type="grid" count="1000 1000 1000"/>'}, "of a <flexcomp>"),
     ({"top": '<size nkey="2000000000"/>'}, "`nkey` of <size>"),
@@ -68,7 +74,7 @@ def test_included_files_count_as_often_as_they_are_made(tmp_path):
     (tmp_path / "parts" / "inner.xml").write_text(f"<mujoco>{replicate(1000)}</mujoco>")
     (tmp_path / "parts" / "outer.xml").write_text('<mujoco><include file="inner.xml"/></mujoco>')
     path = scene(tmp_path, world=replicate(1000, '<include file="parts/outer.xml"/>'))
-    with pytest.raises(SceneError, match=r"copies by <replicate>, got .* in .*inner\.xml"):
+    with pytest.raises(SceneError, match=r"elements made by <replicate>, got .* in .*inner\.xml"):
         refuse_oversized(path)
 
 
