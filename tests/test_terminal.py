@@ -99,13 +99,25 @@ def test_lines_that_are_said_control_no_terminal(capsys, name):
     say(name)
     say_unless_quiet(name)
     print_error(name)
+    level = LOG.level
     with volume(quiet=False, verbose=True):
         LOG.debug(name)
+    assert LOG.level == level
     printed = capsys.readouterr()
     assert name not in printed.out + printed.err
     assert (printed.out + printed.err).replace("\n", "").isprintable()
     assert len(printed.out.splitlines()) == 2
     assert len(printed.err.splitlines()) == 3  # the last one says how long it took
+
+
+def test_verbose_is_over_with_its_command_and_says_no_warning_twice(capsys):
+    before = LOG.level, list(LOG.handlers)
+    with volume(quiet=False, verbose=True):
+        LOG.debug("read")
+        LOG.warning("a warning, which the command prints itself")
+    assert (LOG.level, LOG.handlers) == before
+    printed = capsys.readouterr().err
+    assert "read" in printed and "a warning" not in printed
 
 
 def test_characters_beyond_ascii_control_no_terminal_in_json(capsys):

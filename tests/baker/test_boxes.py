@@ -222,6 +222,15 @@ def test_the_lowest_box_begins_below_its_ground():
     assert low[1] == pytest.approx(-0.5 - MARGIN)
 
 
+def test_box_of_one_level_holds_floors_as_they_are_written():
+    """In float32, 0.1 is a hair higher: higher than the scene's top."""
+    level = LevelFloor("", 0.1, np.full((1, WIDTH), 0.1), np.ones((1, WIDTH), dtype=np.bool_))
+    free = np.zeros((1, WIDTH), dtype=np.bool_)
+    scene = np.array([[0.0, 0.0, -1.0], [WIDTH, 1.0, 0.1]])
+    [(_, high)] = find_level_boxes([level], [free], LATTICE, scene, 1.5).boxes
+    assert high[1] >= float(np.float32(0.1))
+
+
 def two_stairs():
     """Up to a slab 3 m high: a solid stair, and one with room under its upper treads."""
     pieces = [box("", 0, 0, -0.1, 9, 6, 0), box("", 5, 0, 2.8, 9, 6, 3)]
