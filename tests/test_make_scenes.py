@@ -359,3 +359,19 @@ def test_a_house_is_the_same_for_the_same_seed() -> None:
 def test_rooms_that_make_no_square_are_refused(rooms: int) -> None:
     with pytest.raises(ValueError, match=f"square number of rooms >= 1, got {rooms}"):
         make_house(rooms)
+
+
+@pytest.mark.parametrize("triangles", [4, 20, 300])
+def test_meshes_of_a_house_have_as_many_triangles_as_asked_for(triangles):
+    model = mujoco.MjModel.from_xml_string(make_house(1, triangles=triangles))
+    assert model.nmesh == 12
+    # a hull's record in the graph begins with the numbers of its corners and of its triangles
+    corners = model.mesh_graph[model.mesh_graphadr]
+    assert set(model.mesh_graph[model.mesh_graphadr + 1]) == {triangles}
+    assert set(corners) == {triangles // 2 + 2}
+
+
+@pytest.mark.parametrize("triangles", [-2, 2, 5])
+def test_a_house_of_other_numbers_of_triangles_is_refused(triangles):
+    with pytest.raises(ValueError, match=f"even number of triangles >= 4, got {triangles}"):
+        make_house(1, triangles=triangles)

@@ -13,6 +13,7 @@ import pytest
 
 from grid_maps import level_from
 from navbake.cli.main import COMMANDS, main
+from navbake.cli.printing import LOG, print_error, say, say_unless_quiet, volume
 from project_paths import ROOT
 
 ESCAPE = "\x1b[31mred"
@@ -91,6 +92,32 @@ def test_escape_codes_in_names_are_shown_not_sent(grid, run, arguments):
         assert "x1b[31m" in out + err or "u001b[31m" in out + err or arguments[0] == "path"
     if "--json" in arguments:
         json.loads(out)
+
+
+@pytest.mark.parametrize("name", ["\x1b[2Jroom", "room\x9b31m", "a\rb", "\u202eroom"])
+def test_lines_that_are_said_control_no_terminal(capsys, name):
+    say(name)
+    say_unless_quiet(name)
+    print_error(name)
+    level = LOG.level
+    with volume(quiet=False, verbose=True):
+        LOG.debug(name)
+    assert LOG.level == level
+    printed = capsys.readouterr()
+    assert name not in printed.out + printed.err
+    assert (printed.out + printed.err).replace("\n", "").isprintable()
+    assert len(printed.out.splitlines()) == 2
+    assert len(printed.err.splitlines()) == 3  # the last one says how long it took
+
+
+def test_verbose_is_over_with_its_command_and_says_no_warning_twice(capsys):
+    before = LOG.level, list(LOG.handlers)
+    with volume(quiet=False, verbose=True):
+        LOG.debug("read")
+        LOG.warning("a warning, which the command prints itself")
+    assert (LOG.level, LOG.handlers) == before
+    printed = capsys.readouterr().err
+    assert "read" in printed and "a warning" not in printed
 
 
 def test_characters_beyond_ascii_control_no_terminal_in_json(capsys):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -187,6 +188,47 @@ def test_boxes_share_no_height_over_a_cell_unless_levels_interleave(scene):
             lowest = np.nanmin(levels[b].floor)
             if not apart and len(free) and lowest - 2 * MARGIN > free.max():
                 assert found.boxes[a][1][1] < found.boxes[b][0][1]
+
+
+def levels_of(*rows):
+    """Levels of one row each, NaN for no floor, all free; and their boxes over `LATTICE`."""
+    floors = [np.array([row]) for row in rows]
+    levels = [LevelFloor("", float(np.nanmin(z)), z, ~np.isnan(z)) for z in floors]
+    free = [np.zeros(z.shape, dtype=np.bool_) for z in floors]
+    return levels, find_level_boxes(levels, free, LATTICE, None, 1.5)
+
+
+NONE = math.nan
+
+
+def test_boxes_of_levels_side_by_side_share_no_height():
+    """The client's grid also takes the cells one column beyond the last for its own."""
+    _, found = levels_of([0, 0, 0, NONE, NONE, NONE], [NONE, NONE, NONE, 1, 1, 1])
+    assert found.boxes[0][1][1] < found.boxes[1][0][1]
+
+
+def test_cells_that_a_lower_box_loses_count_no_more():
+    """The second level keeps its cell at 0.95: the third one's two at 0.9 are the first one's."""
+    lower, middle = [0, 1, 1, 1, 1, NONE], [0.7, NONE, NONE, NONE, NONE, 0.95]
+    _, found = levels_of(lower, middle, [2, 0.9, 0.9, 2, 2, 2])
+    assert (found.lost, found.lost_on) == (3, [1, 2])
+
+
+def test_the_lowest_box_begins_below_its_ground():
+    levels, _ = levels_of([0.0] * WIDTH, [3.0] * WIDTH)
+    levels[0] = replace(levels[0], ground=-0.5)
+    free = [np.zeros((1, WIDTH), dtype=np.bool_)] * 2
+    low, _ = find_level_boxes(levels, free, LATTICE, None, 1.5).boxes[0]
+    assert low[1] == pytest.approx(-0.5 - MARGIN)
+
+
+def test_box_of_one_level_holds_floors_as_they_are_written():
+    """In float32, 0.1 is a hair higher: higher than the scene's top."""
+    level = LevelFloor("", 0.1, np.full((1, WIDTH), 0.1), np.ones((1, WIDTH), dtype=np.bool_))
+    free = np.zeros((1, WIDTH), dtype=np.bool_)
+    scene = np.array([[0.0, 0.0, -1.0], [WIDTH, 1.0, 0.1]])
+    [(_, high)] = find_level_boxes([level], [free], LATTICE, scene, 1.5).boxes
+    assert high[1] >= float(np.float32(0.1))
 
 
 def two_stairs():

@@ -215,3 +215,29 @@ def test_crack_at_any_angle(folder, width, at, turn):
     limit = 0.03 * math.cos(math.pi / 16)  # as measured along the nearest of the axes
     if width < limit:
         assert (abs(floor - HEIGHT) < 1e-6).all()
+
+
+def test_line_stays_inside_of_its_cells_square(folder):
+    """Beyond the square is the lower floor; the upper one, within a step, has some of the cell."""
+    geoms = GROUND + two_slabs(0.028, at=-0.008, step=0.1)  # from -0.022 to 0.006
+    stages = stages_of(folder, geoms, 0.04)
+    col = int(stages.lattice.rows_cols([0.0, 0.0])[1])
+    assert heights(stages.columns)[:, col] == pytest.approx(HEIGHT + 0.1)
+
+
+def tilted(edge_x: float, edge_z: float, side: int, slope: float = 0.4) -> str:
+    """A thin slab that falls to the east, with the end of its upper side in the east or west."""
+    turn, half = math.atan(slope), 0.01
+    along, up = (math.cos(turn), -math.sin(turn)), (math.sin(turn), math.cos(turn))
+    x, z = (e - side * a - half * u for e, a, u in zip((edge_x, edge_z), along, up, strict=True))
+    return f'<geom type="box" size="1 2 {half}" pos="{x} 0 {z}" euler="0 {math.degrees(turn)} 0"/>'
+
+
+@pytest.mark.parametrize(("rise", "closed"), [(0.22, True), (0.28, False)])
+def test_slopes_whose_edges_are_more_than_a_step_apart_have_no_crack(folder, rise, closed):
+    """One cell aside, floors are nearer to one height than at the edges, by what they fall."""
+    geoms = GROUND + tilted(0.045, HEIGHT, 1) + tilted(0.055, HEIGHT + rise, -1)
+    stages = stages_of(folder, geoms)
+    col = int(stages.lattice.rows_cols([0.05, 0.0])[1])
+    moved = heights(stages.columns)[:, col] - heights(cast_columns(stages.tiled))[:, col]
+    assert ((abs(moved) > 1e-6) == closed).all()

@@ -45,6 +45,12 @@ def test_every_word_stays_whole(rows, width):
         assert printed >= {word for cell in row for word in cell.split()}
 
 
+def test_what_a_row_is_called_stays_on_one_line_where_there_are_no_headings():
+    lines = lay_out(make_table(("", ""), [("agent max slope", "some words to wrap")]), 24)
+    assert lines[0] == "agent max slope  some"
+    assert len(lines) == 3
+
+
 def test_wide_characters_take_two_columns():
     lines = lay_out(make_table(("name", "n"), [("厨房", 1), ("hall", 2)]), 80)
     assert lines[1:] == ["厨房  1", "hall  2"]

@@ -163,6 +163,25 @@ def test_thick_walls_are_told_by_their_corners(tmp_path):
     assert found == ["structure", *["wall"] * 6, "object", "object"]
 
 
+def test_thick_things_that_are_no_walls(tmp_path):
+    """At a corner of a thick wall: too short, too thick. Elsewhere: two that cross each other."""
+    walls = box(-4, 4, -4, -3.3, 0, 2.6) + box(-4, -3.3, -3.3, 3.3, 0, 2.6)
+    others = (
+        box(2, 2.7, -3.3, -0.8, 0, 2.6)
+        + box(-1.3, 0, -3.3, 0.8, 0, 2.6)
+        + box(-1, 3.2, 2, 2.7, 0, 2.6)
+        + box(0.7, 1.4, 0.3, 4, 0, 2.6)
+    )
+    found = kinds(stages_of(tmp_path, walls + others))
+    assert found == ["structure", "wall", "wall", *["object"] * 4]
+
+
+def test_what_is_thicker_than_walls_goes_on_in_no_walls_line(tmp_path):
+    named = box(-3.5, 0, -1, 1, 0, 2.5, 'name="wall"')
+    found = kinds(stages_of(tmp_path, named + box(0.02, 3, -1, 1, 0, 2.5)))
+    assert found == ["structure", "wall", "object"]
+
+
 # ---------------------------------------------------------------- in line
 
 

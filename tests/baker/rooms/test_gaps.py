@@ -9,6 +9,7 @@ import pytest
 from scipy import ndimage
 
 from navbake.baker.rooms.directions import find_directions
+from navbake.baker.rooms.gaps import part_at_gaps
 from navbake.baker.rooms.segmentation import segment_by_gaps
 from navbake.baker.rooms.windows import find_windows
 from offices import make_plan
@@ -114,6 +115,8 @@ def test_walls_at_an_angle(angle):
     u, v = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
     is_open = (np.abs(u) < 4.5) & (np.abs(v) < 2.5) & ((np.abs(u) > 0.15) | (np.abs(v) < 0.8))
     assert len(find_directions(is_open, CELL)) == 2
+    spaces, _ = part_at_gaps(is_open, np.zeros_like(is_open), CELL)
+    assert len(np.unique(spaces)) == 3  # 0 is for gaps; no cells between their lines are a space
     rooms = segment_by_gaps(is_open, CELL, 1.0).rooms
     assert rooms.max() == 2
     left, right = rooms[is_open & (u < -0.4)], rooms[is_open & (u > 0.4)]

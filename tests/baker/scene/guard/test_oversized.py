@@ -50,6 +50,7 @@ TOO_LARGE = [
     ({"world": replicate(30_000, BALL * 4)}, "elements made by <replicate>, got 120,000"),
     ({"assets": '<hfield name="h" nrow="60000" ncol="60000" size="1 1 1 1"/>'}, "height field"),
     ({"world": '<flexcomp name="f" type="grid" count="1000 1000 1000"/>'}, "of a <flexcomp>"),
+    ({"world": '<composite type="cable" count="2000000 1 1"/>'}, "of a <composite>"),
     ({"top": '<size nkey="2000000000"/>'}, "`nkey` of <size>"),
 ]
 
@@ -84,6 +85,7 @@ def test_included_files_count_as_often_as_they_are_made(tmp_path):
         {},
         {"assets": texture(4096, 4096) * 3},
         {"assets": texture(512, 3072, kind="cube")},
+        {"assets": texture(20000, 1, kind="cube", more='gridsize="3 4"')},
         {"world": replicate(100, replicate(100))},
         {"world": '<include file="scene.xml"/>'},
         {"world": '<include file="none.xml"/>'},
