@@ -189,9 +189,15 @@ def test_ctrl_c_is_clean_at_any_time(tmp_path, delay):
 
 
 LIBRARY = """
-import signal, sys, types
+import ctypes, signal, sys, time
 from navbake import __main__ as start
 import navbake.cli.main as command_line
+@ctypes.CFUNCTYPE(None)
+def callback():
+    signal.raise_signal(signal.SIGINT)
+def drop():
+    callback()  # from C, which drops what it raises
+    time.sleep(20)
 def run():
     try:
         signal.raise_signal(signal.SIGINT)
@@ -207,7 +213,7 @@ start.main()
     "body",
     [
         "raise ImportError('a library was interrupted') from error",
-        "sys.unraisablehook(types.SimpleNamespace(exc_type=KeyboardInterrupt))",
+        "drop()",
     ],
 )
 def test_libraries_that_turn_or_drop_ctrl_c_change_nothing(body):
@@ -215,6 +221,28 @@ def test_libraries_that_turn_or_drop_ctrl_c_change_nothing(body):
         [sys.executable, "-c", LIBRARY.format(body=body)], capture_output=True, text=True
     )
     assert (done.returncode, done.stderr) == (130, "")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are sent as on POSIX")
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_code_in_c_is_ended_too(number, status):
+    """While MuJoCo compiles, no Python runs on the main thread."""
+    code = """
+import hashlib
+from navbake import __main__ as start
+import navbake.cli.main as command_line
+start.PATIENCE = 0.3
+def run():
+    print("ready", flush=True)
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 2_000_000_000)
+command_line.main = run
+start.main()
+"""
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "ready\n"
+        child.send_signal(number)
+        assert child.wait(20) == status
 
 
 def test_bugs_are_no_ctrl_c():

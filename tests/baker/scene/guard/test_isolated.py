@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +18,8 @@ from navbake.baker.scene.guard.isolated import CompileLimits, load_isolated
 from navbake.baker.scene.model import load_model
 from navbake.cli.main import main
 from navbake.config.scene import SceneSettings
-from navbake.errors import ConfigError, SceneError
-from project_paths import CONFIGS
+from navbake.errors import ConfigError, NavbakeError, SceneError
+from project_paths import CONFIGS, ROOT
 
 ROOM = """<mujoco><worldbody>
   <geom name="floor" type="box" size="2 2 .1" pos="0 0 -.1"/>
@@ -61,8 +64,8 @@ def crash(monkeypatch, code):
     """Let the child run some code in place of MuJoCo's compiler, with its limits."""
     begin = "from navbake.baker.scene.guard import isolated\n"
     hook = f"def load(*_):\n    {code}\nisolated.load_model = load\n"
-    run = "isolated.compile_job(sys.argv[2])"
-    child = f"import json, sys; sys.path[:] = json.loads(sys.argv[1])\n{begin}{hook}{run}"
+    run = "isolated.compile_job(sys.argv[1])"
+    child = f"import sys; sys.path[:] = {{path!r}}\n{begin}{hook}{run}"
     monkeypatch.setattr(isolated, "CHILD", child)
 
 
@@ -122,3 +125,49 @@ def test_limits_without_isolate_are_refused(room, capsys):
         main(["bake", "room.xml", "--isolate-seconds", "3"])
     assert caught.value.code == 2
     assert "it is for --isolate" in capsys.readouterr().err
+
+
+def test_the_current_folder_is_not_searched_for_modules(room, monkeypatch):
+    for name in ("json", "ctypes", "numpy"):
+        (room.parent / f"{name}.py").write_text("open('was_run', 'w')")
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry])
+    load_isolated(SceneSettings(path=room), CompileLimits(), [])
+    assert not (room.parent / "was_run").exists()
+
+
+def test_a_child_that_cannot_start_is_not_the_scenes_fault(room, monkeypatch):
+    monkeypatch.setattr(isolated, "CHILD", "import sys; {path!r}; sys.exit(3)")
+    with pytest.raises(NavbakeError, match=r"cannot start a process .* \(exit status 3\)"):
+        load_isolated(SceneSettings(path=room), CompileLimits(), [])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux ends a child with its parent")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_the_child_ends_with_its_parent(room, number):
+    """Also where the parent can do nothing about it; its files go where it can."""
+    busy = "<mujoco><worldbody><replicate count='60000'><geom size='1'/></replicate>"
+    room.write_text(f"{busy}</worldbody></mujoco>")
+    (room.parent / "temporary").mkdir()
+    env = {**os.environ, "TMPDIR": str(room.parent / "temporary")}
+    command = [sys.executable, "-m", "navbake", "bake", "room.xml", "--isolate", "-o", "o.json"]
+    env["PYTHONPATH"] = os.pathsep.join([str(ROOT), env.get("PYTHONPATH", "")])
+    with subprocess.Popen(command, env=env, cwd=room.parent) as parent:
+        while not (started := list(room.parent.glob("temporary/*/started"))):
+            assert parent.poll() is None
+            time.sleep(0.05)
+        children = Path(f"/proc/{parent.pid}/task/{parent.pid}/children").read_text().split()
+        parent.send_signal(number)
+        parent.wait(30)
+    end = time.monotonic() + 10
+    while any(is_running(child) for child in children):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    assert children
+    assert started[0].exists() == (number == signal.SIGKILL)
+
+
+def is_running(process: str) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
