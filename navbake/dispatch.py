@@ -223,6 +223,9 @@ def _wrap(enable_caching: Callable[[Any], None]) -> Callable[[Any], None]:
             return
         dispatcher.__class__ = Kernel
         dispatcher.targetoptions["no_cfunc_wrapper"] = True  # what only ctypes would call
+        if function.__name__.startswith("_") and function.__name__ != PLACEHOLDER:
+            # only kernels call it: to unpack Python's tuples takes long to compile
+            dispatcher.targetoptions["no_cpython_wrapper"] = True
         try:
             dispatcher._cache = KernelCache(dispatcher)
         except (RuntimeError, OSError):  # no folder can be written
