@@ -9,9 +9,6 @@ numba leaves to its users are settled here, for navbake's kernels and no others:
 - Of several processes that need the same code, one compiles it and the others wait. Where there is
   more than one core and much to compile, the first process starts others that compile from the
   other end of the list of kernels, see `kernel_list`; they end when it does.
-- One thread at a time runs a parallel kernel. numba's threads of OpenMP don't survive a fork, and
-  those of its work queue end the process when two threads use them at once. So the work queue is
-  chosen, unless NUMBA_THREADING_LAYER says otherwise, with a lock around it.
 - What takes long is told to the logger ``navbake.compiled`` before it begins.
 
 Source: numba's `Dispatcher.enable_caching` is what ``@njit(cache=True)`` calls on what it made;
@@ -29,20 +26,17 @@ import logging
 import os
 import subprocess
 import sys
-import threading
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numba
-import numba.np.ufunc.parallel as numba_threads
 from numba.core import caching
 from numba.core.dispatcher import Dispatcher
 from numba.core.registry import CPUDispatcher
 
 from navbake.digests import digest_folder, read_stamp
-from navbake.errors import NavbakeError
 from navbake.folder_lock import folder_lock
 from navbake.kernel_list import PREFIX, read_list
 
@@ -55,8 +49,6 @@ IS_HELPER = "NAVBAKE_COMPILES_BESIDE"  # in the environment of processes that co
 
 PLACEHOLDER = "_cached"  # what each folder of kernels has to find its cache; nobody calls it
 
-_parallel = threading.Lock()
-_is_broken_by_fork = False
 _told: set[str] = set()  # lines that are told once a process
 _helpers: list[subprocess.Popen[bytes]] = []
 watch: Callable[[int, int], None] | None = None  # is told how many kernels of how many are compiled
@@ -96,20 +88,6 @@ class Kernel(CPUDispatcher):
         if isinstance(self._cache, MemoryCache):
             return not self.overloads
         return not self._cache.has_files()
-
-
-class ParallelKernel(Kernel):
-    """A kernel that runs on several threads; one thread of Python at a time starts it."""
-
-    def __call__(self, *args: Any) -> Any:
-        if _is_broken_by_fork:
-            raise NavbakeError(
-                "this process was forked from one in which numba ran threads of OpenMP, which "
-                "no child can use: set NUMBA_THREADING_LAYER=workqueue, or start processes by "
-                "multiprocessing.get_context('spawn')"
-            )
-        with _parallel:
-            return super().__call__(*args)
 
 
 class _OrReadOnly:
@@ -233,8 +211,6 @@ def install() -> None:
     if getattr(Dispatcher.enable_caching, "is_of_navbake", False):
         return
     Dispatcher.enable_caching = _wrap(Dispatcher.enable_caching)
-    if numba.config.THREADING_LAYER == "default" and not numba_threads._is_initialized:
-        numba.config.THREADING_LAYER = "workqueue"
     if hasattr(os, "register_at_fork"):
         os.register_at_fork(after_in_child=_after_fork)
 
@@ -245,9 +221,11 @@ def _wrap(enable_caching: Callable[[Any], None]) -> Callable[[Any], None]:
         if type(dispatcher) is not CPUDispatcher or not function.__module__.startswith("navbake."):
             enable_caching(dispatcher)
             return
-        is_parallel = dispatcher.targetoptions.get("parallel", False)
-        dispatcher.__class__ = ParallelKernel if is_parallel else Kernel
+        dispatcher.__class__ = Kernel
         dispatcher.targetoptions["no_cfunc_wrapper"] = True  # what only ctypes would call
+        if function.__name__.startswith("_") and function.__name__ != PLACEHOLDER:
+            # only kernels call it: to unpack Python's tuples takes long to compile
+            dispatcher.targetoptions["no_cpython_wrapper"] = True
         try:
             dispatcher._cache = KernelCache(dispatcher)
         except (RuntimeError, OSError):  # no folder can be written
@@ -372,9 +350,5 @@ def _package_of(function: Any) -> str:
 
 
 def _after_fork() -> None:
-    """Start afresh in a forked child: another thread of the parent may have held the lock."""
-    global _parallel, _is_broken_by_fork
-    _parallel = threading.Lock()
-    _helpers.clear()  # they are the parent's
-    is_omp = numba_threads._is_initialized and numba_threads._threading_layer == "omp"
-    _is_broken_by_fork = is_omp and sys.platform == "linux"  # GNU's OpenMP; others survive
+    """Start afresh in a forked child: the helpers are its parent's."""
+    _helpers.clear()

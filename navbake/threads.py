@@ -73,18 +73,16 @@ def num_threads() -> int:
 @contextmanager
 def limit_threads(count: int | None) -> Iterator[None]:
     """Run what is inside on at most `count` threads, or a ConfigError; None changes nothing."""
-    before, numba_before = getattr(_limit, "count", None), numba.get_num_threads()
+    before = getattr(_limit, "count", None)
     if count is not None:
         is_whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
         if not is_whole or count < 1:
             raise ConfigError(f"expected a number of threads >= 1, got {count!r}")
         _limit.count = min(int(count), int(numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
-        numba.set_num_threads(_limit.count)
     try:
         yield
     finally:
         _limit.count = before
-        numba.set_num_threads(numba_before)
 
 
 def _get_pool() -> ThreadPoolExecutor:

@@ -56,28 +56,6 @@ def test_bakes_in_threads(scene):
         assert list(pool.map(bake_and_voxelize, [scene] * 12)) == [expected] * 12
 
 
-def test_a_fork_after_openmp_is_an_error_that_says_what_to_do(scene):
-    """Another threading layer is the user's choice, and a child must not just end."""
-    code = f"""
-import multiprocessing, navbake
-def bake(_):
-    try:
-        navbake.bake({{"scene": {{"path": {scene!r}}}}})
-    except navbake.NavbakeError as error:
-        return str(error)
-bake(0)
-import numba
-print(numba.threading_layer())
-with multiprocessing.get_context("fork").Pool(1) as pool:
-    print(pool.map_async(bake, [0]).get(60)[0])
-"""
-    env = {**os.environ, "NUMBA_THREADING_LAYER": "omp"}
-    run = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
-    if not run.stdout.startswith("omp") or sys.platform != "linux":
-        pytest.skip("numba has no OpenMP of GNU here")
-    assert "set NUMBA_THREADING_LAYER=workqueue" in run.stdout
-
-
 RECORD = """
 import json, sys
 from navbake import dispatch

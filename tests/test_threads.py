@@ -28,10 +28,10 @@ def test_what_is_no_number_of_threads(tmp_path, count):
 
 @pytest.mark.parametrize("count", [1, np.int64(1), 10**30, None], ids=repr)
 def test_numbers_of_threads(count):
-    before = numba.get_num_threads()
+    before = num_threads()
     with limit_threads(count):
-        assert numba.get_num_threads() == (1 if count == 1 else before)
-    assert numba.get_num_threads() == before
+        assert num_threads() == (1 if count == 1 else before)
+    assert num_threads() == before
 
 
 @njit(nogil=True)

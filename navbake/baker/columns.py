@@ -14,6 +14,7 @@ from navbake.baker.scene.kernels.triangles import measure_triangles
 from navbake.baker.scene.model import mujoco_library
 from navbake.baker.scene.shapes import Shapes, Triangles
 from navbake.navgrid.lattice import Lattice
+from navbake.threads import run_in_bands
 from navbake.types import Float, Int, Int32
 
 UPRIGHT = 1e-9  # the z of a unit normal below which a triangle counts as upright
@@ -106,11 +107,11 @@ def cast_columns(tiled: TiledShapes) -> Columns:
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
     dropped = np.zeros(-(-lattice.height // BAND), dtype=np.int64)
     # without room for them, the crossings are only counted
-    cast_lines(*geometry, _empty_crossings(start, 0), dropped)
+    run_in_bands(cast_lines, len(dropped), *geometry, _empty_crossings(start, 0), dropped)
     np.cumsum(start, out=start)
     crossings = _empty_crossings(start, int(start[-1]))
     if len(crossings.z):
-        cast_lines(*geometry, crossings, dropped)
+        run_in_bands(cast_lines, len(dropped), *geometry, crossings, dropped)
     if dropped.any():
         count = close_up(crossings)
         crossings = Crossings._make([start, *(array[:count] for array in crossings[1:])])

@@ -23,6 +23,7 @@ from navbake.baker.kernels.cracks import (
     probe_lines,
 )
 from navbake.config.settings import AgentSettings
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int
 
 # Ways in which a gap's width is measured, over half a turn: the widths of a gap that runs between
@@ -153,14 +154,14 @@ def _find_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
     room = GapRoom(stands, np.empty(len(start) - 1), start, none, none)
     # how far the nearest line beyond a crack may be, in cells
     asked = lattice, columns.crossings, limits, int(crack / lattice.cell_size) + 1
-    find_gaps(*asked, room, MARK)
-    find_gaps(*asked, room, COUNT)
+    run_in_bands(find_gaps, lattice.height, *asked, room, MARK)
+    run_in_bands(find_gaps, lattice.height, *asked, room, COUNT)
     cells = np.flatnonzero(start[1:])
     counts = start[1:][cells]
     np.cumsum(start, out=start)
     room = room._replace(low=np.empty(start[-1]), high=np.empty(start[-1]))
     if start[-1]:
-        find_gaps(*asked, room, WRITE)
+        run_in_bands(find_gaps, lattice.height, *asked, room, WRITE)
     return Gaps(np.repeat(cells, counts), room.low, room.high)
 
 
@@ -255,8 +256,9 @@ class _Probe(NamedTuple):
         tiled, shapes = self.tiled, self.tiled.shapes
         found = Found(np.empty(len(gap)), np.empty(len(gap)))
         geometry = (shapes.solids, tiled.facets, shapes.planes, tiled.tiles, tiled.heights)
+        whole = (tiled.lattice, *geometry)
         asked = Asked(gap, WAYS[way] * distance[:, None])
-        probe_lines(self.gaps, tiled.lattice, *geometry, self.limits, asked, found)
+        run_in_bands(probe_lines, len(gap), self.gaps, whole, self.limits, asked, found, least=16)
         return found.floor, found.standable
 
 

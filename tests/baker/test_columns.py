@@ -11,7 +11,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
-import numba
 import numpy as np
 import pytest
 from numpy.random import Generator
@@ -22,6 +21,7 @@ from navbake.baker.columns import Columns, cast_columns, cast_points, tile_shape
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.settings import parse_config
 from navbake.navgrid.lattice import Lattice
+from navbake.threads import limit_threads
 
 SEEDS = range(int(os.environ.get("NAVBAKE_EXAMPLES", "12")))
 KINDS = ["plane", "rectangle", "hfield", "sphere", "capsule"]
@@ -94,12 +94,8 @@ def load(folder: Path, xml: str, **settings: object) -> Scene:
 
 
 def cast(scene: Scene, lattice: Lattice, threads: int = 2) -> Columns:
-    before = numba.get_num_threads()
-    numba.set_num_threads(min(threads, before))
-    try:
+    with limit_threads(threads):
         return cast_columns(tile_shapes(scene.shapes, lattice, 0.1))
-    finally:
-        numba.set_num_threads(before)
 
 
 def column(columns: Columns, cell: int, geom: int) -> tuple[NDArray, NDArray]:

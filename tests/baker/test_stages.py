@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 
@@ -25,6 +24,7 @@ from navbake.baker.scene.scene import Scene
 from navbake.baker.stages import STAGES, bake_stages, settle_doors, take_first_look
 from navbake.config.settings import load_config
 from navbake.errors import SceneError
+from navbake.threads import num_threads
 from project_paths import CONFIGS
 
 TYPES = {
@@ -189,10 +189,10 @@ def test_what_stands_on_the_floor_again_may_leave_no_door_of_another_leaf(tmp_pa
 
 
 def test_threads_are_given_back(tmp_path):
-    before = numba.get_num_threads()
+    before = num_threads()
     (tmp_path / "scene.xml").write_text(door_world(SHELL))
     navbake.bake(tmp_path / "scene.xml", threads=1)
-    assert numba.get_num_threads() == before
+    assert num_threads() == before
 
 
 def test_columns_are_cast_once(tmp_path, monkeypatch):

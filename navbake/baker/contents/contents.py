@@ -31,6 +31,7 @@ from navbake.baker.kernels.arrays import Probe, StoreyCells
 from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS, UNPROVED
 from navbake.baker.kernels.groups import Groups, group_triangles
+from navbake.baker.kernels.tiles import count_tiles
 from navbake.baker.lattice import Window
 from navbake.baker.occupancy.occupancy import Footprint
 from navbake.baker.scene.extents import Extents, measure_geoms
@@ -38,6 +39,7 @@ from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings, NameSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import Shared, UserData
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Int, Int32
 
 
@@ -190,19 +192,21 @@ def _list_level(
     """List the geoms of one storey's cells; a cell's ceiling is never lower than the agent."""
     lattice, shapes = columns.lattice, tiled.shapes
     boxes = (shapes.solids, shapes.planes, tiled.tiles, groups)
-    geometry = (shapes.solids, tiled.facets, shapes.planes, tiled.tiles, groups)
+    geometry = ((shapes.solids, tiled.facets, shapes.planes), tiled.tiles, groups)
+    num_tiles = count_tiles(lattice)
     footprint = Footprint.of(agent, lattice.cell_size)
     floor = level.floor.ravel()
     ceiling = np.maximum(top, floor + agent.height) - TOUCH
     slot = np.zeros(len(floor) + 1, dtype=np.int64)
     lists = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint8)  # no room yet
     cells = StoreyCells(floor, ceiling, occupied.ravel(), slot, *lists)
-    kernels.count_candidates(lattice, *boxes, footprint, cells)
+    run_in_bands(kernels.count_candidates, num_tiles, lattice, *boxes, footprint, cells)
     np.cumsum(slot, out=slot)
     geom, flags = np.empty(slot[-1], dtype=np.int32), np.zeros(slot[-1], dtype=np.uint8)
     cells = cells._replace(geom=geom, flags=flags)
     probe = Probe(WALL_BAND[0] + TOUCH, WALL_BAND[1] - TOUCH, probed)
-    kernels.list_geoms(lattice, columns.crossings, *geometry, footprint, probe, cells)
+    asked = lattice, columns.crossings, *geometry, footprint, probe, cells
+    run_in_bands(kernels.list_geoms, num_tiles, *asked)
     kept = flags > 0
     start, flags = np.concatenate([[0], np.cumsum(kept)])[slot], flags[kept]
     unproved = np.flatnonzero(flags & UNPROVED)

@@ -15,6 +15,7 @@ from navbake.baker.floors.outline import (
 )
 from navbake.baker.kernels.constants import SLACK, TOUCH
 from navbake.baker.kernels.occupancy import lines_blocked
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int
 
 # A top drops to a floor along at least this share of its outline
@@ -109,5 +110,6 @@ def _count_over_room(site: Site, beside: Float) -> Int:
     has_floor &= standable.z[below] >= floor - step - SLACK
     blocked = np.zeros(len(cells), dtype=np.bool_)
     low, high = floor + step + TOUCH, floor + agent.height - TOUCH
-    lines_blocked(cells, low, high, site.columns.crossings, blocked)
+    lines = cells, low, high, site.columns.crossings, blocked
+    run_in_bands(lines_blocked, len(cells), *lines, least=1000)
     return np.bincount(sheet[has_floor | ~blocked], minlength=len(beside))

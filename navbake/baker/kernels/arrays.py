@@ -1,12 +1,9 @@
 """Arrays and numbers that belong together, as kernels take them.
 
-numba passes a named tuple to a kernel whole, at no cost in its loops. Two limits hold in the body
-of a parallel loop: a tuple from outside must be flat, so such kernels take several and nest them
-inside; and a write into a tuple's array is taken for dead code and dropped, so the body calls a
-function that writes. A loop's own number is unsigned in there and signed outside, and a literal is
-a type of its own: both would compile all that takes them twice, hence ``np.int64(...)`` here and
-there. Kernels also take tuples that only callers make: `Lattice`, `Solids`,
-`Planes`, `Footprint` and others.
+numba passes a named tuple to a kernel whole, at no cost in its loops. A literal is a type of its
+own, and would compile all that takes it twice, hence ``np.int64(...)`` here and there.
+Kernels also take tuples that only callers make: `Lattice`, `Solids`, `Planes`, `Footprint` and
+others.
 """
 
 from typing import NamedTuple

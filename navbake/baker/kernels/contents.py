@@ -10,7 +10,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from navbake.baker.kernels.arrays import Crossings, Prism, Probe
 from navbake.baker.kernels.constants import SAME, TOUCH
@@ -33,7 +33,7 @@ from navbake.baker.kernels.overlap import (
     outside,
     plane_meets_prism,
 )
-from navbake.baker.kernels.tiles import TILE, cells_near, center_of, count_tiles, tile_window
+from navbake.baker.kernels.tiles import TILE, cells_near, center_of, tile_window
 from navbake.compiled import UNCOUNTED
 from navbake.types import Bool, Int
 
@@ -87,7 +87,7 @@ def _make_tile_cells():
 
 @njit(inline="always")
 def _reach(lattice, footprint):
-    """How far from its centre a cell looks for geoms: a hair beyond its edges, see `with_edges`."""
+    """How far from its centre a cell looks for geoms: a hair beyond, see `facet_meets_prism`."""
     return max(lattice.cell_size / 2, footprint.square, footprint.radius) + 2.0 * TOUCH
 
 
@@ -99,41 +99,35 @@ def _column(lattice, row, col, cells, reach):
     return Prism(x, y, cells.floor[cell], cells.ceiling[cell], reach, reach)
 
 
-@njit(inline="always")
-def _count_boxes(lattice, window, boxes, i, reach, cells):
-    """Count a box in each cell whose column it meets."""
-    row0, row1, col0, col1 = cells_near(lattice, window, boxes, i, reach)
-    for row in range(row0, row1):
-        for col in range(col0, col1):
-            column = _column(lattice, row, col, cells, reach)
-            if not math.isnan(column.low) and not outside(boxes, i, column):
-                cells.slot[row * lattice.width + col + 1] += 1
-
-
-@njit(cache=True, **UNCOUNTED)
-def _count_tile(tile, lattice, solids, planes, tiles, groups, footprint, cells):
-    window, reach = tile_window(lattice, tile), _reach(lattice, footprint)
-    if planes.geom.shape[0] > 0:
-        for row in range(window[0], window[1]):
-            for col in range(window[2], window[3]):
-                column = _column(lattice, row, col, cells, reach)
-                for p in range(planes.geom.shape[0]):
-                    if not math.isnan(column.low) and plane_meets_prism(planes, p, column):
-                        cells.slot[row * lattice.width + col + 1] += 1
-    for i in range(tiles.solid_start[tile], tiles.solid_start[tile + 1]):
-        _count_boxes(lattice, window, solids.bounds, tiles.solid_item[i], reach, cells)
-    for g in range(groups.start[tile], groups.start[tile + 1]):
-        _count_boxes(lattice, window, groups.box, g, reach, cells)
-
-
-@njit(cache=True, parallel=True)
-def count_candidates(lattice, solids, planes, tiles, groups, footprint, cells):
+@njit(cache=True, nogil=True)
+def count_candidates(lattice, solids, planes, tiles, groups, footprint, cells, first, end):
     """Count for each cell with a floor the geoms whose boxes meet its column: an upper bound.
 
-    ``cells.slot[cell + 1]``, 0 at first, receives the number.
+    Looks at the tiles ``range(first, end)``. ``cells.slot[cell + 1]``, 0 at first, receives the
+    number.
     """
-    for tile in prange(count_tiles(lattice)):
-        _count_tile(np.int64(tile), lattice, solids, planes, tiles, groups, footprint, cells)
+    reach, slot = _reach(lattice, footprint), cells.slot
+    for tile in range(first, end):
+        window = tile_window(lattice, tile)
+        if planes.geom.shape[0] > 0:
+            for row in range(window[0], window[1]):
+                for col in range(window[2], window[3]):
+                    column = _column(lattice, row, col, cells, reach)
+                    for p in range(planes.geom.shape[0]):
+                        if not math.isnan(column.low) and plane_meets_prism(planes, p, column):
+                            slot[row * lattice.width + col + 1] += 1
+        for is_solid in (True, False):
+            boxes, start = groups.box, groups.start
+            if is_solid:
+                boxes, start = solids.bounds, tiles.solid_start
+            for k in range(start[tile], start[tile + 1]):
+                i = tiles.solid_item[k] if is_solid else k
+                row0, row1, col0, col1 = cells_near(lattice, window, boxes, i, reach)
+                for row in range(row0, row1):
+                    for col in range(col0, col1):
+                        column = _column(lattice, row, col, cells, reach)
+                        if not math.isnan(column.low) and not outside(boxes, i, column):
+                            slot[row * lattice.width + col + 1] += 1
 
 
 @njit(inline="always")
@@ -197,63 +191,30 @@ def _begin(asked, planes, cells, here):
 
 
 @njit(inline="always")
-def _ask_line(asked, cell, geom, volumes, is_taken, by_line, known):
-    """The flags that a geom may have in a cell, and those that its line alone proves."""
-    wanted = STANDS | (PROBED if asked.probe.geoms[geom] else 0)
-    proved = wanted | (BLOCKS if by_line else 0)
-    wanted |= BLOCKS if is_taken else 0
-    flags = known
-    if flags & wanted != wanted:
-        flags |= line_flags(asked.crossings, cell, geom, volumes) & proved
-    return wanted, flags
-
-
-@njit(cache=True, **UNCOUNTED)
-def _list_solid(asked, solids, s, cells, here):
-    """Add a solid to the lists of the cells that it stands in or blocks."""
-    lattice, window = asked.lattice, asked.window
-    geom, reach = solids.geom[s], _reach(lattice, asked.footprint)
-    row0, row1, col0, col1 = cells_near(lattice, window, solids.bounds, s, reach)
-    for row in range(row0, row1):
-        for col in range(col0, col1):
-            r, c, cell = row - window[0], col - window[2], row * lattice.width + col
-            if here.length[r, c] < 0:
-                continue
-            column = _column(lattice, row, col, cells, reach)
-            if outside(solids.bounds, s, column):
-                continue
-            volumes = _volumes(asked, column)
-            wanted, flags = _ask_line(
-                asked, cell, geom, volumes, cells.occupied[cell], here.by_line[r, c],
-                here.known[r, c]
-            )  # fmt: skip
-            if flags & wanted != wanted:
-                flags = solid_flags(solids, s, volumes, flags, wanted, here.simplex)
-            here.length[r, c] = _add(cells, cell, here.length[r, c], geom, flags)
-
-
-@njit(inline="always")
-def _begin_group(asked, window, groups, g, geom, cells, here):
-    """Ask the lines of the cells near a group of triangles.
+def _ask_lines(asked, window, boxes, i, geom, cells, here):
+    """Ask the lines of the cells near a solid or a group of triangles, by its box.
 
     Returns in how many cells there is more to ask, and the heights between which it is.
     """
     lattice = asked.lattice
     num_open, low, high = 0, math.inf, -math.inf
     reach = _reach(lattice, asked.footprint)
+    maybe = STANDS | (PROBED if asked.probe.geoms[geom] else 0)
     for row in range(window[0], window[1]):
         for col in range(window[2], window[3]):
             r, c = row - asked.window[0], col - asked.window[2]
             cell = row * lattice.width + col
             here.wanted[r, c] = 0
             column = _column(lattice, row, col, cells, reach)
-            if here.length[r, c] < 0 or outside(groups.box, g, column):
+            if here.length[r, c] < 0 or outside(boxes, i, column):
                 continue
             volumes = _volumes(asked, column)
-            wanted, flags = _ask_line(
-                asked, cell, geom, volumes, cells.occupied[cell], here.by_line[r, c],
-                here.known[r, c]
-            )  # fmt: skip
+            # the flags that it may have, and those of them that the line alone proves
+            wanted = maybe | (BLOCKS if cells.occupied[cell] else 0)
+            flags = here.known[r, c]
+            if flags & wanted != wanted:
+                proved = maybe | (BLOCKS if here.by_line[r, c] else 0)
+                flags |= line_flags(asked.crossings, cell, geom, volumes) & proved
             here.wanted[r, c], here.flags[r, c] = wanted, flags
             if flags & wanted != wanted:
                 num_open += 1
@@ -263,20 +224,30 @@ def _begin_group(asked, window, groups, g, geom, cells, here):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _list_group(asked, facets, tiles, groups, g, cells, here):
-    """Add a geom to the lists of the cells that its triangles over a tile stand in or block."""
-    lattice = asked.lattice
-    geom = facets.geom[tiles.triangle_item[groups.first[g]]]
+def _list_geom(asked, shapes, tiles, groups, is_solid, n, cells, here):
+    """Add a geom to the lists of the cells over a tile that it stands in or blocks.
+
+    It is a solid, the n-th of the tiles' list, or the n-th group of triangles.
+    """
+    solids, facets, lattice = shapes[0], shapes[1], asked.lattice
+    if is_solid:
+        box, boxes, items = solids.bounds, solids.bounds, tiles.solid_item
+        first, last, i = n, n + 1, np.int64(items[n])
+        geom = solids.geom[i]
+    else:
+        box, boxes, items = groups.box, facets.bounds, tiles.triangle_item
+        first, last, i = groups.first[n], groups.first[n + 1], n
+        geom = facets.geom[items[first]]
     reach = _reach(lattice, asked.footprint)
-    window = cells_near(lattice, asked.window, groups.box, g, reach)
-    num_open, low, high = _begin_group(asked, window, groups, g, geom, cells, here)
-    for i in range(groups.first[g], groups.first[g + 1]):
-        t = tiles.triangle_item[i]
+    window = cells_near(lattice, asked.window, box, i, reach)
+    num_open, low, high = _ask_lines(asked, window, box, i, geom, cells, here)
+    for k in range(first, last):
+        t = items[k]
         if num_open == 0:
             break
-        if facets.bounds[t, 2] >= high or facets.bounds[t, 5] <= low:
+        if boxes[t, 2] >= high or boxes[t, 5] <= low:
             continue
-        row0, row1, col0, col1 = cells_near(lattice, window, facets.bounds, t, reach)
+        row0, row1, col0, col1 = cells_near(lattice, window, boxes, t, reach)
         for row in range(row0, row1):
             for col in range(col0, col1):
                 r, c = row - asked.window[0], col - asked.window[2]
@@ -284,7 +255,10 @@ def _list_group(asked, facets, tiles, groups, g, cells, here):
                 if flags & wanted == wanted:
                     continue
                 volumes = _volumes(asked, _column(lattice, row, col, cells, reach))
-                flags = triangle_flags(facets, t, volumes, flags, wanted, here.polygons)
+                if is_solid:
+                    flags = solid_flags(solids, t, volumes, flags, wanted, here.simplex)
+                else:
+                    flags = triangle_flags(facets, t, volumes, flags, wanted, here.polygons)
                 here.flags[r, c] = flags
                 num_open -= 1 if flags & wanted == wanted else 0
     for row in range(window[0], window[1]):
@@ -295,34 +269,25 @@ def _list_group(asked, facets, tiles, groups, g, cells, here):
                 here.length[r, c] = _add(cells, cell, here.length[r, c], geom, here.flags[r, c])
 
 
-@njit(cache=True, **UNCOUNTED)
-def _list_tile(
-    tile, lattice, crossings, shapes, tiles, groups, footprint, probe, cells, here
-):  # fmt: skip
-    solids, facets, planes = shapes
-    asked = TileQuestion(lattice, tile_window(lattice, tile), crossings, footprint, probe)
-    _begin(asked, planes, cells, here)
-    for g in range(groups.start[tile], groups.start[tile + 1]):
-        _list_group(asked, facets, tiles, groups, g, cells, here)
-    for i in range(tiles.solid_start[tile], tiles.solid_start[tile + 1]):
-        _list_solid(asked, solids, tiles.solid_item[i], cells, here)
-
-
-@njit(cache=True, parallel=True)
-def list_geoms(lattice, crossings, solids, facets, planes, tiles, groups, footprint, probe, cells):
+@njit(cache=True, nogil=True)
+def list_geoms(lattice, crossings, shapes, tiles, groups, footprint, probe, cells, first, end):
     """List for each cell with a floor the geoms that stand in it or block it.
 
     A geom stands in a cell when it meets the cell's square between a hair over the floor and the
     ceiling; it blocks the cell when `check_cells` would find it in the band, which it does in
     occupied cells only; it is PROBED when it stands there and meets the square in the probed
     band. Where rounding leaves no proof that it blocks, it is UNPROVED.
+
+    Looks at the tiles ``range(first, end)``; `shapes` are solids, facets and planes.
     """
-    for tile in prange(count_tiles(lattice)):
-        here = _make_tile_cells()
-        _list_tile(
-            np.int64(tile), lattice, crossings, (solids, facets, planes), tiles, groups, footprint,
-            probe, cells, here
-        )  # fmt: skip
+    here = _make_tile_cells()
+    for tile in range(first, end):
+        asked = TileQuestion(lattice, tile_window(lattice, tile), crossings, footprint, probe)
+        _begin(asked, shapes[2], cells, here)
+        for is_solid in (False, True):
+            start = tiles.solid_start if is_solid else groups.start
+            for n in range(start[tile], start[tile + 1]):
+                _list_geom(asked, shapes, tiles, groups, is_solid, n, cells, here)
 
 
 @njit(cache=True)

@@ -9,7 +9,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from navbake.baker.kernels.arrays import Band, Crossings
 from navbake.baker.kernels.constants import SAME, SLACK, TOUCH
@@ -17,6 +17,7 @@ from navbake.baker.kernels.hits import make_hits
 from navbake.baker.kernels.overlap import ANY_GEOM, line_is_blocked
 from navbake.baker.kernels.rays import cast_line, make_ray, most_hits
 from navbake.baker.kernels.tiles import cell_center, tile_of
+from navbake.compiled import UNCOUNTED
 from navbake.types import Bool, Float, Int
 
 # The eight ways to a neighbour, by row and column
@@ -24,8 +25,6 @@ ROW_STEP = np.array([0, 1, 0, -1, 1, 1, -1, -1])
 COL_STEP = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 # One way of each two that are opposite; the other one's number differs in the bit of two
 AXES = (0, 1, 4, 5)
-# Lines that one thread probes in a row
-CHUNK = 64
 
 
 @njit(inline="always")
@@ -37,7 +36,7 @@ def _cell_beside(lattice, place, way, distance):
     return np.int64(-1)
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, **UNCOUNTED)
 def _continues(crossings, cell, low, high, limits):
     """Whether a cell has a surface between two heights that is not too steep to stand on."""
     for i in range(crossings.start[cell], crossings.start[cell + 1]):
@@ -178,7 +177,7 @@ def _is_even(only, cell, width, reach, step):
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _gaps_of_cell(lattice, crossings, limits, reach, room, place, low, high):
     """Write the gaps of one cell, unless there is no room for them; returns their number."""
     count, last, stands = 0, np.inf, room.stands
@@ -228,39 +227,15 @@ class GapRoom(NamedTuple):
 MARK, COUNT, WRITE = range(3)
 
 
-@njit(cache=True)
-def _search_row(row, lattice, crossings, limits, reach, room, task):
-    """Do a round of `find_gaps` in a row of cells."""
-    start, only, width, step = room.start, room.only, lattice.width, limits.step
-    is_inner = reach <= row < lattice.height - reach
-    for col in range(width):
-        cell = row * width + col
-        if task == MARK:
-            only[cell] = _mark_standable(crossings, cell, limits, room.stands)
-        elif task == WRITE:
-            if start[cell + 1] > start[cell]:
-                low, high = room.low[start[cell] :], room.high[start[cell] :]
-                _gaps_of_cell(lattice, crossings, limits, reach, room, (row, col), low, high)
-        elif (
-            not is_inner
-            or not reach <= col < width - reach
-            or not _is_even(only, cell, width, reach, step)
-        ):
-            none = room.low
-            start[cell + 1] = _gaps_of_cell(
-                lattice, crossings, limits, reach, room, (row, col), none, none
-            )
-
-
-@njit(cache=True, parallel=True)
-def find_gaps(lattice, crossings, limits, reach, room, task):
+@njit(cache=True, nogil=True)
+def find_gaps(lattice, crossings, limits, reach, room, task, first, end):
     """Find gaps in floors: cells that have none where cells on both sides have; in three rounds.
 
     On one side, at most `reach` cells away, an agent can stand at the height `high`; on the other
     at `low`, at most a step below, and what the slopes of both make; and in the cell, nothing
     that one could stand on is within a step of the two or between them (the ground round a rock
     has no gap), and nothing is in the agent's way. A face in the cell that is steeper, such as the
-    end of a ramp, may be a crack's side.
+    end of a ramp, may be a crack's side. Looks at the rows of cells ``range(first, end)``.
 
     Args:
         limits: what an agent can stand on.
@@ -268,8 +243,28 @@ def find_gaps(lattice, crossings, limits, reach, room, task):
             WRITE, where the running sums stand there, the heights.
         task: the round.
     """
-    for row in prange(lattice.height):
-        _search_row(np.int64(row), lattice, crossings, limits, reach, room, task)
+    start, only, width, step = room.start, room.only, lattice.width, limits.step
+    for row in range(first, end):
+        is_inner = reach <= row < lattice.height - reach
+        for col in range(width):
+            cell, at = row * width + col, np.int64(0)
+            if task == MARK:
+                only[cell] = _mark_standable(crossings, cell, limits, room.stands)
+                continue
+            if task == WRITE:
+                if start[cell + 1] == start[cell]:
+                    continue
+                at = start[cell]
+            elif (
+                is_inner
+                and reach <= col < width - reach
+                and _is_even(only, cell, width, reach, step)
+            ):
+                continue
+            low, high = room.low[at:], room.high[at:]
+            count = _gaps_of_cell(lattice, crossings, limits, reach, room, (row, col), low, high)
+            if task == COUNT:
+                start[cell + 1] = count
 
 
 class Asked(NamedTuple):
@@ -313,12 +308,20 @@ def _find_floor(crossings, low, high, limits, n, found):
             break
 
 
-@njit(cache=True)
-def _probe_chunk(chunk, gaps, geometry, limits, asked, found):
-    """Find the floors on a chunk of lines, see `probe_lines`."""
+@njit(cache=True, nogil=True)
+def probe_lines(gaps, geometry, limits, asked, found, first, end):
+    """Find the floors that continue the sides of gaps, on lines beside their cells' centres.
+
+    Args:
+        gaps: the cell of each, int64, and the heights of its sides, `low` and `high`.
+        geometry: lattice, solids, facets and planes; what lies near each tile of cells, as far as
+            the lines go; and a `Band` below and above everything [m].
+        asked: the lines, of which it looks at ``range(first, end)``.
+        found: receives the floors.
+    """
     lattice, solids, facets, planes, tiles, heights = geometry
     ray, hits, start = make_ray(), make_hits(64), np.zeros(2, np.int64)
-    for n in range(chunk * CHUNK, min((chunk + 1) * CHUNK, asked.gap.shape[0])):
+    for n in range(first, end):
         gap = asked.gap[n]
         x, y = cell_center(lattice, gaps.cell[gap])
         x, y = x + asked.offset[n, 0], y + asked.offset[n, 1]
@@ -329,19 +332,3 @@ def _probe_chunk(chunk, gaps, geometry, limits, asked, found):
         start[1] = cast_line(x, y, tile, solids, facets, planes, tiles, heights, ray, hits)
         column = Crossings(start, hits.z, hits.normal, hits.geom, hits.closed)
         _find_floor(column, gaps.low[gap], gaps.high[gap], limits, n, found)
-
-
-@njit(cache=True, parallel=True)
-def probe_lines(gaps, lattice, solids, facets, planes, tiles, heights, limits, asked, found):
-    """Find the floors that continue the sides of gaps, on lines beside their cells' centres.
-
-    Args:
-        gaps: the cell of each, int64, and the heights of its sides, `low` and `high`.
-        tiles: what lies near each tile of cells, as far as the lines go.
-        heights: a `Band` below and above everything [m].
-        asked: the lines.
-        found: receives the floors.
-    """
-    for chunk in prange((asked.gap.shape[0] + CHUNK - 1) // CHUNK):
-        geometry = (lattice, solids, facets, planes, tiles, heights)
-        _probe_chunk(np.int64(chunk), gaps, geometry, limits, asked, found)

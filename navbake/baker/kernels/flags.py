@@ -16,9 +16,9 @@ from navbake.baker.kernels.overlap import (
     facet_meets_prism,
     outside,
     plane_meets_prism,
-    with_edges,
 )
 from navbake.baker.kernels.solids import part_of_solid
+from navbake.compiled import UNCOUNTED
 
 # It stands in the cell, it meets the occupancy's volume, it meets the square in the probed band,
 # and it meets the occupancy's volume or not, without a proof either way
@@ -39,7 +39,7 @@ class Volumes(NamedTuple):
     probed: Prism
 
 
-@njit(inline="always")
+@njit(cache=True, **UNCOUNTED)
 def line_flags(crossings, cell, geom, volumes):
     """The flags that a cell's line alone proves of a geom: `line_is_blocked` for each volume."""
     stands, blocks, probed = volumes
@@ -92,7 +92,7 @@ def triangle_flags(facets, t, volumes, flags, wanted, polygons):
     ):
         if not wanted & ~flags & flag:
             continue
-        if facet_meets_prism(facets, t, prism, with_edges(prism), polygons):
+        if facet_meets_prism(facets, t, prism, polygons):
             flags |= flag
     return flags
 

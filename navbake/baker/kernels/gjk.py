@@ -29,6 +29,7 @@ from navbake.baker.kernels.constants import (
     MEETS,
     UNDECIDED,
 )
+from navbake.compiled import UNCOUNTED
 from navbake.types import Bool, Float
 
 MOST_STEPS = 128
@@ -141,7 +142,7 @@ def _nearest_on_segment(a, b, keep, v):
         keep[0], keep[1] = True, True
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _nearest_on_triangle(a, b, c, keep, v):
     """Nearest point of a triangle to the origin into v (Voronoi regions of its features)."""
     keep[0], keep[1], keep[2] = False, False, False
@@ -216,20 +217,23 @@ FACES = np.array([[0, 1, 2, 3], [0, 1, 3, 2], [0, 2, 3, 1], [1, 2, 3, 0]])
 
 
 @njit(inline="always")
-def _nearest_on_tetrahedron(simplex):
-    """Nearest point of a tetrahedron to the origin into v; False where the origin is inside."""
+def _nearest_on_faces(simplex, num):
+    """Nearest point to the origin into v of a triangle, or of a tetrahedron if `num` is 4.
+
+    False where the origin is inside of the tetrahedron.
+    """
     points = simplex.points
     best = math.inf
     outside = False
-    for f in range(4):
+    for f in range(4 if num == 4 else 1):  # a triangle is the first face
         i, j, k, m = FACES[f, 0], FACES[f, 1], FACES[f, 2], FACES[f, 3]
-        if not _origin_outside(points[i], points[j], points[k], points[m]):
+        if num == 4 and not _origin_outside(points[i], points[j], points[k], points[m]):
             continue
         outside = True
         keep, trial = simplex.keep, simplex.trial
         _nearest_on_triangle(points[i], points[j], points[k], keep, trial)
         distance = _dot(trial, trial)
-        if distance < best:
+        if num == 3 or distance < best:  # a triangle's may be NaN
             best = distance
             simplex.v[0], simplex.v[1], simplex.v[2] = trial[0], trial[1], trial[2]
             simplex.best_keep[i], simplex.best_keep[j] = keep[0], keep[1]
@@ -250,11 +254,8 @@ def _reduce(simplex, num):
     if num == 2:
         keep[2] = keep[3] = False
         _nearest_on_segment(points[0], points[1], keep, v)
-    elif num == 3:
-        keep[3] = False
-        _nearest_on_triangle(points[0], points[1], points[2], keep, v)
     else:
-        if not _nearest_on_tetrahedron(simplex):
+        if not _nearest_on_faces(simplex, num):
             return 4
         for i in range(4):
             keep[i] = simplex.best_keep[i]
@@ -268,7 +269,7 @@ def _reduce(simplex, num):
     return kept
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def solid_meets_prism(solids, s, prism, is_round, simplex):
     """Does a solid meet a prism's disc (`is_round`), or its square? UNDECIDED without a proof."""
     kind, pos, mat, size = solids.kind[s], solids.pos[s], solids.mat[s], solids.size[s]

@@ -7,7 +7,7 @@ one another in the tiles' list, and where a group begins is where the one before
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from navbake.compiled import UNCOUNTED
 from navbake.types import Float, Int
@@ -45,7 +45,7 @@ def _fill_groups(tile, facets, tiles, groups):
             groups.box[g, 3 + k] = max(groups.box[g, 3 + k], facets.bounds[t, 3 + k])
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def group_triangles(facets, tiles):
     """Group the triangles over each tile by geom."""
     num_tiles = tiles.triangle_start.shape[0] - 1
@@ -58,6 +58,6 @@ def group_triangles(facets, tiles):
                 start[tile + 1] += 1
     first = np.full(start[-1] + 1, tiles.triangle_item.shape[0])
     groups = Groups(start, first, np.empty((start[-1], 6)))
-    for tile in prange(num_tiles):
-        _fill_groups(np.int64(tile), facets, tiles, groups)
+    for tile in range(num_tiles):
+        _fill_groups(tile, facets, tiles, groups)
     return groups

@@ -15,6 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from navbake.baker.kernels.constants import OPEN_SURFACE, SAME
+from navbake.compiled import UNCOUNTED
 from navbake.types import Bool, Float, Int32
 
 # Lines this close to a rim cross it, so that seams between geoms never leak [m]
@@ -172,7 +173,7 @@ def _balance_parts(hits, first, last, facets):
     return last
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _settle_edges(hits, first, last, facets):
     """Drop the hits at edges that make no crossing; returns where those that stay end."""
     return _balance_parts(hits, first, _drop_doubles(hits, first, last, facets), facets)

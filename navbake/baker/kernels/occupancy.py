@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from navbake.baker.kernels.arrays import Band, Prism
 from navbake.baker.kernels.constants import APART, MEETS, TOUCH
@@ -24,7 +24,6 @@ from navbake.baker.kernels.overlap import (
     make_polygons,
     outside,
     plane_meets_prism,
-    with_edges,
 )
 from navbake.baker.kernels.solids import solid_meets
 from navbake.baker.kernels.tiles import TILE, cells_near, center_of, tile_window
@@ -96,46 +95,6 @@ def _is_of(queries, n, cell):
 
 
 @njit(inline="always")
-def _check_solid(lattice, solids, s, footprint, queries, window, search):
-    """Ask a solid about the open queries near it; how many it closes."""
-    closed = 0
-    reach = max(footprint.square, footprint.radius)
-    row0, row1, col0, col1 = cells_near(lattice, window, solids.bounds, s, reach)
-    for row in range(row0, row1):
-        for col in range(col0, col1):
-            n = search.first[row - window[0], col - window[2]]
-            while _is_of(queries, n, row * lattice.width + col):
-                prism = _volume(lattice, row, col, queries.floor[n], footprint)
-                if queries.state[n] != MEETS and not outside(solids.bounds, s, prism):
-                    answer = solid_meets(solids, s, prism, search.simplex)
-                    if answer != APART:
-                        queries.state[n] = answer
-                    closed += 1 if answer == MEETS else 0
-                n += 1
-    return closed
-
-
-@njit(inline="always")
-def _check_triangle(lattice, facets, t, footprint, queries, window, search):
-    """Ask a triangle about the open queries near it; how many it closes."""
-    closed = 0
-    reach = max(footprint.square, footprint.radius) + 2.0 * TOUCH  # see `with_edges`
-    row0, row1, col0, col1 = cells_near(lattice, window, facets.bounds, t, reach)
-    for row in range(row0, row1):
-        for col in range(col0, col1):
-            n = search.first[row - window[0], col - window[2]]
-            while _is_of(queries, n, row * lattice.width + col):
-                prism = _volume(lattice, row, col, queries.floor[n], footprint)
-                if queries.state[n] != MEETS and facet_meets_prism(
-                    facets, t, prism, with_edges(prism), search.polygons
-                ):
-                    queries.state[n] = MEETS
-                    closed += 1
-                n += 1
-    return closed
-
-
-@njit(inline="always")
 def _first_from(cells, cell):
     """How many of the cells, which ascend, come before one."""
     first, last = 0, cells.shape[0]
@@ -149,76 +108,76 @@ def _first_from(cells, cell):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _check_solids(tile, solids, asked, still_open):
-    """Ask the solids over a tile about its open queries; how many stay open."""
-    lattice, tiles, footprint, queries, window, search = asked
-    total, low, high = still_open
-    for i in range(tiles.solid_start[tile], tiles.solid_start[tile + 1]):
-        s = tiles.solid_item[i]
-        if total > 0 and solids.bounds[s, 2] < high and solids.bounds[s, 5] > low:
-            total -= _check_solid(lattice, solids, s, footprint, queries, window, search)
-    return total
+def _check_shapes(tile, shapes, tiles, footprint, queries, search, still_open):
+    """Ask the solids and then the triangles over a tile about its open queries.
+
+    Args:
+        still_open: how many there are, and the heights between which they are.
+    """
+    lattice, solids, facets = shapes
+    (total, low, high), window = still_open, tile_window(lattice, tile)
+    reach = max(footprint.square, footprint.radius) + 2.0 * TOUCH  # see `facet_meets_prism`
+    for is_solid in (True, False):
+        boxes, start, item = facets.bounds, tiles.triangle_start, tiles.triangle_item
+        if is_solid:
+            boxes, start, item = solids.bounds, tiles.solid_start, tiles.solid_item
+        for k in range(start[tile], start[tile + 1]):
+            i = item[k]
+            if total == 0:
+                break
+            if boxes[i, 2] >= high or boxes[i, 5] <= low:
+                continue
+            row0, row1, col0, col1 = cells_near(lattice, window, boxes, i, reach)
+            for row in range(row0, row1):
+                for col in range(col0, col1):
+                    n = search.first[row - window[0], col - window[2]]
+                    while _is_of(queries, n, row * lattice.width + col):
+                        if queries.state[n] != MEETS:
+                            prism = _volume(lattice, row, col, queries.floor[n], footprint)
+                            answer = APART
+                            if not is_solid:
+                                meets = facet_meets_prism(facets, i, prism, search.polygons)
+                                answer = MEETS if meets else APART
+                            elif not outside(boxes, i, prism):
+                                answer = solid_meets(solids, i, prism, search.simplex)
+                            if answer != APART:
+                                queries.state[n] = answer
+                            total -= 1 if answer == MEETS else 0
+                        n += 1
 
 
-@njit(cache=True, **UNCOUNTED)
-def _check_triangles(tile, facets, asked, still_open):
-    """Ask the triangles over a tile about its open queries."""
-    lattice, tiles, footprint, queries, window, search = asked
-    total, low, high = still_open
-    for i in range(tiles.triangle_start[tile], tiles.triangle_start[tile + 1]):
-        t = tiles.triangle_item[i]
-        if total == 0:
-            break
-        if facets.bounds[t, 2] < high and facets.bounds[t, 5] > low:
-            total -= _check_triangle(lattice, facets, t, footprint, queries, window, search)
-
-
-@njit(cache=True, **UNCOUNTED)
-def _check_band(
-    band, lattice, crossings, solids, facets, planes, tiles, footprint, queries, search
+@njit(cache=True, nogil=True)
+def check_cells(
+    lattice, crossings, solids, facets, planes, tiles, footprint, queries, first, end
 ):  # fmt: skip
-    """Answer the queries in a row of tiles."""
-    tiles_x, run = (lattice.width + TILE - 1) // TILE, search.run
-    for r in range(TILE):
-        run[r, 1] = _first_from(queries.cell, (band * TILE + r) * lattice.width)
-    for tile in range(band * tiles_x, (band + 1) * tiles_x):
-        window = tile_window(lattice, tile)
+    """Tell for each cell and floor of the queries whether anything is in the band above it.
+
+    Looks at the queries of the rows of tiles ``range(first, end)``. `footprint` is what an agent
+    sweeps over a cell; the queries are sorted by cell, and the answers are written into them.
+    """
+    search, tiles_x = _make_search(), (lattice.width + TILE - 1) // TILE
+    run, shapes = search.run, (lattice, solids, facets)
+    for tile in range(first * tiles_x, end * tiles_x):
+        window, num_asked = tile_window(lattice, tile), 0
         for row in range(window[0], window[1]):
             # queries are sorted by cell, so a tile's follow on those of the tile before
             n = run[row - window[0], 1]
+            if window[2] == 0:
+                n = _first_from(queries.cell, row * lattice.width)
             run[row - window[0], 0] = n
             while n < queries.cell.shape[0] and queries.cell[n] < row * lattice.width + window[3]:
                 n += 1
             run[row - window[0], 1] = n
-        total, low, high = _check_lines(
-            lattice, crossings, planes, footprint, queries, window, search
-        )
-        if total > 0:
-            asked = lattice, tiles, footprint, queries, window, search
-            total = _check_solids(tile, solids, asked, (total, low, high))
-            _check_triangles(tile, facets, asked, (total, low, high))
+            num_asked += n - run[row - window[0], 0]
+        if num_asked == 0:
+            continue
+        still_open = _check_lines(lattice, crossings, planes, footprint, queries, window, search)
+        if still_open[0] > 0:
+            _check_shapes(tile, shapes, tiles, footprint, queries, search, still_open)
 
 
-@njit(cache=True, parallel=True)
-def check_cells(lattice, crossings, solids, facets, planes, tiles, footprint, queries):
-    """Tell for each cell and floor of the queries whether anything is in the band above it.
-
-    `footprint` is what an agent sweeps over a cell; the queries are sorted by cell, and the
-    answers are written into them.
-    """
-    num, rows = queries.cell.shape[0], TILE * lattice.width
-    first = queries.cell[0] // rows if num > 0 else 0
-    last = queries.cell[num - 1] // rows + 1 if num > 0 else 0
-    for band in prange(first, last):
-        search = _make_search()
-        _check_band(
-            np.int64(band), lattice, crossings, solids, facets, planes, tiles, footprint, queries,
-            search
-        )  # fmt: skip
-
-
-@njit(cache=True, parallel=True)
-def lines_blocked(cells, low, high, crossings, out):
+@njit(cache=True, nogil=True)
+def lines_blocked(cells, low, high, crossings, out, first, end):
     """Whether each cell's line alone proves that something is between two heights [m], into out."""
-    for n in prange(cells.shape[0]):
+    for n in range(first, end):
         out[n] = line_is_blocked(crossings, cells[n], Band(low[n], high[n]), ANY_GEOM)

@@ -3,8 +3,8 @@
 Triangles are clipped to the prism, plane by plane (Sutherland and Hodgman, Reentrant polygon
 clipping, 1974); half-spaces are told by their deepest point (the separating axis is their
 normal). A prism is open: what only touches it is outside. To triangles that enclose nothing its
-sides are closed, see `with_edges`; else a wall without thickness between two cells would meet
-neither.
+sides are closed, see `facet_meets_prism`; else a wall without thickness between two cells would
+meet neither.
 """
 
 import math
@@ -15,6 +15,7 @@ from numba import njit
 
 from navbake.baker.kernels.arrays import Prism
 from navbake.baker.kernels.constants import OPEN_SURFACE, TOUCH
+from navbake.compiled import UNCOUNTED
 from navbake.types import Float
 
 # A triangle has at most nine corners when six planes have clipped it
@@ -52,26 +53,21 @@ def outside(boxes, i, prism):
 
 
 @njit(inline="always")
-def with_edges(prism):
-    """A prism that was narrowed by TOUCH, widened by it instead; only sideways."""
-    square = prism.square + 2.0 * TOUCH if prism.square > 0.0 else 0.0
-    radius = prism.radius + 2.0 * TOUCH if prism.radius > 0.0 else 0.0
-    return Prism(prism.x, prism.y, prism.low, prism.high, square, radius)
+def facet_meets_prism(facets, t, prism, polygons):
+    """Does a triangle meet a prism, or, if it encloses nothing, the prism with its edges?
 
-
-@njit(inline="always")
-def facet_meets_prism(facets, t, prism, wide, polygons):
-    """Does a triangle meet a prism, or `wide`, the prism with its edges, if it encloses nothing?"""
-    if outside(facets.bounds, t, wide):  # most are, and the wide one holds the other
+    A prism was narrowed by TOUCH; with its edges it is widened by it instead, only sideways.
+    """
+    edge = 2.0 * TOUCH if facets.closed[t] == OPEN_SURFACE else 0.0
+    square = prism.square + edge if prism.square > 0.0 else 0.0
+    radius = prism.radius + edge if prism.radius > 0.0 else 0.0
+    asked = Prism(prism.x, prism.y, prism.low, prism.high, square, radius)
+    if outside(facets.bounds, t, asked):  # most are
         return False
-    if facets.closed[t] == OPEN_SURFACE:
-        return triangle_meets_prism(facets.corners[t], wide, polygons)
-    return not outside(facets.bounds, t, prism) and triangle_meets_prism(
-        facets.corners[t], prism, polygons
-    )
+    return triangle_meets_prism(facets.corners[t], asked, polygons)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def clip(points, num, out, axis, limit, sign):
     """Keep the part of a polygon where ``sign * (coordinate - limit) >= 0``.
 
@@ -95,7 +91,7 @@ def clip(points, num, out, axis, limit, sign):
     return kept
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def clip_between(points, num, spare, axis, band, out):
     """Keep the part of a polygon between two limits of a coordinate; `out` may be `points`."""
     num = clip(points, num, spare, axis, band[0], 1.0)
@@ -124,7 +120,7 @@ def _disc_meets_polygon(points, num, prism):
     return (left or right) and not (left and right)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def triangle_meets_prism(corners, prism, polygons):
     """Does a triangle, (3, 3) float64 [m], meet a prism? The polygons are scratch."""
     one, other = polygons.one, polygons.other
@@ -140,7 +136,7 @@ def triangle_meets_prism(corners, prism, polygons):
     return False
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def plane_meets_prism(planes, p, prism):
     """Does the half-space behind an infinite plane meet a prism?"""
     pos, mat = planes.pos[p], planes.mat[p]
@@ -153,7 +149,7 @@ def plane_meets_prism(planes, p, prism):
     return depth - reach < 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def line_is_blocked(crossings, cell, band, only):
     """Whether a cell's line proves that something is between two heights.
 

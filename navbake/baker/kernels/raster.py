@@ -18,6 +18,7 @@ from numba import njit
 
 from navbake.baker.kernels.hits import AT_EDGE, INSIDE, RIM
 from navbake.baker.kernels.tiles import cell_center, centers_between
+from navbake.compiled import UNCOUNTED
 
 # Edges shorter than this tell nothing without their own length [m]
 SHORT = 1e-6
@@ -123,7 +124,7 @@ def _span_of_row(corners, t, left, right, y, far):
     return low, high
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def raster_triangles(facets, listed, lattice, rows, hits, end, writing):
     """Note that the lines of the centres that triangles cover cross them.
 

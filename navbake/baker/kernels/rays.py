@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from llvmlite import binding
-from numba import njit, prange, types
+from numba import njit, types
 
 from navbake.baker.kernels.constants import BOX, CONVEX_SOLID, CYLINDER, OPEN_SURFACE, PLANE, SPHERE
 from navbake.baker.kernels.hits import (
@@ -33,7 +33,8 @@ from navbake.baker.kernels.hits import (
     settle,
 )
 from navbake.baker.kernels.raster import NEVER_FAR, hit_triangle, is_beside, raster_triangles
-from navbake.baker.kernels.tiles import BAND, cell_center, centers_between, count_bands
+from navbake.baker.kernels.tiles import BAND, cell_center, centers_between
+from navbake.compiled import UNCOUNTED
 from navbake.types import Float
 
 # An eighth of a turn [rad]
@@ -67,7 +68,7 @@ def load_mujoco_library(path: str) -> None:
     binding.load_library_permanently(path)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _cast(pos, mat, size, kind, point, ray):
     """The distance to a geom along a ray from a point, or -1; its normal there into the ray."""
     return _ray_geom(
@@ -118,7 +119,7 @@ def _hit(hits, at, z, normal, up, geom):
     hits.at_edge[at] = INSIDE
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _hit_solid(solids, s, x, y, ray, hits, at):
     """Note where a line enters and leaves a solid, at a place of the hits; returns how often."""
     box, count = solids.bounds[s], np.int64(0)
@@ -137,7 +138,7 @@ def _hit_solid(solids, s, x, y, ray, hits, at):
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _hit_plane(planes, p, x, y, heights, ray, hits, at):
     """Note where a line crosses an infinite plane, from its front only; returns how often."""
     count = np.int64(0)
@@ -189,7 +190,7 @@ def _has_level_ends(solids, s):
     return kind != SPHERE and is_wide
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing):
     """Note where the lines of some rows cross a solid; the arguments are `raster_triangles`'.
 
@@ -223,7 +224,7 @@ def _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing):
                 end[line] += _hit_solid(solids, s, x, y, ray, hits, place)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writing):
     """Note where the lines of some rows cross an infinite plane; else as `_cast_solid`."""
     is_level = _is_upright(planes.mat[p])
@@ -244,40 +245,13 @@ def make_ray():
     return Ray(np.empty(3), np.zeros(3), np.zeros(3), np.empty(3), np.empty(3))
 
 
-@njit(cache=True)
-def _cast_band(band, lattice, solids, facets, planes, items, heights, crossings):
-    """Cross the lines of one band's rows with all that is over it; returns how many hits it drops.
-
-    In counting, the numbers of hits go to `start`, each one place on.
-    """
-    rows = band * BAND, min((band + 1) * BAND, lattice.height)
-    first, last = rows[0] * lattice.width, rows[1] * lattice.width
-    start, writing = crossings.start, crossings.z.shape[0] > 0
-    end = np.zeros(last - first, np.int64)
-    hits = hits_of(crossings, start[first], start[last]) if writing else make_hits(2)
-    if writing:
-        for line in range(last - first):
-            end[line] = start[first + line] - start[first]
-    ray, middle = make_ray(), make_hits(2)
-    for p in range(planes.geom.shape[0]):
-        _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writing)
-    for i in range(items.solid_start[band], items.solid_start[band + 1]):
-        _cast_solid(solids, items.solid_item[i], lattice, rows, ray, middle, hits, end, writing)
-    listed = items.triangle_item[items.triangle_start[band] : items.triangle_start[band + 1]]
-    raster_triangles(facets, listed, lattice, rows, hits, end, writing)
-    dropped = np.int64(0)
-    for line in range(last - first):
-        if writing:
-            begin = start[first + line] - start[first]
-            dropped += settle(hits, begin, end[line], facets, middle, np.int64(0))
-        else:
-            start[first + line + 1] = end[line]
-    return dropped
-
-
-@njit(cache=True, parallel=True)
-def cast_lines(lattice, solids, facets, planes, items, heights, crossings, dropped):
+@njit(cache=True, nogil=True)
+def cast_lines(
+    lattice, solids, facets, planes, items, heights, crossings, dropped, first_band, end
+):  # fmt: skip
     """Cross every cell's vertical line with all geometry; twice: to count, then to write.
+
+    Looks at the bands of rows ``range(first_band, end)``.
 
     Args:
         items: what lies over which band of rows.
@@ -287,12 +261,35 @@ def cast_lines(lattice, solids, facets, planes, items, heights, crossings, dropp
             the others receive the crossings, and after a column's last what `close_up` removes.
         dropped: by band, int64; receives the number of hits that are no crossings.
     """
-    for band in prange(count_bands(lattice)):
-        one = np.int64(band)
-        dropped[band] = _cast_band(one, lattice, solids, facets, planes, items, heights, crossings)
+    start, writing = crossings.start, crossings.z.shape[0] > 0
+    ray, middle = make_ray(), make_hits(2)
+    for band in range(first_band, end):
+        rows = band * BAND, min((band + 1) * BAND, lattice.height)
+        first, last = rows[0] * lattice.width, rows[1] * lattice.width
+        place = np.zeros(last - first, np.int64)
+        hits = middle
+        if writing:
+            hits = hits_of(crossings, start[first], start[last])
+            for line in range(last - first):
+                place[line] = start[first + line] - start[first]
+        for p in range(planes.geom.shape[0]):
+            _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, place, writing)
+        for i in range(items.solid_start[band], items.solid_start[band + 1]):
+            s = items.solid_item[i]
+            _cast_solid(solids, s, lattice, rows, ray, middle, hits, place, writing)
+        listed = items.triangle_item[items.triangle_start[band] : items.triangle_start[band + 1]]
+        raster_triangles(facets, listed, lattice, rows, hits, place, writing)
+        num_dropped = 0
+        for line in range(last - first):
+            if writing:
+                begin = start[first + line] - start[first]
+                num_dropped += settle(hits, begin, place[line], facets, middle, np.int64(0))
+            else:
+                start[first + line + 1] = place[line]
+        dropped[band] = num_dropped
 
 
-@njit(cache=True)
+@njit(inline="always")
 def most_hits(tile, planes, tiles):
     """How much room the hits of a line over a tile need, with that for sorting them."""
     solids = tiles.solid_start[tile + 1] - tiles.solid_start[tile]

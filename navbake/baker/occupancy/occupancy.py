@@ -11,9 +11,10 @@ from navbake.baker.floors.levels import Floors
 from navbake.baker.kernels.arrays import Band, Queries
 from navbake.baker.kernels.constants import MEETS, TOUCH, UNDECIDED
 from navbake.baker.kernels.occupancy import check_cells
-from navbake.baker.kernels.tiles import tile_of
+from navbake.baker.kernels.tiles import TILE, tile_of
 from navbake.baker.occupancy.contact import touch_prism
 from navbake.config.settings import AgentSettings
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int
 
 
@@ -162,9 +163,11 @@ def _check(
         back[order] = np.arange(len(order))
         occupied, by_line, by_fcl = _check(columns, tiled, footprint, cells[order], floors[order])
         return occupied[back], by_line[back], by_fcl
-    geometry = (tiled.shapes.solids, tiled.facets, tiled.shapes.planes, tiled.tiles)
+    shapes, rows = tiled.shapes, -(-columns.lattice.height // TILE)
     queries = Queries(cells, floors, np.zeros(len(cells), np.uint8), np.zeros(len(cells), np.bool_))
-    check_cells(columns.lattice, columns.crossings, *geometry, footprint, queries)
+    asked = columns.lattice, columns.crossings, shapes.solids, tiled.facets, shapes.planes
+    if len(cells):
+        run_in_bands(check_cells, rows, *asked, tiled.tiles, footprint, queries)
     state = queries.state
     undecided = np.flatnonzero(state == UNDECIDED)
     for n in undecided:

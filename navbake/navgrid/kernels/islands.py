@@ -55,11 +55,24 @@ def _rank(parent):
         elif parent[cell] >= 0:
             parent[cell] = parent[parent[cell]]  # the cells before this one point at their roots
             number[cell] = number[parent[cell]]
-    size = np.bincount(number)
-    size[0] = 0
-    # a stable sort, so that equal parts stay in the order of their roots; part 0 stays first
-    order = np.argsort(-size[1:], kind="mergesort") + 1
-    rank = np.zeros(num_parts + 1, dtype=np.int32)
-    rank[order] = np.arange(1, num_parts + 1)
-    size[1:] = size[order]
-    return rank[number], size
+    size, largest = np.zeros(num_parts + 1, dtype=np.int64), 0
+    for cell in range(len(parent)):
+        if number[cell] > 0:
+            size[number[cell]] += 1
+            largest = max(largest, size[number[cell]])
+    # a counting sort, so that equal parts stay in the order of their roots
+    before = np.zeros(largest + 1, dtype=np.int64)
+    for part in range(1, num_parts + 1):
+        before[size[part]] += 1
+    larger = 0
+    for cells in range(largest, 0, -1):
+        larger += before[cells]
+        before[cells] = larger - before[cells]
+    rank, ranked = np.zeros(num_parts + 1, dtype=np.int32), np.zeros(num_parts + 1, dtype=np.int64)
+    for part in range(1, num_parts + 1):
+        before[size[part]] += 1
+        rank[part] = before[size[part]]
+        ranked[rank[part]] = size[part]
+    for cell in range(len(parent)):
+        number[cell] = rank[number[cell]]
+    return number, ranked

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from navbake.baker.contents.contents import Contents, LevelContents
 from navbake.baker.contents.walls import WALL_BAND
 from navbake.baker.stages import Stages, bake_stages
 from navbake.config.settings import load_config
+from navbake.threads import limit_threads
 from oracles.prisms import FREE, OCCUPIED, UNKNOWN, Prisms
 from oracles.scene import HalfSpace, Thing, cross_part, part_meets_prisms, part_of, scene_xml
 from project_paths import CONFIGS
@@ -165,13 +165,13 @@ def test_what_blocks_is_what_occupies_the_samples(name):
 def test_threads_change_nothing(tmp_path):
     rng = np.random.default_rng(5)
     things = [FLOORS["slab"], *random_things(rng, ("box", "capsule", "hull", "cylinder"), 20)]
-    before = numba.get_num_threads()
     found = []
-    for threads in (1, before):
-        numba.set_num_threads(threads)
-        stages = stages_of_xml(tmp_path, scene_xml(things), grid={"cell_size": 0.04}, floors=SMALL)
+    for threads in (1, None):
+        with limit_threads(threads):
+            stages = stages_of_xml(
+                tmp_path, scene_xml(things), grid={"cell_size": 0.04}, floors=SMALL
+            )
         found.append(stages.contents.levels)
-    numba.set_num_threads(before)
     for one, other in zip(*found, strict=True):
         for name in ("start", "geom", "stands", "blocks", "upper"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))

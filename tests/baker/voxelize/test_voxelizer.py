@@ -1,12 +1,12 @@
 """Voxel grids of scenes: where they lie, what fills them, poses, and what is wrong."""
 
 import mujoco
-import numba
 import numpy as np
 import pytest
 
 import navbake
 from navbake import ConfigError, SceneError, Voxelizer, create_voxel_grid
+from navbake.threads import limit_threads
 from navbake.voxels.placement import Placement, place_grid
 
 SCENE = """
@@ -275,12 +275,11 @@ def test_ignores_bodies_with_what_hangs_on_them(path):
 
 def test_the_same_with_any_number_of_threads(voxelizer):
     voxelizer.set_pose(qpos=[0.3, 0.4])
-    before = numba.get_num_threads()
     grids = []
-    for count in (1, before):
-        numba.set_num_threads(count)
-        grids.append(voxelizer.create((0, 0, 1), (81, 77, 50), res=0.05, segments="geom").values)
-    numba.set_num_threads(before)
+    for count in (1, None):
+        with limit_threads(count):
+            grid = voxelizer.create((0, 0, 1), (81, 77, 50), res=0.05, segments="geom")
+        grids.append(grid.values)
     assert grids[0].tobytes() == grids[1].tobytes()
 
 

@@ -255,7 +255,8 @@ def grow_floor(lattice, crossings, candidate, floor, lowest, highest, step):
                     lattice, queue[q], floor, following, queued, num_following
                 )
         end = num_following
-        queue[:end] = following[:end]
+        for q in range(end):  # to assign a slice takes numba a second to compile
+            queue[q] = following[q]
 
 
 @njit(cache=True)

@@ -403,7 +403,8 @@ def _note(met, begin, count, region):
             return met, count
     if count == len(met):
         longer = np.empty(2 * count, dtype=np.int64)
-        longer[:count] = met
+        for k in range(count):  # to assign a slice takes numba a second to compile
+            longer[k] = met[k]
         met = longer
     met[count] = region
     return met, count + 1
