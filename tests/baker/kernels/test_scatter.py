@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from navbake.baker.threads import limit_threads
 from numpy.random import Generator
 
 from navbake.baker.contents.walls import WALL_BAND, wall_candidates
@@ -22,7 +23,6 @@ from navbake.baker.kernels.tiles import TILE, cells_near
 from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
 from navbake.baker.scene.extents import measure_geoms
 from navbake.baker.stages import Stages, bake_stages
-from navbake.baker.threads import limit_threads
 from navbake.navgrid.lattice import Lattice
 from oracles.gather import geoms_that_meet, line_meets, prism_over
 
