@@ -131,8 +131,8 @@ def flood(label, fillable, height, highest):
 @njit(inline="always")
 def _has_label_beside(cell, rows, cols, labels, near):
     """Whether a cell that shares an edge with a cell has a label."""
-    for i in range(_neighbours(cell, rows, cols, near)):
-        if labels[near[i]] > 0:
+    for other in near[: _neighbours(cell, rows, cols, near)]:  # noqa: SIM110 (no `any` in numba)
+        if labels[other] > 0:
             return True
     return False
 
