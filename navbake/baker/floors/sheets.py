@@ -68,10 +68,11 @@ class Standable(NamedTuple):
             return self
         number, chosen = np.zeros(len(kept) + 1, dtype=np.int64), np.flatnonzero(kept)
         np.cumsum(kept, out=number[1:])  # of those before each
-        arrays = (a[chosen] for a in (self.z, self.cell, self.surface, self.sheet))
-        size = np.bincount(self.sheet[chosen], minlength=len(self.sheet_size))
+        start, sheet = number[self.start], self.sheet[chosen]
+        size = np.bincount(sheet, minlength=len(self.sheet_size))
+        arrays = self.z[chosen], self.cell[chosen], self.surface[chosen]
         slopes = number[self.slopes[kept[self.slopes].all(axis=1)]]
-        return Standable(self.lattice, number[self.start], *arrays, size, slopes)
+        return Standable(self.lattice, start, *arrays, sheet, size, slopes)
 
     def sheets_at(self, cells: Int, heights: Float) -> Int:
         """The sheets of the surfaces in some cells at heights at which there is one, shape (n,)."""

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from navbake.baker.threads import limit_threads
 from numpy.random import Generator
 
 from navbake.baker.contents.walls import WALL_BAND, wall_candidates
