@@ -111,6 +111,8 @@ def with_door_names(
     A cell is in a door where the door blocks it when closed, or as it stands. Where it blocks as
     it stands, the door is one of the cell's objects, too.
     """
+    if not doors:
+        return user_data  # without reading them
     # All cells that a door blocks in any state, most of them with no door: the user data may be
     # from that state.
     names: dict[int, set[str]] = {}
@@ -129,7 +131,7 @@ def with_door_names(
     for (cell, found), before in zip(names.items(), known, strict=True):
         entry = _without_doors(before, ids)
         changed[cell] = _with_doors(entry, found, standing.get(cell, set())) if found else entry
-    return user_data.replaced(changed) if doors else user_data
+    return user_data.replaced(changed)
 
 
 def _without_doors(entry: Json, ids: set[str]) -> Json:

@@ -86,27 +86,28 @@ def _merge(cell: Int, name: Int, bits: Int, num_names: int) -> tuple[Int, Int, I
 
 def _describe(token: Int, begin: Int, end: Int, names: Sequence[str]) -> list[Names]:
     """The user data of cells that hold the tokens from each begin to its end."""
-    name_of = [names[k] for k in (token // ALL_BITS).tolist()]
-    bits_of = (token % ALL_BITS).tolist()
-    described = []
-    for one, other in zip(begin.tolist(), end.tolist(), strict=True):
-        listed, bits = name_of[one:other], bits_of[one:other]
-        if len(set(bits)) == 1:
-            listed.sort()
-            described.append(dict.fromkeys(_KEYS_OF[bits[0]], listed))
-        else:
-            described.append(_describe_mixed(listed, bits))
+    size = end - begin
+    owner = np.repeat(np.arange(len(size)), size)
+    token = token[np.arange(len(owner)) + (begin - np.cumsum(size) + size)[owner]]
+    name, bits = np.divmod(token, ALL_BITS)
+    order = np.lexsort((_ranks(names)[name], owner))
+    name, bits = name[order], bits[order]
+    differs = ((bits & BLOCKERS) > 0) != ((bits & NAMED) > 0)
+    tells_blockers = np.bincount(owner, differs, len(size)) > 0
+    chosen = {key: (bits & bit) > 0 for key, bit in KEYS.items()}
+    chosen["blockers"] = ((bits & BLOCKERS) > 0) & tells_blockers[owner]
+    described: list[Names] = [{} for _ in size]
+    for key, is_chosen in chosen.items():
+        listed = [names[k] for k in name[is_chosen].tolist()]
+        owners, first = np.unique(owner[is_chosen], return_index=True)
+        ends = np.append(first[1:], len(listed))[: len(first)]
+        for k, one, other in np.stack([owners, first, ends], axis=1).tolist():
+            described[k][key] = listed[one:other]
     return described
 
 
-def _describe_mixed(names: Sequence[str], bits: Sequence[int]) -> Names:
-    """The user data of a cell that holds names under different keys."""
-    pairs = sorted(zip(names, bits, strict=True))
-    data = {key: [name for name, b in pairs if b & bit] for key, bit in KEYS.items()}
-    if any(bool(b & BLOCKERS) != bool(b & NAMED) for b in bits):
-        data["blockers"] = [name for name, b in pairs if b & BLOCKERS]
-    return {key: listed for key, listed in data.items() if listed}
-
-
-# The keys of a cell whose names all have the same bits
-_KEYS_OF = [list(_describe_mixed(["name"], [bits])) for bits in range(ALL_BITS)]
+def _ranks(names: Sequence[str]) -> Int:
+    """The place of each name among all of them, sorted."""
+    ranks = np.empty(len(names), dtype=np.int64)
+    ranks[sorted(range(len(names)), key=names.__getitem__)] = np.arange(len(names))
+    return ranks

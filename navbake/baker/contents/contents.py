@@ -38,7 +38,7 @@ from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings, NameSettings
 from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.user_data import Shared, UserData
+from navbake.navgrid.user_data import Shared, UserData, collector_off
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Int, Int32
 
@@ -100,8 +100,10 @@ class Contents:
         listed = self.levels[level]
         is_building = self.kinds[listed.geom] == BUILDING
         cells = np.zeros(len(listed.start) - 1, dtype=np.bool_)
-        cells[listed.cell[is_building & listed.stands & listed.blocks]] = True
-        cells[listed.cell[is_building & listed.stands & listed.upper]] = False
+        if is_building.any():
+            cell = listed.cell
+            cells[cell[is_building & listed.stands & listed.blocks]] = True
+            cells[cell[is_building & listed.stands & listed.upper]] = False
         return cells.reshape(listed.lattice.shape)
 
     def user_data(self, level: int, window: Window) -> UserData:
@@ -130,7 +132,8 @@ class Contents:
         cell = np.concatenate([listed.cell, below])
         geom = np.concatenate([listed.geom, carrier[below]])
         bits = np.concatenate([bits, np.full(len(below), OBJECTS)])
-        return Shared(*name_cells(cell, geom, bits, self.names, listed.lattice, window))
+        with collector_off():
+            return Shared(*name_cells(cell, geom, bits, self.names, listed.lattice, window))
 
     def _is_wall(self, listed: LevelContents) -> Bool:
         kind = self.kinds[listed.geom]

@@ -8,7 +8,12 @@ import numpy as np
 from navbake.baker.columns import Columns
 from navbake.baker.floors.enclosed import find_enclosed
 from navbake.baker.floors.grounds import assign_levels, find_grounds, lower_grounds
-from navbake.baker.floors.kernels.sheets import find_links, grow_floor
+from navbake.baker.floors.kernels.sheets import (
+    count_options,
+    find_links,
+    grow_floor,
+    list_options,
+)
 from navbake.baker.floors.outline import OccupancyTest, Site, find_cropped
 from navbake.baker.floors.patch import Patch, describe_sheets
 from navbake.baker.floors.reach import (
@@ -24,6 +29,7 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int
 
 # A dropped roof is told of when it is this many times as large as the largest floor that is left:
@@ -110,7 +116,8 @@ def find_floors(
     if not len(counted.z):
         raise SceneError(_no_large_floor(settings))
     placed, left_out, unreached = _place_reached(counted, starts, site, given)
-    candidate = _mark_candidates(placed.standable, every.only_sheets(is_large | starts), site)
+    large_or_start = every.surface[(is_large | starts)[every.sheet]]
+    candidate = _mark_candidates(placed.standable, large_or_start, site)
     levels = [
         LevelFloor(label, ground, *_level_floor(k, placed, columns, floor_like & candidate, agent))
         for k, (label, ground) in enumerate(zip(placed.labels, placed.grounds, strict=True))
@@ -201,15 +208,17 @@ def _within_given(standable: Standable, given: list[LevelSettings], columns: Col
     return standable.only(kept)
 
 
-def _mark_candidates(counted: Standable, large: Standable, site: Site) -> Bool:
+def _mark_candidates(counted: Standable, large: Int, site: Site) -> Bool:
     """Mark the surfaces at which a floor may go on under things, of all, shape (n,).
 
-    It goes on only where no other floor is, nor a roof, nor the top of furniture.
+    It goes on only where no other floor is, nor a roof, nor the top of furniture: nor at any of
+    the `large` surfaces, those that count among them.
     """
     columns = site.columns
     candidate = np.ones(len(columns.z), dtype=np.bool_)
-    dropped = np.setdiff1d(large.surface, counted.surface, assume_unique=True)
-    candidate[large.surface] = False
+    candidate[counted.surface] = False
+    dropped = large[candidate[large]]
+    candidate[large] = False
     candidate[_just_below(columns, dropped, site.agent.traversable_floor_height)] = False
     return candidate
 
@@ -244,8 +253,13 @@ def _level_floor(
     # of several in a column, the last one written stays: here the highest, there the lowest
     lowest[cells[below]] = z[below] + agent.height - SLACK
     highest[cells[above]] = z[above] - agent.height + SLACK
-    step = agent.traversable_floor_height
-    grow_floor(lattice, columns.crossings, goes_on, floor, lowest, highest, step)
+    start = np.zeros_like(columns.start)
+    known = columns.crossings, goes_on
+    run_in_bands(count_options, len(floor), *known, floor, lowest, highest, start[1:])
+    np.cumsum(start, out=start)
+    height = np.empty(start[-1])
+    run_in_bands(list_options, len(floor), *known, lowest, highest, start, height)
+    grow_floor(lattice, start, height, floor, agent.traversable_floor_height)
     return floor.reshape(lattice.shape), is_standable.reshape(lattice.shape)
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.floors.outline import Site
-from navbake.baker.floors.roofs import find_roofs, find_shelves
+from navbake.baker.floors.roofs import find_roofs, find_shelves, measure_shares
 from navbake.baker.floors.sheets import Standable
 from navbake.baker.floors.tops import find_tops
 from navbake.baker.kernels.constants import SLACK
@@ -50,10 +50,11 @@ def find_rejected(site: Site, given: Sequence[LevelSettings] | None) -> Rejected
     """
     none = np.zeros(len(site.large.sheet_size), dtype=np.bool_)
     tops = shelves = roofs = none
+    shares = measure_shares(site)
     if not site.settings.tops:
-        tops, shelves = find_tops(site), find_shelves(site)
+        tops, shelves = find_tops(site), find_shelves(site, shares)
     if not site.settings.roofs:
-        roofs = find_roofs(site)
+        roofs = find_roofs(site, shares)
     is_floor = (site.large.sheet_size > 0) & ~(tops | shelves | roofs)
     if not is_floor.any():
         roofs = none

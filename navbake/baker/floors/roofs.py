@@ -1,7 +1,10 @@
 """Roofs and shelves: sheets over a floor that no step reaches, and that are no storeys."""
 
+from typing import NamedTuple
+
 import numpy as np
 
+from navbake.baker.floors.kernels.roofs import count_open_and_over
 from navbake.baker.floors.outline import (
     DROP,
     WALL,
@@ -16,7 +19,7 @@ from navbake.baker.floors.outline import (
     share_of_known,
 )
 from navbake.baker.floors.sheets import AreaTest, Standable
-from navbake.baker.kernels.constants import SAME, SLACK
+from navbake.baker.kernels.constants import SAME
 from navbake.config.settings import AgentSettings
 from navbake.types import Bool, Float, Int
 
@@ -37,7 +40,27 @@ INWARD = np.array([[0, -1], [-1, 0], [0, 1], [1, 0]])
 SHELF_DEPTH = 2.5
 
 
-def find_roofs(site: Site) -> Bool:
+class Shares(NamedTuple):
+    """What lies above and below of each large sheet, as shares of its surfaces, shape (sheets,).
+
+    Attributes:
+        sky: has nothing above it.
+        over: lies over another sheet. That may be furniture: what stands in a hall does not take
+            the floor away below its roof.
+    """
+
+    sky: Float
+    over: Float
+
+
+def measure_shares(site: Site) -> Shares:
+    """Measure which share of each large sheet is open to the sky, and lies over another one."""
+    columns, size = site.columns, site.large.sheet_size
+    counts = count_open_and_over(site.every, size > 0, columns.start, columns.z)
+    return Shares(*(count / np.maximum(size, 1) for count in counts))
+
+
+def find_roofs(site: Site, shares: Shares) -> Bool:
     """Find the sheets that are roofs: open to the sky, over a floor, and without walls.
 
     A storey that was drawn without its ceiling has walls as high as an agent, and at least 1.5 m,
@@ -56,7 +79,7 @@ def find_roofs(site: Site) -> Bool:
     Returns:
         Which sheets they are, shape (sheets,), bool.
     """
-    sky, over = _shares(site)
+    sky, over = shares
     candidates = (sky >= SKY_SHARE) & (over >= FLOOR_SHARE)
     asked = candidates & (over < HALF)
     candidates[asked] = _share_over_walls(site, asked) >= WALLED_SHARE
@@ -72,7 +95,7 @@ def find_roofs(site: Site) -> Bool:
     return candidates & (share_of_known(site.large, edges, is_wall, known) <= HALF)
 
 
-def find_shelves(site: Site) -> Bool:
+def find_shelves(site: Site, shares: Shares) -> Bool:
     """Find the sheets that are shelves, under whatever ceiling: narrow, and open at their sides.
 
     A shelf lies over a floor, is nowhere deeper than 2.5 m, and more than half of its outline
@@ -83,7 +106,7 @@ def find_shelves(site: Site) -> Bool:
     Returns:
         Which sheets they are, shape (sheets,), bool.
     """
-    sky, over = _shares(site)
+    sky, over = shares
     candidates = (sky < SKY_SHARE) & (over >= HALF)
     standable, lattice = site.large, site.large.lattice
     deep = {"min_area": lattice.cell_size**2, "shrink": SHELF_DEPTH / 2}
@@ -96,23 +119,6 @@ def find_shelves(site: Site) -> Bool:
     kind = find_endings(edges, standable, site.columns, site.agent, site.is_occupied).kind
     known = is_known(edges, kind, site.cropped)
     return candidates & (share_of_known(standable, edges, kind == DROP, known) > HALF)
-
-
-def _shares(site: Site) -> tuple[Float, Float]:
-    """The share of each sheet that is open to the sky, and that lies over another sheet.
-
-    The other one may be furniture: what stands in a hall does not take the floor away below its
-    roof.
-    """
-    standable, columns = site.large, site.columns
-    cells, sheet, size = standable.cell, standable.sheet, np.maximum(standable.sheet_size, 1)
-    last_of_column = columns.start[cells + 1] - 1
-    to_sky = columns.z[last_of_column] - standable.z <= SLACK
-    over_floor = _is_over_sheet(site, np.arange(len(cells)))
-    return (
-        np.bincount(sheet, to_sky, len(size)) / size,
-        np.bincount(sheet, over_floor, len(size)) / size,
-    )
 
 
 def _share_over_walls(site: Site, chosen: Bool) -> Float:

@@ -17,7 +17,7 @@ from navbake.baker.floors.kernels.sheets import (
     join_by_steps,
     mark_surfaces,
 )
-from navbake.baker.floors.kernels.shrink import mark_inner, near_offsets
+from navbake.baker.floors.kernels.shrink import east_rim, mark_inner, near_offsets
 from navbake.baker.kernels.arrays import AgentLimits
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.shapes import Shapes
@@ -66,10 +66,12 @@ class Standable(NamedTuple):
         """The surfaces that are kept, shape (n,)."""
         if kept.all():
             return self
-        start, sheet = np.concatenate([[0], np.cumsum(kept)])[self.start], self.sheet[kept]
+        number, chosen = np.zeros(len(kept) + 1, dtype=np.int64), np.flatnonzero(kept)
+        np.cumsum(kept, out=number[1:])  # of those before each
+        start, sheet = number[self.start], self.sheet[chosen]
         size = np.bincount(sheet, minlength=len(self.sheet_size))
-        arrays = self.z[kept], self.cell[kept], self.surface[kept]
-        slopes = (np.cumsum(kept) - 1)[self.slopes[kept[self.slopes].all(axis=1)]]
+        arrays = self.z[chosen], self.cell[chosen], self.surface[chosen]
+        slopes = number[self.slopes[kept[self.slopes].all(axis=1)]]
         return Standable(self.lattice, start, *arrays, sheet, size, slopes)
 
     def sheets_at(self, cells: Int, heights: Float) -> Int:
@@ -97,10 +99,11 @@ def find_standable(
         may go on at: facing up within the slope, or low bumps.
     """
     lattice, limits = columns.lattice, agent_limits(agent)
-    floor_like, is_standable = (np.zeros(len(columns.z), dtype=np.bool_) for _ in range(2))
-    known = lattice, columns.crossings, shapes.planes, limits
-    run_in_bands(mark_surfaces, len(columns.start) - 1, *known, floor_like, is_standable)
-    start = np.concatenate([[0], np.cumsum(is_standable)])[columns.start]
+    floor_like, is_standable = (np.empty(len(columns.z), dtype=np.bool_) for _ in range(2))
+    start = np.zeros_like(columns.start)
+    known, found = (lattice, columns.crossings, shapes.planes, limits), (floor_like, is_standable)
+    run_in_bands(mark_surfaces, len(columns.start) - 1, *known, *found, start[1:])
+    np.cumsum(start, out=start)
     surface = np.flatnonzero(is_standable)
     z, one_group = columns.z[surface], np.zeros(len(surface), dtype=np.int64)
     sheet, size = join_by_steps(lattice, start, z, one_group, limits.step)
@@ -190,7 +193,8 @@ class AreaTest:
         self.needed = (settings.min_area - SLACK) / lattice.cell_size**2
         self._shape = lattice.width, lattice.height
         limit = (settings.shrink - SLACK) / lattice.cell_size + 0.5
-        self._offsets = near_offsets(limit, min(self._shape))
+        self._disc = near_offsets(limit, min(self._shape))
+        self._rim = east_rim(self._disc)
         self._mask = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
         self._counted = self._mask.copy()
 
@@ -206,5 +210,5 @@ class AreaTest:
     def _mark(self, cells: Int, needed: int) -> tuple[int, Bool]:
         inner = np.zeros(len(cells), dtype=np.bool_)
         masks = self._mask, self._counted
-        found = mark_inner(cells, self._offsets, *self._shape, needed, *masks, inner)
+        found = mark_inner(cells, self._disc, self._rim, *self._shape, needed, *masks, inner)
         return int(found), inner

@@ -92,8 +92,8 @@ def _align(foot: Float, around: float) -> float:
         across = foot[0] * np.cos(angle) - foot[1] * np.sin(angle)
         across = (across - across.min()) / LINE
         for phase in (0.0, 0.5):  # so that no wall falls between two lines
-            count = np.pad(np.bincount((across + phase).astype(np.int64)), 1)
-            sharp = np.square((count[1:] + count[:-1]).astype(np.float64)).sum()
+            count = np.bincount((across + phase).astype(np.int64))
+            sharp = np.square(np.convolve(count, (1, 1)).astype(np.float64)).sum()
             sharpness[k] = max(sharpness[k], sharp)
     is_axis = angles % 90.0 == 0.0
     if (sharpness[is_axis] >= AS_SHARP * sharpness.max()).any():

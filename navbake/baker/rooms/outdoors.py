@@ -164,10 +164,8 @@ def _edge_cells(columns: Columns, steep: Bool, sides: Bool) -> Bool:
     part, _ = ndimage.label(empty)
     outer = np.unique(np.concatenate([part[[0, -1]].ravel(), part[:, [0, -1]].ravel()]))
     beyond = np.isin(part, outer[outer > 0])
-    edge = ndimage.binary_dilation(beyond)[1:-1, 1:-1]
-    edge &= ~beyond[1:-1, 1:-1]
-    result: Bool = edge
-    return result
+    edge: Bool = beyond[:-2, 1:-1] | beyond[2:, 1:-1] | beyond[1:-1, :-2] | beyond[1:-1, 2:]
+    return edge & ~beyond[1:-1, 1:-1]
 
 
 def find_holes(level: LevelFloor, columns: Columns, agent: AgentSettings) -> Bool:

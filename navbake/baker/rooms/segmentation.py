@@ -7,7 +7,6 @@ segments to rooms that are marked.
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -139,8 +138,7 @@ def segment_by_gaps(
     if not open_cells.any():
         return Segments(rooms, [])
     # with the walls round it: their directions count, the edge of the grid is none
-    around = ndimage.binary_dilation(open_cells)
-    window = bounding_window(around)
+    window = _grow_window(bounding_window(open_cells), open_cells.shape)
     open_cells = np.ascontiguousarray(open_cells[window])
     seen = np.zeros_like(open_cells) if holes is None else holes[window]
     label, close = part_at_gaps(open_cells, seen, cell_size)
@@ -152,6 +150,15 @@ def segment_by_gaps(
         rooms,
         [c._replace(cell=(c.cell[0] + first_row, c.cell[1] + first_col)) for c in close],
     )
+
+
+def _grow_window(window: Window, shape: tuple[int, ...]) -> Window:
+    """A window with the cells of an array that are next to it."""
+    rows, cols = (
+        slice(max(part.start - 1, 0), min(part.stop + 1, length))
+        for part, length in zip(window, shape, strict=True)
+    )
+    return rows, cols
 
 
 def _join_stairs_and_small(

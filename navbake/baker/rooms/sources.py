@@ -1,8 +1,9 @@
 """Rooms marked by floor geoms, by sites and by polygons."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
+from fnmatch import translate
 from typing import Any
 
 import numpy as np
@@ -186,7 +187,8 @@ def _match(
     chosen: set[int] = set()
     warnings = []
     for pattern in patterns:
-        found = [k for k, name in enumerate(names) if name and fnmatchcase(name, pattern)]
+        matches = re.compile(translate(pattern)).match
+        found = [k for k, name in enumerate(names) if name and matches(name)]
         chosen.update(found)
         if not found and pattern not in defaults:
             warnings.append(warn_unmatched(f"rooms.{setting}", pattern, names))

@@ -5,12 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 
 from box_worlds import FLOOR, body, box, stages_of_xml, world
+from navbake.baker.contents.cell_names import BLOCKERS, NAMED, OBJECTS, WALLS, name_cells
 from navbake.baker.contents.walls import OBJECT, WALL
 from navbake.baker.pipeline import run_bake
 from navbake.baker.stages import Stages
 from navbake.config.settings import parse_config
+from navbake.navgrid.lattice import Lattice
 
 SMALL = {"min_area": 0.1, "shrink": 0.1}
 
@@ -210,3 +213,32 @@ def test_names_can_be_switched_off(tmp_path):
     for names, expected in ((True, 100), (False, 0), ({"enabled": False}, 0)):
         grid = run_bake(parse_config({"scene": {"path": path}, "names": names})).grid
         assert len(grid.levels[0].user_data) == expected
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_entries_are_those_of_one_cell_after_another(seed):
+    rng = np.random.default_rng(seed)
+    names = rng.permutation([f"thing {k}" for k in range(12)]).tolist()
+    names[7] = names[3]
+    count = int(rng.integers(0, 60))
+    cell = np.sort(rng.integers(0, 20, count))
+    geom, bits = rng.integers(0, 12, count), rng.integers(0, 8, count)
+    lattice = Lattice(x_min=0.0, y_max=4.0, cell_size=1.0, width=5, height=4)
+    cells, number, entries = name_cells(
+        cell, geom, bits, names, lattice, (slice(0, 4), slice(0, 5))
+    )
+    expected = {}
+    for at in range(20):
+        here: dict[str, int] = {}
+        for k in np.flatnonzero((cell == at) & (bits > 0)).tolist():
+            here[names[geom[k]]] = here.get(names[geom[k]], 0) | int(bits[k])
+        listed = {
+            key: sorted(name for name, b in here.items() if b & bit)
+            for key, bit in (("objects", OBJECTS), ("walls", WALLS), ("blockers", BLOCKERS))
+        }
+        if listed["blockers"] == sorted(name for name, b in here.items() if b & NAMED):
+            listed["blockers"] = []
+        if here:
+            expected[at] = [(key, found) for key, found in listed.items() if found]
+    found = [list(entries[k].items()) for k in number.tolist()]
+    assert dict(zip(cells.tolist(), found, strict=True)) == expected

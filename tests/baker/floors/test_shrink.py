@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from navbake.baker.floors.kernels.shrink import mark_inner, near_offsets
+from navbake.baker.floors.kernels.shrink import east_rim, mark_inner, near_offsets
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -20,13 +20,14 @@ def test_counts_what_a_distance_transform_leaves(seed, limit):
     cells = np.flatnonzero(mask)
     cells = np.concatenate([cells, cells[::3]])  # some of them twice
     work, counted = (np.zeros(mask.size, dtype=bool) for _ in range(2))
-    offsets, inner = near_offsets(limit, int(min(height, width))), np.zeros(len(cells), dtype=bool)
-    found = mark_inner(cells, offsets, width, height, mask.size + 1, work, counted, inner)
+    disc, inner = near_offsets(limit, int(min(height, width))), np.zeros(len(cells), dtype=bool)
+    known = cells, disc, east_rim(disc), width, height
+    found = mark_inner(*known, mask.size + 1, work, counted, inner)
     assert found == expected
     np.testing.assert_array_equal(inner, (distance >= limit).ravel()[cells])
     assert not work.any() and not counted.any()
     half, again = (expected + 1) // 2, np.zeros_like(inner)
-    assert mark_inner(cells, offsets, width, height, half, work, counted, again) == half
+    assert mark_inner(*known, half, work, counted, again) == half
 
 
 def test_asks_far_neighbours_first():
@@ -41,7 +42,7 @@ def test_a_limit_beyond_the_lattice_needs_few_steps():
     for limit in (3.9, 4.0, 4.1, 1e7):
         offsets = near_offsets(limit, 7)
         assert len(offsets) < 100
-        found = mark_inner(
-            np.flatnonzero(mask), offsets, 12, 7, 99, np.zeros_like(mask), np.zeros_like(mask)
-        )
+        work, counted, inner = (np.zeros_like(mask) for _ in range(3))
+        known = np.flatnonzero(mask), offsets, east_rim(offsets), 12, 7
+        found = mark_inner(*known, 99, work, counted, inner)
         assert found == (6 if limit <= 4.0 else 0)  # the middle of the middle row

@@ -28,24 +28,20 @@ def list_edges(standable, chosen):
 
     Returns the surface and the way of each edge, int64: east (0), south (1), west (2), north (3).
     """
-    surface, way_out = np.empty(0, np.int64), np.empty(0, np.int64)
-    for writing in (False, True):
-        count = 0
-        for node in range(standable.z.shape[0]):
-            sheet = standable.sheet[node]
-            if not chosen[sheet]:
-                continue
-            for way in range(4):
-                other = neighbour(standable.lattice, standable.cell[node], way)
-                if other >= 0 and _holds_sheet(standable, other, sheet):
-                    continue
-                if writing:
-                    surface[count] = node
-                    way_out[count] = way
+    num = standable.z.shape[0]
+    # pages of memory that nothing is written into cost nothing
+    surface, way_out = np.empty(4 * num, np.int64), np.empty(4 * num, np.int64)
+    count = 0
+    for node in range(num):
+        sheet = standable.sheet[node]
+        if not chosen[sheet]:
+            continue
+        for way in range(4):
+            other = neighbour(standable.lattice, standable.cell[node], way)
+            if other < 0 or not _holds_sheet(standable, other, sheet):
+                surface[count], way_out[count] = node, way
                 count += 1
-        if not writing:
-            surface, way_out = np.empty(count, np.int64), np.empty(count, np.int64)
-    return surface, way_out
+    return surface[:count].copy(), way_out[:count].copy()
 
 
 @njit(cache=True)

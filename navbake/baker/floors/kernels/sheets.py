@@ -55,18 +55,21 @@ def look_up(crossings, i, last):
 
 
 @njit(cache=True, nogil=True)
-def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable, first_cell, end):
+def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable, count, cell0, end):
     """Tell which crossings are floor-like and which are standable, into two (n,) bool arrays.
+
+    `count`, (cells,) int64, receives how many of a cell are standable.
 
     Floor-like: faces up within the slope, or faces up more steeply at most a step above one that
     does: a bump too low to be an obstacle. Standable: faces up within the slope, lies inside of
     no solid, and the next surface above is at least the headroom higher. Of several surfaces at
-    one height the lowest counts. Looks at the cells ``range(first_cell, end)``.
+    one height the lowest counts. Looks at the cells ``range(cell0, end)``.
     """
-    for cell in range(first_cell, end):
+    for cell in range(cell0, end):
         x, y = cell_center(lattice, cell)
         first, last = crossings.start[cell], crossings.start[cell + 1]
         previous, gentle = -math.inf, -math.inf
+        count[cell] = 0
         for i in range(first, last):
             z, up = crossings.z[i], crossings.normal[i, 2]
             standable[i] = False
@@ -81,6 +84,7 @@ def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable, fir
             inside = surfaces + others + count_planes_over(planes, x, y, z)
             if inside <= 0 and above - z >= limits.headroom - SLACK:
                 standable[i] = True
+                count[cell] += 1
                 previous = z
 
 
@@ -107,6 +111,8 @@ def join_by_steps(lattice, start, z, group, step):
     """
     parent = np.arange(z.shape[0])
     for cell in range(start.shape[0] - 1):
+        if start[cell] == start[cell + 1]:
+            continue
         for way in range(2):
             other = neighbour(lattice, cell, way)
             if other < 0:
@@ -204,6 +210,8 @@ def find_links(lattice, start, z, level, step):
     for writing in (False, True):
         count = 0
         for cell in range(start.shape[0] - 1):
+            if start[cell] == start[cell + 1]:
+                continue
             for way in range(2):
                 other = neighbour(lattice, cell, way)
                 if other < 0:
@@ -219,71 +227,108 @@ def find_links(lattice, start, z, level, step):
                             pairs[count, 0] = b if swap else a
                             pairs[count, 1] = a if swap else b
                         count += 1
+        if count == 0:
+            break
         if not writing:
             pairs = np.empty((count, 2), np.int64)
     return pairs
 
 
+@njit(cache=True, nogil=True)
+def count_options(crossings, candidate, floor, lowest, highest, count, cell0, end):
+    """Count the heights at which a level's floor may go on in each cell, into (cells,) int64.
+
+    Those are the candidate crossings, (n,) bool, of cells without a floor (NaN), between the cell's
+    lowest and highest height [m]. Looks at the cells ``range(cell0, end)``.
+    """
+    for cell in range(cell0, end):
+        count[cell] = 0
+        if math.isnan(floor[cell]):
+            for i in range(crossings.start[cell], crossings.start[cell + 1]):
+                if candidate[i] and lowest[cell] <= crossings.z[i] <= highest[cell]:
+                    count[cell] += 1
+
+
+@njit(cache=True, nogil=True)
+def list_options(crossings, candidate, lowest, highest, start, height, cell0, end):
+    """Write the heights that `count_options` counts, (options,) float64 [m].
+
+    Cell i's, in the order of its crossings, are ``height[start[i] : start[i + 1]]``.
+    """
+    for cell in range(cell0, end):
+        place = start[cell]
+        if place == start[cell + 1]:
+            continue
+        for i in range(crossings.start[cell], crossings.start[cell + 1]):
+            if candidate[i] and lowest[cell] <= crossings.z[i] <= highest[cell]:
+                height[place] = crossings.z[i]
+                place += 1
+
+
 @njit(cache=True)
-def grow_floor(lattice, crossings, candidate, floor, lowest, highest, step):
+def grow_floor(lattice, start, height, floor, step):
     """Let a level's floor go on under things, ring by ring, in place.
 
-    A cell without a floor (NaN) takes the candidate crossing that is nearest to the floor of a
-    neighbour (the lower one if two are equally near), when they differ by at most a step and it is
-    between the cell's lowest and highest height, which are infinite where there is no level beside.
-    All cells of a ring are decided before any is written, so their order decides nothing.
+    A cell without a floor (NaN) takes that of its heights that is nearest to the floor of a
+    neighbour (the lower one if two are equally near), when they differ by at most a step. All
+    cells of a ring are decided before any is written, so their order decides nothing. The
+    heights are listed by cell, see `list_options`; they are few, so that rings, which visit cells
+    all over the lattice, read little memory.
     """
     num = floor.shape[0]
     queue, queued = np.empty(num, np.int64), np.zeros(num, np.bool_)
-    value = np.empty(num, np.float64)
-    end = np.int64(0)
+    following, value = np.empty(num, np.int64), np.empty(num, np.float64)
+    beside = np.empty(4, np.float64)
+    end = 0
     for cell in range(num):
-        if not math.isnan(floor[cell]):
-            end = _queue_around(lattice, cell, floor, queue, queued, end)
+        if start[cell] < start[cell + 1] and _list_beside(lattice, cell, floor, beside) > 0:
+            queued[cell] = True
+            queue[end] = cell
+            end += 1
     while end > 0:
         for q in range(end):
-            value[q] = _nearest_candidate(
-                lattice, queue[q], crossings, candidate, floor, lowest, highest, step
-            )
+            cell = queue[q]
+            known = _list_beside(lattice, cell, floor, beside)
+            heights = height[start[cell] : start[cell + 1]]
+            value[q] = _nearest_height(heights, beside[:known], step)
         for q in range(end):
             queued[queue[q]] = False
             floor[queue[q]] = value[q]
-        following, num_following = np.empty(4 * end, np.int64), np.int64(0)
+        count = 0
         for q in range(end):
-            if not math.isnan(value[q]):
-                num_following = _queue_around(
-                    lattice, queue[q], floor, following, queued, num_following
-                )
-        end = num_following
-        for q in range(end):  # to assign a slice takes numba a second to compile
-            queue[q] = following[q]
-
-
-@njit(cache=True)
-def _queue_around(lattice, cell, floor, queue, queued, end):
-    """Queue the neighbours of a cell that have no floor; returns the queue's new end."""
-    for way in range(4):
-        other = neighbour(lattice, cell, way)
-        if other >= 0 and math.isnan(floor[other]) and not queued[other]:
-            queued[other] = True
-            queue[end] = other
-            end += 1
-    return end
+            if math.isnan(value[q]):
+                continue
+            for way in range(4):
+                other = neighbour(lattice, queue[q], way)
+                if other < 0 or queued[other] or start[other] == start[other + 1]:
+                    continue
+                if math.isnan(floor[other]):
+                    queued[other] = True
+                    following[count] = other
+                    count += 1
+        end = count
+        queue, following = following, queue
 
 
 @njit(inline="always")
-def _nearest_candidate(lattice, cell, crossings, candidate, floor, lowest, highest, step):
-    """The height at which a floor goes on in a cell, or NaN."""
-    best, best_gap = math.nan, step + SLACK
+def _list_beside(lattice, cell, floor, beside):
+    """Write the floors of a cell's neighbours that have one; returns how many they are."""
+    count = 0
     for way in range(4):
         other = neighbour(lattice, cell, way)
-        if other < 0 or math.isnan(floor[other]):
-            continue
-        for i in range(crossings.start[cell], crossings.start[cell + 1]):
-            z = crossings.z[i]
-            if not candidate[i] or z < lowest[cell] or z > highest[cell]:
-                continue
-            gap = abs(z - floor[other])
+        if other >= 0 and not math.isnan(floor[other]):
+            beside[count] = floor[other]
+            count += 1
+    return count
+
+
+@njit(inline="always")
+def _nearest_height(heights, beside, step):
+    """The height at which a floor goes on in a cell, or NaN."""
+    best, best_gap = math.nan, step + SLACK
+    for floor in beside:
+        for z in heights:
+            gap = abs(z - floor)
             # gaps within SAME are equally near; then the lower height counts
             if gap < best_gap - SAME or (gap <= best_gap + SAME and z < best):
                 best, best_gap = z, min(gap, best_gap)

@@ -26,14 +26,25 @@ def near_offsets(limit: float, shorter: int) -> np.ndarray:
     return np.stack([rows.ravel()[chosen], cols.ravel()[chosen]], axis=1).astype(np.int64)
 
 
+def east_rim(offsets: np.ndarray) -> np.ndarray:
+    """The offsets that are none of the offsets one cell further west, nor the cell there itself.
+
+    East of a cell all of whose neighbours belong to a set, only these are not known yet.
+    """
+    known = {(0, 0), *map(tuple, offsets.tolist())}
+    rim = [(row, col) for row, col in offsets.tolist() if (row, col + 1) not in known]
+    return np.array(rim, dtype=np.int64).reshape(-1, 2)
+
+
 @njit(cache=True)
-def mark_inner(cells, offsets, width, height, needed, mask, counted, inner):
+def mark_inner(cells, offsets, rim, width, height, needed, mask, counted, inner):
     """Mark the cells of a set whose neighbours at all offsets belong to it, until enough are found.
 
-    Far neighbours are asked first, because near the edge of a set one of them is missing soon.
-    `mask` and `counted`, by cell, are all False, and so again afterwards. `inner`, (n,) bool, all
-    False, receives the marks. Returns how many cells were found; one that is named twice counts
-    once.
+    Far neighbours are asked first, because near the edge of a set one of them is missing soon. Of
+    a cell that follows one that is marked, only the neighbours at the rim are asked, see
+    `east_rim`. `mask` and `counted`, by cell, are all False, and so again afterwards. `inner`,
+    (n,) bool, all False, receives the marks. Returns how many cells were found; one that is named
+    twice counts once.
     """
     for cell in cells:
         mask[cell] = True
@@ -43,8 +54,10 @@ def mark_inner(cells, offsets, width, height, needed, mask, counted, inner):
             break
         row, col = cells[n] // width, cells[n] % width
         inner[n] = True
-        for k in range(offsets.shape[0]):
-            r, c = row + offsets[k, 0], col + offsets[k, 1]
+        follows = n > 0 and inner[n - 1] and cells[n - 1] == cells[n] - 1 and col > 0
+        asked = rim if follows else offsets
+        for k in range(asked.shape[0]):
+            r, c = row + asked[k, 0], col + asked[k, 1]
             if r < 0 or r >= height or c < 0 or c >= width or not mask[r * width + c]:
                 inner[n] = False
                 break

@@ -96,7 +96,7 @@ def flood(label, fillable, height, highest):
     """
     rows, cols = label.shape
     labels, heights = label.ravel(), height.ravel()
-    source = np.arange(rows * cols).astype(np.int32)  # the cell of the seed that each one is from
+    source = np.arange(rows * cols, dtype=np.int32)  # the cell of the seed that each one is from
     buckets = Buckets(
         np.full(highest + 1, -1, dtype=np.int32),
         np.full(rows * cols, -1, dtype=np.int32),
@@ -105,10 +105,9 @@ def flood(label, fillable, height, highest):
     near = np.empty(4, dtype=np.int32)
     wave = np.empty(rows * cols, dtype=np.int32)
     origin = np.empty(rows * cols, dtype=np.int32)
-    none = np.int64(0)
     for cell in range(rows * cols):
-        if labels[cell] > 0:
-            _queue_around(cell, rows, cols, heights, highest + 1, buckets, wave, none, near)
+        if buckets.waiting[cell] and _has_label_beside(cell, rows, cols, labels, near):
+            _queue(cell, heights, buckets)
     for level in range(highest, -1, -1):
         begin, end = 0, _take_bucket(buckets, level, wave)
         while begin < end:
@@ -127,6 +126,23 @@ def flood(label, fillable, height, highest):
                     filled, rows, cols, heights, level, buckets, wave, count, near
                 )
             begin, end = end, count
+
+
+@njit(inline="always")
+def _has_label_beside(cell, rows, cols, labels, near):
+    """Whether a cell that shares an edge with a cell has a label."""
+    for other in near[: _neighbours(cell, rows, cols, near)]:  # noqa: SIM110 (no `any` in numba)
+        if labels[other] > 0:
+            return True
+    return False
+
+
+@njit(inline="always")
+def _queue(cell, heights, buckets):
+    """Let a cell wait in the bucket of its height."""
+    buckets.waiting[cell] = False
+    buckets.after[cell] = buckets.head[heights[cell]]
+    buckets.head[heights[cell]] = cell
 
 
 @njit(inline="always")
@@ -151,13 +167,12 @@ def _queue_around(cell, rows, cols, heights, level, buckets, wave, count, near):
         other = near[i]
         if not buckets.waiting[other]:
             continue
-        buckets.waiting[other] = False
         if heights[other] >= level:  # a basin that lies higher fills at once: no way out but here
+            buckets.waiting[other] = False
             wave[count] = other
             count += 1
         else:
-            buckets.after[other] = buckets.head[heights[other]]
-            buckets.head[heights[other]] = other
+            _queue(other, heights, buckets)
     return count
 
 
