@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -13,6 +14,10 @@ from typing import Any
 
 INTERRUPTED = 130
 """The exit status after Ctrl-C, as shells have it: 128 and the signal's number."""
+
+# How many objects are made, net, before Python looks for garbage. Imports and loaded kernels make
+# some 100 thousand, all of which stay: by default it looks through them again and again.
+BETWEEN_COLLECTIONS = 50_000
 
 _pressed = 0  # how many times
 
@@ -25,6 +30,7 @@ def main() -> None:
     whatever ends a process after Ctrl-C is taken for its effect, and what was dropped is raised
     again. Another Ctrl-C ends the process at once.
     """
+    gc.set_threshold(BETWEEN_COLLECTIONS, *gc.get_threshold()[1:])
     # where Ctrl-C is ignored, as in the background of a script, it stays ignored
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt)

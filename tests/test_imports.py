@@ -245,8 +245,8 @@ LIGHT_COMMANDS = {
     "info house.grid.json": ("numba", "scipy", "mujoco", "trimesh", "matplotlib", "PIL"),
     "rooms house.grid.json": ("numba", "scipy", "mujoco", "trimesh", "matplotlib", "PIL"),
     "why house.grid.json --at 0,0": ("numba", "scipy", "mujoco", "trimesh", "matplotlib", "PIL"),
-    "bake house.xml -o again.grid.json": ("trimesh", "scipy.spatial", "matplotlib", "PIL", "glfw"),
-    "geoms house.xml": ("trimesh", "scipy.spatial", "matplotlib", "PIL", "glfw"),
+    "bake house.xml -o again.grid.json": ("trimesh", "scipy", "matplotlib", "PIL", "glfw"),
+    "geoms house.xml": ("trimesh", "scipy", "matplotlib", "PIL", "glfw"),
     "bake cup.xml -o again.grid.json": ("trimesh", "matplotlib", "PIL", "glfw"),
 }
 

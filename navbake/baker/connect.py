@@ -5,7 +5,7 @@ scipy has such functions, but takes longer to load than the apartment to bake.
 
 import numpy as np
 
-from navbake.baker.kernels.connect import number_parts
+from navbake.navgrid.kernels.connect import number_parts
 from navbake.types import Bool, Int, Int32
 
 

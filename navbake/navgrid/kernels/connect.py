@@ -1,4 +1,4 @@
-"""Connected parts of a graph, by union-find, see `navbake.navgrid.kernels.union_find`."""
+"""Connected parts of a graph, by union-find."""
 
 import numpy as np
 from numba import njit
