@@ -24,6 +24,7 @@ from navbake.navgrid.operations import OPERATIONS, resolve
 if TYPE_CHECKING:
     from navbake import samples
     from navbake.arena.explored import ExploredMap
+    from navbake.auditor.audit import audit
     from navbake.baker.pipeline import bake
     from navbake.baker.voxelize.voxelizer import Voxelizer, create_voxel_grid
     from navbake.config.settings import BakeConfig
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from navbake.formats.voxels import read_voxels as load_voxels
     from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
     from navbake.runtime.path_finder import PathFinder
+    from navbake.verifier.verify import verify
     from navbake.voxels.grid import VoxelGrid
 
 __all__ = [
@@ -49,15 +51,18 @@ __all__ = [
     "VoxelGrid",
     "Voxelizer",
     "__version__",
+    "audit",
     "bake",
     "create_voxel_grid",
     "load",
     "load_voxels",
     "samples",
+    "verify",
 ]
 
 # where each public name is that loads dependencies
 _LAZY = {
+    "audit": "navbake.auditor.audit:audit",
     "bake": "navbake.baker.pipeline:bake",
     "BakeConfig": "navbake.config.settings:BakeConfig",
     "ExploredMap": "navbake.arena.explored:ExploredMap",
@@ -69,6 +74,7 @@ _LAZY = {
     "create_voxel_grid": "navbake.baker.voxelize.voxelizer:create_voxel_grid",
     "load": "navbake.formats.navgrid:read_navgrid",
     "load_voxels": "navbake.formats.voxels:read_voxels",
+    "verify": "navbake.verifier.verify:verify",
 }
 
 # where the functions behind methods of grids and voxels are

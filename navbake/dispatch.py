@@ -45,7 +45,7 @@ from navbake.digests import digest_folder, read_stamp
 from navbake.errors import NavbakeError
 from navbake.folder_lock import folder_lock
 from navbake.kernel_list import PREFIX, read_list
-from navbake.loading import rebuild
+from navbake.loading import rebuild, skip_probe
 
 LOGGER = logging.getLogger("navbake.compiled")  # bakes log their own warnings to its parent
 REMEDY = "set NUMBA_CACHE_DIR to a folder that can be written"
@@ -205,6 +205,7 @@ class KernelCache(caching.FunctionCache):
         return str(self._impl.filename_base)
 
     def _try_load(self, sig: Any, target_context: Any) -> Any:
+        skip_probe()
         try:
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(sig, target_context)  # see `navbake.loading`

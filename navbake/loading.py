@@ -15,12 +15,15 @@ to 0.68.
 
 from __future__ import annotations
 
+import importlib
+from functools import cache
 from typing import Any
 
 from llvmlite import binding
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult
 from numba.core.runtime import rtsys
+from numba.np import linalg
 
 
 class LoadedLibrary(JITCodeLibrary):
@@ -48,6 +51,21 @@ class LoadedLibrary(JITCodeLibrary):
             self._shared_module = binding.parse_bitcode(self._bitcode)
             self._codegen._engine._load_defined_symbols(self._shared_module)
         return self._shared_module
+
+
+@cache
+def skip_probe() -> None:
+    """Import numba's functions of arrays without scipy's linear algebra.
+
+    Kernels name the module that a function of numpy's comes from. It imports BLAS only to know
+    whether it is there. Whoever compiles a function that calls BLAS still loads it.
+    """
+    probe = linalg.ensure_blas
+    linalg.ensure_blas = lambda: None  # scipy is there: navbake depends on it
+    try:
+        importlib.import_module("numba.np.arraymath")
+    finally:
+        linalg.ensure_blas = probe
 
 
 def rebuild(target_context: Any, payload: tuple[Any, ...]) -> Any:

@@ -24,8 +24,8 @@ ONLY = {
 KERNELS_ONLY = ("numpy", "numba", "llvmlite", "navbake.compiled", "navbake.types")
 # library -> the modules that may import it
 DOORS = {
-    "mujoco": ("baker.scene",),
-    "fcl": ("baker.occupancy",),
+    "mujoco": ("baker.scene", "verifier"),
+    "fcl": ("baker.occupancy", "verifier"),
     "trimesh": ("baker.scene",),
     "matplotlib": ("views.plot",),
     "typer": ("cli",),
@@ -33,7 +33,14 @@ DOORS = {
 }
 # what may import the baker; a bake starts at `navbake.bake`, which is looked up when it is called
 BAKER_USERS = ("baker", "cli")
+# a verification loads the scene as the bake does, and shares nothing else with it: from these it
+# takes the compiled model, its pose, its names, and which geoms count as what
+VERIFIER_SHARES = ("navbake.baker.scene.scene", "navbake.baker.scene.names")
+VERIFIER_SHARES += ("navbake.baker.scene.chatter",)
+# what the scene has besides, made by code that is checked
+VERIFIER_LEAVES = ("shapes", "bounds")
 LIGHT = ("navgrid", "formats", "runtime", "voxels", "arena", "views", "files", "errors", "types")
+LIGHT += ("auditor",)
 NEVER_AT_RUN_TIME = ("mujoco", "fcl", "trimesh", "navbake.baker")
 
 
@@ -130,9 +137,26 @@ def test_a_planted_circle_is_found(tmp_path):
 @pytest.mark.parametrize("name", MODULES)
 def test_only_the_baker_and_the_command_line_import_the_baker(name):
     for found in imports(MODULES[name]):
-        assert not belongs(found, ("navbake.baker",)) or belongs(name, BAKER_USERS), (
+        users = (*BAKER_USERS, "verifier") if belongs(found, VERIFIER_SHARES) else BAKER_USERS
+        assert not belongs(found, ("navbake.baker",)) or belongs(name, users), (
             f"{name} imports {found}"
         )
+
+
+@pytest.mark.parametrize("name", [n for n in MODULES if belongs(n, ("verifier", "auditor"))])
+def test_checks_share_no_code_with_what_they_check(name):
+    """No kernels, no Shapes of the scene; the run time is there to be swept along its paths."""
+    for found in imports(MODULES[name]):
+        assert ".kernels" not in found, f"{name} imports {found}"
+        assert not belongs(found, ("numba", "navbake.navgrid.islands")), f"{name} imports {found}"
+        is_run_time = belongs(found, ("navbake.runtime",))
+        assert not is_run_time or name == "verifier.sweeps", f"{name} imports {found}"
+        assert not belongs(found, ("navbake.baker",)) or belongs(found, VERIFIER_SHARES)
+    for node in ast.walk(ast.parse(MODULES[name].read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Attribute) and node.attr in VERIFIER_LEAVES:
+            value = node.value
+            of_scene = getattr(value, "id", "") == "scene" or getattr(value, "attr", "") == "_scene"
+            assert not of_scene, f"{name} takes {node.attr} of the scene"
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -12,7 +12,7 @@ from navbake.baker.lattice import Window, cut_cells
 from navbake.baker.scene.model import mujoco_version
 from navbake.baker.stages import Stages
 from navbake.baker.warn import collect_warnings
-from navbake.config.settings import settings_digest
+from navbake.config.settings import settings_digest, settings_to_state
 from navbake.navgrid.door_states import with_door_names
 from navbake.navgrid.doors import Door, Runs, to_runs
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
@@ -92,6 +92,7 @@ def _metadata(stages: Stages, windows: list[Window], doors: Sequence[Door]) -> J
             "mujoco": mujoco_version(),
             "sceneDigest": stages.scene.digest,
             "settingsDigest": settings_digest(config),
+            "settings": settings_to_state(config),
             "worldFrame": {
                 "up": "z",
                 "unit": "m",

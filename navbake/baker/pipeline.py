@@ -11,11 +11,12 @@ from navbake.baker.assemble import build_grid
 from navbake.baker.clock import Progress, StageClock
 from navbake.baker.scene.guard.isolated import CompileLimits
 from navbake.baker.scene.scene import GeomReport
-from navbake.baker.stages import settle_doors, take_first_look
+from navbake.baker.stages import Stages, settle_doors, take_first_look
 from navbake.config.settings import BakeConfig, as_config
 from navbake.errors import BakeWarning
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.threads import limit_threads
+from navbake.types import Json
 
 LOG = logging.getLogger("navbake")
 # without it, Python prints warnings of loggers that nobody has set up
@@ -123,6 +124,9 @@ def run_bake(
         stages.free_geometry()
         with clock.stage("grid"):
             grid = build_grid(stages)
+        if config.verify.sample is not None:
+            with clock.stage("verify"):
+                grid = _verified(grid, stages, config.verify.sample)
     grid.timings = clock.to_json()
     for warning in grid.warnings:
         LOG.warning("%s: %s", stages.scene.id, warning)
@@ -134,3 +138,28 @@ def run_bake(
         by_ray=stages.occupancy.by_ray,
         by_fcl=stages.occupancy.by_fcl,
     )
+
+
+def _verified(
+    grid: SceneGrid2D | MultiLevelGrid, stages: Stages, sample: int
+) -> SceneGrid2D | MultiLevelGrid:
+    """The grid with what a verification by MuJoCo and FCL found, and a warning if it disagrees."""
+    # a bake that doesn't verify starts without FCL's and MuJoCo's shapes of the scene
+    from navbake.verifier.verify import Options, floors_to_expect, verify_scene
+
+    floors = floors_to_expect(stages.config)
+    report = verify_scene(grid, stages.scene, Options(sample=sample), floors)
+    found = len(report.findings)
+    verified = {
+        "sample": sample,
+        "cells": report.checked,
+        "disagreements": found,
+        "digest": report.digest,
+    }
+    own: Json = {**grid.navbake, "verified": verified}
+    if found:
+        text = f"verify: MuJoCo and FCL disagree with the grid at {found} places of {sample} cells"
+        own["warnings"] = [*grid.warnings, f"{text}; navbake verify lists them"]
+    metadata = {**grid.metadata, "navbake": own}
+    checked: SceneGrid2D | MultiLevelGrid = grid.with_levels(grid.levels, metadata)
+    return checked

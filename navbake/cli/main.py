@@ -15,6 +15,7 @@ from typer import Exit, Option, Typer
 
 from navbake._version import __version__
 from navbake.cli.bake import bake
+from navbake.cli.checks import audit, verify
 from navbake.cli.grids import info, plot, rooms, why
 from navbake.cli.inflate import inflate
 from navbake.cli.map_descriptor import mdf
@@ -42,6 +43,7 @@ app = Typer(
 COMMANDS = (
     *(samples, init, geoms, bake),
     *(info, rooms, why, plot, inflate, path, voxelize, mdf, warm_up),
+    *(verify, audit),
 )
 for command in COMMANDS:
     app.command()(prepared(command))

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from navbake.navgrid.doors import Door
     from navbake.navgrid.rooms import Room
     from navbake.types import Json
+    from navbake.verifier.report import VerifyReport
 
 LOG = logging.getLogger("navbake")
 PIPE_WIDTH = 10_000  # columns where stdout is no terminal, so that nothing is cut or wrapped
@@ -35,6 +36,20 @@ LEVEL_COLUMNS = {
     "largest m2": "{largest_island_area:.2f}",
 }
 """Headings, and how the cells under them are made from what is known of a level."""
+VERIFY_COLUMNS = {
+    "level": "name",
+    "cells": "cells",
+    "free, free": "free_free",
+    "blocked, blocked": "blocked_blocked",
+    "free, touches": "free_touches",
+    "blocked, apart": "blocked_apart",
+    "disputed": "disputed",
+    "floors": "floors",
+    "in cracks": "in_cracks",
+    "floors off": "floors_off",
+    "places lost": "lost",
+}
+"""Headings, and which of a level's counts stand under them: the grid first, then the scene."""
 
 
 @dataclass
@@ -232,3 +247,12 @@ def cell_table(facts: Json) -> Table:
             *((key, ", ".join(facts[key]) or "-") for key in ("doors", "objects", "walls")),
         ],
     )
+
+
+def verify_table(report: VerifyReport) -> Table:
+    """A row for each level: how often grid and scene agree, and how often not."""
+    rows = [
+        [getattr(level, key) for key in VERIFY_COLUMNS.values()]
+        for level in ([*report.levels, report.total] if report.levels[1:] else report.levels)
+    ]
+    return make_table(tuple(VERIFY_COLUMNS), rows, numbers=VERIFY_COLUMNS.keys() - {"level"})

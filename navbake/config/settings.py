@@ -43,6 +43,7 @@ from navbake.config.rooms import RoomPolygon, RoomSettings, expand_rooms
 from navbake.config.scene import ExcludeSettings, SceneSettings
 from navbake.config.yaml_text import apply_overrides, read_yaml
 from navbake.errors import ConfigError
+from navbake.types import Json
 
 YAML_SUFFIXES = (".yaml", ".yml")
 
@@ -158,6 +159,14 @@ class DoorSettings(Settings):
     )
 
 
+class VerifySettings(Settings):
+    """Whether the bake compares its grid with the scene by MuJoCo and FCL."""
+
+    sample: Annotated[int | None, Field(ge=1), expects("a whole number >= 1, or null")] = setting(
+        None, "how many cells to look at after the bake, or null for none"
+    )
+
+
 def _check_ascending(levels: list[LevelSettings]) -> list[LevelSettings]:
     names: set[str] = set()
     for index, level in enumerate(levels):
@@ -215,6 +224,9 @@ class BakeConfig(Settings):
         AfterValidator(check_distinct),
         expects("a list of some of island, clearance, each once"),
     ] = setting([], "further layers to write: island, clearance")
+    verify: Section[VerifySettings] = section(
+        VerifySettings, "comparing the grid with the scene by MuJoCo and FCL"
+    )
     output: FilePath | None = setting(
         None, "file to write, relative to the current folder", "<id>.grid.json"
     )
@@ -280,10 +292,30 @@ def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> B
 
 def settings_digest(config: BakeConfig) -> str:
     """Hash the settings that change cells: sha256 of their canonical JSON, 64 hex digits."""
-    left_out: dict[str, Any] = {"output": True, "scene": {"path"}, "grid": {"max_cells"}}
+    left_out: dict[str, Any] = {
+        "output": True,
+        "verify": True,
+        "scene": {"path"},
+        "grid": {"max_cells"},
+    }
     settings = config.model_dump(mode="json", exclude=left_out)
     canonical = json.dumps(settings, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def settings_to_state(config: BakeConfig) -> Json:
+    """The settings that a grid states: of scene, agent, cells and floors, where not the defaults.
+
+    The scene's file is stated without its folder, so that grids don't depend on where it is.
+    Doors stand as the grid itself says.
+    """
+    sections = {"scene", "agent", "grid", "levels", "floors"}
+    stated: Json = config.model_dump(
+        mode="json", include=sections, by_alias=True, exclude_defaults=True
+    )
+    scene = dict(stated.get("scene", {}))
+    stated["scene"] = {**scene, "path": Path(config.scene.path).name}
+    return {key: value for key, value in stated.items() if value != {}}
 
 
 SECTIONS: dict[str, type[BaseModel]] = {
@@ -298,5 +330,6 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "rooms": RoomSettings,
     "rooms.polygons": RoomPolygon,
     "names": NameSettings,
+    "verify": VerifySettings,
 }
 """The model of each section, by its dotted key."""

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 FREE, OCCUPIED, NO_FLOOR, DOOR = "#f7f3e8", "#3b4252", "#b9c0cc", "#c0392b"
 DARKER = "#8f8f8f"  # stands in the legend for all rooms' darker colours
 ROUTE = "#d6336c"
+MARKS = ("#d6336c", "#1c7ed6", "#e8590c", "#2b8a3e", "#7048e8", "#0b7285")  # by kind
 
 # Hues a golden ratio of a turn apart stay apart, however many there are
 GOLDEN = 0.618034

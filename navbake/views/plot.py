@@ -4,7 +4,7 @@ import io
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from navbake.files import write_whole
 from navbake.navgrid.cells import check_level
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.runtime.paths.path import Path as Route
-from navbake.views.colors import ROUTE
+from navbake.views.colors import MARKS, ROUTE
 from navbake.views.layers import Label, Panel, make_panels
 
 # Functions import matplotlib when they draw: it is an extra, and takes half a second to load.
@@ -30,6 +30,15 @@ LETTER = 0.6  # width of a letter, by its size
 FONT = "DejaVu Sans"  # comes with matplotlib
 
 
+class Mark(NamedTuple):
+    """A place to mark on a picture: level (-1 for all), world x and y [m], and what is there."""
+
+    level: int
+    x: float
+    y: float
+    kind: str
+
+
 def plot_grid(
     grid: NavGrid,
     path: str | PathLike[str],
@@ -37,10 +46,11 @@ def plot_grid(
     level: int | None = None,
     layers: Sequence[str] = DEFAULT_LAYERS,
     route: Route | None = None,
+    marks: Sequence[Mark] = (),
 ) -> Path:
     """Write what `render_png` draws, whole or not at all, and return the path that was written."""
     path = Path(path)
-    content = render_png(grid, level=level, layers=layers, route=route)
+    content = render_png(grid, level=level, layers=layers, route=route, marks=marks)
     try:
         write_whole(content, path)
     except OSError as error:
@@ -54,6 +64,7 @@ def render_png(
     level: int | None = None,
     layers: Sequence[str] = DEFAULT_LAYERS,
     route: Route | None = None,
+    marks: Sequence[Mark] = (),
 ) -> bytes:
     """Draw a grid as PNG: a row for each level, lowest on top; the same grid, the same bytes.
 
@@ -62,6 +73,7 @@ def render_png(
         level: draw only this one, 0 is the lowest.
         layers: what to draw, a column each: occupancy, floor, rooms, clearance, island, weights.
         route: a path to draw on top, each of its parts on its level.
+        marks: places to mark; those on no level are on all of them.
 
     Raises:
         QueryError: there is no such level or layer.
@@ -92,11 +104,12 @@ def render_png(
             _write_labels(ax, panels[index].labels, max(x_max - x_min, y_max - y_min))
             if route is not None:
                 _draw_route(ax, route, index)
+            _draw_marks(ax, marks, index)
     cell_size = grid.levels[0].lattice.cell_size
     figure.suptitle(
         f"{printable(grid.scene_id or 'grid')}, cells of {cell_size:g} m", parse_math=False
     )
-    _draw_legend(figure, [panels[index] for panels in columns for index in chosen], route)
+    _draw_legend(figure, [panels[index] for panels in columns for index in chosen], route, marks)
 
     content = io.BytesIO()
     figure.savefig(content, format="png", metadata={"Software": None})
@@ -167,7 +180,23 @@ def _draw_route(ax: Any, route: Route, level: int) -> None:
             ax.plot(x[end], y[end], marker, color=ROUTE, markeredgecolor="white", markersize=8)
 
 
-def _draw_legend(figure: Any, panels: Sequence[Panel], route: Route | None) -> None:
+def _draw_marks(ax: Any, marks: Sequence[Mark], level: int) -> None:
+    """Draw the marks of a level, one colour for each kind."""
+    here = [mark for mark in marks if mark.level in (level, -1)]
+    for kind, color in _colors_of(marks).items():
+        places = np.array([(mark.x, mark.y) for mark in here if mark.kind == kind])
+        if len(places):
+            ax.plot(*places.T, "s", color=color, markersize=5, markerfacecolor="none", mew=1.2)
+
+
+def _colors_of(marks: Sequence[Mark]) -> dict[str, str]:
+    kinds = sorted({mark.kind for mark in marks})
+    return {kind: MARKS[number % len(MARKS)] for number, kind in enumerate(kinds)}
+
+
+def _draw_legend(
+    figure: Any, panels: Sequence[Panel], route: Route | None, marks: Sequence[Mark]
+) -> None:
     from matplotlib.patches import Patch
 
     kinds = dict(entry for panel in panels for entry in panel.legend)
@@ -176,4 +205,5 @@ def _draw_legend(figure: Any, panels: Sequence[Panel], route: Route | None) -> N
     ]
     if route is not None:
         patches.append(Patch(facecolor=ROUTE, label="path, from o to x"))
+    patches += [Patch(facecolor=c, label=kind) for kind, c in _colors_of(marks).items()]
     figure.legend(handles=patches, loc="outside lower center", ncols=len(patches))

@@ -8,8 +8,8 @@ import pytest
 
 from navbake.errors import MissingDependencyError, NavbakeError, QueryError
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
-from navbake.views.colors import FREE, NO_FLOOR, OCCUPIED
-from navbake.views.plot import plot_grid, render_png
+from navbake.views.colors import FREE, MARKS, NO_FLOOR, OCCUPIED
+from navbake.views.plot import Mark, plot_grid, render_png
 
 pytest.importorskip("matplotlib")
 
@@ -109,3 +109,18 @@ def test_tells_how_to_get_matplotlib(monkeypatch, house):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(MissingDependencyError, match=r'pip install "navbake\[plot\]"'):
         render_png(house)
+
+
+def test_marks_are_drawn_on_their_level_or_on_all(house):
+    plain = pixels(render_png(house, layers=("occupancy",)))
+    colored = []
+    for level in (0, 1, -1):
+        marks = [Mark(level, 0.5, 1.0, "floor off"), Mark(level, 1.5, 0.5, "path touches")]
+        drawn = pixels(render_png(house, layers=("occupancy",), marks=marks))
+        assert drawn.shape == plain.shape
+        is_mark = [np.abs(drawn - color(c)).max(axis=-1) < 8 for c in MARKS[:2]]
+        half = len(drawn) // 2
+        colored.append([(mark[:half].sum(), mark[half:].sum()) for mark in is_mark])
+    for first, second, both in zip(*colored, strict=True):
+        assert first[0] > second[0] and second[1] > first[1]
+        assert both == (first[0], second[1])

@@ -22,8 +22,8 @@ from navbake.baker.kernels.tiles import TILE, cells_near
 from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
 from navbake.baker.scene.extents import measure_geoms
 from navbake.baker.stages import Stages, bake_stages
-from navbake.baker.threads import limit_threads
 from navbake.navgrid.lattice import Lattice
+from navbake.threads import limit_threads
 from oracles.gather import geoms_that_meet, line_meets, prism_over
 
 MORE = int(os.environ.get("NAVBAKE_EXAMPLES", "0"))

@@ -1,0 +1,59 @@
+"""Looks at a grid, without its scene, for what a person would notice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from os import PathLike
+from typing import Any
+
+from navbake.auditor.cells import (
+    check_all_free,
+    check_empty_levels,
+    check_floors,
+    check_jumps,
+    check_layers,
+    check_weights,
+)
+from navbake.auditor.facts import Facts
+from navbake.auditor.islands import check_cut_off, check_unreached_levels
+from navbake.auditor.levels import check_agent, check_boxes, check_links, check_order
+from navbake.auditor.report import ERROR, AuditReport, Remark
+from navbake.auditor.rooms import check_doors, check_room_table, check_rooms_without_door
+from navbake.formats.navgrid import read_navgrid
+from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.grid_base import GridBase
+
+CHECKS: dict[str, Callable[[Facts], Iterator[Remark]]] = {
+    "all cells are free": check_all_free,
+    "a level is empty or all blocked": check_empty_levels,
+    "weights contradict occupancy": check_weights,
+    "a free cell has no floor": check_floors,
+    "the floor jumps": check_jumps,
+    "stored layers are wrong": check_layers,
+    "one cell cuts off an island": check_cut_off,
+    "no link reaches a level": check_unreached_levels,
+    "the room table contradicts the cells": check_room_table,
+    "a room has no door": check_rooms_without_door,
+    "a door joins what it can't": check_doors,
+    "levels are out of order": check_order,
+    "boxes exclude their own cells": check_boxes,
+    "links lead nowhere": check_links,
+    "the agent can't be": check_agent,
+}
+"""The checks, by what each looks for."""
+
+
+def audit(grid: NavGrid | str | PathLike[str]) -> AuditReport:
+    """Look at a grid of any program for what a person would notice, without its scene.
+
+    Args:
+        grid: a grid of one or several levels, or the path of its file.
+
+    Raises:
+        FormatError: the file can't be read.
+    """
+    content: Any = grid if isinstance(grid, GridBase) else read_navgrid(grid)
+    facts = Facts(content)
+    remarks = [remark for check in CHECKS.values() for remark in check(facts)]
+    remarks.sort(key=lambda remark: remark.severity != ERROR)
+    return AuditReport(content.scene_id, remarks, list(CHECKS))

@@ -1,0 +1,131 @@
+"""What the checks of an audit look at: layers of all levels in metres, and what is connected."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from navbake.errors import FormatError
+from navbake.navgrid.doors import Door
+from navbake.navgrid.grid import SceneGrid2D
+from navbake.navgrid.grid_base import GridBase
+from navbake.types import Bool, Float, Int, Vector3
+
+SLACK = 1e-5  # metres that a step may be over the highest one, and that float32 may be off
+
+
+class Facts:
+    """Layers and parts of a grid, each found when a check first asks for it.
+
+    Attributes:
+        grid: the grid, without what is blocked for a while.
+        levels: its levels.
+        step: the highest step [m].
+    """
+
+    def __init__(self, grid: GridBase) -> None:
+        self.grid: GridBase = grid.without_blocks()
+        self.levels: list[SceneGrid2D] = self.grid.levels
+        self.step = self.grid.max_step
+
+    @cached_property
+    def free(self) -> list[Bool]:
+        """The free cells of each level."""
+        return [level.free for level in self.levels]
+
+    @cached_property
+    def floors(self) -> list[Float]:
+        """The floors of each level, NaN for none [m]."""
+        return [level.floor_height.astype(np.float64) * level.unit for level in self.levels]
+
+    @cached_property
+    def doors(self) -> tuple[Door, ...]:
+        """The doors; none where the table is broken, which a check tells."""
+        try:
+            return self.grid.doors
+        except FormatError:
+            return ()
+
+    @cached_property
+    def links(self) -> Int:
+        """The links, shape (n, 4); none where they are broken, which a check tells."""
+        try:
+            return self.grid.link_array
+        except FormatError:
+            return np.empty((0, 4), dtype=np.int64)
+
+    @cached_property
+    def door_cells(self) -> list[Bool]:
+        """The cells of each level that a door blocks in any state."""
+        masks = [np.zeros(level.shape, dtype=np.bool_) for level in self.levels]
+        for door in self.doors:
+            for state in door.cells:
+                for mask, cells in zip(masks, door.cells_in(state, len(masks)), strict=True):
+                    mask.ravel()[cells] = True
+        return masks
+
+    @cached_property
+    def passable(self) -> list[Bool]:
+        """The cells that are free, or would be without doors."""
+        return [free | door for free, door in zip(self.free, self.door_cells, strict=True)]
+
+    @cached_property
+    def islands(self) -> list[Int]:
+        """The connected parts of the free cells, numbered from 1, the largest first; 0 for none."""
+        return self._label(self.free)
+
+    @cached_property
+    def open_islands(self) -> list[Int]:
+        """The same, if no door blocked anything."""
+        return self._label(self.passable)
+
+    @cached_property
+    def start(self) -> Int:
+        """The number of each level's first cell, of all levels in a row."""
+        return np.cumsum([0, *(level.width * level.height for level in self.levels)])
+
+    def place(self, number: int, row: int, col: int) -> Vector3:
+        """World x, y and z of a cell; its level's ground where it has no floor [m]."""
+        level = self.levels[number]
+        x, y = level.lattice.positions(row, col).tolist()
+        z = float(self.floors[number][row, col])
+        return x, y, level.ground if np.isnan(z) else z
+
+    def first(self, number: int, mask: Bool) -> Vector3:
+        """The place of the first marked cell of a level."""
+        row, col = np.unravel_index(int(np.argmax(mask)), mask.shape)
+        return self.place(number, int(row), int(col))
+
+    def joined(self, number: int, mask: Bool) -> tuple[Int, Int]:
+        """Neighbouring marked cells of a level with a step between them at most: two lists."""
+        floor, ids = self.floors[number], np.arange(mask.size).reshape(mask.shape)
+        one, other = [], []
+        for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+            with np.errstate(invalid="ignore"):
+                too_high = np.abs(floor[here] - floor[there]) > self.step + SLACK
+            both = mask[here] & mask[there] & ~too_high
+            one.append(ids[here][both])
+            other.append(ids[there][both])
+        return np.concatenate(one), np.concatenate(other)
+
+    def _label(self, masks: list[Bool]) -> list[Int]:
+        start = self.start
+        pairs = [self.joined(number, mask) for number, mask in enumerate(masks)]
+        flat = np.concatenate([mask.ravel() for mask in masks])
+        a = start[self.links[:, 0]] + self.links[:, 1]
+        b = start[self.links[:, 2]] + self.links[:, 3]
+        usable = flat[a] & flat[b]
+        one = np.concatenate([start[k] + pair[0] for k, pair in enumerate(pairs)] + [a[usable]])
+        other = np.concatenate([start[k] + pair[1] for k, pair in enumerate(pairs)] + [b[usable]])
+        graph = coo_array((np.ones(len(one), dtype=np.int8), (one, other)), shape=(len(flat),) * 2)
+        _, label = connected_components(graph, directed=False)
+        found, part, count = np.unique(label[flat], return_inverse=True, return_counts=True)
+        rank = np.empty(len(found), dtype=np.int64)
+        rank[np.lexsort((np.arange(len(found)), -count))] = np.arange(1, len(found) + 1)
+        result = np.zeros(len(flat), dtype=np.int64)
+        result[flat] = rank[part]
+        shapes = [level.shape for level in self.levels]
+        return [result[start[k] : start[k + 1]].reshape(s) for k, s in enumerate(shapes)]

@@ -1,0 +1,87 @@
+"""Checks of what is connected: islands that one cell cuts off, and levels that nothing reaches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from navbake.auditor.facts import SLACK, Facts
+from navbake.auditor.report import REMARK, Remark
+from navbake.types import Int
+
+MIN_AREA = 1.0  # of both islands, if what lies between them is to matter [m²]
+MOST_CELLS = 3  # of a gap; what is longer is a thin wall
+MOST_GAPS = 10  # that are told, the widest islands first
+
+
+def check_cut_off(facts: Facts) -> Iterator[Remark]:
+    """One cell, or two or three side by side, cut off an island.
+
+    The islands are those of a grid whose doors are all open. Where more such cells part the same
+    two islands, they are a thin wall between them, and are meant; cells in it that nothing
+    occupies are a gap that was closed for a larger agent.
+    """
+    islands = facts.open_islands
+    largest = max((int(island.max(initial=0)) for island in islands), default=0)
+    count = np.zeros(largest + 1, dtype=np.int64)
+    for island in islands:
+        count += np.bincount(island.ravel(), minlength=largest + 1)
+    area = count * facts.levels[0].lattice.cell_size ** 2
+    found = []
+    for number, island in enumerate(islands):
+        occupied = facts.levels[number].occupancy.ravel() != 0
+        for pair, between in _gaps(facts, number, island).items():
+            cells = {cell for cell in between if not occupied[cell]} or between
+            if len(cells) <= MOST_CELLS and min(area[list(pair)]) >= MIN_AREA:
+                found.append((min(area[list(pair)]), number, pair, cells))
+    for smaller, number, _, cells in sorted(found, key=lambda gap: -gap[0])[:MOST_GAPS]:
+        width = facts.levels[number].width
+        row, col = divmod(sorted(cells)[len(cells) // 2], width)
+        size = len(cells) * facts.levels[number].lattice.cell_size
+        text = f"a gap {size:.2f} m wide is blocked by one cell, and cuts off {smaller:.1f} m²"
+        yield Remark("cut off", REMARK, number, facts.place(number, row, col), text)
+
+
+def _gaps(facts: Facts, number: int, island: Int) -> dict[tuple[int, int], set[int]]:
+    """The blocked cells with two islands on opposite sides, by the pair of islands.
+
+    The floors on both sides are within a step of each other, as they would be on one walk.
+    """
+    floor = facts.floors[number]
+    ids = np.arange(island.size).reshape(island.shape)
+    gaps: dict[tuple[int, int], set[int]] = {}
+    slices = (
+        (np.s_[:, :-2], np.s_[:, 1:-1], np.s_[:, 2:]),
+        (np.s_[:-2], np.s_[1:-1], np.s_[2:]),
+    )
+    for before, here, after in slices:
+        one, other = island[before], island[after]
+        between = (island[here] == 0) & (one > 0) & (other > 0) & (one != other)
+        with np.errstate(invalid="ignore"):
+            between &= ~(np.abs(floor[before] - floor[after]) > facts.step + SLACK)
+        between &= ~np.isnan(floor[here])
+        pairs = np.sort(np.stack([one[between], other[between]], axis=1), axis=1)
+        for (a, b), cell in zip(pairs.tolist(), ids[here][between].tolist(), strict=True):
+            gaps.setdefault((a, b), set()).add(cell)
+    return gaps
+
+
+def check_unreached_levels(facts: Facts) -> Iterator[Remark]:
+    """No link leads to a level from the one with the most free cells."""
+    if len(facts.levels) < 2:
+        return
+    reached = {max(range(len(facts.levels)), key=lambda k: int(facts.free[k].sum()))}
+    pairs = {(int(a), int(b)) for a, _, b, _ in facts.links.tolist()}
+    grew = True
+    while grew:
+        more = {b for a, b in pairs if a in reached} | {a for a, b in pairs if b in reached}
+        grew = not more <= reached
+        reached |= more
+    for number in sorted(set(range(len(facts.levels))) - reached):
+        if not facts.free[number].any():
+            continue  # told as empty
+        area = float(facts.free[number].sum()) * facts.levels[number].lattice.cell_size ** 2
+        text = f"no link leads to its {area:.1f} m²"
+        place = facts.first(number, facts.free[number])
+        yield Remark("unreached", REMARK, number, place, text)

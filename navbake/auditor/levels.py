@@ -1,0 +1,128 @@
+"""Checks of levels: their order, lattices, boxes and links; and of the agent that they are for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from navbake.auditor.facts import Facts
+from navbake.auditor.report import ERROR, REMARK, Remark
+from navbake.errors import FormatError
+from navbake.types import Bool
+
+ALIGNED = 1e-3  # share of a cell that lattices may be off
+BOX_SLACK = 1e-4  # metres that a cell may lie beside its level's box
+MOST_TAKEN = 0.5  # share of a level's free cells that may lie in lower levels' boxes
+NEXT = 1.5  # cells that the ends of a link may be apart, seen from above
+
+
+def check_order(facts: Facts) -> Iterator[Remark]:
+    """Levels aren't in order, lie on different lattices, or are there twice."""
+    first = facts.levels[0].lattice
+    for number, level in enumerate(facts.levels[1:], start=1):
+        below, lattice = facts.levels[number - 1], level.lattice
+        if level.ground < below.ground:
+            text = f"its ground, {level.ground:.2f} m, is below that of the level before"
+            yield Remark("levels", ERROR, number, None, text)
+        cells = (lattice.x_min - first.x_min) / first.cell_size
+        rows = (first.y_max - lattice.y_max) / first.cell_size
+        off = max(abs(cells - round(cells)), abs(rows - round(rows)))
+        if off > ALIGNED or abs(lattice.cell_size / first.cell_size - 1) > 1e-6:
+            text = f"its cells lie {off:.3f} of a cell beside those of the lowest level"
+            yield Remark("levels", ERROR, number, None, text)
+        same = np.array_equal(facts.floors[number], facts.floors[number - 1], equal_nan=True)
+        if same and lattice == below.lattice:
+            text = "its floors are those of the level before, cell by cell"
+            yield Remark("levels", ERROR, number, None, text)
+
+
+def check_boxes(facts: Facts) -> Iterator[Remark]:
+    """A level's box leaves out free cells of its own, or another level's takes them."""
+    boxes = [level.bbox_yup for level in facts.levels]
+    inside = [[_in_box(facts, number, box) for box in boxes] for number in range(len(boxes))]
+    for number, by_box in enumerate(inside):
+        free = facts.free[number]
+        if boxes[number] is None:
+            continue
+        out = free & ~by_box[number] & ~_interleaves(facts, number)
+        if out.any():
+            text = f"{int(out.sum())} free cells lie outside of its box (`bbox`)"
+            yield Remark("boxes", ERROR, number, facts.first(number, out), text)
+        taken = np.zeros_like(free)
+        for other in range(number):
+            if boxes[other] is not None:
+                taken |= free & by_box[other]
+        # where levels interleave, some cells lie in two boxes, and no boxes are right for all
+        if taken.sum() > MOST_TAKEN * free.sum():
+            text = f"{int(taken.sum())} free cells lie in the box of a lower level, too"
+            yield Remark("boxes", REMARK, number, facts.first(number, taken), text)
+
+
+def _interleaves(facts: Facts, number: int) -> Bool:
+    """The cells of a level that lie between the floors of another, where no boxes are right."""
+    found = np.zeros(facts.levels[number].shape, dtype=np.bool_)
+    for other, floor in enumerate(facts.floors):
+        known = floor[facts.free[other] & ~np.isnan(floor)]
+        if other != number and len(known):
+            own = facts.floors[number]
+            found |= (own >= known.min()) & (own <= known.max())
+    return found
+
+
+def _in_box(facts: Facts, number: int, box: tuple[tuple[float, ...], ...] | None) -> Bool:
+    """Which cells of a level have their centres in a box of the file (y up)."""
+    level, floor = facts.levels[number], facts.floors[number]
+    if box is None:
+        return np.zeros(level.shape, dtype=np.bool_)
+    (x0, y0, z0), (x1, y1, z1) = (np.array(corner) * level.unit for corner in box)
+    x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
+    height = np.where(np.isnan(floor), level.ground, floor)
+    inside = (x >= x0 - BOX_SLACK) & (x <= x1 + BOX_SLACK)
+    inside &= (-y >= z0 - BOX_SLACK) & (-y <= z1 + BOX_SLACK)
+    return np.asarray(inside & (height >= y0 - 1e-6) & (height <= y1 + 1e-6))
+
+
+def check_links(facts: Facts) -> Iterator[Remark]:
+    """Links lead to cells that there aren't, that have no floor, or that are far away."""
+    try:
+        links = facts.grid.link_array
+    except FormatError as error:
+        yield Remark("links", ERROR, None, None, str(error))
+        return
+    ends = []
+    for level, cell in ((0, 1), (2, 3)):
+        places = np.full((len(links), 3), np.nan)
+        for number, grid in enumerate(facts.levels):
+            here = links[:, level] == number
+            rows, cols = np.divmod(links[here, cell], grid.width)
+            places[here, :2] = grid.lattice.positions(rows, cols).reshape(-1, 2)
+            places[here, 2] = facts.floors[number][rows, cols]
+        ends.append(places)
+    one, other = ends
+    far = np.hypot(*(one - other)[:, :2].T) > NEXT * facts.levels[0].lattice.cell_size
+    for wrong, what in (
+        (np.isnan(one[:, 2]) | np.isnan(other[:, 2]), "lead to cells without a floor"),
+        (far, "join cells that aren't neighbours"),
+    ):
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            x, y, z = one[k].tolist()
+            number = int(links[k, 0])
+            place = (x, y, facts.levels[number].ground if np.isnan(z) else z)
+            yield Remark("links", ERROR, number, place, f"{int(wrong.sum())} links {what}")
+
+
+def check_agent(facts: Facts) -> Iterator[Remark]:
+    """The agent can't be: it has no height, takes steps as high as itself, or fills rooms."""
+    grid = facts.grid
+    for key in ("agentHeight", "agentRadius", "traversableFloorHeight"):
+        stated = grid.metadata.get(key)
+        if stated is not None and (not isinstance(stated, int | float) or stated < 0):
+            yield Remark("agent", ERROR, None, None, f"`{key}` is {stated!r}, which is no length")
+    if grid.max_step >= grid.agent_height:
+        text = f"the agent of {grid.agent_height:g} m takes steps of {grid.max_step:g} m"
+        yield Remark("agent", ERROR, None, None, text)
+    if grid.agent_radius > 5:
+        text = f"the agent has a radius of {grid.agent_radius:g} m: is the unit right?"
+        yield Remark("agent", REMARK, None, None, text)

@@ -1,0 +1,120 @@
+"""Checks of rooms and doors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from navbake.auditor.facts import Facts
+from navbake.auditor.report import ERROR, REMARK, Remark
+from navbake.errors import FormatError
+from navbake.navgrid.rooms import Room
+from navbake.types import Int, Vector3
+
+AREA_OFF = 0.01  # share of a room's area that its entry may be off
+MIN_FREE = 1.0  # area of a room that one can stand on, if it is to need a door [m²]
+
+
+def check_room_table(facts: Facts) -> Iterator[Remark]:
+    """The table of rooms and the cells contradict each other."""
+    try:
+        stated = facts.grid.stated_rooms
+    except FormatError as error:
+        yield Remark("room table", ERROR, None, None, str(error))
+        return
+    if stated is None:
+        return
+    known = {(room.level, room.index): room for room in stated}
+    for number, level in enumerate(facts.levels):
+        count = np.bincount(level.room_index.ravel())
+        for index in np.flatnonzero(count).tolist():
+            if index and (number, index) not in known:
+                text = f"{count[index]} cells are in room {index}, which no entry describes"
+                place = facts.first(number, level.room_index == index)
+                yield Remark("room table", ERROR, number, place, text)
+        for (on, index), room in known.items():
+            if on != number:
+                continue
+            cells = int(count[index]) if index < len(count) else 0
+            area = cells * level.lattice.cell_size**2
+            if not cells:
+                text = f"room {room.name or room.id!r} has no cells"
+                yield Remark("room table", ERROR, number, _centroid(room), text)
+            elif abs(area - room.area) > AREA_OFF * max(area, room.area):
+                text = f"room {room.name or room.id!r} has {area:.2f} m², not {room.area:.2f}"
+                yield Remark("room table", ERROR, number, _centroid(room), text)
+
+
+def check_rooms_without_door(facts: Facts) -> Iterator[Remark]:
+    """Nothing leads out of a room, be all doors open."""
+    for number, level in enumerate(facts.levels):
+        index, passable = level.room_index.astype(np.int64), facts.passable[number]
+        if len(np.unique(index[passable])) < 2:
+            continue  # there is nothing to lead to
+        leads = np.zeros(int(index.max()) + 1, dtype=np.bool_)
+        one, other = facts.joined(number, passable)
+        rooms = index.ravel()[one], index.ravel()[other]
+        across = rooms[0] != rooms[1]
+        for side in rooms:
+            leads[side[across]] = True
+        for level_of, cell in ((0, 1), (2, 3)):
+            here = facts.links[facts.links[:, level_of] == number]
+            leads[index.ravel()[here[:, cell]]] = True
+        count = np.bincount(index[passable], minlength=len(leads))
+        size = count * level.lattice.cell_size**2
+        for room in np.flatnonzero(~leads & (size >= MIN_FREE)).tolist():
+            if room:
+                text = f"room {_name(facts, number, room)} of {size[room]:.1f} m² has no door"
+                place = facts.first(number, (index == room) & passable)
+                yield Remark("no door", REMARK, number, place, text)
+
+
+def check_doors(facts: Facts) -> Iterator[Remark]:
+    """A door joins a room to itself, or to none that there is; or its cells aren't as it says."""
+    try:
+        doors = facts.grid.doors
+        rooms = {room.id for room in facts.grid.rooms}
+    except FormatError as error:
+        yield Remark("doors", ERROR, None, None, str(error))
+        return
+    occupied = [level.occupancy != 0 for level in facts.levels]
+    for door in doors:
+        place, level = _place_of(facts, [door.cells_in(s, len(occupied)) for s in door.cells])
+        pair = [room for room in door.rooms if room is not None]
+        if len(pair) == 2 and pair[0] == pair[1]:
+            text = f"door {door.id!r} joins room {pair[0]!r} to itself"
+            yield Remark("doors", REMARK, level, place, text)
+        for room in sorted(set(pair) - rooms):
+            text = f"door {door.id!r} joins room {room!r}, which there isn't"
+            yield Remark("doors", ERROR, level, place, text)
+        standing = door.cells_in(door.state, len(occupied))
+        num_open = sum(
+            int(np.count_nonzero(~mask.ravel()[cells]))
+            for mask, cells in zip(occupied, standing, strict=True)
+        )
+        if num_open:
+            text = f"door {door.id!r} is {door.state}, but {num_open} of its cells aren't occupied"
+            yield Remark("doors", ERROR, level, place, text)
+
+
+def _place_of(facts: Facts, states: list[list[Int]]) -> tuple[Vector3 | None, int | None]:
+    for levels in states:
+        for number, cells in enumerate(levels):
+            if len(cells):
+                row, col = divmod(int(cells[len(cells) // 2]), facts.levels[number].width)
+                return facts.place(number, row, col), number
+    return None, None
+
+
+def _name(facts: Facts, level: int, index: int) -> str:
+    try:
+        rooms = facts.grid.rooms
+    except FormatError:
+        return str(index)
+    found = [room for room in rooms if (room.level, room.index) == (level, index)]
+    return repr(found[0].name or found[0].id) if found else str(index)
+
+
+def _centroid(room: Room) -> Vector3:
+    return room.centroid

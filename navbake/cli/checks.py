@@ -1,0 +1,161 @@
+"""The commands that check a grid: `navbake verify` and `navbake audit`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from typer import Exit, Option
+
+import navbake
+from navbake.cli.options import (
+    STDOUT,
+    AsJson,
+    GridFile,
+    beside_output,
+    check_output,
+    write_stdout,
+)
+from navbake.cli.printing import print_json, print_tables, say, verify_table
+
+if TYPE_CHECKING:
+    from navbake.navgrid.grid import NavGrid
+    from navbake.verifier.report import VerifyReport
+
+SAMPLE = 100_000
+SHOWN = 20  # disagreements that are printed one by one
+
+
+class Sample(NamedTuple):
+    """Which cells to look at."""
+
+    sample: int = Option(SAMPLE, metavar="N", help="How many cells to look at, >= 1.")
+    every: bool = Option(False, "--all", help="Look at all cells.")
+    seed: int = Option(0, min=0, help="Seed of the sample and of the paths.")
+
+
+def verify(
+    grid: GridFile,
+    which: Sample,
+    scene: Path | None = Option(
+        None,
+        metavar="SCENE|CONFIG",
+        help="The scene, or the settings of the bake (YAML).  [default: the file that the grid "
+        "names, beside it or in the current folder]",
+    ),
+    radius: float | None = Option(
+        None,
+        metavar="R",
+        help="Radius of the agent on free cells and paths [m]; a grid that isn't inflated is "
+        "inflated for it.  [default: that of the grid]",
+    ),
+    paths: int = Option(0, min=0, metavar="N", help="Sweep the agent along this many paths."),
+    tolerance: float = Option(1e-4, help="What touches by less than this is free [m], > 0."),
+    as_json: AsJson = False,
+    output: Path | None = Option(
+        None, "-o", "--output", metavar="PNG", help="Draw the disagreements; - for stdout."
+    ),
+    force: bool = Option(
+        False, "--force", help="Compare with a scene that isn't the one that was baked."
+    ),
+) -> None:
+    """Compare a grid with its scene by MuJoCo and FCL.
+
+    The exit status is 1 if they disagree.
+    """
+    if output is not None:
+        check_output(output, ".png", inputs=[grid, *([scene] if scene else [])])
+    from navbake.verifier.verify import verify as compare  # loads MuJoCo
+
+    report = compare(
+        grid,
+        scene,
+        sample=None if which.every else which.sample,
+        seed=which.seed,
+        radius=radius,
+        paths=paths,
+        tolerance=tolerance,
+        force=force,
+    )
+    with beside_output(output):
+        if as_json:
+            print_json(report.to_json())
+        else:
+            _print(report)
+    if output is not None:
+        marks = [(found.level, *found.position[:2], found.kind) for found in report.findings]
+        _write_marked(navbake.load(grid), output, marks)
+    if not report.ok:
+        raise Exit(1)
+
+
+def _print(report: VerifyReport) -> None:
+    print_tables(verify_table(report))
+    if report.sweeps is not None:
+        swept = report.sweeps
+        say(
+            f"{swept.paths} paths of {swept.length:.0f} m in all swept with {swept.radius:g} m: "
+            f"{swept.touching} touch, {swept.beside} meet what lies within a step of their ends"
+        )
+    for note in report.notes:
+        say(f"note: {note}")
+    for found in report.findings[:SHOWN]:
+        x, y, z = found.position
+        cell = "" if found.cell is None else f", row {found.cell[0]}, col {found.cell[1]}"
+        say(f"{found.kind}: level {found.level}{cell} ({x:.3f}, {y:.3f}, {z:.3f}): {found.text}")
+    if len(report.findings) > SHOWN:
+        say(f"and {len(report.findings) - SHOWN} more: --json lists them")
+    share = f"{report.checked:,} of {report.num_cells:,} cells"
+    verdict = "agree" if report.ok else f"disagree at {len(report.findings)} places"
+    say(f"grid and scene {verdict}, at {share}")
+
+
+def audit(
+    grid: GridFile,
+    as_json: AsJson = False,
+    output: Path | None = Option(
+        None, "-o", "--output", metavar="PNG", help="Draw the places; - for stdout."
+    ),
+) -> None:
+    """Look at a grid of any program for what a person would notice, without its scene.
+
+    The exit status is 1 if there are errors, 0 if there are only remarks.
+    """
+    if output is not None:
+        check_output(output, ".png", inputs=[grid])
+    from navbake.auditor.audit import audit as look_at  # loads numpy
+
+    content = navbake.load(grid)
+    report = look_at(content)
+    with beside_output(output):
+        if as_json:
+            print_json(report.to_json())
+        else:
+            for remark in report.remarks:
+                say(remark)
+            num_errors = len(report.errors)
+            others = len(report.remarks) - num_errors
+            say(f"{len(report.checks)} checks: {num_errors} errors, {others} remarks")
+    if output is not None:
+        marks = []
+        for remark in report.remarks:
+            if remark.place is not None:
+                level = -1 if remark.level is None else remark.level
+                marks.append((level, remark.place[0], remark.place[1], remark.check))
+        _write_marked(content, output, marks)
+    if not report.ok:
+        raise Exit(1)
+
+
+def _write_marked(
+    grid: NavGrid, output: Path, marks: Sequence[tuple[int, float, float, str]]
+) -> None:
+    """Draw a grid's occupancy with marks: level, world x and y [m], and what is there."""
+    from navbake.views.plot import Mark, plot_grid, render_png  # loads matplotlib
+
+    drawn = [Mark(*mark) for mark in marks]
+    if output == STDOUT:
+        write_stdout(render_png(grid, layers=("occupancy",), marks=drawn))
+    else:
+        plot_grid(grid, output, layers=("occupancy",), marks=drawn)

@@ -1,0 +1,173 @@
+"""What a verification found: counts by level, and each disagreement with its place."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
+
+from navbake.types import Json, Vector3
+
+FREE_TOUCHES = "free cell touches"
+BLOCKED_APART = "blocked cell touches nothing"
+NO_FLOOR = "free cell without floor"
+FLOOR_OFF = "floor off"
+PLACE_LOST = "place lost"
+PATH_TOUCHES = "path touches"
+KINDS = (FREE_TOUCHES, BLOCKED_APART, NO_FLOOR, FLOOR_OFF, PLACE_LOST, PATH_TOUCHES)
+MOST_FINDINGS = 10_000  # that are listed; all are counted
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One place where a grid and its scene disagree.
+
+    Attributes:
+        kind: one of `KINDS`.
+        level: the level, 0 is the lowest; -1 for a place that no level has.
+        cell: row and column on it, None where it has no such cell.
+        position: world x, y, z [m].
+        text: what is wrong, in words.
+        geom: the geom that it is about, None for none.
+        size: how deep it touches, how far it is from everything, how far a floor is off [m], or
+            how large a lost place is [m²]; None where that wasn't measured.
+    """
+
+    kind: str
+    level: int
+    cell: tuple[int, int] | None
+    position: Vector3
+    text: str
+    geom: str | None = None
+    size: float | None = None
+
+    def to_json(self) -> Json:
+        """The finding as JSON."""
+        cell = None if self.cell is None else list(self.cell)
+        position = [round(v, 6) for v in self.position]
+        size = None if self.size is None else round(self.size, 6)
+        return {**vars(self), "cell": cell, "position": position, "size": size}
+
+
+@dataclass
+class LevelCounts:
+    """How often the cells of a level agree with the scene, and how often they don't.
+
+    Attributes:
+        name: the level's name.
+        cells: cells that were looked at.
+        free_free: free in the grid, and nothing touches there.
+        blocked_blocked: blocked in the grid, and something touches there, or there is no floor.
+        free_touches: free in the grid, and something touches there.
+        blocked_apart: blocked in the grid, and nothing touches there.
+        disputed: where MuJoCo and FCL contradict each other and no proof settles it; not counted
+            as a fault.
+        floors: floors that were looked at.
+        floors_off: floors where no geom has a surface.
+        in_cracks: floors whose surface lies beside the cell's centre.
+        lost: places to stand that no level has.
+    """
+
+    name: str
+    cells: int = 0
+    free_free: int = 0
+    blocked_blocked: int = 0
+    free_touches: int = 0
+    blocked_apart: int = 0
+    disputed: int = 0
+    floors: int = 0
+    floors_off: int = 0
+    in_cracks: int = 0
+    lost: int = 0
+
+
+@dataclass
+class SweepCounts:
+    """What came of sweeping a cylinder along paths.
+
+    Attributes:
+        radius: of the cylinder [m].
+        paths: how many were swept.
+        length: of all [m].
+        touching: how many touch something.
+        beside: how many meet, within a step of the lower or the upper end of the cylinder, what
+            cells with other floors leave open; that is known, and no fault.
+    """
+
+    radius: float
+    paths: int = 0
+    length: float = 0.0
+    touching: int = 0
+    beside: int = 0
+
+
+@dataclass
+class VerifyReport:
+    """What a verification found.
+
+    Attributes:
+        scene_id: of the grid.
+        num_cells: cells of all levels.
+        seed: of the sample.
+        tolerance: what touches by less than this touches by rounding [m].
+        radius: of the cylinder that stood on free cells [m]; None for the baked footprint.
+        levels: the counts, lowest level first.
+        sweeps: of the swept paths, None where none were swept.
+        findings: the disagreements, by level and cell.
+        notes: what was left out, or is judged by one of the two libraries alone.
+    """
+
+    scene_id: str | None
+    num_cells: int
+    seed: int
+    tolerance: float
+    radius: float | None = None
+    levels: list[LevelCounts] = field(default_factory=list)
+    sweeps: SweepCounts | None = None
+    findings: list[Finding] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def ok(self) -> bool:
+        """Whether the grid and the scene agree everywhere that was looked at."""
+        return not self.findings
+
+    @property
+    def checked(self) -> int:
+        """How many cells were looked at."""
+        return sum(level.cells for level in self.levels)
+
+    def of_kind(self, kind: str) -> Iterator[Finding]:
+        """The findings of one of `KINDS`."""
+        return (finding for finding in self.findings if finding.kind == kind)
+
+    @property
+    def total(self) -> LevelCounts:
+        """The sums over all levels."""
+        names = [f.name for f in fields(LevelCounts) if f.name != "name"]
+        sums = {name: sum(getattr(level, name) for level in self.levels) for name in names}
+        return LevelCounts("all", **sums)
+
+    def to_json(self) -> Json:
+        """The report as JSON, findings up to `MOST_FINDINGS` of them."""
+        return {
+            "ok": self.ok,
+            "sceneId": self.scene_id,
+            "cells": self.num_cells,
+            "checked": self.checked,
+            "seed": self.seed,
+            "tolerance": self.tolerance,
+            "radius": self.radius,
+            "levels": [dict(vars(level)) for level in self.levels],
+            "sweeps": None if self.sweeps is None else dict(vars(self.sweeps)),
+            "numFindings": len(self.findings),
+            "findings": [finding.to_json() for finding in self.findings[:MOST_FINDINGS]],
+            "notes": list(self.notes),
+        }
+
+    @property
+    def digest(self) -> str:
+        """Sha256 of the report's canonical JSON, 64 hex digits."""
+        text = json.dumps(self.to_json(), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,129 @@
+"""Where the scene of a grid is, and with which settings it was baked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from navbake.baker.scene.scene import Scene, load_scene
+from navbake.config.settings import (
+    YAML_SUFFIXES,
+    BakeConfig,
+    as_config,
+    parse_config,
+    settings_digest,
+)
+from navbake.errors import ConfigError, QueryError
+from navbake.navgrid.grid_base import GridBase
+from navbake.types import Json
+
+SceneSource = BakeConfig | str | PathLike[str] | Mapping[str, Any]
+"""Settings, the path of a YAML or of a scene file, or the YAML as a mapping."""
+
+
+class Source(NamedTuple):
+    """The scene that a grid is compared with.
+
+    Attributes:
+        scene: the loaded scene.
+        config: the settings that it was loaded with.
+        are_known: whether these are the settings of the bake, as far as the grid tells.
+        notes: what the user should know of them.
+    """
+
+    scene: Scene
+    config: BakeConfig
+    are_known: bool
+    notes: list[str]
+
+
+def find_source(
+    grid: GridBase, given: SceneSource | None, grid_path: Path | None, *, force: bool
+) -> Source:
+    """Load the scene of a grid: the one that is given, or the one that the grid names.
+
+    The grid names the scene's file without its folder; it is looked for beside the grid, and in
+    the current folder. A scene file is loaded with the settings that the grid states.
+
+    Raises:
+        QueryError: no scene is given or found, or it is another one than the grid was baked from,
+            and `force` isn't set.
+        SceneError, ConfigError: the scene or its settings can't be read.
+    """
+    stated = stated_settings(grid)
+    if given is None:
+        given = _find_file(grid, stated, grid_path)
+    config = _read(given, stated)
+    scene = load_scene(config.scene, config.agent, config.floors)
+    notes = _compare_scenes(grid, scene, config, force=force)
+    are_known = grid.navbake.get("settingsDigest") in (None, settings_digest(config))
+    is_stated = bool(stated) and not _is_settings(given)
+    are_known = bool(grid.navbake) and (are_known or is_stated)
+    if grid.navbake and not are_known:
+        notes.append("the settings are others than those of the bake (their digests differ)")
+    return Source(scene, config, are_known, notes)
+
+
+def stated_settings(grid: GridBase) -> Json:
+    """The settings that a grid states: those that decide its cells and aren't the defaults."""
+    stated = grid.navbake.get("settings")
+    return dict(stated) if isinstance(stated, dict) else {}
+
+
+def _is_settings(given: SceneSource) -> bool:
+    """Whether a source brings settings of its own."""
+    if isinstance(given, str | PathLike):
+        return Path(given).suffix.lower() in YAML_SUFFIXES
+    return True
+
+
+def _read(given: SceneSource, stated: Json) -> BakeConfig:
+    if _is_settings(given):
+        return as_config(given)
+    scene = stated.get("scene")
+    own = dict(scene) if isinstance(scene, dict) else {}
+    path = Path(given)  # type: ignore[arg-type]
+    if not path.exists():
+        raise QueryError(f"no scene at {path}: it may have moved; give its path")
+    settings = {**stated, "scene": {**own, "path": str(path)}}
+    try:
+        return parse_config(settings, "the settings that the grid states")
+    except ConfigError:
+        return parse_config({"scene": {"path": str(path)}}, str(path))
+
+
+def _find_file(grid: GridBase, stated: Json, grid_path: Path | None) -> Path:
+    scene = stated.get("scene")
+    name = scene.get("path") if isinstance(scene, dict) else None
+    if not isinstance(name, str) or not name:
+        raise QueryError(
+            f"{grid.scene_id or 'the grid'} doesn't say which scene it was baked from: give the "
+            "scene, or the settings of its bake"
+        )
+    folders = list(dict.fromkeys([grid_path.parent if grid_path else Path(), Path()]))
+    for folder in folders:
+        if (folder / Path(name).name).is_file():
+            return folder / Path(name).name
+    where = " or ".join(str(folder) if str(folder) != "." else "here" for folder in folders)
+    raise QueryError(
+        f"the scene {Path(name).name} that {grid.scene_id or 'the grid'} was baked from isn't in "
+        f"{where}: give its path, or the settings of its bake"
+    )
+
+
+def _compare_scenes(grid: GridBase, scene: Scene, config: BakeConfig, *, force: bool) -> list[str]:
+    digest = grid.navbake.get("sceneDigest")
+    if digest is None:
+        return ["the grid has no digest of its scene, so nothing says that it is this one"]
+    if digest == scene.digest:
+        return []
+    version = grid.navbake.get("mujoco", "another version")
+    text = (
+        f"{config.scene.path} isn't the scene that the grid was baked from, or stands in another "
+        f"pose (their digests differ; the bake's MuJoCo was {version})"
+    )
+    if not force:
+        raise QueryError(f"{text}: force the comparison if that is meant")
+    return [text]

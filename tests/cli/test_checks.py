@@ -1,0 +1,98 @@
+"""The commands `navbake verify` and `navbake audit`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import navbake
+
+
+@pytest.fixture
+def room(folder):
+    """The folder with the grid of room.yaml, and one with two faults."""
+    grid = navbake.bake("room.yaml")
+    grid.save("room.grid.json")
+    (row, col) = cell = np.argwhere(grid.occupancy == 1)[0].tolist()
+    grid.weights[row, col], grid.attributes["occupancy"][row, col] = 1.0, 0
+    grid.attributes["floorHeight"][0, 0] += np.float32(0.02)
+    grid.save("wrong.grid.json")
+    Path("cell.json").write_text(json.dumps(cell))
+    return folder
+
+
+def test_verify_says_that_they_agree(room, run):
+    status, out, err = run("verify", "room.grid.json", "--scene", "room.yaml", "--paths", 3)
+    assert (status, err) == (0, "")
+    assert "free, touches" in out and "3 paths of" in out
+    assert out.endswith("grid and scene agree, at 96 of 96 cells\n")
+
+
+def test_verify_finds_the_scene_by_its_name(room, run):
+    assert run("verify", "room.grid.json")[0] == 0
+    Path("room.xml").rename("elsewhere.xml")
+    status, out, err = run("verify", "room.grid.json")
+    assert (status, out) == (1, "") and err.count("\n") == 1
+    assert "the scene room.xml that room was baked from isn't in here" in err
+    status, _, err = run("verify", "room.grid.json", "--scene", "gone.xml")
+    assert status == 1 and "no scene at gone.xml: it may have moved" in err
+
+
+def test_verify_names_what_is_wrong_and_draws_it(room, run):
+    pytest.importorskip("matplotlib")
+    status, out, _ = run("verify", "wrong.grid.json", "-o", "wrong.png")
+    assert status == 1
+    row, col = json.loads(Path("cell.json").read_text())
+    assert (
+        f"free cell touches: level 0, row {row}, col {col} (" in out and "'wall [b]' reaches" in out
+    )
+    assert "floor off: level 0, row 0, col 0" in out
+    assert "disagree at 2 places" in out
+    assert Path("wrong.png").read_bytes().startswith(b"\x89PNG")
+    status, out, _ = run("verify", "wrong.grid.json", "--json", "--sample", 96)
+    assert status == 1 and len(json.loads(out)["findings"]) == 2
+
+
+def test_verify_looks_at_a_sample_or_at_all(room, run):
+    for options, count in ((("--sample", 10), 10), (("--all",), 96), (("--sample", 1000), 96)):
+        _, out, _ = run("verify", "room.grid.json", "--json", *options)
+        assert json.loads(out)["checked"] == count
+    status, out, err = run("verify", "room.grid.json", "--sample", 0)
+    assert (status, out) == (1, "") and "a sample of at least 1 cell" in err
+
+
+def test_verify_refuses_another_scene_unless_forced(room, run):
+    text = Path("room.xml").read_text()
+    Path("room.xml").write_text(text.replace('pos="1 0 1"', 'pos="0 0 1"'))
+    status, _, err = run("verify", "room.grid.json")
+    assert status == 1 and "isn't the scene that the grid was baked from" in err
+    status, out, _ = run("verify", "room.grid.json", "--force")
+    assert status == 1 and "free cell touches" in out
+
+
+def test_audit_says_that_nothing_is_wrong(room, run):
+    status, out, err = run("audit", "room.grid.json")
+    assert (status, err) == (0, "") and out == "15 checks: 0 errors, 0 remarks\n"
+
+
+def test_audit_names_errors_and_remarks(room, run):
+    pytest.importorskip("matplotlib")
+    grid = navbake.load("room.grid.json")
+    row, col = np.argwhere(grid.free)[5].tolist()
+    grid.attributes["occupancy"][row, col] = 1
+    grid.save("wrong.grid.json")
+    status, out, _ = run("audit", "wrong.grid.json", "-o", "audit.png")
+    assert status == 1 and "error: level 0 (" in out and "1 cell is free by weight" in out
+    assert Path("audit.png").read_bytes().startswith(b"\x89PNG")
+    grid.weights[:], grid.attributes["occupancy"][:] = 1.0, 0
+    big = navbake.SceneGrid2D(
+        width=20, height=20, cell_size=0.1, min_yup=(0.0, 0.0, 0.0), weights=np.ones((20, 20))
+    )
+    big.save("free.grid.json")
+    status, out, _ = run("audit", "free.grid.json")
+    assert status == 0 and "remark: all 400 cells are free" in out
+    status, out, _ = run("audit", "free.grid.json", "--json")
+    assert json.loads(out)["remarks"][0]["check"] == "all free"

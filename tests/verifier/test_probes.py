@@ -1,0 +1,140 @@
+"""What touches a column by MuJoCo and FCL, against solids in exact geometry."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from navbake.baker.scene.scene import load_scene
+from navbake.config.settings import parse_config
+from navbake.verifier.lines import Lines
+from navbake.verifier.mesh_parts import CAVITY, SHEET, SOLID, UNCLEAR, split_parts
+from navbake.verifier.obstacles import build_obstacles
+from navbake.verifier.probes import APART, DISPUTED, TOUCHES, Column, Probes, depth_of, support
+from oracles.prisms import FREE, OCCUPIED, Prisms, body_meets_prisms
+from oracles.scene import Thing, part_of, scene_xml
+
+SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3}
+
+
+def random_things(rng, kind, count):
+    things = []
+    for _ in range(count):
+        turn = rng.normal(size=4)
+        size = tuple(rng.uniform(0.02, 0.6, SIZES[kind]).tolist())
+        pos = tuple(rng.uniform(-1, 1, 3).tolist())
+        things.append(Thing(kind, size, pos, tuple((turn / np.linalg.norm(turn)).tolist())))
+    return things
+
+
+def obstacles_of(folder, xml, **scene):
+    path = folder / "scene.xml"
+    path.write_text(xml, encoding="utf-8")
+    config = parse_config({"scene": {"path": str(path), "geoms": "all", **scene}})
+    loaded = load_scene(config.scene)
+    return build_obstacles(loaded, loaded.data)
+
+
+@pytest.mark.parametrize("is_round", [False, True])
+@pytest.mark.parametrize("kind", SIZES)
+def test_touches_what_exact_geometry_touches(tmp_path, kind, is_round):
+    rng = np.random.default_rng(SIZES[kind] + is_round)
+    things = random_things(rng, kind, 25)
+    obstacles = obstacles_of(tmp_path, scene_xml(things))
+    probes, seen = Probes(obstacles), set()
+    half, half_z = 0.1, 0.445
+    probe = probes.of(Column(half, half, half_z, is_round))
+    for number, thing in enumerate(things):
+        at = np.array(thing.pos) + rng.uniform(-0.7, 0.7, (60, 3))
+        prisms = Prisms(at[:, 0], at[:, 1], at[:, 2] - half_z, at[:, 2] + half_z, half, is_round)
+        exact = body_meets_prisms(part_of(thing), prisms)
+        for center, state in zip(at, exact, strict=True):
+            probe.place(center)
+            answer = probe.touches(number)
+            seen.add(answer)
+            assert answer != DISPUTED
+            assert state != FREE or answer == APART
+            assert state != OCCUPIED or answer == TOUCHES
+    assert seen == {APART, TOUCHES}
+
+
+def test_a_plane_that_separates_settles_what_the_libraries_dispute(tmp_path, monkeypatch):
+    """MuJoCo's distance is made to be wrong, as it is in rare poses of capsules."""
+    thing = Thing("capsule", (0.1, 0.4), (0.0, 0.0, 1.0))
+    probe = Probes(obstacles := obstacles_of(tmp_path, scene_xml([thing]))).of(
+        Column(0.1, 0.1, 0.4, False)
+    )
+    probe.place(np.array([0.3, 0.0, 1.0]))
+    assert probe.touches(0) == APART
+    monkeypatch.setattr(mujoco, "mj_geomDistance", lambda *_: -0.01)
+    assert probe.touches(0) == APART  # proved
+    probe.place(np.array([0.1, 0.0, 1.0]))
+    monkeypatch.setattr(mujoco, "mj_geomDistance", lambda *_: 0.01)
+    assert probe.touches(0) == TOUCHES  # nothing separates them
+    way = np.array([1.0, 0.0, 0.0])
+    assert support(obstacles, 0, way) == pytest.approx(0.1)
+
+
+def test_depth_is_how_far_a_column_has_to_shrink(tmp_path):
+    obstacles = obstacles_of(tmp_path, scene_xml([Thing("box", (0.5, 0.5, 0.5), (0.0, 0.0, 0.5))]))
+    column, center = Column(0.1, 0.1, 0.4, False), np.array([0.58, 0.0, 0.5])
+    assert depth_of(Probes(obstacles), column, center, 0) == pytest.approx(0.02, abs=1e-4)
+
+
+def test_lines_cross_what_exact_geometry_crosses(tmp_path):
+    rng = np.random.default_rng(5)
+    things = [thing for kind in SIZES for thing in random_things(rng, kind, 5)]
+    lines = Lines(obstacles_of(tmp_path, scene_xml(things)))
+    for x, y in rng.uniform(-1, 1, (200, 2)):
+        ends = []
+        for thing in things:
+            line = part_of(thing).cross(np.array([x]), np.array([y]))
+            ends += [] if np.isnan(line.low[0]) else [line.low[0], line.high[0]]
+        found = [surface.z for surface in lines.at(x, y).surfaces]
+        np.testing.assert_allclose(found, sorted(ends), atol=1e-6)
+
+
+def test_transparent_geoms_planes_and_hulls_count_as_in_the_bake(tmp_path):
+    """Rays see what is transparent, and the hull of a mesh; planes from both sides of nothing."""
+    vertices = "0 0 0  1 0 0  0 1 0  0 0 1  0.2 0.2 0.2"
+    xml = f"""<mujoco><asset><mesh name="m" vertex="{vertices}"/></asset><worldbody>
+    <geom name="ground" type="plane" size="0 0 1"/>
+    <geom name="glass" type="box" size="0.5 0.5 0.1" pos="3 0 1" rgba="1 1 1 0"/>
+    <geom name="hull" type="mesh" mesh="m" pos="6 0 1"/></worldbody></mujoco>"""
+    obstacles = obstacles_of(tmp_path, xml)
+    lines = Lines(obstacles)
+    names = [obstacles.name(s.number) for s in lines.at(3.0, 0.0).surfaces]
+    assert names == ["ground", "glass", "glass"]
+    low, upper = (s.z for s in lines.at(6.2, 0.2).surfaces[1:])
+    assert (low, upper) == (pytest.approx(1.0, abs=1e-5), pytest.approx(1.6, abs=1e-5))
+    assert lines.at(6.2, 0.2).is_inside(1.3) and not lines.at(6.2, 0.2).is_inside(1.7)
+    probe = Probes(obstacles).of(Column(0.1, 0.1, 0.4, False))
+    for z, expected in ((0.39, TOUCHES), (0.41, APART)):
+        probe.place(np.array([-3.0, 0.0, z]))
+        assert probe.touches(0) == expected
+
+
+# ---------------------------------------------------------------- meshes
+
+BOX = [(0, 2, 3), (0, 3, 1), (0, 1, 5), (0, 5, 4), (1, 3, 7), (1, 7, 5)]
+BOX += [(3, 2, 6), (3, 6, 7), (2, 0, 4), (2, 4, 6), (4, 5, 7), (4, 7, 6)]
+CORNERS = np.array([(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=float)
+
+
+@pytest.mark.parametrize(
+    ("faces", "kinds"),
+    [
+        (BOX, [SOLID]),
+        ([face[::-1] for face in BOX], [CAVITY]),
+        (BOX[:-2], [SHEET]),
+        ([BOX[0][::-1], *BOX[1:]], [UNCLEAR]),
+        ([*BOX, *(tuple(v + 8 for v in face[::-1]) for face in BOX)], [CAVITY, SOLID]),
+        ([*BOX, *(tuple(v + 8 for v in face) for face in BOX[:3])], [SHEET, SOLID]),
+    ],
+)
+def test_parts_of_meshes_by_what_they_enclose(faces, kinds):
+    points = np.concatenate([CORNERS, CORNERS / 2 + 0.25])
+    parts = split_parts(points, np.array(faces))
+    assert sorted(part.kind for part in parts) == kinds
+    assert sum(len(part.faces) for part in parts) == len(faces)
