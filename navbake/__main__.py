@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import _thread
+import gc
 import os
 import select
 import signal
@@ -25,6 +26,9 @@ DELAY = 0.05  # after which a Ctrl-C that was dropped comes again [s]
 _heard = 0  # how many signals Python has heard of
 _pressed = 0  # how many times Ctrl-C has not taken effect yet
 _is_terminated = False
+# How many objects are made, net, before Python looks for garbage. Imports and loaded kernels make
+# some 100 thousand, all of which stay: by default it looks through them again and again.
+BETWEEN_COLLECTIONS = 50_000
 
 
 def main() -> None:
@@ -37,6 +41,7 @@ def main() -> None:
     then the first one ends the process after PATIENCE, too. SIGTERM is like Ctrl-C, so that files
     and processes that only help are removed.
     """
+    gc.set_threshold(BETWEEN_COLLECTIONS, *gc.get_threshold()[1:])
     # where Ctrl-C is ignored, as in the background of a script, it stays ignored
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt)

@@ -39,6 +39,7 @@ from numba.core.registry import CPUDispatcher
 from navbake.digests import digest_folder, read_stamp
 from navbake.folder_lock import folder_lock
 from navbake.kernel_list import PREFIX, read_list
+from navbake.loading import rebuild, skip_probe
 
 LOGGER = logging.getLogger("navbake.compiled")  # bakes log their own warnings to its parent
 REMEDY = "set NUMBA_CACHE_DIR to a folder that can be written"
@@ -121,6 +122,10 @@ class _UserWide(_OrReadOnly, caching.UserWideCacheLocator):
 class _KernelCacheImpl(caching.CompileResultCacheImpl):
     _locator_classes = (_UserProvided, _InTree, _UserWide)
 
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        """Make a kernel of what was read."""
+        return rebuild(target_context, payload)
+
 
 class KernelCache(caching.FunctionCache):
     """The compiled code of a kernel on disk, which may fail without harm."""
@@ -178,8 +183,11 @@ class KernelCache(caching.FunctionCache):
         return str(self._impl.filename_base)
 
     def _try_load(self, sig: Any, target_context: Any) -> Any:
+        skip_probe()
         try:
-            return super().load_overload(sig, target_context)
+            with self._guard_against_spurious_io_errors():
+                return self._load_overload(sig, target_context)  # see `navbake.loading`
+            return None
         except Exception:  # a broken file makes the reader raise whatever it happens to run into
             base = Path(self.cache_path, self._impl.filename_base)
             for path in base.parent.glob(f"{base.name}.*nb[ic]"):

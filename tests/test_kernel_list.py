@@ -113,3 +113,31 @@ def test_what_a_helper_compiles_is_found(tmp_path):
         [sys.executable, "-c", HELP], env=env, stdout=subprocess.PIPE, text=True, check=True
     )
     assert int(run.stdout) > 0
+
+
+LINK = """
+import sys
+import numpy as np
+from numba import types
+from navbake.navgrid.kernels.union_find import find_root, unite
+parent, items = types.Array(types.int64, 1, "C"), (types.int64, types.int64)
+if sys.argv[1:] == ["callee"]:
+    find_root.compile((parent, types.int64))
+else:
+    chain = np.array([0, 0, 1, 3, 3])
+    if sys.argv[1:] == ["called"]:
+        assert find_root(chain, 2) == 0
+    unite(chain, 2, 4)
+    assert chain.tolist() == [0, 0, 0, 0, 3], chain
+    print(sum(find_root.stats.cache_hits.values()), sum(unite.stats.cache_misses.values()))
+"""
+
+
+@pytest.mark.parametrize("before", ["untouched", "called"])
+def test_a_kernel_that_was_loaded_is_linked_into_one_that_is_compiled(tmp_path, before):
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, "-c", LINK, "callee"], env=env, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", LINK, before], env=env, stdout=subprocess.PIPE, text=True, check=True
+    )
+    assert run.stdout.split() == ["1", "1"]

@@ -79,8 +79,10 @@ def reach_first_ray(settings: dict[str, Any]) -> None:
         os._exit(0)
 
     columns.cast_columns = stages.cast_columns = end  # type: ignore[attr-defined]
-    options = ["--cell", str(settings["grid"]["cell_size"])]
-    sys.argv = ["navbake", "bake", settings["scene"]["path"], "-o", os.devnull, *options]
+    path = settings["scene"]["path"]
+    options = ["--set", f"grid.cell_size={settings['grid']['cell_size']}"]
+    # nothing is ever written there
+    sys.argv = ["navbake", "bake", path, "-o", f"{path}.grid.json", *options]
     main()
 
 

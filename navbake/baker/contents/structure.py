@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from navbake.baker.connect import connect
 from navbake.baker.floors.levels import Floors
 from navbake.baker.kernels.constants import SAME, SLACK
 from navbake.baker.kernels.contents import count_supports
@@ -131,8 +130,6 @@ def _steps(floors: Floors, carrier: Int32, lattice: Lattice) -> tuple[Int, Int, 
 def _plateau_cells(low: Int, high: Int, rise: Float, cells: Int) -> Int:
     """How many cells each geom carries together with all that continue at the same height."""
     level = rise <= SAME
-    pairs = np.ones(int(level.sum())), (low[level], high[level])
-    graph = coo_array(pairs, shape=(len(cells), len(cells)))
-    _, plateau = connected_components(graph, directed=False)
+    plateau = connect(np.stack([low[level], high[level]]), len(cells))
     total: Int = np.bincount(plateau, cells).astype(np.int64)[plateau]
     return total

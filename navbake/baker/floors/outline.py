@@ -6,13 +6,13 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from navbake.baker.columns import Columns
 from navbake.baker.floors.kernels.outline import list_edges, look_out
 from navbake.baker.floors.sheets import Standable, mask_window
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.kernels.constants import SLACK
+from navbake.baker.rooms.kernels.labels import label_parts
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int
@@ -228,7 +228,7 @@ def find_rims(edges: Edges, standable: Standable) -> Int:
         own = order[bounds[k] : bounds[k + 1]]
         own = own[outer[own] >= 0]
         mask, row0, col0 = mask_window(standable.cell[members], standable.lattice, margin=1)
-        outside, _ = ndimage.label(~mask)  # in the order of rows, so the outside is the first
+        outside, _ = label_parts(~mask)  # in the order of rows, so the outside is the first
         row, col = np.divmod(outer[own], standable.lattice.width)
         rim[own] = outside[row - row0, col - col0] - 1
     return rim

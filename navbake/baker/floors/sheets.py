@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from navbake.baker.columns import Columns, cells_of
+from navbake.baker.connect import connect
 from navbake.baker.floors.kernels.sheets import (
     group_members,
     join_by_slopes,
@@ -139,10 +138,8 @@ def find_slopes(
 
 def _unite(part: Int, pairs: Int, count: int) -> tuple[Int, Int]:
     """Unite parts by pairs of their numbers: the part of each member then, and the parts' sizes."""
-    graph = coo_array((np.ones(len(pairs), dtype=np.bool_), tuple(pairs.T)), shape=(count, count))
-    _, label = connected_components(graph, directed=False)
     # by their first members, as `join_by_steps` numbers them
-    united: Int = label.astype(np.int64)[part]
+    united: Int = connect(pairs.T, count).astype(np.int64)[part]
     return united, np.bincount(united)
 
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
+from navbake.baker.connect import connect, touching
 from navbake.baker.floors.levels import Floors
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.lattice import EDGES
@@ -121,13 +121,8 @@ def _find_steps(rooms: RoomIndex, floor: Float, slopes: Int, max_step: float) ->
 
 def _connected(cells: Int, width: int) -> list[Int]:
     """Split ascending cell ids into connected parts."""
-    row, col = np.divmod(cells, width)
-    row, col = row - row.min(), col - col.min()
-    mask = np.zeros((row.max() + 1, col.max() + 1), dtype=np.bool_)
-    mask[row, col] = True
-    part, count = ndimage.label(mask, structure=np.ones((3, 3)))
-    number = part[row, col]
-    return [cells[number == k] for k in range(1, count + 1)]
+    part = connect(touching(cells, width), len(cells))
+    return [cells[part == k] for k in range(int(part.max()) + 1)]
 
 
 def _distances(cells: Int, targets: Int, width: int) -> Float:

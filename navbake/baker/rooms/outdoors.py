@@ -1,20 +1,22 @@
 """What is open: floor under the sky up to the edge of the grid, and holes in floors."""
 
 import numpy as np
-from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from navbake.baker.columns import Columns
+from navbake.baker.connect import connect, touching
 from navbake.baker.contents.walls import WALL_BAND
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.floors.sheets import agent_limits
 from navbake.baker.kernels.constants import SAME, SLACK
 from navbake.baker.lattice import EDGES
+from navbake.baker.rooms.kernels.labels import label_parts
 from navbake.baker.rooms.spaces import WIDEST
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings
+from navbake.lazy import lazy
 from navbake.types import Bool, Float, Int, Int32
+
+ndimage = lazy("scipy.ndimage")  # only windows of scenes need it
 
 # What is outdoors reaches the edge over more than this in one piece: no opening in a wall at the
 # edge is so wide [m]
@@ -108,14 +110,14 @@ def _unite_touching(segment: Int32, chosen: Bool, steep: Bool) -> Int32:
 
     Those touch, too, that steep ground lies between.
     """
-    part, count = ndimage.label(steep)
+    part, count = label_parts(steep)
     node = np.where(steep, part + len(chosen) - 1, segment)
     joins = np.concatenate([chosen, np.ones(count, dtype=np.bool_)])
     pairs = []
     for one, other in EDGES:
         meet = (node[one] != node[other]) & joins[node[one]] & joins[node[other]]
         pairs.append(np.stack([node[one][meet], node[other][meet]]))
-    number = _connect(np.concatenate(pairs, axis=1), len(joins))
+    number = connect(np.concatenate(pairs, axis=1), len(joins))
     least = np.full(len(joins), len(joins), dtype=np.int32)
     np.minimum.at(least, number, np.arange(len(joins), dtype=np.int32))
     return least[number][: len(chosen)]
@@ -126,13 +128,8 @@ def _longest_runs(segment: Int32, edge: Bool, count: int) -> Float:
     rows, cols = np.nonzero(edge)
     number = segment[rows, cols]
     cell = rows * segment.shape[1] + cols
-    pairs = []
-    for row, col in ((0, 1), (1, -1), (1, 0), (1, 1)):  # neighbours over edges and corners
-        place = np.searchsorted(cell, cell + row * segment.shape[1] + col).clip(max=len(cell) - 1)
-        same = (rows[place] - rows == row) & (cols[place] - cols == col)
-        same &= number[place] == number
-        pairs.append(np.stack([np.flatnonzero(same), place[same]]))
-    run = _connect(np.concatenate(pairs, axis=1), len(cell))
+    pairs = touching(cell, segment.shape[1])
+    run = connect(pairs[:, number[pairs[0]] == number[pairs[1]]], len(cell))
     reach = np.zeros(len(cell))
     for place in (rows, cols):
         low, high = np.full(len(cell), np.inf), np.full(len(cell), -np.inf)
@@ -142,13 +139,6 @@ def _longest_runs(segment: Int32, edge: Bool, count: int) -> Float:
     longest = np.zeros(count)
     np.maximum.at(longest, number, reach + 1)
     return longest
-
-
-def _connect(pairs: Int, count: int) -> Int32:
-    """The connected part of each of so many nodes; `pairs` are (2, n)."""
-    graph = coo_array((np.ones(pairs.shape[1], dtype=np.bool_), pairs), shape=(count, count))
-    part: Int32 = connected_components(graph, directed=False)[1]
-    return part
 
 
 def _edge_cells(columns: Columns, steep: Bool, sides: Bool) -> Bool:
@@ -161,7 +151,7 @@ def _edge_cells(columns: Columns, steep: Bool, sides: Bool) -> Bool:
     empty[1:-1, 1:-1] = steep | (np.diff(columns.start) == 0).reshape(shape)
     empty[[0, -1]] |= sides[0][:, None]
     empty[:, [0, -1]] |= sides[1]
-    part, _ = ndimage.label(empty)
+    part, _ = label_parts(empty)
     outer = np.unique(np.concatenate([part[[0, -1]].ravel(), part[:, [0, -1]].ravel()]))
     beyond = np.isin(part, outer[outer > 0])
     edge: Bool = beyond[:-2, 1:-1] | beyond[2:, 1:-1] | beyond[1:-1, :-2] | beyond[1:-1, 2:]

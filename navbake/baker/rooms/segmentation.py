@@ -7,9 +7,8 @@ segments to rooms that are marked.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from navbake.baker.connect import connect
 from navbake.baker.lattice import EDGES, Window, bounding_window
 from navbake.baker.rooms.distances import squared_distances
 from navbake.baker.rooms.gaps import part_at_gaps
@@ -314,9 +313,7 @@ def _label_equal(label: Int32) -> Int32:
     for one, other in EDGES:
         same = (label[one] == label[other]) & (label[one] > 0)
         pairs.append(np.stack([cell[one][same], cell[other][same]]))
-    ends = np.concatenate(pairs, axis=1)
-    edges = coo_array((np.ones(ends.shape[1], dtype=np.bool_), ends), shape=(label.size,) * 2)
-    _, number = connected_components(edges, directed=False)
+    number = connect(np.concatenate(pairs, axis=1), label.size)
     return np.where(label > 0, number.reshape(label.shape) + 1, 0).astype(np.int32)
 
 

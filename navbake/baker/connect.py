@@ -1,0 +1,46 @@
+"""What hangs together: nodes over pairs, and cells over edges and corners.
+
+scipy has such functions, but takes longer to load than the apartment to bake.
+"""
+
+import numpy as np
+
+from navbake.navgrid.kernels.connect import number_parts
+from navbake.types import Bool, Int, Int32
+
+
+def connect(pairs: Int, count: int) -> Int32:
+    """The connected part of each of so many nodes, from 0 by their first nodes.
+
+    Args:
+        pairs: the nodes that hang together, shape (2, n).
+        count: how many nodes there are.
+    """
+    part: Int32 = number_parts(np.ascontiguousarray(pairs, dtype=np.int64), count)
+    return part
+
+
+def touching(cells: Int, width: int) -> Int:
+    """The pairs of cells that meet at an edge or a corner, as places in `cells`, shape (2, n).
+
+    Args:
+        cells: ascending cell ids, shape (m,).
+        width: of the lattice.
+    """
+    col, pairs = cells % width, []
+    for down, right in ((0, 1), (1, -1), (1, 0), (1, 1)):
+        beside = cells + down * width + right
+        place = np.searchsorted(cells, beside).clip(max=len(cells) - 1)
+        meets = (cells[place] == beside) & (col + right >= 0) & (col + right < width)
+        pairs.append(np.stack([np.flatnonzero(meets), place[meets]]))
+    return np.concatenate(pairs, axis=1)
+
+
+def grow(mask: Bool) -> Bool:
+    """A mask and the cells beside it, over edges: its dilation by one cell."""
+    grown = mask.copy()
+    grown[1:] |= mask[:-1]
+    grown[:-1] |= mask[1:]
+    grown[:, 1:] |= mask[:, :-1]
+    grown[:, :-1] |= mask[:, 1:]
+    return grown

@@ -1,0 +1,39 @@
+"""Connected parts against scipy's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from navbake.baker.connect import connect, grow, touching
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_parts_of_graphs_are_those_of_scipy(seed):
+    rng = np.random.default_rng(seed)
+    count, pairs = rng.integers(1, 40), rng.integers(0, 50)
+    ends = rng.integers(0, count, (2, pairs))
+    graph = coo_array((np.ones(pairs, dtype=bool), tuple(ends)), shape=(count, count))
+    expected = connected_components(graph, directed=False)[1]
+    np.testing.assert_array_equal(connect(ends, count), expected)
+    np.testing.assert_array_equal(connect(ends.T.copy().T, count), expected)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_cells_and_masks_are_as_scipy_has_them(seed):
+    rng = np.random.default_rng(seed)
+    mask = rng.random(rng.integers(1, 15, 2)) < rng.random()
+    np.testing.assert_array_equal(grow(mask), ndimage.binary_dilation(mask))
+    cells = np.flatnonzero(mask)
+    label, _ = ndimage.label(mask, np.ones((3, 3)))
+    part = connect(touching(cells, mask.shape[1]), len(cells))
+    np.testing.assert_array_equal(part, label.ravel()[cells] - 1)
+
+
+def test_what_hangs_together_by_nothing_is_by_itself():
+    assert connect(np.empty((2, 0)), 3).tolist() == [0, 1, 2]
+    # the last cell of a row and the first of the next don't touch
+    assert touching(np.array([2, 3]), 3).size == 0
