@@ -80,7 +80,11 @@ def test_the_list_has_what_a_bake_calls():
         [sys.executable, "-W", "ignore", "-c", USE],
         cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True,
     )  # fmt: skip
-    listed = [[entry.name, entry.types] for entry in read_list().entries]
+    # a prime tells classes of one name apart in the list, and `encode` sees one at a time here
+    listed = [
+        [entry.name, json.loads(json.dumps(entry.types).replace("'", ""))]
+        for entry in read_list().entries
+    ]
     missing = [call for call in json.loads(run.stdout.splitlines()[-1]) if call not in listed]
     assert missing == [], f"{FILE.name} is out of date: run `python scripts/list_kernels.py`"
 
