@@ -33,17 +33,19 @@ from typing import Any
 
 import numba
 from numba.core import caching
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 from numba.core.registry import CPUDispatcher
 
 from navbake.digests import digest_folder, read_stamp
 from navbake.folder_lock import folder_lock
 from navbake.kernel_list import PREFIX, read_list
-from navbake.loading import rebuild, skip_probe
+from navbake.loading import loads_light, rebuild, skip_probe
 
 LOGGER = logging.getLogger("navbake.compiled")  # bakes log their own warnings to its parent
 REMEDY = "set NUMBA_CACHE_DIR to a folder that can be written"
 SECONDS = 0.7  # how long a kernel that is not in the list takes to compile, on average
+PATIENCE = 60.0  # how long to wait for another process that compiles a kernel; most take 5 s [s]
 WORTH_HELP = 4.0  # work for which other processes are started; one takes 1 s to begin [s]
 MOST_PROCESSES = 4  # that compile side by side: parts of the work build on each other
 IS_HELPER = "NAVBAKE_COMPILES_BESIDE"  # in the environment of processes that compile for another
@@ -64,11 +66,12 @@ class Kernel(CPUDispatcher):
 
     def compile(self, sig: Any) -> Any:
         """Compile for a signature, or load what was compiled for it."""
-        try:
-            return super().compile(sig)
-        finally:
-            self._cache.release()
-            _tell_progress()
+        with global_compiler_lock:  # until the lock of the file is given back, too
+            try:
+                return super().compile(sig)
+            finally:
+                self._cache.release()
+                _tell_progress()
 
     def compile_if_free(self, sig: Any) -> None:
         """Compile for a signature, unless that is done or another process is doing it."""
@@ -124,7 +127,8 @@ class _KernelCacheImpl(caching.CompileResultCacheImpl):
 
     def rebuild(self, target_context: Any, payload: Any) -> Any:
         """Make a kernel of what was read."""
-        return rebuild(target_context, payload)
+        own = rebuild if loads_light() else super().rebuild
+        return own(target_context, payload)
 
 
 class KernelCache(caching.FunctionCache):
@@ -143,8 +147,12 @@ class KernelCache(caching.FunctionCache):
         if found is None:
             announce(self._kernel)
             if not self._is_locked:
-                self._lock.acquire(self._name_of_lock)
-                self._is_locked = True
+                self._is_locked = self._lock.wait(self._name_of_lock, PATIENCE)
+                if not self._is_locked:
+                    tell_once(
+                        f"another process has been compiling {self._kernel.full_name} for "
+                        f"{PATIENCE:g} s, or is stopped: this one compiles it, too"
+                    )
             found = self._try_load(sig, target_context)
         return found
 
@@ -183,11 +191,15 @@ class KernelCache(caching.FunctionCache):
         return str(self._impl.filename_base)
 
     def _try_load(self, sig: Any, target_context: Any) -> Any:
-        skip_probe()
         try:
+            if not loads_light():
+                return super().load_overload(sig, target_context)
+            skip_probe()
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(sig, target_context)  # see `navbake.loading`
             return None
+        except MemoryError:
+            raise
         except Exception:  # a broken file makes the reader raise whatever it happens to run into
             base = Path(self.cache_path, self._impl.filename_base)
             for path in base.parent.glob(f"{base.name}.*nb[ic]"):
@@ -280,7 +292,7 @@ def _start_helpers(kernel: Kernel, seconds: float) -> int:
 
     Of processes that start at once, one does so, as far as they use the same folder.
     """
-    count = min(_num_cores(), MOST_PROCESSES) - 1
+    count = min(_num_cores(), int(numba.config.NUMBA_NUM_THREADS), MOST_PROCESSES) - 1
     program = Path(sys.executable or "")  # other programs than Python may hold Python
     is_python = program.name.lower().startswith("python")
     if seconds < WORTH_HELP or count < 1 or not is_python or IS_HELPER in os.environ:
@@ -291,8 +303,10 @@ def _start_helpers(kernel: Kernel, seconds: float) -> int:
         return 0
     modules = sorted({k.__module__ for k in KERNELS})
     root = str(Path(__file__).parents[1])
-    # after all others in the path: the folder that holds navbake may hold anything
-    code = f"import sys; sys.path.append({root!r}); from navbake.kernel_list import main; main()"
+    # Modules are found where this process finds them, and not in the current folder first, as with
+    # -c; after all others in the path: the folder that holds navbake may hold anything.
+    path = [*(entry for entry in sys.path if entry), root]
+    code = f"import sys; sys.path[:] = {path!r}; from navbake.kernel_list import main; main()"
     environment = {**os.environ, IS_HELPER: "1"}
     if numba.config.CACHE_DIR:
         environment["NUMBA_CACHE_DIR"] = numba.config.CACHE_DIR
@@ -348,6 +362,25 @@ def tell_once(line: str) -> None:
     if line not in _told:
         _told.add(line)
         LOGGER.warning(line)
+
+
+class _ToStderr(logging.Handler):
+    """Writes to stderr where nobody else handles records: what takes minutes must not be silent."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a record, unless a handler of the user's has it."""
+        logger: logging.Logger | None = LOGGER
+        while logger is not None:
+            others = [
+                h for h in logger.handlers if not isinstance(h, _ToStderr | logging.NullHandler)
+            ]
+            if others:
+                return
+            logger = logger.parent if logger.propagate else None
+        sys.stderr.write(f"navbake: {record.getMessage()}\n")
+
+
+LOGGER.addHandler(_ToStderr(logging.WARNING))
 
 
 def _package_of(function: Any) -> str:

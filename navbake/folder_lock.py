@@ -5,8 +5,10 @@ Of several processes that need the same kernel, one compiles it and the others w
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -18,6 +20,8 @@ except ImportError:  # Windows: each process compiles for itself
     fcntl = None  # type: ignore[assignment]
 
 LOCK = "navbake-kernels.lock"
+PATIENCE = 10.0  # for what takes milliseconds [s]
+WAIT = 0.05  # between two attempts [s]
 
 
 @cache
@@ -43,20 +47,39 @@ class FolderLock:
 
     @contextmanager
     def hold(self, name: str) -> Iterator[None]:
-        """Hold a lock, and wait for it as long as another process has it."""
-        self.acquire(name)
+        """Hold a lock, and wait for it a while if another process has it."""
+        self.wait(name, PATIENCE)
         try:
             yield
         finally:
             self.release(name)
 
-    def acquire(self, name: str) -> None:
-        """Take a lock; wait as long as another process has it."""
+    def wait(self, name: str, seconds: float) -> bool:
+        """Take a lock, or wait until another process gives it back; False if that takes longer.
+
+        A process that is stopped keeps its locks, so waiting has an end. Where there are no locks,
+        nothing is waited for, and it counts as taken.
+        """
+        end = time.monotonic() + seconds
+        while self._is_held_by_other(name):
+            if time.monotonic() > end:
+                return False
+            time.sleep(WAIT)
+        return True
+
+    def _is_held_by_other(self, name: str) -> bool:
+        """Take a lock; whether another process has it."""
         if fcntl is None:
-            return
-        # an error: there are no locks here, or two processes wait for each other
-        with suppress(OSError):
-            fcntl.lockf(self._open(), fcntl.LOCK_EX, 1, _place_of(name))
+            return False
+        try:
+            file = self._open()
+        except OSError:
+            return False
+        try:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _place_of(name))
+        except OSError as error:
+            return error.errno in (errno.EACCES, errno.EAGAIN)
+        return False
 
     def try_acquire(self, name: str) -> bool:
         """Take a lock, unless another process has it or there are no locks here."""

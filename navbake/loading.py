@@ -6,8 +6,8 @@ takes longer than all else. Machine code needs none of it, so it waits for the f
 compiled: then numba's compiler registers its functions itself, and a kernel's bitcode is read when
 it is linked into another.
 
-Source: `FunctionCache.load_overload` and `CPUCodeLibrary._unserialize`, as they are from numba 0.61
-to 0.68.
+Source: `FunctionCache.load_overload` and `CPUCodeLibrary._unserialize` of numba 0.68. With other
+versions, kernels are loaded as numba does it, which is slower.
 """
 
 # numba has few types
@@ -19,11 +19,19 @@ import importlib
 from functools import cache
 from typing import Any
 
+import numba
 from llvmlite import binding
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult
 from numba.core.runtime import rtsys
 from numba.np import linalg
+
+MADE_FOR = "0.68."
+
+
+def loads_light() -> bool:
+    """Whether this numba is one that this module was made for."""
+    return str(numba.__version__).startswith(MADE_FOR)
 
 
 class LoadedLibrary(JITCodeLibrary):

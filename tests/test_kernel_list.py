@@ -145,3 +145,13 @@ def test_a_kernel_that_was_loaded_is_linked_into_one_that_is_compiled(tmp_path, 
         [sys.executable, "-c", LINK, before], env=env, stdout=subprocess.PIPE, text=True, check=True
     )
     assert run.stdout.split() == ["1", "1"]
+
+
+def test_kernels_that_call_mujoco_can_be_compiled_alone():
+    """LLVM ends a process that compiles a call of what nobody has loaded."""
+    code = """
+import navbake.baker.kernels.rays
+from llvmlite import binding
+assert binding.address_of_symbol("mju_rayGeom")
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
