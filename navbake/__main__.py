@@ -54,6 +54,8 @@ def main() -> None:
         run()
     except BaseException as error:
         done = isinstance(error, SystemExit) and error.code in (None, 0)
+        # what is done is done: a signal would end the process by force while Python cleans up
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         if _is_terminated:
             sys.exit(TERMINATED)
         if _pressed and not done:

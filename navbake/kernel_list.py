@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 
 FILE = Path(__file__).with_name("kernels.json")
 PREFIX = "navbake."
+RAYS = "navbake.baker.kernels.rays"  # its kernels call MuJoCo
 
 
 class Entry(NamedTuple):
@@ -128,6 +129,10 @@ def compile_listed(modules: Iterable[str], share: float, parent: int) -> None:
     """
     entries, tuples = read_list()
     wanted = set(modules)
+    if RAYS in wanted:
+        # LLVM ends a process that compiles a call of what it does not find
+        library = importlib.import_module(f"{PREFIX}baker.scene.model").mujoco_library()
+        importlib.import_module(RAYS).load_mujoco_library(library)
     left = [entry for entry in reversed(entries) if entry.module in wanted]
     begin = int(len(left) * share)
     for entry in left[begin:] + left[:begin]:

@@ -6,6 +6,7 @@ minutes. Run it when a test says that the list is out of date.
 
 from __future__ import annotations
 
+import argparse
 import os
 import tempfile
 import time
@@ -17,6 +18,7 @@ ROOT = Path(__file__).parents[1]
 
 def main() -> None:
     """Compile all kernels, and list them."""
+    argparse.ArgumentParser(description="Write the list of kernels, in some minutes.").parse_args()
     with tempfile.TemporaryDirectory() as folder:
         # before numba is imported; and no other process is to take a part of the work
         os.environ.update(NUMBA_CACHE_DIR=folder, NAVBAKE_COMPILES_BESIDE="1")

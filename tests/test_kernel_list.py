@@ -147,10 +147,13 @@ def test_a_kernel_that_was_loaded_is_linked_into_one_that_is_compiled(tmp_path, 
     assert run.stdout.split() == ["1", "1"]
 
 
-def test_kernels_that_call_mujoco_can_be_compiled_alone():
+def test_processes_beside_find_mujoco():
     """LLVM ends a process that compiles a call of what nobody has loaded."""
     code = """
-import navbake.baker.kernels.rays
+import os
+from navbake import kernel_list
+kernel_list.read_list = lambda: kernel_list.KernelList([], {})
+kernel_list.compile_listed(["navbake.baker.kernels.rays"], 0.0, os.getppid())
 from llvmlite import binding
 assert binding.address_of_symbol("mju_rayGeom")
 """

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from navbake.baker.kernels.arrays import Band, BandItems, Crossings, Facets, Tiles
 from navbake.baker.kernels.hits import RIM, close_up
-from navbake.baker.kernels.rays import cast_lines, cast_points_at
+from navbake.baker.kernels.rays import cast_lines, cast_points_at, load_mujoco_library
 from navbake.baker.kernels.tiles import BAND, bin_boxes, list_by_band, tile_of
 from navbake.baker.scene.kernels.triangles import measure_triangles
+from navbake.baker.scene.model import mujoco_library
 from navbake.baker.scene.shapes import Shapes, Triangles
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
@@ -97,6 +98,7 @@ def cast_columns(tiled: TiledShapes) -> Columns:
     so that a seam between two geoms never leaks.
     """
     lattice, shapes, facets = tiled.lattice, tiled.shapes, tiled.facets
+    load_mujoco_library(mujoco_library())
     items = BandItems(
         *list_by_band(shapes.solids.bounds, RIM, lattice),
         *list_by_band(facets.bounds, RIM, lattice),
@@ -124,6 +126,7 @@ def cast_points(tiled: TiledShapes, cells: Int, points: Float) -> Crossings:
         points: x and y of each line, shape (n, 2), world frame [m].
     """
     shapes, heights = tiled.shapes, tiled.heights
+    load_mujoco_library(mujoco_library())
     lines = points, tile_of(tiled.lattice, cells)
     geometry = (shapes.solids, tiled.facets, shapes.planes, tiled.tiles, heights)
     start = np.zeros(len(points) + 1, dtype=np.int64)

@@ -83,7 +83,7 @@ def close_cracks(
     if crack == 0:
         return columns
     limits = agent_limits(agent)
-    gaps = _find_gaps(columns, limits, crack)
+    gaps = list_gaps(columns, limits, crack)
     if not len(gaps.cell):
         return columns
     # most gaps are open: half of the ways tell most of these, and to measure is dearest
@@ -136,7 +136,7 @@ def _replace_by_best(
             continue
         trial = np.where(asked[:, None], offset, best)
         replaced = _replace_lines(columns, tiled, cells, trial)
-        gaps = _find_gaps(replaced, limits, crack)
+        gaps = list_gaps(replaced, limits, crack)
         left = np.bincount(gaps.cell, minlength=len(columns.start) - 1)[cells]
         better = asked & (left < fewest)
         best[better], fewest[better] = offset[better], left[better]
@@ -148,7 +148,7 @@ def crack_reach(crack: float) -> float:
     return AROUND * crack
 
 
-def _find_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
+def list_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
     lattice, start = columns.lattice, np.zeros(len(columns.start), dtype=np.int64)
     stands, none = np.empty(len(columns.z), dtype=np.bool_), np.empty(0)
     room = GapRoom(stands, np.empty(len(start) - 1), start, none, none)

@@ -23,7 +23,7 @@ SCENE = """<mujoco model="warm-up">
   <hfield name="hill" nrow="3" ncol="3" size=".5 .5 .2 .1" elevation="0 0 0 0 1 0 0 0 0"/>
 </asset>
 <worldbody>
-  <geom type="plane" size="0 0 1" pos="0 0 -.2"/>
+  <geom type="plane" size="0 0 1" pos="0 0 -.4"/>
   <geom type="box" size="3.3225 3 .1" pos="-.6775 0 -.1"/>
   <geom type="box" size=".6725 3 .1" pos="3.3275 0 -.1"/>
   <geom type="box" size="1.5 3 .1" pos="-2.5 0 1.9"/>

@@ -76,7 +76,7 @@ def reach_first_ray(settings: dict[str, Any]) -> None:
 
     def end(*_: Any, **__: Any) -> None:
         print("{}", flush=True)
-        os._exit(0)
+        raise SystemExit
 
     columns.cast_columns = stages.cast_columns = end  # type: ignore[attr-defined]
     path = settings["scene"]["path"]

@@ -5,10 +5,12 @@ Run ``NAVBAKE_EXAMPLES=3000 pytest tests/bake/test_ground_truth.py`` for more, o
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -244,6 +246,23 @@ def bake(things: list[Thing], rules: Rules, levels: object = "auto"):
     return run_bake(parse_config(config)).grid
 
 
+def over_all(things: list[Thing], rules: Rules) -> Rules:
+    """The same rules with bounds that hold all things, by whole cells more to each side."""
+    reach = max(
+        max(map(abs, thing.pos[:2]))
+        + (
+            max(math.hypot(*vertex) for vertex in thing.vertices)
+            if thing.vertices
+            else sum(thing.size)
+        )
+        for thing in things
+    )
+    low_x, low_y, high_x, high_y = rules.bounds
+    inside = min(-low_x, -low_y, high_x, high_y)
+    more = max(0, math.ceil((reach - inside) / rules.cell_size)) * rules.cell_size
+    return replace(rules, bounds=(low_x - more, low_y - more, high_x + more, high_y + more))
+
+
 def on_lattice(level: SceneGrid2D, truth: Truth) -> tuple[NDArray, NDArray, NDArray]:
     """Floor, occupancy and weights of a level by cell id of the whole lattice."""
     rows, cols = truth.shape
@@ -264,7 +283,11 @@ def on_lattice(level: SceneGrid2D, truth: Truth) -> tuple[NDArray, NDArray, NDAr
 def check(
     things: list[Thing], rules: Rules, levels: object = "auto", *, snapped: bool = False
 ) -> None:
-    """Bake a scene and compare every cell of every level with the truth."""
+    """Bake a scene and compare every cell of every level with the truth.
+
+    All of the scene is baked: what is a floor is decided on the whole, see `test_window.py`.
+    """
+    rules = over_all(things, rules)
     note(scene_xml(things))
     note(repr(rules))
     try:

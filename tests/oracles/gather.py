@@ -41,10 +41,12 @@ def geoms_that_meet(tiled: TiledShapes, prism: Prism) -> dict[int, int]:
         edge = 2.0 * TOUCH if tiled.facets.closed[t] == OPEN_SURFACE else 0.0
         if t not in _boxes_near(tiled.facets.bounds, prism, edge):
             continue
-        asked = prism._replace(
-            square=prism.square + edge if prism.square else 0.0,
-            radius=prism.radius + edge if prism.radius else 0.0,
-        )
+        wider = {
+            "square": prism.square + edge if prism.square else 0.0,
+            "radius": prism.radius + edge if prism.radius else 0.0,
+        }
+        fields = zip(type(prism).__match_args__, prism, strict=True)
+        asked = type(prism)(**{**dict(fields), **wider})
         if triangle_meets_prism(tiled.facets.corners[t], asked, POLYGONS):
             found[int(tiled.facets.geom[t])] = MEETS
     for s in _boxes_near(shapes.solids.bounds, prism, 0.0):

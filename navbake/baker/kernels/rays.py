@@ -18,6 +18,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from llvmlite import binding
 from numba import njit, types
 
 from navbake.baker.kernels.constants import BOX, CONVEX_SOLID, CYLINDER, OPEN_SURFACE, PLANE, SPHERE
@@ -33,7 +34,6 @@ from navbake.baker.kernels.hits import (
 )
 from navbake.baker.kernels.raster import NEVER_FAR, hit_triangle, is_beside, raster_triangles
 from navbake.baker.kernels.tiles import BAND, cell_center, centers_between
-from navbake.baker.mujoco_library import load_mujoco_library
 from navbake.compiled import UNCOUNTED
 from navbake.types import Float
 
@@ -44,8 +44,6 @@ PLANE_KIND = np.int32(PLANE)
 # Lines this far from the rim of an upright solid are inside or outside of it, whatever rounding
 # does; and solids narrower than WIDE ask MuJoCo on all lines [m]
 CLEAR, WIDE = 1e-5, 1e-3
-
-load_mujoco_library()
 
 _ray_geom = types.ExternalFunction(
     "mju_rayGeom",
@@ -63,6 +61,11 @@ class Ray(NamedTuple):
     normal: Float
     nudged: Float
     grown: Float
+
+
+def load_mujoco_library(path: str) -> None:
+    """Make MuJoCo's ray functions known to compiled code; once a process."""
+    binding.load_library_permanently(path)
 
 
 @njit(cache=True, **UNCOUNTED)

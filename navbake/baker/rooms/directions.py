@@ -70,7 +70,7 @@ def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
         best = int(smooth.argmax())
         off = (angle - best * BIN + 90.0) % 180.0 - 90.0
         chosen = _align(foot[:, np.abs(off) <= 1.5 * BIN], best * BIN)
-        directions.append(_direction(chosen, open_cells.shape))
+        directions.append(direction_of(chosen, open_cells.shape))
         smooth[np.arange(best - 2, best + 3) % num] = 0.0
     return directions
 
@@ -101,7 +101,7 @@ def _align(foot: Float, around: float) -> float:
     return float(angles[sharpness.argmax()])
 
 
-def _direction(angle: float, shape: tuple[int, ...]) -> Direction:
+def direction_of(angle: float, shape: tuple[int, ...]) -> Direction:
     """A direction from its angle from the columns' axis towards the rows' [degrees]."""
     swapped = 45.0 < angle < 135.0
     slope = np.tan(np.deg2rad(90.0 - angle if swapped else angle))

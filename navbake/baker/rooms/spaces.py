@@ -78,7 +78,7 @@ class Spaces:
         for k, pair in enumerate(self._pairs.tolist()):
             for space in pair:
                 self._at[space].add(k)
-        self._measure(np.arange(len(self._width)))
+        self.measure(np.arange(len(self._width)))
 
     def join_continued(self) -> None:
         """Join spaces that a gap leaves as wide as both of them are.
@@ -94,7 +94,7 @@ class Spaces:
             # what was measured again is in the queue again
             if not self._is_apart(gap) or -negative != self._shares[gap].min():
                 continue
-            for k in self._join(gap):
+            for k in self.join(gap):
                 share = float(self._shares[k].min())
                 if share >= BOTH:
                     heapq.heappush(queue, (bool(self._is_doorway[k]), -share, k))
@@ -108,7 +108,7 @@ class Spaces:
             # a passage may have grown long meanwhile
             if not self._is_apart(gap) or -negative != self._decide(gap):
                 continue
-            for k in self._join(gap):
+            for k in self.join(gap):
                 if (share := self._decide(k)) >= NARROWER:
                     heapq.heappush(queue, (-share, k))
 
@@ -165,7 +165,7 @@ class Spaces:
             space = int(parent[space])
         return space
 
-    def _measure(self, gaps: Int) -> None:
+    def measure(self, gaps: Int) -> None:
         """Measure the share that gaps have of the spaces on both sides."""
         place = np.searchsorted(self._start, gaps, side="right") - 1
         for number in np.unique(place).tolist():
@@ -180,7 +180,7 @@ class Spaces:
             ):
                 self._met_by[space].add(k)
 
-    def _join(self, gap: int) -> list[int]:
+    def join(self, gap: int) -> list[int]:
         """Join the spaces on both sides of a gap; returns the gaps that were measured again."""
         one, other = (self._root(int(space)) for space in self._pairs[gap])
         changed = (self._at[one] & self._met_by[other]) | (self._at[other] & self._met_by[one])
@@ -193,5 +193,5 @@ class Spaces:
             gaps[to], gaps[gone] = large, set()
         apart = [k for k in sorted(changed) if self._is_apart(k)]
         if apart:
-            self._measure(np.array(apart, dtype=np.int64))
+            self.measure(np.array(apart, dtype=np.int64))
         return apart

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from navbake.baker.columns import Columns
-from navbake.baker.cracks import _find_gaps
+from navbake.baker.cracks import list_gaps
 from navbake.baker.kernels.arrays import AgentLimits, Crossings
 from navbake.baker.kernels.constants import OPEN_SURFACE, SAME, SOLID
 from navbake.navgrid.lattice import Lattice
@@ -139,7 +139,7 @@ def plain_gaps(cells) -> set[tuple[int, float, float]]:
 @pytest.mark.parametrize("seed", range(MORE or 60))
 def test_gaps_as_a_plain_loop_finds_them(seed):
     cells = random_cells(seed)
-    gaps = _find_gaps(as_columns(cells), LIMITS, crack=0.15)
+    gaps = list_gaps(as_columns(cells), LIMITS, crack=0.15)
     found = set(zip(gaps.cell.tolist(), gaps.low.tolist(), gaps.high.tolist(), strict=True))
     expected = plain_gaps(cells)
     assert found <= expected

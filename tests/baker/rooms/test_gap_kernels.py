@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from navbake.baker.rooms import gaps as gaps_module
-from navbake.baker.rooms.directions import _direction, find_directions
+from navbake.baker.rooms.directions import direction_of, find_directions
 from navbake.baker.rooms.gaps import GROWTH, part_at_gaps
 from navbake.baker.rooms.kernels import gaps as kernels
 from navbake.baker.rooms.spaces import Spaces
@@ -50,7 +50,7 @@ def line_of(row, col, shift):
 def test_runs_are_as_long_as_lines_go_on(angle):
     rng = np.random.default_rng(0)
     is_open = blobs(rng)
-    shift = _direction(angle, is_open.shape).shift[: is_open.shape[1]]
+    shift = direction_of(angle, is_open.shape).shift[: is_open.shape[1]]
     shift = np.concatenate([shift, np.repeat(shift[-1:], max(0, is_open.shape[1] - len(shift)))])
     run = kernels.measure_runs(is_open, shift)
     for row, col in np.ndindex(is_open.shape):
@@ -107,7 +107,7 @@ def test_bridges_lead_from_wall_to_wall(angle):
     for _ in range(6):
         wall = ~blobs(rng, smooth=1.2, most=-0.6)
         low = blobs(rng, smooth=1.0) & ~wall
-        shift = _direction(angle, low.shape).shift
+        shift = direction_of(angle, low.shape).shift
         bridge = np.zeros_like(low)
         kernels.mark_bridges(low, wall, shift, bridge)
         expected = bridges(low, wall, shift)
@@ -253,11 +253,11 @@ def test_the_share_that_a_gap_has(angle):
 class Remeasured(Spaces):
     """Measures all gaps again whenever two spaces are joined."""
 
-    def _join(self, gap):
+    def join(self, gap):
         before = self._shares.copy()
-        super()._join(gap)
+        super().join(gap)
         apart = self._all()
-        self._measure(np.array(apart, dtype=np.int64))
+        self.measure(np.array(apart, dtype=np.int64))
         return [k for k in apart if (before[k] != self._shares[k]).any()]
 
 
@@ -288,10 +288,10 @@ def test_what_is_far_from_a_change_is_not_measured_again():
         measured = 0
 
         class Counted(Spaces):
-            def _measure(self, gaps):
+            def measure(self, gaps):
                 nonlocal measured
                 measured += len(gaps)
-                super()._measure(gaps)
+                super().measure(gaps)
 
         spaces = Counted(found, cells, size)
         spaces.join_continued()

@@ -14,7 +14,7 @@ def openings(floor, rooms, links=()):
     floor, rooms = np.array(floor, dtype=np.float64), np.array(rooms, dtype=np.uint16)
     level = LevelFloor("level 0", 0.0, floor, ~np.isnan(floor))
     pairs = np.array([(0, a, 0, b) for a, b in links], dtype=np.int64).reshape(-1, 4)
-    found = find_openings([rooms], Floors([level], pairs, [], [], [], [], []), 0.25)
+    found = find_openings([rooms], Floors([level], pairs, [], [], [], [], [], []), 0.25)
     return [(opening.rooms, opening.cells.tolist()) for opening in found]
 
 

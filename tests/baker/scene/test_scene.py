@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from navbake.baker.mujoco_library import mujoco_library
+from navbake.baker.scene.model import mujoco_library
 from navbake.baker.scene.scene import load_scene
 from navbake.config.scene import SceneSettings
 from navbake.errors import ConfigError, SceneError

@@ -169,7 +169,7 @@ def test_the_ring_round_an_object_goes_through_no_wall(tmp_path):
         box("floor", -2, -2, -0.1, 2, 2, 0)
         + box("wall", -2, 0, 0, 2, 0.1, 2)
         + "".join(
-            box(f"shelf{k}", *sides, 0, *ends, 2)
+            box(f"shelf{k}", *sides, 0, *ends, 1.4)
             for k, (sides, ends) in enumerate(
                 (
                     ((-2, 0.1), (2, 1)),
