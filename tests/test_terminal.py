@@ -160,6 +160,7 @@ def test_completion_can_be_installed(run):
 # Says when it is ready: before that, while Python itself starts, Ctrl-C is not navbake's.
 STARTED = """
 import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # tests may run in the background
 from navbake import __main__ as start
 set_handler = signal.signal
 def tell(*arguments):
@@ -190,6 +191,7 @@ def test_ctrl_c_is_clean_at_any_time(tmp_path, delay):
 
 LIBRARY = """
 import ctypes, signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # tests may run in the background
 from navbake import __main__ as start
 import navbake.cli.main as command_line
 @ctypes.CFUNCTYPE(None)
@@ -228,7 +230,8 @@ def test_libraries_that_turn_or_drop_ctrl_c_change_nothing(body):
 def test_code_in_c_is_ended_too(number, status):
     """While MuJoCo compiles, no Python runs on the main thread."""
     code = """
-import hashlib
+import hashlib, signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from navbake import __main__ as start
 import navbake.cli.main as command_line
 start.PATIENCE = 0.3
@@ -242,7 +245,10 @@ start.main()
         assert child.stdout is not None
         assert child.stdout.readline() == "ready\n"
         child.send_signal(number)
-        assert child.wait(20) == status
+        try:
+            assert child.wait(20) == status
+        finally:
+            child.kill()
 
 
 def test_bugs_are_no_ctrl_c():
