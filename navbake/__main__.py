@@ -45,9 +45,10 @@ def main() -> None:
     # where Ctrl-C is ignored, as in the background of a script, it stays ignored
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt)
-        signal.signal(signal.SIGTERM, _terminate)
         sys.unraisablehook = _raise_again
-        _start_watch()
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, _terminate)
+    _start_watch()
     try:
         from navbake.cli.main import main as run  # now that Ctrl-C is expected
 
