@@ -42,14 +42,8 @@ def main() -> None:
     and processes that only help are removed.
     """
     gc.set_threshold(BETWEEN_COLLECTIONS, *gc.get_threshold()[1:])
-    # where Ctrl-C is ignored, as in the background of a script, it stays ignored
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, _interrupt)
-        sys.unraisablehook = _raise_again
-    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-        signal.signal(signal.SIGTERM, _terminate)
-    _start_watch()
     try:
+        _listen()
         from navbake.cli.main import main as run  # now that Ctrl-C is expected
 
         run()
@@ -62,6 +56,16 @@ def main() -> None:
         if _pressed and not done:
             sys.exit(INTERRUPTED)
         raise
+
+
+def _listen() -> None:
+    """Hear of signals; where Ctrl-C is ignored, as in the background of a script, it stays so."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
+        sys.unraisablehook = _raise_again
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, _terminate)
+    _start_watch()
 
 
 def _start_watch() -> None:
