@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from os import PathLike
@@ -56,7 +57,8 @@ class VoxelGrid:
             raise FormatError(f"expected `known` of dtype bool, got {known.dtype}")
         corner = finite_array(self.origin, (3,))
         if corner is None:
-            raise FormatError(f"expected a lower corner x, y, z [m], got {self.origin!r}")
+            given = reprlib.repr(self.origin)  # on one line, whatever it is
+            raise FormatError(f"expected a lower corner x, y, z [m], got {given}")
         self.origin = tuple(corner.tolist())
         self.res = float(self.res)
         if not (np.isfinite(self.res) and self.res > 0):
