@@ -57,7 +57,7 @@ class VoxelGrid:
             raise FormatError(f"expected `known` of dtype bool, got {known.dtype}")
         corner = finite_array(self.origin, (3,))
         if corner is None:
-            given = reprlib.repr(self.origin)  # on one line, whatever it is
+            given = reprlib.repr(self.origin)[:80]  # on one line, whatever it is
             raise FormatError(f"expected a lower corner x, y, z [m], got {given}")
         self.origin = tuple(corner.tolist())
         self.res = float(self.res)
