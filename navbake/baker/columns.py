@@ -32,7 +32,7 @@ class TiledShapes:
     @cached_property
     def heights(self) -> Band:
         """Heights below and above everything over the lattice [m]."""
-        return _height_range(self.shapes, self.lattice)
+        return height_range(self.shapes, self.lattice)
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,8 @@ class Columns:
     Attributes:
         lattice: the cells.
         crossings: the surfaces, as kernels take them; the others are parts of it.
+        moved: the cells whose line lies beside a crack, not in their centre, ascending; None for
+            none.
         start: shape (cells + 1,), int64.
         z: heights, ascending in a column, shape (n,), float64 [m].
         normal: unit normals, shape (n, 3), float32; z > 0 faces up.
@@ -50,6 +52,7 @@ class Columns:
 
     lattice: Lattice
     crossings: Crossings
+    moved: Int | None = None
 
     @property
     def start(self) -> Int:
@@ -148,7 +151,7 @@ def _facets_of(triangles: Triangles) -> Facets:
     return Facets(*triangles, *measure_triangles(triangles.corners, UPRIGHT))
 
 
-def _height_range(shapes: Shapes, lattice: Lattice) -> Band:
+def height_range(shapes: Shapes, lattice: Lattice) -> Band:
     """Heights below and above everything over the lattice, infinite planes included [m]."""
     bounds = shapes.bounds()
     heights = [0.0] if bounds is None else [float(bounds[0, 2]), float(bounds[1, 2])]

@@ -84,19 +84,32 @@ def close_cracks(
         return columns
     limits = agent_limits(agent)
     gaps = list_gaps(columns, limits, crack)
-    if not len(gaps.cell):
+    cells, candidates = measure_cracks(gaps, tiled, limits, crack)
+    if not len(cells):
         return columns
+    return _replace_by_best(columns, tiled, cells, candidates, limits, crack)
+
+
+def measure_cracks(
+    gaps: Gaps, tiled: TiledShapes, limits: AgentLimits, crack: float
+) -> tuple[Int, Float]:
+    """The cells with a gap that is a crack, and the lines that each may get instead of its own.
+
+    See `_list_candidates`; no cell where no gap is a crack.
+    """
+    nothing = np.empty(0, dtype=np.int64), np.empty((0, 0, 2))
     # most gaps are open: half of the ways tell most of these, and to measure is dearest
     for spacing in (2, 1):
-        gaps = gaps.only(~_find_open(_Probe(gaps, tiled, limits), crack, spacing))
         if not len(gaps.cell):
-            return columns
+            return nothing
+        gaps = gaps.only(~_find_open(_Probe(gaps, tiled, limits), crack, spacing))
+    if not len(gaps.cell):
+        return nothing
     offset = _measure(_Probe(gaps, tiled, limits), crack)
     closed = ~np.isnan(offset[:, 0, 0])
     if not closed.any():
-        return columns
-    cells, candidates = _list_candidates(gaps.cell[closed], offset[closed])
-    return _replace_by_best(columns, tiled, cells, candidates, limits, crack)
+        return nothing
+    return _list_candidates(gaps.cell[closed], offset[closed])
 
 
 def _list_candidates(cell: Int, offset: Float) -> tuple[Int, Float]:
@@ -283,4 +296,4 @@ def _replace_lines(columns: Columns, tiled: TiledShapes, cells: Int, offset: Flo
         was, now = getattr(old, name), getattr(new, name)
         pieces = [part for s, c in zip(stays, comes, strict=True) for part in (was[s], now[c])]
         parts[name] = np.concatenate(pieces)
-    return replace(columns, crossings=old._replace(**parts))
+    return replace(columns, crossings=old._replace(**parts), moved=cells)

@@ -22,7 +22,7 @@ from navbake.baker.cracks import close_cracks, crack_reach
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
 from navbake.baker.doors.doors import Doors, Surroundings, place_doors, warn_immovable_doors
 from navbake.baker.doors.walkable import warn_walkable_doors
-from navbake.baker.floors.levels import Floors, find_floors
+from navbake.baker.floors.levels import Floors, Judged, find_floors
 from navbake.baker.floors.window import crop_floors
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.lattice import Window, lay_lattice, lay_whole
@@ -192,6 +192,10 @@ class Stages:
 
         They are found on the whole scene, and cut to the lattice.
         """
+        return self.judge_floors()[0]
+
+    def judge_floors(self) -> tuple[Floors, Judged]:
+        """Find `floors`, and what was decided about the sheets of the whole scene."""
         config, (tiled, window, columns) = self.config, self.whole
         given = None if config.levels == "auto" else list(config.levels)
         # how a sheet ends does not depend on how wide the agent is
@@ -203,10 +207,12 @@ class Stages:
             return check_occupancy(columns, tiled, volume, cells, floors).occupied
 
         with self.clock.stage("floors"), self._errors_say_where():
-            floors = find_floors(
+            floors, judged = find_floors(
                 columns, tiled.shapes, config.agent, config.floors, given, is_occupied
             )
-            return floors if columns.lattice == self.lattice else crop_floors(floors, window)
+            if columns.lattice != self.lattice:
+                floors = crop_floors(floors, window)
+            return floors, judged
 
     @cached_property
     def occupancy(self) -> Occupancy:

@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 
 from navbake.baker.columns import Columns, TiledShapes
 from navbake.baker.contents.cell_names import BLOCKERS, OBJECTS, WALLS, name_cells, name_geoms
-from navbake.baker.contents.structure import FloorSupport, find_carriers, find_ceilings
+from navbake.baker.contents.structure import (
+    Carriers,
+    FloorSupport,
+    find_carriers,
+    find_ceilings,
+)
 from navbake.baker.contents.walls import (
     BUILDING,
     OBJECT,
@@ -121,24 +126,35 @@ class Contents:
         return UserData(partial(self._name_cells, level, window))
 
     def _name_cells(self, level: int, window: Window) -> Shared:
-        listed = self.levels[level]
-        kind = self.kinds[listed.geom]
-        bits = np.where(listed.blocks, BLOCKERS, 0)
-        bits |= np.where(listed.stands & self._is_wall(listed), WALLS, 0)
-        bits |= np.where(listed.stands & (kind == OBJECT), OBJECTS, 0)
-        carrier = listed.support.geom
-        below = np.flatnonzero(carrier >= 0)
-        below = below[self.kinds[carrier[below]] == OBJECT]
-        cell = np.concatenate([listed.cell, below])
-        geom = np.concatenate([listed.geom, carrier[below]])
-        bits = np.concatenate([bits, np.full(len(below), OBJECTS)])
-        with collector_off():
-            return Shared(*name_cells(cell, geom, bits, self.names, listed.lattice, window))
+        return name_contents(self.levels[level], self.kinds, self.names, window)
 
     def _is_wall(self, listed: LevelContents) -> Bool:
-        kind = self.kinds[listed.geom]
-        wall: Bool = (kind == WALL) | ((kind == BUILDING) & listed.upper)
-        return wall
+        return is_wall(listed, self.kinds)
+
+
+def name_contents(
+    listed: LevelContents, kinds: NDArray[np.uint8], names: Sequence[str], window: Window
+) -> Shared:
+    """The user data of a storey's cells, see `Contents.user_data`."""
+    kind = kinds[listed.geom]
+    bits = np.where(listed.blocks, BLOCKERS, 0)
+    bits |= np.where(listed.stands & is_wall(listed, kinds), WALLS, 0)
+    bits |= np.where(listed.stands & (kind == OBJECT), OBJECTS, 0)
+    carrier = listed.support.geom
+    below = np.flatnonzero(carrier >= 0)
+    below = below[kinds[carrier[below]] == OBJECT]
+    cell = np.concatenate([listed.cell, below])
+    geom = np.concatenate([listed.geom, carrier[below]])
+    bits = np.concatenate([bits, np.full(len(below), OBJECTS)])
+    with collector_off():
+        return Shared(*name_cells(cell, geom, bits, names, listed.lattice, window))
+
+
+def is_wall(listed: LevelContents, kinds: NDArray[np.uint8]) -> Bool:
+    """Whether each entry of a storey's cells is a wall there."""
+    kind = kinds[listed.geom]
+    wall: Bool = (kind == WALL) | ((kind == BUILDING) & listed.upper)
+    return wall
 
 
 def find_contents(
@@ -167,7 +183,20 @@ def find_contents(
     supports = [listed.support for listed in levels]
     step = agent.traversable_floor_height
     carriers = find_carriers(floors, supports, extents, step, columns.lattice)
-    over_floors = _measure_over_floors(levels, floors, extents)
+    over_floors = measure_over_floors(levels, floors, extents)
+    kinds, warnings = classify_geoms(scene, extents, over_floors, carriers, agent, settings)
+    return Contents(levels, kinds, name_geoms(scene), warnings)
+
+
+def classify_geoms(
+    scene: Scene,
+    extents: Extents,
+    over_floors: GeomsOverFloors,
+    carriers: Carriers,
+    agent: AgentSettings,
+    settings: NameSettings,
+) -> tuple[NDArray[np.uint8], list[str]]:
+    """Tell what each geom is, see `Contents.kinds`; and what the user should know."""
     buildings = find_buildings(scene, extents, over_floors)
     ceilings = find_ceilings(extents, over_floors.base, is_static(scene), agent)
     kinds = np.full(len(scene.geoms), OBJECT, dtype=np.uint8)
@@ -179,7 +208,7 @@ def find_contents(
         named, warnings = match_walls(scene, settings.walls)
         kinds[kinds == WALL] = OBJECT
         kinds[named] = WALL
-    return Contents(levels, kinds, name_geoms(scene), warnings)
+    return kinds, warnings
 
 
 def _list_level(
@@ -222,7 +251,7 @@ def _list_level(
     return LevelContents(lattice, start, geom[kept], stands, blocks, upper, support)
 
 
-def _measure_over_floors(
+def measure_over_floors(
     levels: Sequence[LevelContents], floors: Floors, extents: Extents
 ) -> GeomsOverFloors:
     num = len(extents.low)

@@ -81,6 +81,20 @@ class Floors:
     enclosed: list[Patch]
 
 
+class Judged(NamedTuple):
+    """What was decided about the sheets on the way to the floors.
+
+    Attributes:
+        every: all standable surfaces.
+        large: those of the sheets that are large enough for floors.
+        counted: those that are floors.
+    """
+
+    every: Standable
+    large: Standable
+    counted: Standable
+
+
 def find_floors(
     columns: Columns,
     shapes: Shapes,
@@ -88,8 +102,8 @@ def find_floors(
     settings: FloorSettings,
     given: list[LevelSettings] | None,
     is_occupied: OccupancyTest,
-) -> Floors:
-    """Find the storeys, the floor of each, and the steps between them.
+) -> tuple[Floors, Judged]:
+    """Find the storeys, the floor of each, and the steps between them; and what was decided.
 
     All standable surfaces → the sheets that are large enough → those of them that count, without
     tops, shelves and roofs → their levels → those that are reached → floors, level by level.
@@ -123,7 +137,7 @@ def find_floors(
         for k, (label, ground) in enumerate(zip(placed.labels, placed.grounds, strict=True))
     ]
     is_told = large.sheet_size > LARGE_ROOF * counted.sheet_size.max()
-    return Floors(
+    floors = Floors(
         levels,
         _cell_links(placed, agent),
         tops=describe_sheets(large, (rejected.tops | rejected.shelves) & ~starts, columns),
@@ -133,6 +147,7 @@ def find_floors(
         left_out=left_out,
         enclosed=enclosed,
     )
+    return floors, Judged(every, large, placed.standable)
 
 
 class _Placed(NamedTuple):
@@ -219,11 +234,11 @@ def _mark_candidates(counted: Standable, large: Int, site: Site) -> Bool:
     candidate[counted.surface] = False
     dropped = large[candidate[large]]
     candidate[large] = False
-    candidate[_just_below(columns, dropped, site.agent.traversable_floor_height)] = False
+    candidate[just_below(columns, dropped, site.agent.traversable_floor_height)] = False
     return candidate
 
 
-def _just_below(columns: Columns, surface: Int, step: float) -> Int:
+def just_below(columns: Columns, surface: Int, step: float) -> Int:
     """The surfaces a step at most below some others, in their columns.
 
     An agent there would walk on those above, as on a roof in which a wall's top is hidden.

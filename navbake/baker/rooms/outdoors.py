@@ -1,5 +1,7 @@
 """What is open: floor under the sky up to the edge of the grid, and holes in floors."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from navbake.baker.columns import Columns
@@ -29,9 +31,23 @@ OPEN_SHARE = 0.5
 BEYOND = 0.5
 
 
+class Outdoors(NamedTuple):
+    """The segments of a level, and which of them are outdoors.
+
+    Attributes:
+        segment: of each cell; those that are outdoors and touch have the least number of all.
+        outdoors: the numbers of those that are outdoors.
+        asked_sky: whether it was asked above which cells there is nothing but the sky.
+    """
+
+    segment: Int32
+    outdoors: set[int]
+    asked_sky: bool
+
+
 def find_outdoors(
     segment: Int32, floor: Float, columns: Columns, agent: AgentSettings, scene: Scene
-) -> tuple[Int32, set[int]]:
+) -> Outdoors:
     """Find the segments of a level that are outdoors, and unite those that touch.
 
     They reach the edge of the grid (or floor beyond which there is nothing up to that edge, or
@@ -46,10 +62,6 @@ def find_outdoors(
         segment: the segment of each cell, 0 for none.
         floor: heights of the floor, of the same shape, NaN for none [m].
         scene: with its bounds, and ground that goes on beyond them.
-
-    Returns:
-        The segments, of which those that are outdoors and touch have the least number of all; and
-        the numbers of those that are outdoors.
     """
     lattice = columns.lattice
     count = int(segment.max(initial=0)) + 1
@@ -58,7 +70,7 @@ def find_outdoors(
     edge[edge] = ~_is_under_top(np.flatnonzero(edge), floor, columns)
     candidates = _longest_runs(segment, edge, count) * lattice.cell_size > EDGE_LENGTH
     if not candidates.any():
-        return segment, set()
+        return Outdoors(segment, set(), False)
     is_candidate = candidates[segment]
     cell = np.flatnonzero(is_candidate)
     number, top = segment.ravel()[cell], columns.z[columns.start[cell + 1] - 1]
@@ -80,7 +92,7 @@ def find_outdoors(
     united = _unite_touching(segment, outdoors, steep)
     if outdoors.any() and len(scene.shapes.planes.geom):
         united[outdoors] = united[outdoors].min()
-    return united[segment], set(np.unique(united[outdoors]).tolist())
+    return Outdoors(united[segment], set(np.unique(united[outdoors]).tolist()), True)
 
 
 def _is_under_top(cell: Int, floor: Float, columns: Columns) -> Bool:

@@ -59,7 +59,7 @@ def open_memory(scene: Any, data: Any, settings: SceneSettings) -> OpenScene:
         opened = _open(scene, settings, warned)
     if data is None:
         return opened
-    _check_data(opened.model, data, settings)
+    check_data(opened.model, data, settings)
     return opened._replace(data=data_with_joints(opened.model, data, {}))
 
 
@@ -88,7 +88,7 @@ def _compile_copy(spec: Any, ground: float | None) -> Any:
     return copy.compile()
 
 
-def _check_data(model: Any, data: Any, settings: SceneSettings) -> None:
+def check_data(model: Any, data: Any, settings: SceneSettings) -> None:
     if not isinstance(data, mujoco.MjData):
         raise ConfigError(f"expected a mujoco.MjData of the model, got {type(data).__name__}")
     if settings.keyframe is not None or settings.joints:

@@ -126,7 +126,7 @@ def load_scene(
         geoms=_report_geoms(model, choices, collected.kinds),
         shapes=collected.shapes,
         bounds=collected.shapes.bounds(),
-        digest=_digest(model, data, parts),
+        digest=digest_scene(model, data, parts),
         warnings=warnings,
         model=model,
         data=data,
@@ -211,16 +211,26 @@ def _warn_lying(settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str
     ]
 
 
-def _digest(model: Any, data: Any, parts: dict[int, MeshPart]) -> str:
-    """sha256 of what the bake can see of a posed model, wherever it was loaded from."""
-    digest = hashlib.sha256()
-    for geom in range(model.ngeom):
-        digest.update("\0".join(names_of(model, geom)).encode() + b"\n")
+def digest_scene(model: Any, data: Any, parts: dict[int, MeshPart], names: Any = None) -> str:
+    """sha256 of what the bake can see of a posed model, wherever it was loaded from.
+
+    Args:
+        names: what `digest_names` gives of the model, where it is known.
+    """
+    digest = (names or digest_names(model)).copy()
     for number, array in enumerate(_digest_arrays(model, data, parts)):
         array = np.ascontiguousarray(array)
         digest.update(f"{number} {array.dtype.str} {array.shape}\n".encode())
         digest.update(array.tobytes())
-    return digest.hexdigest()
+    return str(digest.hexdigest())
+
+
+def digest_names(model: Any) -> Any:
+    """The sha256 of a model's names, with which `digest_scene` begins; names never change."""
+    digest = hashlib.sha256()
+    for geom in range(model.ngeom):
+        digest.update("\0".join(names_of(model, geom)).encode() + b"\n")
+    return digest
 
 
 def _digest_arrays(model: Any, data: Any, parts: dict[int, MeshPart]) -> Iterator[NDArray[Any]]:
