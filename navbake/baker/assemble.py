@@ -14,7 +14,6 @@ from navbake.baker.lattice import Window, cut_cells
 from navbake.baker.scene.model import mujoco_version
 from navbake.baker.stages import Stages
 from navbake.baker.warn import ContentNotes, collect_warnings
-from navbake.config.settings import settings_digest, settings_to_state
 from navbake.navgrid.door_states import with_door_names
 from navbake.navgrid.doors import Door, Runs, to_runs
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
@@ -29,10 +28,13 @@ class Standing(NamedTuple):
     Attributes:
         notes: what is warned of; None where nothing is known.
         user_data: gives the names of a level's cells in a window; None where none are wanted.
+        floors: the floor of each level as it is written, shape (height, width) of the whole
+            lattice, float32; None where that is to be made.
     """
 
     notes: ContentNotes | None
     user_data: Callable[[int, Window], UserData] | None
+    floors: list[NDArray[np.float32]] | None = None
 
     @classmethod
     def of(cls, stages: Stages) -> Standing:
@@ -55,9 +57,8 @@ def build_grid(stages: Stages, standing: Standing | None = None) -> SceneGrid2D 
     doors = _cut_doors(stages, windows)
     metadata = _metadata(stages, windows, doors, standing.notes)
     places = enumerate(zip(windows, stages.boxes.boxes, strict=True))
-    named = standing.user_data
     grids = [
-        _level_grid(stages, number, *place, doors, metadata, named) for number, place in places
+        _level_grid(stages, number, *place, doors, metadata, standing) for number, place in places
     ]
     grid: SceneGrid2D | MultiLevelGrid = grids[0]
     if len(grids) > 1:
@@ -73,7 +74,7 @@ def _level_grid(
     box: Box,
     doors: Sequence[Door],
     metadata: Json,
-    named: Callable[[int, Window], UserData] | None,
+    standing: Standing,
 ) -> SceneGrid2D:
     """One level's grid, blocked by the doors in their states."""
     level, part = stages.floors.levels[number], stages.lattice.cut(*window)
@@ -81,8 +82,13 @@ def _level_grid(
     occupied = stages.occupancy.levels[number][window].copy()
     for door in doors:
         occupied.ravel()[door.cells_in(door.state, num_levels)[number]] = True
+    floor = (
+        level.floor[window].astype(np.float32)
+        if standing.floors is None
+        else (np.ascontiguousarray(standing.floors[number][window]))
+    )
     attributes: dict[str, NDArray[Any]] = {
-        "floorHeight": level.floor[window].astype(np.float32),
+        "floorHeight": floor,
         "roomIndex": np.ascontiguousarray(stages.rooms.index[number][window]),
         "occupancy": occupied.astype(np.uint8),
     }
@@ -92,8 +98,9 @@ def _level_grid(
             solid.ravel()[door.solid_in(door.state, num_levels)[number]] = True
         attributes["solid"] = solid.astype(np.uint8)
     user_data = UserData()
-    if named is not None:  # read on first use
-        user_data = with_door_names(named(number, window), doors, number, num_levels)
+    if standing.user_data is not None:  # read on first use
+        named = standing.user_data(number, window)
+        user_data = with_door_names(named, doors, number, num_levels)
     return SceneGrid2D(
         width=part.width,
         height=part.height,
@@ -112,7 +119,6 @@ def _metadata(
 ) -> Json:
     config, agent = stages.config, stages.config.agent
     warnings = collect_warnings(stages, notes)
-    closed = {door.id: door.closed_cells for door in stages.doors.placed}
     return {
         "sceneId": stages.scene.id,
         "cellAttributes": [
@@ -129,8 +135,7 @@ def _metadata(
             "version": __version__,
             "mujoco": mujoco_version(),
             "sceneDigest": stages.scene.digest,
-            "settingsDigest": settings_digest(config),
-            "settings": settings_to_state(config),
+            **stages.stated_settings,
             "worldFrame": {
                 "up": "z",
                 "unit": "m",
@@ -144,7 +149,7 @@ def _metadata(
             ],
             "links": _cut_links(stages.floors.links, windows, stages.lattice.width).tolist(),
             "names": config.names.enabled,
-            "rooms": [room.to_json() for room in stages.rooms.with_doors(closed).table],
+            "rooms": stages.room_table,
             "doors": [_door_entry(door) for door in doors],
             **({"warnings": warnings} if warnings else {}),
         },

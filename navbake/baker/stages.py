@@ -38,11 +38,11 @@ from navbake.baker.scene.guard.isolated import CompileLimits
 from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.keywords import SettingKeywords
-from navbake.config.settings import BakeConfig
+from navbake.config.settings import BakeConfig, settings_digest, settings_to_state
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import limit_threads
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Json
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Unpack
@@ -275,6 +275,18 @@ class Stages:
             self.config.agent.height,
         )
         return find_level_boxes(levels, occupied, self.lattice, self.scene.bounds, height)
+
+    @cached_property
+    def room_table(self) -> list[Json]:
+        """The table of rooms as a file states it, with the doors between them."""
+        closed = {door.id: door.closed_cells for door in self.doors.placed}
+        return [room.to_json() for room in self.rooms.with_doors(closed).table]
+
+    @cached_property
+    def stated_settings(self) -> Json:
+        """The settings and their digest, as a file states them."""
+        digest, state = settings_digest(self.config), settings_to_state(self.config)
+        return {"settingsDigest": digest, "settings": state}
 
     def _tile(self, lattice: Lattice) -> TiledShapes:
         reach = max(self.footprints.whole.reach, crack_reach(self.config.floors.crack))

@@ -172,17 +172,19 @@ def warn_movable(scene: Scene, taken: Int, cell_area: float) -> list[str]:
         taken: see `count_taken`.
         cell_area: of one cell [m²].
     """
-    bodies = np.flatnonzero(taken).tolist()
-    if not bodies:
+    bodies = np.flatnonzero(taken)
+    if not len(bodies):
         return []
+    first = bodies[np.lexsort((bodies, -taken[bodies]))][:MAX_MOVABLE].tolist()
     named = [
         f"{body_name(scene.model, body)!r} ({int(taken[body]) * cell_area:.2f} m²)"
-        for body in sorted(bodies, key=lambda body: (-taken[body], body))
+        for body in first
     ]
-    more = f", and {len(named) - MAX_MOVABLE} more" if named[MAX_MOVABLE:] else ""
+    left = len(bodies) - len(named)
+    more = f", and {left} more" if left else ""
     return [
         f"bodies with a free joint take floor, where they stand now: "
-        f"{', '.join(named[:MAX_MOVABLE])}{more}; `scene.exclude.movable: true` leaves all such "
+        f"{', '.join(named)}{more}; `scene.exclude.movable: true` leaves all such "
         f"bodies out, `scene.exclude.bodies` those that its patterns name"
     ]
 

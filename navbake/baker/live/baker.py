@@ -146,7 +146,7 @@ class Baker:
             ConfigError: the data is of another model, as when geoms were added to it.
             SceneError: the scene as it is now holds nothing to bake; `grid` stays as it was.
         """
-        begin = time.perf_counter()
+        begin = time.process_time()
         with self._lock, limit_threads(self._threads):
             pose = self._poses.take(data, bodies, joints)
             moved = self._scene.pose(pose)
@@ -155,7 +155,7 @@ class Baker:
             self._scene.keep(moved.scene, np.flatnonzero(moved.every))
             old, self._grid = self._grid, self._build()
             cells, is_new = _compare(old, self._grid)
-            return Changes(self._grid, cells, is_new, reason, time.perf_counter() - begin)
+            return Changes(self._grid, cells, is_new, reason, time.process_time() - begin)
 
     def _follow(self, moved: Moved) -> str:
         """Bring the stages up to date, or find them anew; returns why."""
@@ -199,7 +199,7 @@ class Baker:
                 def named(level: int, window: Any) -> Any:
                     return contents.user_data(window)
 
-            standing = Standing(contents.notes(), named)
+            standing = Standing(contents.notes(), named, live.floor_layers)
         return build_grid(live.stages, standing)
 
 
@@ -212,10 +212,11 @@ def _compare(old: NavGrid, new: NavGrid) -> tuple[list[Int], bool]:
         return [np.arange(level.width * level.height) for level in new.levels], True
     cells = []
     for one, other in pairs:
-        differs = one.weights != other.weights
+        # weights are what the occupancy says
+        differs = one.attributes["occupancy"] != other.attributes["occupancy"]
         for name, layer in other.attributes.items():
             before = one.attributes[name]
-            if before is not layer:
+            if name != "occupancy" and not np.may_share_memory(before, layer):
                 differs |= (before != layer) & ~((before != before) & (layer != layer))
         cells.append(np.flatnonzero(differs))
     return cells, False

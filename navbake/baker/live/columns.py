@@ -17,7 +17,7 @@ from navbake.baker.kernels.tiles import TILE, tile_of
 from navbake.baker.live.kernels import pool as kernels
 from navbake.baker.live.kernels.cracks import list_gaps_in
 from navbake.baker.live.kernels.pool import Pool
-from navbake.baker.live.kernels.regions import cells_of_boxes, grow_cells
+from navbake.baker.live.kernels.regions import cells_of_boxes, grow_cells, near_tiles
 from navbake.baker.live.not_local import NotLocal
 from navbake.baker.scene.shapes import Shapes, Solids, Triangles
 from navbake.config.settings import BakeConfig
@@ -79,6 +79,13 @@ class Asked(NamedTuple):
     every: Int
 
 
+class Boxed(NamedTuple):
+    """Triangles' corners, shape (n, 3, 3), and their boxes, (n, 6) [m]."""
+
+    corners: Float
+    boxes: Float
+
+
 class LiveColumns:
     """The columns of all cells, of which some can be replaced."""
 
@@ -86,6 +93,7 @@ class LiveColumns:
         self.lattice, self.scratch = columns.lattice, Scratch(columns.lattice)
         self._crack = config.floors.crack
         self._limits = agent_limits(config.agent)
+        self._known: Boxed | None = None
         self._is_cracked = np.zeros(len(columns.start) - 1, dtype=np.bool_)
         if columns.moved is not None:
             self._is_cracked[columns.moved] = True
@@ -113,10 +121,43 @@ class LiveColumns:
         return Columns(self.lattice, self.gather(np.arange(len(self.pool.first))).columns)
 
     def near(self, shapes: Shapes, cells: Int, reach: float, heights: Band) -> TiledShapes:
-        """The part of the geometry that is near some cells, listed by tiles."""
-        tiled = tile_shapes(_only_near(shapes, self.lattice, cells, reach), self.lattice, reach)
-        tiled.__dict__["heights"] = heights  # of all
+        """The part of the geometry that is near some cells, listed by tiles; all planes.
+
+        Args:
+            reach: how far beyond its centre a cell looks for geometry [m].
+            heights: below and above all geometry [m].
+        """
+        lattice, solids, triangles = self.lattice, shapes.solids, shapes.triangles
+        summed = np.zeros((-(-lattice.height // TILE) + 1, -(-lattice.width // TILE) + 1), np.int64)
+        tile = np.unique(tile_of(lattice, cells))
+        rows, cols = np.divmod(tile, summed.shape[1] - 1)
+        summed[rows + 1, cols + 1] = 1
+        np.cumsum(summed, axis=0, out=summed)
+        np.cumsum(summed, axis=1, out=summed)
+        masks = []
+        for boxes in (solids.bounds, self._boxes_of(triangles)):
+            masks.append(np.empty(len(boxes), dtype=np.bool_))
+            near_tiles(boxes, reach, lattice, TILE, summed, masks[-1])
+        of_solids, of_triangles = map(np.flatnonzero, masks)
+        part = replace(
+            shapes,
+            solids=Solids(*(array[of_solids] for array in solids)),
+            triangles=Triangles(*(array[of_triangles] for array in triangles)),
+        )
+        tiled = tile_shapes(part, lattice, reach)
+        tiled.__dict__["heights"] = heights
         return tiled
+
+    def _boxes_of(self, triangles: Triangles) -> Float:
+        """Boxes round triangles; only those of other corners than the last time are new."""
+        corners, known = triangles.corners, self._known
+        if known is None or len(known.corners) != len(corners):
+            self._known = known = Boxed(corners, _boxes(corners))
+        elif known.corners is not corners:
+            rows = np.flatnonzero((known.corners != corners).any(axis=(1, 2)))
+            known.boxes[rows] = _boxes(corners[rows])
+            self._known = known = Boxed(corners, known.boxes)
+        return known.boxes
 
     def asked(self, boxes: Float) -> Asked:
         """The cells whose columns may be others when the geometry in boxes is, (n, 6) [m]."""
@@ -249,39 +290,5 @@ def _take(columns: Crossings, numbers: Int) -> Crossings:
     return Crossings(start, *(part[taken] for part in columns[1:]))
 
 
-def _only_near(shapes: Shapes, lattice: Lattice, cells: Int, reach: float) -> Shapes:
-    """The shapes that may lie over the tiles of some cells, or `reach` beside them; all planes."""
-    rows, cols = np.divmod(tile_of(lattice, cells), -(-lattice.width // TILE))
-    edge = TILE * lattice.cell_size
-    covered = np.zeros((-(-lattice.height // TILE) + 2, -(-lattice.width // TILE) + 2), np.int64)
-    covered[rows + 1, cols + 1] = 1
-    summed = np.zeros((covered.shape[0] + 1, covered.shape[1] + 1), dtype=np.int64)
-    summed[1:, 1:] = covered.cumsum(axis=0).cumsum(axis=1)
-
-    def is_near(boxes: Float) -> Bool:
-        # rounding may add a tile, and never loses one
-        low_x = (boxes[:, 0] - reach - lattice.x_min) / edge - 1e-6
-        high_x = (boxes[:, 3] + reach - lattice.x_min) / edge + 1e-6
-        low_y = (lattice.y_max - boxes[:, 4] - reach) / edge - 1e-6
-        high_y = (lattice.y_max - boxes[:, 1] + reach) / edge + 1e-6
-        first_col, last_col = (_tile_number(v, covered.shape[1]) for v in (low_x, high_x))
-        first_row, last_row = (_tile_number(v, covered.shape[0]) for v in (low_y, high_y))
-        count = summed[last_row + 1, last_col + 1] - summed[first_row, last_col + 1]
-        count += summed[first_row, first_col] - summed[last_row + 1, first_col]
-        return np.asarray(count > 0)
-
-    solids, triangles = shapes.solids, shapes.triangles
-    near = is_near(solids.bounds)
-    boxes = np.concatenate([triangles.corners.min(axis=1), triangles.corners.max(axis=1)], axis=1)
-    close = is_near(boxes)
-    return replace(
-        shapes,
-        solids=Solids(*(array[near] for array in solids)),
-        triangles=Triangles(*(array[close] for array in triangles)),
-    )
-
-
-def _tile_number(place: Float, count: int) -> Int:
-    """The tiles at some places, counted from one beside the first, as far as there are any."""
-    number: Int = np.floor(np.clip(place + 1, 0, count - 1)).astype(np.int64)
-    return number
+def _boxes(corners: Float) -> Float:
+    return np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)

@@ -151,8 +151,12 @@ class LiveContents:
         cells = self._replace(touched.cells, entries, marked)
         self._mark_geoms(changes.heights, marked)
         carried = self._follow_support(touched, level, changes, moved)
-        kinds_hold = carried and not self._may_be_others(moved, marked)
+        decided = (self._is_static | self._is_surface) & marked
+        was = [array[decided] for array in self._measured]
         self._measure_marked(scene, marked, level)
+        now = [array[decided] for array in self._measured]
+        as_before = all(np.array_equal(one, other) for one, other in zip(was, now, strict=True))
+        kinds_hold = carried and as_before and not self._may_be_others(moved)
         if not kinds_hold:
             if not carried:
                 self._carriers = self._find_carriers(floors)
@@ -289,14 +293,14 @@ class LiveContents:
         step = self._config.agent.traversable_floor_height
         return find_carriers(floors, [self.support], self._extents, step, self._live.lattice)
 
-    def _may_be_others(self, moved: Bool, marked: Bool) -> bool:
-        """Whether geoms may be walls now, or none any more.
+    def _may_be_others(self, moved: Bool) -> bool:
+        """Whether geoms may be walls now, or none any more, by what moved.
 
         What a joint moves is a wall only where a mesh holds a whole building, or the settings name
         it. But a static panel is furniture, not a wall, by the size of the body that it is a part
         of, moving parts included.
         """
-        if (marked & (self._is_static | self._is_surface)).any():
+        if (moved & (self._is_static | self._is_surface)).any():
             return True
         roots = np.unique(self._roots[moved])
         return bool((self._is_static & np.isin(self._roots, roots[roots > 0])).any())

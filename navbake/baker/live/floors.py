@@ -94,7 +94,9 @@ class LiveFloors:
         self._reach = int(np.ceil(config.floors.shrink / live.lattice.cell_size)) + 1
         self._main = int(np.argmax(judged.counted.sheet_size))
         self._mark = np.zeros(0, dtype=np.int32)
-        self._joined: list[Int] = []
+        self._joined: list[Int] = []  # the cells where surfaces joined or left the floor
+        # small sheets, and the cells and places of what they got
+        self._grown: list[tuple[int, Int, Int]] = []
         self._note_sheets(judged)
         self._check_outline(judged)
         self._budget = self._find_budget()
@@ -219,7 +221,7 @@ class LiveFloors:
         nothing = np.empty(0, dtype=np.int64)
         if not len(changed.cells):
             return FloorChanges(nothing, nothing)
-        self._joined = [changed.cells]
+        self._joined, self._grown = [changed.cells], []
         self._label(changed.cells, planes)
         cells = np.unique(np.concatenate(self._joined))
         self._check_columns(cells)
@@ -271,6 +273,7 @@ class LiveFloors:
         for k in np.flatnonzero(has_new).tolist():
             members = node[bounds[k] : bounds[k + 1]]
             self._join(cell_of[members], region.place[members])
+        self._check_grown()
         sheet = pool.sheet[region.place[node]]
         own = node[sheet == self._main]
         cluster = label_cells(live.lattice, cells, live.scratch.local)
@@ -294,36 +297,59 @@ class LiveFloors:
         if not len(known):
             if len(cells) >= self._needed and self._test.passes(cells):
                 raise NotLocal("a new surface is as large as a floor")
-            pool.sheet[places] = self._new_sheet(num_new)
+            pool.sheet[places] = self._new_sheet(cells)
             return
-        if self._main in known:
-            to = self._main
-        else:
-            to = int(known[np.argmax(self._size[known])])
-            row, col = np.divmod(cells[is_new], self._live.lattice.width)
-            side = 2 * self._reach + 1
-            around = int((np.ptp(row) + side) * (np.ptp(col) + side))
-            inner = int(self._inner[known].sum()) + around
-            self._inner[to] = min(inner, int(self._size[known].sum()) + num_new)
-            if self._inner[to] >= self._needed:
-                raise NotLocal("surfaces together may be as large as a floor")
+        to = self._main if self._main in known else int(known[np.argmax(self._size[known])])
+        if to != self._main:
+            self._inner[to] = self._inner[known].sum()
+            self._grown.append((to, cells[is_new], places[is_new]))
         pool.sheet[places[is_new]] = to
         self._size[to] += num_new
         for gone in known[known != to].tolist():
             own = sheet == gone
             self._unite(gone, to, cells[own], places[own])
 
-    def _new_sheet(self, size: int) -> int:
-        """A sheet that is too small for a floor."""
+    def _new_sheet(self, cells: Int) -> int:
+        """A sheet of its own, too small for a floor; its cells are given."""
         if self._num == len(self._kind):
             more = np.zeros(self._num, dtype=np.int64)
             self._kind = np.concatenate([self._kind, more.astype(np.uint8)])
             self._size = np.concatenate([self._size, more])
             self._inner = np.concatenate([self._inner, more])
         number, self._num = self._num, self._num + 1
-        self._kind[number], self._size[number] = SMALL, size
-        self._inner[number] = min(size, self._needed - 1)
+        self._kind[number], self._size[number] = SMALL, len(cells)
+        self._inner[number] = np.count_nonzero(self._test.inner(cells))
         return number
+
+    def _check_grown(self) -> None:
+        """Make sure that small sheets that have grown, or become one, are too small for a floor.
+
+        What is left of one when it is shrunk is at most what was left of its parts, and what is
+        left near the new surfaces, if all small sheets there were one.
+        """
+        for to, cells, places in self._grown:
+            size = int(self._size[to])
+            if size < self._needed:
+                self._inner[to] = min(int(self._inner[to]), size)
+                continue
+            region = self._live.gather(self._around(cells, 2 * self._reach))
+            sheet = self._live.pool.sheet[region.place]
+            column = np.repeat(region.cells, np.diff(region.columns.start))
+            small = np.unique(column[(sheet >= 0) & (self._kind[sheet] == SMALL)])
+            left = small[self._test.inner(small)]
+            near = np.isin(left, self._around(cells, self._reach), assume_unique=True)
+            self._inner[to] += np.count_nonzero(near)
+            if self._inner[to] >= self._needed:
+                self._measure_sheet(to, cells, places)
+
+    def _measure_sheet(self, sheet: int, cells: Int, places: Int) -> None:
+        """Make sure that what hangs together with some surfaces of a sheet is too small."""
+        met, cells, places = self._explore(cells, places, sheet, [], VISITS[1])
+        if met < 0 or self._test.passes(cells):
+            raise NotLocal("surfaces together may be as large as a floor")
+        number = self._new_sheet(cells)
+        self._size[number] = 0  # and so many as move there
+        self._move(sheet, number, cells, places)
 
     def _unite(self, gone: int, to: int, cells: Int, places: Int) -> None:
         """Give all surfaces of a sheet that hang together with some of them to another one."""
@@ -391,8 +417,9 @@ class LiveFloors:
     def _cut_off(self, cells: Int, places: Int) -> None:
         if len(cells) >= self._needed and self._test.passes(cells):
             raise NotLocal("a part of the floor is cut off")
-        self._move(self._main, self._new_sheet(0), cells, places)
-        self._inner[self._num - 1] = min(len(cells), self._needed - 1)
+        number = self._new_sheet(cells)
+        self._size[number] = 0  # and so many as move there
+        self._move(self._main, number, cells, places)
 
     def _check_columns(self, cells: Int) -> None:
         """The floor lies over nothing to stand on, and is as low as it was."""

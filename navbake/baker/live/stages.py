@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.baker.columns import Columns, TiledShapes, height_range
 from navbake.baker.cracks import crack_reach
@@ -59,6 +60,7 @@ class LiveStages:
         floors, judged = stages.judge_floors()
         stages.__dict__["floors"] = floors
         self._parts: Parts | None = None
+        self._floor_layer: NDArray[np.float32] | None = None
         found = stages.contents
         doors = stages.doors
         if not doors.rejected:
@@ -106,7 +108,8 @@ class LiveStages:
         own = np.zeros(scene.model.ngeom, dtype=np.bool_)
         own[moved.geoms[~is_door[moved.geoms]]] = True
         boxes = moved.boxes[own[moved.box_geom]]
-        same = {name: was.__dict__[name] for name in ("floors", "occupancy", "rooms", "doors")}
+        kept = "floors", "occupancy", "rooms", "doors"
+        same = {name: was.__dict__[name] for name in kept}
         stages.__dict__.update(same)
         if "boxes" in was.__dict__:
             stages.__dict__["boxes"] = was.boxes
@@ -126,9 +129,21 @@ class LiveStages:
             was.doors, scene, candidates, set(differ), touched if rooms_same else None, around,
             stages.config.doors.state,
         )  # fmt: skip
+        if stages.rooms is was.rooms and stages.doors is was.doors:
+            stages.__dict__["room_table"] = was.room_table
+        stages.__dict__["stated_settings"] = was.stated_settings
         if was.doors.rejected and not stages.doors.rejected:
             raise NotLocal("all that looks like a door is one now")
         self.stages = stages
+
+    @property
+    def floor_layers(self) -> list[NDArray[np.float32]] | None:
+        """The floor as it is written, the same array as long as it stays the same."""
+        if self._parts is None:
+            return None
+        if self._floor_layer is None:
+            self._floor_layer = self.stages.floors.levels[0].floor.astype(np.float32)
+        return [self._floor_layer]
 
     def _check_box(self, was: Stages, now: Stages) -> None:
         """NotLocal where the box round the scene changes what depends on it."""
@@ -179,6 +194,7 @@ class LiveStages:
             walls = any(contents.follow(doorless, own, *asks))
         if len(changes.heights):
             stages.__dict__.pop("boxes", None)
+            self._floor_layer = None
         if walls or len(changes.heights) or marks.have_moved(stages.scene, moved):
             return touched, False
         asked_rooms = stages.rooms, old, found, floors.level, marks

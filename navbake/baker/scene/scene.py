@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -211,29 +211,51 @@ def _warn_lying(settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str
     ]
 
 
-def digest_scene(model: Any, data: Any, parts: dict[int, MeshPart], names: Any = None) -> str:
+class DigestedNames(NamedTuple):
+    """What the names of a model add to the digest of a scene; they never change.
+
+    Attributes:
+        geoms: the sha256 of the geoms' names, with which the digest begins.
+        sites, joints: their names, uint8.
+    """
+
+    geoms: Any
+    sites: NDArray[np.uint8]
+    joints: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, model: Any) -> "DigestedNames":
+        """Of a model."""
+        digest = hashlib.sha256()
+        for geom in range(model.ngeom):
+            digest.update("\0".join(names_of(model, geom)).encode() + b"\n")
+        lists = []
+        for addresses in (model.name_siteadr, model.name_jntadr):
+            names = [name_at(model, address) for address in addresses]
+            lists.append(np.frombuffer("\0".join(names).encode(), dtype=np.uint8))
+        return cls(digest, *lists)
+
+
+def digest_scene(
+    model: Any, data: Any, parts: dict[int, MeshPart], names: DigestedNames | None = None
+) -> str:
     """sha256 of what the bake can see of a posed model, wherever it was loaded from.
 
     Args:
-        names: what `digest_names` gives of the model, where it is known.
+        names: the model's, where they are known.
     """
-    digest = (names or digest_names(model)).copy()
-    for number, array in enumerate(_digest_arrays(model, data, parts)):
+    names = names or DigestedNames.of(model)
+    digest = names.geoms.copy()
+    for number, array in enumerate(_digest_arrays(model, data, parts, names)):
         array = np.ascontiguousarray(array)
         digest.update(f"{number} {array.dtype.str} {array.shape}\n".encode())
-        digest.update(array.tobytes())
+        digest.update(array.data if array.size else b"")
     return str(digest.hexdigest())
 
 
-def digest_names(model: Any) -> Any:
-    """The sha256 of a model's names, with which `digest_scene` begins; names never change."""
-    digest = hashlib.sha256()
-    for geom in range(model.ngeom):
-        digest.update("\0".join(names_of(model, geom)).encode() + b"\n")
-    return digest
-
-
-def _digest_arrays(model: Any, data: Any, parts: dict[int, MeshPart]) -> Iterator[NDArray[Any]]:
+def _digest_arrays(
+    model: Any, data: Any, parts: dict[int, MeshPart], names: DigestedNames
+) -> Iterator[NDArray[Any]]:
     yield from (model.geom_type, model.geom_size, model.geom_dataid, model.geom_bodyid)
     yield from (model.geom_contype, model.geom_conaffinity, model.geom_group)
     yield from (model.geom_rgba, model.geom_matid, model.mat_rgba)
@@ -242,9 +264,7 @@ def _digest_arrays(model: Any, data: Any, parts: dict[int, MeshPart]) -> Iterato
     yield from (model.jnt_type, model.jnt_bodyid, model.jnt_limited, model.jnt_range)
     yield from (model.jnt_pos, model.jnt_axis, model.jnt_qposadr, data.qpos)
     yield from (model.site_type, model.site_size, data.site_xpos, data.site_xmat)
-    for addresses in (model.name_siteadr, model.name_jntadr):
-        names = [name_at(model, address) for address in addresses]
-        yield np.frombuffer("\0".join(names).encode(), dtype=np.uint8)
+    yield from (names.sites, names.joints)
     yield from (model.mesh_vertadr, model.mesh_faceadr, model.mesh_vert, model.mesh_face)
     yield from (model.mesh_graphadr, model.mesh_graph)
     yield from (model.hfield_nrow, model.hfield_ncol, model.hfield_size, model.hfield_data)

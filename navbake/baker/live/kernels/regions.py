@@ -47,28 +47,64 @@ def cells_of_boxes(lattice, boxes, grow, flag):
 
 
 @njit(cache=True)
-def grow_cells(width, height, cells, by, flag):
-    """Some cells and those at most so many rows and columns away, ascending; see above."""
-    count = 0
-    found = np.empty(64, np.int64)
-    for cell in cells:
-        row, col = cell // width, cell % width
-        for r in range(max(row - by, 0), min(row + by + 1, height)):
-            for c in range(max(col - by, 0), min(col + by + 1, width)):
-                other = r * width + c
-                if not flag[other]:
-                    flag[other] = True
-                    if count == found.shape[0]:
-                        larger = np.empty(2 * count, np.int64)
-                        larger[:count] = found
-                        found = larger
-                    found[count] = other
-                    count += 1
+def _grow_along(cells, by, stride, place, length, flag):
+    """Some cells and those at most so many away along one axis; the axis' own place is given."""
+    count, found = 0, np.empty(2 * cells.shape[0] + 64, np.int64)
+    for n in range(cells.shape[0]):
+        first, last = max(place[n] - by, 0), min(place[n] + by, length - 1)
+        origin = cells[n] - place[n] * stride
+        for at in range(first, last + 1):
+            other = origin + at * stride
+            if flag[other]:
+                continue
+            flag[other] = True
+            if count == found.shape[0]:
+                larger = np.empty(2 * count, np.int64)
+                larger[:count] = found
+                found = larger
+            found[count] = other
+            count += 1
     found = found[:count].copy()
-    found.sort()
     for cell in found:
         flag[cell] = False
     return found
+
+
+@njit(cache=True)
+def grow_cells(width, height, cells, by, flag):
+    """Some cells and those at most so many rows and columns away, ascending; see above."""
+    beside = _grow_along(cells, by, 1, cells % width, width, flag)
+    found = _grow_along(beside, by, width, beside // width, height, flag)
+    found.sort()
+    return found
+
+
+@njit(cache=True)
+def near_tiles(boxes, reach, lattice, tile, summed, result):
+    """Tell which boxes, (n, 6) [m], grown by `reach` [m], may lie over marked tiles; (n,) bool.
+
+    Args:
+        tile: edge of a tile [cells].
+        summed: by tile, how many marked ones there are above and left of it, (rows + 1,
+            columns + 1), a summed-area table (Crow, 1984).
+    """
+    edge = tile * lattice.cell_size
+    num_rows, num_cols = summed.shape[0] - 1, summed.shape[1] - 1
+    for n in range(boxes.shape[0]):
+        # rounding may add a tile, and never loses one
+        left = (boxes[n, 0] - reach - lattice.x_min) / edge - 1e-6
+        right = (boxes[n, 3] + reach - lattice.x_min) / edge + 1e-6
+        top = (lattice.y_max - boxes[n, 4] - reach) / edge - 1e-6
+        bottom = (lattice.y_max - boxes[n, 1] + reach) / edge + 1e-6
+        col0 = math.floor(min(max(left, 0.0), num_cols))
+        row0 = math.floor(min(max(top, 0.0), num_rows))
+        col1 = math.floor(min(max(right + 1.0, 0.0), num_cols))
+        row1 = math.floor(min(max(bottom + 1.0, 0.0), num_rows))
+        count = 0
+        if row1 > row0 and col1 > col0:
+            count = summed[row1, col1] - summed[row0, col1] - summed[row1, col0]
+            count += summed[row0, col0]
+        result[n] = count > 0
 
 
 @njit(cache=True)
