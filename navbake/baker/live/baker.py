@@ -27,7 +27,7 @@ from navbake.config.keywords import SettingKeywords
 from navbake.errors import BakeWarning
 from navbake.navgrid.grid import NavGrid
 from navbake.threads import limit_threads
-from navbake.types import Int
+from navbake.types import Float, Int
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Unpack
@@ -118,6 +118,11 @@ class Baker:
         """The scene's mujoco.MjModel."""
         return self._opened.model
 
+    @property
+    def pose(self) -> tuple[Float, Float, Float]:
+        """Joint positions and mocap bodies of now: copies of a data's qpos, mocap_pos, mocap_quat."""
+        return self._poses.copy()
+
     def update(
         self,
         data: Any = None,
@@ -146,7 +151,7 @@ class Baker:
             ConfigError: the data is of another model, as when geoms were added to it.
             SceneError: the scene as it is now holds nothing to bake; `grid` stays as it was.
         """
-        begin = time.process_time()
+        begin = time.perf_counter()
         with self._lock, limit_threads(self._threads):
             pose = self._poses.take(data, bodies, joints)
             moved = self._scene.pose(pose)
@@ -155,7 +160,7 @@ class Baker:
             self._scene.keep(moved.scene, np.flatnonzero(moved.every))
             old, self._grid = self._grid, self._build()
             cells, is_new = _compare(old, self._grid)
-            return Changes(self._grid, cells, is_new, reason, time.process_time() - begin)
+            return Changes(self._grid, cells, is_new, reason, time.perf_counter() - begin)
 
     def _follow(self, moved: Moved) -> str:
         """Bring the stages up to date, or find them anew; returns why."""

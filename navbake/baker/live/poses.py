@@ -55,6 +55,11 @@ class Poses:
             raise SceneError(f"MuJoCo cannot take the pose: {reason}") from error
         return pose
 
+    def copy(self) -> tuple[Float, Float, Float]:
+        """The joint positions of now, the mocap bodies' positions, and their quaternions."""
+        now = self._now
+        return now.qpos.copy(), now.mocap_pos.copy(), now.mocap_quat.copy()
+
     def keep(self) -> None:
         """Let the next pose be the one of now."""
         self._now, self._next = self._next, self._now

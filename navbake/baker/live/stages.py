@@ -19,6 +19,7 @@ from navbake.baker.columns import Columns, TiledShapes, height_range
 from navbake.baker.cracks import crack_reach
 from navbake.baker.doors.candidates import DoorCandidate
 from navbake.baker.doors.doors import Surroundings
+from navbake.baker.floors.outline import find_cropped
 from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.lattice import lay_lattice, lay_whole
 from navbake.baker.live.columns import LiveColumns, Region, Scratch
@@ -30,6 +31,7 @@ from navbake.baker.live.kernels.regions import cells_of_boxes
 from navbake.baker.live.not_local import NotLocal
 from navbake.baker.live.rooms import RoomMarks, rooms_hold
 from navbake.baker.occupancy.occupancy import check_footprints
+from navbake.baker.rooms.outdoors import find_ends
 from navbake.baker.rooms.rooms import Blocked, Rooms, find_rooms
 from navbake.baker.stages import Stages
 from navbake.types import Bool, Float, Int
@@ -83,7 +85,9 @@ class LiveStages:
             marks = RoomMarks(stages.config, stages.scene)
             live_doors = LiveDoors(stages.scene, stages.candidates, stages.lattice, columns.scratch)
             self._parts = Parts(columns, live_floors, self.contents, marks, live_doors)
-        self._heights = height_range(stages.doorless.shapes, stages.lattice)
+        shapes = stages.doorless.shapes
+        self._heights = height_range(shapes, stages.lattice)
+        self._cropped = find_cropped(stages.lattice, shapes.bounds())
         stages.free_geometry()
 
     def follow(self, moved: Moved, differ: Mapping[str, DoorCandidate]) -> None:
@@ -101,7 +105,6 @@ class LiveStages:
         parts, was, scene = self._parts, self.stages, moved.scene
         candidates = [differ.get(one.id, one) for one in was.candidates]
         stages = replace(was, scene=scene, candidates=candidates)
-        self._check_box(was, stages)
         is_door = np.zeros(scene.model.ngeom, dtype=np.bool_)
         for candidate in candidates:
             is_door[candidate.geoms] = True
@@ -114,6 +117,7 @@ class LiveStages:
         if "boxes" in was.__dict__:
             stages.__dict__["boxes"] = was.boxes
         stages.__dict__["contents"] = None
+        self._check_box(was, stages)
         touched, rooms_same = np.empty(0, dtype=np.int64), True
         if len(boxes):
             touched, rooms_same = self._follow_cells(parts, stages, boxes, own, moved.every)
@@ -148,13 +152,20 @@ class LiveStages:
     def _check_box(self, was: Stages, now: Stages) -> None:
         """NotLocal where the box round the scene changes what depends on it."""
         old, new, config = was.scene.bounds, now.scene.bounds, now.config
-        if old is None or new is None or not np.array_equal(old, new):
-            lattice = lay_lattice(now.scene, config)
-            if lattice != was.lattice:
-                raise NotLocal("the grid is another one: the scene's box has changed")
-            if lay_whole(lattice, new, config.grid.max_cells) != was.judged:
-                raise NotLocal("the scene goes on beyond the grid")
-            raise NotLocal("the box round the scene has changed")
+        bounds = now.doorless.shapes.bounds()
+        cropped = find_cropped(now.lattice, bounds)
+        if not np.array_equal(cropped, self._cropped):
+            raise NotLocal("the scene goes on beyond the grid at another side")
+        if old is None or new is None or np.array_equal(old, new):
+            return
+        lattice = lay_lattice(now.scene, config)
+        if lattice != was.lattice or lay_whole(lattice, new, config.grid.max_cells) != was.judged:
+            raise NotLocal("the grid is another one: the box round the scene has changed")
+        if old[1, 2] != new[1, 2] and self.contents is not None:
+            raise NotLocal("the top of the scene has another height")
+        if not np.array_equal(find_ends(lattice, old), find_ends(lattice, new)):
+            raise NotLocal("the scene ends at other sides of the grid")
+        now.__dict__.pop("boxes", None)
 
     def _follow_cells(
         self, parts: Parts, stages: Stages, boxes: Float, own: Bool, moved: Bool

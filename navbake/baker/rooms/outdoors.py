@@ -16,6 +16,7 @@ from navbake.baker.rooms.spaces import WIDEST
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings
 from navbake.lazy import lazy
+from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int, Int32
 
 ndimage = lazy("scipy.ndimage")  # only windows of scenes need it
@@ -77,12 +78,8 @@ def find_outdoors(
     is_open = top <= floor.ravel()[cell] + agent.height + SLACK
     if not is_open.all() and scene.bounds is not None:
         # a window of a larger scene cuts through rooms, and they go on beyond it
-        x0, y0, x1, y1 = lattice.bounds
-        (low_x, low_y), (high_x, high_y) = scene.bounds[:, :2]
-        more = np.array([[high_y - y1, y0 - low_y], [x0 - low_x, high_x - x1]])
-        end = is_candidate & _edge_cells(
-            columns, np.zeros_like(steep), more <= BEYOND * lattice.cell_size
-        )
+        sides = find_ends(lattice, scene.bounds)
+        end = is_candidate & _edge_cells(columns, np.zeros_like(steep), sides)
         if end.any():
             away = ndimage.distance_transform_edt(~end).ravel()[cell]
             is_open |= away * lattice.cell_size <= EAVES
@@ -93,6 +90,14 @@ def find_outdoors(
     if outdoors.any() and len(scene.shapes.planes.geom):
         united[outdoors] = united[outdoors].min()
     return Outdoors(united[segment], set(np.unique(united[outdoors]).tolist()), True)
+
+
+def find_ends(lattice: Lattice, bounds: Float) -> Bool:
+    """At which sides of a lattice the scene in a box ends: [[upper, lower], [left, right]]."""
+    x0, y0, x1, y1 = lattice.bounds
+    (low_x, low_y), (high_x, high_y) = bounds[:, :2]
+    more = np.array([[high_y - y1, y0 - low_y], [x0 - low_x, high_x - x1]])
+    return np.asarray(more <= BEYOND * lattice.cell_size)
 
 
 def _is_under_top(cell: Int, floor: Float, columns: Columns) -> Bool:
