@@ -1,6 +1,6 @@
 """Moves things at random, and holds each update of a Baker against a fresh bake, bit for bit.
 
-    python scripts/sweep_moves.py [--scenes room apartment house house-100] [--moves 1000] [--seed 0]
+    python scripts/sweep_moves.py [--scenes room apartment house-100] [--moves 1000] [--seed 0]
 
 Chairs, tables, doors and boxes are pushed, turned, stacked, put anywhere and out of the grid; geoms
 vanish and appear again; a slab becomes a bridge. A scene counts as failed at its first difference.
@@ -23,10 +23,9 @@ import numpy as np
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT / "scripts"), str(ROOT / "tests")]
 
+import navbake  # noqa: E402
 from differences import first_difference  # noqa: E402 (of the tests)
 from make_house import make_house  # noqa: E402
-
-import navbake  # noqa: E402
 
 SCENES = ("room", "bridge", "apartment", "house", "house-100")
 ROOM = """
@@ -68,7 +67,8 @@ def make_model(name: str) -> tuple[Any, dict[str, Any]]:
         for k in range(6):
             size = [round(rng.uniform(0.15, 0.4), 3) for _ in range(2)]
             geom = shapes[k % 3].format(*size)
-            bodies += f'<body name="thing_{k}" pos="{1 + k * 0.7} 3.5 0.4"><freejoint/><geom {geom}/></body>'
+            place = f'name="thing_{k}" pos="{1 + k * 0.7} 3.5 0.4"'
+            bodies += f"<body {place}><freejoint/><geom {geom}/></body>"
         return mujoco.MjModel.from_xml_string(ROOM.format(bodies=bodies)), {}
     if name == "bridge":
         bounds = {"bounds": [-0.5, -0.5, 8.0, 6.0]}
@@ -79,9 +79,9 @@ def make_model(name: str) -> tuple[Any, dict[str, Any]]:
         }
     spec = mujoco.MjSpec.from_file(str(ROOT / "configs" / "scenes" / f"{name}.xml"))
     for body in spec.bodies:
-        if body.parent is spec.worldbody or (body.parent and body.parent.name == "world"):
-            if not list(body.joints) and not body.mocap:
-                body.add_freejoint()
+        is_top = body.parent is not None and body.parent.name == "world"
+        if is_top and not list(body.joints) and not body.mocap:
+            body.add_freejoint()
     return spec.compile(), {}
 
 
@@ -140,20 +140,21 @@ class Mover:
     def _place(self, name: str) -> list[float]:
         rng, was = self._rng, self._at[name]
         kind = rng.random()
-        place = was + [rng.uniform(-0.6, 0.6), rng.uniform(-0.6, 0.6), 0.0]
+        place = was + np.array([rng.uniform(-0.6, 0.6), rng.uniform(-0.6, 0.6), 0.0])
         if kind < 0.25:
             place = np.array(
                 [rng.uniform(a, b) for a, b in zip(self._low, self._high, strict=True)]
             )
             place[2] = was[2]
         elif kind < 0.4:  # on another one
-            place = self._at[rng.choice(sorted(self._at))] + [0.0, 0.0, rng.uniform(0.3, 0.9)]
+            place = self._at[rng.choice(sorted(self._at))].copy()
+            place[2] += rng.uniform(0.3, 0.9)
         elif kind < 0.45:
-            place = self._high + [rng.uniform(0, 30), 3.0, 0.0]
+            place = self._high + np.array([rng.uniform(0, 30), 3.0, 0.0])
         elif kind < 0.55:
             place = was.copy()  # turned only
         if not (self._low - 1 <= place).all() or not (place <= self._high + 1).all():
-            self._at[name] = (self._low + self._high) / 2 * [1, 1, 0] + [0, 0, was[2]]
+            self._at[name] = np.array([*((self._low + self._high) / 2)[:2], was[2]])
         else:
             self._at[name] = place
         angle = rng.uniform(-np.pi, np.pi)

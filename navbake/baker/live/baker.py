@@ -120,7 +120,7 @@ class Baker:
 
     @property
     def pose(self) -> tuple[Float, Float, Float]:
-        """Joint positions and mocap bodies of now: copies of a data's qpos, mocap_pos, mocap_quat."""
+        """Copies of the qpos, mocap_pos and mocap_quat of the data that is baked now."""
         return self._poses.copy()
 
     def update(

@@ -17,7 +17,7 @@ from navbake.baker.kernels.tiles import TILE, tile_of
 from navbake.baker.live.kernels import pool as kernels
 from navbake.baker.live.kernels.cracks import list_gaps_in
 from navbake.baker.live.kernels.pool import Pool
-from navbake.baker.live.kernels.regions import cells_of_boxes, grow_cells, near_tiles
+from navbake.baker.live.kernels.regions import cells_of_boxes, grow_cells, join_cells, near_tiles
 from navbake.baker.live.not_local import NotLocal
 from navbake.baker.scene.shapes import Shapes, Solids, Triangles
 from navbake.config.settings import BakeConfig
@@ -165,8 +165,8 @@ class LiveColumns:
         if self._crack == 0:
             return Asked(cells, cells, cells)
         region = self._region_of_cracks(boxes)
-        again = np.union1d(cells, region[self._is_cracked[region]])
-        return Asked(again, region, np.union1d(again, region))
+        again = join_cells(cells, region[self._is_cracked[region]])
+        return Asked(again, region, join_cells(again, region))
 
     def cast(self, tiled: TiledShapes, asked: Asked) -> Region:
         """Cast columns again, and close cracks again there; gives those that are others now.
@@ -215,7 +215,7 @@ class LiveColumns:
         region = grow_cells(lattice.width, lattice.height, near, reach, flag)
         while True:
             around = grow_cells(lattice.width, lattice.height, region, reach, flag)
-            joined = np.union1d(region, around[self._is_cracked[around]])
+            joined = join_cells(region, around[self._is_cracked[around]])
             if len(joined) == len(region):
                 return region
             region = joined
@@ -231,7 +231,7 @@ class LiveColumns:
         """`close_cracks` in a region; marks the cells that get another line."""
         lattice, reach, (again, region, every) = self.lattice, self._crack_cells, asked
         around = grow_cells(lattice.width, lattice.height, region, reach, self.scratch.flag)
-        around = np.union1d(around, again)
+        around = join_cells(around, again)
         raw, _ = kernels.gather(self.pool, around)
         raw = kernels.replace_columns(raw, np.searchsorted(around, again), fresh)
         whole = Region(around, raw, np.empty(0, np.int64))

@@ -63,6 +63,24 @@ class Budget(NamedTuple):
     left: int
 
 
+class Grown(NamedTuple):
+    """How floors go on in a region, by its cells.
+
+    Attributes:
+        value: the floor, NaN for none [m].
+        stands: whether one can stand there.
+        ring: see `regrow`.
+        has_height, has_shifted, moved: where `value`, `stands`, and `value` or `ring` is another.
+    """
+
+    value: Float
+    stands: Bool
+    ring: Int32
+    has_height: Bool
+    has_shifted: Bool
+    moved: Bool
+
+
 class LiveFloors:
     """The one level of a scene and the sheets around its floor, kept up to date.
 
@@ -440,31 +458,50 @@ class LiveFloors:
     # ------------------------------------------------------------------ floors
 
     def _grow(self, changed: Int, planes: Planes) -> FloorChanges:
-        """Let the floor go on under things again, around cells that may have lost or got it."""
-        floor, standable = self.level.floor.reshape(-1), self.level.standable.reshape(-1)
+        """Let the floor go on under things again, around cells that may have lost or got it.
+
+        Where it comes out as it was at the edge of a region, nothing beyond it changes; the other
+        regions are made larger.
+        """
+        heights, standable = [changed[:0]], [changed[:0]]
         for reach in REACHES:
             cells = self._around(changed, reach)
             if self._is_other[cells].any():
                 raise NotLocal("another floor, a top or a roof is near")
             region = self._live.gather(cells)
-            taken, _ = self._marks(region, planes)
-            is_main = self._live.pool.sheet[region.place] == self._main
-            column = np.repeat(np.arange(len(cells)), np.diff(region.columns.start))
-            stands = np.zeros(len(cells), dtype=np.bool_)
-            stands[column[is_main]] = True
-            value = np.full(len(cells), np.nan)
-            value[column[is_main]] = region.columns.z[is_main]
-            ring = np.where(stands, 0, -1).astype(np.int32)
-            self._regrow(region, taken & ~stands[column], value, ring, self._rings)
-            is_new = ~_same(value, floor[cells])
-            moved = is_new | (ring != self._rings[cells])
+            new = self._grow_region(region, planes)
             inner = np.isin(cells, self._around(changed, reach - 1), assume_unique=True)
-            if (moved & ~inner).any():
-                continue
-            shifted = stands != standable[cells]
-            floor[cells], standable[cells], self._rings[cells] = value, stands, ring
-            return FloorChanges(cells[is_new], cells[shifted])
+            cluster = label_cells(self._live.lattice, cells, self._live.scratch.local)
+            is_open = np.bincount(cluster, new.moved & ~inner) > 0
+            done = ~is_open[cluster]
+            here = cells[done]
+            heights.append(cells[new.has_height & done])
+            standable.append(cells[new.has_shifted & done])
+            floor, stands = self.level.floor.reshape(-1), self.level.standable.reshape(-1)
+            floor[here], stands[here] = new.value[done], new.stands[done]
+            self._rings[here] = new.ring[done]
+            changed = changed[is_open[cluster[np.searchsorted(cells, changed)]]]
+            if not len(changed):
+                # a cell may have changed twice, and so to what it was
+                return FloorChanges(
+                    np.unique(np.concatenate(heights)), np.unique(np.concatenate(standable))
+                )
         raise NotLocal("the floor under things changes far around")
+
+    def _grow_region(self, region: Region, planes: Planes) -> Grown:
+        """Let the floor go on again in a region."""
+        cells, taken = region.cells, self._marks(region, planes)[0]
+        is_main = self._live.pool.sheet[region.place] == self._main
+        column = np.repeat(np.arange(len(cells)), np.diff(region.columns.start))
+        stands, value = np.zeros(len(cells), dtype=np.bool_), np.full(len(cells), np.nan)
+        stands[column[is_main]] = True
+        value[column[is_main]] = region.columns.z[is_main]
+        ring = np.where(stands, 0, -1).astype(np.int32)
+        self._regrow(region, taken & ~stands[column], value, ring, self._rings)
+        has_height = ~_same(value, self.level.floor.reshape(-1)[cells])
+        moved = has_height | (ring != self._rings[cells])
+        has_shifted = stands != self.level.standable.reshape(-1)[cells]
+        return Grown(value, stands, ring, has_height, has_shifted, moved)
 
     def _regrow(self, region: Region, taken: Bool, value: Float, ring: Int32, rings: Int32) -> None:
         column = np.repeat(np.arange(len(region.cells)), np.diff(region.columns.start))

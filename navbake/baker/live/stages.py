@@ -27,7 +27,7 @@ from navbake.baker.live.contents import LiveContents
 from navbake.baker.live.doors import LiveDoors
 from navbake.baker.live.floors import LiveFloors
 from navbake.baker.live.following import Moved
-from navbake.baker.live.kernels.regions import cells_of_boxes
+from navbake.baker.live.kernels.regions import cells_of_boxes, join_cells
 from navbake.baker.live.not_local import NotLocal
 from navbake.baker.live.rooms import RoomMarks, rooms_hold
 from navbake.baker.occupancy.occupancy import check_footprints
@@ -189,11 +189,11 @@ class LiveStages:
         near_by = max(footprint.reach, lattice.cell_size / 2) + 2 * TOUCH
         touched = cells_of_boxes(lattice, boxes, near_by, scratch.flag)
         asked = columns.asked(boxes)
-        near = columns.near(shapes, np.union1d(touched, asked.every), reach, heights)
+        near = columns.near(shapes, join_cells(touched, asked.every), reach, heights)
         found = columns.cast(near, asked)
         old = columns.gather(found.cells)
         changes = floors.follow(found, touched, shapes.planes)
-        touched = np.union1d(touched, np.union1d(found.cells, changes.heights))
+        touched = join_cells(touched, join_cells(found.cells, changes.heights))
         if len(changes.heights):
             near = columns.near(shapes, touched, reach, heights)
         region = columns.gather(touched)

@@ -47,6 +47,24 @@ def cells_of_boxes(lattice, boxes, grow, flag):
 
 
 @njit(cache=True)
+def join_cells(one, other):
+    """The cells of two regions, each once, ascending: a merge."""
+    cells, i, j, count = np.empty(one.shape[0] + other.shape[0], np.int64), 0, 0, 0
+    while i < one.shape[0] or j < other.shape[0]:
+        if j == other.shape[0] or (i < one.shape[0] and one[i] <= other[j]):
+            cell = one[i]
+            i += 1
+            if j < other.shape[0] and other[j] == cell:
+                j += 1
+        else:
+            cell = other[j]
+            j += 1
+        cells[count] = cell
+        count += 1
+    return cells[:count].copy()
+
+
+@njit(cache=True)
 def _grow_along(cells, by, stride, place, length, flag):
     """Some cells and those at most so many away along one axis; the axis' own place is given."""
     count, found = 0, np.empty(2 * cells.shape[0] + 64, np.int64)
