@@ -39,7 +39,7 @@ class Facts:
     @cached_property
     def floors(self) -> list[Float]:
         """The floors of each level, NaN for none [m]."""
-        return [level.floor_height.astype(np.float64) * level.unit for level in self.levels]
+        return [level.floor for level in self.levels]
 
     @cached_property
     def doors(self) -> tuple[Door, ...]:
