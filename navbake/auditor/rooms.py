@@ -9,7 +9,6 @@ import numpy as np
 from navbake.auditor.facts import Facts
 from navbake.auditor.report import ERROR, REMARK, Remark
 from navbake.errors import FormatError
-from navbake.navgrid.rooms import Room
 from navbake.types import Int, Vector3
 
 AREA_OFF = 0.01  # share of a room's area that its entry may be off
@@ -40,10 +39,10 @@ def check_room_table(facts: Facts) -> Iterator[Remark]:
             area = cells * level.lattice.cell_size**2
             if not cells:
                 text = f"room {room.name or room.id!r} has no cells"
-                yield Remark("room table", ERROR, number, _centroid(room), text)
+                yield Remark("room table", ERROR, number, room.centroid, text)
             elif abs(area - room.area) > AREA_OFF * max(area, room.area):
                 text = f"room {room.name or room.id!r} has {area:.2f} m², not {room.area:.2f}"
-                yield Remark("room table", ERROR, number, _centroid(room), text)
+                yield Remark("room table", ERROR, number, room.centroid, text)
 
 
 def check_rooms_without_door(facts: Facts) -> Iterator[Remark]:
@@ -114,7 +113,3 @@ def _name(facts: Facts, level: int, index: int) -> str:
         return str(index)
     found = [room for room in rooms if (room.level, room.index) == (level, index)]
     return repr(found[0].name or found[0].id) if found else str(index)
-
-
-def _centroid(room: Room) -> Vector3:
-    return room.centroid
