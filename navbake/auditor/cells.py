@@ -28,16 +28,27 @@ def check_all_free(facts: Facts) -> Iterator[Remark]:
 
 
 def check_empty_levels(facts: Facts) -> Iterator[Remark]:
-    """A level has no floor, or nowhere to stand; or so has the whole grid."""
+    """A level has no floor, or nowhere to stand; or so has the whole grid.
+
+    An inflation may close a level, where the agent is too large for it.
+    """
+    reach = facts.inflation.reach
+    severity = ERROR if reach is None else REMARK
+    inflated = "" if reach is None else f", inflated by {reach:g} m"
     if not any(free.any() for free in facts.free):
-        yield Remark("all blocked", ERROR, None, None, "no cell is free, on any level")
+        yield Remark(
+            "all blocked", severity, None, None, f"no cell is free, on any level{inflated}"
+        )
         return
     for number, (free, floor) in enumerate(zip(facts.free, facts.floors, strict=True)):
         if free.any():
             continue
         has_floor = np.count_nonzero(~np.isnan(floor))
-        text = f"none of its {has_floor} cells with a floor is free" if has_floor else "no floor"
-        yield Remark("empty level", ERROR, number, None, text)
+        text = f"none of its {has_floor} cells with a floor is free{inflated}"
+        if has_floor:
+            yield Remark("empty level", severity, number, None, text)
+        else:
+            yield Remark("empty level", ERROR, number, None, "no floor")
 
 
 def check_free_share(facts: Facts) -> Iterator[Remark]:

@@ -17,7 +17,7 @@ from navbake.types import Bool
 ALIGNED = 1e-3  # share of a cell that lattices may be off
 BOX_SLACK = 1e-4  # metres that a cell may lie beside its level's box
 MOST_TAKEN = 0.5  # share of a level's free cells that may lie in lower levels' boxes
-MAX_SLOPE = 45.0  # of ramps, where the settings of the bake state no other [degrees]
+MAX_SLOPE = 45.0  # of ramps, where the bake states no other [degrees]
 NEXT = 1.5  # cells that the ends of a link may be apart, seen from above
 
 
@@ -127,8 +127,7 @@ def _highest_rise(facts: Facts) -> float:
     A bake links neighbours more than a step apart where a ramp leads on, which its own slope tells
     within a step.
     """
-    agent = facts.settings.get("agent")
-    stated: Any = agent.get("max_slope") if isinstance(agent, dict) else None
+    stated: Any = facts.grid.navbake.get("maxSlope")
     is_angle = type(stated) in (int, float) and 0 <= stated < 90
     slope = stated if is_angle else MAX_SLOPE
     ramp = facts.levels[0].lattice.cell_size * math.tan(math.radians(slope))

@@ -16,6 +16,7 @@ from grid_maps import house_from, level_from
 from navbake.auditor.audit import CHECKS
 from navbake.auditor.facts import Facts
 from navbake.auditor.report import ERROR, REMARK
+from navbake.errors import FormatError
 from navbake.navgrid.islands import clearance, find_islands
 from navbake.testing import assert_sound
 from project_paths import GOLDEN
@@ -491,6 +492,85 @@ def test_faults_of_many_kinds_are_planted():
             if any(re.search(plant.text, text) for text in said):
                 del blind[name]
     assert not blind
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_has_no_errors_to_say_about_what_is_made_of_samples(name):
+    """Inflated in all ways, with doors in all states, and blocked for a while."""
+    grid = navbake.load(GOLDEN / name)
+    ways: list[dict[str, Any]] = [
+        {"radius": 0.3},
+        {"radius": 0.2, "ledges": "ignore"},
+        {"radius": 0.2, "clearance": 0.3, "mode": "minos"},
+        {"radius": 1.5, "clearance": 0.3},
+    ]
+    made = [grid.inflate(**way) for way in ways]
+    made += [grid.with_doors({d.id: state}) for d in grid.doors for state in d.states]
+    for other in made:
+        assert_sound(other, remarks=False)
+    with grid.block(disc=(grid.rooms[0].centroid, 0.5)):
+        assert_sound(grid)
+        assert_sound(grid.inflate(0.2), remarks=False)
+
+
+@pytest.mark.parametrize("broken", ["x", 3, {}, [None], [{}], [{"radius": None}], [[1]], [True]])
+@pytest.mark.parametrize("entry", [{"radius": "x"}, {"radius": True}, {"radius": float("nan")}])
+def test_a_broken_note_on_an_inflation_is_told(broken, entry):
+    """It counts for nothing, also beside one that is whole."""
+    grid = load("apartment")
+    whole = {"radius": 0.1, "clearance": 0.0, "mode": "exact"}
+    for stated in (broken, [{**whole, **entry}], [whole, {**whole, **entry}]):
+        grid.metadata["inflation"] = stated
+        (error,) = navbake.audit(grid).errors
+        assert error.check == "inflation" and "expected" in error.text
+    grid.metadata["inflation"] = broken
+    grid.weights[free_cell(grid)] = np.inf
+    assert {error.check for error in navbake.audit(grid).errors} == {"inflation", "weights"}
+    foreign = {key: value for key, value in grid.metadata.items() if key != "navbake"}
+    said = navbake.audit(grid.with_levels([grid], foreign)).remarks
+    assert [r.severity for r in said if r.check == "inflation"] == [REMARK]
+
+
+@pytest.mark.parametrize("key", ["agentHeight", "agentRadius", "traversableFloorHeight"])
+@pytest.mark.parametrize("value", [-1, "1.14", True, float("nan"), float("inf"), 1e11, [1]])
+def test_sizes_of_an_agent_that_are_none(key, value):
+    grid = load("apartment")
+    grid.metadata[key] = value
+    (error,) = navbake.audit(grid).errors
+    assert error.check == "agent" and f"`{key}` is {value!r}, which is no length" in error.text
+
+
+def test_two_doors_may_share_cells():
+    """A cell that another door blocks, as it stands, is no fault of this one."""
+    level = level_from("..........\n....##....\n..........", cell_size=0.5)
+    leaf = {"joint": None, "rooms": [], "cells": {"closed": [[0, [14, 1]]], "open": [[0, [15, 1]]]}}
+    other = {"joint": None, "rooms": [], "cells": {"closed": [[0, [14, 2]]]}}
+    doors = [{"id": "a", "state": "open", **leaf}, {"id": "b", "state": "closed", **other}]
+    level.metadata["navbake"] = {"doors": doors}
+    assert not navbake.audit(level).errors
+    doors[1]["state"] = "removed"
+    level.metadata["navbake"] = {"doors": [*doors]}
+    errors = navbake.audit(level).errors
+    assert [e.text for e in errors] == [
+        "door 'a' is open, but 1 cells are occupied that it blocks in other states only",
+        "door 'b' is removed, but 1 cells are occupied that it blocks in other states only",
+    ]
+
+
+def test_a_terrace_is_no_patch():
+    """Higher than one neighbour and lower than the other; so is a gallery that stairs lead to."""
+    terraces = level_from("\n".join(["....4444....8888"] * 12).replace("....8", "4448"))
+    assert not [r for r in navbake.audit(terraces).remarks if r.check == "jumps"]
+    gallery = level_from("." * 9 + "\n" + "\n".join(["..99999.."] * 5) + "\n..97531..")
+    assert not [r for r in navbake.audit(gallery).remarks if r.check == "jumps"]
+    cut = level_from("." * 9 + "\n" + "\n".join(["..99999.."] * 5) + "\n" + "." * 9)
+    assert [r.severity for r in navbake.audit(cut).remarks if r.check == "jumps"] == [ERROR]
+
+
+@pytest.mark.parametrize("grid", [None, 5, [1], b"{}", np.zeros((3, 3))])
+def test_what_is_no_grid_is_refused(grid):
+    with pytest.raises(FormatError, match="expected a grid or the path of its file, got"):
+        navbake.audit(grid)
 
 
 CUT = """
