@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.auditor.facts import Facts
-from navbake.auditor.report import ERROR, REMARK, Remark, remark_on_cells
+from navbake.auditor.report import ERROR, REMARK, Remark, count_of, remark_on_cells
 from navbake.types import Float, Int
 
 FARTHEST = 10_000.0  # floors beyond are a wrong unit [m]
@@ -46,8 +46,8 @@ def check_jumps(facts: Facts) -> Iterator[Remark]:
             is_fault = share[patch] >= MOST_ROUND and area[patch] < _min_area(facts)
             way = f"{rise[patch] / edges[patch]:.2f} m {'above' if higher else 'below'}"
             around = "all" if share[patch] >= MOST_ROUND else "most of what is"
-            size = f"{area[patch]:.3g} m² of floor ({outline.cells[patch]} cells)"
-            text = f"{size} lie {way} {around} round it, and no step leads there"
+            size = f"{area[patch]:.3g} m² of floor ({count_of(int(outline.cells[patch]), 'cell')})"
+            text = f"{size} lies {way} {around} round it, and no step leads there"
             found.append((not is_fault, -area[patch], patch, text))
     for is_remark, _, patch, text in sorted(found)[:MOST_PATCHES]:
         number, place = _middle(facts, patch)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from navbake.auditor.facts import Facts
-from navbake.auditor.report import ERROR, REMARK, Remark
+from navbake.auditor.report import ERROR, REMARK, Remark, count_of
 from navbake.errors import FormatError
 from navbake.navgrid.lattice import FARTHEST
 from navbake.types import Bool
@@ -116,7 +116,7 @@ def check_links(facts: Facts) -> Iterator[Remark]:
             x, y, z = one[k].tolist()
             number, count = int(links[k, 0]), int(wrong.sum())
             place = (x, y, facts.levels[number].ground if np.isnan(z) else z)
-            text = f"{count} links lead {what}" if count > 1 else f"1 link leads {what}"
+            text = f"{count_of(count, 'link')} lead{'s' if count == 1 else ''} {what}"
             text += f": {rise[k]:.2f} m" if what.startswith("up") else ""
             yield Remark("links", ERROR, number, place, text)
 

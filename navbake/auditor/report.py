@@ -81,6 +81,11 @@ class AuditReport:
         }
 
 
+def count_of(count: int, what: str) -> str:
+    """How many of something, in words."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
 def remark_on_cells(
     facts: Facts, check: str, number: int, mask: Bool, what: str
 ) -> Iterator[Remark]:
@@ -88,5 +93,5 @@ def remark_on_cells(
     count = int(np.count_nonzero(mask))
     if count:
         verb = ("have", "has") if what.startswith("a ") else ("are", "is")
-        text = f"{count} cell{'s' if count > 1 else ''} {verb[count == 1]} {what}"
+        text = f"{count_of(count, 'cell')} {verb[count == 1]} {what}"
         yield Remark(check, ERROR, number, facts.first(number, mask), text)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 
 from navbake.auditor.facts import Facts
-from navbake.auditor.report import ERROR, REMARK, Remark
+from navbake.auditor.report import ERROR, REMARK, Remark, count_of
 from navbake.errors import FormatError
 from navbake.navgrid.doors import Door
+from navbake.navgrid.rooms import measure_rooms
 from navbake.types import Int, Vector3
 
 AREA_OFF = 0.01  # share of a room's area that its entry may be off
+PLACE_OFF = 0.1  # cells that a room's entry may lie beside its cells
 MIN_FREE = 1.0  # area of a room that one can stand on, if it is to need a door [m²]
 
 
@@ -28,6 +31,7 @@ def check_room_table(facts: Facts) -> Iterator[Remark]:
     known = {(room.level, room.index): room for room in stated}
     for number, level in enumerate(facts.levels):
         count = np.bincount(level.room_index.ravel())
+        measured = {room.index: room for room in measure_rooms(level, number)}
         for index in np.flatnonzero(count).tolist():
             if index and (number, index) not in known:
                 text = f"{count[index]} cells are in room {index}, which no entry describes"
@@ -41,9 +45,15 @@ def check_room_table(facts: Facts) -> Iterator[Remark]:
             if not cells:
                 text = f"room {room.name or room.id!r} has no cells"
                 yield Remark("room table", ERROR, number, room.centroid, text)
-            elif abs(area - room.area) > AREA_OFF * max(area, room.area):
+                continue
+            axes = 3 if level.uses_cell_floors else 2  # else its z isn't that of the floors
+            off = math.dist(measured[index].centroid[:axes], room.centroid[:axes])
+            if abs(area - room.area) > AREA_OFF * max(area, room.area):
                 text = f"room {room.name or room.id!r} has {area:.2f} m², not {room.area:.2f}"
                 yield Remark("room table", ERROR, number, room.centroid, text)
+            elif off > PLACE_OFF * level.lattice.cell_size:
+                text = f"room {room.name or room.id!r} lies {off:.2f} m from where its entry says"
+                yield Remark("room table", ERROR, number, measured[index].centroid, text)
 
 
 def check_rooms_without_door(facts: Facts) -> Iterator[Remark]:
@@ -88,14 +98,13 @@ def check_doors(facts: Facts) -> Iterator[Remark]:
             text = f"door {door.id!r} joins room {room!r}, which there isn't"
             yield Remark("doors", ERROR, level, place, text)
         num_open, num_full = _contradictions(facts, door)
+        stands = "stands as modelled" if door.state == "modelled" else f"is {door.state}"
         if num_open:
-            text = f"door {door.id!r} is {door.state}, but {num_open} of its cells aren't occupied"
+            text = f"door {door.id!r} {stands}, but {num_open} of its cells aren't occupied"
             yield Remark("doors", ERROR, level, place, text)
         if num_full:
-            text = (
-                f"door {door.id!r} is {door.state}, but {num_full} cells are occupied that it "
-                "blocks in other states only"
-            )
+            cells = f"{count_of(num_full, 'cell')} {'is' if num_full == 1 else 'are'} occupied"
+            text = f"door {door.id!r} {stands}, but {cells} that it blocks in other states only"
             yield Remark("doors", ERROR, level, place, text)
 
 

@@ -125,6 +125,7 @@ def audit(
     if output is not None:
         check_output(output, ".png", inputs=[grid])
     from navbake.auditor.audit import audit as look_at  # loads numpy
+    from navbake.auditor.report import count_of
 
     content = navbake.load(grid)
     report = look_at(content)
@@ -134,9 +135,9 @@ def audit(
         else:
             for remark in report.remarks:
                 say(remark)
-            num_errors = len(report.errors)
-            others = len(report.remarks) - num_errors
-            say(f"{len(report.checks)} checks: {num_errors} errors, {others} remarks")
+            errors = count_of(len(report.errors), "error")
+            others = count_of(len(report.remarks) - len(report.errors), "remark")
+            say(f"{len(report.checks)} checks: {errors}, {others}")
     if output is not None:
         marks = []
         for remark in report.remarks:

@@ -188,7 +188,7 @@ def floor_far_away(grid):
     grid.attributes["floorHeight"][np.unravel_index(0, grid.shape)] = 5e6
 
 
-@plant("apartment", ERROR, r"0.01 m² of floor \(1 cells\) lie 0\.80 m above all round it")
+@plant("apartment", ERROR, r"0.01 m² of floor \(1 cell\) lies 0\.80 m above all round it")
 def floor_jumps(grid):
     row, col = np.argwhere(eroded(grid.free))[50].tolist()
     grid.attributes["floorHeight"][row, col] += 0.8
@@ -204,22 +204,22 @@ def floor_patch(grid: Any, size: int) -> Any:
     return np.s_[row : row + size, col : col + size]
 
 
-@plant("apartment", ERROR, r"0\.09 m² of floor \(9 cells\) lie 0\.80 m above all round it")
+@plant("apartment", ERROR, r"0\.09 m² of floor \(9 cells\) lies 0\.80 m above all round it")
 def raised_patch(grid):
     grid.attributes["floorHeight"][floor_patch(grid, 3)] += 0.8
 
 
-@plant("apartment", ERROR, r"0\.09 m² of floor \(9 cells\) lie 0\.30 m below all round it")
+@plant("apartment", ERROR, r"0\.09 m² of floor \(9 cells\) lies 0\.30 m below all round it")
 def sunken_patch(grid):
     grid.attributes["floorHeight"][floor_patch(grid, 3)] -= 0.3
 
 
-@plant("warehouse", REMARK, r"1\.21 m² of floor \(121 cells\) lie 1\.00 m above all round it")
+@plant("warehouse", REMARK, r"1\.21 m² of floor \(121 cells\) lies 1\.00 m above all round it")
 def platform_without_steps(grid):
     grid.levels[0].attributes["floorHeight"][floor_patch(grid.levels[0], 11)] += 1.0
 
 
-@plant("apartment", REMARK, r"lie 0\.80 m above most of what is round it")
+@plant("apartment", REMARK, r"lies 0\.80 m above most of what is round it")
 def raised_corner_of_a_room(grid):
     corners = grid.free.copy()
     for away in ((-1, 0), (0, -1)):
@@ -273,6 +273,25 @@ def room_without_entry(grid):
 def entry_without_cells(grid):
     room = {**grid.navbake["rooms"][0], "index": 9, "id": "cellar", "name": "cellar"}
     return restated(grid, rooms=[*grid.navbake["rooms"], room])
+
+
+@plant(
+    "apartment", ERROR, r"room 'kitchen' lies 0\.07 m from where its entry says", of_room("kitchen")
+)
+def shifted_by_half_a_cell(grid):
+    x, y, z = grid.min_yup
+    grid.min_yup = (x + grid.cell_size / 2, y, z + grid.cell_size / 2)
+
+
+@plant(
+    "apartment",
+    ERROR,
+    r"room 'kitchen' lies \d\.\d\d m from where its entry says",
+    of_room("kitchen"),
+)
+def mirrored_map(grid):
+    layers = {name: array[:, ::-1].copy() for name, array in grid.attributes.items()}
+    return grid.with_layers(weights=grid.weights[:, ::-1].copy(), attributes=layers)
 
 
 @plant("apartment", ERROR, r"room 'kitchen' has 8\.00 m², not 12\.00", of_room("kitchen"))
@@ -552,8 +571,8 @@ def test_two_doors_may_share_cells():
     level.metadata["navbake"] = {"doors": [*doors]}
     errors = navbake.audit(level).errors
     assert [e.text for e in errors] == [
-        "door 'a' is open, but 1 cells are occupied that it blocks in other states only",
-        "door 'b' is removed, but 1 cells are occupied that it blocks in other states only",
+        "door 'a' is open, but 1 cell is occupied that it blocks in other states only",
+        "door 'b' is removed, but 1 cell is occupied that it blocks in other states only",
     ]
 
 

@@ -37,7 +37,7 @@ def test_verify_finds_the_scene_by_its_name(room, run):
     Path("room.xml").rename("elsewhere.xml")
     status, out, err = run("verify", "room.grid.json")
     assert (status, out) == (1, "") and err.count("\n") == 1
-    assert "the scene room.xml that room was baked from isn't in here" in err
+    assert "the scene room.xml that room was baked from isn't in the current folder" in err
     status, _, err = run("verify", "room.grid.json", "--scene", "gone.xml")
     assert status == 1 and "no scene at gone.xml: it may have moved" in err
 
