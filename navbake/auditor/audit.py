@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from os import PathLike
 from typing import Any
 
@@ -17,7 +19,13 @@ from navbake.auditor.cells import (
 from navbake.auditor.facts import Facts
 from navbake.auditor.floors import check_floors, check_jumps
 from navbake.auditor.islands import check_cut_off, check_unreached_levels
-from navbake.auditor.levels import check_agent, check_boxes, check_links, check_order
+from navbake.auditor.levels import (
+    check_agent,
+    check_boxes,
+    check_lattices,
+    check_links,
+    check_order,
+)
 from navbake.auditor.report import ERROR, AuditReport, Remark
 from navbake.auditor.rooms import check_doors, check_room_table, check_rooms_without_door
 from navbake.errors import FormatError
@@ -40,6 +48,7 @@ CHECKS: dict[str, Callable[[Facts], Iterator[Remark]]] = {
     "the room table contradicts the cells": check_room_table,
     "a room has no door": check_rooms_without_door,
     "a door joins what it can't": check_doors,
+    "cells have no size, or no place": check_lattices,
     "levels are out of order": check_order,
     "boxes exclude their own cells": check_boxes,
     "links lead nowhere": check_links,
@@ -61,6 +70,12 @@ def audit(grid: NavGrid | str | PathLike[str]) -> AuditReport:
         raise FormatError(f"expected a grid or the path of its file, got {shown_type(grid)}")
     content: Any = grid if isinstance(grid, GridBase) else read_navgrid(grid)
     facts = Facts(content)
-    remarks = [remark for check in CHECKS.values() for remark in check(facts)]
+    remarks = [_with_place(remark) for check in CHECKS.values() for remark in check(facts)]
     remarks.sort(key=lambda remark: remark.severity != ERROR)
     return AuditReport(content.scene_id, remarks, list(CHECKS))
+
+
+def _with_place(remark: Remark) -> Remark:
+    """The remark; without its place where the grid's own place is no number."""
+    is_place = remark.place is None or all(map(math.isfinite, remark.place))
+    return remark if is_place else replace(remark, place=None)

@@ -122,11 +122,11 @@ class Facts:
         return np.cumsum([0, *(level.width * level.height for level in self.levels)])
 
     def place(self, number: int, row: int, col: int) -> Vector3:
-        """World x, y and z of a cell; its level's ground where it has no floor [m]."""
+        """World x, y and z of a cell; its level's ground where its floor is at no height [m]."""
         level = self.levels[number]
         x, y = level.lattice.positions(row, col).tolist()
         z = float(self.floors[number][row, col])
-        return x, y, level.ground if np.isnan(z) else z
+        return x, y, z if np.isfinite(z) else level.ground
 
     def first(self, number: int, mask: Bool) -> Vector3:
         """The place of the first marked cell of a level."""

@@ -83,7 +83,8 @@ def _measure_outlines(facts: Facts) -> _Outlines:
         cells += np.bincount(island.ravel(), minlength=count)
         wide, high = np.pad(island, 1), np.pad(floor, 1, constant_values=np.nan)
         for beside in (np.s_[:-2, 1:-1], np.s_[2:, 1:-1], np.s_[1:-1, :-2], np.s_[1:-1, 2:]):
-            other, down = wide[beside], floor - high[beside]
+            with np.errstate(invalid="ignore"):  # floors that are infinite are told as such
+                other, down = wide[beside], floor - high[beside]
             is_outline = (island > 0) & (other != island)
             edges += np.bincount(island[is_outline], minlength=count)
             jumps = is_outline & (other > 0)

@@ -21,6 +21,17 @@ MAX_SLOPE = 45.0  # of ramps, where the bake states no other [degrees]
 NEXT = 1.5  # cells that the ends of a link may be apart, seen from above
 
 
+def check_lattices(facts: Facts) -> Iterator[Remark]:
+    """A level lies nowhere, or its cells have no size."""
+    for number, level in enumerate(facts.levels):
+        lattice = level.lattice
+        if not 0 < lattice.cell_size < math.inf:
+            text = f"its cells have a size of {lattice.cell_size:g} m"
+            yield Remark("levels", ERROR, number, None, text)
+        if not all(map(math.isfinite, (lattice.x_min, lattice.y_max, level.ground))):
+            yield Remark("levels", ERROR, number, None, "its corner is at no place")
+
+
 def check_order(facts: Facts) -> Iterator[Remark]:
     """Levels aren't in order, lie on different lattices, or are there twice."""
     first = facts.levels[0].lattice

@@ -381,6 +381,21 @@ def levels_on_two_lattices(grid):
     grid.levels[1].min_yup = (x + 0.04, y, z)
 
 
+@plant("house", ERROR, "its corner is at no place", 1)
+def level_at_no_place(grid):
+    grid.levels[1].min_yup = (0.0, float("nan"), 0.0)
+
+
+@plant("apartment", ERROR, "its cells have a size of -0.1 m", 0)
+def cells_without_size(grid):
+    grid.cell_size = -0.1
+
+
+@plant("apartment", ERROR, r"8000 cells are farther than 10000 m from 0")
+def floors_without_end(grid):
+    grid.attributes["floorHeight"][:] = np.inf
+
+
 @plant("house", ERROR, "its floors are those of the level before, cell by cell", 1)
 def level_twice(grid):
     first = grid.levels[0]
