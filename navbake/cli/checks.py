@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from typer import Exit, Option
+from typer import BadParameter, Exit, Option
 
 import navbake
 from navbake.cli.options import (
@@ -64,6 +64,8 @@ def verify(
 
     The exit status is 1 if they disagree.
     """
+    if which.every and which.sample != SAMPLE:
+        raise BadParameter("expected one of them", param_hint="--sample, --all")
     if output is not None:
         check_output(output, ".png", inputs=[grid, *([scene] if scene else [])])
     from navbake.verifier.verify import verify as compare  # loads MuJoCo

@@ -125,5 +125,5 @@ def _compare_scenes(grid: GridBase, scene: Scene, config: BakeConfig, *, force: 
         f"pose (their digests differ; the bake's MuJoCo was {version})"
     )
     if not force:
-        raise QueryError(f"{text}: force the comparison if that is meant")
+        raise QueryError(f"{text}: --force, or force=True, compares them anyway")
     return [text]

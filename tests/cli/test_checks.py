@@ -61,6 +61,8 @@ def test_verify_looks_at_a_sample_or_at_all(room, run):
     for options, count in ((("--sample", 10), 10), (("--all",), 96), (("--sample", 1000), 96)):
         _, out, _ = run("verify", "room.grid.json", "--json", *options)
         assert json.loads(out)["checked"] == count
+    status, out, err = run("verify", "room.grid.json", "--sample", 10, "--all")
+    assert (status, out) == (2, "") and "expected one of them" in err
     status, out, err = run("verify", "room.grid.json", "--sample", 0)
     assert (status, out) == (1, "") and "a sample of at least 1 cell" in err
 
@@ -70,6 +72,7 @@ def test_verify_refuses_another_scene_unless_forced(room, run):
     Path("room.xml").write_text(text.replace('pos="1 0 1"', 'pos="0 0 1"'))
     status, _, err = run("verify", "room.grid.json")
     assert status == 1 and "isn't the scene that the grid was baked from" in err
+    assert "--force, or force=True, compares them anyway" in err
     status, out, _ = run("verify", "room.grid.json", "--force")
     assert status == 1 and "free cell touches" in out
 
