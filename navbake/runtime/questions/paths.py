@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.runtime.paths.goals import Goal
+from navbake.runtime.paths.passage import Passage, find_passage
 from navbake.runtime.paths.path import Path
 from navbake.runtime.paths.why_not import why_not
 from navbake.runtime.questions.base import Questions
@@ -81,3 +82,26 @@ class PathQuestions(Questions):
         cells = self._cache.flat.cells_at(starts, level)
         field = self._planner.field(goal, level, weighted=weighted)
         return np.where(cells >= 0, field[cells], np.inf)
+
+    def max_radius(
+        self, start: ArrayLike, goal: Goal, *, level: int | None = None, ledges: str = "avoid"
+    ) -> Passage | None:
+        """Find the widest agent that gets from a place to a goal, and its bottleneck.
+
+        ``find_path`` finds a path on ``grid.inflate(radius)`` for every radius up to this one, and
+        for none that is larger. What is blocked now counts. On an inflated grid, the answer is
+        that of the grid before, if it can be told from the file.
+
+        Args:
+            start: world position [m].
+            goal: position, several of them or ``room:NAME``, see `PathFinder`.
+            ledges: see `SceneGrid2D.inflate`.
+
+        Returns:
+            The radius [m] and the bottleneck's place. None where no agent gets there, however
+            narrow.
+
+        Raises:
+            QueryError: start or goal is beside the grid or in something; the goal is an object.
+        """
+        return find_passage(self._cache, start, goal, level, ledges)
