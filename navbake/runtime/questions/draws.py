@@ -1,11 +1,17 @@
 """Random places and poses."""
 
+from collections.abc import Sequence
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
+from navbake.runtime.many import ManyPlaces
 from navbake.runtime.places.sample import Pose, cells_near, draw_places, draw_pose
 from navbake.runtime.questions.regions import RegionQuestions
+from navbake.runtime.spawns.reachable import find_reachable
+from navbake.runtime.spawns.spawn import Spawner, Spawns
 from navbake.types import Float
 
 
@@ -133,3 +139,81 @@ class DrawQuestions(RegionQuestions):
             self._cache, rng, target, distances,
             in_sight=in_sight, same_room=same_room, level=level,
         )  # fmt: skip
+
+    # --- many agents -----------------------------------------------------------------------
+
+    def spawn(
+        self,
+        rng: np.random.Generator | None,
+        n: int,
+        *,
+        rooms: str | Sequence[str] | None = None,
+        level: int | None = None,
+        island: int | None = None,
+        reachable_from: ArrayLike | None = None,
+        clearance: float | None = None,
+        min_distance: float | None = None,
+        facing: ArrayLike | None = None,
+        stratify: str | None = None,
+    ) -> Spawns:
+        """Draw where many agents start: none meets anything, or another one.
+
+        Places are centres of cells where the agent's radius fits, that of the grid's inflation, or
+        else of its bake. One after the other is drawn, evenly by area, from those that are far
+        enough from all before it (Poisson-disc sampling). Distances between agents are measured
+        on the map; agents on floors that are the agent's height or more apart don't count.
+
+        Args:
+            rng: see `random_point`.
+            n: how many agents, >= 1.
+            rooms: in these rooms, by id or name; one or several.
+            level: on this level.
+            island: on this island; 1 is the largest.
+            reachable_from: where a path leads to from this world position [m].
+            clearance: a disc of this radius round each agent meets no obstacle and no drop, as
+                with `grid.inflate` [m]; unless `min_distance` is given, nor another agent's.
+            min_distance: between the centres of any two agents [m]; in any case more than twice
+                the agent's radius.
+            facing: where all look: a world position [m], or a heading [rad]; everywhere, if None.
+            stratify: ``area`` cuts the cells into n parts of one area and draws one agent in
+                each; ``room`` and ``island`` draw as many agents in each, give or take one, and
+                leave out cells in no room. Agents that don't fit into a part go to others.
+
+        Returns:
+            Positions and headings, in random order.
+
+        Raises:
+            QueryError: they don't fit, with how many do at most where that can be proved at once;
+                there is no such room, level or island; a number makes no sense.
+        """
+        selection = self._spawner.select(rooms, level, island, reachable_from, clearance)
+        return self._spawner.draw(
+            rng, n, selection, min_distance=min_distance, facing=facing, stratify=stratify
+        )
+
+    def reachable_positions(
+        self, start: ArrayLike, spacing: float = 0.25, *, level: int | None = None
+    ) -> Float:
+        """List the positions that steps of one length along x and y lead to.
+
+        The positions are those of a square lattice through the start. A step is taken where
+        `try_step` gets to its end without sliding, over links to other levels as well, and where
+        the agent's disc meets no obstacle at its end. AI2-THOR calls these positions so.
+
+        Args:
+            start: world position [m] where an agent can stand; the first in the list. From a
+                cell's centre, steps of whole cells lead to centres.
+            spacing: of the lattice [m], a cell's size or more.
+
+        Returns:
+            World x, y and floor z [m], shape (n, 3), float64, those of the fewest steps first.
+
+        Raises:
+            QueryError: no agent can stand at the start, or the spacing is less than a cell.
+        """
+        many = ManyPlaces(self._cache, self._planner)
+        return find_reachable(self._cache, many, start, spacing, level)
+
+    @cached_property
+    def _spawner(self) -> Spawner:
+        return Spawner(self._cache)
