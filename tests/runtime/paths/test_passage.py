@@ -20,6 +20,7 @@ from project_paths import GOLDEN
 
 EXAMPLES = int(os.environ.get("NAVBAKE_EXAMPLES", "30"))
 FINE = 1e-6  # [m]
+ABOVE = np.array([0.0, 0.0, 1e-4])  # [m], so that rounding puts no place below its floor
 
 ROOMS = """
 #################
@@ -80,8 +81,11 @@ def test_it_equals_bisection_over_inflate(seed):
             grid.block(disc=(here, rng.uniform(0.02, 0.2)), level=grid.levels.index(level))
     finder = PathFinder(grid, cut_corners=cut_corners)
     cells = np.concatenate([v.free_for_point.ravel() for v in grid.levels]).nonzero()[0]
-    start, goal = finder.search.flat.positions(rng.choice(cells, 2))
-    start, goal = start + (0, 0, 1e-4), goal + (0, 0, 1e-4)
+    flat = finder.search.flat
+    away = finder.many.clearance(flat.positions(cells) + ABOVE)
+    drawn = rng.integers(len(cells), size=(2, 10))  # ends that are not at a wall
+    ends = cells[drawn[[0, 1], np.argmax(away[drawn], axis=1)]]
+    start, goal = flat.positions(ends) + ABOVE
 
     def passes(radius):
         other = PathFinder(grid.inflate(radius, ledges=ledges), cut_corners=cut_corners)
