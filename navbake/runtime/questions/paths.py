@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from navbake.errors import QueryError
+from navbake.runtime.following.follower import Drive, Follower
 from navbake.runtime.paths.goals import Goal
 from navbake.runtime.paths.passage import Passage, find_passage
 from navbake.runtime.paths.path import Path
@@ -105,3 +107,37 @@ class PathQuestions(Questions):
             QueryError: start or goal is beside the grid or in something; the goal is an object.
         """
         return find_passage(self._cache, start, goal, level, ledges)
+
+    def follow(
+        self,
+        path: Path,
+        *,
+        speed: float = 0.5,
+        acceleration: float = 1.0,
+        turn_rate: float = 1.5,
+        lookahead: float = 0.4,
+        tolerance: float = 0.05,
+    ) -> Follower:
+        """Follow a path with a mobile base: velocities or waypoints, step by step.
+
+        The base keeps to the path within some centimetres, so plan it on a grid that is inflated
+        for a radius by so much larger than the base's.
+
+        Args:
+            path: that `find_path` of this finder has found.
+            speed: the highest [m/s].
+            acceleration: with which the base brakes [m/s²].
+            turn_rate: the highest [rad/s].
+            lookahead: how far ahead on the path the base heads for [m].
+            tolerance: the base has arrived where its goal is as near as this [m].
+
+        Returns:
+            Ask its `command` or its `waypoint` as often as the base is steered.
+
+        Raises:
+            QueryError: the path is none, or a number is not > 0.
+        """
+        if not isinstance(path, Path):
+            raise QueryError(f"expected a path that find_path has found, got {path!r}")
+        drive = Drive(speed, acceleration, turn_rate, lookahead, tolerance)
+        return Follower(self._cache, self._planner, path, drive)
