@@ -11,7 +11,6 @@ from navbake.errors import QueryError
 from navbake.runtime.path_finder import PathFinder
 from project_paths import GOLDEN
 
-
 ABOVE = np.array([0.0, 0.0, 1e-4])  # [m], so that rounding puts no place below its floor
 
 
