@@ -170,10 +170,19 @@ def flanks(flat: FlatGrid, route: Int) -> Int:
 
 def _joins(flat: FlatGrid, free: Bool, ends: tuple[int, Int], corners: bool) -> bool:
     """Whether steps over free cells lead from a cell to one of several."""
+    from navbake.runtime.kernels.arrays import Space
+    from navbake.runtime.kernels.flood import floods
+
     origin, goals = ends
-    moves = _corner_moves(flat, free) if corners else None
-    islands = map_islands(replace(flat, free=free), moves).number
-    return bool(islands[origin]) and bool((islands[goals] == islands[origin]).any())
+    goals = goals[free[goals]]
+    if not free[origin] or not len(goals):
+        return False
+    if corners:
+        islands = map_islands(replace(flat, free=free), _corner_moves(flat, free)).number
+        return bool((islands[goals] == islands[origin]).any())
+    is_goal = np.zeros(flat.num_cells, dtype=np.bool_)
+    is_goal[goals] = True
+    return bool(floods(Space(flat.layout, flat.links, flat.floors, free), origin, is_goal))
 
 
 def _corner_moves(flat: FlatGrid, free: Bool) -> NDArray[np.uint8]:
