@@ -140,6 +140,13 @@ def test_a_stair_between_levels_is_a_bottleneck():
     )
 
 
+def test_higher_floors_count_beyond_the_baked_radius():
+    grid = level_from("9999\n....\n9999")
+    grid.metadata["agentRadius"] = 0.08
+    found = PathFinder(grid).max_radius((0.05, -0.15), (0.35, -0.15), ledges="ignore")
+    assert found.radius == 0.08
+
+
 def test_what_is_blocked_counts():
     grid = level_from(ROOMS)
     finder = PathFinder(grid)

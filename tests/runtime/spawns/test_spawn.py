@@ -136,6 +136,13 @@ def _sixteenths(finder, seed, stratify):
     return [(int(x / 0.5), int(-y / 0.5)) for x, y, _ in positions]
 
 
+def test_parts_of_unlike_size_are_even_by_area_too():
+    finder, rng = PathFinder(level_from(".....")), make_rng()
+    draws = [finder.spawn(rng, 2, stratify="area").positions[:, 0] for _ in range(2000)]
+    counts = np.bincount((np.concatenate(draws) / 0.1).astype(int))
+    assert chisquare(counts).pvalue > 0.01
+
+
 def test_rooms_have_as_many_each_give_or_take_one(apartment):
     positions, _ = apartment.spawn(make_rng(), 17, stratify="room")
     rooms = [apartment.room_at(p) for p in positions]
@@ -211,6 +218,13 @@ def largest_crowd(near):
         return max(with_first, best(rest))
 
     return best(list(range(len(near))))
+
+
+def test_the_bound_counts_storeys_by_themselves():
+    house = house_from([level_from("."), level_from(".", ground=3.0)])
+    flat = PathFinder(house).search.flat
+    assert most_that_fit(flat, np.arange(2), Spacing(0.2, 1.0, 1.14)) == 2
+    assert most_that_fit(flat, np.arange(2), Spacing(0.2, 1.0, 4.0)) == 1
 
 
 def test_a_row_that_is_just_long_enough_is_packed():
