@@ -47,8 +47,6 @@ from navbake.types import Bool, Float, Int, Json
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Unpack
 
-STAGES = ("scene", "columns", "floors", "occupancy", "contents", "rooms", "doors", "grid")
-
 
 def bake_stages(
     scene: Any,

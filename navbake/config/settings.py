@@ -313,9 +313,12 @@ def settings_to_state(config: BakeConfig) -> Json:
     stated: Json = config.model_dump(
         mode="json", include=sections, by_alias=True, exclude_defaults=True
     )
-    scene = {key: value for key, value in stated.get("scene", {}).items() if key != "path"}
-    path = config.scene.path
-    stated["scene"] = scene if is_memory_path(path) else {**scene, "path": Path(path).name}
+    path, scene = config.scene.path, dict(stated.get("scene", {}))
+    if is_memory_path(path):
+        scene.pop("path", None)
+    else:
+        scene["path"] = Path(path).name
+    stated["scene"] = scene
     return {key: value for key, value in stated.items() if value != {}}
 
 

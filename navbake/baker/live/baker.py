@@ -101,7 +101,7 @@ class Baker:
         with limit_threads(threads):
             first = take_first_look(config, StageClock(), opened=opened)
             self._scene = FollowedScene(config, opened, first.scene)
-            self._poses = Poses(opened.model, first.scene.data)
+            self._poses = Poses(opened.model, first.scene.data, str(config.scene.path))
             self._passes: list[LiveStages] | None = None
             self._bake(first)
             self._grid = self._build()

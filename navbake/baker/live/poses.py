@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from navbake.baker.kernels.constants import FREE, HINGE, SLIDE
 from navbake.baker.scene.memory import check_data
 from navbake.baker.scene.names import body_name, joint_name
-from navbake.config.scene import SceneSettings
 from navbake.errors import QueryError, SceneError
 from navbake.known_names import suggest
 from navbake.types import Float
@@ -21,8 +20,9 @@ from navbake.types import Float
 class Poses:
     """Two datas of a model, of which one is in the pose of now, and the other becomes the next."""
 
-    def __init__(self, model: Any, data: Any) -> None:
-        self._model, self._now, self._next = model, data, mujoco.MjData(model)
+    def __init__(self, model: Any, data: Any, name: str) -> None:
+        self._model, self._name = model, name
+        self._now, self._next = data, mujoco.MjData(model)
         self._bodies = {body_name(model, body): body for body in range(model.nbody - 1, 0, -1)}
         self._joints = {joint_name(model, joint): joint for joint in range(model.njnt - 1, -1, -1)}
 
@@ -35,7 +35,7 @@ class Poses:
         """The data of the next pose, with all geoms placed; see `Baker.update`."""
         source = self._now
         if data is not None:
-            check_data(self._model, data, SceneSettings(path="scene.xml"))
+            check_data(self._model, data, self._name)
             source = data
         pose = self._next
         pose.qpos[:], pose.mocap_pos[:], pose.mocap_quat[:] = (

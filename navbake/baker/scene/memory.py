@@ -59,7 +59,10 @@ def open_memory(scene: Any, data: Any, settings: SceneSettings) -> OpenScene:
         opened = _open(scene, settings, warned)
     if data is None:
         return opened
-    check_data(opened.model, data, settings)
+    if settings.keyframe is not None or settings.joints:
+        key = "keyframe" if settings.keyframe is not None else "joints"
+        raise ConfigError(f"expected a pose by `scene.{key}` or by a data, got both")
+    check_data(opened.model, data, str(settings.path))
     return opened._replace(data=data_with_joints(opened.model, data, {}))
 
 
@@ -88,19 +91,23 @@ def _compile_copy(spec: Any, ground: float | None) -> Any:
     return copy.compile()
 
 
-def check_data(model: Any, data: Any, settings: SceneSettings) -> None:
+def check_data(model: Any, data: Any, name: str) -> None:
+    """Check that a mujoco.MjData fits a model, by its numbers of things and its joints.
+
+    Args:
+        name: what an error calls the model's scene.
+
+    Raises:
+        ConfigError: it is none, or of another model.
+    """
     if not isinstance(data, mujoco.MjData):
-        raise ConfigError(f"expected a mujoco.MjData of the model, got {type(data).__name__}")
-    if settings.keyframe is not None or settings.joints:
-        key = "keyframe" if settings.keyframe is not None else "joints"
-        raise ConfigError(f"expected a pose by `scene.{key}` or by a data, got both")
+        raise ConfigError(f"expected a mujoco.MjData of {name}, got {type(data).__name__}")
     other = data.model
     for size in SIZES:
         expected, got = int(getattr(model, size)), int(getattr(other, size))
         if expected != got:
             raise ConfigError(
-                f"the data is of another model: expected {size} = {expected} as in "
-                f"{settings.path}, got {got}"
+                f"the data is of another model than {name}: expected {size} = {expected}, got {got}"
             )
     if not np.array_equal(model.jnt_type, other.jnt_type):
-        raise ConfigError(f"the data is of another model than {settings.path}: its joints differ")
+        raise ConfigError(f"the data is of another model than {name}: its joints differ")

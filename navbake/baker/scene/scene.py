@@ -261,7 +261,9 @@ def _digest_arrays(
     yield from (model.geom_rgba, model.geom_matid, model.mat_rgba)
     yield from (data.geom_xpos, data.geom_xmat)
     yield from (model.body_parentid, model.body_weldid, model.body_mocapid)
-    yield from (model.jnt_type, model.jnt_bodyid, model.jnt_limited, model.jnt_range)
+    # before MuJoCo 4, its booleans were bytes
+    is_limited = np.asarray(model.jnt_limited, dtype=np.bool_)
+    yield from (model.jnt_type, model.jnt_bodyid, is_limited, model.jnt_range)
     yield from (model.jnt_pos, model.jnt_axis, model.jnt_qposadr, data.qpos)
     yield from (model.site_type, model.site_size, data.site_xpos, data.site_xmat)
     yield from (names.sites, names.joints)
