@@ -50,7 +50,8 @@ class PathFinder(PathQuestions, PlaceQuestions, DrawQuestions):
             QueryError: a weight is negative.
         """
         cache = GridCache(grid, cut_corners=self._cut_corners)
-        self.__dict__.pop("many", None)
+        for name in ("many", "_spawner"):
+            self.__dict__.pop(name, None)
         self.grid, self._cache = grid, cache
         self._planner = Planner(cache)
 

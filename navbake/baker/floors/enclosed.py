@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from navbake.baker.columns import Columns, cells_of
@@ -13,7 +15,7 @@ from navbake.baker.kernels.constants import CLOSED_SURFACE
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.threads import run_in_bands
-from navbake.types import Bool
+from navbake.types import Bool, Float, Int
 
 # A floor that goes on beyond this share of its outline is what a closed thing stands on
 GOES_ON = 0.25
@@ -40,28 +42,35 @@ def find_enclosed(
     Returns:
         The floors, the largest first; the geom of each is the mesh that holds it.
     """
+    lattice, step = columns.lattice, agent.traversable_floor_height
+    at_cell, found = np.zeros(len(columns.start) - 1, dtype=np.bool_), []
+    for geom, cells, z in list_enclosed(columns, shapes, agent, settings):
+        area = len(cells) * lattice.cell_size**2
+        surfaces = cells, z, columns.crossings, floor_like
+        edges, goes_on = count_ends(lattice, *surfaces, step, at_cell)
+        if area >= BUILDING or goes_on < GOES_ON * edges:
+            found.append(Patch(geom, area, middle_of(lattice, cells, z), cells))
+    return sorted(found, key=lambda floor: -floor.area)
+
+
+def list_enclosed(
+    columns: Columns, shapes: Shapes, agent: AgentSettings, settings: FloorSettings
+) -> Iterator[tuple[int, Int, Float]]:
+    """List what is large enough for a floor inside of closed meshes: mesh, cells, heights [m]."""
     if not (columns.crossings.closed == CLOSED_SURFACE).any():
-        return []
+        return
     lattice, limits = columns.lattice, agent_limits(agent)
     holder = np.empty(len(columns.z), dtype=np.int32)
-    cells = len(columns.start) - 1
-    run_in_bands(find_holders, cells, lattice, columns.crossings, shapes.planes, limits, holder)
+    num = len(columns.start) - 1
+    run_in_bands(find_holders, num, lattice, columns.crossings, shapes.planes, limits, holder)
     start = np.concatenate([[0], np.cumsum(holder >= 0)])[columns.start]
     surface = np.flatnonzero(holder >= 0)
     z, geom = columns.z[surface], holder[surface].astype(np.int64)
     part, size = join_by_steps(lattice, start, z, geom, limits.step)
     cell = cells_of(start)
     first, member = group_members(part, size)
-    test, at_cell = AreaTest(lattice, settings), np.zeros(len(start) - 1, dtype=np.bool_)
-    found = []
+    test = AreaTest(lattice, settings)
     for number in np.flatnonzero(size >= test.needed).tolist():
         members = member[first[number] : first[number + 1]]
-        if not test.passes(cell[members]):
-            continue
-        area = len(members) * lattice.cell_size**2
-        surfaces = cell[members], z[members], columns.crossings, floor_like
-        edges, goes_on = count_ends(lattice, *surfaces, limits.step, at_cell)
-        if area >= BUILDING or goes_on < GOES_ON * edges:
-            place = middle_of(lattice, cell[members], z[members])
-            found.append(Patch(int(geom[members[0]]), area, place, cell[members]))
-    return sorted(found, key=lambda floor: -floor.area)
+        if test.passes(cell[members]):
+            yield int(geom[members[0]]), cell[members], z[members]

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.columns import Columns
+from navbake.baker.floors.enclosed import list_enclosed
 from navbake.baker.floors.grounds import PLATEAU
 from navbake.baker.floors.levels import LARGE_ROOF, Floors, Judged, just_below
 from navbake.baker.floors.outline import find_edges
@@ -21,9 +22,9 @@ from navbake.baker.kernels.constants import CLOSED_SURFACE
 from navbake.baker.live.columns import LiveColumns, Region
 from navbake.baker.live.kernels.grow import regrow
 from navbake.baker.live.kernels.regions import grow_cells, label_cells
-from navbake.baker.live.kernels.sheets import explore, label_region, mark_region
+from navbake.baker.live.kernels.sheets import explore, hold_region, label_region, mark_region
 from navbake.baker.live.not_local import NotLocal
-from navbake.baker.scene.shapes import Planes
+from navbake.baker.scene.shapes import Planes, Shapes
 from navbake.config.settings import BakeConfig
 from navbake.types import Bool, Float, Int, Int32
 
@@ -95,7 +96,7 @@ class LiveFloors:
         judged: Judged,
         columns: Columns,
         live: LiveColumns,
-        planes: Planes,
+        shapes: Shapes,
     ) -> None:
         """Note what the floors rest on; NotLocal where they are of another kind.
 
@@ -103,8 +104,12 @@ class LiveFloors:
             judged: what was decided on the way to the floors.
             columns: what they were found in.
             live: the same; gets the sheet of each surface.
+            shapes: the geometry without doors.
         """
         _check_kind(config, floors, judged, columns)
+        if any(True for _ in list_enclosed(columns, shapes, config.agent, config.floors)):
+            raise NotLocal("a closed mesh holds a floor")
+        planes = shapes.planes
         self._live, self.level = live, floors.levels[0]
         self._limits = agent_limits(config.agent)
         self._test = AreaTest(live.lattice, config.floors)
@@ -232,7 +237,7 @@ class LiveFloors:
         if self._near_other[touched].any() or self._near_other[changed.cells].any():
             raise NotLocal("another floor, a top or a roof is near")
         if (changed.columns.closed == CLOSED_SURFACE).any():
-            raise NotLocal("a closed mesh may hold a floor")
+            self._check_enclosed(changed, planes)
         old = self._live.pool.sheet[self._live.gather(changed.cells).place]
         np.subtract.at(self._size, old[old >= 0], 1)
         self._live.put(changed, np.full(len(changed.columns.z), -1, dtype=np.int32))
@@ -247,6 +252,14 @@ class LiveFloors:
         if len(changes.standable):
             self._spend(changes.standable)
         return changes
+
+    def _check_enclosed(self, changed: Region, planes: Planes) -> None:
+        """No closed mesh holds anything that one could stand on, see `find_enclosed`."""
+        holder = np.empty(len(changed.columns.z), dtype=np.int32)
+        crossings = changed.by_id(self._live.scratch)
+        hold_region(self._live.lattice, changed.cells, crossings, planes, self._limits, holder)
+        if (holder >= 0).any():
+            raise NotLocal("a closed mesh may hold a floor")
 
     def _spend(self, changed: Int) -> None:
         """Measure the floor again where enough has changed that it may be judged otherwise."""
@@ -530,7 +543,6 @@ def _check_kind(config: BakeConfig, floors: Floors, judged: Judged, columns: Col
             size * np.tan(np.radians(config.agent.max_slope)) > step
         ),
         "floors lie over each other": bool((np.diff(judged.counted.start) > 1).any()),
-        "closed meshes may hold floors": bool((columns.crossings.closed == CLOSED_SURFACE).any()),
     }
     for reason, holds in reasons.items():
         if holds:

@@ -74,7 +74,7 @@ class LiveStages:
             if len(planes.geom) and not _are_level(planes.mat):
                 raise NotLocal("a plane is not level")
             columns = LiveColumns(stages.config, stages.columns)
-            known = floors, judged, stages.columns, columns, planes
+            known = floors, judged, stages.columns, columns, stages.doorless.shapes
             live_floors = LiveFloors(stages.config, *known)
         except NotLocal as why:
             self.reason = str(why)

@@ -6,6 +6,7 @@ Connected components by union-find in the region; outside, breadth-first search 
 import numpy as np
 from numba import njit
 
+from navbake.baker.floors.kernels.enclosed import find_holders
 from navbake.baker.floors.kernels.sheets import mark_surfaces, neighbour
 from navbake.baker.kernels.constants import SLACK
 from navbake.navgrid.kernels.union_find import find_root, unite
@@ -18,6 +19,13 @@ def mark_region(lattice, cells, crossings, planes, limits, floor_like, standable
         mark_surfaces(
             lattice, crossings, planes, limits, floor_like, standable, count, cell, cell + 1
         )
+
+
+@njit(cache=True)
+def hold_region(lattice, cells, crossings, planes, limits, holder):
+    """`find_holders` for some cells alone; ``crossings.start`` is by cell id."""
+    for cell in cells:
+        find_holders(lattice, crossings, planes, limits, holder, cell, cell + 1)
 
 
 @njit(cache=True)
