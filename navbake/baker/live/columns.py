@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -103,14 +103,17 @@ class LiveColumns:
         count = np.diff(crossings.start).astype(np.int32)
         self.used = len(crossings.z)
         room = int(self.used * ROOM) + 10_000
-        arrays = []
-        for name in ("z", "normal", "geom", "closed"):
-            array = getattr(crossings, name)
-            arrays.append(np.empty((room, *array.shape[1:]), dtype=array.dtype))
-            arrays[-1][: self.used] = array
-        sheets = np.empty(room, dtype=np.int32)
-        sheets[: self.used] = -1 if sheet is None else sheet
-        self.pool = Pool(crossings.start[:-1].copy(), count, *arrays, sheets)
+
+        def widen(array: Any) -> Any:
+            wide = np.empty((room, *array.shape[1:]), dtype=array.dtype)
+            wide[: self.used] = array
+            return wide
+
+        _, z, normal, geom, closed = crossings
+        none = np.full(self.used, -1, dtype=np.int32)
+        layers = widen(z), widen(normal), widen(geom), widen(closed)
+        sheets = widen(none if sheet is None else sheet)
+        self.pool = Pool(crossings.start[:-1].copy(), count, *layers, sheets)
 
     def gather(self, cells: Int) -> Region:
         """The columns of some cells, ascending."""
@@ -141,8 +144,8 @@ class LiveColumns:
         of_solids, of_triangles = map(np.flatnonzero, masks)
         part = replace(
             shapes,
-            solids=Solids(*(array[of_solids] for array in solids)),
-            triangles=Triangles(*(array[of_triangles] for array in triangles)),
+            solids=Solids._make(array[of_solids] for array in solids),
+            triangles=Triangles._make(array[of_triangles] for array in triangles),
         )
         tiled = tile_shapes(part, lattice, reach)
         tiled.__dict__["heights"] = heights
@@ -192,12 +195,14 @@ class LiveColumns:
         """
         planes = shapes.only(np.isin(np.arange(len(shapes.endless)), shapes.planes.geom))
         cell = np.zeros(1, dtype=np.int64)
-        center, found = self.lattice.positions([0], [0]), []
-        for heights in (old, new):
+        center = self.lattice.positions([0], [0])
+
+        def cast(heights: Band) -> Float:
             tiled = tile_shapes(planes, self.lattice, 0.0)
             tiled.__dict__["heights"] = heights
-            found.append(cast_points(tiled, cell, center).z)
-        if not np.array_equal(*found):
+            return cast_points(tiled, cell, center).z
+
+        if not np.array_equal(cast(old), cast(new)):
             raise NotLocal("lines cross a plane at another height, by rounding")
 
     def put(self, region: Region, sheet: Int32) -> None:
@@ -212,7 +217,7 @@ class LiveColumns:
         """The cells in which cracks may be others, with all that decide together with them."""
         lattice, flag, reach = self.lattice, self.scratch.flag, self._crack_cells
         near = cells_of_boxes(lattice, boxes, crack_reach(self._crack), flag)
-        region = grow_cells(lattice.width, lattice.height, near, reach, flag)
+        region: Int = grow_cells(lattice.width, lattice.height, near, reach, flag)
         while True:
             around = grow_cells(lattice.width, lattice.height, region, reach, flag)
             joined = join_cells(region, around[self._is_cracked[around]])

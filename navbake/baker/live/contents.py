@@ -57,7 +57,7 @@ from navbake.baker.warn import ContentNotes, count_taken_cells
 from navbake.config.settings import BakeConfig
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import Shared, UserData
-from navbake.types import Bool, Int, Int32
+from navbake.types import Bool, Float, Int, Int32
 
 ROWS = 8  # of cells in a band
 
@@ -110,8 +110,10 @@ class LiveContents:
         self._candidates = candidates_of(self._is_static, self._is_surface, self._extents)
         over = measure_over_floors(contents.levels, floors, self._extents)
         cells = live.lattice.cell_size**2
-        counts = (np.rint(area / cells).astype(np.int64) for area in (over.area, over.upper_area))
-        self._measured = over.base, over.rise, *counts
+        area, upper_area = (
+            np.rint(area / cells).astype(np.int64) for area in (over.area, over.upper_area)
+        )
+        self._measured: tuple[Float, Float, Int, Int] = over.base, over.rise, area, upper_area
         self._carriers = self._find_carriers(floors)
         self._stood_on = self._count_stood_on(floors.levels[0])
         self._roots = np.asarray(scene.model.body_rootid)[scene.model.geom_bodyid]
@@ -218,13 +220,13 @@ class LiveContents:
             here = slice(int(start[0]), int(start[-1]))
             new = start - start[0], entries.geom[here], entries.flags[here]
             local = cells[own] - number * per_band
-            *band, differs = replace_entries(bands[number], local, *new, marked)
+            start, geom, flags, differs = replace_entries(bands[number], local, *new, marked)
             if not differs.any():
                 continue
             changed.append(cells[own][differs])
             if counted:
                 self._count_taken_of(bands[number], local[differs], -1)
-            bands[number] = Entries(*band)
+            bands[number] = Entries(start, geom, flags)
             if counted:
                 self._count_taken_of(bands[number], local[differs], 1)
         self._bands = bands
@@ -309,7 +311,8 @@ class LiveContents:
         """Tell what each geom is; whether that is the same as before."""
         base, rise, area, upper_area = self._measured
         size = self._live.lattice.cell_size**2
-        over = GeomsOverFloors(base, rise, area * size, upper_area * size)
+        areas: list[Float] = [np.asarray(cells * size) for cells in (area, upper_area)]
+        over = GeomsOverFloors(base, rise, *areas)
         agent, names = self._config.agent, self._config.names
         was = self.kinds
         self.kinds, self.warnings = classify_geoms(
@@ -373,12 +376,13 @@ class LiveContents:
 
 def _split(listed: LevelContents, lattice: Lattice) -> list[Entries]:
     flags = np.where(listed.stands, STANDS, 0) | np.where(listed.blocks, BLOCKS, 0)
-    flags = (flags | np.where(listed.upper, PROBED, 0)).astype(np.uint8)
+    flags = flags | np.where(listed.upper, PROBED, 0)
+    bits: NDArray[np.uint8] = flags.astype(np.uint8)
     per_band, bands = ROWS * lattice.width, []
     for first in range(0, len(listed.start) - 1, per_band):
         start = listed.start[first : first + per_band + 1]
         here = slice(int(start[0]), int(start[-1]))
-        bands.append(Entries(start - start[0], listed.geom[here], flags[here]))
+        bands.append(Entries(start - start[0], listed.geom[here], bits[here]))
     return bands
 
 
@@ -401,19 +405,14 @@ def _take(band: Entries, cells: Int) -> Entries:
 def _join(bands: Sequence[Entries]) -> Entries:
     ends = np.cumsum([0, *(len(band.geom) for band in bands)])
     starts = [band.start[:-1] + end for band, end in zip(bands, ends, strict=False)]
-    geom, flags = (
-        np.concatenate([np.empty(0, dtype=kind), *arrays])
-        for kind, arrays in (
-            (np.int32, [band.geom for band in bands]),
-            (np.uint8, [band.flags for band in bands]),
-        )
-    )
+    geom = np.concatenate([np.empty(0, dtype=np.int32), *(band.geom for band in bands)])
+    flags = np.concatenate([np.empty(0, dtype=np.uint8), *(band.flags for band in bands)])
     return Entries(np.concatenate([*starts, ends[-1:]]), geom, flags)
 
 
 def _to_level(entries: Entries, lattice: Lattice, support: FloorSupport) -> LevelContents:
-    flags = ((entries.flags & flag) > 0 for flag in (STANDS, BLOCKS, PROBED))
-    return LevelContents(lattice, entries.start, entries.geom, *flags, support)
+    stands, blocks, upper = ((entries.flags & flag) > 0 for flag in (STANDS, BLOCKS, PROBED))
+    return LevelContents(lattice, entries.start, entries.geom, stands, blocks, upper, support)
 
 
 def _name_bands(

@@ -14,10 +14,10 @@ import numpy as np
 
 from navbake.baker.columns import Columns
 from navbake.baker.floors.enclosed import list_enclosed
-from navbake.baker.floors.grounds import PLATEAU
 from navbake.baker.floors.levels import LARGE_ROOF, Floors, Judged, just_below
 from navbake.baker.floors.outline import find_edges
 from navbake.baker.floors.sheets import AreaTest, agent_limits
+from navbake.baker.floors.stairs import PLATEAU
 from navbake.baker.kernels.constants import CLOSED_SURFACE
 from navbake.baker.live.columns import LiveColumns, Region
 from navbake.baker.live.kernels.grow import regrow
@@ -312,7 +312,7 @@ class LiveFloors:
         pairs, which = np.unique(
             np.stack([cluster, part[own]], axis=1), axis=0, return_inverse=True
         )
-        torn = np.flatnonzero(np.bincount(pairs[:, 0]) > 1) if len(pairs) else []
+        torn = np.flatnonzero(np.bincount(pairs[:, 0].astype(np.int64)) > 1)
         for number in torn:
             parts = [own[which == k] for k in np.flatnonzero(pairs[:, 0] == number)]
             self._check_whole([(cell_of[one], region.place[one]) for one in parts])
@@ -425,7 +425,8 @@ class LiveFloors:
             parts: the cells and places of their surfaces.
         """
         for most in VISITS:
-            waiting, still_open = sorted(parts, key=lambda part: len(part[0])), []
+            waiting = sorted(parts, key=lambda part: len(part[0]))
+            still_open: list[tuple[Int, Int]] = []
             while waiting:
                 own, others = waiting[0], [*waiting[1:], *still_open]
                 waiting = waiting[1:]
@@ -437,8 +438,8 @@ class LiveFloors:
                 elif met == 0:
                     self._cut_off(cells, places)
                 else:
-                    pair = zip(own, others[met - 1], strict=True)
-                    others[met - 1] = tuple(np.concatenate(both) for both in pair)
+                    (one, at), (other, there) = own, others[met - 1]
+                    others[met - 1] = np.concatenate([one, other]), np.concatenate([at, there])
                     waiting, still_open = others[: len(waiting)], others[len(waiting) :]
             parts = still_open
             if len(parts) <= 1:

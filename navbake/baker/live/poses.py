@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.baker.kernels.constants import FREE, HINGE, SLIDE
 from navbake.baker.scene.memory import check_data
 from navbake.baker.scene.names import body_name, joint_name
-from navbake.errors import QueryError, SceneError
+from navbake.baker.scene.pose import data_with_joints, place_geoms
+from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.types import Float
 
@@ -22,7 +22,7 @@ class Poses:
 
     def __init__(self, model: Any, data: Any, name: str) -> None:
         self._model, self._name = model, name
-        self._now, self._next = data, mujoco.MjData(model)
+        self._now, self._next = data, data_with_joints(model, data, {})
         self._bodies = {body_name(model, body): body for body in range(model.nbody - 1, 0, -1)}
         self._joints = {joint_name(model, joint): joint for joint in range(model.njnt - 1, -1, -1)}
 
@@ -48,11 +48,7 @@ class Poses:
         for name, position in (joints or {}).items():
             self._turn_joint(pose, name, position)
         self._check_finite(pose)
-        try:
-            mujoco.mj_kinematics(self._model, pose)
-        except (mujoco.FatalError, mujoco.UnexpectedError, ValueError) as error:
-            reason = " ".join(str(error).split())[:400]
-            raise SceneError(f"MuJoCo cannot take the pose: {reason}") from error
+        place_geoms(self._model, pose)
         return pose
 
     def copy(self) -> tuple[Float, Float, Float]:

@@ -17,17 +17,17 @@ from navbake.types import Int, Int32
 
 
 class Pool(NamedTuple):
-    """The columns of all cells; cell i holds ``[first[i], first[i] + count[i])``.
+    """The columns of all cells; cell i holds ``[first[i], first[i] + length[i])``.
 
     Attributes:
         first: (cells,) int64.
-        count: (cells,) int32.
+        length: (cells,) int32.
         z, normal, geom, closed: as in `Crossings`, with room at the end.
         sheet: the sheet of each surface that an agent can stand on, -1 for the others, (n,) int32.
     """
 
     first: Int
-    count: Int32
+    length: Int32
     z: NDArray[np.float64]
     normal: NDArray[np.float32]
     geom: Int32
@@ -43,7 +43,7 @@ def gather(pool, cells):
     """
     start = np.zeros(cells.shape[0] + 1, np.int64)
     for n in range(cells.shape[0]):
-        start[n + 1] = start[n] + pool.count[cells[n]]
+        start[n + 1] = start[n] + pool.length[cells[n]]
     total = start[cells.shape[0]]
     z, normal, geom = np.empty(total), np.empty((total, 3), np.float32), np.empty(total, np.int32)
     closed, place = np.empty(total, np.uint8), np.empty(total, np.int64)
@@ -67,7 +67,7 @@ def _are_equal(one, other):
 def differs(pool, cells, new, result):
     """Whether the column of each cell differs in any bit from a new one, into (n,) bool."""
     for n in range(cells.shape[0]):
-        begin, count = pool.first[cells[n]], pool.count[cells[n]]
+        begin, count = pool.first[cells[n]], pool.length[cells[n]]
         result[n] = count != new.start[n + 1] - new.start[n]
         for k in range(count):
             if result[n]:
@@ -85,7 +85,7 @@ def put(pool, cells, new, sheet, used):
     """Write new columns of some cells, numbered as `cells` are, behind the `used` part."""
     for n in range(cells.shape[0]):
         begin = used + new.start[n]
-        pool.first[cells[n]], pool.count[cells[n]] = begin, new.start[n + 1] - new.start[n]
+        pool.first[cells[n]], pool.length[cells[n]] = begin, new.start[n + 1] - new.start[n]
         for i in range(new.start[n], new.start[n + 1]):
             j = used + i
             pool.z[j], pool.geom[j], pool.closed[j] = new.z[i], new.geom[i], new.closed[i]

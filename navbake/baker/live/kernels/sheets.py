@@ -92,7 +92,7 @@ def explore(lattice, pool, step, cells, places, sheet, mark, most):
             other = neighbour(lattice, cell, way)
             if other < 0:
                 continue
-            for j in range(pool.first[other], pool.first[other] + pool.count[other]):
+            for j in range(pool.first[other], pool.first[other] + pool.length[other]):
                 if pool.sheet[j] != sheet or abs(pool.z[j] - z) > step + SLACK:
                     continue
                 if mark[j] == own:
