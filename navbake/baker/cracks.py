@@ -19,10 +19,12 @@ from navbake.baker.kernels.cracks import (
     Asked,
     Found,
     GapRoom,
+    count_gaps,
     find_gaps,
     probe_lines,
 )
 from navbake.config.settings import AgentSettings
+from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int
 
@@ -128,6 +130,7 @@ def _replace_by_best(
     crack: float,
 ) -> Columns:
     """The columns with the line in each cell that leaves the fewest gaps, the first of several."""
+    near = _only_near(columns, cells, _reach_in_cells(columns.lattice, crack))
     best = candidates[:, 0].copy()
     fewest = np.full(len(cells), np.iinfo(np.int64).max)
     for offset in candidates.swapaxes(0, 1):
@@ -135,12 +138,28 @@ def _replace_by_best(
         if not asked.any():
             continue
         trial = np.where(asked[:, None], offset, best)
-        replaced = _replace_lines(columns, tiled, cells, trial)
-        gaps = list_gaps(replaced, limits, crack)
-        left = np.bincount(gaps.cell, minlength=len(columns.start) - 1)[cells]
+        left = _count_gaps(_replace_lines(near, tiled, cells, trial), cells, limits, crack)
         better = asked & (left < fewest)
         best[better], fewest[better] = offset[better], left[better]
-    return replaced if (trial == best).all() else _replace_lines(columns, tiled, cells, best)
+    return _replace_lines(columns, tiled, cells, best)
+
+
+def _only_near(columns: Columns, cells: Int, reach: int) -> Columns:
+    """The columns of the cells within a reach of some cells, in cells along both axes.
+
+    All others are empty, so that a trial copies few.
+    """
+    lattice, around = columns.lattice, np.arange(-reach, reach + 1)
+    row, col = np.divmod(cells, lattice.width)
+    rows = np.clip(row[:, None, None] + around[:, None], 0, lattice.height - 1)
+    cols = np.clip(col[:, None, None] + around, 0, lattice.width - 1)
+    near = np.unique(rows * lattice.width + cols)
+    counts = columns.start[near + 1] - columns.start[near]
+    start = np.zeros_like(columns.start)
+    start[near + 1] = counts
+    np.cumsum(start, out=start)
+    taken = np.repeat(columns.start[near] - start[near], counts) + np.arange(start[-1])
+    return Columns(lattice, Crossings(start, *(part[taken] for part in columns.crossings[1:])))
 
 
 def crack_reach(crack: float) -> float:
@@ -148,12 +167,26 @@ def crack_reach(crack: float) -> float:
     return AROUND * crack
 
 
+def _reach_in_cells(lattice: Lattice, crack: float) -> int:
+    """How far the nearest line beyond a crack may be, in cells."""
+    return int(crack / lattice.cell_size) + 1
+
+
+def _count_gaps(columns: Columns, cells: Int, limits: AgentLimits, crack: float) -> Int:
+    """How many gaps `list_gaps` would find in some cells."""
+    counts, none = np.empty(len(cells), dtype=np.int64), np.empty(0)
+    stands = np.empty(len(columns.z), dtype=np.bool_)
+    room = GapRoom(stands, none, columns.start, none, none)
+    reach = _reach_in_cells(columns.lattice, crack)
+    count_gaps(columns.lattice, columns.crossings, limits, reach, room, cells, counts)
+    return counts
+
+
 def list_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
     lattice, start = columns.lattice, np.zeros(len(columns.start), dtype=np.int64)
     stands, none = np.empty(len(columns.z), dtype=np.bool_), np.empty(0)
     room = GapRoom(stands, np.empty(len(start) - 1), start, none, none)
-    # how far the nearest line beyond a crack may be, in cells
-    asked = lattice, columns.crossings, limits, int(crack / lattice.cell_size) + 1
+    asked = lattice, columns.crossings, limits, _reach_in_cells(lattice, crack)
     run_in_bands(find_gaps, lattice.height, *asked, room, MARK)
     run_in_bands(find_gaps, lattice.height, *asked, room, COUNT)
     cells = np.flatnonzero(start[1:])

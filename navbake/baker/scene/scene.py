@@ -16,7 +16,7 @@ from navbake.baker.scene.guard.isolated import CompileLimits, load_isolated
 from navbake.baker.scene.hidden_room import HiddenRoom
 from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart, lies_on_side
 from navbake.baker.scene.model import catch_warnings, load_model
-from navbake.baker.scene.names import name_at, names_of
+from navbake.baker.scene.names import all_names, name_at, names_at
 from navbake.baker.scene.pose import pose_model, warn_out_of_range
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.scene import SceneSettings
@@ -147,12 +147,12 @@ def _errors_name(settings: SceneSettings) -> Iterator[None]:
 
 
 def _report_geoms(model: Any, choices: list[Choice], kinds: list[str]) -> list[GeomReport]:
-    reports = []
-    for geom, (choice, kind) in enumerate(zip(choices, kinds, strict=True)):
-        names = names_of(model, geom)
-        known = geom, names.geom, names.body, TYPE_NAMES.get(int(model.geom_type[geom]), "unknown")
-        reports.append(GeomReport(*known, choice.counted, kind, choice.reason))
-    return reports
+    types = [TYPE_NAMES.get(kind, "unknown") for kind in model.geom_type.tolist()]
+    known = zip(all_names(model).geoms, types, choices, kinds, strict=True)
+    return [
+        GeomReport(geom, names.geom, names.body, type_, choice.counted, kind, choice.reason)
+        for geom, (names, type_, choice, kind) in enumerate(known)
+    ]
 
 
 def _nothing_counts(settings: SceneSettings, choices: list[Choice]) -> str:
@@ -207,8 +207,8 @@ def _warn_lying(settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str
 def _digest(model: Any, data: Any, parts: dict[int, MeshPart]) -> str:
     """sha256 of what the bake can see of a posed model, wherever it was loaded from."""
     digest = hashlib.sha256()
-    for geom in range(model.ngeom):
-        digest.update("\0".join(names_of(model, geom)).encode() + b"\n")
+    for names in all_names(model).geoms:
+        digest.update("\0".join(names).encode() + b"\n")
     for number, array in enumerate(_digest_arrays(model, data, parts)):
         array = np.ascontiguousarray(array)
         digest.update(f"{number} {array.dtype.str} {array.shape}\n".encode())
@@ -226,7 +226,7 @@ def _digest_arrays(model: Any, data: Any, parts: dict[int, MeshPart]) -> Iterato
     yield from (model.jnt_pos, model.jnt_axis, model.jnt_qposadr, data.qpos)
     yield from (model.site_type, model.site_size, data.site_xpos, data.site_xmat)
     for addresses in (model.name_siteadr, model.name_jntadr):
-        names = [name_at(model, address) for address in addresses]
+        names = names_at(model, addresses.tolist())
         yield np.frombuffer("\0".join(names).encode(), dtype=np.uint8)
     yield from (model.mesh_vertadr, model.mesh_faceadr, model.mesh_vert, model.mesh_face)
     yield from (model.mesh_graphadr, model.mesh_graph)
