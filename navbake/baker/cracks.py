@@ -10,7 +10,7 @@ import numpy as np
 
 from navbake.baker.columns import Columns, TiledShapes, cast_points
 from navbake.baker.floors.sheets import agent_limits
-from navbake.baker.kernels.arrays import AgentLimits, Crossings
+from navbake.baker.kernels.arrays import AgentLimits, Crossings, Tiles
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.kernels.cracks import (
     COUNT,
@@ -23,6 +23,7 @@ from navbake.baker.kernels.cracks import (
     find_gaps,
     probe_lines,
 )
+from navbake.baker.kernels.tiles import list_near
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
@@ -41,6 +42,8 @@ HALVINGS = 10
 # a crack leaves less, as seen from its edge
 AROUND, OPEN_WAYS = 1.5, 2
 
+# How much farther than its lines go one looks for what is near a gap, for rounding [m]
+HAIR = 1e-6
 # How much of half a cell's edge a line may be moved: it stays inside of the cell's square
 WITHIN = 0.999
 
@@ -90,10 +93,10 @@ def close_cracks(
         return columns
     # most gaps are open: half of the ways tell most of these, and to measure is dearest
     for spacing in (2, 1):
-        gaps = gaps.only(~_find_open(_Probe(gaps, tiled, limits), crack, spacing))
+        gaps = gaps.only(~_find_open(_make_probe(gaps, tiled, limits, crack), crack, spacing))
         if not len(gaps.cell):
             return columns
-    offset = _measure(_Probe(gaps, tiled, limits), crack)
+    offset = _measure(_make_probe(gaps, tiled, limits, crack), crack)
     closed = ~np.isnan(offset[:, 0, 0])
     if not closed.any():
         return columns
@@ -279,6 +282,7 @@ class _Probe(NamedTuple):
 
     gaps: Gaps
     tiled: TiledShapes
+    near: Tiles  # what lies near each gap's cell
     limits: AgentLimits
 
     def floors(self, gap: Int, way: Int, distance: Float) -> tuple[Float, Float]:
@@ -288,11 +292,20 @@ class _Probe(NamedTuple):
         """
         tiled, shapes = self.tiled, self.tiled.shapes
         found = Found(np.empty(len(gap)), np.empty(len(gap)))
-        geometry = (shapes.solids, tiled.facets, shapes.planes, tiled.tiles, tiled.heights)
+        geometry = (shapes.solids, tiled.facets, shapes.planes, self.near, tiled.heights)
         whole = (tiled.lattice, *geometry)
         asked = Asked(gap, WAYS[way] * distance[:, None])
         run_in_bands(probe_lines, len(gap), self.gaps, whole, self.limits, asked, found, least=16)
         return found.floor, found.standable
+
+
+def _make_probe(gaps: Gaps, tiled: TiledShapes, limits: AgentLimits, crack: float) -> _Probe:
+    """List what lies near each gap once: many lines ask about it, and less than a tile's items."""
+    tiles, cells, reach = tiled.tiles, gaps.cell, crack_reach(crack) + HAIR
+    solids = tiled.shapes.solids.bounds, tiles.solid_start, tiles.solid_item
+    triangles = tiled.facets.bounds, tiles.triangle_start, tiles.triangle_item
+    near = (list_near(tiled.lattice, *items, cells, reach) for items in (solids, triangles))
+    return _Probe(gaps, tiled, Tiles(*itertools.chain(*near)), limits)
 
 
 def _cast_beside(tiled: TiledShapes, cells: Int, offset: Float) -> Crossings:

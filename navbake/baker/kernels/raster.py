@@ -18,6 +18,7 @@ from numba import njit
 
 from navbake.baker.kernels.hits import AT_EDGE, INSIDE, RIM
 from navbake.baker.kernels.tiles import cell_center, centers_between
+from navbake.baker.scene.kernels.triangles import is_upright, unit_normal
 from navbake.compiled import UNCOUNTED
 
 # Edges shorter than this tell nothing without their own length [m]
@@ -90,9 +91,11 @@ def hit_triangle(facets, t, x, y, far, hits, at):
     place, z = _cross_triangle(facets.corners, t, x, y, far)
     if place == 0:
         return 0
+    nx, ny, nz = unit_normal(facets.corners, t)
+    if nz == 0.0:
+        return 0
     hits.z[at] = z
-    for axis in range(3):
-        hits.normal[at, axis] = facets.normal[t, axis]
+    hits.normal[at, 0], hits.normal[at, 1], hits.normal[at, 2] = nx, ny, nz
     hits.geom[at] = facets.geom[t]
     hits.closed[at] = facets.closed[t]
     hits.facet[at] = t
@@ -135,11 +138,11 @@ def raster_triangles(facets, listed, lattice, rows, hits, end, writing):
         end: for each line of the rows, where its next hit goes; is advanced.
         writing: whether hits go there; else they are only counted, and their place is the first.
     """
-    corners, bounds, normal = facets.corners, facets.bounds, facets.normal
+    corners, bounds = facets.corners, facets.bounds
     y_max, x_min, cell = lattice.y_max, lattice.x_min, lattice.cell_size
     width, height = lattice.width, lattice.height
     for t in listed:
-        if normal[t, 2] == 0.0:
+        if is_upright(corners, t):
             continue
         top, bottom = bounds[t, 4] + RIM, bounds[t, 1] - RIM
         first, last = centers_between(y_max - top, y_max - bottom, cell, height)

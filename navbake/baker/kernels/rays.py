@@ -312,7 +312,7 @@ def cast_line(x, y, tile, solids, facets, planes, tiles, heights, ray, hits):
             count += _hit_solid(solids, s, x, y, ray, hits, count)
     for i in range(tiles.triangle_start[tile], tiles.triangle_start[tile + 1]):
         t = tiles.triangle_item[i]
-        if not is_beside(facets.bounds, t, x, y) and facets.normal[t, 2] != 0.0:
+        if not is_beside(facets.bounds, t, x, y):
             count += hit_triangle(facets, t, x, y, NEVER_FAR, hits, count)
     return count - settle(hits, zero, count, facets, hits, count)
 

@@ -12,10 +12,9 @@ from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE
 from navbake.baker.kernels.parts import (
     COPY,
     SHEET,
-    find_around,
-    find_cavities,
     find_parts,
 )
+from navbake.baker.scene.kernels.cavities import find_around, find_cavities
 from navbake.baker.scene.kernels.shells import find_shells, list_edges, weld_faces, weld_points
 from navbake.baker.scene.kernels.triangles import measure_areas, measure_parts
 from navbake.types import Bool, Float, Int, Int32

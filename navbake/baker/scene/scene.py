@@ -22,6 +22,7 @@ from navbake.baker.scene.shapes import Shapes
 from navbake.config.scene import SceneSettings
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.errors import SceneError
+from navbake.threads import run_beside
 from navbake.types import Float
 
 
@@ -109,6 +110,8 @@ def load_scene(
         else:
             model, parts, ground = load_isolated(settings, limits, warned)
         data = pose_model(model, settings)
+    digest = run_beside(_digest, model, data, parts)
+    lying = run_beside(_warn_lying, settings, parts)
     meshes = MeshTriangles(model)
     room = HiddenRoom(model, data, meshes, agent or AgentSettings(), floors or FloorSettings())
     with _errors_name(settings):
@@ -120,14 +123,14 @@ def load_scene(
         collected = collect_shapes(model, data, choices, parts, meshes=meshes)
     warnings = [f"MuJoCo: {' '.join(warning.split())}" for warning in warned]
     warnings += [*warn_out_of_range(model, settings), *_find_unusable(model)]
-    warnings += [*_find_unused_settings(settings), *_warn_lying(settings, parts)]
+    warnings += [*_find_unused_settings(settings), *lying()]
     warnings += [*notes, *collected.notes]
     return Scene(
         id=settings.id or Path(settings.path).stem,
         geoms=_report_geoms(model, choices, collected.kinds),
         shapes=collected.shapes,
         bounds=collected.shapes.bounds(),
-        digest=_digest(model, data, parts),
+        digest=digest(),
         warnings=warnings,
         model=model,
         data=data,
@@ -212,7 +215,7 @@ def _digest(model: Any, data: Any, parts: dict[int, MeshPart]) -> str:
     for number, array in enumerate(_digest_arrays(model, data, parts)):
         array = np.ascontiguousarray(array)
         digest.update(f"{number} {array.dtype.str} {array.shape}\n".encode())
-        digest.update(array.tobytes())
+        digest.update(array.reshape(-1).view(np.uint8).data)
     return digest.hexdigest()
 
 

@@ -145,11 +145,13 @@ def _hold(low, wall, row, col, next_row, next_col, held):
     rows = low.shape[0]
     if next_row < 0 or next_row >= rows:
         return np.uint8(0)
+    first, last = max(row - 1, 0), min(row + 1, rows - 1)
+    if not (low[row, col] or low[first, col] or low[last, col]):  # most cells
+        return np.uint8(0)
     found = 0
     there = held[next_row, next_col]
     if low[row, col] and (wall[next_row, next_col] or there & EXACT):
         found = EXACT
-    first, last = max(row - 1, 0), min(row + 1, rows - 1)
     for other in range(first, last + 1):
         if wall[other, col]:
             return np.uint8(found)
