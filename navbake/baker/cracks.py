@@ -10,6 +10,7 @@ import numpy as np
 
 from navbake.baker.columns import Columns, TiledShapes, cast_points
 from navbake.baker.floors.sheets import agent_limits
+from navbake.baker.kernels import cracks as kernels
 from navbake.baker.kernels.arrays import AgentLimits, Crossings, Tiles
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.kernels.cracks import (
@@ -19,7 +20,6 @@ from navbake.baker.kernels.cracks import (
     Asked,
     Found,
     GapRoom,
-    count_gaps,
     find_gaps,
     probe_lines,
 )
@@ -133,7 +133,7 @@ def _replace_by_best(
     crack: float,
 ) -> Columns:
     """The columns with the line in each cell that leaves the fewest gaps, the first of several."""
-    near = _only_near(columns, cells, _reach_in_cells(columns.lattice, crack))
+    near = only_near(columns, cells, reach_in_cells(columns.lattice, crack))
     best = candidates[:, 0].copy()
     fewest = np.full(len(cells), np.iinfo(np.int64).max)
     for offset in candidates.swapaxes(0, 1):
@@ -141,13 +141,13 @@ def _replace_by_best(
         if not asked.any():
             continue
         trial = np.where(asked[:, None], offset, best)
-        left = _count_gaps(_replace_lines(near, tiled, cells, trial), cells, limits, crack)
+        left = count_gaps(_replace_lines(near, tiled, cells, trial), cells, limits, crack)
         better = asked & (left < fewest)
         best[better], fewest[better] = offset[better], left[better]
     return _replace_lines(columns, tiled, cells, best)
 
 
-def _only_near(columns: Columns, cells: Int, reach: int) -> Columns:
+def only_near(columns: Columns, cells: Int, reach: int) -> Columns:
     """The columns of the cells within a reach of some cells, in cells along both axes.
 
     All others are empty, so that a trial copies few.
@@ -170,18 +170,18 @@ def crack_reach(crack: float) -> float:
     return AROUND * crack
 
 
-def _reach_in_cells(lattice: Lattice, crack: float) -> int:
+def reach_in_cells(lattice: Lattice, crack: float) -> int:
     """How far the nearest line beyond a crack may be, in cells."""
     return int(crack / lattice.cell_size) + 1
 
 
-def _count_gaps(columns: Columns, cells: Int, limits: AgentLimits, crack: float) -> Int:
+def count_gaps(columns: Columns, cells: Int, limits: AgentLimits, crack: float) -> Int:
     """How many gaps `list_gaps` would find in some cells."""
     counts, none = np.empty(len(cells), dtype=np.int64), np.empty(0)
     stands = np.empty(len(columns.z), dtype=np.bool_)
     room = GapRoom(stands, none, columns.start, none, none)
-    reach = _reach_in_cells(columns.lattice, crack)
-    count_gaps(columns.lattice, columns.crossings, limits, reach, room, cells, counts)
+    reach = reach_in_cells(columns.lattice, crack)
+    kernels.count_gaps(columns.lattice, columns.crossings, limits, reach, room, cells, counts)
     return counts
 
 
@@ -189,7 +189,7 @@ def list_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
     lattice, start = columns.lattice, np.zeros(len(columns.start), dtype=np.int64)
     stands, none = np.empty(len(columns.z), dtype=np.bool_), np.empty(0)
     room = GapRoom(stands, np.empty(len(start) - 1), start, none, none)
-    asked = lattice, columns.crossings, limits, _reach_in_cells(lattice, crack)
+    asked = lattice, columns.crossings, limits, reach_in_cells(lattice, crack)
     run_in_bands(find_gaps, lattice.height, *asked, room, MARK)
     run_in_bands(find_gaps, lattice.height, *asked, room, COUNT)
     cells = np.flatnonzero(start[1:])

@@ -86,14 +86,17 @@ def _cross_triangle(corners, t, x, y, far):
 
 
 @njit(inline="always")
-def hit_triangle(facets, t, x, y, far, hits, at):
-    """Note that a line crosses a triangle, at a place of the hits; returns how often, 0 or 1."""
+def hit_triangle(facets, t, x, y, far, hits, at, writing):
+    """Note that a line crosses a triangle that isn't upright, at a place of the hits.
+
+    Returns how often it does, 0 or 1; where not `writing`, it does nothing else.
+    """
     place, z = _cross_triangle(facets.corners, t, x, y, far)
     if place == 0:
         return 0
+    if not writing:
+        return 1
     nx, ny, nz = unit_normal(facets.corners, t)
-    if nz == 0.0:
-        return 0
     hits.z[at] = z
     hits.normal[at, 0], hits.normal[at, 1], hits.normal[at, 2] = nx, ny, nz
     hits.geom[at] = facets.geom[t]
@@ -164,4 +167,4 @@ def raster_triangles(facets, listed, lattice, rows, hits, end, writing):
                 if not is_beside(bounds, t, x, y):
                     line = (row - rows[0]) * width + col
                     place = end[line] if writing else 0
-                    end[line] += hit_triangle(facets, t, x, y, far, hits, place)
+                    end[line] += hit_triangle(facets, t, x, y, far, hits, place, writing)

@@ -64,6 +64,9 @@ def unit_normal(corners, t):
 def is_upright(corners, t):
     """Whether `unit_normal` would have a z of 0."""
     x, y, z = _cross(corners[t, 0], corners[t, 1], corners[t, 2])
+    # the sum is no less than the length; so most are told without a root
+    if abs(z) > 2.0 * UPRIGHT * (abs(x) + abs(y) + abs(z)):
+        return False
     length = _length(x, y, z)
     return not length > 0.0 or abs(z / length) < UPRIGHT
 
