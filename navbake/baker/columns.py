@@ -98,10 +98,9 @@ def cast_columns(tiled: TiledShapes) -> Columns:
     """
     lattice, shapes, facets = tiled.lattice, tiled.shapes, tiled.facets
     load_mujoco_library(mujoco_library())
-    items = BandItems(
-        *list_by_band(shapes.solids.bounds, RIM, lattice),
-        *list_by_band(facets.bounds, RIM, lattice),
-    )
+    triangles = list_by_band(facets.bounds, RIM, lattice)
+    is_crossed = np.empty(len(triangles[1]), dtype=np.bool_)
+    items = BandItems(*list_by_band(shapes.solids.bounds, RIM, lattice), *triangles, is_crossed)
     geometry = (lattice, shapes.solids, facets, shapes.planes, items, tiled.heights)
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
     dropped = np.zeros(-(-lattice.height // BAND), dtype=np.int64)

@@ -93,7 +93,9 @@ def close_cracks(
         return columns
     # most gaps are open: half of the ways tell most of these, and to measure is dearest
     for spacing in (2, 1):
-        gaps = gaps.only(~_find_open(_make_probe(gaps, tiled, limits, crack), crack, spacing))
+        gaps = gaps.only(
+            ~_find_open(_make_probe(gaps, tiled, limits, crack_reach(crack)), crack, spacing)
+        )
         if not len(gaps.cell):
             return columns
     offset = _measure(_make_probe(gaps, tiled, limits, crack), crack)
@@ -299,9 +301,9 @@ class _Probe(NamedTuple):
         return found.floor, found.standable
 
 
-def _make_probe(gaps: Gaps, tiled: TiledShapes, limits: AgentLimits, crack: float) -> _Probe:
-    """List what lies near each gap once: many lines ask about it, and less than a tile's items."""
-    tiles, cells, reach = tiled.tiles, gaps.cell, crack_reach(crack) + HAIR
+def _make_probe(gaps: Gaps, tiled: TiledShapes, limits: AgentLimits, reach: float) -> _Probe:
+    """List once what lies near each gap, as far as lines go: it is less than a tile has."""
+    tiles, cells, reach = tiled.tiles, gaps.cell, reach + HAIR
     solids = tiled.shapes.solids.bounds, tiles.solid_start, tiles.solid_item
     triangles = tiled.facets.bounds, tiles.triangle_start, tiles.triangle_item
     near = (list_near(tiled.lattice, *items, cells, reach) for items in (solids, triangles))

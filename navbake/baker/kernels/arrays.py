@@ -66,12 +66,15 @@ class BandItems(NamedTuple):
     """Which solids and triangles lie over centres of which band of rows, see `list_boxes`.
 
     Band b holds ``solid_item[solid_start[b] : solid_start[b + 1]]``; so with the triangles.
+    `is_crossed`, bool, is of the length of `triangle_item`: whether any line of the band crosses
+    the triangle; while crossings are counted, it receives that.
     """
 
     solid_start: Int
     solid_item: Int32
     triangle_start: Int
     triangle_item: Int32
+    is_crossed: Bool
 
 
 class Band(NamedTuple):

@@ -131,11 +131,12 @@ def _span_of_row(corners, t, left, right, y, far):
 
 
 @njit(cache=True, **UNCOUNTED)
-def raster_triangles(facets, listed, lattice, rows, hits, end, writing):
+def raster_triangles(facets, listed, is_crossed, lattice, rows, hits, end, writing):
     """Note that the lines of the centres that triangles cover cross them.
 
     Args:
         listed: the triangles, ascending.
+        is_crossed: of each, whether any of the lines crosses it, bool; is written while counting.
         rows: the first of the rows that are asked about, and past the last.
         hits: those of the rows' lines.
         end: for each line of the rows, where its next hit goes; is advanced.
@@ -144,8 +145,10 @@ def raster_triangles(facets, listed, lattice, rows, hits, end, writing):
     corners, bounds = facets.corners, facets.bounds
     y_max, x_min, cell = lattice.y_max, lattice.x_min, lattice.cell_size
     width, height = lattice.width, lattice.height
-    for t in listed:
-        if is_upright(corners, t):
+    for i in range(listed.shape[0]):
+        t, count = listed[i], 0
+        if (writing and not is_crossed[i]) or (not writing and is_upright(corners, t)):
+            is_crossed[i] = False
             continue
         top, bottom = bounds[t, 4] + RIM, bounds[t, 1] - RIM
         first, last = centers_between(y_max - top, y_max - bottom, cell, height)
@@ -167,4 +170,7 @@ def raster_triangles(facets, listed, lattice, rows, hits, end, writing):
                 if not is_beside(bounds, t, x, y):
                     line = (row - rows[0]) * width + col
                     place = end[line] if writing else 0
-                    end[line] += hit_triangle(facets, t, x, y, far, hits, place, writing)
+                    found = hit_triangle(facets, t, x, y, far, hits, place, writing)
+                    end[line] += found
+                    count += found
+        is_crossed[i] = count > 0

@@ -278,8 +278,9 @@ def cast_lines(
         for i in range(items.solid_start[band], items.solid_start[band + 1]):
             s = items.solid_item[i]
             _cast_solid(solids, s, lattice, rows, ray, middle, hits, place, writing)
-        listed = items.triangle_item[items.triangle_start[band] : items.triangle_start[band + 1]]
-        raster_triangles(facets, listed, lattice, rows, hits, place, writing)
+        here = slice(items.triangle_start[band], items.triangle_start[band + 1])
+        listed, is_crossed = items.triangle_item[here], items.is_crossed[here]
+        raster_triangles(facets, listed, is_crossed, lattice, rows, hits, place, writing)
         num_dropped = 0
         for line in range(last - first):
             if writing:
