@@ -121,14 +121,16 @@ def mark_bridges(low, wall, shift, bridge):
     low, wall = np.ascontiguousarray(low.T), np.ascontiguousarray(wall.T)
     held = np.zeros((cols, rows), dtype=np.uint8)  # by a wall at the way's first end
     for col in range(1, cols):
+        here, walls, walls_before, known = low[col], wall[col], wall[col - 1], held[col - 1]
         for row in range(rows):
             before = row + shift[col - 1] - shift[col]
-            held[col, row] = _hold(low[col], wall[col], row, before, wall[col - 1], held[col - 1])
+            held[col, row] = _hold(here, walls, row, before, walls_before, known)
     ends = np.zeros((cols, rows), dtype=np.uint8)
     for col in range(cols - 2, -1, -1):
+        here, walls, walls_after, known = low[col], wall[col], wall[col + 1], ends[col + 1]
         for row in range(rows):
             after = row + shift[col + 1] - shift[col]
-            ends[col, row] = _hold(low[col], wall[col], row, after, wall[col + 1], ends[col + 1])
+            ends[col, row] = _hold(here, walls, row, after, walls_after, known)
             both = held[col, row] & ends[col, row]
             if both == 0:
                 continue
