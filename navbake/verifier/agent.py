@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,8 +36,8 @@ class Agent(NamedTuple):
         Raises:
             FormatError: what it states is no size of an agent.
         """
-        most = FARTHEST / grid.unit
-        _check(grid.metadata, "agentHeight", np.nextafter(0, 1), most, "a length > 0")
+        most = float(FARTHEST / grid.unit)
+        _check(grid.metadata, "agentHeight", math.ulp(0.0), most, "a length > 0")
         for key in ("agentRadius", "traversableFloorHeight"):
             _check(grid.metadata, key, 0, most, "a length >= 0")
         _check(grid.navbake, "maxSlope", 0, 90, "0 to 90 degrees")
@@ -60,8 +61,8 @@ def _check(metadata: Json, key: str, least: float, most: float, expected: str) -
     value = metadata.get(key)
     if value is not None and not _is_within(value, least, most):
         raise FormatError(
-            f"the grid's metadata: expected {expected} as `{key}`, got {value!r}: cells can't be "
-            "judged for such an agent"
+            f"the grid's metadata: expected {expected} as `{key}`, got {repr(value)[:50]}: "
+            "cells can't be judged for such an agent"
         )
 
 
@@ -128,7 +129,7 @@ def _stated_inflation(grid: GridBase) -> tuple[Inflation, list[str]]:
         if not _is_within(entry.get("radius"), 0, MOST_RADIUS):
             raise FormatError(
                 f"the grid's metadata: expected a radius of 0 to {MOST_RADIUS:,.0f} m in "
-                f"`inflation`, got {entry.get('radius')!r}"
+                f"`inflation`, got {repr(entry.get('radius'))[:50]}"
             )
     if not done:
         return Inflation(), notes

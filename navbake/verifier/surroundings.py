@@ -8,7 +8,7 @@ from navbake.navgrid.grid_base import GridBase
 from navbake.types import Bool, Float, Int
 
 SLACK = 1e-5  # that rounding may add to a step [m]
-TINY = 1e-9  # share of a radius by which a square only touches a disc
+TINY = 1e-10  # share of a radius by which a square only touches a disc; less than inflation takes
 
 
 class Surroundings:
