@@ -141,10 +141,11 @@ def test_a_grid_without_any_floor_has_lost_its_places(room):
 
 
 def test_one_floor_that_is_left_hides_nothing(room):
+    """Not even the first one, a step from which the search begins."""
     grid, config = room
     wrong = blocked(grid)
     floors = np.full(grid.shape, np.nan, dtype=np.float32)
-    row, col = np.argwhere(clear_of_all(grid, 0.4))[0].tolist()
+    row, col = np.argwhere(grid.free)[0].tolist()
     floors[row, col], wrong.weights[row, col] = grid.floor_height[row, col], 1.0
     wrong = wrong.with_layers(attributes={"floorHeight": floors})
     lost = list(navbake.verify(wrong, config).of_kind(kinds.PLACE_LOST))
