@@ -33,6 +33,10 @@ class OccupancyCheck:
 
     A free cell's volume, made smaller by the tolerance on all sides, must touch nothing. A blocked
     cell's, made larger by it, must touch something, or lie inside of something.
+
+    Attributes:
+        num_groundless: blocked cells that touch nothing, of levels that state no floors, where the
+            scene has no place to stand at the level's ground.
     """
 
     def __init__(
@@ -47,6 +51,7 @@ class OccupancyCheck:
         self._obstacles, self._tolerance, self._reach = probes.obstacles, tolerance, reach
         self._encloses = is_enclosing(self._obstacles)
         self._found: Counter[str] = Counter()
+        self.num_groundless = 0
 
     def run(
         self, sample: LevelSample, counts: LevelCounts, volume: list[Part], excused: Bool
@@ -125,7 +130,9 @@ class OccupancyCheck:
         met[self._inside(index, asked & ~met, bands) >= 0] = True
         apart = np.flatnonzero(asked & ~met)
         if not sample.states_floors:
-            apart = apart[self._can_stand(sample, apart)]
+            can_stand = self._can_stand(sample, apart)
+            self.num_groundless += int(np.count_nonzero(~can_stand))
+            apart = apart[can_stand]
         unclear = self._maybe_inside(sample, apart, bands)
         apart = apart[~unclear]
         counts.disputed += int(unclear.sum())

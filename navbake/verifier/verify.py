@@ -157,6 +157,11 @@ def verify_scene(
             "the grid states no floors of cells, so cells are judged over their level's ground, "
             "and neither floors nor lost places are looked for"
         )
+    if check.num_groundless:
+        report.notes.append(
+            f"{check.num_groundless} blocked cells touch nothing, but the scene has no place to "
+            "stand there within a step of their level's ground"
+        )
     if options.paths:
         _sweep(report, content, probes, agent, options)
     _add_notes(report, obstacles, doors.unknown, content)

@@ -10,7 +10,7 @@ from box_worlds import box, world
 from navbake.errors import FormatError, QueryError
 from navbake.testing import assert_true
 from navbake.verifier import report as kinds
-from verified_scenes import copy_of, kinds_at, of_room, write
+from verified_scenes import copy_of, kinds_at, of_room, walls, write
 
 
 @pytest.fixture(scope="module")
@@ -160,6 +160,15 @@ def test_a_top_over_a_floor_is_not_lost(tmp_path):
     assert any("tops of furniture" in note for note in report.notes)
 
 
+def test_a_roof_is_not_lost(tmp_path):
+    """It drops to nothing, as the grid ends there, but there is a room under it."""
+    parts = [box("floor", 0, 0, -0.1, 5, 4, 0), box("roof", -0.1, -0.1, 2.5, 5.1, 4.1, 2.6)]
+    parts += [box(f"wall {k}", *sides) for k, sides in enumerate(walls(0.0))]
+    config = {"scene": {"path": str(write(tmp_path, world("".join(parts))))}}
+    report = assert_true(navbake.bake(config), config)
+    assert any("tops of furniture" in note for note in report.notes)
+
+
 def test_an_underside_is_no_floor(room):
     grid, config = room
     wrong = copy_of(grid)
@@ -224,8 +233,10 @@ def test_others_may_block_what_has_no_floor(tmp_path):
     parts = [box("floor", -2, -2, -0.1, 0, 2, 0), box("far", 3, -2, -0.1, 4, 2, 0)]
     config = {"scene": {"path": str(write(tmp_path, world("".join(parts))))}}
     grid = navbake.bake(config)
-    assert np.isnan(grid.floor_height).any()
-    assert_true(of_others(grid), config)
+    num_bare = int(np.isnan(grid.floor_height).sum())
+    assert num_bare > 0
+    report = assert_true(of_others(grid), config)
+    assert any(note.startswith(f"{num_bare} blocked cells touch nothing") for note in report.notes)
 
 
 @pytest.mark.parametrize("radius", [0.1, 0.25])
