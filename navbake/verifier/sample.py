@@ -80,9 +80,7 @@ def take_sample(
 
 def _sample_level(number: int, level: SceneGrid2D, cells: Int, has_own: bool) -> LevelSample:
     rows, cols = np.divmod(cells, level.width)
-    floor = level.floor_height[rows, cols].astype(np.float64) * level.unit
-    if not has_own:
-        floor = np.full(len(cells), level.ground)
+    floor = level.floor_of(rows, cols) if has_own else np.full(len(cells), level.ground)
     xy = level.lattice.positions(rows, cols).reshape(-1, 2)
     free, occupied = level.free[rows, cols], level.occupancy[rows, cols] != 0
     return LevelSample(number, level, rows, cols, xy, floor, free, occupied, has_own)

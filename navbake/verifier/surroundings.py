@@ -22,7 +22,7 @@ class Surroundings:
             by_centres: whether all that is occupied closes cells, or only what is solid.
         """
         self._step, self._levels = step, grid.levels
-        self._floors = [level.floor_height.astype(np.float64) * level.unit for level in grid.levels]
+        self._floors = [level.floor for level in grid.levels]
         # what is a reason has to be blocked itself, so that it is judged in its turn
         self._occupied = [(level.occupancy != 0) & ~level.free for level in grid.levels]
         if not by_centres:
