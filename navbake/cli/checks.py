@@ -130,7 +130,7 @@ def audit(
     if output is not None:
         check_output(output, ".png", inputs=[grid])
     from navbake.auditor.audit import audit as look_at  # loads numpy
-    from navbake.auditor.report import count_of
+    from navbake.auditor.report import count_of  # loads it too
 
     content = navbake.load(grid)
     report = look_at(content)

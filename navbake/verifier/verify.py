@@ -61,6 +61,7 @@ def verify(
     paths: int = 0,
     tolerance: float = TOLERANCE,
     force: bool = False,
+    data: Any = None,
 ) -> VerifyReport:
     """Compare a grid with its scene, cell by cell.
 
@@ -71,8 +72,9 @@ def verify(
 
     Args:
         grid: a grid of one or several levels, or the path of its file.
-        scene: settings, the path of a YAML or of a scene file, or the YAML as a mapping; None for
-            the file that the grid names, beside the grid or in the current folder.
+        scene: settings, the path of a YAML or of a scene file, the YAML as a mapping, or a scene
+            in memory (mujoco.MjModel, MjSpec, trimesh.Scene, Trimesh); None for the file that the
+            grid names, beside the grid or in the current folder.
         sample: how many cells to look at, >= 1, drawn from those of all levels; all if None.
         seed: of the sample and of the paths.
         radius: of the cylinder that stands on free cells [m], and runs along paths: that of the
@@ -82,6 +84,8 @@ def verify(
         tolerance: what touches by less than this touches by rounding [m], > 0, and at most a
             quarter of a cell's edge and of the height that is judged.
         force: compare with a scene that isn't the one that was baked.
+        data: the mujoco.MjData with the pose of a model or spec; the pose that the grid states,
+            a keyframe and joints, if None.
 
     Raises:
         QueryError: there is no scene, or it isn't the grid's; an option is out of its range, or
@@ -93,7 +97,7 @@ def verify(
     _check_options(options)
     path = None if isinstance(grid, GridBase) else Path(grid)
     content: Any = grid if path is None else read_navgrid(path)
-    source = find_source(content, scene, path, force=force)
+    source = find_source(content, scene, path, force=force, data=data)
     floors = floors_to_expect(source.config) if source.are_known else None
     return verify_scene(content, source.scene, options, floors, source.notes)
 
