@@ -10,12 +10,15 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import numba
 import numpy as np
 
 from navbake.errors import ConfigError
+
+Result = TypeVar("Result")
 
 BANDS = 8  # ranges for each thread: enough that all end at about the same time
 _limit = threading.local()  # `count`: the most threads for what this thread starts
@@ -50,6 +53,16 @@ def run_in_bands(kernel: Callable[..., Any], count: int, *args: Any, least: int 
         deque(bands, maxlen=0)  # after an error here nothing more is begun
         # one that has not begun has nothing left to do
         _wait([future for future in started if not future.cancel()])
+
+
+def run_beside(task: Callable[..., Result], *args: Any) -> Callable[[], Result]:
+    """Start a function on another thread; on one thread, it runs when its result is asked for.
+
+    Returns what waits for the result, and gives it or raises what the function raised.
+    """
+    if num_threads() == 1:
+        return partial(task, *args)
+    return _get_pool().submit(task, *args).result
 
 
 def _work(

@@ -9,15 +9,14 @@ from numpy.typing import NDArray
 from navbake.baker.kernels.arrays import Band, BandItems, Crossings, Facets, Tiles
 from navbake.baker.kernels.hits import RIM, close_up
 from navbake.baker.kernels.rays import cast_lines, cast_points_at, load_mujoco_library
-from navbake.baker.kernels.tiles import BAND, bin_boxes, list_by_band, tile_of
-from navbake.baker.scene.kernels.triangles import measure_triangles
+from navbake.baker.kernels.tiles import BAND, tile_of
+from navbake.baker.listing import list_by_band, list_by_tile
+from navbake.baker.scene.kernels.triangles import measure_boxes
 from navbake.baker.scene.model import mujoco_library
 from navbake.baker.scene.shapes import Shapes, Triangles
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
 from navbake.types import Float, Int, Int32
-
-UPRIGHT = 1e-9  # the z of a unit normal below which a triangle counts as upright
 
 
 @dataclass(frozen=True)
@@ -85,8 +84,8 @@ def cells_of(start: Int) -> Int:
 def tile_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> TiledShapes:
     """List the shapes by tiles; `reach` is how far beyond its centre a cell looks for them [m]."""
     facets = _facets_of(shapes.triangles)
-    solids = bin_boxes(shapes.solids.bounds, reach, lattice)
-    triangles = bin_boxes(facets.bounds, reach, lattice)
+    solids = list_by_tile(shapes.solids.bounds, reach, lattice)
+    triangles = list_by_tile(facets.bounds, reach, lattice)
     return TiledShapes(shapes, lattice, facets, Tiles(*solids, *triangles))
 
 
@@ -99,10 +98,9 @@ def cast_columns(tiled: TiledShapes) -> Columns:
     """
     lattice, shapes, facets = tiled.lattice, tiled.shapes, tiled.facets
     load_mujoco_library(mujoco_library())
-    items = BandItems(
-        *list_by_band(shapes.solids.bounds, RIM, lattice),
-        *list_by_band(facets.bounds, RIM, lattice),
-    )
+    triangles = list_by_band(facets.bounds, RIM, lattice)
+    is_crossed = np.empty(len(triangles[1]), dtype=np.bool_)
+    items = BandItems(*list_by_band(shapes.solids.bounds, RIM, lattice), *triangles, is_crossed)
     geometry = (lattice, shapes.solids, facets, shapes.planes, items, tiled.heights)
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
     dropped = np.zeros(-(-lattice.height // BAND), dtype=np.int64)
@@ -145,7 +143,9 @@ def _empty_crossings(start: Int, count: int) -> Crossings:
 
 
 def _facets_of(triangles: Triangles) -> Facets:
-    return Facets(*triangles, *measure_triangles(triangles.corners, UPRIGHT))
+    bounds = np.empty((len(triangles.geom), 6))
+    run_in_bands(measure_boxes, len(bounds), triangles.corners, bounds, least=4096)
+    return Facets(*triangles, bounds)
 
 
 def _height_range(shapes: Shapes, lattice: Lattice) -> Band:

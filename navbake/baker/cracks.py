@@ -10,7 +10,8 @@ import numpy as np
 
 from navbake.baker.columns import Columns, TiledShapes, cast_points
 from navbake.baker.floors.sheets import agent_limits
-from navbake.baker.kernels.arrays import AgentLimits, Crossings
+from navbake.baker.kernels import cracks as kernels
+from navbake.baker.kernels.arrays import AgentLimits, Crossings, Tiles
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.kernels.cracks import (
     COUNT,
@@ -22,7 +23,9 @@ from navbake.baker.kernels.cracks import (
     find_gaps,
     probe_lines,
 )
+from navbake.baker.kernels.tiles import list_near
 from navbake.config.settings import AgentSettings
+from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int
 
@@ -39,6 +42,8 @@ HALVINGS = 10
 # a crack leaves less, as seen from its edge
 AROUND, OPEN_WAYS = 1.5, 2
 
+# How much farther than its lines go one looks for what is near a gap, for rounding [m]
+HAIR = 1e-6
 # How much of half a cell's edge a line may be moved: it stays inside of the cell's square
 WITHIN = 0.999
 
@@ -88,10 +93,12 @@ def close_cracks(
         return columns
     # most gaps are open: half of the ways tell most of these, and to measure is dearest
     for spacing in (2, 1):
-        gaps = gaps.only(~_find_open(_Probe(gaps, tiled, limits), crack, spacing))
+        gaps = gaps.only(
+            ~_find_open(_make_probe(gaps, tiled, limits, crack_reach(crack)), crack, spacing)
+        )
         if not len(gaps.cell):
             return columns
-    offset = _measure(_Probe(gaps, tiled, limits), crack)
+    offset = _measure(_make_probe(gaps, tiled, limits, crack), crack)
     closed = ~np.isnan(offset[:, 0, 0])
     if not closed.any():
         return columns
@@ -128,6 +135,7 @@ def _replace_by_best(
     crack: float,
 ) -> Columns:
     """The columns with the line in each cell that leaves the fewest gaps, the first of several."""
+    near = only_near(columns, cells, reach_in_cells(columns.lattice, crack))
     best = candidates[:, 0].copy()
     fewest = np.full(len(cells), np.iinfo(np.int64).max)
     for offset in candidates.swapaxes(0, 1):
@@ -135,12 +143,28 @@ def _replace_by_best(
         if not asked.any():
             continue
         trial = np.where(asked[:, None], offset, best)
-        replaced = _replace_lines(columns, tiled, cells, trial)
-        gaps = list_gaps(replaced, limits, crack)
-        left = np.bincount(gaps.cell, minlength=len(columns.start) - 1)[cells]
+        left = count_gaps(_replace_lines(near, tiled, cells, trial), cells, limits, crack)
         better = asked & (left < fewest)
         best[better], fewest[better] = offset[better], left[better]
-    return replaced if (trial == best).all() else _replace_lines(columns, tiled, cells, best)
+    return _replace_lines(columns, tiled, cells, best)
+
+
+def only_near(columns: Columns, cells: Int, reach: int) -> Columns:
+    """The columns of the cells within a reach of some cells, in cells along both axes.
+
+    All others are empty, so that a trial copies few.
+    """
+    lattice, around = columns.lattice, np.arange(-reach, reach + 1)
+    row, col = np.divmod(cells, lattice.width)
+    rows = np.clip(row[:, None, None] + around[:, None], 0, lattice.height - 1)
+    cols = np.clip(col[:, None, None] + around, 0, lattice.width - 1)
+    near = np.unique(rows * lattice.width + cols)
+    counts = columns.start[near + 1] - columns.start[near]
+    start = np.zeros_like(columns.start)
+    start[near + 1] = counts
+    np.cumsum(start, out=start)
+    taken = np.repeat(columns.start[near] - start[near], counts) + np.arange(start[-1])
+    return Columns(lattice, Crossings(start, *(part[taken] for part in columns.crossings[1:])))
 
 
 def crack_reach(crack: float) -> float:
@@ -148,12 +172,26 @@ def crack_reach(crack: float) -> float:
     return AROUND * crack
 
 
+def reach_in_cells(lattice: Lattice, crack: float) -> int:
+    """How far the nearest line beyond a crack may be, in cells."""
+    return int(crack / lattice.cell_size) + 1
+
+
+def count_gaps(columns: Columns, cells: Int, limits: AgentLimits, crack: float) -> Int:
+    """How many gaps `list_gaps` would find in some cells."""
+    counts, none = np.empty(len(cells), dtype=np.int64), np.empty(0)
+    stands = np.empty(len(columns.z), dtype=np.bool_)
+    room = GapRoom(stands, none, columns.start, none, none)
+    reach = reach_in_cells(columns.lattice, crack)
+    kernels.count_gaps(columns.lattice, columns.crossings, limits, reach, room, cells, counts)
+    return counts
+
+
 def list_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
     lattice, start = columns.lattice, np.zeros(len(columns.start), dtype=np.int64)
     stands, none = np.empty(len(columns.z), dtype=np.bool_), np.empty(0)
     room = GapRoom(stands, np.empty(len(start) - 1), start, none, none)
-    # how far the nearest line beyond a crack may be, in cells
-    asked = lattice, columns.crossings, limits, int(crack / lattice.cell_size) + 1
+    asked = lattice, columns.crossings, limits, reach_in_cells(lattice, crack)
     run_in_bands(find_gaps, lattice.height, *asked, room, MARK)
     run_in_bands(find_gaps, lattice.height, *asked, room, COUNT)
     cells = np.flatnonzero(start[1:])
@@ -246,6 +284,7 @@ class _Probe(NamedTuple):
 
     gaps: Gaps
     tiled: TiledShapes
+    near: Tiles  # what lies near each gap's cell
     limits: AgentLimits
 
     def floors(self, gap: Int, way: Int, distance: Float) -> tuple[Float, Float]:
@@ -255,11 +294,20 @@ class _Probe(NamedTuple):
         """
         tiled, shapes = self.tiled, self.tiled.shapes
         found = Found(np.empty(len(gap)), np.empty(len(gap)))
-        geometry = (shapes.solids, tiled.facets, shapes.planes, tiled.tiles, tiled.heights)
+        geometry = (shapes.solids, tiled.facets, shapes.planes, self.near, tiled.heights)
         whole = (tiled.lattice, *geometry)
         asked = Asked(gap, WAYS[way] * distance[:, None])
         run_in_bands(probe_lines, len(gap), self.gaps, whole, self.limits, asked, found, least=16)
         return found.floor, found.standable
+
+
+def _make_probe(gaps: Gaps, tiled: TiledShapes, limits: AgentLimits, reach: float) -> _Probe:
+    """List once what lies near each gap, as far as lines go: it is less than a tile has."""
+    tiles, cells, reach = tiled.tiles, gaps.cell, reach + HAIR
+    solids = tiled.shapes.solids.bounds, tiles.solid_start, tiles.solid_item
+    triangles = tiled.facets.bounds, tiles.triangle_start, tiles.triangle_item
+    near = (list_near(tiled.lattice, *items, cells, reach) for items in (solids, triangles))
+    return _Probe(gaps, tiled, Tiles(*itertools.chain(*near)), limits)
 
 
 def _cast_beside(tiled: TiledShapes, cells: Int, offset: Float) -> Crossings:

@@ -30,7 +30,7 @@ from navbake.baker.kernels import contents as kernels
 from navbake.baker.kernels.arrays import Probe, StoreyCells
 from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS, UNPROVED
-from navbake.baker.kernels.groups import Groups, group_triangles
+from navbake.baker.kernels.groups import Groups, count_groups, fill_groups
 from navbake.baker.kernels.tiles import count_tiles
 from navbake.baker.lattice import Window
 from navbake.baker.occupancy.occupancy import Footprint
@@ -159,7 +159,7 @@ def find_contents(
     # each storey ends at the next one's ground, the last one at the scene's top [m]
     highest = -np.inf if scene.bounds is None else float(scene.bounds[1, 2])
     tops = [*(level.ground for level in floors.levels[1:]), highest]
-    groups = group_triangles(tiled.facets, tiled.tiles)
+    groups = _group_triangles(tiled)
     levels = [
         _list_level(columns, tiled, groups, level, top, mask, agent, candidates)
         for level, top, mask in zip(floors.levels, tops, occupied, strict=True)
@@ -180,6 +180,18 @@ def find_contents(
         kinds[kinds == WALL] = OBJECT
         kinds[named] = WALL
     return Contents(levels, kinds, name_geoms(scene), warnings)
+
+
+def _group_triangles(tiled: TiledShapes) -> Groups:
+    """Group the triangles over each tile by geom."""
+    known = tiled.facets, tiled.tiles
+    start = np.zeros_like(tiled.tiles.triangle_start)
+    run_in_bands(count_groups, len(start) - 1, *known, start[1:])
+    np.cumsum(start, out=start)
+    first = np.full(start[-1] + 1, len(tiled.tiles.triangle_item))
+    groups = Groups(start, first, np.empty((start[-1], 6)))
+    run_in_bands(fill_groups, len(start) - 1, *known, groups)
+    return groups
 
 
 def _list_level(

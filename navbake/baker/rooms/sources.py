@@ -14,7 +14,7 @@ from navbake.baker.kernels.constants import SAME
 from navbake.baker.rooms.volumes import vertical_chords
 from navbake.baker.scene.choice import Choice
 from navbake.baker.scene.collect import collect_shapes
-from navbake.baker.scene.names import name_at, warn_unmatched
+from navbake.baker.scene.names import names_at, warn_unmatched
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Solids, solid_bounds
 from navbake.config.rooms import DEFAULT_GEOMS, DEFAULT_SITES, RoomPolygon, RoomSettings
@@ -80,7 +80,7 @@ class RoomMarkers:
         lies so over a room's floor is `covered`.
         """
         model = self.scene.model
-        names = [name_at(model, address) for address in model.name_geomadr]
+        names = names_at(model, model.name_geomadr.tolist())
         chosen, warnings = _match(names, self.settings.geoms, DEFAULT_GEOMS, "geoms")
         labels = self._no_rooms()
         if not chosen:
@@ -115,7 +115,7 @@ class RoomMarkers:
         """
         model, lattice = self.scene.model, self.columns.lattice
         height, least = self.agent.height, self.settings.min_area
-        names = [name_at(model, address) for address in model.name_siteadr]
+        names = names_at(model, model.name_siteadr.tolist())
         chosen, warnings = _match(names, self.settings.sites, DEFAULT_SITES, "sites")
         labels = self._no_rooms()
         kept: list[str | None] = []
