@@ -1,7 +1,9 @@
 """Columns: every crossing of every cell's vertical line with the scene."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,31 @@ from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
 from navbake.types import Float, Int, Int32
 
+# Crossings of so many cells are found at once, for the memory that it takes
+BLOCK_CELLS = 1 << 20
 UPRIGHT = 1e-9  # the z of a unit normal below which a triangle counts as upright
+
+
+class Rows(NamedTuple):
+    """A band of rows of cells: the first, and past the last."""
+
+    first: int
+    end: int
+
+    def cells(self, lattice: Lattice) -> tuple[int, int]:
+        """The first of their cells, and past the last."""
+        return self.first * lattice.width, self.end * lattice.width
+
+    def grown(self, by: int, lattice: Lattice) -> "Rows":
+        """The rows with some more on both sides, as far as the lattice goes."""
+        return Rows(max(self.first - by, 0), min(self.end + by, lattice.height))
+
+
+def split_rows(lattice: Lattice) -> list[Rows]:
+    """Split a lattice into blocks of rows of about `BLOCK_CELLS` cells, of whole `BAND`s."""
+    count = max(BLOCK_CELLS // (lattice.width * BAND), 1) * BAND
+    firsts = range(0, lattice.height, count)
+    return [Rows(first, min(first + count, lattice.height)) for first in firsts]
 
 
 @dataclass(frozen=True)
@@ -30,6 +56,14 @@ class TiledShapes:
     tiles: Tiles
 
     @cached_property
+    def by_band(self) -> BandItems:
+        """Which of them lie over centres of which band of rows."""
+        return BandItems(
+            *list_by_band(self.shapes.solids.bounds, RIM, self.lattice),
+            *list_by_band(self.facets.bounds, RIM, self.lattice),
+        )
+
+    @cached_property
     def heights(self) -> Band:
         """Heights below and above everything over the lattice [m]."""
         return _height_range(self.shapes, self.lattice)
@@ -39,9 +73,14 @@ class TiledShapes:
 class Columns:
     """All surfaces of all columns, ragged: cell i holds ``[start[i], start[i + 1])``.
 
+    Columns of a band of rows have the surfaces of these alone. Their `start` has a place for every
+    cell of the lattice nevertheless, so that kernels find a cell by its id; what it holds of other
+    rows means nothing.
+
     Attributes:
         lattice: the cells.
         crossings: the surfaces, as kernels take them; the others are parts of it.
+        rows: the rows of cells that are known, all of them if None.
         start: shape (cells + 1,), int64.
         z: heights, ascending in a column, shape (n,), float64 [m].
         normal: unit normals, shape (n, 3), float32; z > 0 faces up.
@@ -50,6 +89,23 @@ class Columns:
 
     lattice: Lattice
     crossings: Crossings
+    rows: Rows | None = None
+
+    @property
+    def known_rows(self) -> Rows:
+        """The first row that is known, and past the last."""
+        return self.rows or Rows(0, self.lattice.height)
+
+    def only_rows(self, rows: Rows) -> "Columns":
+        """The columns of some of the rows that are known; arrays are parts of these ones."""
+        first, end = rows.cells(self.lattice)
+        begin = int(self.start[first])
+        part = slice(begin, int(self.start[end]))
+        start = np.zeros(len(self.start), dtype=np.int64)  # whose pages cost nothing until written
+        np.subtract(self.start[first : end + 1], begin, out=start[first : end + 1])
+        _, z, normal, geom, closed = self.crossings
+        parts = z[part], normal[part], geom[part], closed[part]
+        return Columns(self.lattice, Crossings(start, *parts), rows)
 
     @property
     def start(self) -> Int:
@@ -76,6 +132,36 @@ class Columns:
         return Columns(lattice, Crossings(start, *(part[taken] for part in self.crossings[1:])))
 
 
+class GatheredColumns:
+    """Columns that come band by band, in the order of their rows, and become one.
+
+    Arrays grow in place, so that there is never room for twice as much.
+    """
+
+    def __init__(self, lattice: Lattice) -> None:
+        self._lattice = lattice
+        self._crossings = _empty_crossings(
+            np.zeros(lattice.width * lattice.height + 1, dtype=np.int64), 0
+        )
+
+    def add(self, columns: Columns, rows: Rows) -> None:
+        """Add the columns of some of the rows that a part knows, which follow on the last ones."""
+        first, end = rows.cells(self._lattice)
+        start, count = self._crossings.start, len(self._crossings.z)
+        begin, stop = int(columns.start[first]), int(columns.start[end])
+        np.add(columns.start[first + 1 : end + 1], count - begin, out=start[first + 1 : end + 1])
+        arrays: Iterator[tuple[Any, Any]]
+        arrays = zip(self._crossings[1:], columns.crossings[1:], strict=True)
+        for whole, part in arrays:
+            # nothing else refers to them yet
+            whole.resize((count + stop - begin, *whole.shape[1:]), refcheck=False)
+            whole[count:] = part[begin:stop]
+
+    def join(self) -> Columns:
+        """The columns of all rows; nothing is added after that."""
+        return Columns(self._lattice, self._crossings)
+
+
 def cells_of(start: Int) -> Int:
     """The cell of each item of ragged data, from the first item of each cell, (cells + 1,)."""
     cell: Int = np.repeat(np.arange(len(start) - 1), np.diff(start))
@@ -90,32 +176,37 @@ def tile_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> TiledShapes:
     return TiledShapes(shapes, lattice, facets, Tiles(*solids, *triangles))
 
 
-def cast_columns(tiled: TiledShapes) -> Columns:
+def cast_columns(tiled: TiledShapes, rows: Rows | None = None) -> Columns:
     """Cross the vertical line through every cell's centre with all geometry.
 
     Rays against solids and infinite planes are MuJoCo's own. Each solid is crossed twice, from
     above and from below; planes from their front only. Lines within 1e-7 m of a rim cross it,
     so that a seam between two geoms never leaks.
+
+    Args:
+        rows: the rows of cells that are asked about, all if None. They become whole `BAND`s.
     """
     lattice, shapes, facets = tiled.lattice, tiled.shapes, tiled.facets
     load_mujoco_library(mujoco_library())
-    items = BandItems(
-        *list_by_band(shapes.solids.bounds, RIM, lattice),
-        *list_by_band(facets.bounds, RIM, lattice),
-    )
-    geometry = (lattice, shapes.solids, facets, shapes.planes, items, tiled.heights)
+    asked = rows or Rows(0, lattice.height)
+    bands = Rows(asked.first // BAND, -(-asked.end // BAND))
+    asked = Rows(bands.first * BAND, min(bands.end * BAND, lattice.height))
+    first, end = asked.cells(lattice)
+    work = cast_lines, bands.end - bands.first
+    geometry = (lattice, shapes.solids, facets, shapes.planes, tiled.by_band, tiled.heights)
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
     dropped = np.zeros(-(-lattice.height // BAND), dtype=np.int64)
     # without room for them, the crossings are only counted
-    run_in_bands(cast_lines, len(dropped), *geometry, _empty_crossings(start, 0), dropped)
-    np.cumsum(start, out=start)
-    crossings = _empty_crossings(start, int(start[-1]))
+    run_in_bands(*work, *geometry, _empty_crossings(start, 0), dropped, begin=bands.first)
+    known = start[first : end + 1]
+    np.cumsum(known, out=known)
+    crossings = _empty_crossings(start, int(known[-1]))
     if len(crossings.z):
-        run_in_bands(cast_lines, len(dropped), *geometry, crossings, dropped)
+        run_in_bands(*work, *geometry, crossings, dropped, begin=bands.first)
     if dropped.any():
-        count = close_up(crossings)
+        count = close_up(crossings._replace(start=known))
         crossings = Crossings._make([start, *(array[:count] for array in crossings[1:])])
-    return Columns(lattice, crossings)
+    return Columns(lattice, crossings, rows and asked)
 
 
 def cast_points(tiled: TiledShapes, cells: Int, points: Float) -> Crossings:

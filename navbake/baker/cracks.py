@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from navbake.baker.columns import Columns, TiledShapes, cast_points
+from navbake.baker.columns import (
+    Columns,
+    GatheredColumns,
+    Rows,
+    TiledShapes,
+    cast_columns,
+    cast_points,
+    split_rows,
+)
 from navbake.baker.floors.sheets import agent_limits
 from navbake.baker.kernels.arrays import AgentLimits, Crossings
 from navbake.baker.kernels.constants import SLACK
@@ -23,6 +31,7 @@ from navbake.baker.kernels.cracks import (
     probe_lines,
 )
 from navbake.config.settings import AgentSettings
+from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int
 
@@ -38,6 +47,9 @@ HALVINGS = 10
 # without floor there: three leave an eighth of a turn open, as the inner corner of a wall does;
 # a crack leaves less, as seen from its edge
 AROUND, OPEN_WAYS = 1.5, 2
+
+# Rounds of choosing among lines that a margin of rows is made for at first: mostly there is one
+MARGIN_ROUNDS = 4
 
 # How much of half a cell's edge a line may be moved: it stays inside of the cell's square
 WITHIN = 0.999
@@ -63,6 +75,43 @@ class Gaps(NamedTuple):
         return Gaps(self.cell[kept], self.low[kept], self.high[kept])
 
 
+def find_columns(tiled: TiledShapes, agent: AgentSettings, crack: float) -> Columns:
+    """Cast the columns of all cells, and close the cracks, band by band for the memory it takes."""
+    lattice, gathered = tiled.lattice, GatheredColumns(tiled.lattice)
+    bands = split_rows(lattice)
+    if len(bands) == 1:
+        return close_cracks(cast_columns(tiled), tiled, agent, crack)
+    for rows in bands:
+        gathered.add(find_columns_of_rows(tiled, agent, crack, rows), rows)
+    return gathered.join()
+
+
+def find_columns_of_rows(
+    tiled: TiledShapes, agent: AgentSettings, crack: float, rows: Rows
+) -> Columns:
+    """The columns of some rows of cells, the same that `find_columns` finds there.
+
+    Which line a cell in a crack gets depends on its neighbours, and on theirs. So more rows are
+    cast than are asked for, and again more where choosing among lines took more rounds.
+
+    Returns:
+        The columns of these rows.
+    """
+    lattice, margin = tiled.lattice, 0
+    if crack > 0:
+        margin = MARGIN_ROUNDS * crack_cells(crack, lattice)
+    while True:
+        columns = cast_columns(tiled, rows.grown(margin, lattice))
+        if crack == 0:
+            return columns.only_rows(rows)
+        closed, rounds = _close_cracks(columns, tiled, agent, crack)
+        needed = (rounds + 1) * crack_cells(crack, lattice)
+        known = columns.known_rows
+        if known == Rows(0, lattice.height) or needed <= margin:
+            return closed.only_rows(rows)
+        margin = 2 * needed
+
+
 def close_cracks(
     columns: Columns, tiled: TiledShapes, agent: AgentSettings, crack: float
 ) -> Columns:
@@ -82,19 +131,30 @@ def close_cracks(
     """
     if crack == 0:
         return columns
+    return _close_cracks(columns, tiled, agent, crack)[0]
+
+
+def _close_cracks(
+    columns: Columns, tiled: TiledShapes, agent: AgentSettings, crack: float
+) -> tuple[Columns, int]:
+    """See `close_cracks`; also in how many rounds lines were chosen.
+
+    Where columns of a band of rows are given, those of its outermost rows stay open: one row for
+    each cell that a line may be moved past, and as many again for each round.
+    """
     limits = agent_limits(agent)
     gaps = list_gaps(columns, limits, crack)
     if not len(gaps.cell):
-        return columns
+        return columns, 0
     # most gaps are open: half of the ways tell most of these, and to measure is dearest
     for spacing in (2, 1):
         gaps = gaps.only(~_find_open(_Probe(gaps, tiled, limits), crack, spacing))
         if not len(gaps.cell):
-            return columns
+            return columns, 0
     offset = _measure(_Probe(gaps, tiled, limits), crack)
     closed = ~np.isnan(offset[:, 0, 0])
     if not closed.any():
-        return columns
+        return columns, 0
     cells, candidates = _list_candidates(gaps.cell[closed], offset[closed])
     return _replace_by_best(columns, tiled, cells, candidates, limits, crack)
 
@@ -126,9 +186,12 @@ def _replace_by_best(
     candidates: Float,
     limits: AgentLimits,
     crack: float,
-) -> Columns:
-    """The columns with the line in each cell that leaves the fewest gaps, the first of several."""
-    best = candidates[:, 0].copy()
+) -> tuple[Columns, int]:
+    """The columns with the line in each cell that leaves the fewest gaps, the first of several.
+
+    Also in how many rounds they were chosen.
+    """
+    best, rounds = candidates[:, 0].copy(), 0
     fewest = np.full(len(cells), np.iinfo(np.int64).max)
     for offset in candidates.swapaxes(0, 1):
         asked = (fewest > 0) & ~np.isnan(offset[:, 0])
@@ -136,11 +199,13 @@ def _replace_by_best(
             continue
         trial = np.where(asked[:, None], offset, best)
         replaced = _replace_lines(columns, tiled, cells, trial)
-        gaps = list_gaps(replaced, limits, crack)
-        left = np.bincount(gaps.cell, minlength=len(columns.start) - 1)[cells]
+        gaps, rounds = list_gaps(replaced, limits, crack), rounds + 1
+        ends = np.searchsorted(gaps.cell, cells, side="right")
+        left = ends - np.searchsorted(gaps.cell, cells, side="left")
         better = asked & (left < fewest)
         best[better], fewest[better] = offset[better], left[better]
-    return replaced if (trial == best).all() else _replace_lines(columns, tiled, cells, best)
+    is_best = (trial == best).all()
+    return replaced if is_best else _replace_lines(columns, tiled, cells, best), rounds
 
 
 def crack_reach(crack: float) -> float:
@@ -148,21 +213,33 @@ def crack_reach(crack: float) -> float:
     return AROUND * crack
 
 
+def crack_cells(crack: float, lattice: Lattice) -> int:
+    """How far the nearest line beyond a crack may be [cells]."""
+    return int(crack / lattice.cell_size) + 1
+
+
 def list_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
-    lattice, start = columns.lattice, np.zeros(len(columns.start), dtype=np.int64)
+    """List the gaps of the cells whose neighbours are known."""
+    lattice, reach, known = columns.lattice, crack_cells(crack, columns.lattice), columns.known_rows
+    # beyond the lattice is no floor, beyond the rows that are known there may be one
+    first = known.first + reach if known.first > 0 else 0
+    end = known.end - reach if known.end < lattice.height else lattice.height
+    first_cell, end_cell = Rows(first, max(end, first)).cells(lattice)
+    # arrays of all cells, of which only the pages of these rows are ever touched
+    start = np.zeros(len(columns.start), dtype=np.int64)
     stands, none = np.empty(len(columns.z), dtype=np.bool_), np.empty(0)
     room = GapRoom(stands, np.empty(len(start) - 1), start, none, none)
-    # how far the nearest line beyond a crack may be, in cells
-    asked = lattice, columns.crossings, limits, int(crack / lattice.cell_size) + 1
-    run_in_bands(find_gaps, lattice.height, *asked, room, MARK)
-    run_in_bands(find_gaps, lattice.height, *asked, room, COUNT)
-    cells = np.flatnonzero(start[1:])
-    counts = start[1:][cells]
-    np.cumsum(start, out=start)
-    room = room._replace(low=np.empty(start[-1]), high=np.empty(start[-1]))
-    if start[-1]:
-        run_in_bands(find_gaps, lattice.height, *asked, room, WRITE)
-    return Gaps(np.repeat(cells, counts), room.low, room.high)
+    asked = lattice, columns.crossings, limits, reach
+    run_in_bands(find_gaps, known.end - known.first, *asked, room, MARK, begin=known.first)
+    run_in_bands(find_gaps, max(end - first, 0), *asked, room, COUNT, begin=first)
+    counted = start[first_cell : end_cell + 1]
+    cells = np.flatnonzero(counted[1:])
+    counts = counted[1:][cells]
+    np.cumsum(counted, out=counted)
+    room = room._replace(low=np.empty(counted[-1]), high=np.empty(counted[-1]))
+    if counted[-1]:
+        run_in_bands(find_gaps, end - first, *asked, room, WRITE, begin=first)
+    return Gaps(np.repeat(first_cell + cells, counts), room.low, room.high)
 
 
 def _find_open(probe: _Probe, crack: float, spacing: int) -> Bool:
@@ -271,14 +348,16 @@ def _cast_beside(tiled: TiledShapes, cells: Int, offset: Float) -> Crossings:
 def _replace_lines(columns: Columns, tiled: TiledShapes, cells: Int, offset: Float) -> Columns:
     """The columns with other lines, at offsets from the centres, in some cells (ascending)."""
     old, new = columns.crossings, _cast_beside(tiled, cells, offset)
-    counts = np.diff(old.start)
-    counts[cells] = np.diff(new.start)
-    start = np.concatenate([[0], np.cumsum(counts)])
+    first, end = columns.known_rows.cells(columns.lattice)
+    counts = np.diff(old.start[first : end + 1])
+    counts[cells - first] = np.diff(new.start)
+    start = np.zeros(len(old.start), dtype=np.int64)
+    np.cumsum(counts, out=start[first + 1 : end + 1])
     # what stays lies between the replaced columns: few pieces, copied as they are
-    ends = zip([0, *old.start[cells + 1]], [*old.start[cells], old.start[-1]], strict=True)
-    stays = [slice(int(first), int(last)) for first, last in ends]
+    ends = zip([0, *old.start[cells + 1]], [*old.start[cells], old.start[end]], strict=True)
+    stays = [slice(int(a), int(b)) for a, b in ends]
     comes = [slice(int(n), int(m)) for n, m in itertools.pairwise(new.start)] + [slice(0, 0)]
-    parts = {"start": start}
+    parts: dict[str, Any] = {"start": start}
     for name in ("z", "normal", "geom", "closed"):
         was, now = getattr(old, name), getattr(new, name)
         pieces = [part for s, c in zip(stays, comes, strict=True) for part in (was[s], now[c])]

@@ -16,9 +16,9 @@ import numpy as np
 
 from navbake.baker.boxes import LevelBoxes, find_level_boxes
 from navbake.baker.clock import Progress, StageClock
-from navbake.baker.columns import Columns, TiledShapes, cast_columns, tile_shapes
+from navbake.baker.columns import Columns, TiledShapes, tile_shapes
 from navbake.baker.contents.contents import Contents, find_contents
-from navbake.baker.cracks import close_cracks, crack_reach
+from navbake.baker.cracks import crack_reach, find_columns
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
 from navbake.baker.doors.doors import Doors, Surroundings, place_doors, warn_immovable_doors
 from navbake.baker.doors.walkable import warn_walkable_doors
@@ -159,7 +159,7 @@ class Stages:
         config, (lattice, window) = self.config, self.judged
         tiled = self.tiled if lattice == self.lattice else self._tile(lattice)
         with self.clock.stage("columns"):
-            columns = close_cracks(cast_columns(tiled), tiled, config.agent, config.floors.crack)
+            columns = find_columns(tiled, config.agent, config.floors.crack)
         return WholeScene(tiled, window, columns)
 
     @cached_property

@@ -198,8 +198,10 @@ def test_threads_are_given_back(tmp_path):
 def test_columns_are_cast_once(tmp_path, monkeypatch):
     """What gives the geometry back must not be followed by a stage that asks for it again."""
     casts = []
-    cast = stages_module.cast_columns
-    monkeypatch.setattr(stages_module, "cast_columns", lambda tiled: casts.append(0) or cast(tiled))
+    cast = stages_module.find_columns
+    monkeypatch.setattr(
+        stages_module, "find_columns", lambda *given: casts.append(0) or cast(*given)
+    )
     (tmp_path / "scene.xml").write_text(world(FLOOR))
     navbake.bake({"scene": {"path": str(tmp_path / "scene.xml")}, "grid": {"bounds": [0, 0, 1, 1]}})
     assert len(casts) == 1
