@@ -3,15 +3,16 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.baker.gathered import Gathered
 from navbake.baker.kernels.arrays import Band, BandItems, Crossings, Facets, Tiles
 from navbake.baker.kernels.hits import RIM, close_up
 from navbake.baker.kernels.rays import cast_lines, cast_points_at, load_mujoco_library
-from navbake.baker.kernels.tiles import BAND, bin_boxes, list_by_band, tile_of
+from navbake.baker.kernels.tiles import BAND, TILE, bin_boxes, list_by_band, tile_of
 from navbake.baker.scene.kernels.triangles import measure_triangles
 from navbake.baker.scene.model import mujoco_library
 from navbake.baker.scene.shapes import Shapes, Triangles
@@ -44,6 +45,12 @@ def split_rows(lattice: Lattice) -> list[Rows]:
     count = max(BLOCK_CELLS // (lattice.width * BAND), 1) * BAND
     firsts = range(0, lattice.height, count)
     return [Rows(first, min(first + count, lattice.height)) for first in firsts]
+
+
+def tiles_of_rows(lattice: Lattice, rows: Rows) -> range:
+    """The tiles that some rows of cells lie on, which begin and end with whole tiles."""
+    num = -(-lattice.width // TILE)
+    return range(rows.first // TILE * num, -(-rows.end // TILE) * num)
 
 
 @dataclass(frozen=True)
@@ -124,42 +131,66 @@ class Columns:
         return self.crossings.geom
 
     def cut(self, rows: slice, cols: slice, lattice: Lattice) -> "Columns":
-        """The columns of a window; `lattice` is its own, with cells in the same places."""
-        cells = np.arange(len(self.start) - 1).reshape(self.lattice.shape)[rows, cols].ravel()
-        first, counts = self.start[cells], np.diff(self.start)[cells]
-        start = np.concatenate([[0], np.cumsum(counts)])
-        taken = np.repeat(first - start[:-1], counts) + np.arange(start[-1])
-        return Columns(lattice, Crossings(start, *(part[taken] for part in self.crossings[1:])))
+        """The columns of a window, of those of its rows that are known.
+
+        `lattice` is the window's own, with cells in the same places.
+        """
+        known = Rows(*np.clip(self.known_rows, rows.start, rows.stop).tolist())
+        row, col = np.ogrid[known.first : known.end, cols]
+        cells = (row * self.lattice.width + col).ravel()
+        first, counts = self.start[cells], self.start[cells + 1] - self.start[cells]
+        start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
+        shown = Rows(known.first - rows.start, known.end - rows.start)
+        place, end = shown.cells(lattice)
+        np.cumsum(counts, out=start[place + 1 : end + 1])
+        taken = np.repeat(first - start[place:end], counts) + np.arange(start[end])
+        parts = Crossings(start, *(part[taken] for part in self.crossings[1:]))
+        return Columns(lattice, parts, None if shown == (0, lattice.height) else shown)
+
+    def blocks(self) -> Iterator["Columns"]:
+        """All columns, in one block."""
+        yield self
+
+    def at(self, cells: Int) -> "Columns":
+        """The columns of some cells, and others."""
+        return self
+
+
+class ColumnSource(Protocol):
+    """Where the columns of a lattice come from: all at once, or block by block."""
+
+    @property
+    def lattice(self) -> Lattice:
+        """The cells."""
+
+    def blocks(self) -> Iterator[Columns]:
+        """The columns of all rows, by bands of them, in their order."""
+
+    def at(self, cells: Int) -> Columns:
+        """Columns in which those of some cells are known, whatever the order of their ids."""
 
 
 class GatheredColumns:
-    """Columns that come band by band, in the order of their rows, and become one.
-
-    Arrays grow in place, so that there is never room for twice as much.
-    """
+    """Columns that come band by band, in the order of their rows, and become one."""
 
     def __init__(self, lattice: Lattice) -> None:
         self._lattice = lattice
-        self._crossings = _empty_crossings(
-            np.zeros(lattice.width * lattice.height + 1, dtype=np.int64), 0
-        )
+        self._start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
+        self._arrays = Gathered(*_empty_crossings(self._start, 0)[1:])
 
     def add(self, columns: Columns, rows: Rows) -> None:
         """Add the columns of some of the rows that a part knows, which follow on the last ones."""
         first, end = rows.cells(self._lattice)
-        start, count = self._crossings.start, len(self._crossings.z)
         begin, stop = int(columns.start[first]), int(columns.start[end])
-        np.add(columns.start[first + 1 : end + 1], count - begin, out=start[first + 1 : end + 1])
-        arrays: Iterator[tuple[Any, Any]]
-        arrays = zip(self._crossings[1:], columns.crossings[1:], strict=True)
-        for whole, part in arrays:
-            # nothing else refers to them yet
-            whole.resize((count + stop - begin, *whole.shape[1:]), refcheck=False)
-            whole[count:] = part[begin:stop]
+        ends = self._start[first + 1 : end + 1]
+        np.add(columns.start[first + 1 : end + 1], len(self._arrays) - begin, out=ends)
+        _, z, normal, geom, closed = columns.crossings
+        part = slice(begin, stop)
+        self._arrays.add(z[part], normal[part], geom[part], closed[part])
 
     def join(self) -> Columns:
         """The columns of all rows; nothing is added after that."""
-        return Columns(self._lattice, self._crossings)
+        return Columns(self._lattice, Crossings(self._start, *self._arrays.take()))
 
 
 def cells_of(start: Int) -> Int:

@@ -75,6 +75,26 @@ class Gaps(NamedTuple):
         return Gaps(self.cell[kept], self.low[kept], self.high[kept])
 
 
+class Moved(NamedTuple):
+    """Lines that were moved out of cracks.
+
+    Attributes:
+        cells: cell ids, ascending, shape (n,), int64.
+        offset: of each line from its cell's centre, shape (n, 2), float64 [m].
+    """
+
+    cells: Int
+    offset: Float
+
+    def of_rows(self, rows: Rows, lattice: Lattice) -> Moved:
+        """Those of some rows."""
+        part = slice(*np.searchsorted(self.cells, rows.cells(lattice)).tolist())
+        return Moved(self.cells[part], self.offset[part])
+
+
+NONE_MOVED = Moved(np.empty(0, dtype=np.int64), np.empty((0, 2)))
+
+
 def find_columns(tiled: TiledShapes, agent: AgentSettings, crack: float) -> Columns:
     """Cast the columns of all cells, and close the cracks, band by band for the memory it takes."""
     lattice, gathered = tiled.lattice, GatheredColumns(tiled.lattice)
@@ -82,20 +102,20 @@ def find_columns(tiled: TiledShapes, agent: AgentSettings, crack: float) -> Colu
     if len(bands) == 1:
         return close_cracks(cast_columns(tiled), tiled, agent, crack)
     for rows in bands:
-        gathered.add(find_columns_of_rows(tiled, agent, crack, rows), rows)
+        gathered.add(find_columns_of_rows(tiled, agent, crack, rows)[0], rows)
     return gathered.join()
 
 
 def find_columns_of_rows(
     tiled: TiledShapes, agent: AgentSettings, crack: float, rows: Rows
-) -> Columns:
+) -> tuple[Columns, Moved]:
     """The columns of some rows of cells, the same that `find_columns` finds there.
 
     Which line a cell in a crack gets depends on its neighbours, and on theirs. So more rows are
     cast than are asked for, and again more where choosing among lines took more rounds.
 
     Returns:
-        The columns of these rows.
+        The columns of these rows, and which of their lines were moved.
     """
     lattice, margin = tiled.lattice, 0
     if crack > 0:
@@ -103,13 +123,34 @@ def find_columns_of_rows(
     while True:
         columns = cast_columns(tiled, rows.grown(margin, lattice))
         if crack == 0:
-            return columns.only_rows(rows)
-        closed, rounds = _close_cracks(columns, tiled, agent, crack)
+            return columns.only_rows(rows), NONE_MOVED
+        closed, moved, rounds = _close_cracks(columns, tiled, agent, crack)
         needed = (rounds + 1) * crack_cells(crack, lattice)
         known = columns.known_rows
         if known == Rows(0, lattice.height) or needed <= margin:
-            return closed.only_rows(rows)
+            return closed.only_rows(rows), moved.of_rows(rows, lattice)
         margin = 2 * needed
+
+
+def move_lines(columns: Columns, tiled: TiledShapes, moved: Moved) -> Columns:
+    """Columns with some lines moved, all of cells that are known."""
+    return _replace_lines(columns, tiled, *moved) if len(moved.cells) else columns
+
+
+def find_columns_at(tiled: TiledShapes, moved: Moved, cells: Int) -> Columns:
+    """The columns of some cells, as `find_columns` finds them; others mean nothing.
+
+    Args:
+        moved: all lines that were moved.
+        cells: cell ids, ascending, none twice.
+    """
+    lattice, offset = tiled.lattice, np.zeros((len(cells), 2))
+    _, at, which = np.intersect1d(cells, moved.cells, assume_unique=True, return_indices=True)
+    offset[at] = moved.offset[which]
+    found = _cast_beside(tiled, cells, offset)
+    start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
+    start[cells], start[cells + 1] = found.start[:-1], found.start[1:]
+    return Columns(lattice, found._replace(start=start))
 
 
 def close_cracks(
@@ -131,13 +172,21 @@ def close_cracks(
     """
     if crack == 0:
         return columns
-    return _close_cracks(columns, tiled, agent, crack)[0]
+    return _close_cracks(columns, tiled, agent, crack).columns
+
+
+class _Closed(NamedTuple):
+    """Columns whose cracks are closed, what was moved, and the rounds that it took to choose."""
+
+    columns: Columns
+    moved: Moved
+    rounds: int
 
 
 def _close_cracks(
     columns: Columns, tiled: TiledShapes, agent: AgentSettings, crack: float
-) -> tuple[Columns, int]:
-    """See `close_cracks`; also in how many rounds lines were chosen.
+) -> _Closed:
+    """See `close_cracks`.
 
     Where columns of a band of rows are given, those of its outermost rows stay open: one row for
     each cell that a line may be moved past, and as many again for each round.
@@ -145,16 +194,16 @@ def _close_cracks(
     limits = agent_limits(agent)
     gaps = list_gaps(columns, limits, crack)
     if not len(gaps.cell):
-        return columns, 0
+        return _Closed(columns, NONE_MOVED, 0)
     # most gaps are open: half of the ways tell most of these, and to measure is dearest
     for spacing in (2, 1):
         gaps = gaps.only(~_find_open(_Probe(gaps, tiled, limits), crack, spacing))
         if not len(gaps.cell):
-            return columns, 0
+            return _Closed(columns, NONE_MOVED, 0)
     offset = _measure(_Probe(gaps, tiled, limits), crack)
     closed = ~np.isnan(offset[:, 0, 0])
     if not closed.any():
-        return columns, 0
+        return _Closed(columns, NONE_MOVED, 0)
     cells, candidates = _list_candidates(gaps.cell[closed], offset[closed])
     return _replace_by_best(columns, tiled, cells, candidates, limits, crack)
 
@@ -186,11 +235,8 @@ def _replace_by_best(
     candidates: Float,
     limits: AgentLimits,
     crack: float,
-) -> tuple[Columns, int]:
-    """The columns with the line in each cell that leaves the fewest gaps, the first of several.
-
-    Also in how many rounds they were chosen.
-    """
+) -> _Closed:
+    """The columns with the line in each cell that leaves the fewest gaps, the first of several."""
     best, rounds = candidates[:, 0].copy(), 0
     fewest = np.full(len(cells), np.iinfo(np.int64).max)
     for offset in candidates.swapaxes(0, 1):
@@ -204,8 +250,9 @@ def _replace_by_best(
         left = ends - np.searchsorted(gaps.cell, cells, side="left")
         better = asked & (left < fewest)
         best[better], fewest[better] = offset[better], left[better]
-    is_best = (trial == best).all()
-    return replaced if is_best else _replace_lines(columns, tiled, cells, best), rounds
+    if not (trial == best).all():
+        replaced = _replace_lines(columns, tiled, cells, best)
+    return _Closed(replaced, Moved(cells, best), rounds)
 
 
 def crack_reach(crack: float) -> float:

@@ -46,7 +46,7 @@ def test_columns_of_rows_are_those_of_the_whole(tmp_path, monkeypatch, cell_size
             np.testing.assert_array_equal(one, other)
     rng = np.random.default_rng(0)
     for first, end in np.sort(rng.integers(0, lattice.height + 1, (5, 2))).tolist():
-        part, expected = find_columns_of_rows(tiled, agent, 0.03, Rows(first, end)), whole
+        (part, _), expected = find_columns_of_rows(tiled, agent, 0.03, Rows(first, end)), whole
         a, b = first * lattice.width, end * lattice.width
         np.testing.assert_array_equal(
             part.start[a : b + 1], expected.start[a : b + 1] - expected.start[a]

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from navbake.baker.columns import Columns
 from navbake.baker.floors.sheets import Standable, middle_of
 from navbake.types import Bool, Int
 
@@ -28,17 +27,17 @@ class Patch:
     cells: Int = field(repr=False, compare=False)
 
 
-def describe_patch(standable: Standable, members: Int, columns: Columns) -> Patch:
+def describe_patch(standable: Standable, members: Int) -> Patch:
     """Describe some surfaces, given by their indices, shape (n,), n >= 1."""
-    geoms = columns.geom[standable.surface[members]]
+    geoms = standable.geom[members]
     cells, z = standable.cell[members], standable.z[members]
     area = len(members) * standable.lattice.cell_size**2
     place = middle_of(standable.lattice, cells, z)
     return Patch(int(np.bincount(geoms).argmax()), area, place, cells)
 
 
-def describe_sheets(standable: Standable, chosen: Bool, columns: Columns) -> list[Patch]:
+def describe_sheets(standable: Standable, chosen: Bool) -> list[Patch]:
     """Describe some sheets, shape (sheets,), the largest first."""
     sheets = standable.members(np.flatnonzero(chosen))
-    patches = [describe_patch(standable, members, columns) for _, members in sheets]
+    patches = [describe_patch(standable, members) for _, members in sheets]
     return sorted(patches, key=lambda patch: -patch.area)

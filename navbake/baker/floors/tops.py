@@ -110,6 +110,6 @@ def _count_over_room(site: Site, beside: Float) -> Int:
     has_floor &= standable.z[below] >= floor - step - SLACK
     blocked = np.zeros(len(cells), dtype=np.bool_)
     low, high = floor + step + TOUCH, floor + agent.height - TOUCH
-    lines = cells, low, high, site.columns.crossings, blocked
+    lines = cells, low, high, site.columns.at(cells).crossings, blocked
     run_in_bands(lines_blocked, len(cells), *lines, least=1000)
     return np.bincount(sheet[has_floor | ~blocked], minlength=len(beside))
