@@ -25,7 +25,7 @@ from navbake.baker.cracks import (
 from navbake.baker.lattice import Window
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
-from navbake.types import Int
+from navbake.types import Int, Int32
 
 # Columns of at most so many cells are kept: they take about 100 bytes each
 KEPT_CELLS = 1 << 22
@@ -63,12 +63,12 @@ class ColumnBlocks:
                 columns = self._find(rows)
             yield columns
 
-    def at(self, cells: Int) -> Columns:
+    def at(self, cells: Int | Int32) -> Columns:
         """Columns in which those of some cells are known, whatever the order of their ids."""
         if self._kept is not None:
             return self._kept
         if self._some is None or not np.isin(cells, self._some[0]).all():
-            asked = np.unique(cells)
+            asked = np.unique(cells).astype(np.int64)
             with self._clock.part("columns"):
                 self._some = asked, find_columns_at(self._tiled, self._all_moved(), asked)
         return self._some[1]

@@ -151,7 +151,7 @@ class Columns:
         """All columns, in one block."""
         yield self
 
-    def at(self, cells: Int) -> "Columns":
+    def at(self, cells: Int | Int32) -> "Columns":
         """The columns of some cells, and others."""
         return self
 
@@ -166,7 +166,7 @@ class ColumnSource(Protocol):
     def blocks(self) -> Iterator[Columns]:
         """The columns of all rows, by bands of them, in their order."""
 
-    def at(self, cells: Int) -> Columns:
+    def at(self, cells: Int | Int32) -> Columns:
         """Columns in which those of some cells are known, whatever the order of their ids."""
 
 
@@ -191,12 +191,6 @@ class GatheredColumns:
     def join(self) -> Columns:
         """The columns of all rows; nothing is added after that."""
         return Columns(self._lattice, Crossings(self._start, *self._arrays.take()))
-
-
-def cells_of(start: Int) -> Int:
-    """The cell of each item of ragged data, from the first item of each cell, (cells + 1,)."""
-    cell: Int = np.repeat(np.arange(len(start) - 1), np.diff(start))
-    return cell
 
 
 def tile_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> TiledShapes:

@@ -37,7 +37,7 @@ class EnclosedFinder:
 
     def __init__(self, lattice: Lattice, shapes: Shapes, agent: AgentSettings) -> None:
         self._lattice, self._planes, self._limits = lattice, shapes.planes, agent_limits(agent)
-        ids, heights = np.empty(0, dtype=np.int64), np.empty(0)
+        ids, heights = np.empty(0, dtype=np.int32), np.empty(0)
         self._held = Gathered(ids, heights, ids)  # cell, height and holder of each surface
 
     def add(self, columns: Columns) -> None:

@@ -30,7 +30,7 @@ from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
 from navbake.threads import run_in_bands
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Int32
 
 # A dropped roof is told of when it is this many times as large as the largest floor that is left:
 # walls and eaves alone make it larger than the floor under it, but not by a third
@@ -123,20 +123,24 @@ def find_floors(
     counted = large if (counts == is_large).all() else every.only_sheets(counts)
     if not len(counted.z):
         raise SceneError(_no_large_floor(settings))
-    placed, left_out, unreached = _place_reached(counted, starts, site, given)
     large_or_start = every.surface[(is_large | starts)[every.sheet]]
+    is_told = large.sheet_size > LARGE_ROOF * counted.sheet_size.max()
+    tops = describe_sheets(large, (rejected.tops | rejected.shelves) & ~starts)
+    roofs = describe_sheets(large, rejected.roofs & ~starts & is_told)
+    small_starts = describe_sheets(every, starts & ~is_large)
+    del every, large, site  # as many as cells: the rest is about those that count
+    placed, left_out, unreached = _place_reached(counted, starts, columns, agent, settings, given)
     candidate = _mark_candidates(placed.standable, large_or_start, footing, agent)
     levels = [
         LevelFloor(label, ground, *_level_floor(k, placed, footing, candidate, agent))
         for k, (label, ground) in enumerate(zip(placed.labels, placed.grounds, strict=True))
     ]
-    is_told = large.sheet_size > LARGE_ROOF * counted.sheet_size.max()
     return Floors(
         levels,
         _cell_links(placed, agent),
-        tops=describe_sheets(large, (rejected.tops | rejected.shelves) & ~starts),
-        roofs=describe_sheets(large, rejected.roofs & ~starts & is_told),
-        small_starts=describe_sheets(every, starts & ~is_large),
+        tops=tops,
+        roofs=roofs,
+        small_starts=small_starts,
         unreached=unreached,
         left_out=left_out,
         enclosed=enclosed,
@@ -153,7 +157,12 @@ class _Placed(NamedTuple):
 
 
 def _place_reached(
-    counted: Standable, starts: Bool, site: Site, given: list[LevelSettings] | None
+    counted: Standable,
+    starts: Bool,
+    columns: ColumnSource,
+    agent: AgentSettings,
+    settings: FloorSettings,
+    given: list[LevelSettings] | None,
 ) -> tuple[_Placed, list[Patch], list[Unreached]]:
     """Place the surfaces that count on levels; of all, or of those that steps lead to.
 
@@ -163,10 +172,9 @@ def _place_reached(
         The surfaces on their levels, the sheets that are left out because no step leads to them,
         and what no step leads to of those that are not.
     """
-    agent, settings = site.agent, site.settings
     placed = _place_on_levels(counted, agent, settings, None)
     reached = starts if starts.any() else largest_of_lowest(placed.standable, placed.level)
-    kept = counted if given is None else _within_given(counted, given, site.columns)
+    kept = counted if given is None else _within_given(counted, given, columns)
     left_out = []
     if settings.reach == "steps":
         left_out = describe_sheets(kept, (kept.sheet_size > 0) & ~reached)
@@ -220,7 +228,7 @@ def _within_given(
 
 
 def _mark_candidates(
-    counted: Standable, large: Int, footing: Footing, agent: AgentSettings
+    counted: Standable, large: Int32, footing: Footing, agent: AgentSettings
 ) -> Bool:
     """Mark the footings at which a floor may go on under things, shape (n,).
 
@@ -235,7 +243,7 @@ def _mark_candidates(
     return candidate
 
 
-def _just_below(footing: Footing, surface: Int, step: float) -> Int:
+def _just_below(footing: Footing, surface: Int32, step: float) -> Int32:
     """The footings a step at most below some others, in their columns.
 
     An agent there would walk on those above, as on a roof in which a wall's top is hidden.

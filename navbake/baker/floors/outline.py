@@ -145,7 +145,7 @@ def find_endings(
     - BORDER: the lattice ends.
     - OPEN: none of these: an abyss, a steep slope, a floor on which nobody can stand.
     """
-    z, inner = standable.z[edges.surface], standable.cell[edges.surface]
+    z, inner = standable.z[edges.surface], standable.cell[edges.surface].astype(np.int64)
     step = agent.traversable_floor_height
     feet, head = probe_bands(agent)
     outer = edges.cells[:, 0]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from navbake.baker.floors.sheets import Standable, middle_of
-from navbake.types import Bool, Int
+from navbake.types import Bool, Int, Int32
 
 
 @dataclass(frozen=True)
@@ -18,13 +18,13 @@ class Patch:
         geom: the geom that most of it belongs to.
         area: [m²].
         place: x, y, z of a place near its middle, in world coordinates [m].
-        cells: its cells, shape (n,), int64.
+        cells: its cells, shape (n,), int32.
     """
 
     geom: int
     area: float
     place: tuple[float, float, float]
-    cells: Int = field(repr=False, compare=False)
+    cells: Int32 = field(repr=False, compare=False)
 
 
 def describe_patch(standable: Standable, members: Int) -> Patch:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import Columns, ColumnSource, cells_of
+from navbake.baker.columns import Columns, ColumnSource
 from navbake.baker.connect import connect
 from navbake.baker.floors.kernels.sheets import (
     group_members,
@@ -34,11 +34,11 @@ class Standable(NamedTuple):
         lattice: the cells.
         start: shape (cells + 1,), int64.
         z: heights, ascending in a cell, shape (n,), float64 [m].
-        cell: cell id of each, shape (n,), int64.
-        surface: each one's index in the `Footing`, shape (n,), int64.
+        cell: cell id of each, shape (n,), int32.
+        surface: each one's index in the `Footing`, shape (n,), int32.
         geom: MuJoCo's geom id of each, shape (n,), int32.
         is_top: whether nothing lies above it in its column, shape (n,), bool.
-        sheet: the sheet that it belongs to, shape (n,), int64.
+        sheet: the sheet that it belongs to, shape (n,), int32.
         sheet_size: how many surfaces each sheet has, shape (sheets,), int64; a sheet that was
             dropped has none.
         slopes: pairs of surfaces in neighbouring cells that no step joins but their slopes, see
@@ -48,15 +48,15 @@ class Standable(NamedTuple):
     lattice: Lattice
     start: Int
     z: Float
-    cell: Int
-    surface: Int
+    cell: Int32
+    surface: Int32
     geom: Int32
     is_top: Bool
-    sheet: Int
+    sheet: Int32
     sheet_size: Int
     slopes: Int
 
-    def members(self, sheets: Int) -> Iterator[tuple[int, Int]]:
+    def members(self, sheets: Int | Int32) -> Iterator[tuple[int, Int]]:
         """Of some sheets, each one's number and the indices of its surfaces."""
         start, member = group_members(self.sheet, self.sheet_size)
         for sheet in sheets:
@@ -79,12 +79,12 @@ class Standable(NamedTuple):
         slopes = number[self.slopes[kept[self.slopes].all(axis=1)]]
         return Standable(self.lattice, start, *arrays, *told, sheet, size, slopes)
 
-    def sheets_at(self, cells: Int, heights: Float) -> Int:
+    def sheets_at(self, cells: Int, heights: Float) -> Int32:
         """The sheets of the surfaces in some cells at heights at which there is one, shape (n,)."""
         surface = self.start[cells]
         for _ in range(int(np.diff(self.start).max(initial=0)) - 1):
             surface += self.z[surface] < heights
-        sheet: Int = self.sheet[surface]
+        sheet: Int32 = self.sheet[surface]
         return sheet
 
 
@@ -127,9 +127,8 @@ class StandableFinder:
         self._start, self._footing_start = (
             np.zeros(num_cells + 1, dtype=np.int64) for _ in range(2)
         )
-        heights, ids = np.empty(0), np.empty(0, dtype=np.int64)
-        geoms, marks = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.bool_)
-        self._surfaces = Gathered(heights, ids, geoms, marks)
+        heights, ids, marks = np.empty(0), np.empty(0, np.int32), np.empty(0, np.bool_)
+        self._surfaces = Gathered(heights, ids, ids, ids, marks)
         self._normals = Gathered(np.empty((0, 3), dtype=np.float32))
         self._footing = Gathered(heights)
         self.num_surfaces = 0
@@ -151,7 +150,8 @@ class StandableFinder:
         z = columns.z[at]
         here = np.repeat(np.arange(len(column) - 1), self._start[known[0] + 1 : known[1] + 1])
         is_top = top[here] - z <= SLACK
-        self._surfaces.add(z, before[at] + len(self._footing), columns.geom[at], is_top)
+        surface = before[at] + len(self._footing)
+        self._surfaces.add(z, known[0] + here, surface, columns.geom[at], is_top)
         if _slopes_may_join(self._lattice, self._agent):
             self._normals.add(columns.normal[at])
         self._footing.add(columns.z[floor_like])
@@ -162,12 +162,12 @@ class StandableFinder:
         for counts in (start, self._footing_start):
             np.cumsum(counts, out=counts)
         (footing,), (normal,) = self._footing.take(), self._normals.take()
-        z, surface, geom, is_top = self._surfaces.take()
-        sheet, size = join_by_steps(lattice, start, z, np.zeros(len(z), dtype=np.int64), step)
+        z, cell, surface, geom, is_top = self._surfaces.take()
+        sheet, size = join_by_steps(lattice, start, z, np.zeros(len(z), dtype=np.int32), step)
         slopes = find_slopes(lattice, start, z, normal, self._agent)
         if len(slopes):
             sheet, size = _unite(sheet, sheet[slopes], len(size))
-        parts = z, cells_of(start), surface, geom, is_top, sheet, size, slopes
+        parts = z, cell, surface, geom, is_top, sheet, size, slopes
         return Standable(lattice, start, *parts), Footing(self._footing_start, footing)
 
 
@@ -214,10 +214,10 @@ def find_slopes(
     return pairs
 
 
-def _unite(part: Int, pairs: Int, count: int) -> tuple[Int, Int]:
+def _unite(part: Int32, pairs: Int32, count: int) -> tuple[Int32, Int]:
     """Unite parts by pairs of their numbers: the part of each member then, and the parts' sizes."""
     # by their first members, as `join_by_steps` numbers them
-    united: Int = connect(pairs.T, count).astype(np.int64)[part]
+    united: Int32 = connect(pairs.T.astype(np.int64), count).astype(np.int32)[part]
     return united, np.bincount(united)
 
 
@@ -234,7 +234,7 @@ def drop_furniture(standable: Standable, settings: FloorSettings) -> Standable:
     return standable.only_sheets(counts)
 
 
-def middle_of(lattice: Lattice, cells: Int, z: Float) -> tuple[float, float, float]:
+def middle_of(lattice: Lattice, cells: Int | Int32, z: Float) -> tuple[float, float, float]:
     """A place on a floor, of its cells the one nearest to its middle: world x, y, z [m].
 
     Args:
@@ -246,7 +246,7 @@ def middle_of(lattice: Lattice, cells: Int, z: Float) -> tuple[float, float, flo
     return float(x), float(y), float(z[nearest])
 
 
-def mask_window(cells: Int, lattice: Lattice, margin: int) -> tuple[Bool, Int, Int]:
+def mask_window(cells: Int | Int32, lattice: Lattice, margin: int) -> tuple[Bool, Int, Int]:
     """Cells as a mask over their own rectangle, with a margin; and its first row and column."""
     row, col = np.divmod(cells, lattice.width)
     row0, col0 = row.min() - margin, col.min() - margin
@@ -273,17 +273,18 @@ class AreaTest:
         self._mask = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
         self._counted = self._mask.copy()
 
-    def passes(self, cells: Int) -> bool:
-        """Whether a set of cells is large enough; ids may repeat, shape (n,), int64."""
+    def passes(self, cells: Int | Int32) -> bool:
+        """Whether a set of cells is large enough; ids may repeat, shape (n,)."""
         needed = int(np.ceil(max(self.needed, 0.0)))
         return self._mark(cells, needed)[0] >= needed
 
-    def inner(self, cells: Int) -> Bool:
+    def inner(self, cells: Int | Int32) -> Bool:
         """Which cells of a set are left after shrinking, shape (n,)."""
         return self._mark(cells, len(cells) + 1)[1]
 
-    def _mark(self, cells: Int, needed: int) -> tuple[int, Bool]:
+    def _mark(self, cells: Int | Int32, needed: int) -> tuple[int, Bool]:
         inner = np.zeros(len(cells), dtype=np.bool_)
         masks = self._mask, self._counted
+        cells = cells.astype(np.int32, copy=False)
         found = mark_inner(cells, self._disc, self._rim, *self._shape, needed, *masks, inner)
         return int(found), inner

@@ -103,7 +103,7 @@ def _count_over_room(site: Site, beside: Float) -> Int:
     """
     standable, agent = site.large, site.agent
     asked = np.flatnonzero(~np.isnan(beside[standable.sheet]))
-    sheet, cells = standable.sheet[asked], standable.cell[asked]
+    sheet, cells = standable.sheet[asked], standable.cell[asked].astype(np.int64)
     floor, step = beside[sheet], agent.traversable_floor_height
     below = asked - 1
     has_floor = (below >= 0) & (standable.cell[below] == cells)

@@ -179,7 +179,7 @@ def _check(
         back[order] = np.arange(len(order))
         occupied, by_line, by_fcl = _check(columns, tiled, footprint, cells[order], floors[order])
         return occupied[back], by_line[back], by_fcl
-    shapes, known = tiled.shapes, columns.known_rows
+    shapes, known, cells = tiled.shapes, columns.known_rows, cells.astype(np.int64, copy=False)
     first, end = known.first // TILE, -(-known.end // TILE)
     queries = Queries(cells, floors, np.zeros(len(cells), np.uint8), np.zeros(len(cells), np.bool_))
     asked = columns.lattice, columns.crossings, shapes.solids, tiled.facets, shapes.planes

@@ -106,8 +106,8 @@ def join_by_steps(lattice, start, z, group, step):
     """Label the connected parts of standable surfaces: of one group, neighbours a step apart.
 
     Surfaces are listed by column, ascending: start, (cells + 1,) int64, and z, (n,) float64 [m].
-    Returns the part of each, (n,) int64, numbered from 0 by their first members; and the parts'
-    sizes, int64.
+    `group` is (n,) int32. Returns the part of each, (n,) int32, numbered from 0 by their first
+    members; and the parts' sizes, int64.
     """
     parent = np.arange(z.shape[0])
     for cell in range(start.shape[0] - 1):
@@ -121,7 +121,7 @@ def join_by_steps(lattice, start, z, group, step):
                 for b in range(start[other], start[other + 1]):
                     if group[a] == group[b] and abs(z[a] - z[b]) <= step + SLACK:
                         unite(parent, a, b)
-    part = np.empty(z.shape[0], np.int64)
+    part = np.empty(z.shape[0], np.int32)
     size = np.zeros(z.shape[0], np.int64)
     count = 0
     for node in range(z.shape[0]):
@@ -185,7 +185,7 @@ def join_by_slopes(lattice, start, z, normal, step):
 
 @njit(cache=True)
 def group_members(part, size):
-    """List the members of each part, given the part of each surface and the parts' sizes.
+    """List the members of each part, given the part of each surface, int32, and the parts' sizes.
 
     Returns start, (parts + 1,) int64, and member, (n,) int64, ascending within a part.
     """
