@@ -112,6 +112,7 @@ def find_floors(
     enclosed = enclosing.found(footing, settings)
     if not len(every.z):
         raise SceneError(_no_floor(finder.num_surfaces, len(footing.z), agent))
+    del finder, enclosing  # they hold the arrays of `every`, too
     large = drop_furniture(every, settings)
     cropped = find_cropped(columns.lattice, shapes.bounds())
     site = Site(every, large, columns, agent, settings, is_occupied, cropped)
