@@ -26,8 +26,10 @@ _pool: ThreadPoolExecutor | None = None
 _pool_lock = threading.Lock()
 
 
-def run_in_bands(kernel: Callable[..., Any], count: int, *args: Any, least: int = 1) -> None:
-    """Call a kernel for all of ``range(count)``, by ranges, on as many threads as are allowed.
+def run_in_bands(
+    kernel: Callable[..., Any], count: int, *args: Any, least: int = 1, begin: int = 0
+) -> None:
+    """Call a kernel for ``range(begin, begin + count)``, by ranges, on as many threads as allowed.
 
     The threads take the ranges in order, each the next one when it is done with its last. Which
     thread takes which must not matter: each range writes what no other one reads or writes.
@@ -38,12 +40,14 @@ def run_in_bands(kernel: Callable[..., Any], count: int, *args: Any, least: int 
         count: how much work there is, >= 0.
         args: what all calls are given.
         least: how much work is worth a call, >= 1; less of it than that runs on this thread.
+        begin: where the work begins.
     """
     threads = num_threads()
     size = max(least, -(-count // (threads * BANDS)))
-    bands = iter([(first, min(first + size, count)) for first in range(0, count, size)])
+    end = begin + count
+    bands = iter([(first, min(first + size, end)) for first in range(begin, end, size)])
     if threads == 1 or count <= size:
-        _work(kernel, args, iter([(0, count)] if count else []))
+        _work(kernel, args, iter([(begin, end)] if count else []))
         return
     others = min(threads, -(-count // size)) - 1
     started = [_get_pool().submit(_work, kernel, args, bands) for _ in range(others)]

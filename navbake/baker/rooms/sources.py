@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from navbake.baker.columns import Columns, cast_columns, tile_shapes
+from navbake.baker.columns import ColumnSource, cast_columns, tile_shapes
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.kernels.constants import SAME
 from navbake.baker.rooms.volumes import vertical_chords
@@ -60,7 +60,7 @@ class RoomMarkers:
     """Finds the rooms that geoms, sites and polygons mark in a scene."""
 
     scene: Scene
-    columns: Columns
+    columns: ColumnSource
     levels: Sequence[LevelFloor]
     settings: RoomSettings
     agent: AgentSettings
@@ -157,7 +157,7 @@ class RoomMarkers:
 
 
 def _upward_surfaces(
-    scene: Scene, columns: Columns, chosen: Sequence[int]
+    scene: Scene, columns: ColumnSource, chosen: Sequence[int]
 ) -> tuple[Int, Float, Int32]:
     """The surfaces of geoms that face up: cells, heights, geoms.
 
@@ -165,7 +165,7 @@ def _upward_surfaces(
     """
     num = len(scene.geoms)
     known = {geom for geom in chosen if scene.geoms[geom].shape not in ("", "hull")}
-    parts = [(columns, known)]
+    parts: list[tuple[ColumnSource, set[int]]] = [(columns, known)]
     if others := set(chosen) - known:
         choices = [Choice(geom in others, "marks a room", "surface") for geom in range(num)]
         shapes = collect_shapes(scene.model, scene.data, choices, scene.parts).shapes
@@ -173,9 +173,11 @@ def _upward_surfaces(
     found = []
     for surfaces, geoms in parts:
         is_meant = np.isin(np.arange(num), list(geoms))
-        at = np.flatnonzero(is_meant[surfaces.geom] & (surfaces.normal[:, 2] > 0))
-        cell = np.searchsorted(surfaces.start, at, side="right") - 1
-        found.append((cell, surfaces.z[at], surfaces.geom[at]))
+        for block in surfaces.blocks() if geoms else ():
+            first, end = block.known_rows.cells(block.lattice)
+            at = np.flatnonzero(is_meant[block.geom] & (block.normal[:, 2] > 0))
+            cell = first + np.searchsorted(block.start[first : end + 1], at, side="right") - 1
+            found.append((cell, block.z[at], block.geom[at]))
     cells, heights, owners = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
     return cells, heights, owners
 
