@@ -40,7 +40,7 @@ from numba.core.registry import CPUDispatcher
 from navbake.digests import digest_folder, read_stamp
 from navbake.folder_lock import folder_lock
 from navbake.kernel_list import PREFIX, read_list
-from navbake.loading import loads_light, rebuild, skip_probe
+from navbake.loading import few_environments, loads_light, rebuild
 
 LOGGER = logging.getLogger("navbake.compiled")  # bakes log their own warnings to its parent
 REMEDY = "set NUMBA_CACHE_DIR to a folder that can be written"
@@ -194,8 +194,7 @@ class KernelCache(caching.FunctionCache):
         try:
             if not loads_light():
                 return super().load_overload(sig, target_context)
-            skip_probe()
-            with self._guard_against_spurious_io_errors():
+            with self._guard_against_spurious_io_errors(), few_environments():
                 return self._load_overload(sig, target_context)  # see `navbake.loading`
             return None
         except MemoryError:
