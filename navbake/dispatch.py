@@ -27,7 +27,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 from numba.core.registry import CPUDispatcher
 
+from navbake.compiler.shortcuts import shortcuts
 from navbake.digests import digest_folder, read_stamp
 from navbake.folder_lock import folder_lock
 from navbake.kernel_list import PREFIX, read_list
@@ -67,8 +68,10 @@ class Kernel(CPUDispatcher):
     def compile(self, sig: Any) -> Any:
         """Compile for a signature, or load what was compiled for it."""
         with global_compiler_lock:  # until the lock of the file is given back, too
+            lean = shortcuts(self.targetctx.codegen()) if loads_light() else nullcontext()
             try:
-                return super().compile(sig)
+                with lean:
+                    return super().compile(sig)
             finally:
                 self._cache.release()
                 _tell_progress()

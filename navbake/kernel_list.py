@@ -11,6 +11,7 @@ out of date costs time, and nothing else.
 
 from __future__ import annotations
 
+import gc
 import importlib
 import json
 import os
@@ -22,6 +23,7 @@ from typing import Any, NamedTuple
 
 FILE = Path(__file__).with_name("kernels.json")
 PREFIX = "navbake."
+BETWEEN_COLLECTIONS = 200_000  # objects that are made, net, before Python looks for garbage
 RAYS = "navbake.baker.kernels.rays"  # its kernels call MuJoCo
 
 
@@ -149,4 +151,5 @@ def compile_listed(modules: Iterable[str], share: float, parent: int) -> None:
 
 def main() -> None:
     """Compile beside another process, see `navbake.dispatch`: the arguments are JSON."""
+    gc.set_threshold(BETWEEN_COLLECTIONS, *gc.get_threshold()[1:])
     compile_listed(**json.loads(sys.argv[1]))

@@ -29,6 +29,8 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult
 from numba.core.runtime import _nrt_python
 
+from navbake.compiler.shortcuts import NoMachineCode, library_class
+
 MADE_FOR = "0.68."
 
 
@@ -43,18 +45,27 @@ class LoadedLibrary(JITCodeLibrary):
     @classmethod
     def _unserialize(cls, codegen: Any, state: tuple[str, str, Any]) -> Any:
         name, kind, data = state
-        if kind != "object":
-            return super()._unserialize(codegen, state)
         library = cls(codegen, name)
-        machine_code, library._bitcode = data
-        engine = codegen._engine._ee
-        engine.add_object_file(binding.object_file.ObjectFileRef.from_data(machine_code))
-        engine.finalize_object()
+        library._has_machine_code = kind == "object"
+        if library._has_machine_code:
+            machine_code, library._bitcode = data
+            engine = codegen._engine._ee
+            engine.add_object_file(binding.object_file.ObjectFileRef.from_data(machine_code))
+            engine.finalize_object()
+        else:  # only other kernels call it, see `LeanLibrary`
+            library._bitcode = data
         library._finalized = True
         return library
 
+    @property
+    def codegen(self) -> Any:
+        """What keeps the environments of machine code."""
+        return self._codegen if self._has_machine_code else NoMachineCode(self._codegen)
+
     def get_pointer_to_function(self, name: str) -> int:
-        """The address of a function that the machine code defines."""
+        """The address of a function that the machine code defines; 0 if there is none."""
+        if not self._has_machine_code:
+            return 0
         address: int = self._codegen._engine.get_function_address(name)
         return address
 
@@ -104,9 +115,6 @@ def rebuild(target_context: Any, payload: tuple[Any, ...]) -> Any:
     _name_runtime()
     codegen = target_context.codegen()
     *most, referenced = payload
-    codegen._library_class = LoadedLibrary  # over its class's; numba's lock is held
-    try:
+    with library_class(codegen, LoadedLibrary):
         used = tuple(each for each in referenced if len(each.consts))
         return CompileResult._rebuild(target_context, *most, used)
-    finally:
-        del codegen._library_class
