@@ -7,8 +7,8 @@ numba leaves to its users are settled here, for navbake's kernels and no others:
   only be read is used where its code is fresh, as in a container that was warmed up.
 - Broken files of the cache are replaced.
 - Of several processes that need the same code, one compiles it and the others wait. Where there is
-  more than one core and much to compile, the first process starts others that compile from the
-  other end of the list of kernels, see `kernel_list`; they end when it does.
+  more than one core and much to compile, the first process starts others that compile what it
+  will need later on, see `kernel_list`; they end when it does.
 - What takes long is told to the logger ``navbake.compiled`` before it begins.
 
 Source: numba's `Dispatcher.enable_caching` is what ``@njit(cache=True)`` calls on what it made;
@@ -75,6 +75,10 @@ class Kernel(CPUDispatcher):
             finally:
                 self._cache.release()
                 _tell_progress()
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """What numba calls it by in another kernel: one code for a type, whatever the constants."""
+        return super().get_call_template([numba.types.unliteral(each) for each in args], kws)
 
     def compile_if_free(self, sig: Any) -> None:
         """Compile for a signature, unless that is done or another process is doing it."""
@@ -266,10 +270,10 @@ def announce(kernel: Kernel) -> None:
     """
     if kernel._is_counted:
         return
-    costs: dict[str, float] = {}
-    for entry in read_list().entries:
-        costs[entry.name] = costs.get(entry.name, 0.0) + entry.seconds
     new = [k for k in KERNELS if k is kernel or (not k._is_counted and k.is_cold())]
+    costs: dict[str, float] = {}
+    for entry in read_list().cold(k.full_name for k in new)[0]:
+        costs[entry.name] = costs.get(entry.name, 0.0) + entry.seconds
     # what only kernels call is part of the costs of those
     seconds = sum(costs.get(k.full_name, 0.0 if costs else SECONDS) for k in new)
     if seconds < 1:
@@ -277,7 +281,7 @@ def announce(kernel: Kernel) -> None:
     for k in new:
         k._is_counted = True
     can_share = bool(costs) and isinstance(kernel._cache, KernelCache)
-    helpers = _start_helpers(kernel, seconds) if can_share else 0
+    helpers = _start_helpers(kernel, new, seconds) if can_share else 0
     seconds /= 1 + 0.8 * helpers
     about = f"about {seconds:.0f} s" if seconds < 60 else f"about {seconds / 60:.1f} minutes"
     if isinstance(kernel._cache, MemoryCache):
@@ -289,7 +293,7 @@ def announce(kernel: Kernel) -> None:
         LOGGER.warning(f"compiling for this machine, once: {about}")
 
 
-def _start_helpers(kernel: Kernel, seconds: float) -> int:
+def _start_helpers(kernel: Kernel, new: list[Kernel], seconds: float) -> int:
     """Start processes that compile what this one will need; how many of them there are now.
 
     Of processes that start at once, one does so, as far as they use the same folder.
@@ -303,7 +307,7 @@ def _start_helpers(kernel: Kernel, seconds: float) -> int:
         return 0
     if not folder_lock(Path(kernel._cache.cache_path)).try_acquire("helpers"):
         return 0
-    modules = sorted({k.__module__ for k in KERNELS})
+    cold = [k.full_name for k in new]
     root = str(Path(__file__).parents[1])
     # Modules are found where this process finds them, and not in the current folder first, as with
     # -c; after all others in the path: the folder that holds navbake may hold anything.
@@ -313,7 +317,7 @@ def _start_helpers(kernel: Kernel, seconds: float) -> int:
     if numba.config.CACHE_DIR:
         environment["NUMBA_CACHE_DIR"] = numba.config.CACHE_DIR
     for number in range(count):
-        task = {"modules": modules, "share": number / count, "parent": os.getpid()}
+        task = {"cold": cold, "number": number, "count": count, "parent": os.getpid()}
         with suppress(OSError):
             _helpers.append(
                 subprocess.Popen(

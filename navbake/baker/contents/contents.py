@@ -196,7 +196,7 @@ def _list_level(
     lattice, shapes = columns.lattice, tiled.shapes
     boxes = (shapes.solids, shapes.planes, tiled.tiles, groups)
     geometry = ((shapes.solids, tiled.facets, shapes.planes), tiled.tiles, groups)
-    num_tiles = count_tiles.py_func(lattice)
+    num_tiles = count_tiles(lattice)
     footprint = Footprint.of(agent, lattice.cell_size)
     floor = level.floor.ravel()
     ceiling = np.maximum(top, floor + agent.height) - TOUCH
