@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 FILE = Path(__file__).with_name("kernels.json")
 PREFIX = "navbake."
 BETWEEN_COLLECTIONS = 200_000  # objects that are made, net, before Python looks for garbage
-START = 2.0  # what a process that helps takes until it compiles, as long as compiling that takes [s]
+START = 2.0  # how long a process that helps takes until it compiles [s]
 RAYS = "navbake.baker.kernels.rays"  # its kernels call MuJoCo
 
 

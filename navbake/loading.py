@@ -12,7 +12,7 @@ slower.
 """
 
 # numba has few types
-# mypy: disable-error-code="attr-defined,no-untyped-call,misc"
+# mypy: disable-error-code="attr-defined,call-arg,no-untyped-call,misc"
 
 from __future__ import annotations
 

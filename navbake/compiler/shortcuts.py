@@ -8,8 +8,8 @@ They leave out work whose result nobody uses, so that the code that comes out do
 - Which variables a statement has, and which options a function, is found out with fewer calls.
 - Python looks for garbage seldom: a compiler makes much, and little of it are circles.
 
-Source: `CPUCodeLibrary`, `InlineWorker`, `Inst` and `TargetConfig` of numba 0.68. With other versions, kernels are compiled
-as numba does it, which is slower.
+Source: `CPUCodeLibrary`, `InlineWorker`, `Inst` and `TargetConfig` of numba 0.68. With other
+versions, kernels are compiled as numba does it, which is slower.
 """
 
 # numba has few types
@@ -100,7 +100,7 @@ def _inline_function(
     """`InlineWorker.inline_function` without copies."""
     callee = worker.run_untyped_passes(function)
     copy = inline_closurecall.copy
-    inline_closurecall.copy = NO_COPIES
+    inline_closurecall.copy = NO_COPIES  # type: ignore[assignment]
     try:
         free = function.__code__.co_freevars
         return worker.inline_ir(caller, block, i, callee, free, arg_typs=types)
@@ -126,7 +126,7 @@ def _kind_of(cls: type) -> type | None:
 
 def _list_vars(statement: ir.Inst, value: Any) -> list[ir.Var]:
     """`Inst._rec_list_vars`: the variables in a field of a statement."""
-    kind = _kind_of(type(value))
+    kind = _kind_of(type(value))  # type: ignore[arg-type]
     if kind is None:
         return []
     if kind is ir.Var:
@@ -140,7 +140,7 @@ def _list_vars(statement: ir.Inst, value: Any) -> list[ir.Var]:
 
 
 # What is put in place of what while navbake's kernels are compiled
-REPLACED = (
+REPLACED: tuple[tuple[Any, str, Any], ...] = (
     (InlineWorker, "inline_function", _inline_function),
     (TargetConfig, "values", _values),
     (ir.Inst, "_rec_list_vars", _list_vars),

@@ -38,7 +38,9 @@ def check_hull(model, corners):
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     offset = np.einsum("ij,ij->i", normal, corners[:, 0])
     assert (points @ normal.T <= offset + 1e-6).all()
-    edges = {(a.tobytes(), b.tobytes()) for t in corners for a, b in zip(t, t[[1, 2, 0]])}
+    edges = {
+        (a.tobytes(), b.tobytes()) for t in corners for a, b in zip(t, t[[1, 2, 0]], strict=True)
+    }
     assert len(edges) == 3 * len(corners) and all((b, a) in edges for a, b in edges)
 
 
