@@ -22,7 +22,7 @@ from navbake.errors import (
 from navbake.navgrid.operations import OPERATIONS, resolve
 
 if TYPE_CHECKING:
-    from navbake import samples
+    from navbake import samples, tensors
     from navbake.arena.explored import ExploredMap
     from navbake.auditor.audit import audit
     from navbake.baker.pipeline import bake
@@ -57,6 +57,7 @@ __all__ = [
     "load",
     "load_voxels",
     "samples",
+    "tensors",
     "verify",
 ]
 
@@ -77,6 +78,8 @@ _LAZY = {
     "verify": "navbake.verifier.verify:verify",
 }
 
+_MODULES = ("samples", "tensors")  # of navbake, loaded when they are first asked for
+
 # where the functions behind methods of grids and voxels are
 OPERATIONS |= {
     "grid.at": "navbake.runtime.places.place:place_at",
@@ -85,14 +88,15 @@ OPERATIONS |= {
     "grid.inflate": "navbake.runtime.inflation.inflate:inflate",
     "grid.inflate_footprint": "navbake.runtime.inflation.footprint:inflate_footprint",
     "grid.save": "navbake.formats.navgrid:write_navgrid",
+    "grid.tensors": "navbake.tensors.build:make_tensors",
     "grid.values_at": "navbake.runtime.places.place:values_at",
     "voxels.save": "navbake.formats.voxels:write_voxels",
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name == "samples":
-        return importlib.import_module("navbake.samples")
+    if name in _MODULES:
+        return importlib.import_module(f"navbake.{name}")
     if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = resolve(_LAZY[name])
@@ -101,4 +105,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_LAZY, "samples"})
+    return sorted({*globals(), *_LAZY, *_MODULES})

@@ -85,7 +85,6 @@ class Kernel(CPUDispatcher):
         cache = self._cache
         if isinstance(cache, KernelCache) and cache.try_lock():
             self.compile(sig)
-            cache.release()
 
     @property
     def full_name(self) -> str:

@@ -89,7 +89,7 @@ def _replace(temporary: Path, target: Path, unless_changed: FileState | None) ->
     if unless_changed is None:
         _rename(temporary, target)
         return
-    with _folder_lock(target.parent):
+    with _only_writer(target.parent):
         if file_state(target) != unless_changed:
             why = "another process wrote it meanwhile, and that is kept"
             raise FileExistsError(errno.EEXIST, why, str(target))
@@ -108,7 +108,7 @@ def _rename(temporary: Path, target: Path) -> None:
 
 
 @contextmanager
-def _folder_lock(folder: Path) -> Iterator[None]:
+def _only_writer(folder: Path) -> Iterator[None]:
     """Let one process at a time look at a folder's files and replace one; as far as it locks."""
     if fcntl is None:
         yield

@@ -61,34 +61,28 @@ class FolderLock:
         nothing is waited for, and it counts as taken.
         """
         end = time.monotonic() + seconds
-        while self._is_held_by_other(name):
+        while self._take(name) is False:
             if time.monotonic() > end:
                 return False
             time.sleep(WAIT)
         return True
 
-    def _is_held_by_other(self, name: str) -> bool:
-        """Take a lock; whether another process has it."""
+    def try_acquire(self, name: str) -> bool:
+        """Take a lock, unless another process has it or there are no locks here."""
+        return self._take(name) is True
+
+    def _take(self, name: str) -> bool | None:
+        """Take a lock; False if another process has it, None if there are no locks here."""
         if fcntl is None:
-            return False
+            return None
         try:
             file = self._open()
         except OSError:
-            return False
+            return None
         try:
             fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _place_of(name))
         except OSError as error:
-            return error.errno in (errno.EACCES, errno.EAGAIN)
-        return False
-
-    def try_acquire(self, name: str) -> bool:
-        """Take a lock, unless another process has it or there are no locks here."""
-        if fcntl is None:
-            return False
-        try:
-            fcntl.lockf(self._open(), fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _place_of(name))
-        except OSError:
-            return False
+            return False if error.errno in (errno.EACCES, errno.EAGAIN) else None
         return True
 
     def _open(self) -> int:

@@ -32,10 +32,9 @@ def assert_true(
         AssertionError: they disagree; the message lists the first places.
     """
     report = verify(grid, scene, **options)
-    lines = [f"{f.kind}, level {f.level}, {f.position}: {f.text}" for f in report.findings[:SHOWN]]
-    more = len(report.findings) - len(lines)
-    lines += [f"and {more} more"] if more else []
-    assert report.ok, "\n".join([f"{report.scene_id}: grid and scene disagree", *lines])
+    if not report.ok:
+        places = [f"{f.kind}, level {f.level}, {f.position}: {f.text}" for f in report.findings]
+        raise AssertionError(_list(f"{report.scene_id}: grid and scene disagree", places))
     return report
 
 
@@ -54,5 +53,12 @@ def assert_sound(grid: NavGrid | str | PathLike[str], *, remarks: bool = True) -
     """
     report = audit(grid)
     found = report.remarks if remarks else report.errors
-    assert not found, "\n".join([f"{report.scene_id}:", *map(str, found[:SHOWN])])
+    if found:
+        raise AssertionError(_list(f"{report.scene_id}: an audit finds", list(map(str, found))))
     return report
+
+
+def _list(head: str, places: list[str]) -> str:
+    """A message of a line and the first places, one a line."""
+    rest = len(places) - SHOWN
+    return "\n".join([head, *places[:SHOWN], *([f"and {rest} more"] if rest > 0 else [])])

@@ -40,7 +40,7 @@ VERIFIER_SHARES += ("navbake.baker.scene.chatter",)
 # what the scene has besides, made by code that is checked
 VERIFIER_LEAVES = ("shapes", "bounds")
 LIGHT = ("navgrid", "formats", "runtime", "voxels", "arena", "views", "files", "errors", "types")
-LIGHT += ("auditor",)
+LIGHT += ("auditor", "tensors")
 NEVER_AT_RUN_TIME = ("mujoco", "fcl", "trimesh", "navbake.baker")
 
 

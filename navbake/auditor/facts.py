@@ -8,13 +8,16 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from navbake.auditor.inflation import Inflation, read_inflation
 from navbake.errors import FormatError
 from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.grid_base import GridBase
-from navbake.types import Bool, Float, Int, Vector3
+from navbake.navgrid.lattice import FARTHEST
+from navbake.navgrid.rooms import Room
+from navbake.types import Bool, Float, Int, Json, Vector3
 
-SLACK = 1e-5  # metres that a step may be over the highest one, and that float32 may be off
+SLACK = 1e-6  # metres that a step may be over the highest one
 
 
 class Facts:
@@ -23,13 +26,11 @@ class Facts:
     Attributes:
         grid: the grid, without what is blocked for a while.
         levels: its levels.
-        step: the highest step [m].
     """
 
     def __init__(self, grid: GridBase) -> None:
         self.grid: GridBase = grid.without_blocks()
         self.levels: list[SceneGrid2D] = self.grid.levels
-        self.step = self.grid.max_step
 
     @cached_property
     def free(self) -> list[Bool]:
@@ -39,7 +40,25 @@ class Facts:
     @cached_property
     def floors(self) -> list[Float]:
         """The floors of each level, NaN for none [m]."""
-        return [level.floor_height.astype(np.float64) * level.unit for level in self.levels]
+        return [level.floor for level in self.levels]
+
+    @cached_property
+    def step_limit(self) -> float:
+        """How far apart floors of one walk may be: a step, and what float32 rounds off [m]."""
+        highest = max(float(np.nanmax(np.abs(floor), initial=0)) for floor in self.floors)
+        rounding = float(np.spacing(np.float32(min(highest, FARTHEST))))
+        return self.grid.max_step + SLACK + rounding
+
+    @cached_property
+    def settings(self) -> Json:
+        """The settings that the grid states; {} for none."""
+        stated = self.grid.navbake.get("settings")
+        return stated if isinstance(stated, dict) else {}
+
+    @cached_property
+    def inflation(self) -> Inflation:
+        """What the grid says of its inflation."""
+        return read_inflation(self.grid)
 
     @cached_property
     def doors(self) -> tuple[Door, ...]:
@@ -48,6 +67,14 @@ class Facts:
             return self.grid.doors
         except FormatError:
             return ()
+
+    @cached_property
+    def rooms(self) -> tuple[Room, ...] | None:
+        """The rooms; None where the table is broken, which a check tells."""
+        try:
+            return self.grid.rooms
+        except FormatError:
+            return None
 
     @cached_property
     def links(self) -> Int:
@@ -60,11 +87,18 @@ class Facts:
     @cached_property
     def door_cells(self) -> list[Bool]:
         """The cells of each level that a door blocks in any state."""
+        return self._cells_of([(door, state) for door in self.doors for state in door.cells])
+
+    @cached_property
+    def standing_doors(self) -> list[Bool]:
+        """The cells of each level that a door blocks as it stands."""
+        return self._cells_of([(door, door.state) for door in self.doors])
+
+    def _cells_of(self, doors: list[tuple[Door, str]]) -> list[Bool]:
         masks = [np.zeros(level.shape, dtype=np.bool_) for level in self.levels]
-        for door in self.doors:
-            for state in door.cells:
-                for mask, cells in zip(masks, door.cells_in(state, len(masks)), strict=True):
-                    mask.ravel()[cells] = True
+        for door, state in doors:
+            for mask, cells in zip(masks, door.cells_in(state, len(masks)), strict=True):
+                mask.ravel()[cells] = True
         return masks
 
     @cached_property
@@ -88,11 +122,11 @@ class Facts:
         return np.cumsum([0, *(level.width * level.height for level in self.levels)])
 
     def place(self, number: int, row: int, col: int) -> Vector3:
-        """World x, y and z of a cell; its level's ground where it has no floor [m]."""
+        """World x, y and z of a cell; its level's ground where its floor is at no height [m]."""
         level = self.levels[number]
         x, y = level.lattice.positions(row, col).tolist()
         z = float(self.floors[number][row, col])
-        return x, y, level.ground if np.isnan(z) else z
+        return x, y, z if np.isfinite(z) else level.ground
 
     def first(self, number: int, mask: Bool) -> Vector3:
         """The place of the first marked cell of a level."""
@@ -105,7 +139,7 @@ class Facts:
         one, other = [], []
         for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
             with np.errstate(invalid="ignore"):
-                too_high = np.abs(floor[here] - floor[there]) > self.step + SLACK
+                too_high = np.abs(floor[here] - floor[there]) > self.step_limit
             both = mask[here] & mask[there] & ~too_high
             one.append(ids[here][both])
             other.append(ids[there][both])

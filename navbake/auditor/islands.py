@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from navbake.auditor.facts import SLACK, Facts
+from navbake.auditor.facts import Facts
 from navbake.auditor.report import REMARK, Remark
 from navbake.types import Int
 
@@ -59,7 +59,7 @@ def _gaps(facts: Facts, number: int, island: Int) -> dict[tuple[int, int], set[i
         one, other = island[before], island[after]
         between = (island[here] == 0) & (one > 0) & (other > 0) & (one != other)
         with np.errstate(invalid="ignore"):
-            between &= ~(np.abs(floor[before] - floor[after]) > facts.step + SLACK)
+            between &= ~(np.abs(floor[before] - floor[after]) > facts.step_limit)
         between &= ~np.isnan(floor[here])
         pairs = np.sort(np.stack([one[between], other[between]], axis=1), axis=1)
         for (a, b), cell in zip(pairs.tolist(), ids[here][between].tolist(), strict=True):

@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
 from navbake.auditor.facts import Facts
-from navbake.auditor.report import ERROR, REMARK, Remark
+from navbake.auditor.report import ERROR, REMARK, Remark, count_of
 from navbake.errors import FormatError
+from navbake.navgrid.lattice import FARTHEST
 from navbake.types import Bool
 
 ALIGNED = 1e-3  # share of a cell that lattices may be off
 BOX_SLACK = 1e-4  # metres that a cell may lie beside its level's box
 MOST_TAKEN = 0.5  # share of a level's free cells that may lie in lower levels' boxes
+MAX_SLOPE = 45.0  # of ramps, where the bake states no other [degrees]
 NEXT = 1.5  # cells that the ends of a link may be apart, seen from above
+
+
+def check_lattices(facts: Facts) -> Iterator[Remark]:
+    """A level lies nowhere, or its cells have no size."""
+    for number, level in enumerate(facts.levels):
+        lattice = level.lattice
+        if not 0 < lattice.cell_size < math.inf:
+            text = f"its cells have a size of {lattice.cell_size:g} m"
+            yield Remark("levels", ERROR, number, None, text)
+        if not all(map(math.isfinite, (lattice.x_min, lattice.y_max, level.ground))):
+            yield Remark("levels", ERROR, number, None, "its corner is at no place")
 
 
 def check_order(facts: Facts) -> Iterator[Remark]:
@@ -84,7 +99,7 @@ def _in_box(facts: Facts, number: int, box: tuple[tuple[float, ...], ...] | None
 
 
 def check_links(facts: Facts) -> Iterator[Remark]:
-    """Links lead to cells that there aren't, that have no floor, or that are far away."""
+    """Links lead to cells that there aren't, that have no floor, that are far away, or too high."""
     try:
         links = facts.grid.link_array
     except FormatError as error:
@@ -100,29 +115,58 @@ def check_links(facts: Facts) -> Iterator[Remark]:
             places[here, 2] = facts.floors[number][rows, cols]
         ends.append(places)
     one, other = ends
+    rise, limit = np.abs(one - other)[:, 2], _highest_rise(facts)
     far = np.hypot(*(one - other)[:, :2].T) > NEXT * facts.levels[0].lattice.cell_size
     for wrong, what in (
-        (np.isnan(one[:, 2]) | np.isnan(other[:, 2]), "lead to cells without a floor"),
-        (far, "join cells that aren't neighbours"),
+        (np.isnan(rise), "to cells without a floor"),
+        (far, "to cells that aren't neighbours"),
+        (rise > limit, f"up by more than {limit:.2f} m"),
     ):
         if wrong.any():
-            k = int(np.argmax(wrong))
+            k = int(np.nanargmax(np.where(wrong, np.nan_to_num(rise), -1.0)))
             x, y, z = one[k].tolist()
-            number = int(links[k, 0])
+            number, count = int(links[k, 0]), int(wrong.sum())
             place = (x, y, facts.levels[number].ground if np.isnan(z) else z)
-            yield Remark("links", ERROR, number, place, f"{int(wrong.sum())} links {what}")
+            text = f"{count_of(count, 'link')} lead{'s' if count == 1 else ''} {what}"
+            text += f": {rise[k]:.2f} m" if what.startswith("up") else ""
+            yield Remark("links", ERROR, number, place, text)
+
+
+def _highest_rise(facts: Facts) -> float:
+    """The most that a link may rise: a step, or what a slope rises more than that over a cell [m].
+
+    A bake links neighbours more than a step apart where a ramp leads on, which its own slope tells
+    within a step.
+    """
+    stated: Any = facts.grid.navbake.get("maxSlope")
+    is_angle = type(stated) in (int, float) and 0 <= stated < 90
+    slope = stated if is_angle else MAX_SLOPE
+    ramp = facts.levels[0].lattice.cell_size * math.tan(math.radians(slope))
+    return facts.step_limit + (ramp if ramp > facts.step_limit else 0.0)
 
 
 def check_agent(facts: Facts) -> Iterator[Remark]:
-    """The agent can't be: it has no height, takes steps as high as itself, or fills rooms."""
+    """The agent can't be: its sizes are none, or it takes steps as high as itself."""
     grid = facts.grid
-    for key in ("agentHeight", "agentRadius", "traversableFloorHeight"):
+    for key, taken, what in (
+        ("agentHeight", grid.agent_height, "> 0"),
+        ("agentRadius", grid.agent_radius, ">= 0"),
+        ("traversableFloorHeight", grid.max_step, ">= 0"),
+    ):
         stated = grid.metadata.get(key)
-        if stated is not None and (not isinstance(stated, int | float) or stated < 0):
-            yield Remark("agent", ERROR, None, None, f"`{key}` is {stated!r}, which is no length")
+        if stated is not None and not _is_length(stated, grid.unit, or_zero=what != "> 0"):
+            text = f"`{key}` is {stated!r}, which is no length {what}: it counts as {taken:g} m"
+            yield Remark("agent", ERROR, None, None, text)
     if grid.max_step >= grid.agent_height:
         text = f"the agent of {grid.agent_height:g} m takes steps of {grid.max_step:g} m"
         yield Remark("agent", ERROR, None, None, text)
     if grid.agent_radius > 5:
         text = f"the agent has a radius of {grid.agent_radius:g} m: is the unit right?"
         yield Remark("agent", REMARK, None, None, text)
+
+
+def _is_length(stated: object, unit: float, *, or_zero: bool) -> bool:
+    """Whether a value of the metadata is a length that a grid may have."""
+    if not isinstance(stated, int | float) or isinstance(stated, bool):
+        return False
+    return (stated > 0 or (or_zero and stated == 0)) and stated * unit <= FARTHEST

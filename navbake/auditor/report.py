@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-from navbake.types import Json, Vector3
+import numpy as np
+
+from navbake.types import Bool, Json, Vector3
+
+if TYPE_CHECKING:
+    from navbake.auditor.facts import Facts
 
 ERROR, REMARK = "error", "remark"
 
@@ -14,7 +21,7 @@ class Remark:
     """One thing that a person would notice.
 
     Attributes:
-        check: the check that found it, a key of `navbake.auditor.audit.CHECKS`.
+        check: what it is about, in a word or two.
         severity: ERROR for what can't be right, REMARK for what may be meant.
         level: the level, 0 is the lowest; None for the whole grid.
         place: world x, y, z [m]; None where no place is meant.
@@ -72,3 +79,19 @@ class AuditReport:
             "checks": list(self.checks),
             "remarks": [remark.to_json() for remark in self.remarks],
         }
+
+
+def count_of(count: int, what: str) -> str:
+    """How many of something, in words."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def remark_on_cells(
+    facts: Facts, check: str, number: int, mask: Bool, what: str
+) -> Iterator[Remark]:
+    """One error on all marked cells of a level, with the place of the first; nothing on none."""
+    count = int(np.count_nonzero(mask))
+    if count:
+        verb = ("have", "has") if what.startswith("a ") else ("are", "is")
+        text = f"{count_of(count, 'cell')} {verb[count == 1]} {what}"
+        yield Remark(check, ERROR, number, facts.first(number, mask), text)

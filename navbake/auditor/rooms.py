@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 
 from navbake.auditor.facts import Facts
-from navbake.auditor.report import ERROR, REMARK, Remark
+from navbake.auditor.report import ERROR, REMARK, Remark, count_of
 from navbake.errors import FormatError
-from navbake.navgrid.rooms import Room
+from navbake.navgrid.doors import Door
+from navbake.navgrid.rooms import measure_rooms
 from navbake.types import Int, Vector3
 
 AREA_OFF = 0.01  # share of a room's area that its entry may be off
+PLACE_OFF = 0.1  # cells that a room's entry may lie beside its cells
 MIN_FREE = 1.0  # area of a room that one can stand on, if it is to need a door [m²]
 
 
@@ -28,6 +31,7 @@ def check_room_table(facts: Facts) -> Iterator[Remark]:
     known = {(room.level, room.index): room for room in stated}
     for number, level in enumerate(facts.levels):
         count = np.bincount(level.room_index.ravel())
+        measured = {room.index: room for room in measure_rooms(level, number)}
         for index in np.flatnonzero(count).tolist():
             if index and (number, index) not in known:
                 text = f"{count[index]} cells are in room {index}, which no entry describes"
@@ -40,10 +44,16 @@ def check_room_table(facts: Facts) -> Iterator[Remark]:
             area = cells * level.lattice.cell_size**2
             if not cells:
                 text = f"room {room.name or room.id!r} has no cells"
-                yield Remark("room table", ERROR, number, _centroid(room), text)
-            elif abs(area - room.area) > AREA_OFF * max(area, room.area):
+                yield Remark("room table", ERROR, number, room.centroid, text)
+                continue
+            axes = 3 if level.uses_cell_floors else 2  # else its z isn't that of the floors
+            off = math.dist(measured[index].centroid[:axes], room.centroid[:axes])
+            if abs(area - room.area) > AREA_OFF * max(area, room.area):
                 text = f"room {room.name or room.id!r} has {area:.2f} m², not {room.area:.2f}"
-                yield Remark("room table", ERROR, number, _centroid(room), text)
+                yield Remark("room table", ERROR, number, room.centroid, text)
+            elif off > PLACE_OFF * level.lattice.cell_size:
+                text = f"room {room.name or room.id!r} lies {off:.2f} m from where its entry says"
+                yield Remark("room table", ERROR, number, measured[index].centroid, text)
 
 
 def check_rooms_without_door(facts: Facts) -> Iterator[Remark]:
@@ -74,28 +84,46 @@ def check_doors(facts: Facts) -> Iterator[Remark]:
     """A door joins a room to itself, or to none that there is; or its cells aren't as it says."""
     try:
         doors = facts.grid.doors
-        rooms = {room.id for room in facts.grid.rooms}
     except FormatError as error:
         yield Remark("doors", ERROR, None, None, str(error))
         return
-    occupied = [level.occupancy != 0 for level in facts.levels]
+    rooms = facts.rooms
     for door in doors:
-        place, level = _place_of(facts, [door.cells_in(s, len(occupied)) for s in door.cells])
+        place, level = _place_of(facts, [door.cells_in(s, len(facts.levels)) for s in door.cells])
         pair = [room for room in door.rooms if room is not None]
         if len(pair) == 2 and pair[0] == pair[1]:
             text = f"door {door.id!r} joins room {pair[0]!r} to itself"
             yield Remark("doors", REMARK, level, place, text)
-        for room in sorted(set(pair) - rooms):
+        for room in sorted(set(pair) - {r.id for r in rooms}) if rooms is not None else ():
             text = f"door {door.id!r} joins room {room!r}, which there isn't"
             yield Remark("doors", ERROR, level, place, text)
-        standing = door.cells_in(door.state, len(occupied))
-        num_open = sum(
-            int(np.count_nonzero(~mask.ravel()[cells]))
-            for mask, cells in zip(occupied, standing, strict=True)
-        )
+        num_open, num_full = _contradictions(facts, door)
+        stands = "stands as modelled" if door.state == "modelled" else f"is {door.state}"
         if num_open:
-            text = f"door {door.id!r} is {door.state}, but {num_open} of its cells aren't occupied"
+            text = f"door {door.id!r} {stands}, but {num_open} of its cells aren't occupied"
             yield Remark("doors", ERROR, level, place, text)
+        if num_full:
+            cells = f"{count_of(num_full, 'cell')} {'is' if num_full == 1 else 'are'} occupied"
+            text = f"door {door.id!r} {stands}, but {cells} that it blocks in other states only"
+            yield Remark("doors", ERROR, level, place, text)
+
+
+def _contradictions(facts: Facts, door: Door) -> tuple[int, int]:
+    """How many cells of a door contradict its state: free ones that it blocks, and others.
+
+    A door lists the cells that nothing else blocks but other doors. So those that it blocks in
+    other states only have to be free, unless another door stands there.
+    """
+    num_open = num_full = 0
+    for number, level in enumerate(facts.levels):
+        occupied = level.occupancy.ravel() != 0
+        of_states = [door.cells_in(state, len(facts.levels))[number] for state in door.cells]
+        stands = door.cells_in(door.state, len(facts.levels))[number]
+        away = np.setdiff1d(np.concatenate([stands, *of_states]), stands)
+        away = away[~facts.standing_doors[number].ravel()[away]]
+        num_open += int(np.count_nonzero(~occupied[stands]))
+        num_full += int(np.count_nonzero(occupied[away]))
+    return num_open, num_full
 
 
 def _place_of(facts: Facts, states: list[list[Int]]) -> tuple[Vector3 | None, int | None]:
@@ -108,13 +136,5 @@ def _place_of(facts: Facts, states: list[list[Int]]) -> tuple[Vector3 | None, in
 
 
 def _name(facts: Facts, level: int, index: int) -> str:
-    try:
-        rooms = facts.grid.rooms
-    except FormatError:
-        return str(index)
-    found = [room for room in rooms if (room.level, room.index) == (level, index)]
+    found = [room for room in facts.rooms or () if (room.level, room.index) == (level, index)]
     return repr(found[0].name or found[0].id) if found else str(index)
-
-
-def _centroid(room: Room) -> Vector3:
-    return room.centroid

@@ -6,7 +6,7 @@ scipy has such functions, but takes longer to load than the apartment to bake.
 import numpy as np
 
 from navbake.navgrid.kernels.connect import number_parts
-from navbake.types import Bool, Int, Int32
+from navbake.types import Int, Int32
 
 
 def connect(pairs: Int, count: int) -> Int32:
@@ -34,13 +34,3 @@ def touching(cells: Int, width: int) -> Int:
         meets = (cells[place] == beside) & (col + right >= 0) & (col + right < width)
         pairs.append(np.stack([np.flatnonzero(meets), place[meets]]))
     return np.concatenate(pairs, axis=1)
-
-
-def grow(mask: Bool) -> Bool:
-    """A mask and the cells beside it, over edges: its dilation by one cell."""
-    grown = mask.copy()
-    grown[1:] |= mask[:-1]
-    grown[:-1] |= mask[1:]
-    grown[:, 1:] |= mask[:, :-1]
-    grown[:, :-1] |= mask[:, 1:]
-    return grown

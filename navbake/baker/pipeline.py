@@ -158,7 +158,8 @@ def _verified(
     }
     own: Json = {**grid.navbake, "verified": verified}
     if found:
-        text = f"verify: MuJoCo and FCL disagree with the grid at {found} places of {sample} cells"
+        places = f"{found} place{'s' if found > 1 else ''}, with {report.checked} cells looked at"
+        text = f"verify: MuJoCo and FCL disagree with the grid at {places}"
         own["warnings"] = [*grid.warnings, f"{text}; navbake verify lists them"]
     metadata = {**grid.metadata, "navbake": own}
     checked: SceneGrid2D | MultiLevelGrid = grid.with_levels(grid.levels, metadata)

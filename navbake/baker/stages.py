@@ -42,8 +42,6 @@ from navbake.navgrid.lattice import Lattice
 from navbake.threads import limit_threads
 from navbake.types import Bool, Float, Int
 
-STAGES = ("scene", "columns", "floors", "occupancy", "contents", "rooms", "doors", "grid")
-
 
 def bake_stages(
     config: BakeConfig | str | PathLike[str] | Mapping[str, Any],

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from typer import Exit, Option
+from typer import BadParameter, Exit, Option
 
 import navbake
 from navbake.cli.options import (
@@ -64,6 +64,8 @@ def verify(
 
     The exit status is 1 if they disagree.
     """
+    if which.every and which.sample != SAMPLE:
+        raise BadParameter("expected one of them", param_hint="--sample, --all")
     if output is not None:
         check_output(output, ".png", inputs=[grid, *([scene] if scene else [])])
     from navbake.verifier.verify import verify as compare  # loads MuJoCo
@@ -125,6 +127,7 @@ def audit(
     if output is not None:
         check_output(output, ".png", inputs=[grid])
     from navbake.auditor.audit import audit as look_at  # loads numpy
+    from navbake.auditor.report import count_of
 
     content = navbake.load(grid)
     report = look_at(content)
@@ -134,9 +137,9 @@ def audit(
         else:
             for remark in report.remarks:
                 say(remark)
-            num_errors = len(report.errors)
-            others = len(report.remarks) - num_errors
-            say(f"{len(report.checks)} checks: {num_errors} errors, {others} remarks")
+            errors = count_of(len(report.errors), "error")
+            others = count_of(len(report.remarks) - len(report.errors), "remark")
+            say(f"{len(report.checks)} checks: {errors}, {others}")
     if output is not None:
         marks = []
         for remark in report.remarks:

@@ -21,7 +21,7 @@ from navbake.navgrid.grid_base import GridBase
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.level_metadata import cut_metadata
 from navbake.navgrid.user_data import UserData
-from navbake.types import Bool, Json, Vector3
+from navbake.types import Bool, Float, Int, Json, Vector3
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -144,6 +144,15 @@ class SceneGrid2D(GridBase):
             return _derived(np.where(has_floor, np.float32(self.min_yup[1]), np.float32(np.nan)))
         with np.errstate(over="ignore"):  # what float32 can't hold is infinite
             return stored if stored.dtype == np.float32 else _derived(stored.astype(np.float32))
+
+    @property
+    def floor(self) -> Float:
+        """World z of the floor [m], shape (height, width), float64, NaN for no floor."""
+        return self.floor_of(slice(None), slice(None))
+
+    def floor_of(self, rows: Int | slice, cols: Int | slice) -> Float:
+        """World z of the floor of some cells [m], float64, NaN for no floor; see `floor_height`."""
+        return self.floor_height[rows, cols].astype(np.float64) * self.unit
 
     @property
     def occupancy(self) -> NDArray[np.uint8]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from itertools import chain
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.navgrid import cells, door_states
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from navbake.navgrid.grid import SceneGrid2D
     from navbake.runtime.blocks.block import Block
     from navbake.runtime.places.place import Place
+    from navbake.tensors.grid_tensors import GridTensors
 
 Table = TypeVar("Table")
 
@@ -228,6 +230,26 @@ class GridBase:
         """
         values: NDArray[Any] = operation("grid.values_at")(self, layer, positions, level)
         return values
+
+    def tensors(
+        self,
+        xp: Any = np,
+        *,
+        device: Any = None,
+        dtype: str | None = None,
+        goals: Sequence[Any] = (),
+        max_drop: float = 0.5,
+        cut_corners: bool = False,
+    ) -> GridTensors:
+        """The grid as arrays of numpy, PyTorch, JAX or another library, for `navbake.tensors`.
+
+        See `navbake.tensors.make_tensors` for the arguments, and for several grids at once.
+        """
+        made: GridTensors = operation("grid.tensors")(
+            self, xp, device=device, dtype=dtype, goals=goals, max_drop=max_drop,
+            cut_corners=cut_corners,
+        )  # fmt: skip
+        return made
 
     def inflate(
         self,

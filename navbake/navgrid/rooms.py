@@ -134,7 +134,7 @@ def measure_rooms(level: SceneGrid2D, number: int) -> list[Room]:
     They are sorted by index, have the id ``level:index``, and neither name nor neighbours.
     """
     x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
-    floor = level.floor_height.astype(np.float64) * level.unit
+    floor = level.floor
     z = np.where(np.isnan(floor), level.ground, floor)
     index = level.room_index.ravel()
     # bincount with weights sums the coordinates of all rooms' cells in one pass

@@ -171,7 +171,7 @@ def flatten(grid: NavGrid) -> FlatGrid:
 def _flat_floor(level: SceneGrid2D) -> Float:
     if not level.uses_cell_floors:
         return np.full(level.width * level.height, level.ground)
-    return level.floor_height.ravel().astype(np.float64) * level.unit
+    return level.floor.ravel()
 
 
 def _link_lists(links: Int, start: Int) -> tuple[Int, Int, Int]:

@@ -44,7 +44,7 @@ class FloorCheck:
     def __init__(self, grid: GridBase, lines: Lines, agent: Agent, crack: float = CRACK) -> None:
         self._levels, self._lines, self._crack = grid.levels, lines, crack
         self.agent = agent
-        self._floors = [level.floor_height.astype(np.float64) * level.unit for level in grid.levels]
+        self._floors = [level.floor for level in grid.levels]
         self._free = [level.free for level in grid.levels]
         self._lattices = [level.lattice for level in grid.levels]
         self.line_at = lru_cache(maxsize=200_000)(self._line_at)

@@ -100,7 +100,7 @@ def take_sample(grid: GridBase, number: int | None, seed: int) -> list[LevelSamp
 
 def _sample_level(number: int, level: SceneGrid2D, cells: Int) -> LevelSample:
     rows, cols = np.divmod(cells, level.width)
-    floor = level.floor_height[rows, cols].astype(np.float64) * level.unit
+    floor = level.floor_of(rows, cols)
     xy = level.lattice.positions(rows, cols).reshape(-1, 2)
     free, occupied = level.free[rows, cols], level.occupancy[rows, cols] != 0
     return LevelSample(number, level, rows, cols, xy, floor, free, occupied)

@@ -106,10 +106,10 @@ def _find_file(grid: GridBase, stated: Json, grid_path: Path | None) -> Path:
     for folder in folders:
         if (folder / Path(name).name).is_file():
             return folder / Path(name).name
-    where = " or ".join(str(folder) if str(folder) != "." else "here" for folder in folders)
+    names = [str(folder) if str(folder) != "." else "the current folder" for folder in folders]
     raise QueryError(
         f"the scene {Path(name).name} that {grid.scene_id or 'the grid'} was baked from isn't in "
-        f"{where}: give its path, or the settings of its bake"
+        f"{' or '.join(names)}: give its path, or the settings of its bake"
     )
 
 
@@ -125,5 +125,5 @@ def _compare_scenes(grid: GridBase, scene: Scene, config: BakeConfig, *, force: 
         f"pose (their digests differ; the bake's MuJoCo was {version})"
     )
     if not force:
-        raise QueryError(f"{text}: force the comparison if that is meant")
+        raise QueryError(f"{text}: --force, or force=True, compares them anyway")
     return [text]

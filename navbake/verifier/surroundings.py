@@ -16,7 +16,7 @@ class Surroundings:
 
     def __init__(self, grid: GridBase, step: float) -> None:
         self._step, self._levels = step, grid.levels
-        self._floors = [level.floor_height.astype(np.float64) * level.unit for level in grid.levels]
+        self._floors = [level.floor for level in grid.levels]
         self._occupied = [level.solid != 0 for level in grid.levels]
 
     def floors_under(

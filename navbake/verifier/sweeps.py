@@ -141,7 +141,7 @@ class _Sweep:
         rows, cols = level.lattice.rows_cols(points)
         inside = (rows >= 0) & (cols >= 0) & (rows < level.height) & (cols < level.width)
         rows, cols = np.where(inside, rows, 0), np.where(inside, cols, 0)
-        floors = level.floor_height[rows, cols].astype(np.float64) * level.unit
+        floors = level.floor_of(rows, cols)
         return np.where(inside, floors, np.nan)
 
     def _touch(

@@ -61,7 +61,8 @@ def describe(grid: NavGrid) -> Json:
 
 def _describe_level(level: SceneGrid2D, island: Int32) -> Json:
     cell_area = level.lattice.cell_size**2
-    floor = level.floor_height[np.isfinite(level.floor_height)].astype(np.float64) * level.unit
+    floor = level.floor
+    floor = floor[np.isfinite(floor)]
     island_sizes = np.bincount(island.ravel())[1:]
     return {
         "width": level.width,

@@ -29,16 +29,20 @@ class House(NamedTuple):
 
 def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
     """The rows by name, each made when it is asked for."""
+    return {
+        name: lambda make=make: make(house_of(scenes))  # type: ignore[misc]
+        for name, make in ROWS.items()
+    }
 
-    @cache
-    def house() -> House:
-        path = scenes.folder / "main.grid.json"
-        if not path.exists():
-            settings = {"scene": {"path": str(scenes.main)}, "grid": {"cell_size": CELL}}
-            navbake.bake(settings).save(path)
-        return House(path, navbake.load(path))
 
-    return {name: lambda make=make: make(house()) for name, make in ROWS.items()}  # type: ignore[misc]
+@cache
+def house_of(scenes: Scenes) -> House:
+    """The grid of the main house; baked once."""
+    path = scenes.folder / "main.grid.json"
+    if not path.exists():
+        settings = {"scene": {"path": str(scenes.main)}, "grid": {"cell_size": CELL}}
+        navbake.bake(settings).save(path)
+    return House(path, navbake.load(path))
 
 
 def load_row(house: House) -> Row:

@@ -6,7 +6,7 @@ import copy
 import json
 import re
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -14,23 +14,97 @@ import pytest
 import navbake
 from grid_maps import house_from, level_from
 from navbake.auditor.audit import CHECKS
+from navbake.auditor.facts import Facts
 from navbake.auditor.report import ERROR, REMARK
+from navbake.errors import FormatError
+from navbake.navgrid.islands import clearance, find_islands
 from navbake.testing import assert_sound
 from project_paths import GOLDEN
 
 SAMPLES = sorted(path.name for path in GOLDEN.glob("*.grid.json.gz"))
-PLANTS: dict[str, tuple[str, Callable[[Any], Any], str, str]] = {}
-"""A sample, the fault that is planted into it, how bad it is, and what is said of it."""
+Where = Callable[[Any], list[tuple[int, int]]]
 
 
-def plant(sample: str, severity: str, text: str) -> Callable[[Any], Any]:
-    """Register a function that plants a fault into a sample's grid."""
+class Plant(NamedTuple):
+    """A fault that is planted into a sample's grid, and what is said of it.
+
+    Attributes:
+        sample: the sample.
+        change: what plants it.
+        severity, text: of what is said.
+        where: the levels and cells, one of which is named; None for those whose layers change.
+            The number of a level that is named without a place; -1 for neither.
+    """
+
+    sample: str
+    change: Callable[[Any], Any]
+    severity: str
+    text: str
+    where: Where | int | None
+
+
+PLANTS: dict[str, Plant] = {}
+"""The faults by their names."""
+
+
+def plant(
+    sample: str, severity: str, text: str, where: Where | int | None = None
+) -> Callable[[Any], Any]:
+    """Register a function that plants a fault into a sample's grid; see `Plant`."""
 
     def register(change: Any) -> Any:
-        PLANTS[change.__name__] = (sample, change, severity, text)
+        PLANTS[change.__name__] = Plant(sample, change, severity, text, where)
         return change
 
     return register
+
+
+def changed_cells(name: str, grid: Any) -> list[tuple[int, int]]:
+    """The levels and cells where a layer of a sample was changed."""
+    found = []
+    for number, (level, old) in enumerate(zip(grid.levels, load(name).levels, strict=True)):
+        changed = level.weights != old.weights
+        for key, values in level.attributes.items():
+            before = old.attributes.get(key)
+            if before is not None:
+                changed |= (values != before) & ~((values != values) & (before != before))
+        if "clearance" in level.attributes and "clearance" not in old.attributes:
+            changed |= level.attributes["clearance"] != clearance(old)
+        if "island" in level.attributes and "island" not in old.attributes:
+            changed |= level.attributes["island"] != find_islands(old)[0]
+        found += [(number, cell) for cell in np.flatnonzero(changed).tolist()]
+    return found
+
+
+def of_level(number: int) -> Where:
+    """All free cells of a level."""
+    return lambda grid: [(number, int(k)) for k in np.flatnonzero(grid.levels[number].free)]
+
+
+def of_room(name: str) -> Where:
+    """The cells of a room on the lowest level."""
+
+    def find(grid: Any) -> list[tuple[int, int]]:
+        index = next(room.index for room in grid.rooms if room.name == name)
+        return [(0, int(k)) for k in np.flatnonzero(grid.levels[0].room_index == index)]
+
+    return find
+
+
+def of_door(name: str) -> Where:
+    """The cells that a door blocks in any state."""
+
+    def find(grid: Any) -> list[tuple[int, int]]:
+        door = next(door for door in grid.doors if door.id == name)
+        states = [door.cells_in(state, len(grid.levels)) for state in door.cells]
+        return [(k, int(c)) for levels in states for k, cells in enumerate(levels) for c in cells]
+
+    return find
+
+
+def of_first_link(grid: Any) -> list[tuple[int, int]]:
+    """Where the first link begins."""
+    return [(grid.links[0].level, grid.links[0].cell)]
 
 
 def load(sample: str) -> Any:
@@ -66,24 +140,24 @@ def restated(grid: Any, **changes: Any) -> Any:
 # ---------------------------------------------------------------- faults
 
 
-@plant("apartment", REMARK, "all 8000 cells are free")
+@plant("apartment", REMARK, "all 8000 cells are free", -1)
 def everything_free(grid):
     grid.weights[:], grid.attributes["occupancy"][:] = 1.0, 0
     return restated(grid, rooms=None, doors=[])
 
 
-@plant("house", ERROR, "no cell is free, on any level")
+@plant("house", ERROR, "no cell is free, on any level", -1)
 def everything_blocked(grid):
     for level in grid.levels:
         block(level, np.s_[:])
 
 
-@plant("house", ERROR, r"level 1: none of its \d+ cells with a floor is free")
+@plant("house", ERROR, r"level 1: none of its \d+ cells with a floor is free", 1)
 def upper_level_blocked(grid):
     block(grid.levels[1], np.s_[:])
 
 
-@plant("house", ERROR, "level 1: no floor")
+@plant("house", ERROR, "level 1: no floor", 1)
 def upper_level_empty(grid):
     block(grid.levels[1], np.s_[:])
     grid.levels[1].attributes["floorHeight"][:] = np.nan
@@ -114,22 +188,75 @@ def floor_far_away(grid):
     grid.attributes["floorHeight"][np.unravel_index(0, grid.shape)] = 5e6
 
 
-@plant("apartment", ERROR, r"the floor of one free cell jumps by 0\.80 m")
+@plant("apartment", ERROR, r"0.01 m² of floor \(1 cell\) lies 0\.80 m above all round it")
 def floor_jumps(grid):
     row, col = np.argwhere(eroded(grid.free))[50].tolist()
     grid.attributes["floorHeight"][row, col] += 0.8
 
 
-@plant("apartment", ERROR, "the layer `island` isn't what is connected")
+def floor_patch(grid: Any, size: int) -> Any:
+    """A square of free cells, with free cells all round it."""
+    inside = grid.free
+    for _ in range(size // 2 + 1):
+        inside = eroded(inside)
+    row, col = np.argwhere(inside)[len(np.argwhere(inside)) // 2].tolist()
+    row, col = row - size // 2, col - size // 2
+    return np.s_[row : row + size, col : col + size]
+
+
+@plant("apartment", ERROR, r"0\.09 m² of floor \(9 cells\) lies 0\.80 m above all round it")
+def raised_patch(grid):
+    grid.attributes["floorHeight"][floor_patch(grid, 3)] += 0.8
+
+
+@plant("apartment", ERROR, r"0\.09 m² of floor \(9 cells\) lies 0\.30 m below all round it")
+def sunken_patch(grid):
+    grid.attributes["floorHeight"][floor_patch(grid, 3)] -= 0.3
+
+
+@plant("warehouse", REMARK, r"1\.21 m² of floor \(121 cells\) lies 1\.00 m above all round it")
+def platform_without_steps(grid):
+    grid.levels[0].attributes["floorHeight"][floor_patch(grid.levels[0], 11)] += 1.0
+
+
+@plant("apartment", REMARK, r"lies 0\.80 m above most of what is round it")
+def raised_corner_of_a_room(grid):
+    corners = grid.free.copy()
+    for away in ((-1, 0), (0, -1)):
+        corners &= ~np.roll(grid.free, (-away[0], -away[1]), (0, 1))
+    for row, col in np.argwhere(corners).tolist():
+        if grid.free[row : row + 4, col : col + 4].all():
+            grid.attributes["floorHeight"][row : row + 3, col : col + 3] += 0.8
+            return
+
+
+@plant("apartment", REMARK, r"a gap 0\.10 m wide is blocked by one cell, and cuts off \d\.\d m²")
+def one_cell_between_two_halves(grid):
+    kitchen = np.argwhere(
+        grid.room_index == next(r.index for r in grid.rooms if r.name == "kitchen")
+    )
+    col = int(np.median(kitchen[:, 1]))
+    rows = kitchen[kitchen[:, 1] == col][:, 0]
+    block(grid, (rows, col))
+    row = next(r for r in rows[3:] if grid.free[r, col - 1] and grid.free[r, col + 1])
+    grid.attributes["occupancy"][row, col] = 0
+    return grid
+
+
+@plant("apartment", REMARK, r"only 5 of \d+ cells are free", of_level(0))
+def hardly_any_cell_is_free(grid):
+    where = np.nonzero(grid.free)
+    block(grid, (where[0][5:], where[1][5:]))
+
+
+@plant("apartment", ERROR, "1 cell has a number in the layer `island` that isn't what is connected")
 def wrong_islands(grid):
-    grid.attributes["island"] = grid.free.astype(np.uint16)
-    grid.attributes["island"][free_cell(grid)] = 2
+    grid.attributes["island"] = find_islands(grid)[0].astype(np.uint16)
+    grid.attributes["island"][free_cell(grid)] = 9
 
 
 @plant("apartment", ERROR, "1 cell has a wrong `clearance`")
 def wrong_clearance(grid):
-    from navbake.navgrid.islands import clearance
-
     grid.attributes["clearance"] = clearance(grid)
     grid.attributes["clearance"][free_cell(grid)] += 0.5
 
@@ -140,19 +267,40 @@ def room_without_entry(grid):
     index[index == 2] = 40
 
 
-@plant("apartment", ERROR, "room 'cellar' has no cells")
+@plant(
+    "apartment", ERROR, "room 'cellar' has no cells", lambda grid: of_room(grid.rooms[0].name)(grid)
+)
 def entry_without_cells(grid):
     room = {**grid.navbake["rooms"][0], "index": 9, "id": "cellar", "name": "cellar"}
     return restated(grid, rooms=[*grid.navbake["rooms"], room])
 
 
-@plant("apartment", ERROR, r"room 'kitchen' has 8\.00 m², not 12\.00")
+@plant(
+    "apartment", ERROR, r"room 'kitchen' lies 0\.07 m from where its entry says", of_room("kitchen")
+)
+def shifted_by_half_a_cell(grid):
+    x, y, z = grid.min_yup
+    grid.min_yup = (x + grid.cell_size / 2, y, z + grid.cell_size / 2)
+
+
+@plant(
+    "apartment",
+    ERROR,
+    r"room 'kitchen' lies \d\.\d\d m from where its entry says",
+    of_room("kitchen"),
+)
+def mirrored_map(grid):
+    layers = {name: array[:, ::-1].copy() for name, array in grid.attributes.items()}
+    return grid.with_layers(weights=grid.weights[:, ::-1].copy(), attributes=layers)
+
+
+@plant("apartment", ERROR, r"room 'kitchen' has 8\.00 m², not 12\.00", of_room("kitchen"))
 def wrong_area(grid):
     rooms = [{**r, "area": 12.0} if r["name"] == "kitchen" else r for r in grid.navbake["rooms"]]
     return restated(grid, rooms=rooms)
 
 
-@plant("apartment", REMARK, r"room 'kitchen' of .* m² has no door")
+@plant("apartment", REMARK, r"room 'kitchen' of .* m² has no door", of_room("kitchen"))
 def walled_up_room(grid):
     kitchen = next(room for room in grid.rooms if room.name == "kitchen")
     inside = grid.room_index == kitchen.index
@@ -161,7 +309,12 @@ def walled_up_room(grid):
     return restated(grid, doors=[])
 
 
-@plant("apartment", REMARK, "door 'door_kitchen' joins room 'kitchen' to itself")
+@plant(
+    "apartment",
+    REMARK,
+    "door 'door_kitchen' joins room 'kitchen' to itself",
+    of_door("door_kitchen"),
+)
 def door_to_itself(grid):
     doors = [
         {**door, "rooms": ["kitchen", "kitchen"]} if door["id"] == "door_kitchen" else door
@@ -170,7 +323,12 @@ def door_to_itself(grid):
     return restated(grid, doors=doors)
 
 
-@plant("apartment", ERROR, "door 'door_kitchen' joins room 'sauna', which there isn't")
+@plant(
+    "apartment",
+    ERROR,
+    "door 'door_kitchen' joins room 'sauna', which there isn't",
+    of_door("door_kitchen"),
+)
 def door_to_nowhere(grid):
     doors = [
         {**door, "rooms": ["kitchen", "sauna"]} if door["id"] == "door_kitchen" else door
@@ -179,7 +337,12 @@ def door_to_nowhere(grid):
     return restated(grid, doors=doors)
 
 
-@plant("apartment", ERROR, r"door 'door_kitchen' is closed, but \d+ of its cells aren't occupied")
+@plant(
+    "apartment",
+    ERROR,
+    r"door 'door_kitchen' is closed, but \d+ of its cells aren't occupied",
+    of_door("door_kitchen"),
+)
 def door_of_another_state(grid):
     doors = [
         {**door, "state": "closed"} if door["id"] == "door_kitchen" else door
@@ -188,46 +351,75 @@ def door_of_another_state(grid):
     return restated(grid, doors=doors)
 
 
-@plant("house", REMARK, r"level 1 .*no link leads to its \d+\.\d m²")
+@plant(
+    "apartment",
+    ERROR,
+    r"door 'door_kitchen' is removed, but \d+ cells are occupied that it blocks in other states",
+    of_door("door_kitchen"),
+)
+def door_that_was_not_removed(grid):
+    doors = [
+        {**door, "state": "removed"} if door["id"] == "door_kitchen" else door
+        for door in grid.navbake["doors"]
+    ]
+    return restated(grid, doors=doors)
+
+
+@plant("house", REMARK, r"level 1 .*no link leads to its \d+\.\d m²", of_level(1))
 def level_without_links(grid):
     return restated(grid, links=[])
 
 
-@plant("house", ERROR, "its ground, .* is below that of the level before")
+@plant("house", ERROR, "its ground, .* is below that of the level before", 1)
 def levels_upside_down(grid):
     return grid.with_levels(grid.levels[::-1], {**grid.metadata, "navbake": {}})
 
 
-@plant("house", ERROR, r"its cells lie 0\.400 of a cell beside")
+@plant("house", ERROR, r"its cells lie 0\.400 of a cell beside", 1)
 def levels_on_two_lattices(grid):
     x, y, z = grid.levels[1].min_yup
     grid.levels[1].min_yup = (x + 0.04, y, z)
 
 
-@plant("house", ERROR, "its floors are those of the level before, cell by cell")
+@plant("house", ERROR, "its corner is at no place", 1)
+def level_at_no_place(grid):
+    grid.levels[1].min_yup = (0.0, float("nan"), 0.0)
+
+
+@plant("apartment", ERROR, "its cells have a size of -0.1 m", 0)
+def cells_without_size(grid):
+    grid.cell_size = -0.1
+
+
+@plant("apartment", ERROR, r"8000 cells are farther than 10000 m from 0")
+def floors_without_end(grid):
+    grid.attributes["floorHeight"][:] = np.inf
+
+
+@plant("house", ERROR, "its floors are those of the level before, cell by cell", 1)
 def level_twice(grid):
     first = grid.levels[0]
     return grid.with_levels([first, first.with_layers()], {**grid.metadata, "navbake": {}})
 
 
-@plant("house", ERROR, r"\d+ free cells lie outside of its box")
+@plant("house", ERROR, r"\d+ free cells lie outside of its box", of_level(0))
 def box_without_its_cells(grid):
     low, high = grid.levels[0].bbox_yup
     grid.levels[0].bbox_yup = (low[0], 1.0, low[2]), high
 
 
-@plant("house", REMARK, r"\d+ free cells lie in the box of a lower level, too")
+@plant("house", REMARK, r"\d+ free cells lie in the box of a lower level, too", of_level(1))
 def boxes_that_overlap(grid):
     low, high = grid.levels[0].bbox_yup
     grid.levels[0].bbox_yup = low, (high[0], 50.0, high[2])
 
 
-@plant("house", ERROR, "expected an existing cell, got 99999999")
+@plant("house", ERROR, "expected an existing cell, got 99999999", -1)
 def link_to_no_cell(grid):
     return restated(grid, links=[[0, 99999999, 1, 0]])
 
 
-@plant("house", ERROR, "links join cells that aren't neighbours")
+@plant("house", ERROR, "1 link leads to cells that aren't neighbours", of_first_link)
 def link_that_is_far(grid):
     links = [list(link) for link in grid.navbake["links"]]
     level = grid.levels[1]
@@ -235,17 +427,52 @@ def link_that_is_far(grid):
     return restated(grid, links=links)
 
 
-@plant("apartment", ERROR, r"the agent of 1\.14 m takes steps of 2 m")
+@plant("house", ERROR, r"1 link leads up by more than 0\.25 m: 3\.00 m", of_first_link)
+def link_up_a_storey(grid):
+    above, below = grid.levels[1].lattice, grid.levels[0].lattice
+    row, col = np.argwhere(grid.levels[1].free)[300].tolist()
+    under = below.rows_cols(above.positions(row, col))
+    links = [[0, int(under[0] * below.width + under[1]), 1, row * above.width + col]]
+    return restated(grid, links=links + grid.navbake["links"])
+
+
+@plant("apartment", ERROR, r"the agent of 1\.14 m takes steps of 2 m", -1)
 def giant_steps(grid):
     grid.metadata["traversableFloorHeight"] = 2.0
 
 
-@plant("apartment", ERROR, "`agentRadius` is -1, which is no length")
+@plant("apartment", ERROR, "`agentRadius` is -1, which is no length >= 0: it counts as 0 m", -1)
 def negative_radius(grid):
     grid.metadata["agentRadius"] = -1
 
 
-@plant("apartment", ERROR, "expected .* at `metadata.navbake.rooms")
+@plant("apartment", ERROR, "`agentHeight` is 0, which is no length > 0: it counts as 1.14 m", -1)
+def agent_without_height(grid):
+    grid.metadata["agentHeight"] = 0
+
+
+@plant("apartment", ERROR, r"`inflation\[0\]` is .*None.*, expected its radius", -1)
+def inflation_without_radius(grid):
+    grid.metadata["inflation"] = [{"radius": None, "mode": "exact"}]
+
+
+@plant("apartment", ERROR, "1 cell is blocked by weight, but not occupied$")
+def blocked_by_a_broken_inflation(grid):
+    grid.metadata["inflation"] = "x"
+    grid.weights[free_cell(grid)] = np.inf
+
+
+@plant(
+    "apartment", ERROR, r"1 cell is blocked .* nothing that an inflation avoids is within 0\.1 m"
+)
+def blocked_farther_than_inflated(grid):
+    inflated = grid.inflate(0.1)
+    middle = np.argmax(np.where(inflated.free, clearance(grid), 0))
+    inflated.weights.ravel()[middle] = np.inf
+    return inflated
+
+
+@plant("apartment", ERROR, "expected .* at `metadata.navbake.rooms", -1)
 def broken_room_table(grid):
     return restated(grid, rooms=[{"index": "one"}])
 
@@ -268,14 +495,116 @@ def test_has_nothing_to_say_about_the_samples(name):
 
 @pytest.mark.parametrize("name", PLANTS)
 def test_names_what_was_planted(name):
-    sample, change, severity, text = PLANTS[name]
+    """With its place, and nothing that the sample's grid has already."""
+    sample, change, severity, text, where = PLANTS[name]
     grid = load(sample)
     grid = change(grid) or grid
     report = navbake.audit(grid)
-    said = "\n".join(str(r) for r in report.remarks if r.severity == severity)
-    assert re.search(text, said), said or [str(r) for r in report.remarks]
+    said = [r for r in report.remarks if r.severity == severity and re.search(text, str(r))]
+    assert len(said) == 1, [str(r) for r in report.remarks]
+    (found,) = said
+    if isinstance(where, int):
+        assert (found.level, found.place) == (None if where < 0 else where, None)
+    else:
+        cell = grid.cell_at(found.place, found.level)
+        width = grid.levels[cell.level].width
+        cells = changed_cells(sample, grid) if where is None else where(grid)
+        assert (cell.level, cell.row * width + cell.col) in cells
     assert report.ok == (not report.errors)
     assert json.loads(json.dumps(report.to_json(), allow_nan=False))["ok"] == report.ok
+
+
+def test_faults_of_many_kinds_are_planted():
+    """At least twenty, and each check sees one."""
+    assert len({(plant.sample, plant.text) for plant in PLANTS.values()}) == len(PLANTS) >= 20
+    blind = dict(CHECKS)
+    for plant in PLANTS.values():
+        grid = load(plant.sample)
+        facts = Facts(plant.change(grid) or grid)
+        for name, check in list(blind.items()):
+            said = [str(r) for r in check(facts) if r.severity == plant.severity]
+            if any(re.search(plant.text, text) for text in said):
+                del blind[name]
+    assert not blind
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_has_no_errors_to_say_about_what_is_made_of_samples(name):
+    """Inflated in all ways, with doors in all states, and blocked for a while."""
+    grid = navbake.load(GOLDEN / name)
+    ways: list[dict[str, Any]] = [
+        {"radius": 0.3},
+        {"radius": 0.2, "ledges": "ignore"},
+        {"radius": 0.2, "clearance": 0.3, "mode": "minos"},
+        {"radius": 1.5, "clearance": 0.3},
+    ]
+    made = [grid.inflate(**way) for way in ways]
+    made += [grid.with_doors({d.id: state}) for d in grid.doors for state in d.states]
+    for other in made:
+        assert_sound(other, remarks=False)
+    with grid.block(disc=(grid.rooms[0].centroid, 0.5)):
+        assert_sound(grid)
+        assert_sound(grid.inflate(0.2), remarks=False)
+
+
+@pytest.mark.parametrize("broken", ["x", 3, {}, [None], [{}], [{"radius": None}], [[1]], [True]])
+@pytest.mark.parametrize("entry", [{"radius": "x"}, {"radius": True}, {"radius": float("nan")}])
+def test_a_broken_note_on_an_inflation_is_told(broken, entry):
+    """It counts for nothing, also beside one that is whole."""
+    grid = load("apartment")
+    whole = {"radius": 0.1, "clearance": 0.0, "mode": "exact"}
+    for stated in (broken, [{**whole, **entry}], [whole, {**whole, **entry}]):
+        grid.metadata["inflation"] = stated
+        (error,) = navbake.audit(grid).errors
+        assert error.check == "inflation" and "expected" in error.text
+    grid.metadata["inflation"] = broken
+    grid.weights[free_cell(grid)] = np.inf
+    assert {error.check for error in navbake.audit(grid).errors} == {"inflation", "weights"}
+    foreign = {key: value for key, value in grid.metadata.items() if key != "navbake"}
+    said = navbake.audit(grid.with_levels([grid], foreign)).remarks
+    assert [r.severity for r in said if r.check == "inflation"] == [REMARK]
+
+
+@pytest.mark.parametrize("key", ["agentHeight", "agentRadius", "traversableFloorHeight"])
+@pytest.mark.parametrize("value", [-1, "1.14", True, float("nan"), float("inf"), 1e11, [1]])
+def test_sizes_of_an_agent_that_are_none(key, value):
+    grid = load("apartment")
+    grid.metadata[key] = value
+    (error,) = navbake.audit(grid).errors
+    assert error.check == "agent" and f"`{key}` is {value!r}, which is no length" in error.text
+
+
+def test_two_doors_may_share_cells():
+    """A cell that another door blocks, as it stands, is no fault of this one."""
+    level = level_from("..........\n....##....\n..........", cell_size=0.5)
+    leaf = {"joint": None, "rooms": [], "cells": {"closed": [[0, [14, 1]]], "open": [[0, [15, 1]]]}}
+    other = {"joint": None, "rooms": [], "cells": {"closed": [[0, [14, 2]]]}}
+    doors = [{"id": "a", "state": "open", **leaf}, {"id": "b", "state": "closed", **other}]
+    level.metadata["navbake"] = {"doors": doors}
+    assert not navbake.audit(level).errors
+    doors[1]["state"] = "removed"
+    level.metadata["navbake"] = {"doors": [*doors]}
+    errors = navbake.audit(level).errors
+    assert [e.text for e in errors] == [
+        "door 'a' is open, but 1 cell is occupied that it blocks in other states only",
+        "door 'b' is removed, but 1 cell is occupied that it blocks in other states only",
+    ]
+
+
+def test_a_terrace_is_no_patch():
+    """Higher than one neighbour and lower than the other; so is a gallery that stairs lead to."""
+    terraces = level_from("\n".join(["....4444....8888"] * 12).replace("....8", "4448"))
+    assert not [r for r in navbake.audit(terraces).remarks if r.check == "jumps"]
+    gallery = level_from("." * 9 + "\n" + "\n".join(["..99999.."] * 5) + "\n..97531..")
+    assert not [r for r in navbake.audit(gallery).remarks if r.check == "jumps"]
+    cut = level_from("." * 9 + "\n" + "\n".join(["..99999.."] * 5) + "\n" + "." * 9)
+    assert [r.severity for r in navbake.audit(cut).remarks if r.check == "jumps"] == [ERROR]
+
+
+@pytest.mark.parametrize("grid", [None, 5, [1], b"{}", np.zeros((3, 3))])
+def test_what_is_no_grid_is_refused(grid):
+    with pytest.raises(FormatError, match="expected a grid or the path of its file, got"):
+        navbake.audit(grid)
 
 
 CUT = """

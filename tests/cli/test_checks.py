@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import navbake
+from navbake.baker import pipeline
 
 
 @pytest.fixture
@@ -36,7 +37,7 @@ def test_verify_finds_the_scene_by_its_name(room, run):
     Path("room.xml").rename("elsewhere.xml")
     status, out, err = run("verify", "room.grid.json")
     assert (status, out) == (1, "") and err.count("\n") == 1
-    assert "the scene room.xml that room was baked from isn't in here" in err
+    assert "the scene room.xml that room was baked from isn't in the current folder" in err
     status, _, err = run("verify", "room.grid.json", "--scene", "gone.xml")
     assert status == 1 and "no scene at gone.xml: it may have moved" in err
 
@@ -60,6 +61,8 @@ def test_verify_looks_at_a_sample_or_at_all(room, run):
     for options, count in ((("--sample", 10), 10), (("--all",), 96), (("--sample", 1000), 96)):
         _, out, _ = run("verify", "room.grid.json", "--json", *options)
         assert json.loads(out)["checked"] == count
+    status, out, err = run("verify", "room.grid.json", "--sample", 10, "--all")
+    assert (status, out) == (2, "") and "expected one of them" in err
     status, out, err = run("verify", "room.grid.json", "--sample", 0)
     assert (status, out) == (1, "") and "a sample of at least 1 cell" in err
 
@@ -69,8 +72,60 @@ def test_verify_refuses_another_scene_unless_forced(room, run):
     Path("room.xml").write_text(text.replace('pos="1 0 1"', 'pos="0 0 1"'))
     status, _, err = run("verify", "room.grid.json")
     assert status == 1 and "isn't the scene that the grid was baked from" in err
+    assert "--force, or force=True, compares them anyway" in err
     status, out, _ = run("verify", "room.grid.json", "--force")
     assert status == 1 and "free cell touches" in out
+
+
+@pytest.mark.parametrize("how", ["yaml", "set"])
+def test_a_bake_verifies_its_grid(folder, run, how):
+    """By a setting in the YAML or by --set, with the same bytes each time, by Python as well."""
+    more: tuple[str, ...] = ("--set", "verify.sample=50")
+    if how == "yaml":
+        text = Path("room.yaml").read_text() + "verify: {sample: 50}\n"
+        Path("room.yaml").write_text(text)
+        more = ()
+    for name, jobs in (("one.json", 1), ("two.json", 2)):
+        bake = ("bake", "room.yaml", "-o", name, "--no-timings", "--threads", jobs, *more)
+        assert run(*bake)[0] == 0
+    assert Path("one.json").read_bytes() == Path("two.json").read_bytes()
+    grid = navbake.load("one.json")
+    report = navbake.verify("one.json", "room.yaml", sample=50)
+    verified = {"sample": 50, "cells": 50, "disagreements": 0, "digest": report.digest}
+    assert grid.navbake["verified"] == verified
+    settings = {"scene": {"path": "room.xml"}, "grid": {"cell_size": 0.5}, "verify": {"sample": 50}}
+    baked = navbake.bake(settings)
+    baked.timings = {}
+    baked.save("three.json")
+    assert Path("three.json").read_bytes() == Path("one.json").read_bytes()
+    # and but for what was verified, they are the bytes of a bake without
+    assert run("bake", "room.xml", "-o", "bare.json", "--set", "grid.cell_size=0.5")[0] == 0
+    bare = navbake.load("bare.json")
+    assert bare.navbake == {k: v for k, v in grid.navbake.items() if k != "verified"}
+    np.testing.assert_array_equal(bare.weights, grid.weights)
+
+
+def test_a_bake_says_where_it_disagrees(folder, run, monkeypatch, caplog):
+    build = pipeline.build_grid
+
+    def build_wrong(stages):
+        grid = build(stages)
+        row, col = np.argwhere(grid.occupancy == 1)[0].tolist()
+        grid.weights[row, col], grid.attributes["occupancy"][row, col] = 1.0, 0
+        return grid
+
+    monkeypatch.setattr(pipeline, "build_grid", build_wrong)
+    assert run("bake", "room.yaml", "--set", "verify.sample=200")[0] == 0
+    (record,) = caplog.records
+    text = "verify: MuJoCo and FCL disagree with the grid at 1 place, with 96 cells looked at"
+    assert record.getMessage() == f"room: {text}; navbake verify lists them"
+    grid = navbake.load("room.grid.json")
+    assert grid.navbake["verified"]["disagreements"] == 1 and grid.warnings
+    status, out, _ = run("verify", "room.grid.json")
+    assert status == 1 and "free cell touches: level 0, row" in out
+    status, out, err = run("bake", "room.yaml", "--set", "verify.sample=0")
+    assert (status, out) == (1, "")
+    assert "expected a whole number >= 1, or null, got 0 at `verify.sample`" in err
 
 
 def test_audit_says_that_nothing_is_wrong(folder, run):
@@ -78,7 +133,7 @@ def test_audit_says_that_nothing_is_wrong(folder, run):
     settings = {"scene": {"path": "room.xml"}, "grid": {"cell_size": 0.5}, "rooms": "none"}
     navbake.bake(settings).save("room.grid.json")
     status, out, err = run("audit", "room.grid.json")
-    assert (status, err) == (0, "") and out == "15 checks: 0 errors, 0 remarks\n"
+    assert (status, err) == (0, "") and out == "18 checks: 0 errors, 0 remarks\n"
 
 
 def test_audit_names_errors_and_remarks(room, run):

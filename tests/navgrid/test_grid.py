@@ -59,6 +59,11 @@ def test_lattice_and_ground_are_in_metres_whatever_the_unit():
     assert (lattice.x_min, lattice.y_max, lattice.cell_size) == (0.01, 0.03, 0.0025)
     assert level.ground == 0.005
     assert level.floor_height[0, 0] == np.float32(0.5)  # as in the file
+    assert level.floor[0, 0] == 0.005
+    assert level.floor.dtype == np.float64
+    part, (rows, cols) = level.floor_of(slice(1, 3), slice(0, 2)), np.array([[1, 2], [0, 3]])
+    np.testing.assert_array_equal(part, level.floor[1:3, :2])
+    np.testing.assert_array_equal(level.floor_of(rows, cols), level.floor[rows, cols])
 
 
 def test_named_layers_are_the_attributes_themselves():

@@ -43,6 +43,7 @@ def test_methods_call_what_is_registered(monkeypatch):
         "inflate": (0.1,),
         "inflate_footprint": ((),),
         "save": ("a",),
+        "tensors": (),
         "values_at": ("floor", (0, 0)),
     }
     for method, given in arguments.items():

@@ -328,10 +328,12 @@ def test_a_scene_is_needed(tmp_path, monkeypatch):
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     assert_true(tmp_path / "room.grid.json")  # or beside the grid
-    with pytest.raises(QueryError, match=r"scene\.xml that scene was baked from isn't in here"):
+    with pytest.raises(
+        QueryError, match=r"scene\.xml that scene was baked from isn't in the current folder"
+    ):
         navbake.verify(grid)
     (tmp_path / "scene.xml").rename(tmp_path / "moved.xml")
-    with pytest.raises(QueryError, match=r"isn't in .* or here: give its path"):
+    with pytest.raises(QueryError, match=r"isn't in .* or the current folder: give its path"):
         navbake.verify(tmp_path / "room.grid.json")
     with pytest.raises(QueryError, match=r"no scene at .*scene\.xml: it may have moved"):
         navbake.verify(grid, tmp_path / "scene.xml")

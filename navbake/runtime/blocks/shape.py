@@ -64,7 +64,7 @@ def cells_of_shape(
         return cells_alone(np.empty(0, dtype=np.int64))
     x = lattice.center_x()[col0:col1]
     y = lattice.center_y()[row0:row1, None]
-    floor = level.floor_height[row0:row1, col0:col1].astype(np.float64) * level.unit
+    floor = level.floor_of(slice(row0, row1), slice(col0, col1))
     floor = np.where(np.isnan(floor), level.ground, floor)
     in_band = (shape.bottom < floor + height) & (shape.top > floor + step)
     to_square, gap = _distance(shape, x, y, size / 2), _distance(shape, x, y, 0.0)

@@ -16,10 +16,7 @@ from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.islands import clearance, islands_of
 
 LAYERS: dict[str, tuple[Callable[[NavGrid], list[NDArray[Any]]], float]] = {
-    "floor": (
-        lambda grid: [v.floor_height.astype(np.float64) * v.unit for v in grid.levels],
-        np.nan,
-    ),
+    "floor": (lambda grid: [level.floor for level in grid.levels], np.nan),
     "free": (lambda grid: [level.free for level in grid.levels], False),
     "occupancy": (lambda grid: [level.occupancy for level in grid.levels], 1),
     "weight": (lambda grid: [level.weights.astype(np.float64) for level in grid.levels], np.inf),

@@ -1,0 +1,31 @@
+"""Grids as arrays of numpy, PyTorch, JAX and others: batched questions, on any device.
+
+``t = grid.tensors(torch, device="cuda")`` makes the arrays; the functions here answer questions
+about many positions at once. They are pure: no random state, no loops over data, no branches on
+values. So they run inside ``jax.jit``, ``jax.vmap``, ``torch.vmap`` and ``torch.compile``.
+navbake imports no framework here: it uses the one that the caller hands over, by the Python array
+API (https://data-apis.org/array-api/).
+"""
+
+from navbake.tensors.build import make_tensors
+from navbake.tensors.crops import heights, patch
+from navbake.tensors.draws import sample
+from navbake.tensors.fields import distance_to_goal, path_step
+from navbake.tensors.grid_tensors import GridTensors
+from navbake.tensors.layers import clearance, floor, is_navigable, island, level_at, room
+
+__all__ = [
+    "GridTensors",
+    "clearance",
+    "distance_to_goal",
+    "floor",
+    "heights",
+    "is_navigable",
+    "island",
+    "level_at",
+    "make_tensors",
+    "patch",
+    "path_step",
+    "room",
+    "sample",
+]

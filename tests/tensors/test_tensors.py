@@ -1,0 +1,341 @@
+"""Tensors answer as PathFinder does, on every library, to the last cell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given as given_by
+from hypothesis import settings
+from hypothesis import strategies as st
+
+import navbake
+from grid_maps import level_from, random_house
+from level_maps import stairs
+from navbake import tensors
+from navbake.errors import QueryError
+from navbake.navgrid.islands import clearance
+from navbake.runtime.flat_grid import flatten
+from navbake.runtime.path_finder import PathFinder
+from tensors.libraries import ON_ALL, given, library, positions_over, shown
+
+pytest.importorskip("array_api_compat")
+
+
+class Oracle:
+    """What the run time says of positions, in float64."""
+
+    def __init__(self, grid, positions):
+        self.grid, self.finder, self.flat = grid, PathFinder(grid), flatten(grid)
+        self.positions, self.known = positions, np.isfinite(positions).all(axis=-1)
+        self.cell = np.full(len(positions), -1)
+        self.cell[self.known] = self.flat.cells_at(positions[self.known])
+
+    def layer(self, values, outside):
+        return np.where(self.cell >= 0, values[self.cell], outside)
+
+    def navigable(self):
+        found = np.zeros(len(self.positions), dtype=bool)
+        found[self.known] = self.finder.are_navigable(self.positions[self.known])
+        return found
+
+    def level(self):
+        return np.where(self.cell >= 0, self.flat.level_of(self.cell), -1)
+
+    def room(self):
+        numbers = [self.finder.rooms.number]
+        return self.layer(np.concatenate(numbers), 0)
+
+    def clearance(self):
+        values = np.concatenate([clearance(level).ravel() for level in self.grid.levels])
+        return self.layer(values.astype(np.float64), np.nan)
+
+
+def grid_of(seed):
+    return random_house(np.random.default_rng(seed), num_levels=1 + seed % 3)
+
+
+def with_bad_ones(positions):
+    positions = positions.copy()
+    for k, bad in enumerate(np.ndindex(3, 3)):
+        positions[k, bad[0]] = (np.nan, np.inf, -np.inf)[bad[1]]
+    return positions
+
+
+@ON_ALL
+@pytest.mark.parametrize("seed", range(6))
+def test_every_layer_is_the_run_times(case, seed):
+    name, dtype = case
+    xp, grid = library(name), grid_of(seed)
+    positions = positions_over(grid, np.random.default_rng(seed), 3000, dtype)
+    positions = with_bad_ones(positions)
+    oracle, t = Oracle(grid, positions), grid.tensors(xp, dtype=dtype)
+    p = given(xp, positions, dtype)
+    np.testing.assert_array_equal(shown(tensors.level_at(t, p)), oracle.level())
+    np.testing.assert_array_equal(shown(tensors.is_navigable(t, p)), oracle.navigable())
+    np.testing.assert_array_equal(shown(tensors.room(t, p)), oracle.room())
+    floors = oracle.layer(oracle.flat.floors.z, np.nan).astype(dtype)
+    np.testing.assert_array_equal(shown(tensors.floor(t, p)), floors)
+    nearest = shown(tensors.clearance(t, p, mode="nearest"))
+    np.testing.assert_array_equal(nearest.astype(np.float32), oracle.clearance().astype(np.float32))
+
+
+@settings(max_examples=25, deadline=None)
+@given_by(seed=st.integers(0, 10_000), dtype=st.sampled_from(["float32", "float64"]))
+def test_no_position_is_put_into_a_wrong_cell(seed, dtype):
+    rng = np.random.default_rng(seed)
+    grid = random_house(rng, num_levels=int(rng.integers(1, 4)))
+    shift = rng.choice([0.0, 1e-7, 12.34, -1234.5, 30_000.0])
+    for level in grid.levels:
+        x, y, z = level.min_yup
+        level.min_yup = (x + shift, y, z - shift)
+    positions = positions_over(grid, rng, 2000, dtype)
+    oracle, t = Oracle(grid, positions), grid.tensors(dtype=dtype)
+    p = positions.astype(dtype)
+    np.testing.assert_array_equal(tensors.level_at(t, p), oracle.level())
+    np.testing.assert_array_equal(tensors.is_navigable(t, p), oracle.navigable())
+
+
+def test_large_batches_are_answered_in_pieces_and_alike():
+    grid = grid_of(2)
+    t = grid.tensors()
+    positions = positions_over(grid, np.random.default_rng(0), 120_000)
+    whole = tensors.is_navigable(t, positions.reshape(4, 300, 100, 3))
+    assert whole.shape == (4, 300, 100)
+    parts = [tensors.is_navigable(t, part) for part in positions.reshape(120, 1000, 3)]
+    np.testing.assert_array_equal(whole.ravel(), np.concatenate(parts))
+    steps = tensors.clearance(t, positions)
+    parts = [tensors.clearance(t, part) for part in positions.reshape(120, 1000, 3)]
+    np.testing.assert_array_equal(steps, np.concatenate(parts))
+
+
+@ON_ALL
+def test_distances_and_steps_lead_to_goals(case):
+    name, dtype = case
+    xp, grid = library(name), stairs("##00", "0000", "0000", "0000", "00##")
+    finder = PathFinder(grid)
+    goals = [finder.random_point(np.random.default_rng(0), level=k) for k in (0, 1)]
+    t = grid.tensors(xp, dtype=dtype, goals=goals)
+    starts = finder.random_point(np.random.default_rng(1), 200, anywhere=True).astype(dtype)
+    for k, goal in enumerate(goals):
+        found = shown(tensors.distance_to_goal(t, given(xp, starts, dtype), k))
+        expected = finder.distances(starts.astype(np.float64), goal)
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+        # whoever takes the steps arrives, and has gone no farther than the field says
+        at = starts.astype(np.float64)
+        for _ in range(400):
+            step = shown(tensors.path_step(t, given(xp, at, dtype), k)).astype(np.float64)
+            assert np.isfinite(step).all()
+            lengths = np.hypot(*step.T)
+            assert np.all((lengths < 1e-12) | (np.abs(lengths - 1) < 1e-5))
+            at[:, :2] += 0.02 * step
+            at[:, 2] = finder.many.snap(at)[:, 2]
+        arrived = shown(tensors.distance_to_goal(t, given(xp, at, dtype), k))
+        assert (arrived < 0.15).all()
+
+
+def test_beside_the_grid_and_off_the_way():
+    grid = level_from("..#..\n..#..\n..#..")
+    t = grid.tensors(goals=[(0.05, -0.05, 0.0)])
+    p = np.array([[0.35, -0.05, 0.1], [5.0, 5.0, 0.1], [np.nan, 0, 0], [0.05, -0.25, 0.1]])
+    distance, step = tensors.distance_to_goal(t, p), tensors.path_step(t, p)
+    assert distance[0] == np.inf and np.isnan(distance[1:3]).all()
+    assert distance[3] == pytest.approx(0.2)
+    assert np.isnan(step[:3]).all()
+    np.testing.assert_allclose(step[3], [0.0, 1.0], atol=1e-9)
+    assert (tensors.path_step(t, np.array([0.02, -0.02, 0.1])) == 0).all()
+
+
+@ON_ALL
+def test_bilinear_clearance(case):
+    name, dtype = case
+    xp, grid = library(name), level_from("....\n....\n....\n...#")
+    t = grid.tensors(xp, dtype=dtype)
+    values = clearance(grid).astype(np.float64)
+    at_centers = [[0.05 + 0.1 * c, -0.05 - 0.1 * r, 0.0] for r, c in np.ndindex(4, 4)]
+    found = shown(tensors.clearance(t, given(xp, at_centers, dtype)))
+    np.testing.assert_allclose(found, values.ravel(), atol=1e-6)
+    between = shown(tensors.clearance(t, given(xp, [[0.175, -0.22, 0.0]], dtype)))
+    rows = values[1:3, 1:3] @ [0.75, 0.25]
+    np.testing.assert_allclose(between, [rows @ [0.3, 0.7]], atol=1e-6)
+    corner = shown(tensors.clearance(t, given(xp, [[0.001, -0.001, 0.0]], dtype)))
+    np.testing.assert_allclose(corner, values[0, 0], atol=1e-6)
+    assert np.isnan(shown(tensors.clearance(t, given(xp, [[-0.01, 0.0, 0.0]], dtype)))).all()
+
+
+@ON_ALL
+def test_heights_and_patches_turn_with_the_agent(case):
+    name, dtype = case
+    # world x to the right, y up: 0 to 3 tenths of a metre high
+    xp, grid = library(name), level_from("0123\n0123\n0123\n0123")
+    t = grid.tensors(xp, dtype=dtype)
+    agent = given(xp, [[0.15, -0.15, 1.0]] * 2, dtype)
+    yaw = given(xp, [0.0, np.pi / 2], dtype)
+    pattern = given(xp, [[0.0, 0.0], [0.1, 0.0], [0.0, 0.1], [9.0, 0.0]], dtype)
+    found = shown(tensors.heights(t, agent, yaw, pattern))
+    expected = [[0.1, 0.2, 0.1, np.nan], [0.1, 0.1, 0.0, np.nan]]
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    # looking along x: what is ahead, x larger, is in the first row; left is y larger
+    cut = shown(tensors.patch(t, agent, yaw, (3, 5), 0.1, "floor"))
+    assert cut.shape == (2, 3, 5)
+    np.testing.assert_allclose(cut[0, :, 2], [0.2, 0.1, 0.0], atol=1e-6)
+    np.testing.assert_allclose(cut[0, 1], [np.nan, 0.1, 0.1, 0.1, 0.1], atol=1e-6)
+    np.testing.assert_allclose(cut[1, 1], [np.nan, 0.0, 0.1, 0.2, 0.3], atol=1e-6)
+    free = shown(tensors.patch(t, agent, yaw, (1, 1)))
+    assert free.dtype == bool and free.shape == (2, 1, 1)
+
+
+def test_a_scan_sees_the_agents_own_storey():
+    grid = stairs(*["0000"] * 5)
+    t = grid.tensors()
+    pattern = np.array([[0.0, 0.0]])
+    under, over = np.array([1.05, -0.25, 0.1]), np.array([1.05, -0.25, 1.5])
+    heights = tensors.heights(t, np.stack([under, over]), np.zeros(2), pattern)
+    np.testing.assert_allclose(heights[:, 0], [0.0, 1.4], atol=1e-6)
+
+
+@ON_ALL
+@pytest.mark.parametrize("seed", range(3))
+def test_samples_are_where_they_were_asked_for(case, seed):
+    name, dtype = case
+    xp, grid = library(name), grid_of(seed)
+    finder, rng = PathFinder(grid), np.random.default_rng(seed)
+    t = grid.tensors(xp, dtype=dtype)
+    u = given(xp, np.nextafter(rng.random((500, 3)).astype(dtype), np.asarray(0, dtype)), dtype)
+    drawn = shown(tensors.sample(t, u)).astype(np.float64)
+    assert finder.are_navigable(drawn).all()
+    starts = given(xp, finder.random_point(rng, 500), dtype)
+    drawn = tensors.sample(t, u, reachable_from=starts)
+    np.testing.assert_array_equal(shown(tensors.island(t, drawn)), shown(tensors.island(t, starts)))
+    wide = tensors.sample(t, u, min_clearance=0.15)
+    cleared = shown(tensors.clearance(t, wide, mode="nearest"))
+    expected = shown(t.clearance).max() >= 0.15
+    assert (cleared >= 0.15).all() if expected else np.isnan(cleared).all()
+
+
+def test_samples_cover_the_free_cells_evenly_and_no_others():
+    grid = level_from("..#.\n....\n#...")
+    t = grid.tensors()
+    num = int(grid.free.sum())
+    u = np.full((num, 1), 0.0)
+    u[:, 0] = (np.arange(num) + 0.5) / num
+    cells = grid.cells_at(tensors.sample(t, u))
+    assert sorted(zip(cells.row, cells.col, strict=True)) == [
+        tuple(v) for v in np.argwhere(grid.free)
+    ]
+    ends = tensors.sample(t, np.array([[0.0, 0.0, 0.0], [1 - 1e-16, 1 - 1e-16, 1 - 1e-16]]))
+    assert grid.cells_at(ends).col.tolist() == [0, 3]
+
+
+def test_where_no_place_is_samples_are_nan():
+    grid = level_from("..#.\n..#.\n..#.")
+    t = grid.tensors()
+    u = np.random.default_rng(0).random((7, 3))
+    assert np.isnan(tensors.sample(t, u, room=1)).all()
+    assert np.isnan(tensors.sample(t, u, min_clearance=5.0)).all()
+    beside = np.array([9.0, 9.0, 0.0])
+    assert np.isnan(tensors.sample(t, u, reachable_from=beside)).all()
+    nobody = level_from("###").tensors()
+    assert np.isnan(tensors.sample(nobody, u)).all()
+
+
+@ON_ALL
+def test_many_scenes_at_once(case):
+    name, dtype = case
+    xp, grids = library(name), [grid_of(seed) for seed in (0, 1, 2)]
+    rng = np.random.default_rng(0)
+    goals = [[PathFinder(g).random_point(rng)] for g in grids]
+    t = tensors.make_tensors(grids, xp, dtype=dtype, goals=goals)
+    scene = np.repeat([2, 0, 1], 400)
+    positions = np.concatenate([positions_over(grids[k], rng, 400, dtype) for k in (2, 0, 1)])
+    p, ids = given(xp, positions, dtype), xp.asarray(scene)
+    alone = [g.tensors(xp, dtype=dtype, goals=own) for g, own in zip(grids, goals, strict=True)]
+    for function in (
+        tensors.level_at, tensors.floor, tensors.room, tensors.is_navigable, tensors.clearance,
+    ):  # fmt: skip
+        found = shown(function(t, p, scene_id=ids))
+        for k, single in enumerate(alone):
+            here = scene == k
+            expected = shown(function(single, given(xp, positions[here], dtype)))
+            np.testing.assert_array_equal(found[here], expected)
+            as_one = shown(function(t, given(xp, positions[here], dtype), scene_id=k))
+            np.testing.assert_array_equal(as_one, expected)
+    found = shown(tensors.distance_to_goal(t, p, 0, scene_id=ids))
+    steps = shown(tensors.path_step(t, p, 0, scene_id=ids))
+    for k, single in enumerate(alone):
+        own = given(xp, positions[scene == k], dtype)
+        np.testing.assert_array_equal(
+            found[scene == k], shown(tensors.distance_to_goal(single, own))
+        )
+        expected = shown(tensors.path_step(single, own))
+        np.testing.assert_allclose(steps[scene == k], expected, atol=1e-6)
+    u = given(xp, rng.random((1200, 3)), dtype)
+    drawn = tensors.sample(t, u, scene_id=ids)
+    assert shown(tensors.is_navigable(t, drawn, scene_id=ids)).all()
+    drawn = tensors.sample(t, u, scene_id=ids, reachable_from=drawn)
+    assert shown(tensors.is_navigable(t, drawn, scene_id=ids)).all()
+
+
+def test_arrays_are_shared_by_dlpack():
+    t = grid_of(0).tensors()
+    np.testing.assert_array_equal(np.from_dlpack(t.floor), t.floor)
+
+
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        (
+            lambda t: tensors.floor(t, np.zeros(2)),
+            r"positions of shape \(..., 3\) \[m\], got \(2,\)",
+        ),
+        (lambda t: tensors.floor(t, np.zeros(3, np.float32)), "an array of float64, .* float32"),
+        (lambda t: tensors.floor(t, np.zeros(3), scene_id=1), "no scene 1: expected 0 to 0"),
+        (lambda t: tensors.clearance(t, np.zeros(3), mode="cubic"), "a mode of nearest, bilinear"),
+        (lambda t: tensors.distance_to_goal(t, np.zeros(3)), "the tensors know no goals"),
+        (lambda t: tensors.heights(t, np.zeros((4, 3)), np.zeros(3), np.zeros((1, 2))), "a yaw of"),
+        (lambda t: tensors.heights(t, np.zeros(3), np.zeros(()), np.zeros(2)), "a pattern of"),
+        (lambda t: tensors.patch(t, np.zeros(3), np.zeros(()), layer="smell"), "no layer 'smell'"),
+        (lambda t: tensors.patch(t, np.zeros(3), np.zeros(()), (0, 4)), "rows, columns and a cell"),
+        (lambda t: tensors.sample(t, np.zeros((4, 2))), "u of shape"),
+    ],
+)
+def test_questions_that_cannot_be_answered(ask, message):
+    with pytest.raises(QueryError, match=message):
+        ask(level_from("...\n...").tensors())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"xp": "torch"}, "expected numpy, torch, jax.numpy or another module"),
+        ({"dtype": "float16"}, 'a dtype "float32" or "float64", got \'float16\''),
+        ({"device": "warp-drive"}, "on the device 'warp-drive'"),
+        ({"goals": ["room:cellar"]}, "no room 'cellar'"),
+        ({"max_drop": -1.0}, "max_drop"),
+    ],
+)
+def test_tensors_that_cannot_be_made(options, message):
+    with pytest.raises(QueryError, match=message):
+        level_from("...\n...").tensors(**options)
+
+
+def test_far_from_the_origin_float32_is_refused():
+    grid = level_from("...\n...", x=5e6)
+    with pytest.raises(QueryError, match=r"float32 can't tell cells of 0.1 m apart .* use float64"):
+        grid.tensors(dtype="float32")
+    assert tensors.is_navigable(grid.tensors(), np.array([5e6 + 0.05, -0.05, 0.0]))
+
+
+def test_several_grids_need_a_scene_and_goals_for_each():
+    grids = [level_from("..."), level_from("....")]
+    with pytest.raises(QueryError, match=r"expected a scene_id, 0 to 1"):
+        tensors.floor(tensors.make_tensors(grids), np.zeros(3))
+    with pytest.raises(QueryError, match="as many goals for each of 2 grids"):
+        tensors.make_tensors(grids, goals=[[(0, 0, 0)]])
+    with pytest.raises(QueryError, match="at least one grid"):
+        tensors.make_tensors([])
+    with pytest.raises(QueryError, match="expected grids"):
+        tensors.make_tensors(["house.grid.json"])
+
+
+def test_the_method_of_the_grid_is_in_the_public_package():
+    assert navbake.tensors is tensors
