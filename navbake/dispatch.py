@@ -76,10 +76,6 @@ class Kernel(CPUDispatcher):
                 self._cache.release()
                 _tell_progress()
 
-    def get_call_template(self, args: Any, kws: Any) -> Any:
-        """What numba calls it by in another kernel: one code for a type, whatever the constants."""
-        return super().get_call_template([numba.types.unliteral(each) for each in args], kws)
-
     def compile_if_free(self, sig: Any) -> None:
         """Compile for a signature, unless that is done or another process is doing it."""
         cache = self._cache

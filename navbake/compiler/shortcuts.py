@@ -3,7 +3,6 @@
 They leave out work whose result nobody uses, so that the code that comes out does the same:
 
 - Machine code is made of what Python calls, and not of what is only linked into that.
-- Functions are optimized in the module that they are linked into, and not before that, too.
 - What is inlined into a kernel's source is not copied first, twice: it was made for this call.
 - Which variables a statement has, and which options a function, is found out with fewer calls.
 - Python looks for garbage seldom: a compiler makes much, and little of it are circles.
@@ -38,9 +37,6 @@ class LeanLibrary(JITCodeLibrary):
     """Code of a function and of all that it calls; machine code is made when Python calls it."""
 
     _is_generated = False
-
-    def _optimize_functions(self, ll_module: Any) -> None:
-        ll_module.data_layout = self._codegen._data_layout
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()

@@ -10,7 +10,6 @@ import sys
 from contextlib import suppress
 
 import pytest
-from numba import types
 from numba.core import inline_closurecall, ir
 from numba.core.compiler import DEFAULT_FLAGS, run_frontend
 from numba.core.inline_closurecall import InlineWorker
@@ -117,14 +116,3 @@ def test_kernels_are_compiled_without_shortcuts_by_another_numba(tmp_path):
     assert use(tmp_path, "plain") == [0, 0]
     assert set(kinds(tmp_path).values()) == {"object"}
     assert use(tmp_path, "plain") == [0, 1]
-
-
-def test_constants_make_no_second_copy_of_a_kernel():
-    islands.label_islands.targetctx.refresh()
-    joined = union_find.unite
-    before = len(joined.overloads)
-    array, integer = types.Array(types.int64, 1, "C"), types.int64
-    joined.get_call_template([array, integer, types.literal(3)], {})
-    joined.get_call_template([array, integer, types.literal(4)], {})
-    joined.get_call_template([array, integer, integer], {})
-    assert len(joined.overloads) <= before + 1
