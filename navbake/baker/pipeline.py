@@ -1,22 +1,29 @@
 """The bake, end to end: its stages, and the grid that they make."""
 
+from __future__ import annotations
+
 import logging
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from navbake.baker.arguments import LeftOut, take_input
 from navbake.baker.assemble import build_grid
 from navbake.baker.clock import Progress, StageClock
 from navbake.baker.scene.guard.isolated import CompileLimits
+from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.scene import GeomReport
 from navbake.baker.stages import Stages, settle_doors, take_first_look
-from navbake.config.settings import BakeConfig, as_config
+from navbake.config.keywords import SettingKeywords
+from navbake.config.settings import BakeConfig
 from navbake.errors import BakeWarning
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.threads import limit_threads
 from navbake.types import Json
+
+if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
+    from typing_extensions import Unpack
 
 LOG = logging.getLogger("navbake")
 # without it, Python prints warnings of loggers that nobody has set up
@@ -45,10 +52,15 @@ class BakeResult:
 
 
 def bake(
-    config: BakeConfig | str | PathLike[str] | Mapping[str, Any],
+    scene: Any,
+    data: Any = None,
+    /,
     *,
+    exclude: Mapping[str, Any] | None = None,
+    robot: Any = None,
     threads: int | None = None,
     isolate: bool = False,
+    **settings: Unpack[SettingKeywords],
 ) -> SceneGrid2D | MultiLevelGrid:
     """Bake a MuJoCo scene, or a building mesh, into a navigation grid.
 
@@ -60,38 +72,52 @@ def bake(
     What a user should know about the bake is warned of, each line as a `BakeWarning`, and stays
     in `grid.warnings`, also when the grid is saved. The logger ``navbake`` gets it, too.
 
+    A scene in memory bakes into what its file bakes into, byte for byte, where the settings name
+    that file as ``scene={"path": …}``; without, the grid names no file, and its id is the model's
+    name. ``docs/live.md`` says more.
+
     Args:
-        config: the path of a scene (MJCF, MJB, URDF, OBJ, PLY, STL, GLB, DAE) for default
-            settings; the path of a YAML file with settings; the same as a mapping; or a
-            `BakeConfig`. ``navbake init SCENE`` writes a YAML file with all settings, explained.
-            The most used: ``scene.path``, ``agent.height`` and ``agent.radius`` [m],
-            ``agent.traversable_floor_height`` (the highest step) [m], ``grid.cell_size`` [m].
+        scene: the path of a scene (MJCF, MJB, URDF, OBJ, PLY, STL, GLB, DAE) for default
+            settings; the path of a YAML file with settings; the same as a mapping; a
+            `BakeConfig`; or a scene in memory: a mujoco.MjModel or MjSpec, a trimesh.Scene or
+            Trimesh. It is not changed.
+        data: the mujoco.MjData whose joint positions and mocap bodies are the pose to bake, of a
+            model or spec; as modelled, or as the settings say, if None.
+        exclude: what is left out besides, as ``{"bodies": […], "geoms": […], "movable": True}``:
+            by name, by id, by name pattern (``"chair*"``) or as ``model.body("table")``. All that
+            hangs on a body is left out with it.
+        robot: the body of the robot, or several, by name, by id or as ``model.body("panda")``;
+            left out with all that hangs on it.
         threads: how many to use, >= 1; all cores if None. The result doesn't depend on it.
         isolate: let MuJoCo compile the scene in a process of its own, within 60 s and 4 GiB, so
-            that a crash of its compiler is a SceneError.
+            that a crash of its compiler is a SceneError. For scene files only.
+        settings: sections of settings by name, as in the YAML file, in place of those that
+            `scene` brings: a section's keys are replaced one by one. The most used:
+            ``agent={"height": 1.2, "radius": 0.2, "traversable_floor_height": 0.1}`` [m] (the
+            last is the highest step) and ``grid={"cell_size": 0.05}`` [m]. ``docs/settings.md``
+            lists all; ``navbake init SCENE`` writes a YAML file with all, explained.
 
     Returns:
         A `SceneGrid2D`, or a `MultiLevelGrid` where there are several levels; not saved yet.
         ``grid.levels`` lists the levels of either, with arrays of shape (height, width).
 
     Raises:
-        ConfigError: a setting is wrong.
-        SceneError: the scene cannot be read, or holds nothing to bake.
+        ConfigError: a setting is wrong, or names a body that isn't there; the data is of another
+            model; the scene is nothing that can be baked.
+        SceneError: the scene cannot be read or compiled, or holds nothing to bake.
 
     Example:
         >>> import navbake
         >>> grid = navbake.bake(navbake.samples.path("apartment"))
         >>> grid.save("apartment.grid.json")
-        >>> grid = navbake.bake({
-        ...     "scene": {"path": "my_scene.xml"},
-        ...     "agent": {"height": 1.2, "radius": 0.2},
-        ...     "grid": {"cell_size": 0.05},
-        ... })
+        >>> grid = navbake.bake("my_scene.xml", agent={"radius": 0.2}, grid={"cell_size": 0.05})
+        >>> grid = navbake.bake(model, data, robot="panda", agent={"height": 1.2})
         >>> finder = navbake.PathFinder(grid)
         >>> path = finder.find_path(finder.random_point(), finder.random_point())
     """
     limits = CompileLimits() if isolate else None
-    grid = run_bake(as_config(config), threads=threads, limits=limits).grid
+    config, opened = take_input(scene, data, settings, LeftOut(exclude, robot), limits)
+    grid = run_bake(config, threads=threads, limits=limits, opened=opened).grid
     for warning in grid.warnings:
         warnings.warn(warning, BakeWarning, stacklevel=2)
     return grid
@@ -103,6 +129,7 @@ def run_bake(
     threads: int | None = None,
     progress: Progress | None = None,
     limits: CompileLimits | None = None,
+    opened: OpenScene | None = None,
 ) -> BakeResult:
     """Bake a scene into a navigation grid.
 
@@ -110,6 +137,7 @@ def run_bake(
         threads: how many to use, >= 1; all cores if None. It never changes the result.
         progress: called with each stage's name, and 0 when it begins or 1 when it ends.
         limits: MuJoCo compiles the scene in a child process, within these; here if None.
+        opened: the scene's model, where it is in memory; see `take_input`.
 
     Returns:
         The grid, and what is worth knowing about how it came about.
@@ -120,7 +148,7 @@ def run_bake(
     """
     clock = StageClock(progress)
     with limit_threads(threads):
-        stages = settle_doors(take_first_look(config, clock, limits))
+        stages = settle_doors(take_first_look(config, clock, limits, opened))
         stages.free_geometry()
         with clock.stage("grid"):
             grid = build_grid(stages)

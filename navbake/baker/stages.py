@@ -5,15 +5,15 @@ scene → columns → floors → occupancy → contents → rooms → doors; `bu
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from os import PathLike
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from navbake.baker.arguments import take_input
 from navbake.baker.boxes import LevelBoxes, find_level_boxes
 from navbake.baker.clock import Progress, StageClock
 from navbake.baker.columns import Columns, TiledShapes, cast_columns, tile_shapes
@@ -35,18 +35,26 @@ from navbake.baker.occupancy.occupancy import (
 )
 from navbake.baker.rooms.rooms import Blocked, Rooms, find_rooms
 from navbake.baker.scene.guard.isolated import CompileLimits
+from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.scene import Scene, load_scene
-from navbake.config.settings import BakeConfig, as_config
+from navbake.config.keywords import SettingKeywords
+from navbake.config.settings import BakeConfig
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import limit_threads
 from navbake.types import Bool, Float, Int
 
+if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
+    from typing_extensions import Unpack
+
 
 def bake_stages(
-    config: BakeConfig | str | PathLike[str] | Mapping[str, Any],
+    scene: Any,
+    data: Any = None,
+    /,
     *,
     progress: Progress | None = None,
+    **settings: Unpack[SettingKeywords],
 ) -> Stages:
     """Load a scene, and give the stages of its bake.
 
@@ -55,25 +63,35 @@ def bake_stages(
     only the rooms on both sides tell doors from other leaves; `doors.find: false` avoids that.
 
     Args:
-        config: settings, the path of a YAML or of a scene file, or the YAML as a mapping.
+        scene: the path of a YAML or of a scene file, settings, or a scene in memory.
+        data: the pose of a scene in memory.
         progress: called with each stage's name, and 0 when it begins or 1 when it ends.
+        settings: sections of settings, in place of those above; for all, see `navbake.bake`.
 
     Raises:
         ConfigError: a setting is wrong.
         SceneError: the scene cannot be read, or holds nothing to bake.
     """
-    stages = take_first_look(as_config(config), StageClock(progress))
+    config, opened = take_input(scene, data, settings)
+    stages = take_first_look(config, StageClock(progress), opened=opened)
     if all(candidate.named for candidate in stages.candidates):
         return stages
     return settle_doors(stages)
 
 
 def take_first_look(
-    config: BakeConfig, clock: StageClock, limits: CompileLimits | None = None
+    config: BakeConfig,
+    clock: StageClock,
+    limits: CompileLimits | None = None,
+    opened: OpenScene | None = None,
 ) -> Stages:
-    """Load a scene, and give the stages of a bake that takes every candidate for a door."""
+    """Load a scene, and give the stages of a bake that takes every candidate for a door.
+
+    Args:
+        opened: the scene's model, where it is in memory.
+    """
     with clock.stage("scene"):
-        scene = load_scene(config.scene, config.agent, config.floors, limits=limits)
+        scene = load_scene(config.scene, config.agent, config.floors, limits=limits, opened=opened)
         lattice = lay_lattice(scene, config)
         candidates, unmatched = find_candidates(scene, config.doors)
     return Stages(config, scene, lattice, candidates, unmatched, clock)

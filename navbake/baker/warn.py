@@ -1,7 +1,6 @@
 """The warnings of a bake, one line each."""
 
 from collections import Counter
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -13,13 +12,11 @@ from navbake.baker.floors.patch import Patch
 from navbake.baker.floors.reach import TOLD_AREA, Unreached
 from navbake.baker.floors.tops import LARGE_TOP
 from navbake.baker.scene.bodies import find_free_bodies
-from navbake.baker.scene.mesh_scene import MESH_SUFFIXES
 from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene
 from navbake.baker.stages import Stages
 from navbake.config.settings import BakeConfig
 from navbake.errors import printable
-from navbake.types import Bool
 
 MAX_MOVABLE = 3  # bodies with a free joint that a warning names at most
 
@@ -34,7 +31,7 @@ def _find_warnings(stages: Stages) -> list[str]:
         *stages.scene.warnings,
         *stages.unmatched,
         *warn_part_judged(stages),
-        *warn_nothing_free(stages.floors, stages.occupancy.levels, stages.config),
+        *warn_nothing_free(stages),
         *(warn_movable(stages.scene, stages.contents) if stages.contents else ()),
         *warn_missing_floors(stages.scene, stages.floors, stages.config),
         *(stages.contents.warnings if stages.contents else ()),
@@ -94,18 +91,17 @@ def warn_part_judged(stages: Stages) -> list[str]:
     ]
 
 
-def warn_nothing_free(floors: Floors, occupied: Sequence[Bool], config: BakeConfig) -> list[str]:
+def warn_nothing_free(stages: Stages) -> list[str]:
     """Warn of levels without a cell that an agent can stand in."""
     full = [
         repr(level.name)
-        for level, taken in zip(floors.levels, occupied, strict=True)
+        for level, taken in zip(stages.floors.levels, stages.occupancy.levels, strict=True)
         if not (~taken & level.standable).any()
     ]
     if not full:
         return []
-    agent = config.agent
-    is_mesh = config.scene.path.suffix.lower() in MESH_SUFFIXES
-    lying = "; does the scene lie on its side (`scene.up`)?" if is_mesh else ""
+    agent = stages.config.agent
+    lying = "; does the scene lie on its side (`scene.up`)?" if stages.scene.parts else ""
     return [
         f"nothing is free on {', '.join(full)}: an agent {agent.height:g} m high of "
         f"{agent.radius:g} m radius can stand nowhere there; `navbake why` names what blocks a "

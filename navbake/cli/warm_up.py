@@ -238,5 +238,10 @@ def _use_run_time(grid: navbake.SceneGrid2D | navbake.MultiLevelGrid) -> None:
         finder.many.try_step(both, both + np.array([0.3, 0.2, 0.0]))
         finder.line_of_sight(start, goal)
         finder.nearest_obstacle(start)
+        finder.max_radius(start, goal)
+        finder.reachable_positions(start, 0.3)
+        path = finder.find_path(start, start + np.array([0.02, 0.02, 0.0]))
+        if path is not None:
+            finder.follow(path).command(start, 0.0)
         with agent.block(disc=(start, 0.3)):
             finder.find_path(start, goal)

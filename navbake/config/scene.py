@@ -29,6 +29,22 @@ def _check_id(value: str) -> str:
     return value
 
 
+def memory_path(name: str) -> Path:
+    """What stands for the path of a scene in memory: its name, as in ``<apartment>``."""
+    name = "".join(char if char.isprintable() and char not in "/\\" else "_" for char in name)
+    return Path(f"<{name if name.strip('. ') else 'scene'}>")
+
+
+def is_memory_path(path: str | PathLike[str]) -> bool:
+    """Whether a path stands for a scene in memory that was given no file's name."""
+    return str(path).startswith("<") and str(path).endswith(">")
+
+
+def stem_of(path: str | PathLike[str]) -> str:
+    """The stem of a scene file's name, or the name of a scene in memory."""
+    return str(path)[1:-1] if is_memory_path(path) else Path(path).stem
+
+
 ScenePath = Annotated[
     Path, BeforeValidator(to_path), expects("the path of a scene file"), AfterValidator(resolve)
 ]
@@ -88,6 +104,6 @@ class SceneSettings(Settings):
     def _take_id_from_path(cls, data: Any) -> Any:
         if isinstance(data, Mapping) and data.get("id") is None:
             path = data.get("path")
-            stem = Path(path).stem if isinstance(path, str | PathLike) else ""
+            stem = stem_of(path) if isinstance(path, str | PathLike) else ""
             return {**data, "id": stem or "scene"}
         return data

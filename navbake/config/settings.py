@@ -40,7 +40,7 @@ from navbake.config.field_types import (
     setting,
 )
 from navbake.config.rooms import RoomPolygon, RoomSettings, expand_rooms
-from navbake.config.scene import ExcludeSettings, SceneSettings
+from navbake.config.scene import ExcludeSettings, SceneSettings, is_memory_path
 from navbake.config.yaml_text import apply_overrides, read_yaml
 from navbake.errors import ConfigError
 from navbake.types import Json
@@ -306,15 +306,19 @@ def settings_digest(config: BakeConfig) -> str:
 def settings_to_state(config: BakeConfig) -> Json:
     """The settings that a grid states: of scene, agent, cells and floors, where not the defaults.
 
-    The scene's file is stated without its folder, so that grids don't depend on where it is.
-    Doors stand as the grid itself says.
+    The scene's file is stated without its folder, so that grids don't depend on where it is; a
+    scene in memory has none. Doors stand as the grid itself says.
     """
     sections = {"scene", "agent", "grid", "levels", "floors"}
     stated: Json = config.model_dump(
         mode="json", include=sections, by_alias=True, exclude_defaults=True
     )
-    scene = dict(stated.get("scene", {}))
-    stated["scene"] = {**scene, "path": Path(config.scene.path).name}
+    path, scene = config.scene.path, dict(stated.get("scene", {}))
+    if is_memory_path(path):
+        scene.pop("path", None)
+    else:
+        scene["path"] = Path(path).name
+    stated["scene"] = scene
     return {key: value for key, value in stated.items() if value != {}}
 
 

@@ -201,10 +201,11 @@ def _lattices(scenes: list[_Scene], shape: Shape, dtype: Floating) -> dict[str, 
     """Where the columns and rows of each level lie."""
     num = shape.scenes * shape.levels
     found: dict[str, NDArray[Any]] = {
-        name: np.zeros(num, dtype=dtype) for name in ("x_first", "y_first", "scale")
+        name: np.zeros(num, dtype=dtype)
+        for name in ("x_first", "y_first", "scale", "west", "east", "north", "south")
     }
-    found["x_edge"] = np.full((num, shape.cols + 1), np.inf, dtype=dtype)
-    found["y_edge"] = np.full((num, shape.rows + 1), -np.inf, dtype=dtype)
+    found["x_edge"] = np.zeros((num, shape.cols + 1), dtype=dtype)
+    found["y_edge"] = np.zeros((num, shape.rows + 1), dtype=dtype)
     found["num_rows"] = np.zeros(num, dtype=np.int32)
     found["num_cols"] = np.zeros(num, dtype=np.int32)
     for number, scene in enumerate(scenes):
@@ -218,8 +219,11 @@ def _lattices(scenes: list[_Scene], shape: Shape, dtype: Floating) -> dict[str, 
                 )
             found["x_first"][at], found["y_first"][at] = x_min, y_max
             found["scale"][at] = 1 / size
-            found["x_edge"][at, : width + 1] = first_in_cell(x_min, size, width, dtype)
-            found["y_edge"][at, : height + 1] = last_in_cell(y_max, size, height, dtype)
+            x_edge = first_in_cell(x_min, size, width, dtype)
+            y_edge = last_in_cell(y_max, size, height, dtype)
+            found["x_edge"][at, : width + 1], found["y_edge"][at, : height + 1] = x_edge, y_edge
+            found["west"][at], found["east"][at] = x_edge[0], x_edge[-1]
+            found["north"][at], found["south"][at] = y_edge[0], y_edge[-1]
             found["num_rows"][at], found["num_cols"][at] = height, width
     return {name: value.ravel() for name, value in found.items()}
 

@@ -38,6 +38,8 @@ class GridTensors:
         scale: cells per metre.
         x_edge: the smallest number of `dtype` in each column or beyond it, ``cols + 1`` a level.
         y_edge: the largest number of `dtype` in each row or beyond it, ``rows + 1`` a level.
+        west, east, north, south: the first and the last of these of each level: x from west to
+            below east and y from north to above south are on it.
         num_rows, num_cols: of each level, without padding.
         reach: by cell, the lowest z [m] from which the cell's floor is at most a step above; of a
             cell without a floor the same of its level's ground; inf in padding.
@@ -71,6 +73,10 @@ class GridTensors:
     scale: Array = field(repr=False)
     x_edge: Array = field(repr=False)
     y_edge: Array = field(repr=False)
+    west: Array = field(repr=False)
+    east: Array = field(repr=False)
+    north: Array = field(repr=False)
+    south: Array = field(repr=False)
     num_rows: Array = field(repr=False)
     num_cols: Array = field(repr=False)
     reach: Array = field(repr=False)

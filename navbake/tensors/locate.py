@@ -5,7 +5,7 @@ from typing import NamedTuple
 from navbake.errors import QueryError
 from navbake.tensors.grid_tensors import Array, GridTensors
 
-FAR = 1e30  # metres; farther than any grid, and its square root is a float32 still
+FAR = 1e30  # metres; what lies higher is no position
 
 
 class Located(NamedTuple):
@@ -26,12 +26,10 @@ def locate(t: GridTensors, positions: Array, scene_id: Array | int | None) -> Lo
     """Find the cells of checked positions, shape (..., 3), on the nearest floor below each."""
     xp, shape = t.xp, t.shape
     x, y, z = positions[..., 0], positions[..., 1], positions[..., 2]
-    # inf reaches every floor, but is no height
-    z = xp.where(xp.isfinite(z), z, -FAR)
     first = first_level(t, scene_id)
     cell, inside = on_level(t, x, y, first)
     if t.one_ground:
-        inside = inside & (z >= t.reach[cell])
+        inside = inside & (z >= t.reach[cell]) & (z < FAR)
         return Located(xp.where(inside, cell, 0), xp.zeros_like(cell), inside)
     best, level = xp.zeros_like(cell), xp.zeros_like(cell)
     highest = xp.full_like(z, -xp.inf)  # how high the best floor is; a ground is below all floors
@@ -41,11 +39,10 @@ def locate(t: GridTensors, positions: Array, scene_id: Array | int | None) -> Lo
             cell = cell + shape.rows * shape.cols
         elif k:
             cell, inside = on_level(t, x, y, first + k)
-        at = xp.where(inside, cell, 0)
-        reach, has_floor = t.reach[at], ~xp.isnan(t.floor[at])
-        reached = inside & (z >= reach)
+        reach, has_floor = t.reach[cell], ~xp.isnan(t.floor[cell])
+        reached = inside & (z >= reach) & (z < FAR)
         better = reached & ((has_floor & ~is_floor) | ((has_floor == is_floor) & (reach > highest)))
-        best = xp.where(better, at, best)
+        best = xp.where(better, cell, best)
         level = xp.where(better, k, level)
         highest = xp.where(better, reach, highest)
         is_floor = is_floor | (better & has_floor)
@@ -53,20 +50,23 @@ def locate(t: GridTensors, positions: Array, scene_id: Array | int | None) -> Lo
 
 
 def on_level(t: GridTensors, x: Array, y: Array, first: Array | int) -> tuple[Array, Array]:
-    """The cells at x, y of one level, and whether there are such cells.
+    """The cells at x, y of one level, and whether they are there; a cell that exists in any case.
 
     `first` is the number of the level among those of all scenes, shape (...) or one for all. The
     nearest edge is found by rounding, which half a cell of error can't mislead; on which side of
     that edge a position is, is decided exactly.
     """
     xp, shape = t.xp, t.shape
-    col = _beside(t, x, t.x_first, t.scale, first, shape.cols)
-    col = col - xp.astype(_not_nan(xp, x) < t.x_edge[first * (shape.cols + 1) + col], t.index)
-    row = _beside(t, -y, -t.y_first, t.scale, first, shape.rows)
-    row = row - xp.astype(-_not_nan(xp, -y) > t.y_edge[first * (shape.rows + 1) + row], t.index)
-    inside = (col >= 0) & (col < t.num_cols[first]) & (row >= 0) & (row < t.num_rows[first])
-    cell = (first * shape.rows + row) * shape.cols + col
-    return xp.where(inside, cell, 0), inside
+    west, east, north, south = t.west[first], t.east[first], t.north[first], t.south[first]
+    in_cols = (x >= west) & (x < east)  # False for NaN
+    x = xp.where(in_cols, x, west)
+    col = xp.astype(xp.round((x - t.x_first[first]) * t.scale[first]), t.index)
+    col = col - xp.astype(x < t.x_edge[first * (shape.cols + 1) + col], t.index)
+    in_rows = (y <= north) & (y > south)
+    y = xp.where(in_rows, y, north)
+    row = xp.astype(xp.round((t.y_first[first] - y) * t.scale[first]), t.index)
+    row = row - xp.astype(y > t.y_edge[first * (shape.rows + 1) + row], t.index)
+    return (first * shape.rows + row) * shape.cols + col, in_cols & in_rows
 
 
 def first_level(t: GridTensors, scene_id: Array | int | None) -> Array | int:
@@ -132,20 +132,6 @@ def check_scenes(t: GridTensors, scene_id: Array | int | None, shape: tuple[int,
             f"expected a scene_id that fits positions of shape {shape}, got one of shape "
             f"{tuple(ids.shape)}"
         ) from error
-
-
-def _beside(
-    t: GridTensors, x: Array, least: Array, scale: Array, first: Array | int, count: int
-) -> Array:
-    """The number of the edge that is the nearest to each x, 0 to count."""
-    xp = t.xp
-    edge = xp.round((_not_nan(xp, x) - least[first]) * scale[first])
-    return xp.astype(bounded(xp, edge, 0, count), t.index)
-
-
-def _not_nan(xp: Array, x: Array) -> Array:
-    """Numbers that can be computed with: what is not finite lies far beside every grid."""
-    return xp.where(xp.isfinite(x), bounded(xp, x, -FAR, FAR), -FAR)
 
 
 def bounded(xp: Array, values: Array, low: Array | float, high: Array | float) -> Array:

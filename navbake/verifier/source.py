@@ -7,7 +7,10 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from navbake.baker.scene.memory import is_in_memory, name_of, open_memory
+from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.scene import Scene, load_scene
+from navbake.config.keywords import memory_config
 from navbake.config.settings import (
     YAML_SUFFIXES,
     BakeConfig,
@@ -19,8 +22,8 @@ from navbake.errors import ConfigError, QueryError
 from navbake.navgrid.grid_base import GridBase
 from navbake.types import Json
 
-SceneSource = BakeConfig | str | PathLike[str] | Mapping[str, Any]
-"""Settings, the path of a YAML or of a scene file, or the YAML as a mapping."""
+SceneSource = BakeConfig | str | PathLike[str] | Mapping[str, Any] | Any
+"""Settings, the path of a YAML or of a scene file, the YAML as a mapping, or a scene in memory."""
 
 
 class Source(NamedTuple):
@@ -40,23 +43,39 @@ class Source(NamedTuple):
 
 
 def find_source(
-    grid: GridBase, given: SceneSource | None, grid_path: Path | None, *, force: bool
+    grid: GridBase,
+    given: SceneSource | None,
+    grid_path: Path | None,
+    *,
+    force: bool,
+    data: Any = None,
 ) -> Source:
     """Load the scene of a grid: the one that is given, or the one that the grid names.
 
     The grid names the scene's file without its folder; it is looked for beside the grid, and in
-    the current folder. A scene file is loaded with the settings that the grid states.
+    the current folder. A scene file, and a scene in memory, gets the settings that the grid states.
+
+    Args:
+        data: the pose of a scene in memory; as the settings say if None.
 
     Raises:
         QueryError: no scene is given or found, or it is another one than the grid was baked from,
             and `force` isn't set.
-        SceneError, ConfigError: the scene or its settings can't be read.
+        SceneError, ConfigError: the scene or its settings can't be read; the data is of another
+            model.
     """
     stated = stated_settings(grid)
     if given is None:
         given = _find_file(grid, stated, grid_path)
-    config = _read(given, stated)
-    scene = load_scene(config.scene, config.agent, config.floors)
+    opened: OpenScene | None = None
+    if is_in_memory(given):
+        config = _config_in_memory(given, stated, is_posed=data is not None)
+        opened = open_memory(given, data, config.scene)
+    elif data is not None:
+        raise ConfigError("expected a data with a mujoco.MjModel or MjSpec: give the model, too")
+    else:
+        config = _read(given, stated)
+    scene = load_scene(config.scene, config.agent, config.floors, opened=opened)
     notes = _compare_scenes(grid, scene, config, force=force)
     are_known = grid.navbake.get("settingsDigest") in (None, settings_digest(config))
     is_stated = bool(stated) and not _is_settings(given)
@@ -76,7 +95,18 @@ def _is_settings(given: SceneSource) -> bool:
     """Whether a source brings settings of its own."""
     if isinstance(given, str | PathLike):
         return Path(given).suffix.lower() in YAML_SUFFIXES
-    return True
+    return not is_in_memory(given)
+
+
+def _config_in_memory(given: Any, stated: Json, *, is_posed: bool) -> BakeConfig:
+    """The settings that the grid states, for a scene in memory, which may come with its pose."""
+    scene = dict(stated.get("scene") or {})
+    for key in ("keyframe", "joints") if is_posed else ():
+        scene.pop(key, None)
+    try:
+        return memory_config(name_of(given), {**stated, "scene": scene})
+    except ConfigError:
+        return memory_config(name_of(given), {})
 
 
 def _read(given: SceneSource, stated: Json) -> BakeConfig:

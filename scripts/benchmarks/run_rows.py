@@ -181,6 +181,45 @@ def block_row(house: House) -> Row:
     )
 
 
+def spawn_row(house: House) -> Row:
+    """A hundred agents, 0.5 m apart, all over the house."""
+    finder, rng = navbake.PathFinder(house.grid), np.random.default_rng(0)
+
+    def throw_darts() -> np.ndarray:
+        places = np.empty((0, 3))
+        while len(places) < 100:
+            place = finder.random_point(rng)
+            if not len(places) or np.hypot(*(places - place)[:, :2].T).min() >= 0.5:
+                places = np.vstack([places, place])
+        return places
+
+    job = here("spawn, 100 agents 0.5 m apart", lambda: finder.spawn(rng, 100, min_distance=0.5))
+    return Row(job, [here("random_point until it is far from all", throw_darts)])
+
+
+def max_radius_row(house: House) -> Row:
+    """The widest agent between two rooms far from each other, and where it only just fits."""
+    finder = navbake.PathFinder(house.grid)
+    (start, goal), *_ = random_pairs(finder, 1)
+
+    def passes(radius: float) -> bool:
+        larger = navbake.PathFinder(house.grid.inflate(radius))
+        return larger.same_island(start, goal)
+
+    def bisect() -> float:
+        low, high = 0.0, 2.0
+        while high - low > 1e-3:
+            middle = (low + high) / 2
+            low, high = (middle, high) if passes(middle) else (low, middle)
+        return low
+
+    found = finder.max_radius(start, goal)
+    if found is None or abs(found.radius - bisect()) > 2e-3:
+        raise SystemExit("max_radius and bisection differ")
+    job = here("max_radius, exact", lambda: finder.max_radius(start, goal))
+    return Row(job, [here("bisection over inflate, to 1 mm", bisect)], ratio=1.0)
+
+
 def random_pairs(finder: navbake.PathFinder, count: int) -> list[np.ndarray]:
     """Pairs of places that a path joins, on the largest island."""
     points = finder.random_point(np.random.default_rng(0), 2 * count, island=1)
@@ -232,4 +271,6 @@ ROWS: dict[str, Callable[[House], Row]] = {
     "field": field_row,
     "thousand": thousand_row,
     "block": block_row,
+    "spawn": spawn_row,
+    "max_radius": max_radius_row,
 }

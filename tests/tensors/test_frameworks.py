@@ -129,7 +129,7 @@ def test_torch_compiles(house, positions):
     t = house.tensors(torch, goals=goals_of(house))
     p = torch.asarray(positions)
     for name, ask in questions(t).items():
-        torch._dynamo.reset()
+        torch.compiler.reset()
         # `aot_eager` traces as the default does, and needs no C++ compiler
         compiled = torch.compile(torch.vmap(ask), fullgraph=True, backend="aot_eager")
         torch.testing.assert_close(compiled(p), torch.vmap(ask)(p), equal_nan=True, msg=name)

@@ -16,7 +16,7 @@ QHULL = re.compile(rb"\bQH\d{4}\b|\bqhull\b", re.IGNORECASE)
 QHULL_GOES_ON = re.compile(
     rb"'[A-Z][A-Za-z0-9:]{0,8}'|dimension|simplex|facet|vertex|vertices|convex|coplanar|hyperplane"
     rb"|roundoff|precision|triangula|joggle|determinant|overflow|\bangle\b|coordinate|topology"
-    rb"|\boptions?\b|\bpoints?\b|\bp\d+\b|\bf\d+\b|maxoutside|_[a-z]+-[a-z]+|run-id",
+    rb"|difference=|\boptions?\b|\bpoints?\b|\bp\d+\b|\bf\d+\b|maxoutside|_[a-z]+-[a-z]+|run-id",
     re.IGNORECASE,
 )
 

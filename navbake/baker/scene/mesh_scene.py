@@ -1,4 +1,4 @@
-"""Reads mesh files as named parts in the world frame. Only this module imports trimesh."""
+"""Takes mesh files and trimesh scenes as named parts. Only this module imports trimesh."""
 
 import io
 import logging
@@ -17,6 +17,7 @@ from navbake.baker.scene.meshes.binary import read_plain_ply, read_plain_stl
 from navbake.baker.scene.meshes.gltf import check_gltf
 from navbake.baker.scene.meshes.text import check_ply, prepare_obj, prepare_ply, prepare_stl
 from navbake.baker.scene.names import unique_name
+from navbake.config.scene import stem_of
 from navbake.errors import SceneError
 from navbake.lazy import lazy
 from navbake.types import Bool, Float, Int32
@@ -50,9 +51,9 @@ class MeshPart(NamedTuple):
     """One named piece of a mesh file.
 
     Attributes:
-        name: as the file has it; unique only once `read_mesh_parts` has seen it.
+        name: as the file has it; unique in what `read_mesh_parts` and `take_mesh_parts` give.
         vertices: shape (n, 3), float64: the file's own frame and unit from a reader, the world's
-            [m] from `read_mesh_parts`.
+            [m] from `read_mesh_parts` and `take_mesh_parts`.
         faces: shape (m, 3), int32, indices into `vertices`, counter-clockwise from outside.
     """
 
@@ -85,6 +86,43 @@ def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPa
     except OSError as error:
         raise SceneError(f"cannot read the mesh {path}: {error.strerror or error}") from error
     scale = unit * (_dae_unit(path) if suffix == ".dae" else 1.0)
+    return _to_world(found, path, up, scale)
+
+
+def is_mesh_scene(scene: Any) -> bool:
+    """Whether something is a trimesh.Scene or a trimesh.Trimesh; loads trimesh only for its own."""
+    if not any(kind.__module__.partition(".")[0] == "trimesh" for kind in type(scene).__mro__):
+        return False
+    return isinstance(scene, trimesh.Scene | trimesh.Trimesh)
+
+
+def take_mesh_parts(scene: Any, path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPart]:
+    """Take a trimesh.Scene or trimesh.Trimesh as named parts in the world frame.
+
+    Parts are named by the scene graph's nodes. For the rest, see `read_mesh_parts`; what the
+    scene says of its unit counts for nothing, as `unit` decides. The scene stays as it is.
+
+    Args:
+        path: what errors call the scene, and whose stem parts without a name of their own get.
+        up, unit: as of `read_mesh_parts`.
+
+    Raises:
+        SceneError: as `read_mesh_parts`.
+    """
+    with _silence():
+        whole = scene if isinstance(scene, trimesh.Scene) else trimesh.Scene(scene)
+        try:
+            found = _parts_of(whole)
+        except (ValueError, TypeError, KeyError, IndexError) as error:
+            reason = " ".join(str(error).split())[:200]
+            raise SceneError(f"cannot take the meshes of {path}: {reason}") from error
+    # kernels are compiled for arrays that can be written, and the caller may change these later
+    own = [MeshPart(part.name, part.vertices.copy(), part.faces.copy()) for part in found]
+    return _to_world(own, path, up, unit)
+
+
+def _to_world(found: list[MeshPart], path: Path, up: str, scale: float) -> list[MeshPart]:
+    """Turn parts into the world frame, and name each by a name of its own."""
     turn = scale * (Y_UP_TO_Z_UP if up == "y" else np.eye(3))
     taken = {"world"}  # MuJoCo's own body
     parts = [_clean(part, turn, path) for part in found]
@@ -130,8 +168,7 @@ def _read_by_trimesh(path: Path, source: Any) -> list[MeshPart]:
     try:
         with _silence():
             loaded = trimesh.load_scene(source, file_type=suffix[1:], process=False, **options)
-            nodes = list(loaded.graph.nodes_geometry)
-            parts = [part for node in nodes if (part := _part_of(loaded, node)) is not None]
+            parts = _parts_of(loaded)
     except Exception as error:  # trimesh passes on whatever its parsers raise
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise SceneError(
@@ -141,6 +178,11 @@ def _read_by_trimesh(path: Path, source: Any) -> list[MeshPart]:
         num_vertices = sum(len(part.vertices) for part in parts)
         check_ply(path, num_vertices, sum(len(part.faces) for part in parts))
     return parts
+
+
+def _parts_of(loaded: Any) -> list[MeshPart]:
+    nodes = list(loaded.graph.nodes_geometry)
+    return [part for node in nodes if (part := _part_of(loaded, node)) is not None]
 
 
 def _part_of(loaded: Any, node: str) -> MeshPart | None:
@@ -227,5 +269,5 @@ def _own_name(name: str, path: Path) -> str:
     """A part's name, printable; the file's stem where trimesh made one up."""
     name = "".join(char if char.isprintable() else "_" for char in name)
     if re.fullmatch(r"geometry(_\d+)?", name):
-        return path.stem
-    return name.removeprefix(path.name).removeprefix("_") or path.stem
+        return stem_of(path)
+    return name.removeprefix(path.name).removeprefix("_") or stem_of(path)

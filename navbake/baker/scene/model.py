@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.parsers import expat
 
 import mujoco
@@ -43,6 +43,24 @@ def mujoco_library() -> str:
     raise SceneError(f"MuJoCo's shared library is not in {folder}: reinstall mujoco")
 
 
+class OpenScene(NamedTuple):
+    """A scene's compiled model, before geoms are chosen.
+
+    Attributes:
+        model: the mujoco.MjModel.
+        parts: the exact meshes of a mesh scene by geom id, see `Scene.parts`.
+        ground: the geom of `scene.ground`; None without.
+        warnings: what MuJoCo warned of as it compiled.
+        data: its mujoco.MjData in the pose to bake; None for the pose that the settings ask for.
+    """
+
+    model: Any
+    parts: dict[int, MeshPart]
+    ground: int | None
+    warnings: list[str]
+    data: Any = None
+
+
 def load_model(
     settings: SceneSettings, warnings: list[str]
 ) -> tuple[Any, dict[int, MeshPart], int | None]:
@@ -72,8 +90,7 @@ def _load_file(settings: SceneSettings, warnings: list[str]) -> tuple[Any, dict[
         suffix = path.suffix.lower()
         if suffix in MESH_SUFFIXES:
             parts = read_mesh_parts(path, settings.up, settings.unit)
-            model = _compile(path, warnings, lambda: _build_model(parts, ground))
-            return model, {int(model.geom(part.name).id): part for part in parts}
+            return model_of_parts(parts, path, ground, warnings)
         if suffix == MJB_SUFFIX:
             if ground is not None:
                 raise ConfigError(
@@ -84,7 +101,7 @@ def _load_file(settings: SceneSettings, warnings: list[str]) -> tuple[Any, dict[
                 f"again, or bake its XML)"
             )
             load = partial(mujoco.MjModel.from_binary_path, str(path))
-            return _compile(path, warnings, load, hint), {}
+            return compile_model(path, warnings, load, hint), {}
         if suffix in XML_SUFFIXES:
             return _load_xml(path, warnings, ground), {}
     except OSError as error:
@@ -99,12 +116,12 @@ def _load_xml(path: Path, warnings: list[str], ground: float | None) -> Any:
     root = _peek_root(path)
     if root == "robot":
         text, meshes = read_urdf(path)
-        return _compile(path, warnings, lambda: _build_urdf(text, meshes, ground))
+        return compile_model(path, warnings, lambda: _build_urdf(text, meshes, ground))
     if root not in ("mujoco", ""):
         raise SceneError(f"expected <mujoco> or <robot> in {path}, got <{root[:40]}>")
     refuse_oversized(path)
     try:  # MuJoCo's parser is the judge of MJCF, also where Python's is stricter
-        return _compile(path, warnings, lambda: _build_mjcf(path, ground))
+        return compile_model(path, warnings, lambda: _build_mjcf(path, ground))
     except SceneError as error:
         try:
             with path.open("rb") as file:
@@ -121,7 +138,16 @@ def _peek_root(path: Path) -> str:
     return ""
 
 
-def _compile(path: Path, warnings: list[str], load: Callable[[], Any], hint: str = "") -> Any:
+def model_of_parts(
+    parts: list[MeshPart], path: Path, ground: float | None, warnings: list[str]
+) -> tuple[Any, dict[int, MeshPart]]:
+    """The model of a mesh scene's parts, and the parts by geom id."""
+    model = compile_model(path, warnings, lambda: _build_model(parts, ground))
+    return model, {int(model.geom(part.name).id): part for part in parts}
+
+
+def compile_model(path: Path, warnings: list[str], load: Callable[[], Any], hint: str = "") -> Any:
+    """What `load` compiles; MuJoCo's error is a SceneError with its warnings and Qhull's lines."""
     chatter: list[str] = []
     try:
         with catch_chatter() as chatter:
@@ -143,11 +169,11 @@ def _build_mjcf(path: Path, ground: float | None) -> Any:
         # to fill. They count by their triangles here. Older MuJoCos fill it always.
         if hasattr(mesh, "octree_maxdepth"):
             mesh.octree_maxdepth = 0
-    _add_ground(spec, ground)
+    add_ground(spec, ground)
     return spec.compile()
 
 
-def _add_ground(spec: Any, height: float | None) -> None:
+def add_ground(spec: Any, height: float | None) -> None:
     """Add endless ground at a height, under a name that nothing else has."""
     if height is None:
         return
@@ -171,7 +197,7 @@ def _build_model(parts: list[MeshPart], ground: float | None) -> Any:
         body = spec.worldbody.add_body(name=part.name)
         geom = body.add_geom(name=part.name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=part.name)
         geom.contype = geom.conaffinity = 0
-    _add_ground(spec, ground)
+    add_ground(spec, ground)
     return _compile_geometry(spec)
 
 
@@ -182,7 +208,7 @@ def _build_urdf(text: str, files: dict[str, Path], ground: float | None) -> Any:
     for mesh in spec.meshes:
         file, mesh.file = mesh.file, ""
         _fill_mesh(mesh, *read(file))
-    _add_ground(spec, ground)
+    add_ground(spec, ground)
     return _compile_geometry(spec)
 
 

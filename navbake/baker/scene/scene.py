@@ -14,12 +14,12 @@ from navbake.baker.scene.choice import Choice, choose_geoms
 from navbake.baker.scene.collect import TYPE_NAMES, MeshTriangles, collect_shapes
 from navbake.baker.scene.guard.isolated import CompileLimits, load_isolated
 from navbake.baker.scene.hidden_room import HiddenRoom
-from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart, lies_on_side
-from navbake.baker.scene.model import catch_warnings, load_model
+from navbake.baker.scene.mesh_scene import MeshPart, lies_on_side
+from navbake.baker.scene.model import OpenScene, catch_warnings, load_model
 from navbake.baker.scene.names import name_at, names_of
 from navbake.baker.scene.pose import pose_model, warn_out_of_range
 from navbake.baker.scene.shapes import Shapes
-from navbake.config.scene import SceneSettings
+from navbake.config.scene import SceneSettings, stem_of
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.errors import SceneError
 from navbake.types import Float
@@ -68,7 +68,7 @@ class Scene:
             ground, but a tetrahedron in place of each part, see `parts`.
         data: its mujoco.MjData in the pose that is baked.
         choices: what becomes of each geom, by geom id.
-        parts: the meshes of a mesh file by geom id, world frame, exact.
+        parts: the meshes of a mesh scene by geom id, world frame, exact.
         meshes: what the model's meshes count by, for geoms in other poses.
     """
 
@@ -91,6 +91,7 @@ def load_scene(
     floors: FloorSettings | None = None,
     *,
     limits: CompileLimits | None = None,
+    opened: OpenScene | None = None,
 ) -> Scene:
     """Load a scene, pose it and choose the geoms that count. Nothing of it changes later.
 
@@ -98,17 +99,15 @@ def load_scene(
         agent: for whom `scene.meshes: auto` looks for room in the hulls of meshes, and
         floors: how large that has to be; the defaults if None.
         limits: MuJoCo compiles in a child process, within these; in this process if None.
+        opened: the scene's model, where it is in memory; that of the settings' file if None.
 
     Raises:
         SceneError: the file is missing or broken, or holds no geom that counts.
         ConfigError: the settings ask for a keyframe or joint that isn't there.
     """
+    model, parts, ground, compiled, data = opened or open_file(settings, limits)
     with catch_warnings() as warned:
-        if limits is None:
-            model, parts, ground = load_model(settings, warned)
-        else:
-            model, parts, ground = load_isolated(settings, limits, warned)
-        data = pose_model(model, settings)
+        data = pose_model(model, settings) if data is None else data
     meshes = MeshTriangles(model)
     room = HiddenRoom(model, data, meshes, agent or AgentSettings(), floors or FloorSettings())
     with _errors_name(settings):
@@ -118,12 +117,12 @@ def load_scene(
         raise SceneError(_nothing_counts(settings, own))
     with _errors_name(settings):
         collected = collect_shapes(model, data, choices, parts, meshes=meshes)
-    warnings = [f"MuJoCo: {' '.join(warning.split())}" for warning in warned]
+    warnings = [f"MuJoCo: {' '.join(warning.split())}" for warning in [*compiled, *warned]]
     warnings += [*warn_out_of_range(model, settings), *_find_unusable(model)]
-    warnings += [*_find_unused_settings(settings), *_warn_lying(settings, parts)]
+    warnings += [*_find_unused_settings(settings, parts), *_warn_lying(settings, parts)]
     warnings += [*notes, *collected.notes]
     return Scene(
-        id=settings.id or Path(settings.path).stem,
+        id=settings.id or stem_of(settings.path),
         geoms=_report_geoms(model, choices, collected.kinds),
         shapes=collected.shapes,
         bounds=collected.shapes.bounds(),
@@ -135,6 +134,14 @@ def load_scene(
         parts=parts,
         meshes=meshes,
     )
+
+
+def open_file(settings: SceneSettings, limits: CompileLimits | None = None) -> OpenScene:
+    """The model of the file that the settings name; raises as `load_scene`."""
+    with catch_warnings() as warned:
+        if limits is None:
+            return OpenScene(*load_model(settings, warned), warned)
+        return OpenScene(*load_isolated(settings, limits, warned), warned)
 
 
 @contextmanager
@@ -175,9 +182,9 @@ def _find_unusable(model: Any) -> list[str]:
     ]
 
 
-def _find_unused_settings(settings: SceneSettings) -> list[str]:
-    """Warn of settings that do nothing for this kind of file."""
-    if Path(settings.path).suffix.lower() in MESH_SUFFIXES:
+def _find_unused_settings(settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str]:
+    """Warn of settings that do nothing for this kind of scene."""
+    if parts:
         return []
     given = {"up": settings.up != "z", "unit": settings.unit != 1.0}
     return [
@@ -188,9 +195,9 @@ def _find_unused_settings(settings: SceneSettings) -> list[str]:
 
 
 def _warn_lying(settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str]:
-    """Warn of a mesh file that is probably y up, unless the settings say which axis is."""
+    """Warn of a mesh scene that is probably y up, unless the settings say which axis is."""
     suffix = Path(settings.path).suffix.lower()
-    if suffix not in MESH_SUFFIXES or "up" in settings.model_fields_set:
+    if not parts or "up" in settings.model_fields_set:
         return []
     if suffix in (".glb", ".gltf"):
         reason = "glTF files are y up by their specification"
@@ -222,7 +229,9 @@ def _digest_arrays(model: Any, data: Any, parts: dict[int, MeshPart]) -> Iterato
     yield from (model.geom_rgba, model.geom_matid, model.mat_rgba)
     yield from (data.geom_xpos, data.geom_xmat)
     yield from (model.body_parentid, model.body_weldid, model.body_mocapid)
-    yield from (model.jnt_type, model.jnt_bodyid, model.jnt_limited, model.jnt_range)
+    # before MuJoCo 4, its booleans were bytes
+    is_limited = np.asarray(model.jnt_limited, dtype=np.bool_)
+    yield from (model.jnt_type, model.jnt_bodyid, is_limited, model.jnt_range)
     yield from (model.jnt_pos, model.jnt_axis, model.jnt_qposadr, data.qpos)
     yield from (model.site_type, model.site_size, data.site_xpos, data.site_xmat)
     for addresses in (model.name_siteadr, model.name_jntadr):

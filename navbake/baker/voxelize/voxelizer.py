@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navbake.baker.arguments import LeftOut, take_input
 from navbake.baker.kernels.arrays import Tiles
 from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.scene.pose import data_of_qpos, pose_model
@@ -19,8 +20,8 @@ from navbake.baker.scene.shapes import solid_bounds
 from navbake.baker.voxelize.kernels.fill import Voxels, fill_voxels
 from navbake.baker.voxelize.kernels.tiles import bin_items, box_triangles, move_triangles
 from navbake.baker.voxelize.segments import Labels, Segments, label_geoms
+from navbake.config.keywords import SettingKeywords
 from navbake.config.scene import SceneSettings
-from navbake.config.settings import BakeConfig, as_config
 from navbake.errors import ConfigError, SceneError
 from navbake.navgrid.lattice import CELL_SLACK
 from navbake.threads import run_in_bands
@@ -30,8 +31,6 @@ from navbake.voxels.placement import Placement, check_memory, place_grid
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Unpack
-
-Config = BakeConfig | str | PathLike[str] | Mapping[str, Any]
 
 OCTREES = (".bt", ".ot")  # files whose voxels lie on whole multiples of their edge
 
@@ -45,7 +44,7 @@ class GridOptions(TypedDict, total=False):
 
 
 def create_voxel_grid(
-    scene: Config | Scene | Voxelizer,
+    scene: Any,
     position: ArrayLike | None = None,
     ncells_x: int | None = None,
     ncells_y: int | None = None,
@@ -63,8 +62,8 @@ def create_voxel_grid(
     geoms meet a voxel, the least of their IDs is its.
 
     Args:
-        scene: settings, the path of a YAML or of a scene file, the YAML as a mapping, or a
-            scene that is loaded already.
+        scene: settings, the path of a YAML or of a scene file, the YAML as a mapping, a scene in
+            memory, see `navbake.bake`, or one that is loaded already.
         position: the grid's centre, world frame [m]. With neither this nor counts nor size the
             grid covers the scene's box.
         ncells_x, ncells_y, ncells_z: voxels along each axis, >= 1.
@@ -100,26 +99,41 @@ class Voxelizer:
         shapes: the counted geoms' geometry as it is posed now, world frame.
     """
 
-    def __init__(self, scene: Config | Scene, *, ignore: str | Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        scene: Any,
+        data: Any = None,
+        /,
+        *,
+        ignore: str | Sequence[str] = (),
+        exclude: Mapping[str, Any] | None = None,
+        robot: Any = None,
+        **settings: Unpack[SettingKeywords],
+    ) -> None:
         """Load a scene.
 
         Args:
             scene: see `create_voxel_grid`.
+            data: the pose of a scene in memory, see `navbake.bake`.
             ignore: name patterns of bodies that are left out, with what hangs on them.
+            exclude, robot: what else is left out, see `navbake.bake`.
+            settings: sections of settings in place of the scene's, see `navbake.bake`.
 
         Raises:
-            ConfigError: a setting is wrong.
+            ConfigError: a setting is wrong, or names a body that isn't there.
             SceneError: the scene cannot be read, or holds nothing that counts.
         """
         self._settings: SceneSettings | None = None
         if isinstance(scene, Scene):
-            if ignore:
-                raise ConfigError("expected `ignore` where the scene is loaded, this one is")
+            given = {"ignore": ignore or None, "exclude": exclude, "robot": robot, "data": data}
+            for name, value in {**given, **settings}.items():
+                if value is not None:
+                    raise ConfigError(f"expected `{name}` where the scene is loaded, this one is")
             self.scene = scene
         else:
-            config = as_config(scene)
+            config, opened = take_input(scene, data, settings, LeftOut(exclude, robot))
             self._settings = _leave_out(config.scene, ignore)
-            self.scene = load_scene(self._settings, config.agent, config.floors)
+            self.scene = load_scene(self._settings, config.agent, config.floors, opened=opened)
         self.shapes = self.scene.shapes
         self._boxes = self._box_triangles()
         self._labels: dict[Any, Labels] = {}

@@ -7,8 +7,9 @@ from navbake.navgrid.grid import NavGrid
 from navbake.runtime.grid_cache import GridCache
 from navbake.runtime.inflation.margins import agent_radius, exact_radius, ledges_of
 from navbake.runtime.paths.door_map import doors_on
-from navbake.runtime.paths.gap import deflated, find_gap
+from navbake.runtime.paths.gap import find_gap
 from navbake.runtime.paths.goals import Target
+from navbake.runtime.paths.passage import deflated
 from navbake.runtime.paths.search import Search
 from navbake.runtime.places.place import place_in
 from navbake.types import Float, Int

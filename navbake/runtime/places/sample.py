@@ -46,7 +46,7 @@ def draw_places(
         asked = f" with {', '.join(given)}" if given else ""
         raise QueryError(f"no free cell in {cache.grid.scene_id!r}{asked}")
     flat, num = cache.flat, 1 if count is None else int(count)
-    chosen = cells[_draw(flat, cells, rng, num)]
+    chosen = cells[draw_cells(flat, cells, rng, num)]
     positions = flat.positions(chosen)
     if anywhere:
         size = flat.layout.cell_size[flat.level_of(chosen)]
@@ -134,8 +134,8 @@ def cells_in_annulus(
     return found
 
 
-def _draw(flat: FlatGrid, cells: Int, rng: np.random.Generator, count: int) -> Int:
-    """Draw indices of cells, each as likely as its area has it."""
+def draw_cells(flat: FlatGrid, cells: Int, rng: np.random.Generator, count: int) -> Int:
+    """Draw indices into some cells, each cell as likely as its area has it."""
     sizes = flat.layout.cell_size
     if len(set(sizes)) == 1:
         return rng.integers(len(cells), size=count)

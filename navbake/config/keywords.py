@@ -1,0 +1,116 @@
+"""Settings as Python's keywords, which replace those of a file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any, TypedDict
+
+import numpy as np
+
+from navbake.config.scene import memory_path
+from navbake.config.settings import (
+    SECTIONS,
+    YAML_SUFFIXES,
+    BakeConfig,
+    as_config,
+    parse_config,
+)
+from navbake.config.yaml_text import read_yaml
+from navbake.errors import ConfigError
+
+KEYWORDS = "the keywords"  # what errors call them
+
+
+class SettingKeywords(TypedDict, total=False):
+    """The settings as keywords: the sections of a YAML file, see `docs/settings.md`."""
+
+    scene: Mapping[str, Any]
+    agent: Mapping[str, Any]
+    grid: Mapping[str, Any]
+    levels: str | Sequence[Mapping[str, Any]]
+    floors: Mapping[str, Any]
+    names: bool | Mapping[str, Any]
+    rooms: str | Mapping[str, Any]
+    doors: Mapping[str, Any]
+    attributes: Sequence[str]
+    verify: Mapping[str, Any]
+    output: str | PathLike[str] | None
+
+
+def config_with(config: Any, keywords: Mapping[str, Any]) -> BakeConfig:
+    """Settings in any form that `as_config` takes, with keywords laid over them.
+
+    A section's keys are replaced one by one, everything else as a whole. Tuples count as lists,
+    and NumPy's numbers as Python's.
+
+    Raises:
+        ConfigError: a setting is wrong; or the settings are none.
+    """
+    if not isinstance(config, BakeConfig | str | PathLike | Mapping):
+        raise ConfigError(
+            "expected a scene (mujoco.MjModel or MjSpec, trimesh.Scene or Trimesh), the path of "
+            f"a scene or of a YAML file, or settings; got {type(config).__name__}{_hint(config)}"
+        )
+    if not keywords:
+        return as_config(config)
+    if isinstance(config, BakeConfig):
+        given = config.model_dump(by_alias=True, exclude_unset=True)
+        return parse_config(_lay_over(given, keywords), "the settings with the keywords")
+    if isinstance(config, Mapping):
+        return parse_config(_lay_over(config, keywords), "the settings with the keywords")
+    path = Path(config)
+    is_yaml = path.suffix.lower() in YAML_SUFFIXES
+    given = read_yaml(path) if is_yaml else {"scene": {"path": path}}
+    folder = path.parent if is_yaml else ""
+    if not isinstance(given, Mapping):
+        return as_config(config)  # which says what is wrong with it
+    return parse_config(_lay_over(given, keywords), f"{path} with the keywords", folder=folder)
+
+
+def memory_config(name: str, keywords: Mapping[str, Any]) -> BakeConfig:
+    """The settings of a scene in memory.
+
+    Where the keywords give a `scene.path`, the grid names it as that of the scene; nothing is
+    read from there.
+
+    Args:
+        name: the scene's.
+    """
+    return parse_config(_lay_over({"scene": {"path": memory_path(name)}}, keywords), KEYWORDS)
+
+
+def _lay_over(settings: Mapping[str, Any], keywords: Mapping[str, Any], at: str = "") -> Any:
+    """Settings with others in their place: those of sections key by key."""
+    laid = dict(settings)
+    for key, value in keywords.items():
+        value, where = _plain(value), f"{at}.{key}".lstrip(".")
+        below = laid.get(key)
+        if where in SECTIONS and isinstance(value, Mapping) and isinstance(below, Mapping):
+            value = _lay_over(below, value, where)
+        laid[key] = value
+    return laid
+
+
+def _plain(value: Any) -> Any:
+    """A value as YAML would have it: lists for tuples and arrays, Python's own numbers."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value
+
+
+def _hint(given: Any) -> str:
+    """What to give in place of things that are close to a scene."""
+    kind = type(given).__name__
+    if kind == "MjData":
+        return ": give its model first, then the data"
+    if hasattr(given, "ptr"):  # dm_control
+        return ": give its `ptr`"
+    if hasattr(given, "model"):  # environments, and dm_control's Physics
+        return ": give its `model`"
+    return ""
