@@ -274,7 +274,8 @@ def only_near(columns: Columns, cells: Int, reach: int) -> Columns:
     np.cumsum(start[first : end + 1], out=start[first : end + 1])
     total = int(start[end])
     taken = np.repeat(columns.start[near] - start[near], counts) + np.arange(total)
-    crossings = Crossings(start, *(part[taken] for part in columns.crossings[1:]))
+    _, z, normal, geom, closed = columns.crossings
+    crossings = Crossings(start, z[taken], normal[taken], geom[taken], closed[taken])
     return Columns(lattice, crossings, columns.rows)
 
 

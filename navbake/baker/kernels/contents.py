@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from navbake.baker.kernels.arrays import Crossings, Prism, Probe
+from navbake.baker.kernels.arrays import Band, Crossings, Prism, Probe
 from navbake.baker.kernels.constants import SAME, TOUCH
 from navbake.baker.kernels.flags import (
     BLOCKS,
@@ -187,7 +187,8 @@ def _begin(asked, planes, cells, here):
                 # nothing else can be what blocks it; within the square alone it stands there, too
                 known = BLOCKS if footprint.radius > 0.0 else BLOCKS | STANDS
             elif is_taken:
-                by_line = line_is_blocked(crossings, cell, volumes.blocks, ANY_GEOM)
+                band = Band(volumes.blocks.low, volumes.blocks.high)
+                by_line = line_is_blocked(crossings, cell, band, ANY_GEOM)
             count = 0
             for p in range(planes.geom.shape[0]):
                 if not plane_meets_prism(planes, p, column):

@@ -75,7 +75,7 @@ def _check_lines(lattice, crossings, planes, footprint, queries, window, search)
             cell = queries.cell[n]
             col = cell - row * lattice.width
             prism = _volume(lattice, row, col, queries.floor[n], footprint)
-            by_line = line_is_blocked(crossings, cell, prism, ANY_GEOM)
+            by_line = line_is_blocked(crossings, cell, Band(prism.low, prism.high), ANY_GEOM)
             meets = by_line
             for p in range(planes.geom.shape[0]):
                 meets = meets or plane_meets_prism(planes, p, prism)

@@ -8,6 +8,7 @@ Bands of BAND rows are what one thread works on where items visit the cells unde
 """
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -18,10 +19,9 @@ BAND = 8  # rows of cells in a band
 HAIR = 1e-3
 
 
-@njit(inline="always")
-def count_tiles(lattice):
-    """How many tiles a lattice has."""
-    return ((lattice.width + TILE - 1) // TILE) * ((lattice.height + TILE - 1) // TILE)
+def count_tiles(lattice: Any) -> int:
+    """How many tiles a lattice has, in plain Python."""
+    return int(-(-lattice.width // TILE) * -(-lattice.height // TILE))
 
 
 @njit(cache=True)

@@ -83,20 +83,27 @@ class MeshTriangles:
     def count(self, mesh: int, mode: str) -> CountedMesh:
         """Count a mesh as a mode says; see `count_mesh`."""
         if (mesh, mode) not in self._found:
-            self._found[mesh, mode] = count_mesh(*_mesh_arrays(self._model, mesh), mode)
+            vertices, faces, hull = _mesh_arrays(self._model, mesh)
+            self._found[mesh, mode] = count_mesh(vertices, faces, mode, hull)
         return self._found[mesh, mode]
 
 
-def count_mesh(vertices: Float, faces: Int | Int32, on_hull: Float, mode: str) -> CountedMesh:
+def count_mesh(
+    vertices: Float, faces: Int | Int32, mode: str, hull: Int32 | None = None
+) -> CountedMesh:
     """Count a mesh as its hull, as a shell, or as its triangles; a flat one has no hull.
 
     Args:
-        on_hull: the vertices that its hull has, shape (n, 3).
+        hull: the faces of its hull, shape (m, 3), counter-clockwise from outside; found if None.
     """
-    hull = hull_faces(on_hull) if mode == "hull" else None
-    if hull is not None:
-        triangles = GeomTriangles.all_alike(on_hull, hull, constants.CONVEX_SOLID)
-        return CountedMesh(triangles, "hull")
+    if mode == "hull":
+        hull = hull_faces(vertices) if hull is None else hull
+        if hull is not None:
+            # vertices inside of the hull are no part of it
+            used, index = np.unique(hull, return_inverse=True)
+            faces = index.reshape(hull.shape).astype(np.int32)
+            triangles = GeomTriangles.all_alike(vertices[used], faces, constants.CONVEX_SOLID)
+            return CountedMesh(triangles, "hull")
     faces = faces.astype(np.int32, copy=False)
     if mode == "shell":
         triangles = GeomTriangles.all_alike(vertices, faces, constants.OPEN_SURFACE)
@@ -210,7 +217,7 @@ class _Collector:
     def _add_mesh(self, geom: int, mesh: int, mode: str) -> str:
         part = self._parts.get(geom)
         if part is not None:
-            counted = count_mesh(part.vertices, part.faces, part.vertices, mode)
+            counted = count_mesh(part.vertices, part.faces, mode)
             self._triangles[geom] = counted.triangles
         else:
             counted = self._meshes.count(mesh, mode)
@@ -263,27 +270,35 @@ def _height_field(model: Any, hfield: int) -> Float:
     return height_field_triangles(heights.astype(np.float64), model.hfield_size[hfield])
 
 
-def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, Int | Int32, Float]:
-    """A mesh's vertices, its faces, and the vertices of its hull, in its geom's frame."""
+def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, Int | Int32, Int32 | None]:
+    """A mesh's vertices, its faces, and its hull's faces if MuJoCo has one; its geom's frame."""
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     vertices = model.mesh_vert[first : first + count].astype(np.float64)
     first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
     faces = model.mesh_face[first : first + count]
-    on_hull = _hull_index(model, mesh)
+    hull = _hull_faces(model, mesh)
     name = name_at(model, model.name_meshadr[mesh])
-    for index in (faces, on_hull):
+    for index in (faces, hull):
         if index.size and not 0 <= int(index.min()) <= int(index.max()) < len(vertices):
             raise SceneError(f"mesh {name!r} is broken: faces of missing vertices")
     if not np.isfinite(vertices).all():
         raise SceneError(f"mesh {name!r} has coordinates that are no numbers")
-    return vertices, faces, vertices[on_hull]
+    return vertices, faces, hull if len(hull) else None
 
 
-def _hull_index(model: Any, mesh: int) -> Int32:
-    """The vertices that MuJoCo's hull of a mesh has: all, unless `maxhullvert` limits them."""
+def _hull_faces(model: Any, mesh: int) -> Int32:
+    """The faces of the hull that MuJoCo collides with, shape (m, 3); none where it made no hull.
+
+    It may have fewer vertices than the mesh's own hull, see `maxhullvert`. Finding it anew would
+    cost loading scipy, which takes longer than all else that the bake of a small scene imports.
+
+    Source: `mesh_graph` of MuJoCo's mjModel: the numbers v of vertices and m of faces, two lists
+    of v, one of v + 3 m, and the faces' vertices, 3 m.
+    """
     address = int(model.mesh_graphadr[mesh])
     if address < 0:
-        return np.arange(model.mesh_vertnum[mesh], dtype=np.int32)
-    num_vertices = int(model.mesh_graph[address])  # then the faces' number, then two lists
-    first = address + 2 + num_vertices
-    return np.asarray(model.mesh_graph[first : first + num_vertices])
+        return np.empty((0, 3), dtype=np.int32)
+    num_vertices, num_faces = (int(number) for number in model.mesh_graph[address : address + 2])
+    first = address + 2 + 3 * num_vertices + 3 * num_faces
+    faces = np.asarray(model.mesh_graph[first : first + 3 * num_faces])
+    return faces.reshape(-1, 3)
