@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from navbake.baker.columns import Columns, TiledShapes, cast_points, tile_shapes
-from navbake.baker.cracks import Gaps, crack_reach, measure_cracks
+from navbake.baker.cracks import Gaps, Moved, crack_cells, crack_reach, measure_cracks
 from navbake.baker.floors.sheets import agent_limits
 from navbake.baker.kernels.arrays import AgentLimits, Band, Crossings
 from navbake.baker.kernels.cracks import GapRoom
@@ -89,14 +89,13 @@ class Boxed(NamedTuple):
 class LiveColumns:
     """The columns of all cells, of which some can be replaced."""
 
-    def __init__(self, config: BakeConfig, columns: Columns) -> None:
+    def __init__(self, config: BakeConfig, columns: Columns, moved: Moved) -> None:
         self.lattice, self.scratch = columns.lattice, Scratch(columns.lattice)
         self._crack = config.floors.crack
         self._limits = agent_limits(config.agent)
         self._known: Boxed | None = None
         self._is_cracked = np.zeros(len(columns.start) - 1, dtype=np.bool_)
-        if columns.moved is not None:
-            self._is_cracked[columns.moved] = True
+        self._is_cracked[moved.cells] = True
         self._fill(columns.crossings)
 
     def _fill(self, crossings: Crossings, sheet: Int32 | None = None) -> None:
@@ -228,7 +227,7 @@ class LiveColumns:
     @property
     def _crack_cells(self) -> int:
         """How far the nearest line beyond a crack may be, in cells."""
-        return int(self._crack / self.lattice.cell_size) + 1
+        return crack_cells(self._crack, self.lattice)
 
     def _close_cracks(
         self, asked: Asked, fresh: Crossings, tiled: TiledShapes, is_cracked: Bool

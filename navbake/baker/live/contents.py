@@ -13,11 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import TiledShapes
+from navbake.baker.columns import Columns, TiledShapes
 from navbake.baker.contents.contents import (
     Contents,
     LevelContents,
     classify_geoms,
+    group_triangles,
     measure_over_floors,
     name_contents,
 )
@@ -31,11 +32,10 @@ from navbake.baker.contents.walls import (
 )
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.floors.sheets import agent_limits
-from navbake.baker.kernels.arrays import Probe, StoreyCells
+from navbake.baker.kernels.arrays import Crossings, Probe, StoreyCells
 from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.kernels.contents import describe_floors
 from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS, UNPROVED
-from navbake.baker.kernels.groups import group_triangles
 from navbake.baker.kernels.tiles import tile_of
 from navbake.baker.lattice import Window
 from navbake.baker.live.columns import LiveColumns, Region
@@ -96,6 +96,7 @@ class LiveContents:
         scene: Scene,
         contents: Contents,
         floors: Floors,
+        columns: Columns,
         live: LiveColumns,
     ) -> None:
         """Take over the contents of a bake; the scene is without doors."""
@@ -103,7 +104,7 @@ class LiveContents:
         self._config, self._live, self.kinds = config, live, contents.kinds
         self.names, self.warnings = contents.names, contents.warnings
         self._bands = _split(listed, live.lattice)
-        self.support, num = listed.support, len(scene.geoms)
+        self.support, num = self._describe(floors.levels[0], columns.crossings), len(scene.geoms)
         self._extents = measure_geoms(scene.shapes, num)
         self._is_static = is_static(scene)
         self._is_surface = is_surface(scene)
@@ -183,7 +184,7 @@ class LiveContents:
         floor = level.floor.reshape(-1)[cells]
         scratch.floor[cells] = floor
         scratch.ceiling[cells] = np.maximum(top, floor + agent.height) - TOUCH
-        groups = group_triangles(near.facets, near.tiles)
+        groups = group_triangles(near)
         tiles = np.unique(tile_of(lattice, cells))
         footprint = Footprint.of(agent, lattice.cell_size)
         lists = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint8)
@@ -282,6 +283,12 @@ class LiveContents:
         shifted = changes.standable[geom[changes.standable] >= 0]
         np.add.at(self._stood_on, geom[shifted], np.where(stands[shifted], 1, -1))
         return bool(((self._stood_on > 0) == was).all())
+
+    def _describe(self, level: LevelFloor, crossings: Crossings) -> FloorSupport:
+        floor = level.floor.ravel()
+        support = FloorSupport(np.empty(len(floor), dtype=np.int32), np.empty(len(floor)))
+        describe_floors(floor, crossings, agent_limits(self._config.agent).min_up, support)
+        return support
 
     def _count_stood_on(self, level: LevelFloor) -> Int:
         """In how many cells each geom carries a floor that one can stand on."""
@@ -412,7 +419,7 @@ def _join(bands: Sequence[Entries]) -> Entries:
 
 def _to_level(entries: Entries, lattice: Lattice, support: FloorSupport) -> LevelContents:
     stands, blocks, upper = ((entries.flags & flag) > 0 for flag in (STANDS, BLOCKS, PROBED))
-    return LevelContents(lattice, entries.start, entries.geom, stands, blocks, upper, support)
+    return LevelContents(lattice, entries.start, entries.geom, stands, blocks, upper, support.geom)
 
 
 def _name_bands(

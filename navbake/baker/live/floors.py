@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.columns import Columns
-from navbake.baker.floors.enclosed import list_enclosed
-from navbake.baker.floors.levels import LARGE_ROOF, Floors, Judged, just_below
+from navbake.baker.floors.levels import LARGE_ROOF, Floors, Judged
 from navbake.baker.floors.outline import find_edges
 from navbake.baker.floors.sheets import AreaTest, agent_limits
 from navbake.baker.floors.stairs import PLATEAU
@@ -107,7 +106,7 @@ class LiveFloors:
             shapes: the geometry without doors.
         """
         _check_kind(config, floors, judged, columns)
-        if any(True for _ in list_enclosed(columns, shapes, config.agent, config.floors)):
+        if judged.holds_floor:
             raise NotLocal("a closed mesh holds a floor")
         planes = shapes.planes
         self._live, self.level = live, floors.levels[0]
@@ -139,7 +138,6 @@ class LiveFloors:
         self._inner = self._size.copy()
         for sheet, members in every.members(np.flatnonzero((size >= self._needed) & (kind == 0))):
             self._inner[sheet] = np.count_nonzero(self._test.inner(every.cell[members]))
-        self._live.pool.sheet[every.surface] = every.sheet
         is_other = every.cell[kind[every.sheet] == OTHER]
         self._other_floor = judged.counted.cell[judged.counted.sheet != self._main]
         self._other_sizes = size[kind == OTHER]
@@ -204,14 +202,12 @@ class LiveFloors:
         """The ring in which each cell got its floor, 0 where one can stand; see `regrow`."""
         cells = np.arange(len(columns.start) - 1)
         region = Region(cells, columns.crossings, np.arange(len(columns.z)))
-        floor_like, _ = self._marks(region, planes)
-        large = judged.large.surface
-        rejected = large[self._kind[judged.large.sheet] == OTHER]
-        rejected = rejected[~np.isin(rejected, judged.counted.surface)]
-        floor_like[rejected] = False
-        floor_like[just_below(columns, rejected, self._limits.step)] = False
+        floor_like, stands = self._marks(region, planes)
+        self._live.pool.sheet[np.flatnonzero(stands)] = judged.every.sheet
         standable, floor = self.level.standable.ravel(), self.level.floor.ravel()
-        taken = floor_like & ~standable[np.repeat(cells, np.diff(columns.start))]
+        taken = np.zeros(len(columns.z), dtype=np.bool_)
+        taken[np.flatnonzero(floor_like)] = judged.candidate
+        taken &= ~standable[np.repeat(cells, np.diff(columns.start))]
         value = np.where(standable, floor, np.nan)
         rings = np.where(standable, 0, -1).astype(np.int32)
         self._regrow(region, taken, value, rings, rings)

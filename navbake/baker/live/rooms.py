@@ -10,7 +10,7 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.baker.live.columns import Region
 from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.rooms.sources import match_geoms, match_sites
-from navbake.baker.scene.names import name_at
+from navbake.baker.scene.names import names_at
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
 from navbake.navgrid.lattice import Lattice
@@ -23,7 +23,7 @@ class RoomMarks:
     def __init__(self, config: BakeConfig, scene: Scene) -> None:
         model, sources = scene.model, config.rooms.sources
         geoms, sites = (
-            [name_at(model, address) for address in addresses]
+            names_at(model, addresses.tolist())
             for addresses in (model.name_geomadr, model.name_siteadr)
         )
         self.geoms = np.zeros(model.ngeom, dtype=np.bool_)

@@ -19,6 +19,7 @@ from navbake.baker.columns import Columns, TiledShapes, height_range
 from navbake.baker.cracks import crack_reach
 from navbake.baker.doors.candidates import DoorCandidate
 from navbake.baker.doors.doors import Surroundings
+from navbake.baker.floors.levels import Judged
 from navbake.baker.floors.outline import find_cropped
 from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.lattice import lay_lattice, lay_whole
@@ -32,6 +33,7 @@ from navbake.baker.live.not_local import NotLocal
 from navbake.baker.live.rooms import RoomMarks, rooms_hold
 from navbake.baker.occupancy.occupancy import check_footprints
 from navbake.baker.rooms.outdoors import find_ends
+from navbake.baker.rooms.overhead import OverheadFinder
 from navbake.baker.rooms.rooms import Blocked, Rooms, find_rooms
 from navbake.baker.stages import Stages
 from navbake.types import Bool, Float, Int
@@ -59,7 +61,8 @@ class LiveStages:
 
     def __init__(self, stages: Stages) -> None:
         self.stages, self.contents, self.reason = stages, None, ""
-        floors, judged = stages.judge_floors()
+        notes: list[Judged] = []
+        floors = stages.judge_floors(notes)
         stages.__dict__["floors"] = floors
         self._parts: Parts | None = None
         self._floor_layer: NDArray[np.float32] | None = None
@@ -73,15 +76,18 @@ class LiveStages:
             planes = stages.doorless.shapes.planes
             if len(planes.geom) and not _are_level(planes.mat):
                 raise NotLocal("a plane is not level")
-            columns = LiveColumns(stages.config, stages.columns)
-            known = floors, judged, stages.columns, columns, stages.doorless.shapes
+            moved = stages.whole.columns.moved
+            if moved is None:
+                raise NotLocal("the grid has too many cells for their columns to be kept")
+            columns = LiveColumns(stages.config, stages.columns, moved)
+            known = floors, notes[0], stages.columns, columns, stages.doorless.shapes
             live_floors = LiveFloors(stages.config, *known)
         except NotLocal as why:
             self.reason = str(why)
         else:
             if found is not None:
                 known_scene = stages.config, stages.doorless, found
-                self.contents = LiveContents(*known_scene, floors, columns)
+                self.contents = LiveContents(*known_scene, floors, stages.columns, columns)
             marks = RoomMarks(stages.config, stages.scene)
             live_doors = LiveDoors(stages.scene, stages.candidates, stages.lattice, columns.scratch)
             self._parts = Parts(columns, live_floors, self.contents, marks, live_doors)
@@ -219,7 +225,11 @@ class LiveStages:
             shape = stages.lattice.shape
             blocked = Blocked(contents.wall.reshape(shape), contents.low.reshape(shape))
         columns = parts.columns.all()
-        return find_rooms(stages.doorless, columns, floors, [blocked], config.rooms, config.agent)
+        finder = OverheadFinder(columns, floors.levels, config.agent)
+        finder.add(columns)
+        return find_rooms(
+            stages.doorless, finder.found(), floors, [blocked], config.rooms, config.agent
+        )
 
 
 def _check_cells(stages: Stages, region: Region, near: TiledShapes, scratch: Scratch) -> None:
