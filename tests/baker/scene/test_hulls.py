@@ -26,6 +26,11 @@ def compile_mesh(points, geom="", **attributes):
     return spec.compile()
 
 
+def hull_corners(model):
+    triangles = MeshTriangles(model).count(0, "hull").triangles
+    return triangles.vertices[triangles.faces]
+
+
 def volume(corners):
     return float(np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6
 
@@ -49,18 +54,18 @@ def test_the_hull_is_that_of_scipy(seed):
     points = np.random.default_rng(seed).normal(size=(40, 3))
     model = compile_mesh(points)
     assert model.mesh_graphadr[0] >= 0
-    check_hull(model, MeshTriangles(model).count(0, "hull").triangles.corners)
+    check_hull(model, hull_corners(model))
 
 
 def test_a_mesh_whose_hull_mujoco_does_not_make_has_one():
     model = compile_mesh(np.random.default_rng(0).normal(size=(40, 3)), geom="drawn")
     model.mesh_graphadr[0] = -1
-    check_hull(model, MeshTriangles(model).count(0, "hull").triangles.corners)
+    check_hull(model, hull_corners(model))
 
 
 def test_a_hull_has_no_more_vertices_than_maxhullvert():
     model = compile_mesh(np.random.default_rng(0).normal(size=(200, 3)), maxhullvert=12)
-    corners = MeshTriangles(model).count(0, "hull").triangles.corners
+    corners = hull_corners(model)
     assert len(np.unique(corners.reshape(-1, 3), axis=0)) <= 12
     assert 0 < volume(corners) < ConvexHull(model.mesh_vert.astype(float)).volume
 
