@@ -10,16 +10,18 @@ import sys
 from contextlib import suppress
 
 import pytest
-from numba.core import inline_closurecall, ir
+from numba.core import inline_closurecall
 from numba.core.compiler import DEFAULT_FLAGS, run_frontend
-from numba.core.inline_closurecall import InlineWorker
 from numba.core.registry import cpu_target
-from numba.core.targetconfig import TargetConfig
 
 from navbake import loading
 from navbake.compiler import shortcuts as module
 from navbake.navgrid.kernels import islands, union_find
 from project_paths import ROOT
+
+JOIN = vars(islands)["_join"]
+# numba's own functions, and what stands in their place
+OWN = {name: (getattr(owner, name), ours) for owner, name, ours in module.REPLACED}
 
 pytestmark = pytest.mark.skipif(not loading.loads_light(), reason="made for another numba")
 
@@ -33,34 +35,42 @@ def sample(values, start=1, *, limit=(2, 3)):
     return total, parts[start:]
 
 
-@pytest.mark.parametrize("function", [sample, islands._join.py_func, union_find.unite.py_func])
+@pytest.mark.parametrize("function", [sample, JOIN.py_func, union_find.unite.py_func])
 def test_variables_of_statements_are_those_that_numba_lists(function):
     for block in run_frontend(function).blocks.values():
         for statement in block.body:
             for part in (statement, *(v for v in vars(statement).values())):
-                expected = [v.name for v in ir.Inst._rec_list_vars(statement, part)]
-                assert [v.name for v in module._list_vars(statement, part)] == expected
+                numbas, ours = OWN["_rec_list_vars"]
+                expected = [v.name for v in numbas(statement, part)]
+                assert [v.name for v in ours(statement, part)] == expected
 
 
 def test_options_are_those_that_numba_gives():
     flags = DEFAULT_FLAGS.copy()
-    assert module._values(flags) == TargetConfig.values(flags)
+    numbas, ours = OWN["values"]
+    assert ours(flags) == numbas(flags)
     flags.release_gil, flags.boundscheck = True, True
-    assert list(module._values(flags).items()) == list(TargetConfig.values(flags).items())
+    assert list(ours(flags).items()) == list(numbas(flags).items())
 
 
 def test_numba_is_as_it_was_afterwards():
+    def replaced():
+        return [getattr(owner, name) for owner, name, _ in module.REPLACED]
+
+    def library():
+        return getattr(codegen, "_library_class")  # noqa: B009 - numba's own name
+
     codegen = cpu_target.target_context.codegen()
-    before = InlineWorker.inline_function, TargetConfig.values, ir.Inst._rec_list_vars
+    before, library_before = replaced(), library()
     threshold, copy = gc.get_threshold(), inline_closurecall.copy
     with suppress(ValueError), module.shortcuts(codegen):
         with module.shortcuts(codegen):
-            assert codegen._library_class is module.LeanLibrary
-        assert codegen._library_class is module.LeanLibrary
-        assert TargetConfig.values is module._values
+            assert library() is module.LeanLibrary
+        assert library() is module.LeanLibrary
+        assert replaced() == [ours for _, _, ours in module.REPLACED]
         raise ValueError
-    after = InlineWorker.inline_function, TargetConfig.values, ir.Inst._rec_list_vars
-    assert before == after and "_library_class" not in vars(codegen)
+    assert replaced() == before and library() is library_before
+    assert "_library_class" not in vars(codegen)
     assert (threshold, copy) == (gc.get_threshold(), inline_closurecall.copy)
 
 
