@@ -43,6 +43,7 @@ from navbake.baker.live.floors import FloorChanges
 from navbake.baker.live.following import boxes_of
 from navbake.baker.live.kernels.contents import (
     count_in_tiles,
+    count_taken,
     list_in_tiles,
     measure_entries,
     replace_entries,
@@ -53,7 +54,7 @@ from navbake.baker.occupancy.occupancy import Footprint
 from navbake.baker.scene.bodies import find_free_bodies
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
-from navbake.baker.warn import ContentNotes, count_taken_cells
+from navbake.baker.warn import ContentNotes
 from navbake.config.settings import BakeConfig
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import Shared, UserData
@@ -122,7 +123,8 @@ class LiveContents:
         self._free_body = find_free_bodies(scene.model)
         self.taken = np.zeros(scene.model.nbody, dtype=np.int64)
         if (self._free_body >= 0).any():
-            self._count_taken(self._assemble(), 1)
+            for band in self._bands:
+                count_taken(band, np.arange(len(band.start) - 1), self._free_body, self.taken, 1)
 
     # ------------------------------------------------------------------ updates
 
@@ -162,8 +164,10 @@ class LiveContents:
         kinds_hold = carried and as_before and not self._may_be_others(moved)
         if not kinds_hold:
             if not carried:
-                self._carriers = self._find_carriers(floors)
-            kinds_hold = self._classify(scene)
+                was_carried, self._carriers = self._carriers, self._find_carriers(floors)
+                carried = _decide_the_same(was_carried, self._carriers)
+            kinds_hold = carried and as_before and not self._may_be_others(moved)
+            kinds_hold = kinds_hold or self._classify(scene)
         return self._mark_walls(cells, kinds_hold)
 
     def _measure_moved(self, scene: Scene, moved: Bool) -> None:
@@ -226,10 +230,10 @@ class LiveContents:
                 continue
             changed.append(cells[own][differs])
             if counted:
-                self._count_taken_of(bands[number], local[differs], -1)
+                count_taken(bands[number], local[differs], self._free_body, self.taken, -1)
             bands[number] = Entries(start, geom, flags)
             if counted:
-                self._count_taken_of(bands[number], local[differs], 1)
+                count_taken(bands[number], local[differs], self._free_body, self.taken, 1)
         self._bands = bands
         return np.concatenate([np.empty(0, dtype=np.int64), *changed])
 
@@ -248,7 +252,7 @@ class LiveContents:
         footprint = Footprint.of(agent, lattice.cell_size)
         reach = max(lattice.cell_size / 2, footprint.reach) + 2 * TOUCH
         boxes, _ = boxes_of(scene.shapes.only(marked))
-        cells = cells_of_boxes(lattice, boxes, reach, self._live.scratch.flag)
+        cells = cells_of_boxes(lattice, boxes, reach, 1.0, self._live.scratch.flag)
         per_band, floor = ROWS * lattice.width, level.floor.reshape(-1)
         sizes = self._extents.low, self._extents.high
         for number, own in _by_band(cells, per_band):
@@ -372,14 +376,6 @@ class LiveContents:
     def _assemble(self) -> LevelContents:
         return _to_level(_join(self._bands), self._live.lattice, self.support)
 
-    def _count_taken(self, listed: LevelContents, by: int) -> None:
-        """Count the cells that bodies with a free joint take."""
-        count_taken_cells(listed, self._free_body, self.taken, by)
-
-    def _count_taken_of(self, band: Entries, cells: Int, by: int) -> None:
-        line = self._live.lattice._replace(width=len(cells), height=1)
-        self._count_taken(_to_level(_take(band, cells), line, self.support), by)
-
 
 def _split(listed: LevelContents, lattice: Lattice) -> list[Entries]:
     flags = np.where(listed.stands, STANDS, 0) | np.where(listed.blocks, BLOCKS, 0)
@@ -391,6 +387,18 @@ def _split(listed: LevelContents, lattice: Lattice) -> list[Entries]:
         here = slice(int(start[0]), int(start[-1]))
         bands.append(Entries(start - start[0], listed.geom[here], bits[here]))
     return bands
+
+
+def _decide_the_same(one: Carriers, other: Carriers) -> bool:
+    """Whether the same geoms carry floors."""
+    return all(
+        np.array_equal(was, now)
+        for was, now in zip(
+            (one.building, one.things, one.stood_on),
+            (other.building, other.things, other.stood_on),
+            strict=True,
+        )
+    )
 
 
 def _by_band(cells: Int, per_band: int) -> list[tuple[int, slice]]:
