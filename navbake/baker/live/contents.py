@@ -24,6 +24,7 @@ from navbake.baker.contents.contents import (
 )
 from navbake.baker.contents.structure import Carriers, FloorSupport, find_carriers
 from navbake.baker.contents.walls import (
+    NEAR_FLOOR,
     WALL_BAND,
     GeomsOverFloors,
     candidates_of,
@@ -157,15 +158,15 @@ class LiveContents:
         self._mark_geoms(changes.heights, marked)
         carried = self._follow_support(touched, level, changes, moved)
         decided = (self._is_static | self._is_surface) & marked
-        was = [array[decided] for array in self._measured]
+        was = self._decisive(decided)
         self._measure_marked(scene, marked, level)
-        now = [array[decided] for array in self._measured]
+        now = self._decisive(decided)
         as_before = all(np.array_equal(one, other) for one, other in zip(was, now, strict=True))
         kinds_hold = carried and as_before and not self._may_be_others(moved)
         if not kinds_hold:
             if not carried:
                 was_carried, self._carriers = self._carriers, self._find_carriers(floors)
-                carried = _decide_the_same(was_carried, self._carriers)
+                carried = _decide_the_same(was_carried, self._carriers, self._is_static)
             kinds_hold = carried and as_before and not self._may_be_others(moved)
             kinds_hold = kinds_hold or self._classify(scene)
         return self._mark_walls(cells, kinds_hold)
@@ -236,6 +237,16 @@ class LiveContents:
                 count_taken(bands[number], local[differs], self._free_body, self.taken, 1)
         self._bands = bands
         return np.concatenate([np.empty(0, dtype=np.int64), *changed])
+
+    def _decisive(self, geoms: Bool) -> list[Float | Int]:
+        """What was measured of some geoms, as far as it can decide what they are.
+
+        How deep a geom reaches under a floor does not: all that begins so low may be a wall, and
+        none of it is a ceiling.
+        """
+        base, *others = (array[geoms] for array in self._measured)
+        low = min(NEAR_FLOOR, self._config.agent.height / 2)
+        return [np.maximum(base, low), *others]
 
     def _mark_geoms(self, cells: Int, marked: Bool) -> None:
         """Mark the geoms in some cells."""
@@ -389,16 +400,14 @@ def _split(listed: LevelContents, lattice: Lattice) -> list[Entries]:
     return bands
 
 
-def _decide_the_same(one: Carriers, other: Carriers) -> bool:
-    """Whether the same geoms carry floors."""
-    return all(
-        np.array_equal(was, now)
-        for was, now in zip(
-            (one.building, one.things, one.stood_on),
-            (other.building, other.things, other.stood_on),
-            strict=True,
-        )
-    )
+def _decide_the_same(one: Carriers, other: Carriers, static: Bool) -> bool:
+    """Whether walls and structure are the same with other carriers, see `classify_geoms`.
+
+    What only lies on floors, and what one can stand on, is asked of static geoms alone.
+    """
+    differs = one.building != other.building
+    differs |= static & ((one.things != other.things) | (one.stood_on != other.stood_on))
+    return not differs.any()
 
 
 def _by_band(cells: Int, per_band: int) -> list[tuple[int, slice]]:
