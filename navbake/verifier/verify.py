@@ -158,8 +158,8 @@ def verify_scene(
         _check_floors(report, content, samples, FloorCheck(content, Lines(fixed), agent), floors)
     else:
         report.notes.append(
-            "the grid states no floors of cells, so cells are judged over their level's ground, "
-            "and neither floors nor lost places are looked for"
+            "the grid states no floors of cells, so cells are judged over their level's ground: "
+            "free ones need a floor within a step of it, and lost places aren't looked for"
         )
     if check.num_groundless:
         report.notes.append(
@@ -259,8 +259,9 @@ def _check_floors(
             report.findings.append(found)
     if left:
         report.notes.append(
-            f"{left} places to stand, {area:.1f} m², are on no level: no steps lead there, and "
-            "they are too small for a floor, or lie as tops of furniture, shelves and roofs do"
+            f"places to stand that are on no level, {left} of {area:.1f} m² in all: no steps lead "
+            "there, and they are too small for a floor, or lie as tops of furniture, shelves and "
+            "roofs do"
         )
 
 

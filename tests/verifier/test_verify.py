@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+import trimesh
 
 import navbake
 from box_worlds import body, world
@@ -73,6 +74,25 @@ def test_meshes_count_as_they_are_baked(tmp_path):
     # inside of the closed part, the floor is blocked, though no surface is near
     for x, y, occupied in ((0.65, -0.9, 1), (-1.15, 0.75, 0)):
         assert grid.occupancy[tuple(grid.lattice.rows_cols([x, y]))] == occupied
+
+
+def test_walls_may_stand_on_a_slab_of_their_own_mesh(tmp_path):
+    """Their undersides lie on its top: of two faces in one place, a ray meets only one."""
+    sides = [((0, 0, -0.1), (4, 3, 0)), ((0, 0, 0), (4, 0.5, 2)), ((1, 1, 0), (2, 2, 0.7))]
+    parts = [trimesh.creation.box(bounds=bounds) for bounds in sides]
+    # a slab on the wall, too: from inside of it, one leaves the wall where one enters the slab
+    parts.append(trimesh.creation.box(bounds=((0, 0, 2), (4, 0.5, 2.2))))
+    trimesh.util.concatenate(parts).export(tmp_path / "room.obj")
+    config = {"scene": {"path": str(tmp_path / "room.obj")}}
+    grid = navbake.bake(config)
+    report = assert_true(grid, config)
+    assert report.levels[0].floors == 40 * 30
+    wrong = copy_of(grid)
+    row, col = (int(v) for v in grid.lattice.rows_cols([2.05, 0.25]))
+    assert not grid.free[row, col]
+    wrong.weights[row, col] = 1.0
+    (found,) = navbake.verify(wrong, config).findings
+    assert (found.kind, found.cell) == (kinds.FREE_TOUCHES, (row, col))
 
 
 def test_part_of_a_scene_and_movable_bodies(tmp_path):
