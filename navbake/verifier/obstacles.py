@@ -203,6 +203,8 @@ class _Builder:
         return Obstacles(self._items, model, data, low, high, names, facing)
 
     def _pose(self, geom: int) -> tuple[Float, Float]:
+        if geom in self._scene.parts:  # these are in the world's frame
+            return np.eye(3), np.zeros(3)
         mat = self._data.geom_xmat[geom].reshape(3, 3).copy()
         return mat, self._data.geom_xpos[geom].copy()
 
@@ -214,11 +216,10 @@ class _Builder:
         *,
         points: Float | None = None,
         same: bool = True,
-        at_origin: bool = False,
         **settings: Any,
     ) -> None:
         """Place a shape of FCL, and the geom of MuJoCo that the settings describe."""
-        mat, pos = (np.eye(3), np.zeros(3)) if at_origin else self._pose(geom)
+        mat, pos = self._pose(geom)
         placed = fcl.CollisionObject(shape, fcl.Transform(mat, pos))
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, mat.ravel())
@@ -295,15 +296,13 @@ class _Builder:
             is_hull = kind == CONVEX
             collides = {} if is_hull else {"contype": 0, "conaffinity": 0}  # needs no hull
             if not is_hull:
-                mat, pos = (np.eye(3), np.zeros(3)) if part is not None else self._pose(geom)
-                self._add_facing(name, points, triangles, mat, pos)
+                self._add_facing(name, points, triangles, *self._pose(geom))
             self._put(
                 geom,
                 kind,
                 shape,
                 points=points,
                 same=is_hull,
-                at_origin=part is not None,
                 type=GEOM.mjGEOM_MESH,
                 meshname=name,
                 **collides,

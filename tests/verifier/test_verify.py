@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 import navbake
-from box_worlds import body, world
+from box_worlds import body, box, world
 from door_scenes import LEAF, ROOMS
 from door_scenes import world as door_world
 from navbake.errors import ConfigError, QueryError
@@ -93,6 +93,16 @@ def test_walls_may_stand_on_a_slab_of_their_own_mesh(tmp_path):
     wrong.weights[row, col] = 1.0
     (found,) = navbake.verify(wrong, config).findings
     assert (found.kind, found.cell) == (kinds.FREE_TOUCHES, (row, col))
+
+
+def test_cracks_are_as_wide_as_the_settings_say(tmp_path):
+    parts = box("floor", 0, 0, -0.1, 1.01, 2, 0) + box("other", 1.09, 0, -0.1, 3, 2, 0)
+    config = {"scene": {"path": str(write(tmp_path, world(parts)))}, "floors": {"crack": 0.1}}
+    grid = navbake.bake(config)
+    assert assert_true(grid, config).levels[0].in_cracks == 18  # its ends are open
+    report = navbake.verify(grid, {**config, "floors": {}})
+    assert {found.kind for found in report.findings} == {kinds.FLOOR_OFF}
+    assert any("settings are others" in note for note in report.notes)
 
 
 def test_part_of_a_scene_and_movable_bodies(tmp_path):
