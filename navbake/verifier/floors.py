@@ -5,6 +5,8 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import NamedTuple
 
+import numpy as np
+
 from navbake.navgrid.grid_base import GridBase
 from navbake.types import Vector3
 from navbake.verifier.agent import Agent
@@ -59,35 +61,42 @@ class FloorCheck:
 
         A floor may lie inside of a solid: floors go on under things, of which those that are lower
         than a step block nothing. Where an agent can stand on one of these, that place is lost.
-        Columns whose floor is off are not asked for more.
+        Columns whose floor is off, or beside the centre, are not asked for more.
         """
         findings, unknown = list[Finding](), list[Unknown]()
         for cell in range(len(sample)):
-            fault = self._judge_floor(sample, cell, counts)
-            if fault is None:
+            if np.isnan(sample.floor[cell]):
                 unknown += self._find_unknown(sample, cell)
+                continue
+            counts.floors += 1
+            if self._has_floor(sample, cell, beside=False):
+                unknown += self._find_unknown(sample, cell)
+            elif self._has_floor(sample, cell, beside=True):
+                counts.in_cracks += 1
             else:
-                findings.append(fault)
+                counts.floors_off += 1
+                findings.append(self._describe_off(sample, cell))
         return findings, unknown
 
     # ------------------------------------------------------------ floors
 
-    def _judge_floor(self, sample: LevelSample, cell: int, counts: LevelCounts) -> Finding | None:
-        """What is wrong with a cell's floor, if it has one; None for nothing."""
+    def _has_floor(self, sample: LevelSample, cell: int, *, beside: bool) -> bool:
+        """Whether a surface faces up at a cell's floor: at its centre, or beside it."""
         (x, y), z = sample.xy[cell].tolist(), float(sample.floor[cell])
-        if z != z:  # NaN
-            return None
-        counts.floors += 1
+        low, high = z - rounding(x, y, z), z + rounding(x, y, z)
+        place = sample.number, int(sample.rows[cell]), int(sample.cols[cell])
+        if not beside:
+            return self.line_at(*place).faces_up(low, high)
+        # at the edge of a crack, floors that slope have any height
+        is_gap = all(abs(s.z - z) > self.agent.step for s in self.standable_at(*place))
+        min_up = self.agent.min_up if is_gap else np.inf
+        return self._lines.faces_up_beside(x, y, low, high, self._crack, min_up=min_up)
+
+    def _describe_off(self, sample: LevelSample, cell: int) -> Finding:
+        (x, y), z = sample.xy[cell].tolist(), float(sample.floor[cell])
         row, col = int(sample.rows[cell]), int(sample.cols[cell])
-        line, limit = self.line_at(sample.number, row, col), rounding(x, y, z)
-        low, high = z - limit, z + limit
-        if line.faces_up(low, high):
-            return None
-        if self._lines.faces_up_beside(x, y, low, high, self._crack):
-            counts.in_cracks += 1
-            return None
-        counts.floors_off += 1
-        off = min((abs(s.z - z) for s in line.surfaces if s.up >= FACES_UP), default=None)
+        surfaces = self.line_at(sample.number, row, col).surfaces
+        off = min((abs(s.z - z) for s in surfaces if s.up >= FACES_UP), default=None)
         text = f"has its floor at {z:.4f} m, "
         text += "over no surface" if off is None else f"{off:.4f} m off the nearest surface"
         return Finding(FLOOR_OFF, sample.number, (row, col), (x, y, z), text, None, off)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import NamedTuple
 
 import mujoco
@@ -19,6 +20,7 @@ SAME = 1e-5  # surfaces this close together are one [m]
 FACES_UP = 1e-6  # least z of the unit normal of what faces up
 CRACK = 0.03  # width of a crack that is no gap, unless the settings say otherwise [m]
 RIM = 1e-6  # a line this near to an edge may meet it or not [m]
+SPACING = 1 / 3  # of reach: no place within it is farther than this from a line beside
 WAYS = [(np.cos(a), np.sin(a)) for a in np.arange(16) * (np.pi / 8)]
 BEYOND = 1.0  # how far from all geometry a line begins [m]
 
@@ -114,22 +116,38 @@ class Lines:
         return Line(surfaces, solid + _stretches(inside))
 
     def faces_up_beside(
-        self, x: float, y: float, low: float, high: float, reach: float = CRACK
+        self,
+        x: float,
+        y: float,
+        low: float,
+        high: float,
+        reach: float = CRACK,
+        *,
+        min_up: float = np.inf,
     ) -> bool:
         """Whether a surface between two heights faces up within reach of a line [m].
 
-        So it is where the line runs through a crack, or past a rim.
+        So it is where the line runs through a crack, or past a rim. Lines are cast at some places
+        beside it.
+
+        Args:
+            min_up: least z of the normal of floors that count also between these lines, where
+                their slope may take them.
         """
         side = reach + RIM
         if not self.obstacles.meets_box(
             np.array([x - side, y - side, low]), np.array([x + side, y + side, high])
         ):
             return False
-        return any(
-            self.at(x + distance * a, y + distance * b).faces_up(low, high)
-            for distance in (RIM, reach / 4, reach / 2, reach)
-            for a, b in WAYS
-        )
+        for distance, (a, b) in product((RIM, reach / 4, reach / 2, reach), WAYS):
+            for surface in self.at(x + distance * a, y + distance * b).surfaces:
+                if surface.up < FACES_UP:
+                    continue
+                slope = np.sqrt(max(1 / surface.up**2 - 1, 0.0)) if surface.up >= min_up else 0.0
+                more = slope * reach * SPACING
+                if low - more <= surface.z <= high + more:
+                    return True
+        return False
 
     def _at(self, x: float, y: float, z: float) -> Float:
         self._point[:] = x, y, z

@@ -256,9 +256,9 @@ def _check_floors(
             report.findings.append(found)
     if left:
         report.notes.append(
-            f"places to stand that are on no level, {left} of {area:.1f} m² in all: no steps lead "
-            "there, and they are too small for a floor, or lie as tops of furniture, shelves and "
-            "roofs do"
+            f"{left} {'place' if left == 1 else 'places'} to stand, {area:.1f} m² in all, on no "
+            "level: no steps lead there; too small for a floor, or the top of furniture, of a "
+            "shelf, or of a roof"
         )
 
 

@@ -189,7 +189,7 @@ def test_a_top_over_a_floor_is_not_lost(tmp_path):
     parts = [box("floor", -4, -4, -0.1, 4, 4, 0), box("platform", -2, -2, 1.5, 2, 2, 1.6)]
     config = {"scene": {"path": str(write(tmp_path, world("".join(parts))))}}
     report = assert_true(navbake.bake(config), config)
-    assert any("tops of furniture" in note for note in report.notes)
+    assert any("the top of furniture" in note for note in report.notes)
 
 
 def test_a_roof_is_not_lost(tmp_path):
@@ -198,7 +198,7 @@ def test_a_roof_is_not_lost(tmp_path):
     parts += [box(f"wall {k}", *sides) for k, sides in enumerate(walls(0.0))]
     config = {"scene": {"path": str(write(tmp_path, world("".join(parts))))}}
     report = assert_true(navbake.bake(config), config)
-    assert any("tops of furniture" in note for note in report.notes)
+    assert any("the top of furniture" in note for note in report.notes)
 
 
 def test_an_underside_is_no_floor(room):

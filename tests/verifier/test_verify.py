@@ -105,6 +105,24 @@ def test_cracks_are_as_wide_as_the_settings_say(tmp_path):
     assert any("settings are others" in note for note in report.notes)
 
 
+@pytest.mark.parametrize("tilt", [0, 25])
+def test_a_crack_beside_a_slope_may_have_any_height(tmp_path, tilt):
+    """The line that was baked lies at the crack's edge, of which no line here is sure to be."""
+    slabs = "".join(
+        f'<geom type="box" size="1 1.5 0.05" pos="{x} 0 0" euler="0 0 7"/>' for x in (-1.013, 1.012)
+    )
+    scene = world(f'<body euler="0 {tilt} 0">{slabs}</body>')
+    path = write(tmp_path, scene.replace("<mujoco>", '<mujoco><compiler angle="degree"/>'))
+    config = {"scene": {"path": str(path)}, "grid": {"cell_size": 0.05}}
+    grid = navbake.bake(config)
+    assert assert_true(grid, config).levels[0].in_cracks > 3
+    raised = grid.with_layers(
+        attributes={**grid.attributes, "floorHeight": grid.floor_height + np.float32(0.02)}
+    )
+    counts = navbake.verify(raised, config, sample=400).levels[0]
+    assert counts.floors_off > 0.98 * counts.floors
+
+
 def test_part_of_a_scene_and_movable_bodies(tmp_path):
     cart = body("cart", '<freejoint/><geom type="box" size="0.2 0.2 0.4" pos="0 0 0.5"/>')
     path = write(tmp_path, world(ROOM + cart))
