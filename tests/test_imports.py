@@ -273,9 +273,9 @@ LIGHT_COMMANDS = {
     "info house.grid.json": ("numba", "scipy", "mujoco", "trimesh", "matplotlib", "PIL"),
     "rooms house.grid.json": ("numba", "scipy", "mujoco", "trimesh", "matplotlib", "PIL"),
     "why house.grid.json --at 0,0": ("numba", "scipy", "mujoco", "trimesh", "matplotlib", "PIL"),
-    "bake house.xml -o again.grid.json": ("trimesh", *SCIPY, "matplotlib", "PIL", "glfw"),
+    "bake house.xml -o again.grid.json": ("trimesh", *SCIPY, "matplotlib", "PIL", "glfw", "rich"),
     "geoms house.xml": ("trimesh", *SCIPY, "matplotlib", "PIL", "glfw"),
-    "bake cup.xml -o again.grid.json": ("trimesh", "matplotlib", "PIL", "glfw"),
+    "bake cup.xml -o again.grid.json": ("trimesh", *SCIPY, "matplotlib", "PIL", "glfw", "rich"),
 }
 
 

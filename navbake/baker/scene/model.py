@@ -152,22 +152,33 @@ def compile_model(path: Path, warnings: list[str], load: Callable[[], Any], hint
     try:
         with catch_chatter() as chatter:
             return load()
-    except SceneError:
+    except (ConfigError, SceneError):
         raise
     except Exception as error:  # mujoco raises ValueError, FatalError and UnexpectedError
         said = [*str(error).splitlines(), *warnings] or [type(error).__name__]
-        lines = [*said, *chatter]
+        lines = dict.fromkeys([*said, *chatter])  # each once, in order
         reason = "; ".join(" ".join(line.split()) for line in lines if line.strip())
         reason = reason.removeprefix("Error: ").removeprefix("XML Error: ")
         raise SceneError(f"MuJoCo cannot load {path}: {reason[:400]}{hint}") from error
 
 
 def _build_mjcf(path: Path, ground: float | None) -> Any:
-    if ground is None:
+    if ground is not None and path.suffix != ".xml":
+        raise ConfigError(f"`scene.ground` can't be added to {path}: let its name end in .xml")
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        for mesh in spec.meshes:
+            # Geoms of type sdf collide by a field of distances in an octree, which takes 0.2 s a
+            # mesh to fill. They count by their triangles here. Older MuJoCos fill it always.
+            if hasattr(mesh, "octree_maxdepth"):
+                mesh.octree_maxdepth = 0
+        add_ground(spec, ground)
+        return spec.compile()
+    except ValueError:
+        if ground is not None:
+            raise
+        # MjSpec reads no other ending than .xml, and takes some warnings for errors
         return mujoco.MjModel.from_xml_path(str(path))
-    spec = mujoco.MjSpec.from_file(str(path))
-    add_ground(spec, ground)
-    return spec.compile()
 
 
 def add_ground(spec: Any, height: float | None) -> None:
