@@ -156,7 +156,7 @@ def check_agent(facts: Facts) -> Iterator[Remark]:
         ("agentRadius", grid.agent_radius, ">= 0", "radius", 0.05),
         ("traversableFloorHeight", grid.max_step, ">= 0", "traversable_floor_height", 0.25),
     ):
-        baked = settings.get(name, default) if isinstance(settings, dict) else None
+        baked: Any = settings.get(name, default) if isinstance(settings, dict) else None
         stated = grid.metadata.get(key)
         if stated is not None and not _is_length(stated, grid.unit, or_zero=what != "> 0"):
             text = f"`{key}` is {stated!r}, which is no length {what}: it counts as {taken:g} m"
