@@ -132,6 +132,11 @@ def verify_scene(
         levels=[LevelCounts(name) for name in content.level_names],
         notes=[*notes, *told],
     )
+    if inflation.reach > 0 and config is not None and config.grid.bounds is not None:
+        report.notes.append(
+            "`grid.bounds` cut the grid, which knows nothing of what lies beyond: a larger agent's "
+            "cylinder may touch it"
+        )
     if grid.is_blocked:
         report.notes.append("what was blocked at run time is left out")
     samples = take_sample(content, options.sample, options.seed, with_floors)

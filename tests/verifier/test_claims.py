@@ -97,6 +97,17 @@ def test_an_exact_inflation_measures_from_what_is_solid(tmp_path):
         assert kinds_at(navbake.verify(wrong, config)) == ({planted} if mode == "exact" else set())
 
 
+def test_what_bounds_cut_away_may_touch_a_larger_agent(tmp_path):
+    parts = box("floor", -2, -1, -0.1, 2, 1, 0) + box("wall", -2, -1, 0, -1.9, 1, 2)
+    config = {"scene": {"path": str(write(tmp_path, world(parts)))}}
+    scene = {**config, "grid": {"bounds": [-1.8, -1, 2, 1]}}
+    grid = navbake.bake(scene)
+    assert not any("bounds" in note for note in assert_true(grid, scene).notes)
+    report = navbake.verify(grid, scene, radius=0.3)
+    assert {found.geom for found in report.findings} == {"wall"}
+    assert any("`grid.bounds` cut the grid" in note for note in report.notes)
+
+
 def test_the_rim_of_a_single_level_closes_nothing(room):
     grid, config = room
     wrong = copy_of(grid.inflate(0.2))
