@@ -80,6 +80,17 @@ def test_mujoco_s_parser_is_the_judge_of_mjcf(load, tmp_path):
     assert len(load_scene(SceneSettings(path=tmp_path / "lax.xml")).geoms) == 1
 
 
+def test_what_mujoco_warns_of_is_kept(load, tmp_path):
+    text = (
+        '<mujoco><compiler settotalmass="3"/><worldbody><body><freejoint/><geom size="1"/></body>'
+    )
+    (tmp_path / "scene.xml").write_text(text + "</worldbody></mujoco>")
+    if not hasattr(mujoco.MjsMesh, "octree_maxdepth"):
+        pytest.skip("older MuJoCos don't warn of it")
+    scene = load_scene(SceneSettings(path=tmp_path / "scene.xml"))
+    assert ["settotalmass" in warning for warning in scene.warnings].count(True) == 1
+
+
 def test_mjb_is_the_same_scene(load, tmp_path):
     world = '<geom size="1"/><body name="b" pos="2 0 0"><geom type="mesh" mesh="m"/></body>'
     scene = load(world, f'<asset><mesh name="m" {TETRAHEDRON}/></asset>')
