@@ -7,8 +7,8 @@ numba leaves to its users are settled here, for navbake's kernels and no others:
   only be read is used where its code is fresh, as in a container that was warmed up.
 - Broken files of the cache are replaced.
 - Of several processes that need the same code, one compiles it and the others wait. Where there is
-  more than one core and much to compile, the first process starts others that compile from the
-  other end of the list of kernels, see `kernel_list`; they end when it does.
+  more than one core and much to compile, the first process starts others that compile what it
+  will need later on, see `kernel_list`; they end when it does.
 - What takes long is told to the logger ``navbake.compiled`` before it begins.
 
 Source: numba's `Dispatcher.enable_caching` is what ``@njit(cache=True)`` calls on what it made;
@@ -27,7 +27,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -37,10 +37,11 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 from numba.core.registry import CPUDispatcher
 
+from navbake.compiler.shortcuts import shortcuts
 from navbake.digests import digest_folder, read_stamp
 from navbake.folder_lock import folder_lock
 from navbake.kernel_list import PREFIX, read_list
-from navbake.loading import loads_light, rebuild, skip_probe
+from navbake.loading import few_environments, loads_light, rebuild
 
 LOGGER = logging.getLogger("navbake.compiled")  # bakes log their own warnings to its parent
 REMEDY = "set NUMBA_CACHE_DIR to a folder that can be written"
@@ -67,8 +68,10 @@ class Kernel(CPUDispatcher):
     def compile(self, sig: Any) -> Any:
         """Compile for a signature, or load what was compiled for it."""
         with global_compiler_lock:  # until the lock of the file is given back, too
+            lean = shortcuts(self.targetctx.codegen()) if loads_light() else nullcontext()
             try:
-                return super().compile(sig)
+                with lean:
+                    return super().compile(sig)
             finally:
                 self._cache.release()
                 _tell_progress()
@@ -193,8 +196,7 @@ class KernelCache(caching.FunctionCache):
         try:
             if not loads_light():
                 return super().load_overload(sig, target_context)
-            skip_probe()
-            with self._guard_against_spurious_io_errors():
+            with self._guard_against_spurious_io_errors(), few_environments():
                 return self._load_overload(sig, target_context)  # see `navbake.loading`
             return None
         except MemoryError:
@@ -263,10 +265,10 @@ def announce(kernel: Kernel) -> None:
     """
     if kernel._is_counted:
         return
-    costs: dict[str, float] = {}
-    for entry in read_list().entries:
-        costs[entry.name] = costs.get(entry.name, 0.0) + entry.seconds
     new = [k for k in KERNELS if k is kernel or (not k._is_counted and k.is_cold())]
+    costs: dict[str, float] = {}
+    for entry in read_list().cold(k.full_name for k in new)[0]:
+        costs[entry.name] = costs.get(entry.name, 0.0) + entry.seconds
     # what only kernels call is part of the costs of those
     seconds = sum(costs.get(k.full_name, 0.0 if costs else SECONDS) for k in new)
     if seconds < 1:
@@ -274,7 +276,7 @@ def announce(kernel: Kernel) -> None:
     for k in new:
         k._is_counted = True
     can_share = bool(costs) and isinstance(kernel._cache, KernelCache)
-    helpers = _start_helpers(kernel, seconds) if can_share else 0
+    helpers = _start_helpers(kernel, new, seconds) if can_share else 0
     seconds /= 1 + 0.8 * helpers
     about = f"about {seconds:.0f} s" if seconds < 60 else f"about {seconds / 60:.1f} minutes"
     if isinstance(kernel._cache, MemoryCache):
@@ -286,7 +288,7 @@ def announce(kernel: Kernel) -> None:
         LOGGER.warning(f"compiling for this machine, once: {about}")
 
 
-def _start_helpers(kernel: Kernel, seconds: float) -> int:
+def _start_helpers(kernel: Kernel, new: list[Kernel], seconds: float) -> int:
     """Start processes that compile what this one will need; how many of them there are now.
 
     Of processes that start at once, one does so, as far as they use the same folder.
@@ -300,7 +302,7 @@ def _start_helpers(kernel: Kernel, seconds: float) -> int:
         return 0
     if not folder_lock(Path(kernel._cache.cache_path)).try_acquire("helpers"):
         return 0
-    modules = sorted({k.__module__ for k in KERNELS})
+    cold = [k.full_name for k in new]
     root = str(Path(__file__).parents[1])
     # Modules are found where this process finds them, and not in the current folder first, as with
     # -c; after all others in the path: the folder that holds navbake may hold anything.
@@ -310,7 +312,7 @@ def _start_helpers(kernel: Kernel, seconds: float) -> int:
     if numba.config.CACHE_DIR:
         environment["NUMBA_CACHE_DIR"] = numba.config.CACHE_DIR
     for number in range(count):
-        task = {"modules": modules, "share": number / count, "parent": os.getpid()}
+        task = {"cold": cold, "number": number, "count": count, "parent": os.getpid()}
         with suppress(OSError):
             _helpers.append(
                 subprocess.Popen(

@@ -7,7 +7,7 @@ import re
 import stat
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from os import PathLike
 from pathlib import Path
@@ -44,7 +44,10 @@ def file_state(path: str | PathLike[str]) -> FileState:
 
 
 def write_whole(
-    data: bytes, path: str | PathLike[str], *, unless_changed: FileState | None = None
+    data: bytes | Iterable[bytes],
+    path: str | PathLike[str],
+    *,
+    unless_changed: FileState | None = None,
 ) -> None:
     """Write a file under another name in the same folder, then rename it.
 
@@ -53,6 +56,7 @@ def write_whole(
     a process and folder: a folder of many files takes long to list.
 
     Args:
+        data: the content, or pieces of it.
         unless_changed: what the path was when the work began. If another process wrote it since,
             it stays as that process left it. Processes on one machine take turns at this, where
             the system locks folders.
@@ -61,8 +65,10 @@ def write_whole(
         OSError: the path can't be written, or was written by another process; a file that was
             there is unchanged.
     """
+    pieces = [data] if isinstance(data, bytes) else data
     if not _is_replaceable(path):
-        Path(path).write_bytes(data)
+        with open(path, "wb") as device:
+            device.writelines(pieces)
         LOG.debug("wrote %s", path)
         return
     target = Path(os.path.realpath(path))
@@ -72,8 +78,9 @@ def write_whole(
     file, temporary = _create_temporary(target.parent)
     try:
         with file:
-            file.write(data)
+            file.writelines(pieces)
             file.flush()
+            size = file.tell()
             os.fsync(file.fileno())
             if fcntl is not None:  # under the lock: nobody takes it for a leftover
                 _replace(temporary, target, unless_changed)
@@ -82,7 +89,7 @@ def write_whole(
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
-    LOG.debug("wrote %s, %d bytes", path, len(data))
+    LOG.debug("wrote %s, %d bytes", path, size)
 
 
 def _replace(temporary: Path, target: Path, unless_changed: FileState | None) -> None:

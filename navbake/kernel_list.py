@@ -11,17 +11,20 @@ out of date costs time, and nothing else.
 
 from __future__ import annotations
 
+import gc
 import importlib
 import json
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 FILE = Path(__file__).with_name("kernels.json")
 PREFIX = "navbake."
+BETWEEN_COLLECTIONS = 200_000  # objects that are made, net, before Python looks for garbage
+START = 2.0  # how long a process that helps takes until it compiles [s]
 RAYS = "navbake.baker.kernels.rays"  # its kernels call MuJoCo
 
 
@@ -50,10 +53,23 @@ class KernelList(NamedTuple):
     Attributes:
         entries: the kernels.
         tuples: named tuples by the names that the entries call them: class, types of fields.
+        num_common: how many entries, the first ones, the bake of a sample calls.
     """
 
     entries: list[Entry]
     tuples: dict[str, list[Any]]
+    num_common: int = 0
+
+    def cold(self, names: Iterable[str]) -> tuple[list[Entry], list[Entry]]:
+        """The entries of some kernels: those that are needed soon, and the others.
+
+        A bake needs few kernels but those that the bake of a sample calls; whoever calls none of
+        these may need all.
+        """
+        wanted = set(names)
+        common = [entry for entry in self.entries[: self.num_common] if entry.name in wanted]
+        rest = [entry for entry in self.entries[self.num_common :] if entry.name in wanted]
+        return (common, rest) if common else (rest, [])
 
 
 @cache
@@ -61,7 +77,8 @@ def read_list() -> KernelList:
     """Read the list; empty where there is none."""
     try:
         data = json.loads(FILE.read_text(encoding="utf-8"))
-        return KernelList([Entry(*entry) for entry in data["kernels"]], data["tuples"])
+        entries = [Entry(*entry) for entry in data["kernels"]]
+        return KernelList(entries, data["tuples"], data.get("num_common", len(entries)))
     except (OSError, ValueError, TypeError, KeyError):
         return KernelList([], {})
 
@@ -70,7 +87,8 @@ def write_list(found: KernelList) -> None:
     """Write the list, a line for each tuple and kernel."""
     tuples = ",\n".join(f"{json.dumps(k)}: {json.dumps(v)}" for k, v in found.tuples.items())
     kernels = ",\n".join(json.dumps(list(entry)) for entry in found.entries)
-    text = f'{{"tuples": {{\n{tuples}\n}},\n"kernels": [\n{kernels}\n]}}\n'
+    count = f'"num_common": {found.num_common}'
+    text = f'{{"tuples": {{\n{tuples}\n}},\n{count},\n"kernels": [\n{kernels}\n]}}\n'
     FILE.write_text(text, encoding="utf-8")
 
 
@@ -117,30 +135,60 @@ def decode(value: Any, tuples: dict[str, list[Any]]) -> Any:
     return types.Array(scalar, int(rest[0]), rest[1], readonly="readonly" in rest)
 
 
-def compile_listed(modules: Iterable[str], share: float, parent: int) -> None:
-    """Compile the kernels of some modules that no other process has compiled or is compiling.
+def plan(seconds: list[float], num_helpers: int) -> list[list[int]]:
+    """Share kernels between the process that needs them, in their order, and some that help it.
 
-    It goes from the end of the list to its beginning, as whoever needs them comes from there.
+    A helper takes the longest one that it has ready before it is needed, if all goes as the list
+    says; so what is left in the end is short, and nobody waits long. The others are left to the
+    process that needs them.
 
     Args:
-        modules: their names.
-        share: where to begin, from 0, the end of the list, to 1.
+        seconds: what each kernel takes, in the order in which they are needed.
+
+    Returns:
+        For each helper, which kernels it takes, in its order.
+    """
+    left = dict(enumerate(seconds))
+    plans: list[list[int]] = [[] for _ in range(num_helpers)]
+    busy = [START] * num_helpers
+    while busy:
+        helper = busy.index(min(busy))
+        needed, longest = 0.0, None
+        for number, cost in left.items():
+            if needed >= busy[helper] + cost and (longest is None or cost >= left[longest]):
+                longest = number
+            needed += cost
+        if longest is None:
+            break
+        plans[helper].append(longest)
+        busy[helper] += left.pop(longest)
+    return plans
+
+
+def compile_listed(cold: Sequence[str], number: int, count: int, parent: int) -> None:
+    """Compile kernels that no other process has compiled or is compiling.
+
+    First those of the plan, then what is left, from the end of the list to its beginning, as
+    whoever needs them comes from there.
+
+    Args:
+        cold: the names of the kernels, without the package's.
+        number: which helper this is, of `count`.
         parent: the process that needs them; when it ends, this one does.
     """
-    entries, tuples = read_list()
-    wanted = set(modules)
-    if RAYS in wanted:
+    found = read_list()
+    soon, rest = found.cold(cold)
+    if any(PREFIX + name.rpartition(".")[0] == RAYS for name in cold):
         # LLVM ends a process that compiles a call of what it does not find
         library = importlib.import_module(f"{PREFIX}baker.scene.model").mujoco_library()
         importlib.import_module(RAYS).load_mujoco_library(library)
-    left = [entry for entry in reversed(entries) if entry.module in wanted]
-    begin = int(len(left) * share)
-    for entry in left[begin:] + left[:begin]:
+    planned = plan([entry.seconds for entry in soon], count)[number]
+    for entry in [*(soon[i] for i in planned), *reversed(soon), *reversed(rest)]:
         if os.getppid() != parent:
             return
         try:
             kernel = getattr(importlib.import_module(entry.module), entry.name.rpartition(".")[2])
-            kernel.compile_if_free(tuple(decode(t, tuples) for t in entry.types))
+            kernel.compile_if_free(tuple(decode(t, found.tuples) for t in entry.types))
         except (
             Exception
         ):  # out of date: whoever needs the kernel compiles it and says what is wrong
@@ -149,4 +197,5 @@ def compile_listed(modules: Iterable[str], share: float, parent: int) -> None:
 
 def main() -> None:
     """Compile beside another process, see `navbake.dispatch`: the arguments are JSON."""
+    gc.set_threshold(BETWEEN_COLLECTIONS, *gc.get_threshold()[1:])
     compile_listed(**json.loads(sys.argv[1]))

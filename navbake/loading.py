@@ -1,30 +1,35 @@
 """Loads compiled kernels from disk without what only the compiler needs.
 
 numba gets ready to compile whenever it loads: it imports and registers all functions that it can
-compile, and scipy's linear algebra, and reads each kernel's bitcode beside its machine code. That
-takes longer than all else. Machine code needs none of it, so it waits for the first kernel that is
-compiled: then numba's compiler registers its functions itself, and a kernel's bitcode is read when
-it is linked into another.
+compile, and scipy's linear algebra, compiles its runtime, and reads each kernel's bitcode beside
+its machine code. That takes longer than all else. Machine code needs none of it, so it waits for
+the first kernel that is compiled: then numba's compiler gets ready itself, and a kernel's bitcode
+is read when it is linked into another.
 
-Source: `FunctionCache.load_overload` and `CPUCodeLibrary._unserialize` of numba 0.68. With other
-versions, kernels are loaded as numba does it, which is slower.
+Source: `FunctionCache.load_overload`, `CPUCodeLibrary._unserialize`, `_Runtime.initialize` and
+`Environment` of numba 0.68. With other versions, kernels are loaded as numba does it, which is
+slower.
 """
 
 # numba has few types
-# mypy: disable-error-code="attr-defined,no-untyped-call,misc"
+# mypy: disable-error-code="attr-defined,call-arg,no-untyped-call,misc"
 
 from __future__ import annotations
 
-import importlib
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
 import numba
 from llvmlite import binding
+from numba.core import environment
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult
-from numba.core.runtime import rtsys
-from numba.np import linalg
+from numba.core.runtime import _nrt_python
+
+from navbake.compiler.shortcuts import NoMachineCode, library_class
 
 MADE_FOR = "0.68."
 
@@ -40,17 +45,27 @@ class LoadedLibrary(JITCodeLibrary):
     @classmethod
     def _unserialize(cls, codegen: Any, state: tuple[str, str, Any]) -> Any:
         name, kind, data = state
-        if kind != "object":
-            return super()._unserialize(codegen, state)
         library = cls(codegen, name)
-        machine_code, library._bitcode = data
-        library.enable_object_caching()
-        library._set_compiled_object(machine_code)
-        library._finalize_final_module()
+        library._has_machine_code = kind == "object"
+        if library._has_machine_code:
+            machine_code, library._bitcode = data
+            engine = codegen._engine._ee
+            engine.add_object_file(binding.object_file.ObjectFileRef.from_data(machine_code))
+            engine.finalize_object()
+        else:  # only other kernels call it, see `LeanLibrary`
+            library._bitcode = data
+        library._finalized = True
         return library
 
+    @property
+    def codegen(self) -> Any:
+        """What keeps the environments of machine code."""
+        return self._codegen if self._has_machine_code else NoMachineCode(self._codegen)
+
     def get_pointer_to_function(self, name: str) -> int:
-        """The address of a function that the machine code defines."""
+        """The address of a function that the machine code defines; 0 if there is none."""
+        if not self._has_machine_code:
+            return 0
         address: int = self._codegen._engine.get_function_address(name)
         return address
 
@@ -61,27 +76,45 @@ class LoadedLibrary(JITCodeLibrary):
         return self._shared_module
 
 
-@cache
-def skip_probe() -> None:
-    """Import numba's functions of arrays without scipy's linear algebra.
+@contextmanager
+def few_environments() -> Iterator[None]:
+    """Read kernels without the environments that numba keeps for each function inlined into them.
 
-    Kernels name the module that a function of numpy's comes from. It imports BLAS only to know
-    whether it is there. Whoever compiles a function that calls BLAS still loads it.
+    An environment holds the constants that are no numbers: what an error says, for instance. Most
+    have none, and no code reads those. Making them imports the modules of all these functions.
     """
-    probe = linalg.ensure_blas
-    linalg.ensure_blas = lambda: None  # scipy is there: navbake depends on it
+    make = environment._rebuild_env
+    environment._rebuild_env = _make_environment
     try:
-        importlib.import_module("numba.np.arraymath")
+        yield
     finally:
-        linalg.ensure_blas = probe
+        environment._rebuild_env = make
+
+
+def _make_environment(module: str, constants: list[Any], name: str) -> Any:
+    found = environment.lookup_environment(name)
+    if found is not None:
+        return found
+    loaded = sys.modules.get(module)
+    found = environment.Environment(vars(loaded) if loaded else {"__name__": module})
+    found.consts[:] = constants
+    found.env_name = name
+    environment.Environment._memo[name] = found
+    return found
+
+
+@cache
+def _name_runtime() -> None:
+    """Tell LLVM where the functions are that allocate arrays."""
+    for name, address in _nrt_python.c_helpers.items():
+        binding.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
 
 
 def rebuild(target_context: Any, payload: tuple[Any, ...]) -> Any:
     """Make a compiled kernel of what `CompileResult._reduce` returned."""
-    rtsys.initialize(target_context)  # what allocates arrays
+    _name_runtime()
     codegen = target_context.codegen()
-    codegen._library_class = LoadedLibrary  # over its class's; numba's lock is held
-    try:
-        return CompileResult._rebuild(target_context, *payload)
-    finally:
-        del codegen._library_class
+    *most, referenced = payload
+    with library_class(codegen, LoadedLibrary):
+        used = tuple(each for each in referenced if len(each.consts))
+        return CompileResult._rebuild(target_context, *most, used)

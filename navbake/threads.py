@@ -10,12 +10,15 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import numba
 import numpy as np
 
 from navbake.errors import ConfigError
+
+Result = TypeVar("Result")
 
 BANDS = 8  # ranges for each thread: enough that all end at about the same time
 _limit = threading.local()  # `count`: the most threads for what this thread starts
@@ -23,8 +26,10 @@ _pool: ThreadPoolExecutor | None = None
 _pool_lock = threading.Lock()
 
 
-def run_in_bands(kernel: Callable[..., Any], count: int, *args: Any, least: int = 1) -> None:
-    """Call a kernel for all of ``range(count)``, by ranges, on as many threads as are allowed.
+def run_in_bands(
+    kernel: Callable[..., Any], count: int, *args: Any, least: int = 1, begin: int = 0
+) -> None:
+    """Call a kernel for ``range(begin, begin + count)``, by ranges, on as many threads as allowed.
 
     The threads take the ranges in order, each the next one when it is done with its last. Which
     thread takes which must not matter: each range writes what no other one reads or writes.
@@ -35,12 +40,14 @@ def run_in_bands(kernel: Callable[..., Any], count: int, *args: Any, least: int 
         count: how much work there is, >= 0.
         args: what all calls are given.
         least: how much work is worth a call, >= 1; less of it than that runs on this thread.
+        begin: where the work begins.
     """
     threads = num_threads()
     size = max(least, -(-count // (threads * BANDS)))
-    bands = iter([(first, min(first + size, count)) for first in range(0, count, size)])
+    end = begin + count
+    bands = iter([(first, min(first + size, end)) for first in range(begin, end, size)])
     if threads == 1 or count <= size:
-        _work(kernel, args, iter([(0, count)] if count else []))
+        _work(kernel, args, iter([(begin, end)] if count else []))
         return
     others = min(threads, -(-count // size)) - 1
     started = [_get_pool().submit(_work, kernel, args, bands) for _ in range(others)]
@@ -50,6 +57,16 @@ def run_in_bands(kernel: Callable[..., Any], count: int, *args: Any, least: int 
         deque(bands, maxlen=0)  # after an error here nothing more is begun
         # one that has not begun has nothing left to do
         _wait([future for future in started if not future.cancel()])
+
+
+def run_beside(task: Callable[..., Result], *args: Any) -> Callable[[], Result]:
+    """Start a function on another thread; on one thread, it runs when its result is asked for.
+
+    Returns what waits for the result, and gives it or raises what the function raised.
+    """
+    if num_threads() == 1:
+        return partial(task, *args)
+    return _get_pool().submit(task, *args).result
 
 
 def _work(

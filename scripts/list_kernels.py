@@ -55,10 +55,11 @@ def record() -> Any:
     Kernel.compile = compile_and_note
     try:
         navbake.bake(ROOT / "configs" / "apartment.yaml")
+        num_common = len(entries)
         compile_all(lambda name, share: None)
     finally:
         Kernel.compile = compile_one
-    return KernelList(entries, tuples)
+    return KernelList(entries, tuples, num_common)
 
 
 if __name__ == "__main__":

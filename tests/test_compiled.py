@@ -40,6 +40,7 @@ def package(tmp_path):
     real = Path(navbake.__file__).parent
     for name in MACHINERY:
         shutil.copy(real / f"{name}.py", kernels.parent)
+    shutil.copytree(real / "compiler", kernels.parent / "compiler")
     source = (real / "runtime" / "kernels" / "__init__.py").read_bytes()
     (kernels / "__init__.py").write_bytes(source)
     (kernels / "inner.py").write_text(INNER)

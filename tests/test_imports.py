@@ -34,10 +34,10 @@ DOORS = {
 # what may import the baker; a bake starts at `navbake.bake`, which is looked up when it is called
 BAKER_USERS = ("baker", "cli")
 # a verification loads the scene as the bake does, and shares nothing else with it: from these it
-# takes the compiled model, its pose, its names, and which geoms count as what
+# takes the compiled model, its pose, its names, its tree of bodies, and which geoms count as what
 VERIFIER_SHARES = ("navbake.baker.scene.scene", "navbake.baker.scene.names")
 VERIFIER_SHARES += ("navbake.baker.scene.memory", "navbake.baker.scene.model")
-VERIFIER_SHARES += ("navbake.baker.scene.chatter",)
+VERIFIER_SHARES += ("navbake.baker.scene.bodies", "navbake.baker.scene.chatter")
 # what the scene has besides, made by code that is checked
 VERIFIER_LEAVES = ("shapes", "bounds")
 LIGHT = ("navgrid", "formats", "runtime", "voxels", "arena", "views", "files", "errors", "types")
@@ -273,9 +273,9 @@ LIGHT_COMMANDS = {
     "info house.grid.json": ("numba", "scipy", "mujoco", "trimesh", "matplotlib", "PIL"),
     "rooms house.grid.json": ("numba", "scipy", "mujoco", "trimesh", "matplotlib", "PIL"),
     "why house.grid.json --at 0,0": ("numba", "scipy", "mujoco", "trimesh", "matplotlib", "PIL"),
-    "bake house.xml -o again.grid.json": ("trimesh", *SCIPY, "matplotlib", "PIL", "glfw"),
+    "bake house.xml -o again.grid.json": ("trimesh", *SCIPY, "matplotlib", "PIL", "glfw", "rich"),
     "geoms house.xml": ("trimesh", *SCIPY, "matplotlib", "PIL", "glfw"),
-    "bake cup.xml -o again.grid.json": ("trimesh", "matplotlib", "PIL", "glfw"),
+    "bake cup.xml -o again.grid.json": ("trimesh", *SCIPY, "matplotlib", "PIL", "glfw", "rich"),
 }
 
 

@@ -11,9 +11,20 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numba import typeof
 
-from navbake.kernel_list import FILE, decode, encode, read_list
+from navbake.kernel_list import (
+    FILE,
+    START,
+    Entry,
+    KernelList,
+    decode,
+    encode,
+    plan,
+    read_list,
+)
 
 ROOT = Path(__file__).parents[1]
 
@@ -83,7 +94,7 @@ def test_the_list_has_what_a_bake_calls():
     # a prime tells classes of one name apart in the list, and `encode` sees one at a time here
     listed = [
         [entry.name, json.loads(json.dumps(entry.types).replace("'", ""))]
-        for entry in read_list().entries
+        for entry in read_list().entries[: read_list().num_common]
     ]
     missing = [call for call in json.loads(run.stdout.splitlines()[-1]) if call not in listed]
     assert missing == [], f"{FILE.name} is out of date: run `python scripts/list_kernels.py`"
@@ -95,10 +106,11 @@ from navbake import dispatch, kernel_list
 import navbake.formats.kernels.runs as runs
 modules = [runs.__name__]
 if sys.argv[1:] == ["help"]:
-    kernel_list.compile_listed(modules, 0.0, os.getppid())
+    cold = [k.full_name for k in dispatch.KERNELS]
+    kernel_list.compile_listed(cold, 0, 1, os.getppid())
 else:
     import numpy as np
-    entries, tuples = kernel_list.read_list()
+    entries, tuples, _ = kernel_list.read_list()
     hits = 0
     for entry in entries:
         if entry.module in modules:
@@ -117,6 +129,49 @@ def test_what_a_helper_compiles_is_found(tmp_path):
         [sys.executable, "-c", HELP], env=env, stdout=subprocess.PIPE, text=True, check=True
     )
     assert int(run.stdout) > 0
+
+
+def finish(seconds: list[float], num_helpers: int) -> float:
+    """When a process has all its kernels that takes what is left, in order, beside its helpers."""
+    plans = plan(seconds, num_helpers)
+    done = {}
+    for numbers in plans:
+        clock = START
+        for number in numbers:
+            clock += seconds[number]
+            assert done.setdefault(number, clock) == clock, "taken twice"
+    clock = 0.0
+    for number, cost in enumerate(seconds):
+        clock = max(clock, done[number]) if number in done else clock + cost
+    return clock
+
+
+@given(
+    st.lists(st.floats(0.05, 8.0), min_size=1, max_size=60),
+    st.integers(min_value=0, max_value=3),
+)
+def test_a_plan_shares_the_work_and_nobody_waits_long(seconds, num_helpers):
+    clock, total, longest = finish(seconds, num_helpers), sum(seconds), max(seconds)
+    assert clock <= total + 1e-9  # no worse than alone
+    even = (total + num_helpers * START) / (1 + num_helpers)
+    assert clock <= even + START + 2 * longest + 1e-9
+
+
+def test_the_plan_of_a_bake_is_nearly_even():
+    found = read_list()
+    seconds = [entry.seconds for entry in found.entries[: found.num_common]]
+    even = (sum(seconds) + START) / 2
+    assert finish(seconds, 1) < 1.1 * even
+    assert finish(seconds, 3) < 0.7 * even
+
+
+def test_what_few_need_comes_last():
+    entries = [Entry(f"module.kernel_{number}", 1.0, []) for number in range(4)]
+    found = KernelList(entries, {}, num_common=2)
+    names = [entry.name for entry in entries]
+    assert found.cold(names) == (entries[:2], entries[2:])
+    assert found.cold(names[1:3]) == (entries[1:2], entries[2:3])
+    assert found.cold(names[2:]) == (entries[2:], [])
 
 
 LINK = """
@@ -153,7 +208,7 @@ def test_processes_beside_find_mujoco():
 import os
 from navbake import kernel_list
 kernel_list.read_list = lambda: kernel_list.KernelList([], {})
-kernel_list.compile_listed(["navbake.baker.kernels.rays"], 0.0, os.getppid())
+kernel_list.compile_listed(["baker.kernels.rays.cast_lines"], 0, 1, os.getppid())
 from llvmlite import binding
 assert binding.address_of_symbol("mju_rayGeom")
 """

@@ -126,6 +126,25 @@ def test_nothing_is_compiled_after_warm_up(empty_folder):
     assert used[1] - used[0] == set()
 
 
+AGAIN = """
+import numba.core.compiler as compiler
+import navbake
+
+def refuse(context, target, function, *rest, **options):
+    raise AssertionError(f"{function} is compiled in each process")
+
+compiler.compile_extra = refuse
+navbake.bake("configs/apartment.yaml")
+"""
+
+
+@pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
+def test_a_bake_compiles_nothing_that_was_compiled_before():
+    """As would a helper of kernels without a cache that Python calls: it costs 0.3 s each time."""
+    navbake.bake(ROOT / "configs" / "apartment.yaml")
+    subprocess.run([sys.executable, "-W", "ignore", "-c", AGAIN], cwd=ROOT, check=True)
+
+
 def test_warm_up_reaches_every_kernel():
     from navbake.cli.warm_up import cold_kernels, compile_all, load_kernels
 

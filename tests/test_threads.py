@@ -10,7 +10,7 @@ from numba import njit
 
 import navbake
 from navbake.errors import ConfigError
-from navbake.threads import limit_threads, num_threads, run_in_bands
+from navbake.threads import limit_threads, num_threads, run_beside, run_in_bands
 
 
 @pytest.mark.parametrize("count", ["2", 1.5, True, 0, -1, [], "x"], ids=repr)
@@ -66,3 +66,12 @@ def test_a_limit_holds_in_its_thread_alone():
         assert num_threads() == 1
         assert pool.submit(num_threads).result() == numba.config.NUMBA_NUM_THREADS
     assert num_threads() == numba.config.NUMBA_NUM_THREADS
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_run_beside_gives_the_result_or_raises(threads):
+    with limit_threads(threads):
+        assert run_beside(divmod, 7, 2)() == (3, 1)
+        result = run_beside(divmod, 7, 0)
+        with pytest.raises(ZeroDivisionError):
+            result()

@@ -14,25 +14,41 @@ Progress = Callable[[str, float], None]
 class StageClock:
     """Times the stages of a bake: `seconds` of each by its name, in the order in which they ended.
 
-    Runs of one stage are added up.
+    Runs of one stage are added up. Where one runs inside of another, its time is not the other's.
     """
 
     def __init__(self, progress: Progress | None = None) -> None:
         self._progress = progress
+        self._inside: list[float] = []  # what ran inside of each that runs now [s]
+        self._ahead: dict[str, float] = {}  # of stages that did not end yet [s]
         self.seconds: dict[str, float] = {}
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time what runs inside as part of a stage."""
-        begin = time.perf_counter()
+        """Time what runs inside as part of a stage, and tell who watches."""
         if self._progress is not None:
             self._progress(name, 0.0)
-        yield
-        taken = time.perf_counter() - begin
-        self.seconds[name] = self.seconds.get(name, 0.0) + taken
-        LOG.debug("%s: %.2f s", name, taken)
+        with self.part(name):
+            yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + self._ahead.pop(name, 0.0)
+        LOG.debug("%s: %.2f s", name, self.seconds[name])
         if self._progress is not None:
             self._progress(name, 1.0)
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        """Time what runs inside as part of a stage, which may end later."""
+        begin = time.perf_counter()
+        self._inside.append(0.0)
+        try:
+            yield
+        finally:
+            taken, inside = time.perf_counter() - begin, self._inside.pop()
+        # what fails is no part of it
+        counted = self.seconds if name in self.seconds else self._ahead
+        counted[name] = counted.get(name, 0.0) + taken - inside
+        if self._inside:
+            self._inside[-1] += taken
 
     def to_json(self) -> dict[str, float]:
         """The timings as a grid file has them [ms]."""

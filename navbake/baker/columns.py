@@ -1,23 +1,56 @@
 """Columns: every crossing of every cell's vertical line with the scene."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.baker.gathered import Gathered
 from navbake.baker.kernels.arrays import Band, BandItems, Crossings, Facets, Tiles
 from navbake.baker.kernels.hits import RIM, close_up
 from navbake.baker.kernels.rays import cast_lines, cast_points_at, load_mujoco_library
-from navbake.baker.kernels.tiles import BAND, bin_boxes, list_by_band, tile_of
-from navbake.baker.scene.kernels.triangles import measure_triangles
+from navbake.baker.kernels.tiles import BAND, TILE, tile_of
+from navbake.baker.listing import list_by_band, list_by_tile
+from navbake.baker.scene.kernels.triangles import measure_boxes
 from navbake.baker.scene.model import mujoco_library
 from navbake.baker.scene.shapes import Shapes, Triangles
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
 from navbake.types import Float, Int, Int32
 
-UPRIGHT = 1e-9  # the z of a unit normal below which a triangle counts as upright
+# Crossings of so many cells are found at once, for the memory that it takes
+BLOCK_CELLS = 1 << 20
+
+
+class Rows(NamedTuple):
+    """A band of rows of cells: the first, and past the last."""
+
+    first: int
+    end: int
+
+    def cells(self, lattice: Lattice) -> tuple[int, int]:
+        """The first of their cells, and past the last."""
+        return self.first * lattice.width, self.end * lattice.width
+
+    def grown(self, by: int, lattice: Lattice) -> "Rows":
+        """The rows with some more on both sides, as far as the lattice goes."""
+        return Rows(max(self.first - by, 0), min(self.end + by, lattice.height))
+
+
+def split_rows(lattice: Lattice) -> list[Rows]:
+    """Split a lattice into blocks of rows of about `BLOCK_CELLS` cells, of whole `BAND`s."""
+    count = max(BLOCK_CELLS // (lattice.width * BAND), 1) * BAND
+    firsts = range(0, lattice.height, count)
+    return [Rows(first, min(first + count, lattice.height)) for first in firsts]
+
+
+def tiles_of_rows(lattice: Lattice, rows: Rows) -> range:
+    """The tiles that some rows of cells lie on, which begin and end with whole tiles."""
+    num = -(-lattice.width // TILE)
+    return range(rows.first // TILE * num, -(-rows.end // TILE) * num)
 
 
 @dataclass(frozen=True)
@@ -30,6 +63,14 @@ class TiledShapes:
     tiles: Tiles
 
     @cached_property
+    def by_band(self) -> BandItems:
+        """Which of them lie over centres of which band of rows."""
+        triangles = list_by_band(self.facets.bounds, RIM, self.lattice)
+        is_crossed = np.empty(len(triangles[1]), dtype=np.bool_)
+        solids = list_by_band(self.shapes.solids.bounds, RIM, self.lattice)
+        return BandItems(*solids, *triangles, is_crossed)
+
+    @cached_property
     def heights(self) -> Band:
         """Heights below and above everything over the lattice [m]."""
         return _height_range(self.shapes, self.lattice)
@@ -39,9 +80,14 @@ class TiledShapes:
 class Columns:
     """All surfaces of all columns, ragged: cell i holds ``[start[i], start[i + 1])``.
 
+    Columns of a band of rows have the surfaces of these alone. Their `start` has a place for every
+    cell of the lattice nevertheless, so that kernels find a cell by its id; what it holds of other
+    rows means nothing.
+
     Attributes:
         lattice: the cells.
         crossings: the surfaces, as kernels take them; the others are parts of it.
+        rows: the rows of cells that are known, all of them if None.
         start: shape (cells + 1,), int64.
         z: heights, ascending in a column, shape (n,), float64 [m].
         normal: unit normals, shape (n, 3), float32; z > 0 faces up.
@@ -50,6 +96,23 @@ class Columns:
 
     lattice: Lattice
     crossings: Crossings
+    rows: Rows | None = None
+
+    @property
+    def known_rows(self) -> Rows:
+        """The first row that is known, and past the last."""
+        return self.rows or Rows(0, self.lattice.height)
+
+    def only_rows(self, rows: Rows) -> "Columns":
+        """The columns of some of the rows that are known; arrays are parts of these ones."""
+        first, end = rows.cells(self.lattice)
+        begin = int(self.start[first])
+        part = slice(begin, int(self.start[end]))
+        start = np.zeros(len(self.start), dtype=np.int64)  # whose pages cost nothing until written
+        np.subtract(self.start[first : end + 1], begin, out=start[first : end + 1])
+        _, z, normal, geom, closed = self.crossings
+        parts = z[part], normal[part], geom[part], closed[part]
+        return Columns(self.lattice, Crossings(start, *parts), rows)
 
     @property
     def start(self) -> Int:
@@ -68,54 +131,107 @@ class Columns:
         return self.crossings.geom
 
     def cut(self, rows: slice, cols: slice, lattice: Lattice) -> "Columns":
-        """The columns of a window; `lattice` is its own, with cells in the same places."""
-        cells = np.arange(len(self.start) - 1).reshape(self.lattice.shape)[rows, cols].ravel()
-        first, counts = self.start[cells], np.diff(self.start)[cells]
-        start = np.concatenate([[0], np.cumsum(counts)])
-        taken = np.repeat(first - start[:-1], counts) + np.arange(start[-1])
-        return Columns(lattice, Crossings(start, *(part[taken] for part in self.crossings[1:])))
+        """The columns of a window, of those of its rows that are known.
+
+        `lattice` is the window's own, with cells in the same places.
+        """
+        known = Rows(*np.clip(self.known_rows, rows.start, rows.stop).tolist())
+        row, col = np.ogrid[known.first : known.end, cols]
+        cells = (row * self.lattice.width + col).ravel()
+        first, counts = self.start[cells], self.start[cells + 1] - self.start[cells]
+        start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
+        shown = Rows(known.first - rows.start, known.end - rows.start)
+        place, end = shown.cells(lattice)
+        np.cumsum(counts, out=start[place + 1 : end + 1])
+        taken = np.repeat(first - start[place:end], counts) + np.arange(start[end])
+        parts = Crossings(start, *(part[taken] for part in self.crossings[1:]))
+        return Columns(lattice, parts, None if shown == (0, lattice.height) else shown)
+
+    def blocks(self) -> Iterator["Columns"]:
+        """All columns, in one block."""
+        yield self
+
+    def at(self, cells: Int | Int32) -> "Columns":
+        """The columns of some cells, and others."""
+        return self
 
 
-def cells_of(start: Int) -> Int:
-    """The cell of each item of ragged data, from the first item of each cell, (cells + 1,)."""
-    cell: Int = np.repeat(np.arange(len(start) - 1), np.diff(start))
-    return cell
+class ColumnSource(Protocol):
+    """Where the columns of a lattice come from: all at once, or block by block."""
+
+    @property
+    def lattice(self) -> Lattice:
+        """The cells."""
+
+    def blocks(self) -> Iterator[Columns]:
+        """The columns of all rows, by bands of them, in their order."""
+
+    def at(self, cells: Int | Int32) -> Columns:
+        """Columns in which those of some cells are known, whatever the order of their ids."""
+
+
+class GatheredColumns:
+    """Columns that come band by band, in the order of their rows, and become one."""
+
+    def __init__(self, lattice: Lattice) -> None:
+        self._lattice = lattice
+        self._start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
+        self._arrays = Gathered(*_empty_crossings(self._start, 0)[1:])
+
+    def add(self, columns: Columns, rows: Rows) -> None:
+        """Add the columns of some of the rows that a part knows, which follow on the last ones."""
+        first, end = rows.cells(self._lattice)
+        begin, stop = int(columns.start[first]), int(columns.start[end])
+        ends = self._start[first + 1 : end + 1]
+        np.add(columns.start[first + 1 : end + 1], len(self._arrays) - begin, out=ends)
+        _, z, normal, geom, closed = columns.crossings
+        part = slice(begin, stop)
+        self._arrays.add(z[part], normal[part], geom[part], closed[part])
+
+    def join(self) -> Columns:
+        """The columns of all rows; nothing is added after that."""
+        return Columns(self._lattice, Crossings(self._start, *self._arrays.take()))
 
 
 def tile_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> TiledShapes:
     """List the shapes by tiles; `reach` is how far beyond its centre a cell looks for them [m]."""
     facets = _facets_of(shapes.triangles)
-    solids = bin_boxes(shapes.solids.bounds, reach, lattice)
-    triangles = bin_boxes(facets.bounds, reach, lattice)
+    solids = list_by_tile(shapes.solids.bounds, reach, lattice)
+    triangles = list_by_tile(facets.bounds, reach, lattice)
     return TiledShapes(shapes, lattice, facets, Tiles(*solids, *triangles))
 
 
-def cast_columns(tiled: TiledShapes) -> Columns:
+def cast_columns(tiled: TiledShapes, rows: Rows | None = None) -> Columns:
     """Cross the vertical line through every cell's centre with all geometry.
 
     Rays against solids and infinite planes are MuJoCo's own. Each solid is crossed twice, from
     above and from below; planes from their front only. Lines within 1e-7 m of a rim cross it,
     so that a seam between two geoms never leaks.
+
+    Args:
+        rows: the rows of cells that are asked about, all if None. They become whole `BAND`s.
     """
     lattice, shapes, facets = tiled.lattice, tiled.shapes, tiled.facets
     load_mujoco_library(mujoco_library())
-    items = BandItems(
-        *list_by_band(shapes.solids.bounds, RIM, lattice),
-        *list_by_band(facets.bounds, RIM, lattice),
-    )
-    geometry = (lattice, shapes.solids, facets, shapes.planes, items, tiled.heights)
+    asked = rows or Rows(0, lattice.height)
+    bands = Rows(asked.first // BAND, -(-asked.end // BAND))
+    asked = Rows(bands.first * BAND, min(bands.end * BAND, lattice.height))
+    first, end = asked.cells(lattice)
+    work = cast_lines, bands.end - bands.first
+    geometry = (lattice, shapes.solids, facets, shapes.planes, tiled.by_band, tiled.heights)
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
     dropped = np.zeros(-(-lattice.height // BAND), dtype=np.int64)
     # without room for them, the crossings are only counted
-    run_in_bands(cast_lines, len(dropped), *geometry, _empty_crossings(start, 0), dropped)
-    np.cumsum(start, out=start)
-    crossings = _empty_crossings(start, int(start[-1]))
+    run_in_bands(*work, *geometry, _empty_crossings(start, 0), dropped, begin=bands.first)
+    known = start[first : end + 1]
+    np.cumsum(known, out=known)
+    crossings = _empty_crossings(start, int(known[-1]))
     if len(crossings.z):
-        run_in_bands(cast_lines, len(dropped), *geometry, crossings, dropped)
+        run_in_bands(*work, *geometry, crossings, dropped, begin=bands.first)
     if dropped.any():
-        count = close_up(crossings)
+        count = close_up(crossings._replace(start=known))
         crossings = Crossings._make([start, *(array[:count] for array in crossings[1:])])
-    return Columns(lattice, crossings)
+    return Columns(lattice, crossings, rows and asked)
 
 
 def cast_points(tiled: TiledShapes, cells: Int, points: Float) -> Crossings:
@@ -145,7 +261,9 @@ def _empty_crossings(start: Int, count: int) -> Crossings:
 
 
 def _facets_of(triangles: Triangles) -> Facets:
-    return Facets(*triangles, *measure_triangles(triangles.corners, UPRIGHT))
+    bounds = np.empty((len(triangles.geom), 6))
+    run_in_bands(measure_boxes, len(bounds), triangles.corners, bounds, least=4096)
+    return Facets(*triangles, bounds)
 
 
 def _height_range(shapes: Shapes, lattice: Lattice) -> Band:

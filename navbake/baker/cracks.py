@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from navbake.baker.columns import Columns, TiledShapes, cast_points
+from navbake.baker.columns import (
+    Columns,
+    GatheredColumns,
+    Rows,
+    TiledShapes,
+    cast_columns,
+    cast_points,
+    split_rows,
+)
 from navbake.baker.floors.sheets import agent_limits
-from navbake.baker.kernels.arrays import AgentLimits, Crossings
+from navbake.baker.kernels import cracks as kernels
+from navbake.baker.kernels.arrays import AgentLimits, Crossings, Tiles
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.kernels.cracks import (
     COUNT,
@@ -22,7 +31,9 @@ from navbake.baker.kernels.cracks import (
     find_gaps,
     probe_lines,
 )
+from navbake.baker.kernels.tiles import list_near
 from navbake.config.settings import AgentSettings
+from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int
 
@@ -39,6 +50,11 @@ HALVINGS = 10
 # a crack leaves less, as seen from its edge
 AROUND, OPEN_WAYS = 1.5, 2
 
+# Rounds of choosing among lines that a margin of rows is made for at first: mostly there is one
+MARGIN_ROUNDS = 4
+
+# How much farther than its lines go one looks for what is near a gap, for rounding [m]
+HAIR = 1e-6
 # How much of half a cell's edge a line may be moved: it stays inside of the cell's square
 WITHIN = 0.999
 
@@ -63,6 +79,84 @@ class Gaps(NamedTuple):
         return Gaps(self.cell[kept], self.low[kept], self.high[kept])
 
 
+class Moved(NamedTuple):
+    """Lines that were moved out of cracks.
+
+    Attributes:
+        cells: cell ids, ascending, shape (n,), int64.
+        offset: of each line from its cell's centre, shape (n, 2), float64 [m].
+    """
+
+    cells: Int
+    offset: Float
+
+    def of_rows(self, rows: Rows, lattice: Lattice) -> Moved:
+        """Those of some rows."""
+        part = slice(*np.searchsorted(self.cells, rows.cells(lattice)).tolist())
+        return Moved(self.cells[part], self.offset[part])
+
+
+NONE_MOVED = Moved(np.empty(0, dtype=np.int64), np.empty((0, 2)))
+
+
+def find_columns(tiled: TiledShapes, agent: AgentSettings, crack: float) -> Columns:
+    """Cast the columns of all cells, and close the cracks, band by band for the memory it takes."""
+    lattice, gathered = tiled.lattice, GatheredColumns(tiled.lattice)
+    bands = split_rows(lattice)
+    if len(bands) == 1:
+        return close_cracks(cast_columns(tiled), tiled, agent, crack)
+    for rows in bands:
+        gathered.add(find_columns_of_rows(tiled, agent, crack, rows)[0], rows)
+    return gathered.join()
+
+
+def find_columns_of_rows(
+    tiled: TiledShapes, agent: AgentSettings, crack: float, rows: Rows
+) -> tuple[Columns, Moved]:
+    """The columns of some rows of cells, the same that `find_columns` finds there.
+
+    Which line a cell in a crack gets depends on its neighbours, and on theirs. So more rows are
+    cast than are asked for, and again more where choosing among lines took more rounds.
+
+    Returns:
+        The columns of these rows, and which of their lines were moved.
+    """
+    lattice, margin = tiled.lattice, 0
+    if crack > 0:
+        margin = MARGIN_ROUNDS * crack_cells(crack, lattice)
+    while True:
+        columns = cast_columns(tiled, rows.grown(margin, lattice))
+        if crack == 0:
+            return columns.only_rows(rows), NONE_MOVED
+        closed, moved, rounds = _close_cracks(columns, tiled, agent, crack)
+        needed = (rounds + 1) * crack_cells(crack, lattice)
+        known = columns.known_rows
+        if known == Rows(0, lattice.height) or needed <= margin:
+            return closed.only_rows(rows), moved.of_rows(rows, lattice)
+        margin = 2 * needed
+
+
+def move_lines(columns: Columns, tiled: TiledShapes, moved: Moved) -> Columns:
+    """Columns with some lines moved, all of cells that are known."""
+    return _replace_lines(columns, tiled, *moved) if len(moved.cells) else columns
+
+
+def find_columns_at(tiled: TiledShapes, moved: Moved, cells: Int) -> Columns:
+    """The columns of some cells, as `find_columns` finds them; others mean nothing.
+
+    Args:
+        moved: all lines that were moved.
+        cells: cell ids, ascending, none twice.
+    """
+    lattice, offset = tiled.lattice, np.zeros((len(cells), 2))
+    _, at, which = np.intersect1d(cells, moved.cells, assume_unique=True, return_indices=True)
+    offset[at] = moved.offset[which]
+    found = _cast_beside(tiled, cells, offset)
+    start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
+    start[cells], start[cells + 1] = found.start[:-1], found.start[1:]
+    return Columns(lattice, found._replace(start=start))
+
+
 def close_cracks(
     columns: Columns, tiled: TiledShapes, agent: AgentSettings, crack: float
 ) -> Columns:
@@ -82,19 +176,40 @@ def close_cracks(
     """
     if crack == 0:
         return columns
+    return _close_cracks(columns, tiled, agent, crack).columns
+
+
+class _Closed(NamedTuple):
+    """Columns whose cracks are closed, what was moved, and the rounds that it took to choose."""
+
+    columns: Columns
+    moved: Moved
+    rounds: int
+
+
+def _close_cracks(
+    columns: Columns, tiled: TiledShapes, agent: AgentSettings, crack: float
+) -> _Closed:
+    """See `close_cracks`.
+
+    Where columns of a band of rows are given, those of its outermost rows stay open: one row for
+    each cell that a line may be moved past, and as many again for each round.
+    """
     limits = agent_limits(agent)
     gaps = list_gaps(columns, limits, crack)
     if not len(gaps.cell):
-        return columns
+        return _Closed(columns, NONE_MOVED, 0)
     # most gaps are open: half of the ways tell most of these, and to measure is dearest
     for spacing in (2, 1):
-        gaps = gaps.only(~_find_open(_Probe(gaps, tiled, limits), crack, spacing))
+        gaps = gaps.only(
+            ~_find_open(_make_probe(gaps, tiled, limits, crack_reach(crack)), crack, spacing)
+        )
         if not len(gaps.cell):
-            return columns
-    offset = _measure(_Probe(gaps, tiled, limits), crack)
+            return _Closed(columns, NONE_MOVED, 0)
+    offset = _measure(_make_probe(gaps, tiled, limits, crack), crack)
     closed = ~np.isnan(offset[:, 0, 0])
     if not closed.any():
-        return columns
+        return _Closed(columns, NONE_MOVED, 0)
     cells, candidates = _list_candidates(gaps.cell[closed], offset[closed])
     return _replace_by_best(columns, tiled, cells, candidates, limits, crack)
 
@@ -126,21 +241,42 @@ def _replace_by_best(
     candidates: Float,
     limits: AgentLimits,
     crack: float,
-) -> Columns:
+) -> _Closed:
     """The columns with the line in each cell that leaves the fewest gaps, the first of several."""
-    best = candidates[:, 0].copy()
+    near = only_near(columns, cells, crack_cells(crack, columns.lattice))
+    best, rounds = candidates[:, 0].copy(), 0
     fewest = np.full(len(cells), np.iinfo(np.int64).max)
     for offset in candidates.swapaxes(0, 1):
         asked = (fewest > 0) & ~np.isnan(offset[:, 0])
         if not asked.any():
             continue
         trial = np.where(asked[:, None], offset, best)
-        replaced = _replace_lines(columns, tiled, cells, trial)
-        gaps = list_gaps(replaced, limits, crack)
-        left = np.bincount(gaps.cell, minlength=len(columns.start) - 1)[cells]
-        better = asked & (left < fewest)
+        left = count_gaps(_replace_lines(near, tiled, cells, trial), cells, limits, crack)
+        better, rounds = asked & (left < fewest), rounds + 1
         best[better], fewest[better] = offset[better], left[better]
-    return replaced if (trial == best).all() else _replace_lines(columns, tiled, cells, best)
+    return _Closed(_replace_lines(columns, tiled, cells, best), Moved(cells, best), rounds)
+
+
+def only_near(columns: Columns, cells: Int, reach: int) -> Columns:
+    """The columns of the cells within a reach of some cells, in cells along both axes.
+
+    Of those that are known; all others are empty, so that a trial copies few.
+    """
+    lattice, around, known = columns.lattice, np.arange(-reach, reach + 1), columns.known_rows
+    row, col = np.divmod(cells, lattice.width)
+    rows = np.clip(row[:, None, None] + around[:, None], known.first, known.end - 1)
+    cols = np.clip(col[:, None, None] + around, 0, lattice.width - 1)
+    near = np.unique(rows * lattice.width + cols)
+    counts = columns.start[near + 1] - columns.start[near]
+    start = np.zeros_like(columns.start)
+    start[near + 1] = counts
+    first, end = known.cells(lattice)
+    np.cumsum(start[first : end + 1], out=start[first : end + 1])
+    total = int(start[end])
+    taken = np.repeat(columns.start[near] - start[near], counts) + np.arange(total)
+    _, z, normal, geom, closed = columns.crossings
+    crossings = Crossings(start, z[taken], normal[taken], geom[taken], closed[taken])
+    return Columns(lattice, crossings, columns.rows)
 
 
 def crack_reach(crack: float) -> float:
@@ -148,21 +284,43 @@ def crack_reach(crack: float) -> float:
     return AROUND * crack
 
 
+def crack_cells(crack: float, lattice: Lattice) -> int:
+    """How far the nearest line beyond a crack may be [cells]."""
+    return int(crack / lattice.cell_size) + 1
+
+
+def count_gaps(columns: Columns, cells: Int, limits: AgentLimits, crack: float) -> Int:
+    """How many gaps `list_gaps` would find in some cells."""
+    counts, none = np.empty(len(cells), dtype=np.int64), np.empty(0)
+    stands = np.empty(len(columns.z), dtype=np.bool_)
+    room = GapRoom(stands, none, columns.start, none, none)
+    reach = crack_cells(crack, columns.lattice)
+    kernels.count_gaps(columns.lattice, columns.crossings, limits, reach, room, cells, counts)
+    return counts
+
+
 def list_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
-    lattice, start = columns.lattice, np.zeros(len(columns.start), dtype=np.int64)
+    """List the gaps of the cells whose neighbours are known."""
+    lattice, reach, known = columns.lattice, crack_cells(crack, columns.lattice), columns.known_rows
+    # beyond the lattice is no floor, beyond the rows that are known there may be one
+    first = known.first + reach if known.first > 0 else 0
+    end = known.end - reach if known.end < lattice.height else lattice.height
+    first_cell, end_cell = Rows(first, max(end, first)).cells(lattice)
+    # arrays of all cells, of which only the pages of these rows are ever touched
+    start = np.zeros(len(columns.start), dtype=np.int64)
     stands, none = np.empty(len(columns.z), dtype=np.bool_), np.empty(0)
     room = GapRoom(stands, np.empty(len(start) - 1), start, none, none)
-    # how far the nearest line beyond a crack may be, in cells
-    asked = lattice, columns.crossings, limits, int(crack / lattice.cell_size) + 1
-    run_in_bands(find_gaps, lattice.height, *asked, room, MARK)
-    run_in_bands(find_gaps, lattice.height, *asked, room, COUNT)
-    cells = np.flatnonzero(start[1:])
-    counts = start[1:][cells]
-    np.cumsum(start, out=start)
-    room = room._replace(low=np.empty(start[-1]), high=np.empty(start[-1]))
-    if start[-1]:
-        run_in_bands(find_gaps, lattice.height, *asked, room, WRITE)
-    return Gaps(np.repeat(cells, counts), room.low, room.high)
+    asked = lattice, columns.crossings, limits, reach
+    run_in_bands(find_gaps, known.end - known.first, *asked, room, MARK, begin=known.first)
+    run_in_bands(find_gaps, max(end - first, 0), *asked, room, COUNT, begin=first)
+    counted = start[first_cell : end_cell + 1]
+    cells = np.flatnonzero(counted[1:])
+    counts = counted[1:][cells]
+    np.cumsum(counted, out=counted)
+    room = room._replace(low=np.empty(counted[-1]), high=np.empty(counted[-1]))
+    if counted[-1]:
+        run_in_bands(find_gaps, end - first, *asked, room, WRITE, begin=first)
+    return Gaps(np.repeat(first_cell + cells, counts), room.low, room.high)
 
 
 def _find_open(probe: _Probe, crack: float, spacing: int) -> Bool:
@@ -246,6 +404,7 @@ class _Probe(NamedTuple):
 
     gaps: Gaps
     tiled: TiledShapes
+    near: Tiles  # what lies near each gap's cell
     limits: AgentLimits
 
     def floors(self, gap: Int, way: Int, distance: Float) -> tuple[Float, Float]:
@@ -255,11 +414,20 @@ class _Probe(NamedTuple):
         """
         tiled, shapes = self.tiled, self.tiled.shapes
         found = Found(np.empty(len(gap)), np.empty(len(gap)))
-        geometry = (shapes.solids, tiled.facets, shapes.planes, tiled.tiles, tiled.heights)
+        geometry = (shapes.solids, tiled.facets, shapes.planes, self.near, tiled.heights)
         whole = (tiled.lattice, *geometry)
         asked = Asked(gap, WAYS[way] * distance[:, None])
         run_in_bands(probe_lines, len(gap), self.gaps, whole, self.limits, asked, found, least=16)
         return found.floor, found.standable
+
+
+def _make_probe(gaps: Gaps, tiled: TiledShapes, limits: AgentLimits, reach: float) -> _Probe:
+    """List once what lies near each gap, as far as lines go: it is less than a tile has."""
+    tiles, cells, reach = tiled.tiles, gaps.cell, reach + HAIR
+    solids = tiled.shapes.solids.bounds, tiles.solid_start, tiles.solid_item
+    triangles = tiled.facets.bounds, tiles.triangle_start, tiles.triangle_item
+    near = (list_near(tiled.lattice, *items, cells, reach) for items in (solids, triangles))
+    return _Probe(gaps, tiled, Tiles(*itertools.chain(*near)), limits)
 
 
 def _cast_beside(tiled: TiledShapes, cells: Int, offset: Float) -> Crossings:
@@ -271,14 +439,16 @@ def _cast_beside(tiled: TiledShapes, cells: Int, offset: Float) -> Crossings:
 def _replace_lines(columns: Columns, tiled: TiledShapes, cells: Int, offset: Float) -> Columns:
     """The columns with other lines, at offsets from the centres, in some cells (ascending)."""
     old, new = columns.crossings, _cast_beside(tiled, cells, offset)
-    counts = np.diff(old.start)
-    counts[cells] = np.diff(new.start)
-    start = np.concatenate([[0], np.cumsum(counts)])
+    first, end = columns.known_rows.cells(columns.lattice)
+    counts = np.diff(old.start[first : end + 1])
+    counts[cells - first] = np.diff(new.start)
+    start = np.zeros(len(old.start), dtype=np.int64)
+    np.cumsum(counts, out=start[first + 1 : end + 1])
     # what stays lies between the replaced columns: few pieces, copied as they are
-    ends = zip([0, *old.start[cells + 1]], [*old.start[cells], old.start[-1]], strict=True)
-    stays = [slice(int(first), int(last)) for first, last in ends]
+    ends = zip([0, *old.start[cells + 1]], [*old.start[cells], old.start[end]], strict=True)
+    stays = [slice(int(a), int(b)) for a, b in ends]
     comes = [slice(int(n), int(m)) for n, m in itertools.pairwise(new.start)] + [slice(0, 0)]
-    parts = {"start": start}
+    parts: dict[str, Any] = {"start": start}
     for name in ("z", "normal", "geom", "closed"):
         was, now = getattr(old, name), getattr(new, name)
         pieces = [part for s, c in zip(stays, comes, strict=True) for part in (was[s], now[c])]

@@ -16,9 +16,10 @@ import numpy as np
 from navbake.baker.arguments import take_input
 from navbake.baker.boxes import LevelBoxes, find_level_boxes
 from navbake.baker.clock import Progress, StageClock
-from navbake.baker.columns import Columns, TiledShapes, cast_columns, tile_shapes
-from navbake.baker.contents.contents import Contents, find_contents
-from navbake.baker.cracks import close_cracks, crack_reach
+from navbake.baker.column_blocks import ColumnBlocks
+from navbake.baker.columns import Columns, ColumnSource, TiledShapes, tile_shapes
+from navbake.baker.contents.contents import Contents, ContentsFinder
+from navbake.baker.cracks import crack_reach
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
 from navbake.baker.doors.doors import Doors, Surroundings, place_doors, warn_immovable_doors
 from navbake.baker.doors.walkable import warn_walkable_doors
@@ -30,9 +31,10 @@ from navbake.baker.occupancy.occupancy import (
     Footprint,
     Footprints,
     Occupancy,
+    OccupancyFinder,
     check_occupancy,
-    find_occupancy,
 )
+from navbake.baker.rooms.overhead import Overhead, OverheadFinder
 from navbake.baker.rooms.rooms import Blocked, Rooms, find_rooms
 from navbake.baker.scene.guard.isolated import CompileLimits
 from navbake.baker.scene.model import OpenScene
@@ -123,7 +125,15 @@ class WholeScene(NamedTuple):
 
     tiled: TiledShapes
     window: Window
-    columns: Columns
+    columns: ColumnBlocks
+
+
+class _Cells(NamedTuple):
+    """What is found in cells once their floors are known, all in one pass over the columns."""
+
+    occupancy: Occupancy
+    contents: ContentsFinder | None
+    overhead: Overhead
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,15 +184,20 @@ class Stages:
         """The scene on which floors are judged, also where `grid.bounds` show less of it."""
         config, (lattice, window) = self.config, self.judged
         tiled = self.tiled if lattice == self.lattice else self._tile(lattice)
-        with self.clock.stage("columns"):
-            columns = close_cracks(cast_columns(tiled), tiled, config.agent, config.floors.crack)
+        columns = ColumnBlocks(tiled, config.agent, config.floors.crack, self.clock)
         return WholeScene(tiled, window, columns)
 
     @cached_property
     def columns(self) -> Columns:
         """All surfaces on the vertical line through each cell's centre, or beside a crack there."""
         _, window, columns = self.whole
-        return columns if columns.lattice == self.lattice else columns.cut(*window, self.lattice)
+        return columns.join(window, self.lattice)
+
+    @property
+    def _blocks(self) -> ColumnSource:
+        """The same columns, of which not all are kept where they are many."""
+        columns = self.whole.columns
+        return columns if columns.lattice == self.lattice else self.columns
 
     @cached_property
     def floors(self) -> Floors:
@@ -198,7 +213,7 @@ class Stages:
 
         def is_occupied(cells: Int, floors: Float, band: Band | None = None, /) -> Bool:
             volume = narrow if band is None else narrow.between(band)
-            return check_occupancy(columns, tiled, volume, cells, floors).occupied
+            return check_occupancy(columns.at(cells), tiled, volume, cells, floors).occupied
 
         with self.clock.stage("floors"), self._errors_say_where():
             floors = find_floors(
@@ -209,26 +224,20 @@ class Stages:
     @cached_property
     def occupancy(self) -> Occupancy:
         """The cells of each storey that are occupied."""
-        floors, columns = self.floors, self.columns
-        with self.clock.stage("occupancy"):
-            return find_occupancy(floors, columns, self.tiled, self.footprints)
+        return self._cells.occupancy
 
     @cached_property
     def contents(self) -> Contents | None:
         """What stands in the cells; None where neither names nor rooms need it."""
-        config, floors, occupied = self.config, self.floors, self.occupancy.levels
+        finder = self._cells.contents
         with self.clock.stage("contents"):
-            if not config.names.enabled and not config.rooms.sources:
-                return None
-            shapes = self.columns, self.tiled
-            return find_contents(
-                self.doorless, *shapes, floors, occupied, config.agent, config.names
-            )
+            return None if finder is None else finder.found(self.config.names)
 
     @cached_property
     def rooms(self) -> Rooms:
         """The room of each cell, and the table of rooms; doors are not named in it yet."""
         config, floors, contents = self.config, self.floors, self.contents
+        overhead = self._cells.overhead
         with self.clock.stage("rooms"):
             if contents is None:
                 none = np.zeros(self.lattice.shape, dtype=np.bool_)
@@ -238,9 +247,28 @@ class Stages:
                     Blocked(contents.wall_cells(number), contents.low_cells(number))
                     for number in range(len(floors.levels))
                 ]
-            return find_rooms(
-                self.doorless, self.columns, floors, blocked, config.rooms, config.agent
-            )
+            return find_rooms(self.doorless, overhead, floors, blocked, config.rooms, config.agent)
+
+    @cached_property
+    def _cells(self) -> _Cells:
+        """What is found in the cells, block by block."""
+        config, floors, columns, tiled = self.config, self.floors, self._blocks, self.tiled
+        clock, agent = self.clock, config.agent
+        with clock.stage("occupancy"):
+            occupancy = OccupancyFinder(floors, tiled, self.footprints)
+            with clock.part("contents"):
+                contents = None
+                if config.names.enabled or config.rooms.sources:
+                    contents = ContentsFinder(self.doorless, tiled, floors, agent)
+            overhead = OverheadFinder(columns, floors.levels, agent)
+            for block in columns.blocks():
+                occupancy.add(block)
+                with clock.part("contents"):
+                    if contents is not None:
+                        contents.add(block, occupancy.levels)
+                with clock.part("rooms"):
+                    overhead.add(block)
+            return _Cells(occupancy.found(), contents, overhead.found())
 
     @cached_property
     def doors(self) -> Doors:
@@ -254,7 +282,7 @@ class Stages:
                 return doors  # the doors are not settled: see `settle_doors`
             immovable = warn_immovable_doors(doors.placed, config.doors.state)
             walkable = warn_walkable_doors(
-                self.scene, self.candidates, self.columns, levels, config.agent
+                self.scene, self.candidates, self._blocks, levels, config.agent
             )
             return replace(doors, warnings=[*immovable, *walkable])
 
@@ -278,7 +306,7 @@ class Stages:
         They are the largest of all values, and nothing needs them once the doors are settled. One
         that is asked for again is found again.
         """
-        for name in ("tiled", "whole", "columns"):
+        for name in ("tiled", "whole", "columns", "_cells"):
             self.__dict__.pop(name, None)
 
     @contextmanager

@@ -47,11 +47,14 @@ def verify(
     radius: float | None = Option(
         None,
         metavar="R",
-        help="Radius of the agent on free cells and paths [m]; a grid that isn't inflated is "
-        "inflated for it.  [default: that of the grid]",
+        help="Radius of the agent on free cells and paths [m]; a grid that isn't inflated, or for "
+        "less, is inflated for it.  [default: that of the grid]",
     ),
     paths: int = Option(0, min=0, metavar="N", help="Sweep the agent along this many paths."),
-    tolerance: float = Option(1e-4, help="What touches by less than this is free [m], > 0."),
+    tolerance: float = Option(
+        1e-4,
+        help="What touches by less than this is free [m], > 0, at most a quarter of a cell.",
+    ),
     as_json: AsJson = False,
     output: Path | None = Option(
         None, "-o", "--output", metavar="PNG", help="Draw the disagreements; - for stdout."

@@ -1,13 +1,16 @@
 """Progress bars on the terminal."""
 
+import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
-
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from contextlib import contextmanager
+from typing import Any
 
 from navbake import dispatch
 from navbake.errors import printable
+from navbake.lazy import lazy
+
+console = lazy("rich.console")  # nothing is drawn where there is no terminal
+progress = lazy("rich.progress")
 
 COMPILING = "compiling for this machine, once"
 
@@ -18,10 +21,14 @@ def stage_progress(title: str, hidden: bool = False) -> Iterator[Callable[[str, 
 
     One more tells how many kernels of how many are compiled, where some are not.
     """
-    console = Console(stderr=True, markup=False, highlight=False, emoji=False)
-    text = TextColumn(f"{printable(title)} {{task.description}}", markup=False)
-    bars = Progress(text, BarColumn(), TimeElapsedColumn(), console=console, transient=True)
-    tasks: dict[str, TaskID] = {}
+    if hidden or sys.stderr is None or not sys.stderr.isatty():
+        yield lambda stage, fraction: None
+        return
+    screen = console.Console(stderr=True, markup=False, highlight=False, emoji=False)
+    text = progress.TextColumn(f"{printable(title)} {{task.description}}", markup=False)
+    columns = text, progress.BarColumn(), progress.TimeElapsedColumn()
+    bars = progress.Progress(*columns, console=screen, transient=True)
+    tasks: dict[str, Any] = {}
 
     def show(stage: str, fraction: float) -> None:
         if stage not in tasks:
@@ -34,7 +41,7 @@ def stage_progress(title: str, hidden: bool = False) -> Iterator[Callable[[str, 
         description = f"{COMPILING}: {done} of {total}"
         bars.update(tasks[COMPILING], description=description, completed=done, total=total)
 
-    with bars if console.is_terminal and not hidden else nullcontext():
+    with bars:
         dispatch.watch = show_compiled
         try:
             yield show

@@ -7,6 +7,7 @@ both are ``null`` there.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,12 +18,13 @@ from numpy.typing import NDArray
 from navbake.formats.json_path import MISSING, JsonPath, shown
 from navbake.formats.values import whole_number
 from navbake.navgrid.attributes import datatype_name
-from navbake.types import Float, Json
+from navbake.types import Bool, Float, Int, Json
 
 DATATYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
 MAX_CELLS = 100_000_000
 VALUES_PER_CELL = 16  # arrays that a grid of as many cells as there may be can have
 FREE_VALUES = 32_000_000  # that any file may have: 256 MiB at most
+PIECE = 1 << 20  # cells that are written at once, for the memory that it takes
 VALUES_PER_BYTE = 256  # house-100 at 0.05 m without names has 5
 
 
@@ -124,30 +126,62 @@ def decode_array(
     return _cast(data, data_place, 1, dtype, null).reshape(shape)
 
 
-def encode_array(array: NDArray[Any], place: JsonPath) -> bytes:
-    """Write an array as the JSON list of its runs, ``[value,count,value,count,…]``.
+def encode_array(array: NDArray[Any], place: JsonPath) -> Iterator[bytes]:
+    """Write an array as the JSON list of its runs, ``[value,count,value,count,…]``, in pieces.
 
     NaN and infinities become ``null``, -0.0 becomes 0, whole floats lose their ".0", and a
     float32 gets its own shortest decimal.
     """
     if array.dtype.name not in DATATYPES:
         place.fail(f"expected a dtype of {', '.join(DATATYPES)}, got {array.dtype}")
-    flat = array.astype(array.dtype.newbyteorder("="), order="C", copy=False).ravel()
-    is_float = flat.dtype.kind == "f"
-    if is_float:
+    return _encode_runs(array.reshape(-1))
+
+
+def _encode_runs(cells: NDArray[Any]) -> Iterator[bytes]:
+    """Encode runs, for a piece of the cells at a time; one that goes on waits for its end."""
+    yield b"["
+    value, count, separator = cells[:0], 0, b""
+    for first in range(0, len(cells), PIECE):
+        values, counts = _find_runs(cells[first : first + PIECE])
+        if len(value) and _is_same(value, values[:1])[0]:
+            counts[0] += count
+        elif len(value):
+            values = np.concatenate([value, values])
+            counts = np.concatenate([[count], counts])
+        if len(counts) > 1:
+            yield separator + _dump_runs(values[:-1], counts[:-1])
+            separator = b","
+        value, count = values[-1:], int(counts[-1])
+    if len(value):
+        yield separator + _dump_runs(value, np.array([count]))
+    yield b"]"
+
+
+def _find_runs(cells: NDArray[Any]) -> tuple[NDArray[Any], Int]:
+    """The value and the length of each run."""
+    flat = cells.astype(cells.dtype.newbyteorder("="), copy=False)
+    if flat.dtype.kind == "f":
         flat = np.where(np.isfinite(flat), flat + 0, flat.dtype.type(np.nan))
-    changes = flat[1:] != flat[:-1]
-    if is_float:
-        changes &= ~(np.isnan(flat[1:]) & np.isnan(flat[:-1]))
-    start = np.concatenate([[0], np.flatnonzero(changes) + 1])
-    values = flat[start]
-    counts = np.diff(start, append=flat.size)
-    if not is_float:
-        return _dump(np.stack([values.astype(np.int64), counts], axis=1).ravel())
+    start = np.concatenate([[0], np.flatnonzero(~_is_same(flat[1:], flat[:-1])) + 1])
+    return flat[start], np.diff(start, append=flat.size)
+
+
+def _is_same(one: NDArray[Any], other: NDArray[Any]) -> Bool:
+    """Whether values are equal, or both NaN."""
+    same: Bool = one == other
+    if one.dtype.kind == "f":
+        same |= np.isnan(one) & np.isnan(other)
+    return same
+
+
+def _dump_runs(values: NDArray[Any], counts: Int) -> bytes:
+    """Runs as JSON, without brackets."""
+    if values.dtype.kind != "f":
+        return _dump(np.stack([values.astype(np.int64), counts], axis=1).ravel())[1:-1]
     pieces = [b""] * (2 * len(counts))
     pieces[0::2] = _dump(values)[1:-1].split(b",")
     pieces[1::2] = _dump(counts)[1:-1].split(b",")
-    return b"[" + b",".join(pieces).replace(b".0,", b",") + b"]"
+    return b",".join(pieces).replace(b".0,", b",")
 
 
 def _dump(array: NDArray[Any]) -> bytes:

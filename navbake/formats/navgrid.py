@@ -8,6 +8,7 @@ import gzip
 import io
 import math
 import os
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -88,13 +89,10 @@ def write_navgrid(
         FormatError: the grid holds what the format can't, or the path can't be written.
     """
     name = check_path(path)
-    data = dumps_navgrid(grid)
+    pieces = _encode_navgrid(grid)
     if name.lower().endswith(".gz"):
-        packed = io.BytesIO()
-        with gzip.GzipFile("", "wb", compresslevel=6, fileobj=packed, mtime=0) as file:
-            file.write(data)
-        data = packed.getvalue()
-    write_bytes(data, path, unless_changed=unless_changed)
+        pieces = _gzip(pieces)
+    write_bytes(pieces, path, unless_changed=unless_changed)
 
 
 def dumps_navgrid(grid: NavGrid) -> bytes:
@@ -108,9 +106,34 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
         FormatError: NaN or infinity outside of arrays, a dtype that the format has not, or
             something in the metadata, user data or extra fields that JSON has not.
     """
-    top = JsonPath("the grid to be written")
+    return b"".join(_encode_navgrid(grid))
+
+
+class _Later:
+    """Parts of the JSON that are long: written piece by piece, when all else has been encoded."""
+
+    def __init__(self) -> None:
+        self._parts: list[Iterator[bytes]] = []
+
+    def put(self, pieces: Iterator[bytes]) -> orjson.Fragment:
+        """What stands for such a part: JSON never has the character 0 itself."""
+        self._parts.append(pieces)
+        return orjson.Fragment(b"\0%d\0" % (len(self._parts) - 1))
+
+    def fill_in(self, text: bytes) -> Iterator[bytes]:
+        """The text with all parts where they belong."""
+        for k, piece in enumerate(text.split(b"\0")):
+            if k % 2:
+                yield from self._parts[int(piece)]
+            else:
+                yield piece
+
+
+def _encode_navgrid(grid: NavGrid) -> Iterator[bytes]:
+    """See `dumps_navgrid`; in pieces, of which the first comes when all has been checked."""
+    top, later = JsonPath("the grid to be written"), _Later()
     if isinstance(grid, SceneGrid2D):
-        fields = _level_fields(grid, top, grid.metadata)
+        fields = _level_fields(grid, top, grid.metadata, later)
     else:
         _ = grid.link_array  # checks them
         fields = {
@@ -119,15 +142,27 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
             "cellSize": number(grid.cell_size, top["cellSize"], positive=True),
             "unit": number(grid.unit, top["unit"], positive=True),
             "grids": [
-                _level_fields(level, top["grids"][i], _own_metadata(grid, i))
+                _level_fields(level, top["grids"][i], _own_metadata(grid, i), later)
                 for i, level in enumerate(grid.grids)
             ],
             "timings": plain(grid.timings, top["timings"]),
         } | _extra(grid.extra, MULTI_FIELDS, top)
     try:  # OPT_SERIALIZE_NUMPY for np.float64 alone
-        return orjson.dumps(fields, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_APPEND_NEWLINE)
+        option = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_APPEND_NEWLINE
+        return later.fill_in(orjson.dumps(fields, option=option))
     except orjson.JSONEncodeError as error:  # an integer of over 64 bits, half a surrogate
         raise FormatError(f"cannot write the grid as JSON: {error}") from error
+
+
+def _gzip(pieces: Iterator[bytes]) -> Iterator[bytes]:
+    packed = io.BytesIO()
+    with gzip.GzipFile("", "wb", compresslevel=6, fileobj=packed, mtime=0) as file:
+        for piece in pieces:
+            file.write(piece)
+            yield packed.getvalue()
+            packed.seek(0)
+            packed.truncate()
+    yield packed.getvalue()
 
 
 def _read_levels(content: Json, top: JsonPath, allowance: Allowance) -> MultiLevelGrid:
@@ -258,16 +293,16 @@ def _unknown(content: Json, known: tuple[str, ...], place: JsonPath) -> Json:
     return {key: plain(content[key], place[key]) for key in content if key not in known}
 
 
-def _level_fields(grid: SceneGrid2D, place: JsonPath, metadata: Json | None) -> Json:
+def _level_fields(grid: SceneGrid2D, place: JsonPath, metadata: Json | None, later: _Later) -> Json:
     fields: Json = {"type": "SceneGrid2D"}
     if metadata is not None:
         fields["metadata"] = _metadata(grid, place)
-    attributes = place["tileAttributes"]
+    weights, attributes = grid.weights.astype(np.float64, copy=False), place["tileAttributes"]
     fields |= {
-        "weights": _runs(grid.weights.astype(np.float64, copy=False), grid.shape, place["weights"]),
-        "userData": encode_user_data(grid, place["userData"]),
+        "weights": _runs(weights, grid.shape, place["weights"], later),
+        "userData": later.put(encode_user_data(grid, place["userData"])),
         "tileAttributes": {
-            name: _runs(array, grid.shape, attributes[name], datatype=array.dtype.name)
+            name: _runs(array, grid.shape, attributes[name], later, datatype=array.dtype.name)
             for name, array in grid.attributes.items()
         },
         "width": whole_number(int(grid.width), place["width"], 1),
@@ -287,10 +322,10 @@ def _vector(values: Vector3, place: JsonPath) -> list[float]:
     return [number(value, place[i]) for i, value in enumerate(values)]
 
 
-def _runs(array: NDArray[Any], shape: Shape, place: JsonPath, **stated: str) -> Json:
+def _runs(array: NDArray[Any], shape: Shape, place: JsonPath, later: _Later, **stated: str) -> Json:
     if array.shape != shape:
         place.fail(f"expected shape (height, width) = {shape}, got {array.shape}")
-    data = orjson.Fragment(encode_array(array, place["data"]))
+    data = later.put(encode_array(array, place["data"]))
     return {"type": "array", **stated, "length": array.size, "encoding": "rle", "data": data}
 
 

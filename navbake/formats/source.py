@@ -6,7 +6,7 @@ import logging
 import os
 import stat
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import BinaryIO, TypeAlias
 
@@ -181,9 +181,16 @@ def read_bytes(
 
 
 def write_bytes(
-    data: bytes, path: str | os.PathLike[str], *, unless_changed: FileState | None = None
+    data: bytes | Iterable[bytes],
+    path: str | os.PathLike[str],
+    *,
+    unless_changed: FileState | None = None,
 ) -> None:
-    """Write a file as a whole or not at all, with the system's errors as FormatErrors."""
+    """Write a file as a whole or not at all, with the system's errors as FormatErrors.
+
+    Args:
+        data: the content, or pieces of it.
+    """
     check_path(path)
     try:
         write_whole(data, path, unless_changed=unless_changed)

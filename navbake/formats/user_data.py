@@ -6,7 +6,7 @@ written, beyond.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,6 +22,7 @@ from navbake.navgrid.user_data import Shared, UserData, collector_off
 from navbake.types import Int, Json
 
 DEFER_BYTES = 1 << 16
+ENTRIES = 1 << 16  # cells whose entries are written at once, for the memory that it takes
 KEY = b'"userData":'
 
 
@@ -184,13 +185,16 @@ def check_user_data(stored: Json, place: JsonPath, num_cells: int) -> dict[int, 
     return user_data
 
 
-def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> orjson.Fragment:
-    """User data by ascending cell id; entries that cells share are checked and encoded once."""
+def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> Iterator[bytes]:
+    """User data by ascending cell id, in pieces; entries that cells share are encoded once.
+
+    All is checked before the first piece.
+    """
     num_cells = grid.width * grid.height
     user_data = UserData.of(grid.user_data)
     source = user_data.source
     if isinstance(source, UnreadPiece) and (text := source.encode(num_cells)) is not None:
-        return orjson.Fragment(text)
+        return iter([text])
     if isinstance(source, Shared):
         cells, number, distinct = source
         plain(list(distinct), place)
@@ -198,10 +202,17 @@ def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> orjson.Fragment:
         cells, number, distinct = _share(user_data, num_cells, place)
     if len(cells) and not 0 <= cells[0] <= cells[-1] < num_cells:
         place.fail(f"expected cell ids from 0 to {num_cells - 1}, got {cells[[0, -1]]}")
-    encoded = [orjson.dumps(entry) for entry in distinct]
-    values = map(encoded.__getitem__, number.tolist())
-    entries = map(b'"%d":%b'.__mod__, zip(cells.tolist(), values, strict=True))
-    return orjson.Fragment(b"{%b}" % b",".join(entries))
+    return _encode_entries(cells, number, [orjson.dumps(entry) for entry in distinct])
+
+
+def _encode_entries(cells: Int, number: Int, encoded: list[bytes]) -> Iterator[bytes]:
+    yield b"{"
+    for first in range(0, len(cells), ENTRIES):
+        part = slice(first, first + ENTRIES)
+        values = map(encoded.__getitem__, number[part].tolist())
+        entries = map(b'"%d":%b'.__mod__, zip(cells[part].tolist(), values, strict=True))
+        yield (b"," if first else b"") + b",".join(entries)
+    yield b"}"
 
 
 def _share(user_data: Mapping[int, Json], num_cells: int, place: JsonPath) -> Shared:

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
+from navbake.baker.scene.bodies import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene
 from navbake.navgrid.doors import Door
 from navbake.navgrid.grid_base import GridBase
-from navbake.types import Int
 
 HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 
@@ -36,6 +36,7 @@ def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
     """Move the doors of a scene into the states that a grid states."""
     model = scene.model
     bodies = {body_name(model, body): body for body in range(1, model.nbody)}
+    ends = find_subtree_ends(model)
     data = mujoco.MjData(model)
     data.qpos[:] = scene.data.qpos
     data.mocap_pos[:], data.mocap_quat[:] = scene.data.mocap_pos, scene.data.mocap_quat
@@ -47,7 +48,7 @@ def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
         if body is None:
             unknown.append(door.id)
             continue
-        own = {int(geom) for geom in _geoms_under(model, body)}
+        own = set(geoms_of_bodies(model, body, int(ends[body])).tolist())
         geoms |= own
         if door.state == "removed":
             removed |= own
@@ -81,12 +82,3 @@ def _position(model: Any, body: int, door: Door) -> float | None:
     if door.state == "closed":
         return closed
     return low if closed - low > high - closed else high
-
-
-def _geoms_under(model: Any, body: int) -> Int:
-    """The geoms of a body and of all bodies that hang on it."""
-    bodies = {body}
-    for child in range(body + 1, model.nbody):  # children come after their parents
-        if int(model.body_parentid[child]) in bodies:
-            bodies.add(child)
-    return np.flatnonzero(np.isin(model.geom_bodyid, list(bodies)))

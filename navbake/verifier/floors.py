@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -10,16 +9,17 @@ import numpy as np
 
 from navbake.navgrid.grid_base import GridBase
 from navbake.types import Vector3
-from navbake.verifier.lines import DOWN, Line, Lines, Surface
+from navbake.verifier.agent import Agent
+from navbake.verifier.lines import Line, Lines, Surface
 from navbake.verifier.report import FLOOR_OFF, Finding, LevelCounts
-from navbake.verifier.sample import Agent, LevelSample
+from navbake.verifier.sample import LevelSample
 
 OFF = 1e-4  # metres that a floor may be off a surface, and
 SHARE = 1e-6  # a share of its distance from the origin, which float32 rounds off
 CRACK = 0.03  # width of a crack that is no gap, unless the settings say otherwise [m]
 WAYS = [(np.cos(a), np.sin(a)) for a in np.arange(16) * (np.pi / 8)]
 RIM = 1e-6  # a line this near to an edge may meet it or not [m]
-NEAR = 0.05  # how far above a floor a ray for it begins [m]
+FACES_UP = 1e-6  # least z of the unit normal of what faces up
 
 
 class Unknown(NamedTuple):
@@ -38,6 +38,16 @@ class Unknown(NamedTuple):
     is_step: bool
 
 
+def rounding(*coordinates: float) -> float:
+    """How far a floor may be off a surface at some coordinates [m]."""
+    return OFF + SHARE * max(map(abs, coordinates))
+
+
+def is_same_height(z: float, floor: float) -> bool:
+    """Whether a surface is at the height of a floor [m]."""
+    return abs(z - floor) <= rounding(floor)
+
+
 class FloorCheck:
     """Checks floors by MuJoCo's rays, and finds places that no level has."""
 
@@ -50,72 +60,70 @@ class FloorCheck:
         self.line_at = lru_cache(maxsize=200_000)(self._line_at)
         self.standable_at = lru_cache(maxsize=200_000)(self._standable_at)
 
-    def check_floors(self, sample: LevelSample, counts: LevelCounts) -> list[Finding]:
-        """Find the floors where no geom has a surface: at the centre, or beside it in a crack."""
-        findings = []
-        cells = np.flatnonzero(~np.isnan(sample.floor))
-        counts.floors += len(cells)
-        for cell in cells.tolist():
-            (x, y), z = sample.xy[cell].tolist(), float(sample.floor[cell])
-            if self._has_surface(x, y, z):
-                continue
-            if self._has_surface_beside(x, y, z, sample.level.lattice.cell_size):
-                counts.in_cracks += 1
-                continue
-            counts.floors_off += 1
-            heights = [s.z for s in self._lines.at(x, y).surfaces]
-            nearest = min(heights, key=lambda h: abs(h - z), default=None)
-            off = None if nearest is None else abs(nearest - z)
-            text = f"has its floor at {z:.4f} m, "
-            text += "over no surface" if nearest is None else f"{off:.4f} m off the nearest surface"
-            place = int(sample.rows[cell]), int(sample.cols[cell])
-            findings.append(Finding(FLOOR_OFF, sample.number, place, (x, y, z), text, None, off))
-        return findings
+    def run(self, sample: LevelSample, counts: LevelCounts) -> tuple[list[Finding], list[Unknown]]:
+        """Check the floors of a level, and find the places to stand that no level has.
 
-    def _has_surface(self, x: float, y: float, z: float) -> bool:
-        limit = OFF + SHARE * max(abs(x), abs(y), abs(z))
-        obstacles = self._lines.obstacles
-        start = np.array([x, y, z + NEAR])
-        for number in obstacles.over(x, y):
-            if obstacles.low[number, 2] > z + limit or obstacles.high[number, 2] < z - limit:
-                continue
-            for begin in (NEAR, limit):  # something of the same geom may be in between
-                start[2] = z + begin
-                distance, _ = self._lines.ray(number, start, DOWN)
-                if distance >= 0 and abs(distance - begin) <= limit:
-                    return True
-        return False
+        Columns whose floor is off are not asked for more.
+        """
+        findings, unknown = list[Finding](), list[Unknown]()
+        for cell in range(len(sample)):
+            fault = self._judge_floor(sample, cell, counts)
+            if fault is None:
+                unknown += self._find_unknown(sample, cell)
+            else:
+                findings.append(fault)
+        return findings, unknown
 
-    def _has_surface_beside(self, x: float, y: float, z: float, cell_size: float) -> bool:
+    # ------------------------------------------------------------ floors
+
+    def _judge_floor(self, sample: LevelSample, cell: int, counts: LevelCounts) -> Finding | None:
+        """What is wrong with a cell's floor, if it has one; None for nothing."""
+        (x, y), z = sample.xy[cell].tolist(), float(sample.floor[cell])
+        if z != z:  # NaN
+            return None
+        counts.floors += 1
+        row, col = int(sample.rows[cell]), int(sample.cols[cell])
+        line = self.line_at(sample.number, row, col)
+        if _faces_up(line, (x, y, z)):
+            return None
+        if self._faces_up_beside((x, y, z)):
+            counts.in_cracks += 1
+            return None
+        counts.floors_off += 1
+        off = min((abs(s.z - z) for s in line.surfaces if s.up >= FACES_UP), default=None)
+        text = f"has its floor at {z:.4f} m, "
+        text += "over no surface" if off is None else f"{off:.4f} m off the nearest surface"
+        return Finding(FLOOR_OFF, sample.number, (row, col), (x, y, z), text, None, off)
+
+    def _faces_up_beside(self, place: Vector3) -> bool:
         """Whether a line at the edge of a crack, or of a rim, meets the floor."""
-        for reach in (RIM, self._crack / 4, self._crack / 2, self._crack):
-            if reach and any(self._has_surface(x + reach * a, y + reach * b, z) for a, b in WAYS):
-                return True
+        x, y, z = place
+        center = np.array(place)
+        reach = np.array([self._crack + RIM, self._crack + RIM, rounding(*place)])
+        if not self._lines.obstacles.meets_box(center - reach, center + reach):
+            return False
+        for distance in (RIM, self._crack / 4, self._crack / 2, self._crack):
+            for a, b in WAYS if distance else ():
+                at = x + distance * a, y + distance * b
+                if _faces_up(self._lines.at(*at), (*at, z)):
+                    return True
         return False
 
     # ------------------------------------------------------------ places that are lost
 
-    def find_unknown(
-        self, sample: LevelSample, off: Collection[tuple[int, int] | None]
-    ) -> list[Unknown]:
-        """The places to stand in the sampled columns that no level has, lowest first in each.
+    def _find_unknown(self, sample: LevelSample, cell: int) -> list[Unknown]:
+        """The places to stand in a column that no level has, lowest first.
 
         A place is a surface that an agent can stand on. A step beside a free cell, it is a fault.
-
-        Args:
-            off: cells whose floors are off, which are known already.
         """
         found = []
-        for cell in range(len(sample)):
-            row, col = int(sample.rows[cell]), int(sample.cols[cell])
-            if (row, col) in off:
-                continue
-            for surface in self.unknown_at(sample.number, row, col):
-                here = sample.number, row, col, surface.z
-                is_step = self._is_a_step_from_free(*here) and self.is_sure(*here)
-                x, y = sample.xy[cell].tolist()
-                place = x, y, surface.z
-                found.append(Unknown((row, col), place, self.name(surface.number), is_step))
+        row, col = int(sample.rows[cell]), int(sample.cols[cell])
+        for surface in self.unknown_at(sample.number, row, col):
+            here = sample.number, row, col, surface.z
+            is_step = self._is_a_step_from_free(*here) and self.is_sure(*here)
+            x, y = sample.xy[cell].tolist()
+            place = x, y, surface.z
+            found.append(Unknown((row, col), place, self.name(surface.number), is_step))
         return found
 
     def name(self, number: int) -> str:
@@ -128,7 +136,7 @@ class FloorCheck:
         return [
             surface
             for surface in self.standable_at(number, row, col)
-            if not any(abs(surface.z - z) <= OFF + SHARE * abs(z) for z in known)
+            if not any(is_same_height(surface.z, z) for z in known)
         ]
 
     def floors_at(self, number: int, row: int, col: int) -> list[float]:
@@ -196,6 +204,16 @@ class FloorCheck:
                 if abs(floor - z) > self.agent.step - OFF:
                     continue
                 beside = self.standable_at(number, row + dr, col + dc)
-                if any(abs(s.z - floor) <= OFF + SHARE * abs(floor) for s in beside):
+                if any(is_same_height(s.z, floor) for s in beside):
                     return True
         return False
+
+
+def _faces_up(line: Line, place: Vector3) -> bool:
+    """Whether a surface at a place faces up.
+
+    It may lie inside of a solid: floors go on under things, of which those that are lower than a
+    step block nothing. Where an agent can stand on one of these, that place is lost.
+    """
+    limit = rounding(*place)
+    return any(abs(s.z - place[2]) <= limit and s.up >= FACES_UP for s in line.surfaces)

@@ -1,8 +1,9 @@
 """Whole floors that no level has: found from one place on them, by plain search.
 
 Tops of furniture, shelves and roofs are no floors, and no level has them. So a place to stand that
-no level has is a fault only where steps lead to it, or where it is a storey: as large as a floor,
-with walls round most of it, and without drops. What is neither is counted, and told in a note.
+no level has is a fault only where steps lead to it, or where it is as large as a floor, without
+drops, and either has walls round most of it (a storey), or lies over nothing that one could stand
+on (a ground). What is neither is counted, and told in a note.
 """
 
 from __future__ import annotations
@@ -11,15 +12,16 @@ from collections import deque
 from dataclasses import dataclass
 
 from navbake.types import Vector3
-from navbake.verifier.floors import OFF, SHARE, FloorCheck
-from navbake.verifier.sample import Agent
+from navbake.verifier.agent import Agent
+from navbake.verifier.floors import OFF, FloorCheck, is_same_height
 
 STRIDE = 0.15  # distance of the places that are looked at [m]
 MOST_PLACES = 20_000  # of one search
 # A search calls a sheet a storey where it is clearly as large as a floor, where more than half of
-# its outline has walls, and where clearly less than a quarter of it drops, as a top's would
+# its outline has walls, and where clearly less than a quarter of it drops, as a top's would. A
+# ground may be over a cellar or a pipe, up to the same share
 CLEARLY_LARGE = 1.25
-WALLED, DROPS = 0.5, 0.2
+WALLED, DROPS, COVERS = 0.5, 0.2, 0.2
 MIN_WALL = 1.5  # parapets are lower than walls [m]
 REACHED = 3.0  # area of the floors that steps lead to, if it is to count as reached [m²]
 SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))
@@ -38,6 +40,7 @@ class Sheet:
         reached: whether steps lead to a floor of the grid.
         area: [m²].
         inner: of that, what is farther from the outline than floors are shrunk by.
+        over: of the area, what lies over another place to stand.
         walls, drops, edges: how many edges of its outline have a wall, drop to a floor; and all.
     """
 
@@ -46,17 +49,19 @@ class Sheet:
     reached: bool = False
     area: float = 0.0
     inner: float = 0.0
+    over: float = 0.0
     walls: int = 0
     drops: int = 0
     edges: int = 0
 
-    def is_storey(self, min_area: float) -> bool:
-        """Whether it is a floor by its size and its walls."""
-        return (
-            self.inner >= CLEARLY_LARGE * min_area
-            and self.walls > WALLED * self.edges
-            and self.drops < DROPS * self.edges
-        )
+    def why_floor(self, min_area: float) -> str | None:
+        """Why it is a floor by itself, in words; None if it isn't."""
+        is_large = self.inner >= CLEARLY_LARGE * min_area
+        if not is_large or self.drops > DROPS * self.edges:
+            return None
+        if self.walls > WALLED * self.edges:
+            return "it has walls all round"
+        return "there is nothing to stand on under it" if self.over <= COVERS * self.area else None
 
 
 class SheetSearch:
@@ -95,7 +100,9 @@ class SheetSearch:
         inner = [
             (r, c) for r, c in places if all((r + i, c + j) in places for i in span for j in span)
         ]
-        sheet.area, sheet.inner = (len(found) * self._edge**2 for found in (places, inner))
+        over = [number for _, _, number in own if number > 0]
+        areas = [len(found) * self._edge**2 for found in (places, inner, over)]
+        sheet.area, sheet.inner, sheet.over = areas
         return sheet
 
     def _is_narrow(self, row: int, col: int, z: float) -> bool:
@@ -148,7 +155,7 @@ class SheetSearch:
 
     def _is_known(self, row: int, col: int, z: float) -> bool:
         floors = self._check.floors_at(0, row, col)
-        return any(abs(z - floor) <= OFF + SHARE * abs(z) for floor in floors)
+        return any(is_same_height(z, floor) for floor in floors)
 
     def _walks(self, row: int, col: int, dr: int, dc: int, z: float) -> bool:
         """Whether steps from cell to cell lead over a stride."""

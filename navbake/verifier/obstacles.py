@@ -97,6 +97,11 @@ class Obstacles:
         """The name of the geom that an obstacle belongs to."""
         return self.names[self.items[number].geom]
 
+    def meets_box(self, low: Float, high: Float) -> bool:
+        """Whether the box of any obstacle meets a box."""
+        meets = (self.low <= high).all(axis=1) & (self.high >= low).all(axis=1)
+        return bool(meets.any())
+
     def over(self, x: float, y: float) -> list[int]:
         """The obstacles whose boxes hold a vertical line, ascending."""
         bins, everywhere = self._bins

@@ -2,173 +2,198 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator
+
 import numpy as np
 
 from navbake.types import Bool, Float, Int
+from navbake.verifier.agent import Agent
 from navbake.verifier.lines import UP, Lines
 from navbake.verifier.mesh_parts import CAVITY, UNCLEAR
 from navbake.verifier.obstacles import is_enclosing
-from navbake.verifier.probes import DISPUTED, TOUCHES, Column, Probes, depth_of
+from navbake.verifier.probes import (
+    APART,
+    DISPUTED,
+    FARTHEST,
+    TOUCHES,
+    Column,
+    Probes,
+    depth_of,
+    nearest_to,
+)
 from navbake.verifier.report import BLOCKED_APART, FREE_TOUCHES, NO_FLOOR, Finding, LevelCounts
-from navbake.verifier.sample import Agent, Bands, CellIndex, LevelSample, baked_bands, column_of
+from navbake.verifier.sample import Bands, CellIndex, LevelSample, Part, baked_volume, column_of
 
-FARTHEST = 1.0  # how far from a blocked cell the nearest geom is looked for [m]
-Footprint = list[tuple[float, bool]]
-"""Half-size of each part, and whether it is round."""
+MEASURED = 100  # findings of a kind whose depth or gap is measured
 
 
 class OccupancyCheck:
-    """Checks the cells of one level.
+    """Checks the cells of levels.
 
-    A free cell's footprint, made smaller by the tolerance on all sides, must touch nothing. A
-    blocked cell's, made larger by it, must touch something, or lie inside of something.
+    A free cell's volume, made smaller by the tolerance on all sides, must touch nothing. A blocked
+    cell's, made larger by it, must touch something, or lie inside of something.
+
+    Attributes:
+        num_groundless: blocked cells that touch nothing, of levels that state no floors, where the
+            scene has no place to stand at the level's ground.
     """
 
-    def __init__(self, probes: Probes, lines: Lines, agent: Agent, tolerance: float) -> None:
+    def __init__(
+        self, probes: Probes, lines: Lines, agent: Agent, tolerance: float, reach: float = 0.0
+    ) -> None:
+        """Take what is asked, and what is looked for.
+
+        Args:
+            reach: of the inflation that closed cells [m], 0 for none.
+        """
         self._probes, self._lines, self._agent = probes, lines, agent
-        self._obstacles, self._tolerance = probes.obstacles, tolerance
+        self._obstacles, self._tolerance, self._reach = probes.obstacles, tolerance, reach
         self._encloses = is_enclosing(self._obstacles)
+        self._found: Counter[str] = Counter()
+        self.num_groundless = 0
 
     def run(
-        self,
-        sample: LevelSample,
-        counts: LevelCounts,
-        footprint: Footprint,
-        bands: Bands,
+        self, sample: LevelSample, counts: LevelCounts, volume: list[Part], excused: Bool
     ) -> list[Finding]:
-        """Check free cells by a footprint and its bands, blocked ones by the baked footprint."""
+        """Check free cells by a volume, blocked ones by the baked volume.
+
+        Args:
+            excused: blocked cells that an inflation closed, and that have a reason for it.
+        """
+        index = CellIndex(sample)
         has_floor = ~np.isnan(sample.floor)
         findings = [
             _finding(NO_FLOOR, sample, cell, "is free, though it has no floor")
             for cell in np.flatnonzero(sample.free & ~has_floor).tolist()
         ]
-        counts.blocked_blocked += int(np.count_nonzero(~sample.free & ~has_floor))
-        findings += self._check_free(sample, counts, footprint, bands)
-        findings += self._check_blocked(sample, counts)
+        findings += self._check_free(index, counts, volume)
+        findings += self._check_blocked(index, counts, excused)
         return findings
+
+    def _is_measured(self, kind: str) -> bool:
+        self._found[kind] += 1
+        return self._found[kind] <= MEASURED
 
     # ------------------------------------------------------------ free cells
 
     def _check_free(
-        self, sample: LevelSample, counts: LevelCounts, footprint: Footprint, bands: Bands
+        self, index: CellIndex, counts: LevelCounts, volume: list[Part]
     ) -> list[Finding]:
-        asked = sample.free & ~np.isnan(sample.floor) & (bands.high > bands.low)
+        sample = index.sample
+        asked = sample.free & ~np.isnan(sample.floor)
         touched = np.full(len(sample), -1)
         disputed = np.zeros(len(sample), dtype=np.bool_)
         part_of = np.zeros(len(sample), dtype=np.int64)
-        for part, (half, is_round) in enumerate(footprint):
-            for number, cells in self._candidates(sample, asked, half, bands):
+        for k, part in enumerate(volume):
+            for number, cells in self._candidates(index, asked, part):
                 cells = cells[touched[cells] < 0]
-                answers = self._ask(sample, cells, number, half, is_round, bands, -self._tolerance)
+                answers = self._ask(sample, cells, number, part, -self._tolerance)
                 touched[cells[answers == TOUCHES]] = number
-                part_of[cells[answers == TOUCHES]] = part
+                part_of[cells[answers == TOUCHES]] = k
                 disputed[cells[answers == DISPUTED]] = True
-        inside = self._inside(sample, asked & (touched < 0), bands)
-        touched[inside >= 0] = inside[inside >= 0]
+        within = self._inside(index, asked & (touched < 0), volume[0].bands)
+        is_inside = within >= 0
+        touched[is_inside] = within[is_inside]
         disputed &= touched < 0
         counts.disputed += int(disputed.sum())
         counts.free_touches += int((touched >= 0).sum())
         counts.free_free += int((asked & (touched < 0) & ~disputed).sum())
         findings = []
         for cell in np.flatnonzero(touched >= 0).tolist():
-            half, is_round = footprint[part_of[cell]]
-            low, high = bands.low[cell], bands.high[cell]
-            column = column_of(half, is_round, (low, high))
-            center = np.array([*sample.xy[cell], (low + high) / 2])
-            depth = depth_of(self._probes, column, center, int(touched[cell]))
-            name = self._obstacles.name(int(touched[cell]))
-            text = f"is free, but {name!r} reaches {depth:.4f} m into it"
+            number = int(touched[cell])
+            name, depth = self._obstacles.name(number), None
+            if is_inside[cell]:
+                text = f"is free, but lies inside of {name!r}"
+            elif self._is_measured(FREE_TOUCHES):
+                place = self._place(sample, cell, volume[part_of[cell]])
+                depth = depth_of(self._probes, *place, number)
+                text = f"is free, but {name!r} reaches {depth:.4f} m into it"
+            else:
+                text = f"is free, but {name!r} reaches into it"
             findings.append(_finding(FREE_TOUCHES, sample, cell, text, name, depth))
         return findings
 
     # ------------------------------------------------------------ blocked cells
 
-    def _check_blocked(self, sample: LevelSample, counts: LevelCounts) -> list[Finding]:
-        agent, bands = self._agent, baked_bands(sample, self._agent)
-        blocked = sample.occupied & ~sample.free & ~np.isnan(sample.floor)
-        counts.blocked_blocked += int(
-            np.count_nonzero(~sample.free & ~sample.occupied & ~np.isnan(sample.floor))
-        )  # by an inflation, which is looked at by itself
-        footprint = agent.footprint(sample.level.lattice.cell_size)
+    def _check_blocked(self, index: CellIndex, counts: LevelCounts, excused: Bool) -> list[Finding]:
+        sample = index.sample
+        volume = baked_volume(sample, self._agent)
+        asked = ~sample.free & ~np.isnan(sample.floor) & ~excused
         met = np.zeros(len(sample), dtype=np.bool_)
-        for half, is_round in footprint:
-            for number, cells in self._candidates(sample, blocked, half, bands):
+        for part in volume:
+            for number, cells in self._candidates(index, asked & ~met, part):
                 cells = cells[~met[cells]]
-                answers = self._ask(sample, cells, number, half, is_round, bands, self._tolerance)
-                met[cells[answers != 0]] = True
-        met[self._inside(sample, blocked & ~met, bands) >= 0] = True
-        apart = np.flatnonzero(blocked & ~met)
+                answers = self._ask(sample, cells, number, part, self._tolerance)
+                met[cells[answers != APART]] = True
+        bands = volume[0].bands
+        met[self._inside(index, asked & ~met, bands) >= 0] = True
+        apart = np.flatnonzero(asked & ~met)
+        if not sample.states_floors:
+            can_stand = self._can_stand(sample, apart)
+            self.num_groundless += int(np.count_nonzero(~can_stand))
+            apart = apart[can_stand]
         unclear = self._maybe_inside(sample, apart, bands)
-        counts.disputed += int(unclear.sum())
-        counts.blocked_blocked += int(met.sum())
         apart = apart[~unclear]
+        counts.disputed += int(unclear.sum())
         counts.blocked_apart += len(apart)
-        findings = []
-        for cell in apart.tolist():
-            gap = self._gap(sample, cell, footprint, bands)
-            how = "nothing is within 1 m" if gap is None else f"the nearest geom is {gap:.4f} m off"
-            text = f"is blocked, but {how}"
-            findings.append(_finding(BLOCKED_APART, sample, cell, text, None, gap))
-        return findings
+        num_blocked = int(np.count_nonzero(~sample.free))
+        counts.blocked_blocked += num_blocked - int(unclear.sum()) - len(apart)
+        return [self._describe_apart(sample, cell, volume) for cell in apart.tolist()]
 
-    def _gap(
-        self, sample: LevelSample, cell: int, footprint: Footprint, bands: Bands
-    ) -> float | None:
-        """By how much a footprint has to grow until it touches something [m]; None if by much."""
-        only = np.zeros(len(sample), dtype=np.bool_)
-        only[cell] = True
-        touching = None
-        margins = np.geomspace(self._tolerance, FARTHEST, 24)
-        for margin in margins:
-            wide = Bands(bands.low - margin, bands.high + margin)
-            for half, is_round in footprint:
-                for number, cells in self._candidates(sample, only, half + margin, wide):
-                    if (
-                        len(cells)
-                        and self._ask(
-                            sample, cells, number, half, is_round, bands, float(margin)
-                        ).any()
-                    ):
-                        touching = float(margin)
-            if touching is not None:
-                return touching
-        return None
+    def _can_stand(self, sample: LevelSample, cells: Int) -> Bool:
+        """Where the scene has a place to stand within a step of the level's ground."""
+        agent, found = self._agent, []
+        for cell in cells.tolist():
+            x, y = sample.xy[cell].tolist()
+            places = self._lines.at(x, y).standable(agent.height, agent.min_up)
+            found.append(any(abs(s.z - sample.floor[cell]) <= agent.step for s in places))
+        return np.array(found, dtype=np.bool_)
+
+    def _describe_apart(self, sample: LevelSample, cell: int, volume: list[Part]) -> Finding:
+        if self._reach > 0 and not sample.occupied[cell]:
+            text = f"is blocked for {self._reach:g} m, but nothing within that radius is in the way"
+            return _finding(BLOCKED_APART, sample, cell, text)
+        if not self._is_measured(BLOCKED_APART):
+            return _finding(BLOCKED_APART, sample, cell, "is blocked, but touches nothing")
+        gaps = [nearest_to(self._probes, *self._place(sample, cell, part)) for part in volume]
+        known = [gap for gap in gaps if gap is not None]
+        if not known:
+            text = f"is blocked, but nothing is within {FARTHEST:g} m"
+            return _finding(BLOCKED_APART, sample, cell, text)
+        gap, number = min(known)
+        name = self._obstacles.name(number)
+        text = f"is blocked, but the nearest geom, {name!r}, is {gap:.4f} m off"
+        return _finding(BLOCKED_APART, sample, cell, text, name, gap)
 
     # ------------------------------------------------------------ questions
 
-    def _candidates(
-        self, sample: LevelSample, asked: Bool, reach: float, bands: Bands
-    ) -> list[tuple[int, Int]]:
-        """Each obstacle with the cells whose boxes meet its own."""
+    def _place(self, sample: LevelSample, cell: int, part: Part) -> tuple[Column, Float]:
+        """The column of a part over a cell, and its centre [m]."""
+        middle = (part.bands.low[cell] + part.bands.high[cell]) / 2
+        return column_of(part, cell), np.array([*sample.xy[cell], middle])
+
+    def _candidates(self, index: CellIndex, asked: Bool, part: Part) -> Iterator[tuple[int, Int]]:
+        """Each obstacle with the cells that are asked and whose boxes meet its own."""
         margin = 2 * self._tolerance
-        index = CellIndex(sample, bands.low - margin, bands.high + margin)
-        found = []
+        bands = Bands(part.bands.low - margin, part.bands.high + margin)
+        asked = asked & (part.bands.high > part.bands.low)
         for number in range(len(self._obstacles.items)):
             low, high = self._obstacles.low[number], self._obstacles.high[number]
-            cells = index.under(low, high, reach + margin)
+            cells = index.under(low, high, part.half + margin, bands)
             cells = cells[asked[cells]]
             if len(cells):
-                found.append((number, cells))
-        return found
+                yield number, cells
 
-    def _ask(
-        self,
-        sample: LevelSample,
-        cells: Int,
-        number: int,
-        half: float,
-        is_round: bool,
-        bands: Bands,
-        margin: float,
-    ) -> Int:
+    def _ask(self, sample: LevelSample, cells: Int, number: int, part: Part, margin: float) -> Int:
         """How the columns of cells, grown by a margin, stand to an obstacle."""
-        answers = np.zeros(len(cells), dtype=np.int64)
-        xy, middle = sample.xy[cells], (bands.low[cells] + bands.high[cells]) / 2
-        centers = np.column_stack([xy, middle])
+        answers = np.full(len(cells), APART)
+        middle = (part.bands.low[cells] + part.bands.high[cells]) / 2
+        centers = np.column_stack([sample.xy[cells], middle])
         last: Column | None = None
         probe = None
         for k, (cell, center) in enumerate(zip(cells.tolist(), centers, strict=True)):
-            column = column_of(half, is_round, (bands.low[cell], bands.high[cell]))
+            column = column_of(part, cell)
             if column != last:
                 last, grown = column, column.grown(margin)
                 probe = None if grown is None else self._probes.of(grown)
@@ -177,15 +202,14 @@ class OccupancyCheck:
                 answers[k] = probe.touches(number)
         return answers
 
-    def _inside(self, sample: LevelSample, asked: Bool, bands: Bands) -> Int:
+    def _inside(self, index: CellIndex, asked: Bool, bands: Bands) -> Int:
         """The enclosing obstacle that a cell's column lies in, -1 for none."""
+        sample = index.sample
         found = np.full(len(sample), -1)
-        if not self._encloses.any():
-            return found
-        index = CellIndex(sample, bands.low, bands.high)
         depth = np.zeros(len(sample), dtype=np.int64)
         for number in np.flatnonzero(self._encloses).tolist():
-            cells = index.under(self._obstacles.low[number], self._obstacles.high[number], 0.0)
+            low, high = self._obstacles.low[number], self._obstacles.high[number]
+            cells = index.under(low, high, 0.0, bands)
             sign = -1 if self._obstacles.items[number].kind == CAVITY else 1
             for cell in cells[asked[cells]].tolist():
                 middle = (bands.low[cell] + bands.high[cell]) / 2

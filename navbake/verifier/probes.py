@@ -18,6 +18,7 @@ from navbake.verifier.obstacles import CONVEX, HALF_SPACE, Obstacles
 
 APART, TOUCHES, DISPUTED = 0, 1, 2
 SEPARATED = 1e-7  # least width of a gap that a plane proves [m]
+FARTHEST = 1.0  # how far from a column the nearest obstacle is looked for [m]
 GEOM = mujoco.mjtGeom
 
 
@@ -182,3 +183,36 @@ def depth_of(probes: Probes, column: Column, center: Any, number: int, yaw: floa
         probe.place(center, yaw)
         low, high = (middle, high) if probe.touches(number) == TOUCHES else (low, middle)
     return low
+
+
+def nearest_to(probes: Probes, column: Column, center: Float) -> tuple[float, int] | None:
+    """By how much a column has to grow on all sides to touch anything [m], and what it touches.
+
+    Found by bisection; None if nothing is within `FARTHEST`.
+    """
+    obstacles = probes.obstacles
+    reach = np.array(column[:3]) + FARTHEST
+    near = (obstacles.low < center + reach).all(axis=1)
+    near &= (obstacles.high > center - reach).all(axis=1)
+    nearest, gap = None, FARTHEST
+    for number in np.flatnonzero(near).tolist():
+        if not _touches_grown(probes, column, center, number, gap):
+            continue
+        low = 0.0
+        for _ in range(14):  # to a tenth of a millimetre
+            middle = (low + gap) / 2
+            touches = _touches_grown(probes, column, center, number, middle)
+            low, gap = (low, middle) if touches else (middle, gap)
+        nearest = number
+    return None if nearest is None else (gap, nearest)
+
+
+def _touches_grown(
+    probes: Probes, column: Column, center: Float, number: int, margin: float
+) -> bool:
+    grown = column.grown(margin)
+    if grown is None:
+        return False
+    probe = probes.of(grown)
+    probe.place(center)
+    return probe.touches(number) != APART

@@ -2,44 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from navbake.errors import QueryError
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.grid_base import GridBase
 from navbake.types import Bool, Float, Int
+from navbake.verifier.agent import Agent
 from navbake.verifier.probes import Column
-
-
-class Agent(NamedTuple):
-    """For whom the grid is.
-
-    Attributes:
-        height, radius, step: as baked [m].
-        min_up: least z of a floor's unit normal.
-    """
-
-    height: float
-    radius: float
-    step: float
-    min_up: float
-
-    @classmethod
-    def of(cls, grid: GridBase) -> Agent:
-        """The agent that a grid states, with the format's defaults."""
-        slope = grid.navbake.get("maxSlope")
-        degrees = float(slope) if isinstance(slope, int | float) else 45.0
-        up = float(np.cos(np.radians(degrees)))
-        return cls(grid.agent_height, grid.agent_radius, grid.max_step, up)
-
-    def footprint(self, cell_size: float) -> list[tuple[float, bool]]:
-        """The baked footprint: half-size and whether it is round, for square and disc [m]."""
-        half = cell_size / 2
-        parts = [(half, False)] if self.radius < half * np.sqrt(2.0) else []
-        return parts + ([(self.radius, True)] if self.radius > half else [])
+from navbake.verifier.surroundings import Surroundings
 
 
 @dataclass(frozen=True)
@@ -53,7 +27,8 @@ class LevelSample:
         xy: their centres, shape (n, 2), world frame [m].
         floor: their floors, NaN for none [m].
         free: whether an agent can stand there.
-        occupied: the same without what an inflation closed: the baked occupancy.
+        occupied: whether the layer of the occupancy says so; an inflation leaves it as baked.
+        states_floors: whether the grid states floors of cells; else all are at the ground.
     """
 
     number: int
@@ -64,27 +39,32 @@ class LevelSample:
     floor: Float
     free: Bool
     occupied: Bool
+    states_floors: bool
 
     def __len__(self) -> int:
         return len(self.rows)
 
-    def near(self, low: Float, high: Float, reach: float, wanted: Bool) -> Int:
-        """The wanted cells whose centres are within a box widened by a reach, seen from above."""
-        near = np.array(wanted)
-        for axis in (0, 1):
-            near &= self.xy[:, axis] > low[axis] - reach
-            near &= self.xy[:, axis] < high[axis] + reach
-        return np.flatnonzero(near)
+
+def states_floors(level: SceneGrid2D) -> bool:
+    """Whether the cells of a level have floors of their own.
+
+    An inflation writes floors into a map of another program that has none: its ground, where it
+    was free. These say no more than the map did.
+    """
+    if not level.uses_cell_floors or level.navbake or "inflation" not in level.metadata:
+        return level.uses_cell_floors
+    floors = level.floor_height[~np.isnan(level.floor_height)]
+    return bool((floors != np.float32(level.min_yup[1])).any())
 
 
-def take_sample(grid: GridBase, number: int | None, seed: int) -> list[LevelSample]:
+def take_sample(
+    grid: GridBase, number: int | None, seed: int, with_floors: Sequence[bool]
+) -> list[LevelSample]:
     """Draw cells of all levels, each as likely as any other; all of them if None.
 
-    Raises:
-        QueryError: the number isn't at least 1.
+    Args:
+        with_floors: of each level, what `states_floors` said before the grid was inflated.
     """
-    if number is not None and (not isinstance(number, int | np.integer) or number < 1):
-        raise QueryError(f"expected a sample of at least 1 cell, got {number!r}")
     sizes = [level.width * level.height for level in grid.levels]
     total, start = sum(sizes), np.cumsum([0, *sizes])
     if number is None or number >= total:
@@ -92,44 +72,18 @@ def take_sample(grid: GridBase, number: int | None, seed: int) -> list[LevelSamp
     else:
         chosen = np.sort(np.random.default_rng(seed).choice(total, number, replace=False))
     samples = []
-    for k, level in enumerate(grid.levels):
+    for k, (level, has_own) in enumerate(zip(grid.levels, with_floors, strict=True)):
         cells = chosen[(chosen >= start[k]) & (chosen < start[k + 1])] - start[k]
-        samples.append(_sample_level(k, level, cells))
+        samples.append(_sample_level(k, level, cells, has_own))
     return samples
 
 
-def _sample_level(number: int, level: SceneGrid2D, cells: Int) -> LevelSample:
+def _sample_level(number: int, level: SceneGrid2D, cells: Int, has_own: bool) -> LevelSample:
     rows, cols = np.divmod(cells, level.width)
-    floor = level.floor_of(rows, cols)
+    floor = level.floor_of(rows, cols) if has_own else np.full(len(cells), level.ground)
     xy = level.lattice.positions(rows, cols).reshape(-1, 2)
     free, occupied = level.free[rows, cols], level.occupancy[rows, cols] != 0
-    return LevelSample(number, level, rows, cols, xy, floor, free, occupied)
-
-
-class CellIndex:
-    """Finds the sampled cells under a box quickly."""
-
-    def __init__(self, sample: LevelSample, low: Float, high: Float) -> None:
-        self._sample, self._low, self._high = sample, low, high
-        self._at = np.full(sample.level.shape, -1, dtype=np.int64)
-        self._at[sample.rows, sample.cols] = np.arange(len(sample))
-
-    def under(self, low: Float, high: Float, reach: float) -> Int:
-        """The cells whose columns, from their low to their high, meet a box widened sideways."""
-        lattice, sample = self._sample.level.lattice, self._sample
-        if np.isfinite(low[:2]).all() and np.isfinite(high[:2]).all():
-            window = lattice.window(np.array([low[:2], high[:2]]), reach)
-            if window is None:
-                return np.empty(0, dtype=np.int64)
-            found = self._at[window].ravel()
-            found = found[found >= 0]
-        else:
-            found = np.arange(len(sample))
-        kept = (self._low[found] < high[2]) & (self._high[found] > low[2])
-        for axis in (0, 1):
-            at = sample.xy[found, axis]
-            kept &= (at + reach > low[axis]) & (at - reach < high[axis])
-        return np.asarray(found[kept])
+    return LevelSample(number, level, rows, cols, xy, floor, free, occupied, has_own)
 
 
 class Bands(NamedTuple):
@@ -139,12 +93,68 @@ class Bands(NamedTuple):
     high: Float
 
 
-def baked_bands(sample: LevelSample, agent: Agent) -> Bands:
-    """The band of the bake: from a step above the floor to the agent's height."""
-    return Bands(sample.floor + agent.step, sample.floor + agent.height)
+class Part(NamedTuple):
+    """One part of the volume over each cell: a square's or a disc's.
+
+    Attributes:
+        half: half of its edge, or its radius [m].
+        is_round: whether it is a disc's.
+        bands: from where to where it is.
+    """
+
+    half: float
+    is_round: bool
+    bands: Bands
 
 
-def column_of(half: float, is_round: bool, band: tuple[float, float]) -> Column:
-    """An upright column between two heights, to the micrometre, so that few differ."""
-    half_z = round((band[1] - band[0]) / 2, 6)
-    return Column(half, half, half_z, is_round)
+def baked_volume(sample: LevelSample, agent: Agent) -> list[Part]:
+    """The volume of the bake: from a step above the floor to the agent's height."""
+    bands = Bands(sample.floor + agent.step, sample.floor + agent.height)
+    return [Part(*part, bands) for part in agent.footprint(sample.level.lattice.cell_size)]
+
+
+def volume_for(
+    sample: LevelSample, agent: Agent, around: Surroundings, radius: float
+) -> list[Part]:
+    """The volume for a larger agent: the cell's square as baked, and the disc of its radius.
+
+    The disc's is between the heights that all floors under it leave free.
+    """
+    square = baked_volume(sample, agent._replace(radius=0.0))
+    if radius <= square[0].half:
+        return square
+    cells = sample.rows, sample.cols
+    low, high = around.floors_under(sample.number, *cells, sample.floor, radius)
+    return [*square, Part(radius, True, Bands(high + agent.step, low + agent.height))]
+
+
+class CellIndex:
+    """Finds the sampled cells under a box quickly."""
+
+    def __init__(self, sample: LevelSample) -> None:
+        self.sample = sample
+        self._at = np.full(sample.level.shape, -1, dtype=np.int64)
+        self._at[sample.rows, sample.cols] = np.arange(len(sample))
+
+    def under(self, low: Float, high: Float, reach: float, bands: Bands) -> Int:
+        """The cells whose columns, from their low to their high, meet a box widened sideways."""
+        lattice, sample = self.sample.level.lattice, self.sample
+        if np.isfinite(low[:2]).all() and np.isfinite(high[:2]).all():
+            window = lattice.window(np.array([low[:2], high[:2]]), reach)
+            if window is None:
+                return np.empty(0, dtype=np.int64)
+            found = self._at[window].ravel()
+            found = found[found >= 0]
+        else:
+            found = np.arange(len(sample))
+        kept = (bands.low[found] < high[2]) & (bands.high[found] > low[2])
+        for axis in (0, 1):
+            at = sample.xy[found, axis]
+            kept &= (at + reach > low[axis]) & (at - reach < high[axis])
+        return np.asarray(found[kept])
+
+
+def column_of(part: Part, cell: int) -> Column:
+    """A part's column over a cell, its height to the micrometre, so that few differ."""
+    half_z = round(float(part.bands.high[cell] - part.bands.low[cell]) / 2, 6)
+    return Column(part.half, part.half, half_z, part.is_round)

@@ -12,9 +12,9 @@ from navbake.navgrid.grid_base import GridBase
 from navbake.navgrid.lattice import Lattice
 from navbake.runtime.path_finder import PathFinder
 from navbake.types import Float, Int
+from navbake.verifier.agent import Agent
 from navbake.verifier.probes import TOUCHES, Column, Probes, depth_of
 from navbake.verifier.report import PATH_TOUCHES, Finding, SweepCounts
-from navbake.verifier.sample import Agent
 from navbake.verifier.surroundings import Surroundings
 
 MOST_TRIES = 20  # a path, to find two places that are apart

@@ -15,23 +15,24 @@ from navbake.errors import FormatError, QueryError
 from navbake.formats.navgrid import read_navgrid
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.grid_base import GridBase
-from navbake.types import Float
+from navbake.types import Bool
+from navbake.verifier.agent import Agent, inflate_for
 from navbake.verifier.doors import pose_doors
 from navbake.verifier.floors import FloorCheck
 from navbake.verifier.lines import Lines
 from navbake.verifier.lost import SheetSearch
 from navbake.verifier.mesh_parts import UNCLEAR
 from navbake.verifier.obstacles import Obstacles, build_obstacles
-from navbake.verifier.occupancy import Footprint, OccupancyCheck
+from navbake.verifier.occupancy import OccupancyCheck
 from navbake.verifier.probes import Probes
-from navbake.verifier.report import (
-    BLOCKED_APART,
-    PLACE_LOST,
-    Finding,
-    LevelCounts,
-    VerifyReport,
+from navbake.verifier.report import PLACE_LOST, Finding, LevelCounts, VerifyReport
+from navbake.verifier.sample import (
+    LevelSample,
+    baked_volume,
+    states_floors,
+    take_sample,
+    volume_for,
 )
-from navbake.verifier.sample import Agent, Bands, LevelSample, baked_bands, take_sample
 from navbake.verifier.source import SceneSource, find_source
 from navbake.verifier.surroundings import Surroundings
 from navbake.verifier.sweeps import sweep_paths
@@ -77,17 +78,20 @@ def verify(
         sample: how many cells to look at, >= 1, drawn from those of all levels; all if None.
         seed: of the sample and of the paths.
         radius: of the cylinder that stands on free cells [m], and runs along paths: that of the
-            grid's inflation if None, else the baked footprint. A grid that isn't inflated is
-            inflated for it.
+            grid's inflation if None, else the baked footprint. A grid that isn't inflated, or for
+            a smaller radius, is inflated for it.
         paths: how many paths to plan and to sweep a cylinder along.
-        tolerance: what touches by less than this touches by rounding [m], > 0.
+        tolerance: what touches by less than this touches by rounding [m], > 0, and at most a
+            quarter of a cell's edge and of the height that is judged.
         force: compare with a scene that isn't the one that was baked.
         data: the mujoco.MjData with the pose of a model or spec; the pose that the grid states,
             a keyframe and joints, if None.
 
     Raises:
-        QueryError: there is no scene, or it isn't the grid's; an option is out of its range.
-        SceneError, ConfigError, FormatError: the scene, settings or grid can't be read.
+        QueryError: there is no scene, or it isn't the grid's; an option is out of its range, or
+            the radius below that of the grid's inflation.
+        SceneError, ConfigError, FormatError: the scene, settings or grid can't be read, or the
+            grid's metadata state sizes that no agent can have.
     """
     options = Options(sample, seed, radius, paths, tolerance)
     _check_options(options)
@@ -116,34 +120,52 @@ def verify_scene(
     Args:
         floors: the settings of the bake, where they are known and leave out no storeys.
         notes: what the report is to say first.
+
+    Raises:
+        QueryError, FormatError: as of `verify`.
     """
     content: Any = grid.without_blocks()
-    notes = [*notes, *(["what was blocked at run time is left out"] if grid.is_blocked else [])]
-    content, radius = _inflated(content, options.radius, notes)
     agent, doors = Agent.of(content), pose_doors(scene, content)
-    obstacles = build_obstacles(scene, doors.data, doors.removed)
-    fixed = build_obstacles(scene, doors.data, doors.geoms) if doors.geoms else obstacles
+    _check_tolerance(options.tolerance, agent, content)
+    with_floors = [states_floors(level) for level in content.levels]
+    content, inflation, told = inflate_for(content, options.radius)
     report = VerifyReport(
         scene_id=content.scene_id,
         num_cells=sum(level.width * level.height for level in content.levels),
         seed=options.seed,
         tolerance=options.tolerance,
-        radius=radius,
-        notes=notes,
+        radius=inflation.radius,
+        levels=[LevelCounts(name) for name in content.level_names],
+        notes=[*notes, *told],
     )
-    samples = take_sample(content, options.sample, options.seed)
-    report.levels = [LevelCounts(name) for name in content.level_names]
+    if grid.is_blocked:
+        report.notes.append("what was blocked at run time is left out")
+    samples = take_sample(content, options.sample, options.seed, with_floors)
+    obstacles = build_obstacles(scene, doors.data, doors.removed)
+    probes, lines = Probes(obstacles), Lines(obstacles)
+    check = OccupancyCheck(probes, lines, agent, options.tolerance, inflation.reach)
+    around = Surroundings(content, agent.step, by_centres=inflation.by_centres)
     for sample, counts in zip(samples, report.levels, strict=True):
         counts.cells = len(sample)
-    probes, lines = Probes(obstacles), Lines(obstacles)
-    check = OccupancyCheck(probes, lines, agent, options.tolerance)
-    around = Surroundings(content, agent.step)
-    for sample, counts in zip(samples, report.levels, strict=True):
-        footprint, bands = _volume(sample, agent, around, radius)
-        report.findings += check.run(sample, counts, footprint, bands)
-        if radius is not None:
-            report.findings += _check_inflation(sample, counts, around, radius, content)
-    _check_floors(report, content, samples, FloorCheck(content, Lines(fixed), agent), floors)
+        excused = _find_excused(sample, around, inflation.reach)
+        if inflation.radius is None:
+            volume = baked_volume(sample, agent)
+        else:
+            volume = volume_for(sample, agent, around, inflation.radius)
+        report.findings += check.run(sample, counts, volume, excused)
+    if all(with_floors):
+        fixed = build_obstacles(scene, doors.data, doors.geoms) if doors.geoms else obstacles
+        _check_floors(report, content, samples, FloorCheck(content, Lines(fixed), agent), floors)
+    else:
+        report.notes.append(
+            "the grid states no floors of cells, so cells are judged over their level's ground, "
+            "and neither floors nor lost places are looked for"
+        )
+    if check.num_groundless:
+        report.notes.append(
+            f"{check.num_groundless} blocked cells touch nothing, but the scene has no place to "
+            "stand there within a step of their level's ground"
+        )
     if options.paths:
         _sweep(report, content, probes, agent, options)
     _add_notes(report, obstacles, doors.unknown, content)
@@ -152,103 +174,84 @@ def verify_scene(
 
 
 def _check_options(options: Options) -> None:
-    if options.radius is not None and not 0 <= options.radius < np.inf:
-        raise QueryError(f"expected a radius >= 0 m, got {options.radius!r}")
-    if not 0 < options.tolerance < np.inf:
-        raise QueryError(f"expected a tolerance > 0 m, got {options.tolerance!r}")
-    if options.paths < 0:
-        raise QueryError(f"expected a number of paths >= 0, got {options.paths!r}")
-    if options.sample is not None and options.sample < 1:
-        raise QueryError(f"expected a sample of at least 1 cell, got {options.sample!r}")
+    sample, seed, radius, paths, tolerance = options
+    if sample is not None and not _is_whole(sample, 1):
+        raise QueryError(f"expected a sample of at least 1 cell, got {sample!r}")
+    if not _is_whole(seed, 0):
+        raise QueryError(f"expected a whole number >= 0 as seed, got {seed!r}")
+    if not _is_whole(paths, 0):
+        raise QueryError(f"expected a number of paths >= 0, got {paths!r}")
+    if radius is not None and not (_is_number(radius) and 0 <= radius < np.inf):
+        raise QueryError(f"expected a radius >= 0 m, got {radius!r}")
+    if not (_is_number(tolerance) and 0 < tolerance < np.inf):
+        raise QueryError(f"expected a tolerance > 0 m, got {tolerance!r}")
 
 
-def _inflated(grid: Any, radius: float | None, notes: list[str]) -> tuple[Any, float | None]:
-    """The grid for a radius, and the radius of the cylinder that stands on its free cells [m]."""
-    stated = grid.metadata.get("inflation")
-    done = (
-        [entry for entry in stated if isinstance(entry, dict)] if isinstance(stated, list) else []
-    )
-    if not done:
-        return (grid, None) if radius is None else (grid.inflate(radius), radius)
-    if radius is not None:
-        return grid, radius
-    exact = [e["radius"] for e in done if e.get("mode") == "exact" and "radius" in e]
-    if len(exact) < len(done):
-        notes.append(
-            "inflated in the mode minos, which measures from the centres of cells: free cells are "
-            "judged by the baked footprint"
+def _is_whole(value: object, least: int) -> bool:
+    is_int = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    return is_int and value >= least  # type: ignore[operator]
+
+
+def _is_number(value: object) -> bool:
+    is_number = isinstance(value, int | float | np.integer | np.floating)
+    return is_number and not isinstance(value, bool)
+
+
+def _check_tolerance(tolerance: float, agent: Agent, grid: GridBase) -> None:
+    """Refuse a tolerance that leaves less than half of a volume's width or height to be judged."""
+    sizes = [level.lattice.cell_size for level in grid.levels]
+    most = min(*sizes, agent.height - agent.step) / 4
+    if tolerance > most:
+        raise QueryError(
+            f"expected a tolerance of at most {most:g} m, got {tolerance:g}: volumes are made "
+            "smaller by it on all sides, and half of a cell's width and of the height has to stay"
         )
-        return grid, None
-    return grid, max(float(r) for r in exact)
 
 
-def _volume(
-    sample: LevelSample, agent: Agent, around: Surroundings, radius: float | None
-) -> tuple[Footprint, Bands]:
-    """What has to be free over the floor of a free cell.
+def _find_excused(sample: LevelSample, around: Surroundings, reach: float) -> Bool:
+    """The cells that an inflation closed for a reason within its radius [m].
 
-    For a larger agent, it is the cylinder between the heights that all floors under it leave free.
+    All other blocked cells have to touch something by themselves.
     """
-    if radius is None:
-        return agent.footprint(sample.level.lattice.cell_size), baked_bands(sample, agent)
-    cells = sample.rows, sample.cols
-    low, high = around.floors_under(sample.number, *cells, sample.floor, radius)
-    return [(radius, True)] if radius > 0 else [], Bands(high + agent.step, low + agent.height)
-
-
-def _check_inflation(
-    sample: LevelSample, counts: LevelCounts, around: Surroundings, radius: float, grid: Any
-) -> list[Finding]:
-    """The cells that an inflation closed without a reason within the radius."""
-    asked = ~sample.free & ~sample.occupied & ~np.isnan(sample.floor)
-    cells = np.flatnonzero(asked)
-    # a cell's own square, so that what a margin of a clearance closed has a reason as well
-    reach = radius + grid.levels[sample.number].lattice.cell_size * 1e-6
-    reasons = around.has_reason(
-        sample.number, sample.rows[cells], sample.cols[cells], sample.floor[cells], reach
-    )
-    findings = []
-    for cell in cells[~reasons].tolist():
-        counts.blocked_blocked -= 1
-        counts.blocked_apart += 1
-        place: Float = np.array([*sample.xy[cell], sample.floor[cell]])
-        text = f"is blocked for {radius:g} m, but nothing within that radius is in the way"
-        at = int(sample.rows[cell]), int(sample.cols[cell])
-        x, y, z = place.tolist()
-        findings.append(Finding(BLOCKED_APART, sample.number, at, (x, y, z), text))
-    return findings
+    excused = np.zeros(len(sample), dtype=np.bool_)
+    if reach > 0:
+        closed = ~sample.free & ~sample.occupied & ~np.isnan(sample.floor)
+        cells = np.flatnonzero(closed)
+        rows, cols, floor = sample.rows[cells], sample.cols[cells], sample.floor[cells]
+        excused[cells] = around.has_reason(sample.number, rows, cols, floor, reach)
+    return excused
 
 
 def _check_floors(
     report: VerifyReport,
-    grid: Any,
+    grid: GridBase,
     samples: list[LevelSample],
     check: FloorCheck,
     floors: FloorSettings | None,
 ) -> None:
-    stated = [level.uses_cell_floors for level in grid.levels]
-    if not all(stated):
-        report.notes.append(
-            "the grid states no floors of cells, so cells are judged over their level's ground, "
-            "and neither floors nor lost places are looked for"
-        )
-        return
+    """Look for floors that are off, and for places that are lost.
+
+    Floors by themselves may be missed where the settings don't leave out any; and where the grid
+    has no floor at all, whatever the settings.
+    """
+    has_floors = any((~np.isnan(level.floor_height)).any() for level in grid.levels)
+    is_asked = floors is not None or not has_floors
     settings = floors or FloorSettings()
     search = SheetSearch(check, check.agent, grid.levels[0].lattice.cell_size, settings.shrink)
     left, area = 0, 0.0
     for sample, counts in zip(samples, report.levels, strict=True):
-        wrong = check.check_floors(sample, counts)
+        wrong, places = check.run(sample, counts)
         report.findings += wrong
-        for unknown in check.find_unknown(sample, {found.cell for found in wrong}):
+        for unknown in places:
             row, col = check.on_lowest(sample.number, unknown.cell)
             sheet = search.from_place(row, col, unknown.place[2], exact=unknown.is_step)
-            if sheet is None or (unknown.is_step and not sheet.reached):
+            if sheet is None:
                 continue
-            is_storey = floors is not None and sheet.is_storey(settings.min_area)
-            if not sheet.reached and not is_storey:
+            how = sheet.why_floor(settings.min_area) if is_asked else None
+            how = "steps lead there" if sheet.reached else how
+            if how is None:
                 left, area = left + 1, area + sheet.area
                 continue
-            how = "steps lead there" if sheet.reached else "it has walls all round"
             text = f"on {sheet.geom!r}, {sheet.area:.2f} m² or more are on no level, and {how}"
             cell, size = (sample.number, unknown.cell), round(sheet.area, 6)
             found = Finding(PLACE_LOST, *cell, sheet.place, text, sheet.geom, size)
@@ -257,14 +260,14 @@ def _check_floors(
     if left:
         report.notes.append(
             f"{left} places to stand, {area:.1f} m², are on no level: no steps lead there, and "
-            "none has walls all round, so they are tops of furniture, shelves or roofs"
+            "they are too small for a floor, or lie as tops of furniture, shelves and roofs do"
         )
 
 
 def _sweep(report: VerifyReport, grid: Any, probes: Probes, agent: Agent, options: Options) -> None:
     radius = report.radius if report.radius is not None else agent.radius
-    if radius <= 0:
-        report.notes.append("no paths were swept: the agent has no radius")
+    if radius <= options.tolerance:
+        report.notes.append("no paths were swept: the agent's radius isn't above the tolerance")
         return
     inflated = grid if report.radius is not None else grid.inflate(radius)
     try:

@@ -81,7 +81,8 @@ def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
         return Row(jobs[0], jobs[1:], ratio=1.3)
 
     def tiles_row() -> Row:
-        job = bake_job(f"house-{LARGE}, {num_cells(LARGE):,} cells", scenes.house(LARGE))
+        name = f"house-{LARGE}, {num_cells(LARGE):,} cells"
+        job = bake_job(name, scenes.house(LARGE), warm_up=scenes.house(SIZES[0]))
         return Row(job, limit=16.0, peak=2500)
 
     def cell_memory_row() -> Row:
@@ -112,10 +113,19 @@ def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
 
 
 def bake_job(
-    name: str, path: Path, more: dict[str, Any] | None = None, threads: int | None = None
+    name: str,
+    path: Path,
+    more: dict[str, Any] | None = None,
+    threads: int | None = None,
+    warm_up: Path | None = None,
 ) -> Job:
-    """A bake in a process of its own, warm, without starting up."""
-    warm_up = path if os.path.getsize(path) < 10**7 else ROOT / "configs/scenes/apartment.xml"
+    """A bake in a process of its own, warm, without starting up.
+
+    It is warmed up with another scene where one is given, or where its own is large.
+    """
+    if warm_up is None:
+        is_small = os.path.getsize(path) < 10**7
+        warm_up = path if is_small else ROOT / "configs/scenes/apartment.xml"
     command = [sys.executable, str(WORKER), "bake", json.dumps(_settings(path) | (more or {}))]
     command += ["--warm-up", json.dumps(_settings(warm_up) | (more or {}))]
     command += ["--threads", str(threads)] if threads else []
@@ -160,7 +170,7 @@ def _read_job(path: Path) -> Job:
 
 
 def _per_million(scenes: Scenes, rooms: int) -> Job:
-    job = bake_job("", scenes.house(rooms))
+    job = bake_job("", scenes.house(rooms), warm_up=scenes.house(SIZES[0]))
 
     def measure() -> Sample:
         sample = job.measure()

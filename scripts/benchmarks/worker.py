@@ -70,15 +70,14 @@ def _is_long(settings: dict[str, Any]) -> bool:
 
 def reach_first_ray(settings: dict[str, Any]) -> None:
     """Run the command `navbake bake`, and end the process where the first ray would be cast."""
-    import navbake.baker.columns as columns
-    import navbake.baker.stages as stages
+    import navbake.baker.cracks as cracks
     from navbake.cli.main import main
 
     def end(*_: Any, **__: Any) -> None:
         print("{}", flush=True)
         raise SystemExit
 
-    columns.cast_columns = stages.cast_columns = end  # type: ignore[attr-defined]
+    cracks.cast_columns = end  # type: ignore[attr-defined]
     path = settings["scene"]["path"]
     options = ["--set", f"grid.cell_size={settings['grid']['cell_size']}"]
     # nothing is ever written there

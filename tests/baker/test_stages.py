@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import navbake
-import navbake.baker.stages as stages_module
 from box_worlds import FLOOR, box, stages_of_xml, world
 from differences import first_difference
 from door_scenes import CUPBOARD, LEAF, ROOMS, SHELL, bake_world
 from door_scenes import world as door_world
+from navbake.baker import column_blocks
 from navbake.baker.boxes import written_ground
 from navbake.baker.clock import StageClock
 from navbake.baker.columns import Columns
@@ -112,7 +112,8 @@ def test_geometry_is_given_back_before_the_grid_is_made(tmp_path, monkeypatch):
     )
     run_bake(stages.config)
     assert "floors" in kept
-    assert not {"tiled", "columns"} & {*kept, *vars(stages)}  # the grid needs neither
+    # the grid needs none of them
+    assert not {"tiled", "whole", "columns", "_cells"} & {*kept, *vars(stages)}
     assert isinstance(stages.columns, Columns)
 
 
@@ -199,8 +200,10 @@ def test_threads_are_given_back(tmp_path):
 def test_columns_are_cast_once(tmp_path, monkeypatch):
     """What gives the geometry back must not be followed by a stage that asks for it again."""
     casts = []
-    cast = stages_module.cast_columns
-    monkeypatch.setattr(stages_module, "cast_columns", lambda tiled: casts.append(0) or cast(tiled))
+    cast = column_blocks.find_columns
+    monkeypatch.setattr(
+        column_blocks, "find_columns", lambda *given: casts.append(0) or cast(*given)
+    )
     (tmp_path / "scene.xml").write_text(world(FLOOR))
     navbake.bake({"scene": {"path": str(tmp_path / "scene.xml")}, "grid": {"bounds": [0, 0, 1, 1]}})
     assert len(casts) == 1

@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 import navbake
+from box_worlds import world
 from navbake.baker import pipeline
+from navbake.views.colors import MARKS
+from verified_scenes import copy_of, stairs_house, write
 
 
 @pytest.fixture
@@ -55,6 +58,26 @@ def test_verify_names_what_is_wrong_and_draws_it(room, run):
     assert Path("wrong.png").read_bytes().startswith(b"\x89PNG")
     status, out, _ = run("verify", "wrong.grid.json", "--json", "--sample", 96)
     assert status == 1 and len(json.loads(out)["findings"]) == 2
+
+
+def test_verify_draws_each_mark_on_its_level(folder, run):
+    """A floor that is off below, a cell that touches above; the legend is under both."""
+    image = pytest.importorskip("PIL.Image")
+    path = write(folder, world(stairs_house()), "house.xml")
+    wrong = copy_of(navbake.bake({"scene": {"path": str(path)}, "grid": {"cell_size": 0.2}}))
+    lower, upper = wrong.levels
+    row, col = np.argwhere(lower.free)[20].tolist()
+    lower.attributes["floorHeight"][row, col] += np.float32(0.02)
+    upper.weights[tuple(np.argwhere(upper.occupancy == 1)[0])] = 1.0
+    wrong.save("wrong.grid.json")
+    assert run("verify", "wrong.grid.json", "--scene", path, "-o", "wrong.png")[0] == 1
+    pixels = np.asarray(image.open("wrong.png").convert("RGB")).astype(int)
+    half, drawn = len(pixels) // 2, []
+    for text in MARKS[:2]:
+        is_mark = np.abs(pixels - list(bytes.fromhex(text[1:]))).max(axis=-1) < 8
+        drawn.append((int(is_mark[:half].sum()), int(is_mark[half:].sum())))
+    (off_below, in_legend), (touching_below, touching_above) = drawn
+    assert off_below > 0 and touching_below == 0 and touching_above > in_legend > 0
 
 
 def test_verify_looks_at_a_sample_or_at_all(room, run):

@@ -996,3 +996,25 @@ def test_a_file_has_the_permissions_of_any_new_file(tmp_path):
 def test_orjson_still_writes_float32_in_their_own_decimals():
     data = orjson.dumps(np.array([0.05, NAN], np.float32), option=orjson.OPT_SERIALIZE_NUMPY)
     assert data == b"[0.05,null]"
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64", "uint8", "int32"])
+def test_pieces_make_no_difference(monkeypatch, dtype):
+    """Runs that go on from piece to piece stay one, and pieces are joined as one text."""
+    rng = np.random.default_rng(0)
+    values = np.array([1, 2, 2.5, 3, np.nan, np.inf, -0.0]) if dtype[0] == "f" else np.arange(5)
+    cells = np.repeat(rng.choice(values, 60), rng.integers(1, 9, 60)).astype(dtype)[:240]
+    user_data = {k: {"objects": [f"thing {k % 3}"]} for k in range(0, 240, 7)}
+    grid = make_grid(
+        width=20,
+        height=12,
+        weights=np.ones((12, 20)),
+        attributes={"a": cells.reshape(12, 20)},
+        user_data=user_data,
+    )
+    whole = dumps_navgrid(grid)
+    assert navbake.load(whole).user_data == user_data
+    for size in (1, 2, 7, 100, 239):
+        monkeypatch.setattr(arrays, "PIECE", size)
+        monkeypatch.setattr("navbake.formats.user_data.ENTRIES", size)
+        assert dumps_navgrid(grid) == whole

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import Columns, TiledShapes
+from navbake.baker.columns import Columns, TiledShapes, tiles_of_rows
 from navbake.baker.contents.cell_names import BLOCKERS, OBJECTS, WALLS, name_cells, name_geoms
 from navbake.baker.contents.structure import FloorSupport, find_carriers, find_ceilings
 from navbake.baker.contents.walls import (
@@ -26,12 +26,12 @@ from navbake.baker.contents.walls import (
 )
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.floors.sheets import agent_limits
+from navbake.baker.gathered import Gathered
 from navbake.baker.kernels import contents as kernels
 from navbake.baker.kernels.arrays import Probe, StoreyCells
 from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS, UNPROVED
-from navbake.baker.kernels.groups import Groups, group_triangles
-from navbake.baker.kernels.tiles import count_tiles
+from navbake.baker.kernels.groups import Groups, count_groups, fill_groups
 from navbake.baker.lattice import Window
 from navbake.baker.occupancy.occupancy import Footprint
 from navbake.baker.scene.extents import Extents, measure_geoms
@@ -54,7 +54,7 @@ class LevelContents(NamedTuple):
         blocks: whether it meets the volume that the occupancy is about, shape (n,), bool.
         upper: whether it stands there and meets the square in `WALL_BAND`, be that above the
             ceiling or not, shape (n,), bool; asked only of `wall_candidates`.
-        support: what carries the floor.
+        carrier: the geom whose surface each cell's floor is, shape (cells,), int32, -1 for none.
     """
 
     lattice: Lattice
@@ -63,7 +63,7 @@ class LevelContents(NamedTuple):
     stands: Bool
     blocks: Bool
     upper: Bool
-    support: FloorSupport
+    carrier: Int32
 
     @property
     def cell(self) -> Int:
@@ -126,7 +126,7 @@ class Contents:
         bits = np.where(listed.blocks, BLOCKERS, 0)
         bits |= np.where(listed.stands & self._is_wall(listed), WALLS, 0)
         bits |= np.where(listed.stands & (kind == OBJECT), OBJECTS, 0)
-        carrier = listed.support.geom
+        carrier = listed.carrier
         below = np.flatnonzero(carrier >= 0)
         below = below[self.kinds[carrier[below]] == OBJECT]
         cell = np.concatenate([listed.cell, below])
@@ -141,85 +141,139 @@ class Contents:
         return wall
 
 
-def find_contents(
-    scene: Scene,
-    columns: Columns,
-    tiled: TiledShapes,
-    floors: Floors,
-    occupied: Sequence[Bool],
-    agent: AgentSettings,
-    settings: NameSettings,
-) -> Contents:
-    """List what stands in every cell with a floor, and classify each geom.
+class ContentsFinder:
+    """Lists what stands in every cell with a floor, block by block, and classifies each geom.
 
-    The scene and what was found in it are without doors; occupied cells are those of each storey.
+    Args:
+        scene: without doors, as is what was found in it.
+        tiled: its geometry.
+        floors: the storeys.
+        agent: who stands there.
     """
-    extents = measure_geoms(scene.shapes, len(scene.geoms))
-    candidates = wall_candidates(scene, extents)
-    # each storey ends at the next one's ground, the last one at the scene's top [m]
-    highest = -np.inf if scene.bounds is None else float(scene.bounds[1, 2])
-    tops = [*(level.ground for level in floors.levels[1:]), highest]
-    groups = group_triangles(tiled.facets, tiled.tiles)
-    levels = [
-        _list_level(columns, tiled, groups, level, top, mask, agent, candidates)
-        for level, top, mask in zip(floors.levels, tops, occupied, strict=True)
-    ]
-    supports = [listed.support for listed in levels]
-    step = agent.traversable_floor_height
-    carriers = find_carriers(floors, supports, extents, step, columns.lattice)
-    over_floors = _measure_over_floors(levels, floors, extents)
-    buildings = find_buildings(scene, extents, over_floors)
-    ceilings = find_ceilings(extents, over_floors.base, is_static(scene), agent)
-    kinds = np.full(len(scene.geoms), OBJECT, dtype=np.uint8)
-    kinds[carriers.building | ceilings] = STRUCTURE
-    kinds[find_walls(scene, extents, over_floors, carriers, buildings)] = WALL
-    kinds[buildings] = BUILDING
-    warnings: list[str] = []
-    if settings.walls:  # walls of the settings replace those by shape
-        named, warnings = match_walls(scene, settings.walls)
-        kinds[kinds == WALL] = OBJECT
-        kinds[named] = WALL
-    return Contents(levels, kinds, name_geoms(scene), warnings)
+
+    def __init__(
+        self, scene: Scene, tiled: TiledShapes, floors: Floors, agent: AgentSettings
+    ) -> None:
+        self._scene, self._tiled, self._floors, self._agent = scene, tiled, floors, agent
+        self._extents = measure_geoms(scene.shapes, len(scene.geoms))
+        # each storey ends at the next one's ground, the last one at the scene's top [m]
+        highest = -np.inf if scene.bounds is None else float(scene.bounds[1, 2])
+        tops = [*(level.ground for level in floors.levels[1:]), highest]
+        candidates = wall_candidates(scene, self._extents)
+        groups = _group_triangles(tiled)
+        self._levels = [
+            _LevelLister(tiled, groups, level, top, agent, candidates)
+            for level, top in zip(floors.levels, tops, strict=True)
+        ]
+
+    def add(self, columns: Columns, occupied: Sequence[Bool]) -> None:
+        """List what stands in the cells of a block, of which one knows which are occupied."""
+        for level, mask in zip(self._levels, occupied, strict=True):
+            level.add(columns, mask)
+
+    def found(self, settings: NameSettings) -> Contents:
+        """What stands in all cells, and what each geom is."""
+        scene, extents, agent, floors = self._scene, self._extents, self._agent, self._floors
+        levels = [level.found() for level in self._levels]
+        gaps = [level.gap for level in self._levels]
+        carry = [FloorSupport(one.carrier, gap) for one, gap in zip(levels, gaps, strict=True)]
+        self._levels.clear()
+        step = agent.traversable_floor_height
+        carriers = find_carriers(floors, carry, extents, step, self._tiled.lattice)
+        over_floors = _measure_over_floors(levels, floors, extents)
+        buildings = find_buildings(scene, extents, over_floors)
+        ceilings = find_ceilings(extents, over_floors.base, is_static(scene), agent)
+        kinds = np.full(len(scene.geoms), OBJECT, dtype=np.uint8)
+        kinds[carriers.building | ceilings] = STRUCTURE
+        kinds[find_walls(scene, extents, over_floors, carriers, buildings)] = WALL
+        kinds[buildings] = BUILDING
+        warnings: list[str] = []
+        if settings.walls:  # walls of the settings replace those by shape
+            named, warnings = match_walls(scene, settings.walls)
+            kinds[kinds == WALL] = OBJECT
+            kinds[named] = WALL
+        return Contents(levels, kinds, name_geoms(scene), warnings)
 
 
-def _list_level(
-    columns: Columns,
-    tiled: TiledShapes,
-    groups: Groups,
-    level: LevelFloor,
-    top: float,
-    occupied: Bool,
-    agent: AgentSettings,
-    probed: Bool,
-) -> LevelContents:
-    """List the geoms of one storey's cells; a cell's ceiling is never lower than the agent."""
-    lattice, shapes = columns.lattice, tiled.shapes
-    boxes = (shapes.solids, shapes.planes, tiled.tiles, groups)
-    geometry = ((shapes.solids, tiled.facets, shapes.planes), tiled.tiles, groups)
-    num_tiles = count_tiles(lattice)
-    footprint = Footprint.of(agent, lattice.cell_size)
-    floor = level.floor.ravel()
-    ceiling = np.maximum(top, floor + agent.height) - TOUCH
-    slot = np.zeros(len(floor) + 1, dtype=np.int64)
-    lists = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint8)  # no room yet
-    cells = StoreyCells(floor, ceiling, occupied.ravel(), slot, *lists)
-    run_in_bands(kernels.count_candidates, num_tiles, lattice, *boxes, footprint, cells)
-    np.cumsum(slot, out=slot)
-    geom, flags = np.empty(slot[-1], dtype=np.int32), np.zeros(slot[-1], dtype=np.uint8)
-    cells = cells._replace(geom=geom, flags=flags)
-    probe = Probe(WALL_BAND[0] + TOUCH, WALL_BAND[1] - TOUCH, probed)
-    asked = lattice, columns.crossings, *geometry, footprint, probe, cells
-    run_in_bands(kernels.list_geoms, num_tiles, *asked)
-    kept = flags > 0
-    start, flags = np.concatenate([[0], np.cumsum(kept)])[slot], flags[kept]
-    unproved = np.flatnonzero(flags & UNPROVED)
-    if len(unproved):  # what FCL found out about the cell decides
-        inside = np.searchsorted(start, unproved, side="right") - 1
-        flags[unproved[occupied.ravel()[inside]]] |= BLOCKS
-    stands, blocks, upper = ((flags & flag) > 0 for flag in (STANDS, BLOCKS, PROBED))
-    support = FloorSupport(np.empty(len(floor), dtype=np.int32), np.empty(len(floor)))
-    kernels.describe_floors(floor, columns.crossings, agent_limits(agent).min_up, support)
-    return LevelContents(lattice, start, geom[kept], stands, blocks, upper, support)
+class _LevelLister:
+    """Lists the geoms of one storey's cells; a cell's ceiling is never lower than the agent.
+
+    Attributes:
+        gap: see `FloorSupport`, of the cells that were looked at.
+    """
+
+    def __init__(
+        self,
+        tiled: TiledShapes,
+        groups: Groups,
+        level: LevelFloor,
+        top: float,
+        agent: AgentSettings,
+        probed: Bool,
+    ) -> None:
+        self._tiled, self._groups, self._agent = tiled, groups, agent
+        self._floor, self._top = level.floor.ravel(), top
+        self._probe = Probe(WALL_BAND[0] + TOUCH, WALL_BAND[1] - TOUCH, probed)
+        num_cells = len(self._floor)
+        self._start = np.zeros(num_cells + 1, dtype=np.int64)
+        self._listed = Gathered(np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint8))
+        self._carrier, self.gap = np.empty(num_cells, dtype=np.int32), np.empty(num_cells)
+
+    def add(self, columns: Columns, occupied: Bool) -> None:
+        """List the geoms of the cells of a block; blocks come in the order of their rows."""
+        lattice, tiled, floor, groups = columns.lattice, self._tiled, self._floor, self._groups
+        shapes, known = tiled.shapes, columns.known_rows
+        first, end = known.cells(lattice)
+        # arrays of all cells, of which only the pages of these rows are ever touched
+        ceiling, slot = np.empty(len(floor)), np.zeros(len(floor) + 1, dtype=np.int64)
+        ceiling[first:end] = np.maximum(self._top, floor[first:end] + self._agent.height) - TOUCH
+        lists = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint8)  # no room yet
+        cells = StoreyCells(floor, ceiling, occupied.ravel(), slot, *lists)
+        footprint = Footprint.of(self._agent, lattice.cell_size)
+        tiles = tiles_of_rows(lattice, known)
+        boxes = (lattice, shapes.solids, shapes.planes, tiled.tiles, groups, footprint)
+        work = len(tiles), *boxes, cells
+        run_in_bands(kernels.count_candidates, *work, begin=tiles.start)
+        slots = slot[first : end + 1]
+        np.cumsum(slots, out=slots)
+        geom, flags = np.empty(slots[-1], dtype=np.int32), np.zeros(slots[-1], dtype=np.uint8)
+        cells = cells._replace(geom=geom, flags=flags)
+        geometry = ((shapes.solids, tiled.facets, shapes.planes), tiled.tiles, groups)
+        asked = lattice, columns.crossings, *geometry, footprint, self._probe, cells
+        run_in_bands(kernels.list_geoms, len(tiles), *asked, begin=tiles.start)
+        kept = flags > 0
+        before = np.zeros(len(kept) + 1, dtype=np.int64)
+        np.cumsum(kept, out=before[1:])
+        start, flags = before[slots], flags[kept]
+        unproved = np.flatnonzero(flags & UNPROVED)
+        if len(unproved):  # what FCL found out about the cell decides
+            inside = first + np.searchsorted(start, unproved, side="right") - 1
+            flags[unproved[occupied.ravel()[inside]]] |= BLOCKS
+        self._start[first + 1 : end + 1] = start[1:] + len(self._listed)
+        self._listed.add(geom[kept], flags)
+        part = slice(first, end)
+        support = FloorSupport(self._carrier[part], self.gap[part])
+        crossings = columns.crossings._replace(start=columns.start[first : end + 1])
+        kernels.describe_floors(floor[part], crossings, agent_limits(self._agent).min_up, support)
+
+    def found(self) -> LevelContents:
+        """What stands in the storey's cells."""
+        geom, flags = self._listed.take()
+        stands, blocks, upper = ((flags & flag) > 0 for flag in (STANDS, BLOCKS, PROBED))
+        lattice = self._tiled.lattice
+        return LevelContents(lattice, self._start, geom, stands, blocks, upper, self._carrier)
+
+
+def _group_triangles(tiled: TiledShapes) -> Groups:
+    """Group the triangles over each tile by geom."""
+    known = tiled.facets, tiled.tiles
+    start = np.zeros_like(tiled.tiles.triangle_start)
+    run_in_bands(count_groups, len(start) - 1, *known, start[1:])
+    np.cumsum(start, out=start)
+    first = np.full(start[-1] + 1, len(tiled.tiles.triangle_item))
+    groups = Groups(start, first, np.empty((start[-1], 6)))
+    run_in_bands(fill_groups, len(start) - 1, *known, groups)
+    return groups
 
 
 def _measure_over_floors(

@@ -12,7 +12,7 @@ from navbake.baker.kernels.constants import HINGE, SLIDE
 from navbake.baker.scene.bodies import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.extents import Extents, measure_geoms
-from navbake.baker.scene.names import body_name, joint_name, warn_unmatched
+from navbake.baker.scene.names import all_names, joint_name, warn_unmatched
 from navbake.baker.scene.pose import data_with_joints
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
@@ -66,7 +66,7 @@ def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCand
     if not settings.patterns and not settings.find:
         return [], []
     model = scene.model
-    names = [body_name(model, body) for body in range(model.nbody)]
+    names = all_names(model).bodies
     # by body id, the patterns that match its name; none for the world
     matches = [[p for p in settings.patterns if fnmatchcase(name, p)] for name in names[1:]]
     search = _BodySearch(scene, settings, [[], *matches])

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from navbake.baker.columns import Columns, cast_columns, tile_shapes
+from navbake.baker.columns import ColumnSource, cast_columns, tile_shapes
 from navbake.baker.doors.candidates import DoorCandidate, pose_doors
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.kernels.constants import SLACK
@@ -23,7 +23,7 @@ WHEN = {"modelled": "as it is modelled", "open": "when it is open", "closed": "w
 def warn_walkable_doors(
     scene: Scene,
     doors: Sequence[DoorCandidate],
-    columns: Columns,
+    columns: ColumnSource,
     floors: Sequence[LevelFloor],
     agent: AgentSettings,
 ) -> list[str]:
@@ -55,7 +55,7 @@ def warn_walkable_doors(
 
 
 def _walkable_area(
-    shapes: Shapes, columns: Columns, floors: Sequence[LevelFloor], agent: AgentSettings
+    shapes: Shapes, columns: ColumnSource, floors: Sequence[LevelFloor], agent: AgentSettings
 ) -> float:
     """How much of the top of a door an agent can stand on, if a step leads there [m²]."""
     lattice, bounds = columns.lattice, shapes.bounds()
@@ -68,9 +68,11 @@ def _walkable_area(
     parts = [level.floor[window] for level in floors]
     for floor in parts:  # what lies on a floor is a mat
         top[np.abs(top - floor) <= step] = np.nan
-    for r, c in np.argwhere(~np.isnan(top)).tolist():
+    places = np.argwhere(~np.isnan(top))
+    known = columns.at((places[:, 0] + rows.start) * lattice.width + places[:, 1] + cols.start)
+    for r, c in places.tolist():
         cell = (r + rows.start) * lattice.width + c + cols.start
-        above = columns.z[columns.start[cell] : columns.start[cell + 1]]
+        above = known.z[known.start[cell] : known.start[cell + 1]]
         above = above[above > top[r, c] + SLACK]
         if len(above) and above[0] < top[r, c] + agent.height - SLACK:
             top[r, c] = np.nan

@@ -8,7 +8,7 @@ from navbake.baker.floors.sheets import AreaTest, Standable
 from navbake.baker.floors.stairs import PLATEAU
 from navbake.baker.kernels.constants import SLACK
 from navbake.config.settings import AgentSettings, FloorSettings
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Int32
 
 # Decimals of the grounds that are found: what a float adds to 3.0 is no height
 DECIMALS = 9
@@ -55,7 +55,8 @@ def lower_grounds(
     step, lattice = agent.traversable_floor_height, standable.lattice
     for _ in grounds[1:]:
         level = _place(standable, is_stair, grounds)
-        part, size = join_by_steps(lattice, standable.start, standable.z, level, step)
+        group = level.astype(np.int32)
+        part, size = join_by_steps(lattice, standable.start, standable.z, group, step)
         links = find_links(lattice, standable.start, standable.z, level, step)
         here, there = np.concatenate([links, links[:, ::-1]]).T
         lowered = list(grounds)
@@ -122,7 +123,7 @@ def _label(names: list[str | None]) -> list[str]:
     return labels
 
 
-def _lowest_of_columns(cells: Int) -> Bool:
+def _lowest_of_columns(cells: Int32) -> Bool:
     """Mark the first surface of each column, given the cells of sorted surfaces."""
     return np.concatenate([[True], cells[1:] != cells[:-1]])[: len(cells)]
 
@@ -143,7 +144,10 @@ def _lowest_plateau(
     """
     lattice, cells, z = standable.lattice, standable.cell[surfaces], standable.z[surfaces]
     half_step = max(agent.traversable_floor_height, PLATEAU) / 2
-    window: Int = ((z - z.min()) / half_step).astype(np.int64)
+    place = z - z.min()
+    place /= half_step
+    window: Int32 = place.astype(np.int32)
+    del place
     counts = np.bincount(window)
     start, member = group_members(window, counts)
     test = AreaTest(lattice, settings)

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.columns import Columns
-from navbake.baker.floors.enclosed import find_enclosed
+from navbake.baker.columns import ColumnSource
+from navbake.baker.floors.enclosed import EnclosedFinder
 from navbake.baker.floors.grounds import assign_levels, find_grounds, lower_grounds
 from navbake.baker.floors.kernels.sheets import (
     count_options,
@@ -23,14 +23,14 @@ from navbake.baker.floors.reach import (
     largest_of_lowest,
 )
 from navbake.baker.floors.rejected import GIVEN_TOLERANCE, find_rejected, given_levels
-from navbake.baker.floors.sheets import Standable, drop_furniture, find_standable
+from navbake.baker.floors.sheets import Footing, Standable, StandableFinder, drop_furniture
 from navbake.baker.floors.stairs import find_stairs
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
 from navbake.threads import run_in_bands
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Int32
 
 # A dropped roof is told of when it is this many times as large as the largest floor that is left:
 # walls and eaves alone make it larger than the floor under it, but not by a third
@@ -82,7 +82,7 @@ class Floors:
 
 
 def find_floors(
-    columns: Columns,
+    columns: ColumnSource,
     shapes: Shapes,
     agent: AgentSettings,
     settings: FloorSettings,
@@ -102,33 +102,46 @@ def find_floors(
         SceneError: there is no floor at all, none on a given level, or none at a place that one
             starts from.
     """
-    every, floor_like = find_standable(columns, shapes, agent)
-    enclosed = find_enclosed(columns, shapes, floor_like, agent, settings)
+    lattice = columns.lattice
+    finder = StandableFinder(lattice, shapes, agent)
+    enclosing = EnclosedFinder(lattice, shapes, agent)
+    for block in columns.blocks():
+        finder.add(block)
+        enclosing.add(block)
+    every, footing = finder.found()
+    enclosed = enclosing.found(footing, settings)
     if not len(every.z):
-        raise SceneError(_no_floor(columns, floor_like, agent))
+        raise SceneError(_no_floor(finder.num_surfaces, len(footing.z), agent))
+    del finder, enclosing  # they hold the arrays of `every`, too
     large = drop_furniture(every, settings)
     cropped = find_cropped(columns.lattice, shapes.bounds())
     site = Site(every, large, columns, agent, settings, is_occupied, cropped)
     rejected = find_rejected(site, given)
     starts = find_starts(site, rejected, settings.starts)
     is_large = large.sheet_size > 0
-    counted = every.only_sheets(is_large & ~rejected.any | starts)
+    counts = is_large & ~rejected.any | starts
+    # mostly they are all: one copy of them is enough
+    counted = large if (counts == is_large).all() else every.only_sheets(counts)
     if not len(counted.z):
         raise SceneError(_no_large_floor(settings))
-    placed, left_out, unreached = _place_reached(counted, starts, site, given)
     large_or_start = every.surface[(is_large | starts)[every.sheet]]
-    candidate = _mark_candidates(placed.standable, large_or_start, site)
+    is_told = large.sheet_size > LARGE_ROOF * counted.sheet_size.max()
+    tops = describe_sheets(large, (rejected.tops | rejected.shelves) & ~starts)
+    roofs = describe_sheets(large, rejected.roofs & ~starts & is_told)
+    small_starts = describe_sheets(every, starts & ~is_large)
+    del every, large, site  # as many as cells: the rest is about those that count
+    placed, left_out, unreached = _place_reached(counted, starts, columns, agent, settings, given)
+    candidate = _mark_candidates(placed.standable, large_or_start, footing, agent)
     levels = [
-        LevelFloor(label, ground, *_level_floor(k, placed, columns, floor_like & candidate, agent))
+        LevelFloor(label, ground, *_level_floor(k, placed, footing, candidate, agent))
         for k, (label, ground) in enumerate(zip(placed.labels, placed.grounds, strict=True))
     ]
-    is_told = large.sheet_size > LARGE_ROOF * counted.sheet_size.max()
     return Floors(
         levels,
         _cell_links(placed, agent),
-        tops=describe_sheets(large, (rejected.tops | rejected.shelves) & ~starts, columns),
-        roofs=describe_sheets(large, rejected.roofs & ~starts & is_told, columns),
-        small_starts=describe_sheets(every, starts & ~is_large, columns),
+        tops=tops,
+        roofs=roofs,
+        small_starts=small_starts,
         unreached=unreached,
         left_out=left_out,
         enclosed=enclosed,
@@ -145,7 +158,12 @@ class _Placed(NamedTuple):
 
 
 def _place_reached(
-    counted: Standable, starts: Bool, site: Site, given: list[LevelSettings] | None
+    counted: Standable,
+    starts: Bool,
+    columns: ColumnSource,
+    agent: AgentSettings,
+    settings: FloorSettings,
+    given: list[LevelSettings] | None,
 ) -> tuple[_Placed, list[Patch], list[Unreached]]:
     """Place the surfaces that count on levels; of all, or of those that steps lead to.
 
@@ -155,13 +173,12 @@ def _place_reached(
         The surfaces on their levels, the sheets that are left out because no step leads to them,
         and what no step leads to of those that are not.
     """
-    agent, settings, columns = site.agent, site.settings, site.columns
     placed = _place_on_levels(counted, agent, settings, None)
     reached = starts if starts.any() else largest_of_lowest(placed.standable, placed.level)
     kept = counted if given is None else _within_given(counted, given, columns)
     left_out = []
     if settings.reach == "steps":
-        left_out = describe_sheets(kept, (kept.sheet_size > 0) & ~reached, columns)
+        left_out = describe_sheets(kept, (kept.sheet_size > 0) & ~reached)
         kept = kept.only_sheets(reached)
         if not len(kept.z):
             what = "the largest floor of the lowest level"
@@ -170,7 +187,7 @@ def _place_reached(
             raise SceneError(f"no floor: {what} lies outside of the `levels`")
     if given is not None or kept is not counted:
         placed = _place_on_levels(kept, agent, settings, given)
-    return placed, left_out, find_unreached(placed.standable, placed.level, reached, columns)
+    return placed, left_out, find_unreached(placed.standable, placed.level, reached)
 
 
 def _place_on_levels(
@@ -190,7 +207,9 @@ def _place_on_levels(
     return _Placed(standable, *placed)
 
 
-def _within_given(standable: Standable, given: list[LevelSettings], columns: Columns) -> Standable:
+def _within_given(
+    standable: Standable, given: list[LevelSettings], columns: ColumnSource
+) -> Standable:
     """Keep the surfaces between the grounds and the tops of the given levels."""
     kept = np.zeros(len(standable.z), dtype=np.bool_)
     on_levels = given_levels(standable, given)
@@ -199,7 +218,8 @@ def _within_given(standable: Standable, given: list[LevelSettings], columns: Col
             name = f"level {level.name!r}" if level.name else f"level {number}"
             above = given[number + 1].ground if given[number + 1 :] else np.inf
             top = above if level.top is None else min(above, level.top)
-            low, high = float(columns.z.min()), float(columns.z.max())
+            spans = [(block.z.min(), block.z.max()) for block in columns.blocks() if len(block.z)]
+            low, high = float(np.min(spans)), float(np.max(spans))
             raise SceneError(
                 f"no floor on {name} (ground {level.ground:g} m, top {top:g} m) of `levels`: "
                 f"the scene's surfaces span {low:g} to {high:g} m"
@@ -208,31 +228,32 @@ def _within_given(standable: Standable, given: list[LevelSettings], columns: Col
     return standable.only(kept)
 
 
-def _mark_candidates(counted: Standable, large: Int, site: Site) -> Bool:
-    """Mark the surfaces at which a floor may go on under things, of all, shape (n,).
+def _mark_candidates(
+    counted: Standable, large: Int32, footing: Footing, agent: AgentSettings
+) -> Bool:
+    """Mark the footings at which a floor may go on under things, shape (n,).
 
     It goes on only where no other floor is, nor a roof, nor the top of furniture: nor at any of
     the `large` surfaces, those that count among them.
     """
-    columns = site.columns
-    candidate = np.ones(len(columns.z), dtype=np.bool_)
+    candidate = np.ones(len(footing.z), dtype=np.bool_)
     candidate[counted.surface] = False
     dropped = large[candidate[large]]
     candidate[large] = False
-    candidate[_just_below(columns, dropped, site.agent.traversable_floor_height)] = False
+    candidate[_just_below(footing, dropped, agent.traversable_floor_height)] = False
     return candidate
 
 
-def _just_below(columns: Columns, surface: Int, step: float) -> Int:
-    """The surfaces a step at most below some others, in their columns.
+def _just_below(footing: Footing, surface: Int32, step: float) -> Int32:
+    """The footings a step at most below some others, in their columns.
 
     An agent there would walk on those above, as on a roof in which a wall's top is hidden.
     """
-    cell = np.searchsorted(columns.start, surface, side="right") - 1
+    cell = np.searchsorted(footing.start, surface, side="right") - 1
     found, k = [surface[:0]], 1
     while len(surface):
-        near = surface - k >= columns.start[cell]
-        near[near] = (columns.z[surface] - columns.z[surface - k])[near] <= step + SLACK
+        near = surface - k >= footing.start[cell]
+        near[near] = (footing.z[surface] - footing.z[surface - k])[near] <= step + SLACK
         surface, cell = surface[near], cell[near]
         found.append(surface - k)
         k += 1
@@ -240,7 +261,7 @@ def _just_below(columns: Columns, surface: Int, step: float) -> Int:
 
 
 def _level_floor(
-    k: int, placed: _Placed, columns: Columns, goes_on: Bool, agent: AgentSettings
+    k: int, placed: _Placed, footing: Footing, goes_on: Bool, agent: AgentSettings
 ) -> tuple[Float, Bool]:
     """The floor of level `k`, continued where `goes_on`; and where it is standable."""
     standable, level = placed.standable, placed.level
@@ -253,12 +274,11 @@ def _level_floor(
     # of several in a column, the last one written stays: here the highest, there the lowest
     lowest[cells[below]] = z[below] + agent.height - SLACK
     highest[cells[above]] = z[above] - agent.height + SLACK
-    start = np.zeros_like(columns.start)
-    known = columns.crossings, goes_on
-    run_in_bands(count_options, len(floor), *known, floor, lowest, highest, start[1:])
+    start = np.zeros_like(footing.start)
+    run_in_bands(count_options, len(floor), footing, goes_on, floor, lowest, highest, start[1:])
     np.cumsum(start, out=start)
     height = np.empty(start[-1])
-    run_in_bands(list_options, len(floor), *known, lowest, highest, start, height)
+    run_in_bands(list_options, len(floor), footing, goes_on, lowest, highest, start, height)
     grow_floor(lattice, start, height, floor, agent.traversable_floor_height)
     return floor.reshape(lattice.shape), is_standable.reshape(lattice.shape)
 
@@ -283,16 +303,16 @@ def _no_large_floor(settings: FloorSettings) -> str:
     )
 
 
-def _no_floor(columns: Columns, floor_like: Bool, agent: AgentSettings) -> str:
-    if not len(columns.z):
+def _no_floor(num_surfaces: int, num_footings: int, agent: AgentSettings) -> str:
+    if not num_surfaces:
         return "no floor at all: no vertical line through a cell's centre meets a geom"
-    if not floor_like.any():
+    if not num_footings:
         return (
-            f"no floor at all: none of {len(columns.z)} surfaces faces up within "
+            f"no floor at all: none of {num_surfaces} surfaces faces up within "
             f"{agent.max_slope:g}° (a mesh may be inside out, or `scene.up` wrong)"
         )
     return (
-        f"no floor at all: none of {int(floor_like.sum())} surfaces that face up has "
+        f"no floor at all: none of {num_footings} surfaces that face up has "
         f"{agent.height:g} m of headroom (a wrong unit, or everything lies inside of a solid: "
         f"`scene.meshes: shell` makes closed meshes hollow)"
     )

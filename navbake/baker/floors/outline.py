@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import Columns
+from navbake.baker.columns import Columns, ColumnSource
 from navbake.baker.floors.kernels.outline import list_edges, look_out
 from navbake.baker.floors.sheets import Standable, mask_window
 from navbake.baker.kernels.arrays import Band
@@ -56,7 +56,7 @@ class Site(NamedTuple):
 
     every: Standable
     large: Standable
-    columns: Columns
+    columns: ColumnSource
     agent: AgentSettings
     settings: FloorSettings
     is_occupied: OccupancyTest
@@ -126,7 +126,7 @@ def find_edges(standable: Standable, chosen: Bool, step: float, reach: int) -> E
 def find_endings(
     edges: Edges,
     standable: Standable,
-    columns: Columns,
+    columns: ColumnSource,
     agent: AgentSettings,
     is_occupied: OccupancyTest,
 ) -> Endings:
@@ -145,10 +145,12 @@ def find_endings(
     - BORDER: the lattice ends.
     - OPEN: none of these: an abyss, a steep slope, a floor on which nobody can stand.
     """
-    z, inner = standable.z[edges.surface], standable.cell[edges.surface]
+    z, inner = standable.z[edges.surface], standable.cell[edges.surface].astype(np.int64)
     step = agent.traversable_floor_height
     feet, head = probe_bands(agent)
     outer = edges.cells[:, 0]
+    # all that is asked about, so that it is found at once
+    known = columns.at(np.concatenate([inner, edges.cells[edges.cells >= 0]]))
     at_feet = _either_occupied(inner, outer, z, feet, is_occupied)
     at_head = np.zeros_like(at_feet)
     at_head[at_feet] = _either_occupied(
@@ -166,7 +168,7 @@ def find_endings(
             stops = is_occupied(edges.cells[looking, k], z[looking], feet)
             ending[looking[stops]] = BARRIER
             looking = looking[~stops]
-        ground[looking] = _find_surface(columns, edges.cells[looking, k], ground[looking], step)
+        ground[looking] = _find_surface(known, edges.cells[looking, k], ground[looking], step)
         below = looking[~np.isnan(edges.floors[looking, k])]
         cells, floors = edges.cells[below, k], edges.floors[below, k]
         goes_on = ground[below] > floors + agent.height + SLACK

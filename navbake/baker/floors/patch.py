@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from navbake.baker.columns import Columns
 from navbake.baker.floors.sheets import Standable, middle_of
-from navbake.types import Bool, Int
+from navbake.types import Bool, Int, Int32
 
 
 @dataclass(frozen=True)
@@ -19,26 +18,26 @@ class Patch:
         geom: the geom that most of it belongs to.
         area: [m²].
         place: x, y, z of a place near its middle, in world coordinates [m].
-        cells: its cells, shape (n,), int64.
+        cells: its cells, shape (n,), int32.
     """
 
     geom: int
     area: float
     place: tuple[float, float, float]
-    cells: Int = field(repr=False, compare=False)
+    cells: Int32 = field(repr=False, compare=False)
 
 
-def describe_patch(standable: Standable, members: Int, columns: Columns) -> Patch:
+def describe_patch(standable: Standable, members: Int) -> Patch:
     """Describe some surfaces, given by their indices, shape (n,), n >= 1."""
-    geoms = columns.geom[standable.surface[members]]
+    geoms = standable.geom[members]
     cells, z = standable.cell[members], standable.z[members]
     area = len(members) * standable.lattice.cell_size**2
     place = middle_of(standable.lattice, cells, z)
     return Patch(int(np.bincount(geoms).argmax()), area, place, cells)
 
 
-def describe_sheets(standable: Standable, chosen: Bool, columns: Columns) -> list[Patch]:
+def describe_sheets(standable: Standable, chosen: Bool) -> list[Patch]:
     """Describe some sheets, shape (sheets,), the largest first."""
     sheets = standable.members(np.flatnonzero(chosen))
-    patches = [describe_patch(standable, members, columns) for _, members in sheets]
+    patches = [describe_patch(standable, members) for _, members in sheets]
     return sorted(patches, key=lambda patch: -patch.area)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from navbake.baker.columns import Columns
 from navbake.baker.floors.outline import DROP, Site, find_edges, find_endings
 from navbake.baker.floors.patch import Patch, describe_patch
 from navbake.baker.floors.rejected import Rejected
@@ -107,9 +106,7 @@ def largest_of_lowest(standable: Standable, level: Int) -> Bool:
     return reached
 
 
-def find_unreached(
-    standable: Standable, level: Int, reached: Bool, columns: Columns
-) -> list[Unreached]:
+def find_unreached(standable: Standable, level: Int, reached: Bool) -> list[Unreached]:
     """Find the floors that no step leads to, one entry a level, lowest first.
 
     Of a level where a part is reached, only the sheets count that have at least 6 m² there.
@@ -127,7 +124,7 @@ def find_unreached(
             members = members[area[standable.sheet[members]] >= TOLD_AREA - SLACK]
         if len(members):
             largest = members[standable.sheet[members] == area.argmax()]
-            place = describe_patch(standable, largest, columns).place
-            patch = replace(describe_patch(standable, members, columns), place=place)
+            place = describe_patch(standable, largest).place
+            patch = replace(describe_patch(standable, members), place=place)
             unreached.append(Unreached(number, patch, whole))
     return unreached

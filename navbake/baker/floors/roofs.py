@@ -55,8 +55,8 @@ class Shares(NamedTuple):
 
 def measure_shares(site: Site) -> Shares:
     """Measure which share of each large sheet is open to the sky, and lies over another one."""
-    columns, size = site.columns, site.large.sheet_size
-    counts = count_open_and_over(site.every, size > 0, columns.start, columns.z)
+    size = site.large.sheet_size
+    counts = count_open_and_over(site.every, size > 0)
     return Shares(*(count / np.maximum(size, 1) for count in counts))
 
 
@@ -127,16 +127,16 @@ def _share_over_walls(site: Site, chosen: Bool) -> Float:
     A wall's top is a surface that faces up, with less than a step of room above: a roof that lies
     on it, or that it ends within. Returns shape (chosen sheets,).
     """
-    standable, columns, step = site.large, site.columns, site.agent.traversable_floor_height
+    standable, step = site.large, site.agent.traversable_floor_height
     members = np.flatnonzero(chosen[standable.sheet])
-    surface = standable.surface[members]
-    is_over = _is_over_sheet(site, members)
-    depth = surface - columns.start[standable.cell[members]]
-    for k in range(1, int(depth.max(initial=0)) + 1):
-        deep = np.flatnonzero(depth >= k)
-        below, above = columns.z[surface[deep] - k], columns.z[surface[deep] - k + 1]
-        is_top = (columns.normal[surface[deep] - k, 2] > 0) & (above - below < step)
-        is_over[deep] |= is_top & (below < columns.z[surface[deep]] - SAME)
+    cell, z = standable.cell[members], standable.z[members]
+    columns, is_over = site.columns.at(cell), _is_over_sheet(site, members)
+    first, end = columns.start[cell], columns.start[cell + 1]
+    for k in range(int((end - first).max(initial=0)) - 1):
+        deep = np.flatnonzero(first + k + 1 < end)
+        below, above = columns.z[first[deep] + k], columns.z[first[deep] + k + 1]
+        is_top = (columns.normal[first[deep] + k, 2] > 0) & (above - below < step)
+        is_over[deep] |= is_top & (below < z[deep] - SAME)
     over = np.bincount(standable.sheet[members], is_over, len(chosen))[chosen]
     share: Float = over / standable.sheet_size[chosen]
     return share

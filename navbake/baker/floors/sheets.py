@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import Columns, cells_of
+from navbake.baker.columns import Columns, ColumnSource
 from navbake.baker.connect import connect
 from navbake.baker.floors.kernels.sheets import (
     group_members,
@@ -17,13 +17,14 @@ from navbake.baker.floors.kernels.sheets import (
     mark_surfaces,
 )
 from navbake.baker.floors.kernels.shrink import east_rim, mark_inner, near_offsets
+from navbake.baker.gathered import Gathered
 from navbake.baker.kernels.arrays import AgentLimits
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Int32
 
 
 class Standable(NamedTuple):
@@ -33,9 +34,11 @@ class Standable(NamedTuple):
         lattice: the cells.
         start: shape (cells + 1,), int64.
         z: heights, ascending in a cell, shape (n,), float64 [m].
-        cell: cell id of each, shape (n,), int64.
-        surface: each one's index in the columns, shape (n,), int64.
-        sheet: the sheet that it belongs to, shape (n,), int64.
+        cell: cell id of each, shape (n,), int32.
+        surface: each one's index in the `Footing`, shape (n,), int32.
+        geom: MuJoCo's geom id of each, shape (n,), int32.
+        is_top: whether nothing lies above it in its column, shape (n,), bool.
+        sheet: the sheet that it belongs to, shape (n,), int32.
         sheet_size: how many surfaces each sheet has, shape (sheets,), int64; a sheet that was
             dropped has none.
         slopes: pairs of surfaces in neighbouring cells that no step joins but their slopes, see
@@ -45,13 +48,15 @@ class Standable(NamedTuple):
     lattice: Lattice
     start: Int
     z: Float
-    cell: Int
-    surface: Int
-    sheet: Int
+    cell: Int32
+    surface: Int32
+    geom: Int32
+    is_top: Bool
+    sheet: Int32
     sheet_size: Int
     slopes: Int
 
-    def members(self, sheets: Int) -> Iterator[tuple[int, Int]]:
+    def members(self, sheets: Int | Int32) -> Iterator[tuple[int, Int]]:
         """Of some sheets, each one's number and the indices of its surfaces."""
         start, member = group_members(self.sheet, self.sheet_size)
         for sheet in sheets:
@@ -70,15 +75,16 @@ class Standable(NamedTuple):
         start, sheet = number[self.start], self.sheet[chosen]
         size = np.bincount(sheet, minlength=len(self.sheet_size))
         arrays = self.z[chosen], self.cell[chosen], self.surface[chosen]
+        told = self.geom[chosen], self.is_top[chosen]
         slopes = number[self.slopes[kept[self.slopes].all(axis=1)]]
-        return Standable(self.lattice, start, *arrays, sheet, size, slopes)
+        return Standable(self.lattice, start, *arrays, *told, sheet, size, slopes)
 
-    def sheets_at(self, cells: Int, heights: Float) -> Int:
+    def sheets_at(self, cells: Int, heights: Float) -> Int32:
         """The sheets of the surfaces in some cells at heights at which there is one, shape (n,)."""
         surface = self.start[cells]
         for _ in range(int(np.diff(self.start).max(initial=0)) - 1):
             surface += self.z[surface] < heights
-        sheet: Int = self.sheet[surface]
+        sheet: Int32 = self.sheet[surface]
         return sheet
 
 
@@ -88,28 +94,101 @@ def agent_limits(agent: AgentSettings) -> AgentLimits:
     return AgentLimits(min_up, agent.height, agent.traversable_floor_height)
 
 
+class Footing(NamedTuple):
+    """The surfaces that a floor may go on at: facing up within the slope, or low bumps.
+
+    Ragged by cell as in `Columns`.
+
+    Attributes:
+        start: shape (cells + 1,), int64.
+        z: heights, ascending in a cell, shape (n,), float64 [m].
+    """
+
+    start: Int
+    z: Float
+
+
+class StandableFinder:
+    """Finds the standable surfaces, block by block.
+
+    Args:
+        lattice: the cells.
+        shapes: the geometry that the columns were cast at.
+        agent: who stands there.
+
+    Attributes:
+        num_surfaces: how many surfaces were looked at.
+    """
+
+    def __init__(self, lattice: Lattice, shapes: Shapes, agent: AgentSettings) -> None:
+        self._lattice, self._planes, self._agent = lattice, shapes.planes, agent
+        num_cells = lattice.width * lattice.height
+        # by cell, how many there are; then where they begin
+        self._start, self._footing_start = (
+            np.zeros(num_cells + 1, dtype=np.int64) for _ in range(2)
+        )
+        heights, ids, marks = np.empty(0), np.empty(0, np.int32), np.empty(0, np.bool_)
+        self._surfaces = Gathered(heights, ids, ids, ids, marks)
+        self._normals = Gathered(np.empty((0, 3), dtype=np.float32))
+        self._footing = Gathered(heights)
+        self.num_surfaces = 0
+
+    def add(self, columns: Columns) -> None:
+        """Look at the columns of a block; blocks come in the order of their rows."""
+        known, count = columns.known_rows.cells(self._lattice), len(columns.z)
+        self.num_surfaces += count
+        floor_like, is_standable = (np.empty(count, dtype=np.bool_) for _ in range(2))
+        asked = self._lattice, columns.crossings, self._planes, agent_limits(self._agent)
+        work = known[1] - known[0], *asked, floor_like, is_standable, self._start[1:]
+        run_in_bands(mark_surfaces, *work, begin=known[0])
+        column = columns.start[known[0] : known[1] + 1]
+        before = np.zeros(count + 1, dtype=np.int64)  # how many footings come before each surface
+        np.cumsum(floor_like, out=before[1:])
+        self._footing_start[known[0] + 1 : known[1] + 1] = np.diff(before[column])
+        at = np.flatnonzero(is_standable)
+        top = columns.z[np.maximum(column[1:] - 1, 0)] if count else np.zeros(len(column) - 1)
+        z = columns.z[at]
+        here = np.repeat(np.arange(len(column) - 1), self._start[known[0] + 1 : known[1] + 1])
+        is_top = top[here] - z <= SLACK
+        surface = before[at] + len(self._footing)
+        self._surfaces.add(z, known[0] + here, surface, columns.geom[at], is_top)
+        if _slopes_may_join(self._lattice, self._agent):
+            self._normals.add(columns.normal[at])
+        self._footing.add(columns.z[floor_like])
+
+    def found(self) -> tuple[Standable, Footing]:
+        """The standable surfaces and their sheets, and all that a floor may go on at."""
+        start, lattice, step = self._start, self._lattice, self._agent.traversable_floor_height
+        for counts in (start, self._footing_start):
+            np.cumsum(counts, out=counts)
+        (footing,), (normal,) = self._footing.take(), self._normals.take()
+        z, cell, surface, geom, is_top = self._surfaces.take()
+        sheet, size = join_by_steps(lattice, start, z, np.zeros(len(z), dtype=np.int32), step)
+        slopes = find_slopes(lattice, start, z, normal, self._agent)
+        if len(slopes):
+            sheet, size = _unite(sheet, sheet[slopes], len(size))
+        parts = z, cell, surface, geom, is_top, sheet, size, slopes
+        return Standable(lattice, start, *parts), Footing(self._footing_start, footing)
+
+
 def find_standable(
-    columns: Columns, shapes: Shapes, agent: AgentSettings
-) -> tuple[Standable, Bool]:
+    columns: ColumnSource, shapes: Shapes, agent: AgentSettings
+) -> tuple[Standable, Footing]:
     """Find the standable surfaces and the sheets that steps make of them.
 
     Returns:
-        The standable surfaces, and a mask of all surfaces, shape (n,), bool: those that a floor
-        may go on at: facing up within the slope, or low bumps.
+        The standable surfaces, and all that a floor may go on at, those among them.
     """
-    lattice, limits = columns.lattice, agent_limits(agent)
-    floor_like, is_standable = (np.empty(len(columns.z), dtype=np.bool_) for _ in range(2))
-    start = np.zeros_like(columns.start)
-    known, found = (lattice, columns.crossings, shapes.planes, limits), (floor_like, is_standable)
-    run_in_bands(mark_surfaces, len(columns.start) - 1, *known, *found, start[1:])
-    np.cumsum(start, out=start)
-    surface = np.flatnonzero(is_standable)
-    z, one_group = columns.z[surface], np.zeros(len(surface), dtype=np.int64)
-    sheet, size = join_by_steps(lattice, start, z, one_group, limits.step)
-    slopes = find_slopes(lattice, start, z, columns.normal[surface], agent)
-    if len(slopes):
-        sheet, size = _unite(sheet, sheet[slopes], len(size))
-    return Standable(lattice, start, z, cells_of(start), surface, sheet, size, slopes), floor_like
+    finder = StandableFinder(columns.lattice, shapes, agent)
+    for block in columns.blocks():
+        finder.add(block)
+    return finder.found()
+
+
+def _slopes_may_join(lattice: Lattice, agent: AgentSettings) -> bool:
+    """Whether a slope that is standable may rise more than a step over a cell."""
+    rise = lattice.cell_size * np.tan(np.radians(agent.max_slope))
+    return bool(rise > agent.traversable_floor_height)
 
 
 def find_slopes(
@@ -129,17 +208,16 @@ def find_slopes(
         Pairs of surfaces, shape (m, 2), int64; none where no slope that is standable rises that
         much.
     """
-    step = agent.traversable_floor_height
-    if lattice.cell_size * np.tan(np.radians(agent.max_slope)) <= step:
+    if not _slopes_may_join(lattice, agent):
         return np.empty((0, 2), dtype=np.int64)
-    pairs: Int = join_by_slopes(lattice, start, z, normal, step)
+    pairs: Int = join_by_slopes(lattice, start, z, normal, agent.traversable_floor_height)
     return pairs
 
 
-def _unite(part: Int, pairs: Int, count: int) -> tuple[Int, Int]:
+def _unite(part: Int32, pairs: Int32, count: int) -> tuple[Int32, Int]:
     """Unite parts by pairs of their numbers: the part of each member then, and the parts' sizes."""
     # by their first members, as `join_by_steps` numbers them
-    united: Int = connect(pairs.T, count).astype(np.int64)[part]
+    united: Int32 = connect(pairs.T.astype(np.int64), count).astype(np.int32)[part]
     return united, np.bincount(united)
 
 
@@ -156,7 +234,7 @@ def drop_furniture(standable: Standable, settings: FloorSettings) -> Standable:
     return standable.only_sheets(counts)
 
 
-def middle_of(lattice: Lattice, cells: Int, z: Float) -> tuple[float, float, float]:
+def middle_of(lattice: Lattice, cells: Int | Int32, z: Float) -> tuple[float, float, float]:
     """A place on a floor, of its cells the one nearest to its middle: world x, y, z [m].
 
     Args:
@@ -168,7 +246,7 @@ def middle_of(lattice: Lattice, cells: Int, z: Float) -> tuple[float, float, flo
     return float(x), float(y), float(z[nearest])
 
 
-def mask_window(cells: Int, lattice: Lattice, margin: int) -> tuple[Bool, Int, Int]:
+def mask_window(cells: Int | Int32, lattice: Lattice, margin: int) -> tuple[Bool, Int, Int]:
     """Cells as a mask over their own rectangle, with a margin; and its first row and column."""
     row, col = np.divmod(cells, lattice.width)
     row0, col0 = row.min() - margin, col.min() - margin
@@ -195,17 +273,18 @@ class AreaTest:
         self._mask = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
         self._counted = self._mask.copy()
 
-    def passes(self, cells: Int) -> bool:
-        """Whether a set of cells is large enough; ids may repeat, shape (n,), int64."""
+    def passes(self, cells: Int | Int32) -> bool:
+        """Whether a set of cells is large enough; ids may repeat, shape (n,)."""
         needed = int(np.ceil(max(self.needed, 0.0)))
         return self._mark(cells, needed)[0] >= needed
 
-    def inner(self, cells: Int) -> Bool:
+    def inner(self, cells: Int | Int32) -> Bool:
         """Which cells of a set are left after shrinking, shape (n,)."""
         return self._mark(cells, len(cells) + 1)[1]
 
-    def _mark(self, cells: Int, needed: int) -> tuple[int, Bool]:
+    def _mark(self, cells: Int | Int32, needed: int) -> tuple[int, Bool]:
         inner = np.zeros(len(cells), dtype=np.bool_)
         masks = self._mask, self._counted
+        cells = cells.astype(np.int32, copy=False)
         found = mark_inner(cells, self._disc, self._rim, *self._shape, needed, *masks, inner)
         return int(found), inner

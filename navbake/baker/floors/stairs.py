@@ -37,7 +37,7 @@ def find_stairs(standable: Standable, agent: AgentSettings) -> Bool:
     area = _areas_about(standable, max(step, PLATEAU) / 2)
     floor_area = np.zeros(len(size), dtype=np.int64)
     np.maximum.at(floor_area, part, area)
-    a, b = part[find_links(lattice, start, z, part, step)].T
+    a, b = part[find_links(lattice, start, z, part.astype(np.int64), step)].T
     lower, upper = np.where(low[a] < low[b], (a, b), (b, a))
     rises = low[lower] < low[upper]
     lower, upper = lower[rises], upper[rises]

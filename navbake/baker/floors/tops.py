@@ -103,13 +103,13 @@ def _count_over_room(site: Site, beside: Float) -> Int:
     """
     standable, agent = site.large, site.agent
     asked = np.flatnonzero(~np.isnan(beside[standable.sheet]))
-    sheet, cells = standable.sheet[asked], standable.cell[asked]
+    sheet, cells = standable.sheet[asked], standable.cell[asked].astype(np.int64)
     floor, step = beside[sheet], agent.traversable_floor_height
     below = asked - 1
     has_floor = (below >= 0) & (standable.cell[below] == cells)
     has_floor &= standable.z[below] >= floor - step - SLACK
     blocked = np.zeros(len(cells), dtype=np.bool_)
     low, high = floor + step + TOUCH, floor + agent.height - TOUCH
-    lines = cells, low, high, site.columns.crossings, blocked
+    lines = cells, low, high, site.columns.at(cells).crossings, blocked
     run_in_bands(lines_blocked, len(cells), *lines, least=1000)
     return np.bincount(sheet[has_floor | ~blocked], minlength=len(beside))

@@ -34,7 +34,7 @@ def crop_floors(floors: Floors, window: Window) -> Floors:
     width = floors.levels[0].floor.shape[1]
 
     def is_shown(patch: Patch) -> bool:
-        return bool(cut_cells(patch.cells, window, width)[1].any())
+        return bool(cut_cells(patch.cells.astype(np.int64), window, width)[1].any())
 
     return Floors(
         levels,

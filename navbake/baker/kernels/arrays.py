@@ -40,7 +40,6 @@ class Facets(NamedTuple):
         part: the geom's part that each belongs to, (m,) int32.
         closed: what that part encloses, see `constants`, (m,) uint8.
         corners: (m, 3, 3) float64 [m].
-        normal: unit normals, (m, 3) float64; z is 0 for upright ones.
         bounds: boxes round them, (m, 6) float64: lower corner, upper corner [m].
     """
 
@@ -48,12 +47,11 @@ class Facets(NamedTuple):
     part: Int32
     closed: NDArray[np.uint8]
     corners: Float
-    normal: Float
     bounds: Float
 
 
 class Tiles(NamedTuple):
-    """Which solids and triangles lie over which tile of cells, ascending, see `bin_boxes`.
+    """Which solids and triangles lie over which tile of cells, ascending, see `list_boxes`.
 
     Tile t holds ``solid_item[solid_start[t] : solid_start[t + 1]]``; so with the triangles.
     """
@@ -65,15 +63,18 @@ class Tiles(NamedTuple):
 
 
 class BandItems(NamedTuple):
-    """Which solids and triangles lie over centres of which band of rows, see `list_by_band`.
+    """Which solids and triangles lie over centres of which band of rows, see `list_boxes`.
 
     Band b holds ``solid_item[solid_start[b] : solid_start[b + 1]]``; so with the triangles.
+    `is_crossed`, bool, is of the length of `triangle_item`: whether any line of the band crosses
+    the triangle; while crossings are counted, it receives that.
     """
 
     solid_start: Int
     solid_item: Int32
     triangle_start: Int
     triangle_item: Int32
+    is_crossed: Bool
 
 
 class Band(NamedTuple):

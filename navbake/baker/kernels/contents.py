@@ -3,7 +3,9 @@
 Two passes over the tiles: the first counts for each cell the geoms whose boxes meet its column,
 so that the second knows where each cell may write. In both the geoms go to the cells near them,
 not the cells to the geoms. A geom's triangles are looked at together, behind the box of those
-that lie over the tile; where lines have proved all that is asked about it, none of them is.
+that lie over the tile; where lines have proved all that is asked about it, none of them is. The
+cells that are still asked about are bits of a number for each flag, so that a triangle over none
+of them is passed over at once.
 """
 
 import math
@@ -12,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from navbake.baker.kernels.arrays import Crossings, Prism, Probe
+from navbake.baker.kernels.arrays import Band, Crossings, Prism, Probe
 from navbake.baker.kernels.constants import SAME, TOUCH
 from navbake.baker.kernels.flags import (
     BLOCKS,
@@ -33,9 +35,9 @@ from navbake.baker.kernels.overlap import (
     outside,
     plane_meets_prism,
 )
-from navbake.baker.kernels.tiles import TILE, cells_near, center_of, tile_window
+from navbake.baker.kernels.tiles import TILE, cell_bit, cells_near, center_of, tile_window
 from navbake.compiled import UNCOUNTED
-from navbake.types import Bool, Int
+from navbake.types import Bool, Float, Int
 
 
 class TileCells(NamedTuple):
@@ -49,6 +51,9 @@ class TileCells(NamedTuple):
         known: flags of all its candidates, int64.
         flags: those of the geom whose triangles are looked at, int64.
         wanted: the flags that are asked about it, int64; 0 where it is no candidate.
+        still: for STANDS, BLOCKS and PROBED, the cells where that is asked and not known yet, a
+            bit each, see `cell_bit`; (3,) int64.
+        band: the heights between which each of these is asked, (3, 2) float64 [m].
         simplex, polygons: room for the geoms' tests.
     """
 
@@ -57,6 +62,8 @@ class TileCells(NamedTuple):
     known: Int
     flags: Int
     wanted: Int
+    still: Int
+    band: Float
     simplex: Simplex
     polygons: Polygons
 
@@ -80,6 +87,8 @@ def _make_tile_cells():
         np.empty(square, np.int64),
         np.empty(square, np.int64),
         np.empty(square, np.int64),
+        np.empty(3, np.int64),
+        np.empty((3, 2), np.float64),
         make_simplex(),
         make_polygons(),
     )
@@ -178,7 +187,8 @@ def _begin(asked, planes, cells, here):
                 # nothing else can be what blocks it; within the square alone it stands there, too
                 known = BLOCKS if footprint.radius > 0.0 else BLOCKS | STANDS
             elif is_taken:
-                by_line = line_is_blocked(crossings, cell, volumes.blocks, ANY_GEOM)
+                band = Band(volumes.blocks.low, volumes.blocks.high)
+                by_line = line_is_blocked(crossings, cell, band, ANY_GEOM)
             count = 0
             for p in range(planes.geom.shape[0]):
                 if not plane_meets_prism(planes, p, column):
@@ -194,10 +204,11 @@ def _begin(asked, planes, cells, here):
 def _ask_lines(asked, window, boxes, i, geom, cells, here):
     """Ask the lines of the cells near a solid or a group of triangles, by its box.
 
-    Returns in how many cells there is more to ask, and the heights between which it is.
+    Notes what they leave open, and between which heights that is.
     """
     lattice = asked.lattice
-    num_open, low, high = 0, math.inf, -math.inf
+    here.still[:] = 0
+    here.band[:, 0], here.band[:, 1] = math.inf, -math.inf
     reach = _reach(lattice, asked.footprint)
     maybe = STANDS | (PROBED if asked.probe.geoms[geom] else 0)
     for row in range(window[0], window[1]):
@@ -216,11 +227,27 @@ def _ask_lines(asked, window, boxes, i, geom, cells, here):
                 proved = maybe | (BLOCKS if here.by_line[r, c] else 0)
                 flags |= line_flags(asked.crossings, cell, geom, volumes) & proved
             here.wanted[r, c], here.flags[r, c] = wanted, flags
-            if flags & wanted != wanted:
-                num_open += 1
-                for volume in volumes:
-                    low, high = min(low, volume.low), max(high, volume.high)
-    return num_open, low, high
+            _note_open(here, r, c, wanted & ~flags, volumes)
+
+
+@njit(inline="always")
+def _note_open(here, r, c, flags, volumes):
+    """Note that flags are still asked about a cell."""
+    for k, volume in enumerate(volumes):
+        if flags & (1 << k):
+            here.still[k] |= cell_bit(r, c)
+            here.band[k, 0] = min(here.band[k, 0], volume.low)
+            here.band[k, 1] = max(here.band[k, 1], volume.high)
+
+
+@njit(inline="always")
+def _cells_open_between(here, low, high):
+    """The cells about which something is still asked between two heights, a bit each."""
+    cells = 0
+    for k in range(3):
+        if low < here.band[k, 1] and high > here.band[k, 0]:
+            cells |= here.still[k]
+    return cells
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -240,27 +267,30 @@ def _list_geom(asked, shapes, tiles, groups, is_solid, n, cells, here):
         geom = facets.geom[items[first]]
     reach = _reach(lattice, asked.footprint)
     window = cells_near(lattice, asked.window, box, i, reach)
-    num_open, low, high = _ask_lines(asked, window, box, i, geom, cells, here)
+    _ask_lines(asked, window, box, i, geom, cells, here)
     for k in range(first, last):
         t = items[k]
-        if num_open == 0:
+        if here.still[0] | here.still[1] | here.still[2] == 0:
             break
-        if boxes[t, 2] >= high or boxes[t, 5] <= low:
+        still = _cells_open_between(here, boxes[t, 2], boxes[t, 5])
+        if still == 0:
             continue
         row0, row1, col0, col1 = cells_near(lattice, window, boxes, t, reach)
         for row in range(row0, row1):
             for col in range(col0, col1):
                 r, c = row - asked.window[0], col - asked.window[2]
-                wanted, flags = here.wanted[r, c], here.flags[r, c]
-                if flags & wanted == wanted:
+                if still & cell_bit(r, c) == 0:
                     continue
+                wanted, flags = here.wanted[r, c], here.flags[r, c]
                 volumes = _volumes(asked, _column(lattice, row, col, cells, reach))
                 if is_solid:
                     flags = solid_flags(solids, t, volumes, flags, wanted, here.simplex)
                 else:
                     flags = triangle_flags(facets, t, volumes, flags, wanted, here.polygons)
                 here.flags[r, c] = flags
-                num_open -= 1 if flags & wanted == wanted else 0
+                for flag in range(3):
+                    if flags & (1 << flag):
+                        here.still[flag] &= ~cell_bit(r, c)
     for row in range(window[0], window[1]):
         for col in range(window[2], window[3]):
             r, c = row - asked.window[0], col - asked.window[2]

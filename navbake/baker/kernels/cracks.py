@@ -16,7 +16,7 @@ from navbake.baker.kernels.constants import SAME, SLACK, TOUCH
 from navbake.baker.kernels.hits import make_hits
 from navbake.baker.kernels.overlap import ANY_GEOM, line_is_blocked
 from navbake.baker.kernels.rays import cast_line, make_ray, most_hits
-from navbake.baker.kernels.tiles import cell_center, tile_of
+from navbake.baker.kernels.tiles import cell_center
 from navbake.compiled import UNCOUNTED
 from navbake.types import Bool, Float, Int
 
@@ -267,6 +267,24 @@ def find_gaps(lattice, crossings, limits, reach, room, task, first, end):
                 start[cell + 1] = count
 
 
+@njit(cache=True)
+def count_gaps(lattice, crossings, limits, reach, room, cells, counts):
+    """Count the gaps of some cells, (n,) int64, into `counts`, (n,) int64; see `find_gaps`.
+
+    Only what is within `reach` of the cells is looked at, for which `room` receives its marks.
+    """
+    for n in range(cells.shape[0]):
+        row, col = cells[n] // lattice.width, cells[n] % lattice.width
+        for other_row in range(max(0, row - reach), min(lattice.height, row + reach + 1)):
+            for other_col in range(max(0, col - reach), min(lattice.width, col + reach + 1)):
+                other = other_row * lattice.width + other_col
+                _mark_standable(crossings, other, limits, room.stands)
+        place = row, col
+        counts[n] = _gaps_of_cell(
+            lattice, crossings, limits, reach, room, place, room.low, room.high
+        )
+
+
 class Asked(NamedTuple):
     """Lines beside the centres of cells with gaps.
 
@@ -314,21 +332,20 @@ def probe_lines(gaps, geometry, limits, asked, found, first, end):
 
     Args:
         gaps: the cell of each, int64, and the heights of its sides, `low` and `high`.
-        geometry: lattice, solids, facets and planes; what lies near each tile of cells, as far as
-            the lines go; and a `Band` below and above everything [m].
+        geometry: lattice, solids, facets and planes; what lies near each gap's cell, as far as
+            the lines go, as `Tiles` have it by tile; and a `Band` below and above everything [m].
         asked: the lines, of which it looks at ``range(first, end)``.
         found: receives the floors.
     """
-    lattice, solids, facets, planes, tiles, heights = geometry
+    lattice, solids, facets, planes, near, heights = geometry
     ray, hits, start = make_ray(), make_hits(64), np.zeros(2, np.int64)
     for n in range(first, end):
         gap = asked.gap[n]
         x, y = cell_center(lattice, gaps.cell[gap])
         x, y = x + asked.offset[n, 0], y + asked.offset[n, 1]
-        tile = tile_of(lattice, gaps.cell[gap])
-        most = most_hits(tile, planes, tiles)
+        most = most_hits(gap, planes, near)
         if most > hits.z.shape[0]:
             hits = make_hits(2 * most)
-        start[1] = cast_line(x, y, tile, solids, facets, planes, tiles, heights, ray, hits)
+        start[1] = cast_line(x, y, gap, solids, facets, planes, near, heights, ray, hits)
         column = Crossings(start, hits.z, hits.normal, hits.geom, hits.closed)
         _find_floor(column, gaps.low[gap], gaps.high[gap], limits, n, found)

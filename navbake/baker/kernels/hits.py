@@ -15,6 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from navbake.baker.kernels.constants import OPEN_SURFACE, SAME
+from navbake.baker.scene.kernels.triangles import unit_normal
 from navbake.compiled import UNCOUNTED
 from navbake.types import Bool, Float, Int32
 
@@ -141,7 +142,7 @@ def _steepest_of_part(hits, first, last, i, facets, side):
     for j in range(first, last):
         if not hits.at_edge[j] or not _is_same_part(hits, i, j, facets):
             continue
-        rise = side * facets.normal[hits.facet[j], 2]
+        rise = side * unit_normal(facets.corners, hits.facet[j])[2]
         if rise > 0.0 and (steepest < 0 or rise < up):
             steepest, up = np.int64(j), rise
     return steepest

@@ -26,7 +26,7 @@ from navbake.baker.kernels.overlap import (
     plane_meets_prism,
 )
 from navbake.baker.kernels.solids import solid_meets
-from navbake.baker.kernels.tiles import TILE, cells_near, center_of, tile_window
+from navbake.baker.kernels.tiles import TILE, cell_bit, cells_near, center_of, tile_window
 from navbake.compiled import UNCOUNTED
 from navbake.types import Int
 
@@ -64,9 +64,9 @@ def _volume(lattice, row, col, floor, footprint):
 def _check_lines(lattice, crossings, planes, footprint, queries, window, search):
     """Ask the lines of a tile's cells, and planes.
 
-    Returns how many queries are open, and the heights between which they are.
+    Returns the cells with open queries, a bit each, and the heights between which these are.
     """
-    total, low, high = 0, math.inf, -math.inf
+    still, low, high = np.int64(0), math.inf, -math.inf
     for row in range(window[0], window[1]):
         r = row - window[0]
         for c in range(TILE):
@@ -75,17 +75,17 @@ def _check_lines(lattice, crossings, planes, footprint, queries, window, search)
             cell = queries.cell[n]
             col = cell - row * lattice.width
             prism = _volume(lattice, row, col, queries.floor[n], footprint)
-            by_line = line_is_blocked(crossings, cell, prism, ANY_GEOM)
+            by_line = line_is_blocked(crossings, cell, Band(prism.low, prism.high), ANY_GEOM)
             meets = by_line
             for p in range(planes.geom.shape[0]):
                 meets = meets or plane_meets_prism(planes, p, prism)
             queries.by_line[n], queries.state[n] = by_line, MEETS if meets else APART
             if not meets:
-                total += 1
+                still |= cell_bit(r, col - window[2])
                 if search.first[r, col - window[2]] < 0:
                     search.first[r, col - window[2]] = n
                 low, high = min(low, prism.low), max(high, prism.high)
-    return total, low, high
+    return still, low, high
 
 
 @njit(inline="always")
@@ -112,10 +112,10 @@ def _check_shapes(tile, shapes, tiles, footprint, queries, search, still_open):
     """Ask the solids and then the triangles over a tile about its open queries.
 
     Args:
-        still_open: how many there are, and the heights between which they are.
+        still_open: what `_check_lines` returns.
     """
     lattice, solids, facets = shapes
-    (total, low, high), window = still_open, tile_window(lattice, tile)
+    (still, low, high), window = still_open, tile_window(lattice, tile)
     reach = max(footprint.square, footprint.radius) + 2.0 * TOUCH  # see `facet_meets_prism`
     for is_solid in (True, False):
         boxes, start, item = facets.bounds, tiles.triangle_start, tiles.triangle_item
@@ -123,14 +123,18 @@ def _check_shapes(tile, shapes, tiles, footprint, queries, search, still_open):
             boxes, start, item = solids.bounds, tiles.solid_start, tiles.solid_item
         for k in range(start[tile], start[tile + 1]):
             i = item[k]
-            if total == 0:
+            if still == 0:
                 break
             if boxes[i, 2] >= high or boxes[i, 5] <= low:
                 continue
             row0, row1, col0, col1 = cells_near(lattice, window, boxes, i, reach)
             for row in range(row0, row1):
                 for col in range(col0, col1):
+                    bit = cell_bit(row - window[0], col - window[2])
+                    if still & bit == 0:
+                        continue
                     n = search.first[row - window[0], col - window[2]]
+                    still &= ~bit
                     while _is_of(queries, n, row * lattice.width + col):
                         if queries.state[n] != MEETS:
                             prism = _volume(lattice, row, col, queries.floor[n], footprint)
@@ -142,7 +146,7 @@ def _check_shapes(tile, shapes, tiles, footprint, queries, search, still_open):
                                 answer = solid_meets(solids, i, prism, search.simplex)
                             if answer != APART:
                                 queries.state[n] = answer
-                            total -= 1 if answer == MEETS else 0
+                            still |= bit if answer != MEETS else 0
                         n += 1
 
 
@@ -172,7 +176,7 @@ def check_cells(
         if num_asked == 0:
             continue
         still_open = _check_lines(lattice, crossings, planes, footprint, queries, window, search)
-        if still_open[0] > 0:
+        if still_open[0] != 0:
             _check_shapes(tile, shapes, tiles, footprint, queries, search, still_open)
 
 

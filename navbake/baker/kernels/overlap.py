@@ -157,7 +157,7 @@ def line_is_blocked(crossings, cell, band, only):
     above, more of them were entered than left (the winding number of the line's ray up).
 
     Args:
-        band: what has the heights `low` and `high` [m].
+        band: the two heights, a `Band`: a NamedTuple of another class would be compiled for, too.
         only: the geom that is asked about, ANY_GEOM for all.
     """
     inside = 0

@@ -18,6 +18,7 @@ from numba import njit
 
 from navbake.baker.kernels.hits import AT_EDGE, INSIDE, RIM
 from navbake.baker.kernels.tiles import cell_center, centers_between
+from navbake.baker.scene.kernels.triangles import is_upright, unit_normal
 from navbake.compiled import UNCOUNTED
 
 # Edges shorter than this tell nothing without their own length [m]
@@ -85,14 +86,19 @@ def _cross_triangle(corners, t, x, y, far):
 
 
 @njit(inline="always")
-def hit_triangle(facets, t, x, y, far, hits, at):
-    """Note that a line crosses a triangle, at a place of the hits; returns how often, 0 or 1."""
+def hit_triangle(facets, t, x, y, far, hits, at, writing):
+    """Note that a line crosses a triangle that isn't upright, at a place of the hits.
+
+    Returns how often it does, 0 or 1; where not `writing`, it does nothing else.
+    """
     place, z = _cross_triangle(facets.corners, t, x, y, far)
     if place == 0:
         return 0
+    if not writing:
+        return 1
+    nx, ny, nz = unit_normal(facets.corners, t)
     hits.z[at] = z
-    for axis in range(3):
-        hits.normal[at, axis] = facets.normal[t, axis]
+    hits.normal[at, 0], hits.normal[at, 1], hits.normal[at, 2] = nx, ny, nz
     hits.geom[at] = facets.geom[t]
     hits.closed[at] = facets.closed[t]
     hits.facet[at] = t
@@ -125,21 +131,24 @@ def _span_of_row(corners, t, left, right, y, far):
 
 
 @njit(cache=True, **UNCOUNTED)
-def raster_triangles(facets, listed, lattice, rows, hits, end, writing):
+def raster_triangles(facets, listed, is_crossed, lattice, rows, hits, end, writing):
     """Note that the lines of the centres that triangles cover cross them.
 
     Args:
         listed: the triangles, ascending.
+        is_crossed: of each, whether any of the lines crosses it, bool; is written while counting.
         rows: the first of the rows that are asked about, and past the last.
         hits: those of the rows' lines.
         end: for each line of the rows, where its next hit goes; is advanced.
         writing: whether hits go there; else they are only counted, and their place is the first.
     """
-    corners, bounds, normal = facets.corners, facets.bounds, facets.normal
+    corners, bounds = facets.corners, facets.bounds
     y_max, x_min, cell = lattice.y_max, lattice.x_min, lattice.cell_size
     width, height = lattice.width, lattice.height
-    for t in listed:
-        if normal[t, 2] == 0.0:
+    for i in range(listed.shape[0]):
+        t, count = listed[i], 0
+        if (writing and not is_crossed[i]) or (not writing and is_upright(corners, t)):
+            is_crossed[i] = False
             continue
         top, bottom = bounds[t, 4] + RIM, bounds[t, 1] - RIM
         first, last = centers_between(y_max - top, y_max - bottom, cell, height)
@@ -161,4 +170,7 @@ def raster_triangles(facets, listed, lattice, rows, hits, end, writing):
                 if not is_beside(bounds, t, x, y):
                     line = (row - rows[0]) * width + col
                     place = end[line] if writing else 0
-                    end[line] += hit_triangle(facets, t, x, y, far, hits, place)
+                    found = hit_triangle(facets, t, x, y, far, hits, place, writing)
+                    end[line] += found
+                    count += found
+        is_crossed[i] = count > 0

@@ -34,6 +34,7 @@ from navbake.baker.kernels.hits import (
 )
 from navbake.baker.kernels.raster import NEVER_FAR, hit_triangle, is_beside, raster_triangles
 from navbake.baker.kernels.tiles import BAND, cell_center, centers_between
+from navbake.baker.scene.kernels.triangles import is_upright
 from navbake.compiled import UNCOUNTED
 from navbake.types import Float
 
@@ -277,8 +278,9 @@ def cast_lines(
         for i in range(items.solid_start[band], items.solid_start[band + 1]):
             s = items.solid_item[i]
             _cast_solid(solids, s, lattice, rows, ray, middle, hits, place, writing)
-        listed = items.triangle_item[items.triangle_start[band] : items.triangle_start[band + 1]]
-        raster_triangles(facets, listed, lattice, rows, hits, place, writing)
+        here = slice(items.triangle_start[band], items.triangle_start[band + 1])
+        listed, is_crossed = items.triangle_item[here], items.is_crossed[here]
+        raster_triangles(facets, listed, is_crossed, lattice, rows, hits, place, writing)
         num_dropped = 0
         for line in range(last - first):
             if writing:
@@ -312,8 +314,8 @@ def cast_line(x, y, tile, solids, facets, planes, tiles, heights, ray, hits):
             count += _hit_solid(solids, s, x, y, ray, hits, count)
     for i in range(tiles.triangle_start[tile], tiles.triangle_start[tile + 1]):
         t = tiles.triangle_item[i]
-        if not is_beside(facets.bounds, t, x, y) and facets.normal[t, 2] != 0.0:
-            count += hit_triangle(facets, t, x, y, NEVER_FAR, hits, count)
+        if not is_beside(facets.bounds, t, x, y) and not is_upright(facets.corners, t):
+            count += hit_triangle(facets, t, x, y, NEVER_FAR, hits, count, True)
     return count - settle(hits, zero, count, facets, hits, count)
 
 

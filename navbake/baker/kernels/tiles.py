@@ -1,25 +1,27 @@
 """Which items lie over which tile of a lattice, so that a cell looks at few of them.
 
 A uniform grid as in collision detection's broad phase (Ericson, Real-Time Collision Detection,
-2005, 7.1), of tiles of TILE x TILE cells. The lists are one counting sort: count, sum up, write.
+2005, 7.1), of tiles of TILE x TILE cells. The lists are one counting sort: count, sum up, write;
+by chunks of the items, each with counts of its own, so that several threads do it, and an item
+follows those before it for any number of them.
 Bands of BAND rows are what one thread works on where items visit the cells under them.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
 
-TILE = 8  # cells along a tile's edge
+TILE = 8  # cells along a tile's edge; a tile's cells are the bits of an int64
 BAND = 8  # rows of cells in a band
 # How far beyond the centres of cells one looks, in cells, so that rounding loses none
 HAIR = 1e-3
 
 
-@njit(inline="always")
-def count_tiles(lattice):
-    """How many tiles a lattice has."""
-    return ((lattice.width + TILE - 1) // TILE) * ((lattice.height + TILE - 1) // TILE)
+def count_tiles(lattice: Any) -> int:
+    """How many tiles a lattice has, in plain Python."""
+    return int(-(-lattice.width // TILE) * -(-lattice.height // TILE))
 
 
 @njit(cache=True)
@@ -35,6 +37,12 @@ def tile_window(lattice, tile):
     tiles_x = (lattice.width + TILE - 1) // TILE
     row, col = tile // tiles_x * TILE, tile % tiles_x * TILE
     return row, min(row + TILE, lattice.height), col, min(col + TILE, lattice.width)
+
+
+@njit(inline="always")
+def cell_bit(row, col):
+    """The bit of a cell by its row and column in a tile, in a number with a bit for each cell."""
+    return np.int64(1) << (row * TILE + col)
 
 
 @njit(inline="always")
@@ -88,40 +96,6 @@ def count_bands(lattice):
     return (lattice.height + BAND - 1) // BAND
 
 
-@njit(cache=True)
-def list_by_band(boxes, grow, lattice):
-    """List, for each band, the (n, 6) boxes that hold a cell's centre, grown by `grow` [m].
-
-    Returns what `list_by_tile` does.
-    """
-    cell, width, height = lattice.cell_size, lattice.width, lattice.height
-    x_min, y_max = lattice.x_min, lattice.y_max
-    start = np.zeros(count_bands(lattice) + 1, np.int64)
-    cursor, item = start[:-1].copy(), np.empty(0, np.int32)
-    for writing in (False, True):
-        if writing:
-            for band in range(cursor.shape[0]):
-                start[band + 1] += start[band]
-                cursor[band] = start[band]
-            item = np.empty(start[-1], np.int32)
-        for n in range(boxes.shape[0]):
-            x0, x1 = boxes[n, 0] - grow - x_min, boxes[n, 3] + grow - x_min
-            left, right = centers_between(x0, x1, cell, width)
-            if right < left:
-                continue
-            y0, y1 = y_max - boxes[n, 4] - grow, y_max - boxes[n, 1] + grow
-            first, last = centers_between(y0, y1, cell, height)
-            if last < first:
-                continue
-            for band in range(first // BAND, last // BAND + 1):
-                if writing:
-                    item[cursor[band]] = n
-                    cursor[band] += 1
-                else:
-                    start[band + 1] += 1
-    return start, item
-
-
 @njit(inline="always")
 def _tile_range(low, high, num_tiles, tile_size):
     first = int(np.floor(max(low, 0.0) / tile_size))
@@ -129,27 +103,91 @@ def _tile_range(low, high, num_tiles, tile_size):
     return first, min(last, num_tiles - 1)
 
 
-@njit(cache=True)
-def bin_boxes(bounds, grow, lattice):
-    """List, for each tile, the (n, 6) boxes that reach into it, grown in the plane by `grow` [m].
-
-    Returns what `list_by_tile` does.
-    """
+@njit(inline="always")
+def _tiles_under(boxes, n, grow, lattice):
+    """The first and last row of tiles that a grown box reaches into, and so with the columns."""
     width, height, cell_size = lattice.width, lattice.height, lattice.cell_size
-    tiles_x, tiles_y = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
+    x0 = boxes[n, 0] - grow - lattice.x_min
+    x1 = boxes[n, 3] + grow - lattice.x_min
+    y0 = lattice.y_max - boxes[n, 4] - grow
+    y1 = lattice.y_max - boxes[n, 1] + grow
+    if x1 < 0.0 or y1 < 0.0 or x0 > width * cell_size or y0 > height * cell_size:
+        return 0, -1, 0, -1
     size = TILE * cell_size
-    ranges = np.zeros((bounds.shape[0], 4), np.int64)
-    for n in range(bounds.shape[0]):
-        x0 = bounds[n, 0] - grow - lattice.x_min
-        x1 = bounds[n, 3] + grow - lattice.x_min
-        y0 = lattice.y_max - bounds[n, 4] - grow
-        y1 = lattice.y_max - bounds[n, 1] + grow
-        if x1 < 0.0 or y1 < 0.0 or x0 > width * cell_size or y0 > height * cell_size:
-            ranges[n, 1] = -1  # not a tuple at once: numba compiles its broadcasting for seconds
-            continue
-        ranges[n, 0], ranges[n, 1] = _tile_range(y0, y1, tiles_y, size)
-        ranges[n, 2], ranges[n, 3] = _tile_range(x0, x1, tiles_x, size)
-    return list_by_tile(ranges, tiles_y * tiles_x, tiles_x)
+    first_row, last_row = _tile_range(y0, y1, (height + TILE - 1) // TILE, size)
+    first_col, last_col = _tile_range(x0, x1, (width + TILE - 1) // TILE, size)
+    return first_row, last_row, first_col, last_col
+
+
+@njit(inline="always")
+def _bands_under(boxes, n, grow, lattice):
+    """The first and last band in which a grown box holds a cell's centre, and no columns."""
+    x0, x1 = boxes[n, 0] - grow - lattice.x_min, boxes[n, 3] + grow - lattice.x_min
+    left, right = centers_between(x0, x1, lattice.cell_size, lattice.width)
+    y0, y1 = lattice.y_max - boxes[n, 4] - grow, lattice.y_max - boxes[n, 1] + grow
+    first, last = centers_between(y0, y1, lattice.cell_size, lattice.height)
+    if right < left or last < first:
+        return 0, -1, 0, -1
+    return first // BAND, last // BAND, 0, 0
+
+
+@njit(cache=True, nogil=True)
+def list_boxes(boxes, grow, lattice, by_band, cursor, item, first, end):
+    """Count, or list, the (n, 6) boxes that reach into each tile; or into each band.
+
+    The boxes fall into chunks of about the same size, of which it looks at ``range(first, end)``.
+
+    Args:
+        grow: how much larger the boxes are taken to be, in the plane [m].
+        by_band: whether bands are asked about, and boxes that hold a cell's centre there.
+        cursor: by chunk and tile, (chunks, tiles) int64: where the chunk's next box over the tile
+            goes; is advanced.
+        item: receives the boxes, int32; they are only counted where it is empty.
+    """
+    num, num_chunks, writing = boxes.shape[0], cursor.shape[0], item.shape[0] > 0
+    stride = 1 if by_band else (lattice.width + TILE - 1) // TILE
+    for chunk in range(first, end):
+        place = cursor[chunk]
+        for n in range(num * chunk // num_chunks, num * (chunk + 1) // num_chunks):
+            under = _tiles_under(boxes, n, grow, lattice)
+            if by_band:
+                under = _bands_under(boxes, n, grow, lattice)
+            for row in range(under[0], under[1] + 1):
+                for tile in range(row * stride + under[2], row * stride + under[3] + 1):
+                    if writing:
+                        item[place[tile]] = n
+                    place[tile] += 1
+
+
+@njit(cache=True)
+def list_near(lattice, boxes, start, item, cells, reach):
+    """List, for each of some cells, those of its tile's items that come near to its centre.
+
+    Args:
+        boxes: of all items, (n, 6) [m].
+        start, item: the items over each tile, see `list_by_tile`.
+        cells: cell ids, (m,) int64.
+        reach: how near, along both axes [m].
+
+    Returns what `list_by_tile` does, by cell.
+    """
+    first, near, count = np.zeros(cells.shape[0] + 1, np.int64), np.empty(64, np.int32), 0
+    for n in range(cells.shape[0]):
+        x, y = cell_center(lattice, cells[n])
+        tile = tile_of(lattice, cells[n])
+        for i in item[start[tile] : start[tile + 1]]:
+            if boxes[i, 0] > x + reach or boxes[i, 3] < x - reach:
+                continue
+            if boxes[i, 1] > y + reach or boxes[i, 4] < y - reach:
+                continue
+            if count == near.shape[0]:
+                grown = np.empty(2 * count, np.int32)
+                grown[:count] = near
+                near = grown
+            near[count] = i
+            count += 1
+        first[n + 1] = count
+    return first, near[:count]
 
 
 @njit(cache=True)

@@ -105,21 +105,37 @@ class Occupancy(NamedTuple):
     solid: list[Bool] | None
 
 
-def find_occupancy(
-    floors: Floors, columns: Columns, tiled: TiledShapes, footprints: Footprints
-) -> Occupancy:
-    """Decide for every cell of every storey whether it is occupied; see `check_footprints`."""
-    levels, solids, by_ray, by_fcl = [], [], 0, 0
-    for level in floors.levels:
-        occupied = np.isnan(level.floor)
-        cells = np.flatnonzero(~occupied)
-        answers = check_footprints(columns, tiled, footprints, cells, level.floor.ravel()[cells])
-        solid = occupied.copy()
-        occupied.flat[cells], solid.flat[cells] = answers.occupied, answers.solid
-        levels.append(occupied)
-        solids.append(solid)
-        by_ray, by_fcl = by_ray + answers.by_ray, by_fcl + answers.by_fcl
-    return Occupancy(levels, by_ray, by_fcl, None if footprints.square is None else solids)
+class OccupancyFinder:
+    """Decides for every cell of every storey whether it is occupied, block by block.
+
+    Attributes:
+        levels: see `Occupancy`; cells of blocks that were not looked at have an open floor yet.
+    """
+
+    def __init__(self, floors: Floors, tiled: TiledShapes, footprints: Footprints) -> None:
+        self._floors, self._tiled, self._footprints = floors, tiled, footprints
+        self.levels = [np.isnan(level.floor) for level in floors.levels]
+        has_solid = footprints.square is not None
+        self._solids = [mask.copy() for mask in self.levels] if has_solid else None
+        self._by_ray = self._by_fcl = 0
+
+    def add(self, columns: Columns) -> None:
+        """Check the cells of a block, see `check_footprints`."""
+        first, end = columns.known_rows.cells(columns.lattice)
+        for number, level in enumerate(self._floors.levels):
+            floor = level.floor.ravel()[first:end]
+            here = np.flatnonzero(~np.isnan(floor))
+            cells, heights = first + here, floor[here]
+            answers = check_footprints(columns, self._tiled, self._footprints, cells, heights)
+            self.levels[number].ravel()[cells] = answers.occupied
+            if self._solids is not None:
+                self._solids[number].ravel()[cells] = answers.solid
+            self._by_ray += answers.by_ray
+            self._by_fcl += answers.by_fcl
+
+    def found(self) -> Occupancy:
+        """The occupancy of all cells."""
+        return Occupancy(self.levels, self._by_ray, self._by_fcl, self._solids)
 
 
 def check_footprints(
@@ -163,11 +179,13 @@ def _check(
         back[order] = np.arange(len(order))
         occupied, by_line, by_fcl = _check(columns, tiled, footprint, cells[order], floors[order])
         return occupied[back], by_line[back], by_fcl
-    shapes, rows = tiled.shapes, -(-columns.lattice.height // TILE)
+    shapes, known, cells = tiled.shapes, columns.known_rows, cells.astype(np.int64, copy=False)
+    first, end = known.first // TILE, -(-known.end // TILE)
     queries = Queries(cells, floors, np.zeros(len(cells), np.uint8), np.zeros(len(cells), np.bool_))
     asked = columns.lattice, columns.crossings, shapes.solids, tiled.facets, shapes.planes
     if len(cells):
-        run_in_bands(check_cells, rows, *asked, tiled.tiles, footprint, queries)
+        work = check_cells, end - first, *asked, tiled.tiles, footprint, queries
+        run_in_bands(*work, begin=first)
     state = queries.state
     undecided = np.flatnonzero(state == UNDECIDED)
     for n in undecided:

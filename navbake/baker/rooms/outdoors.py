@@ -1,15 +1,15 @@
-"""What is open: floor under the sky up to the edge of the grid, and holes in floors."""
+"""What is open: floor under the sky up to the edge of the grid."""
 
 import numpy as np
 
 from navbake.baker.columns import Columns
 from navbake.baker.connect import connect, touching
 from navbake.baker.contents.walls import WALL_BAND
-from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.floors.sheets import agent_limits
 from navbake.baker.kernels.constants import SAME, SLACK
 from navbake.baker.lattice import EDGES
 from navbake.baker.rooms.kernels.labels import label_parts
+from navbake.baker.rooms.overhead import Overhead
 from navbake.baker.rooms.spaces import WIDEST
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings
@@ -30,7 +30,7 @@ BEYOND = 0.5
 
 
 def find_outdoors(
-    segment: Int32, floor: Float, columns: Columns, agent: AgentSettings, scene: Scene
+    segment: Int32, floor: Float, overhead: Overhead, agent: AgentSettings, scene: Scene
 ) -> tuple[Int32, set[int]]:
     """Find the segments of a level that are outdoors, and unite those that touch.
 
@@ -51,26 +51,26 @@ def find_outdoors(
         The segments, of which those that are outdoors and touch have the least number of all; and
         the numbers of those that are outdoors.
     """
-    lattice = columns.lattice
+    lattice = overhead.columns.lattice
     count = int(segment.max(initial=0)) + 1
-    steep = _is_steep(floor, columns, agent)
-    edge = _edge_cells(columns, steep, np.ones((2, 2), dtype=np.bool_)) & (segment > 0)
-    edge[edge] = ~_is_under_top(np.flatnonzero(edge), floor, columns)
+    steep = _is_steep(floor, overhead, agent)
+    is_empty = np.isnan(overhead.top).reshape(lattice.shape)
+    edge = _edge_cells(is_empty | steep, np.ones((2, 2), dtype=np.bool_)) & (segment > 0)
+    cell = np.flatnonzero(edge)
+    edge[edge] = ~_is_under_top(cell, floor, overhead.columns.at(cell))
     candidates = _longest_runs(segment, edge, count) * lattice.cell_size > EDGE_LENGTH
     if not candidates.any():
         return segment, set()
     is_candidate = candidates[segment]
     cell = np.flatnonzero(is_candidate)
-    number, top = segment.ravel()[cell], columns.z[columns.start[cell + 1] - 1]
+    number, top = segment.ravel()[cell], overhead.top[cell]
     is_open = top <= floor.ravel()[cell] + agent.height + SLACK
     if not is_open.all() and scene.bounds is not None:
         # a window of a larger scene cuts through rooms, and they go on beyond it
         x0, y0, x1, y1 = lattice.bounds
         (low_x, low_y), (high_x, high_y) = scene.bounds[:, :2]
         more = np.array([[high_y - y1, y0 - low_y], [x0 - low_x, high_x - x1]])
-        end = is_candidate & _edge_cells(
-            columns, np.zeros_like(steep), more <= BEYOND * lattice.cell_size
-        )
+        end = is_candidate & _edge_cells(is_empty, more <= BEYOND * lattice.cell_size)
         if end.any():
             away = ndimage.distance_transform_edt(~end).ravel()[cell]
             is_open |= away * lattice.cell_size <= EAVES
@@ -97,10 +97,10 @@ def _is_under_top(cell: Int, floor: Float, columns: Columns) -> Bool:
     return tall
 
 
-def _is_steep(floor: Float, columns: Columns, agent: AgentSettings) -> Bool:
+def _is_steep(floor: Float, overhead: Overhead, agent: AgentSettings) -> Bool:
     """Mark the cells without a floor that are steep ground under the sky."""
-    bare = np.isnan(floor).ravel() & (np.diff(columns.start) > 0)
-    up = columns.normal[columns.start[1:][bare] - 1, 2]
+    bare = np.isnan(floor).ravel()
+    up = overhead.up[bare]
     bare[bare] = (up > 0) & (up < agent_limits(agent).min_up)
     return bare.reshape(floor.shape)
 
@@ -141,14 +141,14 @@ def _longest_runs(segment: Int32, edge: Bool, count: int) -> Float:
     return longest
 
 
-def _edge_cells(columns: Columns, steep: Bool, sides: Bool) -> Bool:
-    """Cells on the edge of the lattice, or of the empty space and steep ground that reach it.
+def _edge_cells(is_open: Bool, sides: Bool) -> Bool:
+    """Cells on the edge of the lattice, or of open cells that reach it, and are not open.
 
     `sides` says which of the lattice's edges count: [[upper, lower], [left, right]].
     """
-    shape = columns.lattice.shape
+    shape = is_open.shape
     empty = np.zeros((shape[0] + 2, shape[1] + 2), dtype=np.bool_)
-    empty[1:-1, 1:-1] = steep | (np.diff(columns.start) == 0).reshape(shape)
+    empty[1:-1, 1:-1] = is_open
     empty[[0, -1]] |= sides[0][:, None]
     empty[:, [0, -1]] |= sides[1]
     part, _ = label_parts(empty)
@@ -156,25 +156,3 @@ def _edge_cells(columns: Columns, steep: Bool, sides: Bool) -> Bool:
     beyond = np.isin(part, outer[outer > 0])
     edge: Bool = beyond[:-2, 1:-1] | beyond[2:, 1:-1] | beyond[1:-1, :-2] | beyond[1:-1, 2:]
     return edge & ~beyond[1:-1, 1:-1]
-
-
-def find_holes(level: LevelFloor, columns: Columns, agent: AgentSettings) -> Bool:
-    """Mark the cells without a floor in which nothing stands at the height of an agent's body.
-
-    That is so where the next surface over the level's ground and a step is higher than the agent,
-    unless it is the top of something.
-    """
-    holes = np.isnan(level.floor)
-    cell = np.flatnonzero(holes)
-    if not len(cell):
-        return holes
-    below = columns.z <= level.ground + agent.traversable_floor_height
-    count = np.concatenate([[0], np.cumsum(below)])
-    start, end = columns.start[cell], columns.start[cell + 1]
-    following = start + count[end] - count[start]
-    has_next = np.flatnonzero(following < end)
-    entry = following[has_next]
-    is_low = columns.z[entry] <= level.ground + agent.height
-    is_top = columns.normal[entry, 2] > 0
-    holes.ravel()[cell[has_next[is_low | is_top]]] = False
-    return holes

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.columns import Columns
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.rooms import openings
 from navbake.baker.rooms.openings import Opening, RoomIndex, RoomKey
-from navbake.baker.rooms.outdoors import find_holes, find_outdoors
+from navbake.baker.rooms.outdoors import find_outdoors
+from navbake.baker.rooms.overhead import Overhead
 from navbake.baker.rooms.segmentation import (
     give_covered,
     labels_in_order,
@@ -88,7 +88,7 @@ class Blocked(NamedTuple):
 
 def find_rooms(
     scene: Scene,
-    columns: Columns,
+    overhead: Overhead,
     floors: Floors,
     blocked: Sequence[Blocked],
     settings: RoomSettings,
@@ -106,16 +106,16 @@ def find_rooms(
         ConfigError: a polygon names a level that does not exist.
         SceneError: a level has more than 65,535 rooms.
     """
-    levels, lattice = floors.levels, columns.lattice
+    levels, lattice = floors.levels, overhead.columns.lattice
     open_cells = []
     for level, (wall, low) in zip(levels, blocked, strict=True):
         window = find_windows(low, wall, lattice.cell_size)
         open_cells.append(~np.isnan(level.floor) & ~wall & ~window)
     assignment = _Assignment(open_cells)
-    markers = RoomMarkers(scene, columns, levels, settings, agent)
+    markers = RoomMarkers(scene, overhead.columns, levels, settings, agent)
     for source in settings.sources:
         if source == "auto":
-            assignment.segment(levels, settings, columns, agent, scene)
+            assignment.segment(levels, settings, overhead, agent, scene)
         else:
             assignment.add(markers.mark(source), source)
     index, named = assignment.number()
@@ -159,7 +159,7 @@ class _Assignment:
         self,
         levels: Sequence[LevelFloor],
         settings: RoomSettings,
-        columns: Columns,
+        overhead: Overhead,
         agent: AgentSettings,
         scene: Scene,
     ) -> None:
@@ -167,19 +167,19 @@ class _Assignment:
 
         What is outdoors becomes one room, as far as it hangs together; see `find_outdoors`.
         """
-        cell_size = columns.lattice.cell_size
+        cell_size = overhead.columns.lattice.cell_size
         labels = []
         names: list[str | None] = []
         outdoors: set[int] = set()
         for number, level in enumerate(levels):
-            segment = self._segment_level(number, level, settings, columns, agent)
+            segment = self._segment_level(number, level, settings, overhead)
             owner = self._owner[number]
             if owner.any():
                 owner = give_covered(owner, self._under[number] * self._open[number], segment)
                 self._owner[number], segment = share_rest(
                     owner, segment, cell_size, settings.min_area
                 )
-            segment, outside = find_outdoors(segment, level.floor, columns, agent, scene)
+            segment, outside = find_outdoors(segment, level.floor, overhead, agent, scene)
             outdoors.update(room + len(names) for room in outside)
             labels.append(np.where(segment > 0, segment + len(names), 0))
             names += [None] * int(segment.max(initial=0))
@@ -190,16 +190,16 @@ class _Assignment:
         number: int,
         level: LevelFloor,
         settings: RoomSettings,
-        columns: Columns,
-        agent: AgentSettings,
+        overhead: Overhead,
     ) -> Int32:
-        open_cells, size, least = self._open[number], columns.lattice.cell_size, settings.min_area
+        lattice, least = overhead.columns.lattice, settings.min_area
+        open_cells, size = self._open[number], lattice.cell_size
         if settings.door_width != "auto":
             return segment_rooms(open_cells, size, settings.door_width, least, level.floor)
-        holes = find_holes(level, columns, agent)
+        holes = overhead.holes[number]
         rooms, close = segment_by_gaps(open_cells, size, least, level.floor, holes)
         if close:
-            self.warnings.append(_describe_close(close, number, columns.lattice))
+            self.warnings.append(_describe_close(close, number, lattice))
         return rooms
 
     def number(self) -> tuple[list[RoomIndex], list[list[NamedRoom]]]:

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from navbake.baker.columns import Columns, cast_columns, tile_shapes
+from navbake.baker.columns import ColumnSource, cast_columns, tile_shapes
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.kernels.constants import SAME
 from navbake.baker.rooms.volumes import vertical_chords
 from navbake.baker.scene.choice import Choice
 from navbake.baker.scene.collect import collect_shapes
-from navbake.baker.scene.names import name_at, warn_unmatched
+from navbake.baker.scene.names import names_at, warn_unmatched
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Solids, solid_bounds
 from navbake.config.rooms import DEFAULT_GEOMS, DEFAULT_SITES, RoomPolygon, RoomSettings
@@ -60,7 +60,7 @@ class RoomMarkers:
     """Finds the rooms that geoms, sites and polygons mark in a scene."""
 
     scene: Scene
-    columns: Columns
+    columns: ColumnSource
     levels: Sequence[LevelFloor]
     settings: RoomSettings
     agent: AgentSettings
@@ -80,7 +80,7 @@ class RoomMarkers:
         lies so over a room's floor is `covered`.
         """
         model = self.scene.model
-        names = [name_at(model, address) for address in model.name_geomadr]
+        names = names_at(model, model.name_geomadr.tolist())
         chosen, warnings = _match(names, self.settings.geoms, DEFAULT_GEOMS, "geoms")
         labels = self._no_rooms()
         if not chosen:
@@ -115,7 +115,7 @@ class RoomMarkers:
         """
         model, lattice = self.scene.model, self.columns.lattice
         height, least = self.agent.height, self.settings.min_area
-        names = [name_at(model, address) for address in model.name_siteadr]
+        names = names_at(model, model.name_siteadr.tolist())
         chosen, warnings = _match(names, self.settings.sites, DEFAULT_SITES, "sites")
         labels = self._no_rooms()
         kept: list[str | None] = []
@@ -157,7 +157,7 @@ class RoomMarkers:
 
 
 def _upward_surfaces(
-    scene: Scene, columns: Columns, chosen: Sequence[int]
+    scene: Scene, columns: ColumnSource, chosen: Sequence[int]
 ) -> tuple[Int, Float, Int32]:
     """The surfaces of geoms that face up: cells, heights, geoms.
 
@@ -165,7 +165,7 @@ def _upward_surfaces(
     """
     num = len(scene.geoms)
     known = {geom for geom in chosen if scene.geoms[geom].shape not in ("", "hull")}
-    parts = [(columns, known)]
+    parts: list[tuple[ColumnSource, set[int]]] = [(columns, known)]
     if others := set(chosen) - known:
         choices = [Choice(geom in others, "marks a room", "surface") for geom in range(num)]
         shapes = collect_shapes(scene.model, scene.data, choices, scene.parts).shapes
@@ -173,9 +173,11 @@ def _upward_surfaces(
     found = []
     for surfaces, geoms in parts:
         is_meant = np.isin(np.arange(num), list(geoms))
-        at = np.flatnonzero(is_meant[surfaces.geom] & (surfaces.normal[:, 2] > 0))
-        cell = np.searchsorted(surfaces.start, at, side="right") - 1
-        found.append((cell, surfaces.z[at], surfaces.geom[at]))
+        for block in surfaces.blocks() if geoms else ():
+            first, end = block.known_rows.cells(block.lattice)
+            at = np.flatnonzero(is_meant[block.geom] & (block.normal[:, 2] > 0))
+            cell = first + np.searchsorted(block.start[first : end + 1], at, side="right") - 1
+            found.append((cell, block.z[at], block.geom[at]))
     cells, heights, owners = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
     return cells, heights, owners
 

@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from navbake.baker.kernels.constants import FREE, MESH, SDF
-from navbake.baker.scene.names import GeomNames, body_name, names_of, warn_unmatched
+from navbake.baker.scene.names import GeomNames, all_names, warn_unmatched
 from navbake.config.scene import SceneSettings
 from navbake.types import Bool, Float
 
@@ -55,7 +55,7 @@ def choose_geoms(
     Returns:
         A choice for each geom, by its id, and what the user should know, one line each.
     """
-    names = [names_of(model, geom) for geom in range(model.ngeom)]
+    names = all_names(model).geoms
     excluded, notes = _find_excluded(model, settings, names)
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     left = np.array([not reason for reason in excluded], dtype=bool)
@@ -142,7 +142,7 @@ def _find_excluded(
         pattern = _first_match(exclude.geoms, name.geom)
         by_geom = f"excluded: matches {pattern!r}" if pattern else ""
         reasons.append(by_geom or bodies[int(model.geom_bodyid[geom])])
-    body_names = [body_name(model, body) for body in range(1, model.nbody)]
+    body_names = all_names(model).bodies[1:]
     notes = _unused("scene.exclude.bodies", exclude.bodies, body_names)
     return reasons, notes + _unused("scene.exclude.geoms", exclude.geoms, [n.geom for n in names])
 
@@ -150,9 +150,9 @@ def _find_excluded(
 def _excluded_bodies(model: Any, settings: SceneSettings) -> list[str]:
     """The reason each body is excluded, empty where it isn't; the world never is."""
     free = {int(model.jnt_bodyid[j]) for j in np.flatnonzero(model.jnt_type == FREE)}
-    reasons = [""] * model.nbody
+    reasons, names = [""] * model.nbody, all_names(model).bodies
     for body in range(1, model.nbody):  # parents come before their children
-        name = body_name(model, body)
+        name = names[body]
         pattern = _first_match(settings.exclude.bodies, name)
         if pattern:
             reasons[body] = f"excluded: body {name!r} matches {pattern!r}"

@@ -21,11 +21,12 @@ from navbake.baker.scene.shapes import (
     Solids,
     Triangles,
     height_field_triangles,
-    hull_triangles,
+    hull_faces,
     plane_triangles,
     solid_bounds,
 )
 from navbake.errors import SceneError
+from navbake.threads import run_in_bands
 from navbake.types import Float, Int, Int32
 
 SOLIDS = range(constants.SPHERE, constants.BOX + 1)  # and capsule, ellipsoid, cylinder between
@@ -34,17 +35,35 @@ TYPE_NAMES = dict(enumerate("plane hfield sphere capsule ellipsoid cylinder box 
 
 @dataclass(frozen=True)
 class GeomTriangles:
-    """The triangles of one geom: their corners, parts and what these enclose, see `Triangles`."""
+    """The triangles of one geom: their vertices, parts and what these enclose, see `Triangles`.
 
-    corners: Float
+    Attributes:
+        vertices: shape (n, 3) [m].
+        faces: indices into `vertices`, shape (m, 3).
+        part, closed: shape (m,).
+    """
+
+    vertices: Float
+    faces: Int32
     part: Int32
     closed: NDArray[np.uint8]
 
+    @property
+    def arrays(self) -> tuple[Float, Int32, Int32, NDArray[np.uint8]]:
+        """All of it."""
+        return self.vertices, self.faces, self.part, self.closed
+
     @classmethod
-    def all_alike(cls, corners: Float, closed: int) -> GeomTriangles:
+    def all_alike(cls, vertices: Float, faces: Int32, closed: int) -> GeomTriangles:
         """Triangles of one part."""
-        num = len(corners)
-        return cls(corners, np.zeros(num, np.int32), np.full(num, closed, np.uint8))
+        num = len(faces)
+        return cls(vertices, faces, np.zeros(num, np.int32), np.full(num, closed, np.uint8))
+
+    @classmethod
+    def of_corners(cls, corners: Float, closed: int) -> GeomTriangles:
+        """Triangles of one part by their corners, shape (m, 3, 3)."""
+        faces = np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3)
+        return cls.all_alike(corners.reshape(-1, 3), faces, closed)
 
 
 class CountedMesh(NamedTuple):
@@ -64,25 +83,34 @@ class MeshTriangles:
     def count(self, mesh: int, mode: str) -> CountedMesh:
         """Count a mesh as a mode says; see `count_mesh`."""
         if (mesh, mode) not in self._found:
-            self._found[mesh, mode] = count_mesh(*_mesh_arrays(self._model, mesh), mode)
+            vertices, faces, hull = _mesh_arrays(self._model, mesh)
+            self._found[mesh, mode] = count_mesh(vertices, faces, mode, hull)
         return self._found[mesh, mode]
 
 
-def count_mesh(vertices: Float, faces: Int | Int32, on_hull: Float, mode: str) -> CountedMesh:
+def count_mesh(
+    vertices: Float, faces: Int | Int32, mode: str, hull: Int32 | None = None
+) -> CountedMesh:
     """Count a mesh as its hull, as a shell, or as its triangles; a flat one has no hull.
 
     Args:
-        on_hull: the vertices that its hull has, shape (n, 3).
+        hull: the faces of its hull, shape (m, 3), counter-clockwise from outside; found if None.
     """
-    hull = hull_triangles(on_hull) if mode == "hull" else None
-    if hull is not None:
-        return CountedMesh(GeomTriangles.all_alike(hull, constants.CONVEX_SOLID), "hull")
+    if mode == "hull":
+        hull = hull_faces(vertices) if hull is None else hull
+        if hull is not None:
+            # vertices inside of the hull are no part of it
+            used, index = np.unique(hull, return_inverse=True)
+            faces = index.reshape(hull.shape).astype(np.int32)
+            triangles = GeomTriangles.all_alike(vertices[used], faces, constants.CONVEX_SOLID)
+            return CountedMesh(triangles, "hull")
+    faces = faces.astype(np.int32, copy=False)
     if mode == "shell":
-        corners = take_corners(vertices, faces)
-        return CountedMesh(GeomTriangles.all_alike(corners, constants.OPEN_SURFACE), "shell")
+        triangles = GeomTriangles.all_alike(vertices, faces, constants.OPEN_SURFACE)
+        return CountedMesh(triangles, "shell")
     split = split_mesh(vertices, faces)
-    corners = take_corners(vertices, split.faces)
-    return CountedMesh(GeomTriangles(corners, split.part, split.closed), split.kind)
+    faces = np.asarray(split.faces, dtype=np.int32)
+    return CountedMesh(GeomTriangles(vertices, faces, split.part, split.closed), split.kind)
 
 
 class Collected(NamedTuple):
@@ -158,8 +186,8 @@ class _Collector:
         if kind not in (constants.HFIELD, constants.MESH, constants.SDF) or shape < 0:
             raise SceneError(f"geom {name!r} is broken: it has no shape (type {kind})")
         if kind == constants.HFIELD:
-            corners = self._to_world(geom, _height_field(self._model, shape))
-            self._triangles[geom] = GeomTriangles.all_alike(corners, constants.SOLID)
+            field = GeomTriangles.of_corners(_height_field(self._model, shape), constants.SOLID)
+            self._triangles[geom] = self._to_world(geom, field)
             return "solid"
         return self._add_mesh(geom, shape, mesh_mode)
 
@@ -182,19 +210,18 @@ class _Collector:
             self._planes.append(geom)
             return "half-space"
         self._endless[geom] = (half <= 0).any()
-        corners = self._to_world(geom, plane_triangles(half))
-        self._triangles[geom] = GeomTriangles.all_alike(corners, constants.OPEN_SURFACE)
+        two = GeomTriangles.of_corners(plane_triangles(half), constants.OPEN_SURFACE)
+        self._triangles[geom] = self._to_world(geom, two)
         return "strip" if self._endless[geom] else "rectangle"
 
     def _add_mesh(self, geom: int, mesh: int, mode: str) -> str:
         part = self._parts.get(geom)
         if part is not None:
-            counted = count_mesh(part.vertices, part.faces, part.vertices, mode)
+            counted = count_mesh(part.vertices, part.faces, mode)
             self._triangles[geom] = counted.triangles
         else:
             counted = self._meshes.count(mesh, mode)
-            corners = self._to_world(geom, counted.triangles.corners)
-            self._triangles[geom] = replace(counted.triangles, corners=corners)
+            self._triangles[geom] = self._to_world(geom, counted.triangles)
         name = names_of(self._model, geom)
         if mode == "hull" and counted.kind != "hull" and name.mesh not in self._flat:
             self._flat.add(name.mesh)
@@ -204,29 +231,33 @@ class _Collector:
             )
         return counted.kind
 
-    def _to_world(self, geom: int, corners: Float) -> Float:
+    def _to_world(self, geom: int, triangles: GeomTriangles) -> GeomTriangles:
         mat = self._data.geom_xmat[geom].reshape(3, 3)
-        return np.asarray(corners @ mat.T + self._data.geom_xpos[geom])
+        vertices = triangles.vertices @ mat.T
+        vertices += self._data.geom_xpos[geom]
+        return replace(triangles, vertices=vertices)
 
 
 def _join_triangles(found: dict[int, GeomTriangles]) -> Triangles:
-    """The triangles of all geoms in one; what is joined is taken out of `found`."""
-    counts = [len(triangles.corners) for triangles in found.values()]
-    geom = np.repeat(np.array(list(found), dtype=np.int32), counts)
-    if len(found) == 1:
-        only = found.popitem()[1]
-        return Triangles(geom, only.part, only.closed, only.corners)
-    num = sum(counts)
+    """The triangles of all geoms in one."""
+    triangles = list(found.values())
+    counts = [len(one.faces) for one in triangles]
+    num, geom = sum(counts), np.repeat(np.array(list(found), dtype=np.int32), counts)
     part, closed = np.empty(num, dtype=np.int32), np.empty(num, dtype=np.uint8)
-    joined = Triangles(geom, part, closed, np.empty((num, 3, 3)))
-    end = num
-    while found:  # memory of the joined array is used as that of the parts is given back
-        triangles = found.popitem()[1]
-        here = slice(end - len(triangles.corners), end)
-        joined.part[here], joined.closed[here] = triangles.part, triangles.closed
-        joined.corners[here] = triangles.corners
-        end = here.start
-    return joined
+    vertices, faces = np.empty((0, 3)), np.empty((num, 3), dtype=np.int32)
+    if len(triangles) == 1:  # one large mesh is not copied
+        vertices, faces, part, closed = triangles[0].arrays
+    elif triangles:
+        vertices = np.concatenate([one.vertices for one in triangles])
+        np.concatenate([one.part for one in triangles], out=part)
+        np.concatenate([one.closed for one in triangles], out=closed)
+        first = end = 0
+        for one, count in zip(triangles, counts, strict=True):
+            np.add(one.faces, np.int32(first), out=faces[end : end + count])
+            first, end = first + len(one.vertices), end + count
+    corners = np.empty((num, 3, 3))
+    run_in_bands(take_corners, num, vertices, faces, corners, least=4096)
+    return Triangles(geom, part, closed, corners)
 
 
 def _height_field(model: Any, hfield: int) -> Float:
@@ -239,27 +270,35 @@ def _height_field(model: Any, hfield: int) -> Float:
     return height_field_triangles(heights.astype(np.float64), model.hfield_size[hfield])
 
 
-def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, Int | Int32, Float]:
-    """A mesh's vertices, its faces, and the vertices of its hull, in its geom's frame."""
+def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, Int | Int32, Int32 | None]:
+    """A mesh's vertices, its faces, and its hull's faces if MuJoCo has one; its geom's frame."""
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     vertices = model.mesh_vert[first : first + count].astype(np.float64)
     first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
     faces = model.mesh_face[first : first + count]
-    on_hull = _hull_index(model, mesh)
+    hull = _hull_faces(model, mesh)
     name = name_at(model, model.name_meshadr[mesh])
-    for index in (faces, on_hull):
+    for index in (faces, hull):
         if index.size and not 0 <= int(index.min()) <= int(index.max()) < len(vertices):
             raise SceneError(f"mesh {name!r} is broken: faces of missing vertices")
     if not np.isfinite(vertices).all():
         raise SceneError(f"mesh {name!r} has coordinates that are no numbers")
-    return vertices, faces, vertices[on_hull]
+    return vertices, faces, hull if len(hull) else None
 
 
-def _hull_index(model: Any, mesh: int) -> Int32:
-    """The vertices that MuJoCo's hull of a mesh has: all, unless `maxhullvert` limits them."""
+def _hull_faces(model: Any, mesh: int) -> Int32:
+    """The faces of the hull that MuJoCo collides with, shape (m, 3); none where it made no hull.
+
+    It may have fewer vertices than the mesh's own hull, see `maxhullvert`. Finding it anew would
+    cost loading scipy, which takes longer than all else that the bake of a small scene imports.
+
+    Source: `mesh_graph` of MuJoCo's mjModel: the numbers v of vertices and m of faces, two lists
+    of v, one of v + 3 m, and the faces' vertices, 3 m.
+    """
     address = int(model.mesh_graphadr[mesh])
     if address < 0:
-        return np.arange(model.mesh_vertnum[mesh], dtype=np.int32)
-    num_vertices = int(model.mesh_graph[address])  # then the faces' number, then two lists
-    first = address + 2 + num_vertices
-    return np.asarray(model.mesh_graph[first : first + num_vertices])
+        return np.empty((0, 3), dtype=np.int32)
+    num_vertices, num_faces = (int(number) for number in model.mesh_graph[address : address + 2])
+    first = address + 2 + 3 * num_vertices + 3 * num_faces
+    faces = np.asarray(model.mesh_graph[first : first + 3 * num_faces])
+    return faces.reshape(-1, 3)

@@ -5,12 +5,15 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
-from navbake.baker.scene.kernels.facing import find_facing, measure_spans
+from navbake.baker.scene.kernels.facing import RIGHT, add_votes, find_ways, measure_spans
 from navbake.baker.scene.shapes import Shapes, Solids
+from navbake.threads import run_in_bands
 from navbake.types import Float, Int, Int32
 
 # How many directions of upright faces are distinguished, over a right angle
 DIRECTIONS = 180
+# Triangles that are looked at together, for the memory that it takes
+BLOCK = 1 << 18
 
 
 class Extents(NamedTuple):
@@ -96,7 +99,7 @@ def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
     first = np.flatnonzero(np.diff(geom, prepend=np.int32(-1)))
     which = geom[first]
     group = np.repeat(np.arange(len(first), dtype=np.int32), np.diff(first, append=len(geom)))
-    angle = find_facing(corners, group, len(first), DIRECTIONS)
+    angle = find_facing(corners, group, len(first))
     way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     turned = np.stack([-way[:, 1], way[:, 0]], axis=1)
     low, high = measure_spans(corners, group, way)
@@ -106,3 +109,29 @@ def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
     out.thin[which], out.long[which] = np.minimum(one, other), np.maximum(one, other)
     out.center[which] = way * middle[:, :1] + turned * middle[:, 1:2]
     out.low[which], out.high[which] = low[:, 2], high[:, 2]
+
+
+def find_facing(corners: Float, group: Int32, num: int) -> Float:
+    """The angle, modulo a right one, that most upright faces of each group look at [rad].
+
+    Args:
+        corners: of triangles, shape (m, 3, 3) [m].
+        group: the group of each triangle, a number below `num`, shape (m,).
+
+    Returns:
+        Shape (num,), float64.
+    """
+    votes, sums = np.zeros((num, DIRECTIONS)), np.zeros((num, DIRECTIONS))
+    size = min(BLOCK, len(group))
+    way, weight, off = np.empty(size, np.int32), np.empty(size), np.empty(size)
+    for begin in range(0, len(group), BLOCK):
+        block = slice(begin, begin + BLOCK)
+        known = len(group[block])
+        found = way[:known], weight[:known], off[:known]
+        run_in_bands(find_ways, known, corners[block], DIRECTIONS, *found, least=4096)
+        # sums of floats depend on their order
+        add_votes(group[block], *found, votes, sums)
+    most = votes.argmax(axis=1)
+    total, rest = votes[np.arange(num), most], sums[np.arange(num), most]
+    angle: Float = most * (RIGHT / DIRECTIONS) + rest / np.where(total > 0.0, total, 1.0)
+    return angle

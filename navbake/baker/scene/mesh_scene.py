@@ -247,9 +247,11 @@ def _clean(part: MeshPart, turn: Float, path: Path) -> MeshPart:
     vertices, faces = _only_used(part.vertices, part.faces, is_used)
     with np.errstate(all="ignore"):
         vertices = _turn(vertices, turn)
-    if not np.isfinite(vertices).all():
+    # two reductions, where `isfinite` and `abs` make arrays as large; NaN is the least of all
+    low, high = (float(vertices.min()), float(vertices.max())) if len(vertices) else (0.0, 0.0)
+    if not np.isfinite([low, high]).all():
         raise SceneError(f"mesh {name!r} in {path} has coordinates that are no numbers")
-    if len(vertices) and np.abs(vertices).max() > MAX_COORDINATE:
+    if max(-low, high) > MAX_COORDINATE:
         raise SceneError(
             f"mesh {name!r} in {path} reaches beyond {MAX_COORDINATE:g} m: check `scene.unit`"
         )

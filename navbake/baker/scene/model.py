@@ -1,6 +1,7 @@
 """The compiled MuJoCo model of any scene file: MJCF, URDF, MJB or a mesh."""
 
 import threading
+import warnings as python_warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -121,7 +122,7 @@ def _load_xml(path: Path, warnings: list[str], ground: float | None) -> Any:
         raise SceneError(f"expected <mujoco> or <robot> in {path}, got <{root[:40]}>")
     refuse_oversized(path)
     try:  # MuJoCo's parser is the judge of MJCF, also where Python's is stricter
-        return compile_model(path, warnings, lambda: _build_mjcf(path, ground))
+        return compile_model(path, warnings, lambda: _build_mjcf(path, ground, warnings))
     except SceneError as error:
         try:
             with path.open("rb") as file:
@@ -152,22 +153,33 @@ def compile_model(path: Path, warnings: list[str], load: Callable[[], Any], hint
     try:
         with catch_chatter() as chatter:
             return load()
-    except SceneError:
+    except (ConfigError, SceneError):
         raise
     except Exception as error:  # mujoco raises ValueError, FatalError and UnexpectedError
         said = [*str(error).splitlines(), *warnings] or [type(error).__name__]
-        lines = [*said, *chatter]
+        lines = dict.fromkeys([*said, *chatter])  # each once, in order
         reason = "; ".join(" ".join(line.split()) for line in lines if line.strip())
         reason = reason.removeprefix("Error: ").removeprefix("XML Error: ")
         raise SceneError(f"MuJoCo cannot load {path}: {reason[:400]}{hint}") from error
 
 
-def _build_mjcf(path: Path, ground: float | None) -> Any:
-    if ground is None:
+def _build_mjcf(path: Path, ground: float | None, warnings: list[str]) -> Any:
+    if path.suffix != ".xml":  # MjSpec reads no other ending
+        if ground is not None:
+            raise ConfigError(f"`scene.ground` can't be added to {path}: let its name end in .xml")
         return mujoco.MjModel.from_xml_path(str(path))
     spec = mujoco.MjSpec.from_file(str(path))
+    for mesh in spec.meshes:
+        # Geoms of type sdf collide by a field of distances in an octree, which takes 0.2 s a mesh
+        # to fill. They count by their triangles here. Older MuJoCos fill it always.
+        if hasattr(mesh, "octree_maxdepth"):
+            mesh.octree_maxdepth = 0
     add_ground(spec, ground)
-    return spec.compile()
+    with python_warnings.catch_warnings(record=True) as said:  # MjSpec warns by Python's means
+        python_warnings.simplefilter("always")
+        model = spec.compile()
+    warnings.extend(text for each in said if (text := str(each.message)) not in warnings)
+    return model
 
 
 def add_ground(spec: Any, height: float | None) -> None:

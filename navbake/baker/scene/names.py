@@ -4,6 +4,8 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
+import numpy as np
+
 from navbake.baker.kernels.constants import MESH, SDF
 from navbake.known_names import find_near
 
@@ -27,32 +29,63 @@ def name_at(model: Any, address: int) -> str:
 
     MuJoCo's own accessors fail on names that aren't UTF-8; here their odd bytes are replaced.
     """
-    names: bytes = model.names
-    return names[address : names.find(b"\0", address)].decode("utf-8", errors="replace")
+    return names_at(model, [address])[0]
+
+
+def names_at(model: Any, addresses: Iterable[int]) -> list[str]:
+    """Some names out of the model's store, as `name_at` reads them."""
+    store: bytes = model.names  # a copy of all names
+    return [
+        store[first : store.find(b"\0", first)].decode("utf-8", errors="replace")
+        for first in addresses
+    ]
+
+
+class ModelNames(NamedTuple):
+    """The names of all geoms, and of all bodies, by their ids."""
+
+    geoms: list[GeomNames]
+    bodies: list[str]
 
 
 # Each stage asks for all names again, and they never change
-_names: WeakKeyDictionary[Any, list[GeomNames]] = WeakKeyDictionary()
+_names: WeakKeyDictionary[Any, ModelNames] = WeakKeyDictionary()
+
+
+def all_names(model: Any) -> ModelNames:
+    """The names of a model, which are read once."""
+    known = _names.get(model)
+    if known is None:
+        known = _names[model] = _read_names(model)
+    return known
 
 
 def names_of(model: Any, geom: int) -> GeomNames:
     """The names of a geom."""
-    if model not in _names:
-        _names[model] = [_read_names(model, number) for number in range(model.ngeom)]
-    return _names[model][geom]
+    return all_names(model).geoms[geom]
 
 
-def _read_names(model: Any, geom: int) -> GeomNames:
-    mesh = ""
-    if model.geom_type[geom] in (MESH, SDF) and model.geom_dataid[geom] >= 0:
-        mesh = name_at(model, model.name_meshadr[model.geom_dataid[geom]])
-    own = name_at(model, model.name_geomadr[geom]) or f"geom {geom}"
-    return GeomNames(own, mesh, body_name(model, int(model.geom_bodyid[geom])))
+def _read_names(model: Any) -> ModelNames:
+    bodies, geoms, meshes = (
+        names_at(model, addresses.tolist())
+        for addresses in (model.name_bodyadr, model.name_geomadr, model.name_meshadr)
+    )
+    bodies = [name or f"body {body}" for body, name in enumerate(bodies)]
+    of_mesh = np.isin(model.geom_type, (MESH, SDF)) & (model.geom_dataid >= 0)
+    shapes = np.where(of_mesh, model.geom_dataid, -1).tolist()
+    named = zip(geoms, shapes, model.geom_bodyid.tolist(), strict=True)
+    return ModelNames(
+        [
+            GeomNames(name or f"geom {geom}", meshes[mesh] if mesh >= 0 else "", bodies[body])
+            for geom, (name, mesh, body) in enumerate(named)
+        ],
+        bodies,
+    )
 
 
 def body_name(model: Any, body: int) -> str:
     """A body's name; ``body <id>`` where it has none."""
-    return name_at(model, model.name_bodyadr[body]) or f"body {body}"
+    return all_names(model).bodies[body]
 
 
 def joint_name(model: Any, joint: int) -> str:

@@ -12,12 +12,19 @@ from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE
 from navbake.baker.kernels.parts import (
     COPY,
     SHEET,
-    find_around,
-    find_cavities,
     find_parts,
 )
-from navbake.baker.scene.kernels.shells import find_shells, list_edges, weld_faces, weld_points
+from navbake.baker.scene.kernels.cavities import find_around, find_cavities
+from navbake.baker.scene.kernels.shells import (
+    list_edges,
+    list_halves,
+    pair_halves,
+    unite_pairs,
+    weld_faces,
+    weld_points,
+)
 from navbake.baker.scene.kernels.triangles import measure_areas, measure_parts
+from navbake.threads import num_threads, run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
 # A part that encloses less than this times its area is a sheet with two sides [m]
@@ -69,7 +76,7 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
         vertices: shape (n, 3), float64 [m].
         faces: shape (m, 3), indices, counter-clockwise from the front.
     """
-    number = weld_points(np.ascontiguousarray(vertices, dtype=np.float64).view(np.uint64))
+    number = _weld(np.ascontiguousarray(vertices, dtype=np.float64))
     point, kept = weld_faces(faces, number)
     if not kept.all():
         faces, point = faces[kept], point[kept]
@@ -90,6 +97,30 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     if turned.any():
         faces = np.where(turned[:, None], faces[:, ::-1], faces)
     return MeshParts(faces, part, closed, int(np.count_nonzero(turned)))
+
+
+def _weld(vertices: Float) -> Int32:
+    """Number vertices so that those at one place have one number, shape (n,)."""
+    number, shares = np.empty(len(vertices), dtype=np.int32), num_threads()
+    run_in_bands(weld_points, shares, vertices.view(np.uint64), shares, number)
+    return number
+
+
+def find_shells(faces: Int32, num: int) -> tuple[Int32, Bool]:
+    """Find the parts of a mesh whose edges are all met by two triangles, in either direction once.
+
+    Args:
+        faces: corners of each triangle, numbers of points below `num`, no two of one triangle the
+            same, shape (m, 3).
+
+    Returns:
+        By triangle, the lowest triangle that it hangs together with over edges; and whether that
+        part is such a shell.
+    """
+    is_shell = np.ones(len(faces), dtype=np.bool_)
+    end, half = list_halves(faces, num)
+    run_in_bands(pair_halves, num, faces, end, half, is_shell, least=4096)
+    return unite_pairs(half, is_shell), is_shell
 
 
 def _find_parts(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.baker.kernels.constants import BALL, FREE, HINGE, SLIDE
-from navbake.baker.scene.names import name_at
+from navbake.baker.scene.names import names_at
 from navbake.config.scene import SceneSettings
 from navbake.errors import ConfigError, SceneError
 from navbake.types import Int32
@@ -91,7 +91,7 @@ def warn_out_of_range(model: Any, settings: SceneSettings) -> list[str]:
 
 
 def _listed(model: Any, addresses: Int32) -> str:
-    named = [name for address in addresses if (name := name_at(model, address))]
+    named = [name for name in names_at(model, addresses.tolist()) if name]
     if not named:
         return "none with a name"
     return ", ".join(named[:20]) + (f" and {len(named) - 20} more" if len(named) > 20 else "")

@@ -16,12 +16,13 @@ from navbake.baker.scene.guard.isolated import CompileLimits, load_isolated
 from navbake.baker.scene.hidden_room import HiddenRoom
 from navbake.baker.scene.mesh_scene import MeshPart, lies_on_side
 from navbake.baker.scene.model import OpenScene, catch_warnings, load_model
-from navbake.baker.scene.names import name_at, names_of
+from navbake.baker.scene.names import all_names, name_at, names_at
 from navbake.baker.scene.pose import pose_model, warn_out_of_range
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.scene import SceneSettings, stem_of
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.errors import SceneError
+from navbake.threads import run_beside
 from navbake.types import Float
 
 
@@ -108,6 +109,8 @@ def load_scene(
     model, parts, ground, compiled, data = opened or open_file(settings, limits)
     with catch_warnings() as warned:
         data = pose_model(model, settings) if data is None else data
+    digest = run_beside(_digest, model, data, parts)
+    lying = run_beside(_warn_lying, settings, parts)
     meshes = MeshTriangles(model)
     room = HiddenRoom(model, data, meshes, agent or AgentSettings(), floors or FloorSettings())
     with _errors_name(settings):
@@ -119,14 +122,14 @@ def load_scene(
         collected = collect_shapes(model, data, choices, parts, meshes=meshes)
     warnings = [f"MuJoCo: {' '.join(warning.split())}" for warning in [*compiled, *warned]]
     warnings += [*warn_out_of_range(model, settings), *_find_unusable(model)]
-    warnings += [*_find_unused_settings(settings, parts), *_warn_lying(settings, parts)]
+    warnings += [*_find_unused_settings(settings, parts), *lying()]
     warnings += [*notes, *collected.notes]
     return Scene(
         id=settings.id or stem_of(settings.path),
         geoms=_report_geoms(model, choices, collected.kinds),
         shapes=collected.shapes,
         bounds=collected.shapes.bounds(),
-        digest=_digest(model, data, parts),
+        digest=digest(),
         warnings=warnings,
         model=model,
         data=data,
@@ -154,12 +157,12 @@ def _errors_name(settings: SceneSettings) -> Iterator[None]:
 
 
 def _report_geoms(model: Any, choices: list[Choice], kinds: list[str]) -> list[GeomReport]:
-    reports = []
-    for geom, (choice, kind) in enumerate(zip(choices, kinds, strict=True)):
-        names = names_of(model, geom)
-        known = geom, names.geom, names.body, TYPE_NAMES.get(int(model.geom_type[geom]), "unknown")
-        reports.append(GeomReport(*known, choice.counted, kind, choice.reason))
-    return reports
+    types = [TYPE_NAMES.get(kind, "unknown") for kind in model.geom_type.tolist()]
+    known = zip(all_names(model).geoms, types, choices, kinds, strict=True)
+    return [
+        GeomReport(geom, names.geom, names.body, type_, choice.counted, kind, choice.reason)
+        for geom, (names, type_, choice, kind) in enumerate(known)
+    ]
 
 
 def _nothing_counts(settings: SceneSettings, choices: list[Choice]) -> str:
@@ -214,12 +217,12 @@ def _warn_lying(settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str
 def _digest(model: Any, data: Any, parts: dict[int, MeshPart]) -> str:
     """sha256 of what the bake can see of a posed model, wherever it was loaded from."""
     digest = hashlib.sha256()
-    for geom in range(model.ngeom):
-        digest.update("\0".join(names_of(model, geom)).encode() + b"\n")
+    for names in all_names(model).geoms:
+        digest.update("\0".join(names).encode() + b"\n")
     for number, array in enumerate(_digest_arrays(model, data, parts)):
         array = np.ascontiguousarray(array)
         digest.update(f"{number} {array.dtype.str} {array.shape}\n".encode())
-        digest.update(array.tobytes())
+        digest.update(array.reshape(-1).view(np.uint8).data)
     return digest.hexdigest()
 
 
@@ -235,7 +238,7 @@ def _digest_arrays(model: Any, data: Any, parts: dict[int, MeshPart]) -> Iterato
     yield from (model.jnt_pos, model.jnt_axis, model.jnt_qposadr, data.qpos)
     yield from (model.site_type, model.site_size, data.site_xpos, data.site_xmat)
     for addresses in (model.name_siteadr, model.name_jntadr):
-        names = [name_at(model, address) for address in addresses]
+        names = names_at(model, addresses.tolist())
         yield np.frombuffer("\0".join(names).encode(), dtype=np.uint8)
     yield from (model.mesh_vertadr, model.mesh_faceadr, model.mesh_vert, model.mesh_face)
     yield from (model.mesh_graphadr, model.mesh_graph)

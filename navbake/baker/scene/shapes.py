@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -99,6 +100,10 @@ class Shapes:
 
     def bounds(self) -> Float | None:
         """The box round everything finite, shape (2, 3), float64 [m]; None if all is infinite."""
+        return self._bounds
+
+    @cached_property
+    def _bounds(self) -> Float | None:
         box = find_box(self.triangles.corners, self.triangles.geom, self.endless)
         boxes = np.concatenate([self.solids.bounds, box[None]])
         if not len(self.solids.bounds) and not (box[:3] <= box[3:]).any():
@@ -107,6 +112,8 @@ class Shapes:
 
     def only(self, geoms: Bool) -> Shapes:
         """The geometry of the geoms that are marked, shape (ngeom,), bool."""
+        if geoms.all():
+            return self
 
         def marked(items: Items) -> Items:
             kept = geoms[items.geom]
@@ -180,11 +187,11 @@ def height_field_triangles(heights: Float, size: Float) -> Float:
     return np.concatenate([part.reshape(-1, 3, 3) for part in parts])
 
 
-def hull_triangles(vertices: Float) -> Float | None:
+def hull_faces(vertices: Float) -> Int32 | None:
     """The convex hull of points, shape (n, 3); None if they lie in a plane.
 
     Returns:
-        Corners, shape (m, 3, 3), float64, counter-clockwise from outside.
+        Indices of the corners, shape (m, 3), counter-clockwise from outside.
     """
     try:
         hull = spatial.ConvexHull(vertices)
@@ -194,5 +201,6 @@ def hull_triangles(vertices: Float) -> Float | None:
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     # Qhull's simplices turn either way round, but its equations point outward
     inward = np.einsum("ij,ij->i", cross, hull.equations[:, :3]) < 0
-    corners[inward] = corners[inward][:, ::-1]
-    return corners
+    faces: Int32 = hull.simplices.astype(np.int32)
+    faces[inward] = faces[inward][:, ::-1]
+    return faces

@@ -15,10 +15,7 @@ def test_counts_what_is_open_and_what_lies_over_another_sheet(seed):
     rng = np.random.default_rng(seed)
     columns = [np.sort(rng.integers(0, 5, rng.integers(0, 5)) * 1.0) for _ in range(12)]
     stands = [rng.random(len(column)) < 0.7 for column in columns]
-    start, column_start = (
-        np.concatenate([[0], np.cumsum([len(part) for part in parts])])
-        for parts in ([c[s] for c, s in zip(columns, stands, strict=True)], columns)
-    )
+    start = np.concatenate([[0], np.cumsum([int(marks.sum()) for marks in stands])])
     z, is_standable = np.concatenate(columns), np.concatenate(stands)
     surface = np.flatnonzero(is_standable)
     sheet = rng.integers(0, 4, len(surface))
@@ -26,8 +23,10 @@ def test_counts_what_is_open_and_what_lies_over_another_sheet(seed):
     cell = np.repeat(np.arange(12), np.diff(start))
     no_slopes = np.empty((0, 2), dtype=np.int64)
     lattice = Lattice(width=4, height=3, cell_size=1.0, x_min=0.0, y_max=3.0)
-    every = Standable(lattice, start, z[surface], cell, surface, sheet, size, no_slopes)
-    is_open, is_over = count_open_and_over(every, counts, column_start, z)
+    geom = np.zeros(len(surface), dtype=np.int32)
+    is_top = np.array([z[i] == columns[c][-1] for i, c in zip(surface, cell, strict=True)], bool)
+    parts = z[surface], cell, surface, geom, is_top, sheet, size, no_slopes
+    is_open, is_over = count_open_and_over(every := Standable(lattice, start, *parts), counts)
     expected = np.zeros((2, 4), dtype=np.int64)
     for i in np.flatnonzero(counts[sheet]).tolist():
         top = columns[cell[i]][-1]

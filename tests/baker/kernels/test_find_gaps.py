@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from navbake.baker.columns import Columns
-from navbake.baker.cracks import list_gaps
+from navbake.baker.cracks import count_gaps, crack_cells, list_gaps, only_near
 from navbake.baker.kernels.arrays import AgentLimits, Crossings
 from navbake.baker.kernels.constants import OPEN_SURFACE, SAME, SOLID
 from navbake.navgrid.lattice import Lattice
@@ -147,3 +147,13 @@ def test_gaps_as_a_plain_loop_finds_them(seed):
     assert {(cell, high) for cell, _, high in found} == {(cell, high) for cell, _, high in expected}
     assert expected
     assert (np.diff(gaps.cell) >= 0).all()
+
+
+@pytest.mark.parametrize("seed", range(MORE or 60))
+def test_gaps_of_some_cells_are_counted_by_what_is_near(seed):
+    columns, num = as_columns(random_cells(seed)), LATTICE.width * LATTICE.height
+    for crack in (0.05, 0.15):
+        expected = np.bincount(list_gaps(columns, LIMITS, crack).cell, minlength=num)
+        cells = np.flatnonzero(np.random.default_rng(seed).random(num) < 0.1)
+        near = only_near(columns, cells, crack_cells(crack, LATTICE))
+        np.testing.assert_array_equal(count_gaps(near, cells, LIMITS, crack), expected[cells])

@@ -226,6 +226,7 @@ def test_qhull_s_messages_are_kept_for_the_error(capfd, tmp_path, monkeypatch):
         raise ValueError("no hull")
 
     (tmp_path / "scene.xml").write_text("<mujoco/>")
+    monkeypatch.setattr(mujoco.MjSpec, "from_file", fail)
     monkeypatch.setattr(mujoco.MjModel, "from_xml_path", fail)
     with pytest.raises(SceneError, match="no hull; QH6154 initial simplex is flat"):
         load_scene(SceneSettings(path=tmp_path / "scene.xml"))

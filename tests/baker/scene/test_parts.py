@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE
 from navbake.baker.scene.parts import MeshParts, split_mesh
+from navbake.threads import limit_threads
 
 TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
 OUTWARD = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -329,6 +330,30 @@ def test_shells_are_what_the_general_way_finds(seed, monkeypatch):
     for name in ("faces", "part", "closed"):
         np.testing.assert_array_equal(getattr(fast, name), getattr(general, name))
     assert fast.num_turned == general.num_turned
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_many_points_on_several_threads(seed):
+    """A torus and a sheet, of more points than one thread takes at once, in any order."""
+    rng, num = np.random.default_rng(seed), 80
+    row, col = np.divmod(np.arange(num * num), num)
+    u, v = (2 * np.pi / num) * row, (2 * np.pi / num) * col
+    torus = np.stack([(3 + np.cos(v)) * np.cos(u), (3 + np.cos(v)) * np.sin(u), np.sin(v)], axis=1)
+    a, b = row * num + col, (row + 1) % num * num + col
+    c, d = (row + 1) % num * num + (col + 1) % num, row * num + (col + 1) % num
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    inner = (row < num - 1) & (col < num - 1)
+    sheet = np.stack([row * 1.0, col * 1.0, np.full(len(row), 9.0)], axis=1)
+    of_sheet = faces[np.tile(inner, 2)] + len(torus)
+    corners = np.concatenate([torus, sheet])[np.concatenate([faces, of_sheet])]
+    order = rng.permutation(len(corners))
+    soup = corners[order]
+    with limit_threads(1):
+        alone = split(soup)
+    found = split(soup)
+    np.testing.assert_array_equal(found.part, (order < len(faces)).astype(np.int32))
+    for name in ("faces", "part", "closed"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(alone, name))
 
 
 def test_a_fan_of_many_triangles_at_one_edge():

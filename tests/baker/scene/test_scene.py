@@ -62,9 +62,15 @@ def test_includes_meshdir_defaults_and_textures(load, tmp_path):
     np.testing.assert_allclose(scene.bounds, [[0, -1, -1], [8, 4, 2]], atol=1e-6)
 
 
-@pytest.mark.parametrize("suffix", [".xml", ".mjcf", ".urdf"])
+@pytest.mark.parametrize("suffix", [".xml", ".XML", ".mjcf", ".urdf"])
 def test_the_root_tells_mjcf_from_urdf(load, suffix):
     assert load('<geom size="1"/>', name=f"scene{suffix}").id == "scene"
+
+
+def test_ground_is_added_to_files_that_end_in_xml(load, tmp_path):
+    (tmp_path / "scene.mjcf").write_text("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
+    with pytest.raises(ConfigError, match=r"can't be added to .*scene\.mjcf: let its name end in"):
+        load_scene(SceneSettings(path=tmp_path / "scene.mjcf", ground=0.0))
 
 
 def test_mujoco_s_parser_is_the_judge_of_mjcf(load, tmp_path):
@@ -72,6 +78,17 @@ def test_mujoco_s_parser_is_the_judge_of_mjcf(load, tmp_path):
         '\n <?xml version="1.0"?><mujoco><worldbody><geom size="1"/></worldbody></mujoco>'
     )
     assert len(load_scene(SceneSettings(path=tmp_path / "lax.xml")).geoms) == 1
+
+
+def test_what_mujoco_warns_of_is_kept(load, tmp_path):
+    text = (
+        '<mujoco><compiler settotalmass="3"/><worldbody><body><freejoint/><geom size="1"/></body>'
+    )
+    (tmp_path / "scene.xml").write_text(text + "</worldbody></mujoco>")
+    if not hasattr(mujoco.MjsMesh, "octree_maxdepth"):
+        pytest.skip("older MuJoCos don't warn of it")
+    scene = load_scene(SceneSettings(path=tmp_path / "scene.xml"))
+    assert ["settotalmass" in warning for warning in scene.warnings].count(True) == 1
 
 
 def test_mjb_is_the_same_scene(load, tmp_path):

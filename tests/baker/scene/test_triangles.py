@@ -5,16 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from navbake.baker.scene.extents import DIRECTIONS
-from navbake.baker.scene.kernels.facing import find_facing, measure_spans
+from navbake.baker.scene.extents import DIRECTIONS, find_facing
+from navbake.baker.scene.kernels.facing import measure_spans
 from navbake.baker.scene.kernels.triangles import (
     check_faces,
     find_box,
     find_used,
     measure_areas,
-    measure_triangles,
+    measure_boxes,
     sum_by_facing,
     take_corners,
+    unit_normal,
 )
 
 
@@ -31,10 +32,18 @@ def cross_of(vertices, faces):
     return np.cross(b - a, c - a)
 
 
+def corners_of(vertices, faces):
+    corners = np.empty((len(faces), 3, 3))
+    take_corners(vertices, faces, corners, 0, len(faces))
+    return corners
+
+
 def test_normals_and_boxes(mesh):
-    corners = take_corners(*mesh)
+    corners = corners_of(*mesh)
     np.testing.assert_array_equal(corners, mesh[0][mesh[1]])
-    normal, bounds = measure_triangles(corners, 1e-9)
+    normal = np.array([unit_normal(corners, t) for t in range(len(corners))])
+    bounds = np.empty((len(corners), 6))
+    measure_boxes(corners, bounds, 0, len(corners))
     cross = cross_of(*mesh)
     length = np.linalg.norm(cross, axis=1, keepdims=True)
     expected = np.divide(cross, length, out=np.zeros_like(cross), where=length > 0)
@@ -44,7 +53,7 @@ def test_normals_and_boxes(mesh):
 
 
 def test_box_leaves_geoms_out(mesh):
-    corners, geom = take_corners(*mesh), np.repeat(np.arange(4, dtype=np.int32), 25)
+    corners, geom = corners_of(*mesh), np.repeat(np.arange(4, dtype=np.int32), 25)
     left_out = np.array([False, True, False, True])
     kept = corners[~left_out[geom]].reshape(-1, 3)
     box = find_box(corners, geom, left_out)
@@ -70,10 +79,10 @@ def test_area_by_facing(mesh):
 
 
 def test_facing_and_spans(mesh):
-    corners = take_corners(*mesh)
+    corners = corners_of(*mesh)
     group = np.repeat(np.arange(4, dtype=np.int32), 25)
     step = np.pi / 2 / DIRECTIONS
-    angles = find_facing(corners, group, 4, DIRECTIONS)
+    angles = find_facing(corners, group, 4)
     low, high = measure_spans(corners, group, np.stack([np.cos(angles), np.sin(angles)], axis=1))
     for k, angle in enumerate(angles):
         own = group == k

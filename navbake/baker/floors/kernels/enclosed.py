@@ -52,8 +52,8 @@ def find_holders(lattice, crossings, planes, limits, holder, first_cell, end):
 
 
 @njit(cache=True)
-def count_ends(lattice, cells, heights, crossings, floor_like, step, at_cell):
-    """Count the edges of a sheet, and those beyond which a surface goes on at its height.
+def count_ends(lattice, cells, heights, footing, step, at_cell):
+    """Count the edges of a sheet, and those beyond which a footing goes on at its height.
 
     `at_cell`, (cells,) bool, is all False, and so again afterwards.
     """
@@ -68,8 +68,8 @@ def count_ends(lattice, cells, heights, crossings, floor_like, step, at_cell):
             edges += 1
             if other < 0:
                 continue
-            for i in range(crossings.start[other], crossings.start[other + 1]):
-                if floor_like[i] and abs(crossings.z[i] - heights[n]) <= step + SLACK:
+            for i in range(footing.start[other], footing.start[other + 1]):
+                if abs(footing.z[i] - heights[n]) <= step + SLACK:
                     goes_on += 1
                     break
     for cell in cells:

@@ -37,7 +37,7 @@ def list_edges(standable, chosen):
         if not chosen[sheet]:
             continue
         for way in range(4):
-            other = neighbour(standable.lattice, standable.cell[node], way)
+            other = neighbour(standable.lattice, int(standable.cell[node]), way)
             if other < 0 or not _holds_sheet(standable, other, sheet):
                 surface[count], way_out[count] = node, way
                 count += 1
@@ -60,7 +60,7 @@ def look_out(standable, surface, way, step, cells, floors):
     for e in range(surface.shape[0]):
         node = surface[e]
         sheet, limit = standable.sheet[node], standable.z[node] - step - SLACK
-        cell = standable.cell[node]
+        cell = int(standable.cell[node])
         for k in range(cells.shape[1]):
             floors[e, k] = math.nan
             if cell >= 0:

@@ -3,17 +3,14 @@
 import numpy as np
 from numba import njit
 
-from navbake.baker.kernels.constants import SLACK
-
 
 @njit(cache=True)
-def count_open_and_over(every, counts, column_start, column_z):
+def count_open_and_over(every, counts):
     """Count the surfaces of sheets that are open to the sky, and those over another sheet.
 
     Args:
         every: all standable surfaces.
         counts: the sheets that are asked for, (sheets,) bool.
-        column_start, column_z: all surfaces, ragged by cell as in `Columns`.
 
     Returns:
         By sheet, how many surfaces have nothing above them, and how many have a surface of another
@@ -27,7 +24,7 @@ def count_open_and_over(every, counts, column_start, column_z):
             sheet = every.sheet[i]
             if not counts[sheet]:
                 continue
-            if column_z[column_start[cell + 1] - 1] - every.z[i] <= SLACK:
+            if every.is_top[i]:
                 is_open[sheet] += 1
             if i > first and every.sheet[i - 1] != sheet:
                 is_over[sheet] += 1

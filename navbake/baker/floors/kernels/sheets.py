@@ -106,8 +106,8 @@ def join_by_steps(lattice, start, z, group, step):
     """Label the connected parts of standable surfaces: of one group, neighbours a step apart.
 
     Surfaces are listed by column, ascending: start, (cells + 1,) int64, and z, (n,) float64 [m].
-    Returns the part of each, (n,) int64, numbered from 0 by their first members; and the parts'
-    sizes, int64.
+    `group` is (n,) int32. Returns the part of each, (n,) int32, numbered from 0 by their first
+    members; and the parts' sizes, int64.
     """
     parent = np.arange(z.shape[0])
     for cell in range(start.shape[0] - 1):
@@ -121,7 +121,7 @@ def join_by_steps(lattice, start, z, group, step):
                 for b in range(start[other], start[other + 1]):
                     if group[a] == group[b] and abs(z[a] - z[b]) <= step + SLACK:
                         unite(parent, a, b)
-    part = np.empty(z.shape[0], np.int64)
+    part = np.empty(z.shape[0], np.int32)
     size = np.zeros(z.shape[0], np.int64)
     count = 0
     for node in range(z.shape[0]):
@@ -185,7 +185,7 @@ def join_by_slopes(lattice, start, z, normal, step):
 
 @njit(cache=True)
 def group_members(part, size):
-    """List the members of each part, given the part of each surface and the parts' sizes.
+    """List the members of each part, given the part of each surface, int32, and the parts' sizes.
 
     Returns start, (parts + 1,) int64, and member, (n,) int64, ascending within a part.
     """
@@ -235,33 +235,33 @@ def find_links(lattice, start, z, level, step):
 
 
 @njit(cache=True, nogil=True)
-def count_options(crossings, candidate, floor, lowest, highest, count, cell0, end):
+def count_options(footing, candidate, floor, lowest, highest, count, cell0, end):
     """Count the heights at which a level's floor may go on in each cell, into (cells,) int64.
 
-    Those are the candidate crossings, (n,) bool, of cells without a floor (NaN), between the cell's
+    Those are the candidate footings, (n,) bool, of cells without a floor (NaN), between the cell's
     lowest and highest height [m]. Looks at the cells ``range(cell0, end)``.
     """
     for cell in range(cell0, end):
         count[cell] = 0
         if math.isnan(floor[cell]):
-            for i in range(crossings.start[cell], crossings.start[cell + 1]):
-                if candidate[i] and lowest[cell] <= crossings.z[i] <= highest[cell]:
+            for i in range(footing.start[cell], footing.start[cell + 1]):
+                if candidate[i] and lowest[cell] <= footing.z[i] <= highest[cell]:
                     count[cell] += 1
 
 
 @njit(cache=True, nogil=True)
-def list_options(crossings, candidate, lowest, highest, start, height, cell0, end):
+def list_options(footing, candidate, lowest, highest, start, height, cell0, end):
     """Write the heights that `count_options` counts, (options,) float64 [m].
 
-    Cell i's, in the order of its crossings, are ``height[start[i] : start[i + 1]]``.
+    Cell i's, in the order of its footings, are ``height[start[i] : start[i + 1]]``.
     """
     for cell in range(cell0, end):
         place = start[cell]
         if place == start[cell + 1]:
             continue
-        for i in range(crossings.start[cell], crossings.start[cell + 1]):
-            if candidate[i] and lowest[cell] <= crossings.z[i] <= highest[cell]:
-                height[place] = crossings.z[i]
+        for i in range(footing.start[cell], footing.start[cell + 1]):
+            if candidate[i] and lowest[cell] <= footing.z[i] <= highest[cell]:
+                height[place] = footing.z[i]
                 place += 1
 
 

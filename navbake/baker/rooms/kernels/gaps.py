@@ -117,17 +117,23 @@ def mark_bridges(low, wall, shift, bridge):
     marks are added to `bridge`.
     """
     rows, cols = low.shape
-    held = np.zeros((rows, cols), dtype=np.uint8)  # by a wall at the way's first end
+    # column by column, so that what is read one after the other lies so in memory
+    low, wall = np.ascontiguousarray(low.T), np.ascontiguousarray(wall.T)
+    held = np.zeros((cols, rows), dtype=np.uint8)  # by a wall at the way's first end
     for col in range(1, cols):
+        here, walls, walls_before, known = low[col], wall[col], wall[col - 1], held[col - 1]
         for row in range(rows):
             before = row + shift[col - 1] - shift[col]
-            held[row, col] = _hold(low, wall, row, col, before, col - 1, held)
-    ends = np.zeros((rows, cols), dtype=np.uint8)
+            held[col, row] = _hold(here, walls, row, before, walls_before, known)
+    ends = np.zeros((cols, rows), dtype=np.uint8)
     for col in range(cols - 2, -1, -1):
+        here, walls, walls_after, known = low[col], wall[col], wall[col + 1], ends[col + 1]
         for row in range(rows):
             after = row + shift[col + 1] - shift[col]
-            ends[row, col] = _hold(low, wall, row, col, after, col + 1, ends)
-            both = held[row, col] & ends[row, col]
+            ends[col, row] = _hold(here, walls, row, after, walls_after, known)
+            both = held[col, row] & ends[col, row]
+            if both == 0:
+                continue
             for side in range(3):
                 if both & (1 << side):
                     bridge[row + side - 1, col] = True
@@ -136,28 +142,31 @@ def mark_bridges(low, wall, shift, bridge):
 
 
 @njit(inline="always")
-def _hold(low, wall, row, col, next_row, next_col, held):
+def _hold(low, wall, row, next_row, next_wall, held):
     """Which cells round a line's cell are low and held by a wall, over the next cell of the line.
 
     Bits 0 to 2 are for the cells above, on and below the line, bit 3 (`EXACT`) is for the line
-    alone. `held` has them for the next cell.
+    alone. `low` and `wall` are the cell's column, `next_wall` and `held` what the next cell's
+    column has of walls and of these bits.
     """
     rows = low.shape[0]
     if next_row < 0 or next_row >= rows:
         return np.uint8(0)
-    found = 0
-    there = held[next_row, next_col]
-    if low[row, col] and (wall[next_row, next_col] or there & EXACT):
-        found = EXACT
     first, last = max(row - 1, 0), min(row + 1, rows - 1)
+    if not (low[row] or low[first] or low[last]):  # most cells
+        return np.uint8(0)
+    found = 0
+    there = held[next_row]
+    if low[row] and (next_wall[next_row] or there & EXACT):
+        found = EXACT
     for other in range(first, last + 1):
-        if wall[other, col]:
+        if wall[other]:
             return np.uint8(found)
     for other in range(first, last + 1):
-        if not low[other, col]:
+        if not low[other]:
             continue
         side = other - row + 1
-        reached = wall[next_row, next_col]
+        reached = next_wall[next_row]
         for beside in range(max(side - 1, 0), min(side + 1, 2) + 1):
             reached |= there & (1 << beside) != 0
         if reached:

@@ -12,39 +12,46 @@ from numba import njit
 RIGHT = math.pi / 2
 
 
-@njit(cache=True)
-def find_facing(corners, group, num, directions):
-    """The angle, modulo a right one, that most upright faces of each group look at [rad].
+@njit(cache=True, nogil=True)
+def find_ways(corners, directions, way, weight, off, first, end):
+    """Find where the upright part of triangles' faces looks, modulo a right angle.
 
     Args:
         corners: of triangles, (m, 3, 3) float64 [m].
-        group: the group of each triangle, a number below num, (m,) int32.
         directions: how many are told apart over a right angle.
-
-    Returns:
-        (num,) float64.
+        way: receives the direction nearest to it, -1 for level triangles, (m,) int32.
+        weight: receives twice the area as seen from the side, (m,) float64 [m²].
+        off: receives how far it is off the direction, (m,) float64 [rad].
     """
     step = RIGHT / directions
-    votes, off = np.zeros((num, directions)), np.zeros((num, directions))
-    for t in range(corners.shape[0]):
+    for t in range(first, end):
         c = corners[t]
         ux, uy, uz = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[1, 2] - c[0, 2]
         vx, vy, vz = c[2, 0] - c[0, 0], c[2, 1] - c[0, 1], c[2, 2] - c[0, 2]
         x, y = uy * vz - uz * vy, uz * vx - ux * vz
-        weight = math.sqrt(x * x + y * y)
-        if weight > 0.0:
+        way[t], weight[t] = -1, math.sqrt(x * x + y * y)
+        if weight[t] > 0.0:
             angle = math.atan2(y, x) % RIGHT
             direction = np.int64(math.floor(angle / step + 0.5)) % directions
-            votes[group[t], direction] += weight
             # from the direction, also over the end of the range
-            left = (angle - direction * step + RIGHT / 2) % RIGHT - RIGHT / 2
-            off[group[t], direction] += weight * left
-    angles = np.empty(num)
-    for g in range(num):
-        most = np.argmax(votes[g])
-        total = votes[g, most]
-        angles[g] = most * step + off[g, most] / (total if total > 0.0 else 1.0)
-    return angles
+            off[t] = (angle - direction * step + RIGHT / 2) % RIGHT - RIGHT / 2
+            way[t] = direction
+
+
+@njit(cache=True)
+def add_votes(group, way, weight, off, votes, sums):
+    """Add triangles' weights to the votes of their group, by direction, in their order.
+
+    Args:
+        group: the group of each triangle, (m,) int32.
+        way, weight, off: see `find_ways`.
+        votes: by group and direction, float64.
+        sums: the same for weight times `off`.
+    """
+    for t in range(group.shape[0]):
+        if way[t] >= 0:
+            votes[group[t], way[t]] += weight[t]
+            sums[group[t], way[t]] += weight[t] * off[t]
 
 
 @njit(cache=True)
@@ -52,7 +59,7 @@ def measure_spans(corners, group, way):
     """How far groups of triangles reach: along their ways, along what is left of these, and up.
 
     Args:
-        corners, group: see `find_facing`.
+        corners, group: see `find_ways` and `add_votes`.
         way: a horizontal unit vector for each group, (num, 2) float64.
 
     Returns:

@@ -29,40 +29,45 @@ def _are_equal(points, i, j):
     return is_equal
 
 
-@njit(cache=True)
-def weld_points(points):
-    """Number points so that equal ones have equal numbers, by first appearance.
+@njit(inline="always")
+def _hash(points, i):
+    key = np.uint64(1469598103934665603)
+    for k in range(3):
+        key = (key ^ _bits(points, i, k)) * np.uint64(1099511628211)
+        key ^= key >> np.uint64(29)
+    return key
 
-    A hash table with open addressing over the coordinates' bits.
+
+@njit(cache=True, nogil=True)
+def weld_points(points, num_shares, number, first, end):
+    """Number points so that equal ones have equal numbers: each has that of the first one.
+
+    A hash table with open addressing over the coordinates' bits for each share of the points,
+    which their hashes tell. Looks at the shares ``range(first, end)``.
 
     Args:
         points: the bits of the coordinates, (n, 3) uint64.
-
-    Returns:
-        (n,) int32.
+        number: receives the numbers, (n,) int32.
     """
-    num = points.shape[0]
-    size = 16
-    while size < 2 * num:  # at most half full, so that probing stays short
-        size *= 2
-    table = np.full(size, np.int32(-1), np.int32)
-    number = np.empty(num, np.int32)
-    count = 0
-    for i in range(num):
-        key = np.uint64(1469598103934665603)
-        for k in range(3):
-            key = (key ^ _bits(points, i, k)) * np.uint64(1099511628211)
-            key ^= key >> np.uint64(29)
-        place = np.int64(key & np.uint64(size - 1))
-        while table[place] >= 0 and not _are_equal(points, table[place], i):
-            place = (place + 1) & (size - 1)
-        if table[place] < 0:
-            table[place] = i
-            number[i] = count
-            count += 1
-        else:
-            number[i] = number[table[place]]
-    return number
+    num, shares = points.shape[0], np.uint64(num_shares)
+    for share in range(first, end):
+        count = 0
+        for i in range(num):
+            count += 1 if (_hash(points, i) >> np.uint64(40)) % shares == np.uint64(share) else 0
+        size = 16
+        while size < 2 * count:  # at most half full, so that probing stays short
+            size *= 2
+        table = np.full(size, np.int32(-1), np.int32)
+        for i in range(num):
+            key = _hash(points, i)
+            if (key >> np.uint64(40)) % shares != np.uint64(share):
+                continue
+            place = np.int64(key & np.uint64(size - 1))
+            while table[place] >= 0 and not _are_equal(points, table[place], i):
+                place = (place + 1) & (size - 1)
+            if table[place] < 0:
+                table[place] = i
+            number[i] = table[place]
 
 
 @njit(cache=True)
@@ -122,7 +127,7 @@ def sort_keys(keys, num):
 def _are_neighbours(faces, key, other):
     """Whether two triangles run along their edge in opposite ways, and are no back of each other.
 
-    Their keys are those of `find_shells`.
+    Their keys are those of `pair_halves`.
     """
     f, g = (key & 0xFFFFFFFF) >> 1, (other & 0xFFFFFFFF) >> 1
     # both have the edge's two points, so equal sums are equal third points
@@ -134,24 +139,29 @@ def _are_neighbours(faces, key, other):
 
 
 @njit(cache=True)
-def find_shells(faces, num):
-    """Find the parts of a mesh whose edges are all met by two triangles, in either direction once.
+def list_halves(faces, num):
+    """List the half-edges of triangles, as `pair_halves` takes them: where lists end, and they."""
+    return _list_by_lower_point(faces, num)
+
+
+@njit(cache=True, nogil=True)
+def pair_halves(faces, end_of, half, is_shell, low0, low_end):
+    """Bring the triangles at each edge together, in place of the half-edges of some lower points.
+
+    The first triangle f at an edge becomes -1 - f, those that follow are as they are. Looks at the
+    points ``range(low0, low_end)``.
 
     Args:
-        faces: corners of each triangle, numbers of points below num, no two of one triangle the
-            same, (m, 3) int32.
-
-    Returns:
-        part: by triangle, the lowest triangle that it hangs together with over edges, (m,) int32.
-        is_shell: whether its part is a shell, (m,) bool.
+        faces: corners of each triangle, numbers of points, no two of one triangle the same, (m, 3)
+            int32.
+        end_of, half: see `list_halves`.
+        is_shell: (m,) bool, receives False for the first triangle at each edge that is met by other
+            than two triangles, in either direction once.
     """
-    part = np.arange(faces.shape[0]).astype(np.int32)
-    is_shell = np.ones(faces.shape[0], np.bool_)
-    end, half = _list_by_lower_point(faces, num)
     keys = np.empty(16, np.int64)
-    first = 0
-    for low in range(num):
-        count = end[low] - first
+    for low in range(low0, low_end):
+        first = end_of[low - 1] if low > 0 else 0
+        count = end_of[low] - first
         if count > keys.shape[0]:
             keys = np.empty(2 * count, np.int64)
         for i in range(count):
@@ -159,26 +169,45 @@ def find_shells(faces, num):
             high = max(faces[f, k], faces[f, (k + 1) % 3])
             # the direction in the lowest bit
             keys[i] = (np.int64(high) << 32) | (np.int64(f) << 1) | (faces[f, k] == low)
-        first = end[low]
         sort_keys(keys, count)
         i = 0
         while i < count:
             last = i + 1
             while last < count and keys[last] >> 32 == keys[i] >> 32:
+                half[first + last] = (keys[last] & 0xFFFFFFFF) >> 1
                 last += 1
             one = (keys[i] & 0xFFFFFFFF) >> 1
-            for j in range(i + 1, last):
-                unite(part, one, (keys[j] & 0xFFFFFFFF) >> 1)
+            half[first + i] = -1 - one
             if last - i != 2 or not _are_neighbours(faces, keys[i], keys[i + 1]):
                 is_shell[one] = False
             i = last
+
+
+@njit(cache=True)
+def unite_pairs(paired, is_shell):
+    """Find the parts of a mesh whose edges are all met by two triangles, in either direction once.
+
+    Args:
+        paired: the triangles at each edge, see `pair_halves`.
+        is_shell: what `pair_halves` says, (m,) bool; becomes whether a triangle's part is a shell.
+
+    Returns:
+        By triangle, the lowest triangle that it hangs together with over edges, (m,) int32.
+    """
+    part = np.arange(is_shell.shape[0]).astype(np.int32)
+    one = np.int64(0)
+    for i in range(paired.shape[0]):
+        if paired[i] < 0:
+            one = np.int64(-1 - paired[i])
+        else:
+            unite(part, one, np.int64(paired[i]))
     for f in range(part.shape[0]):
         part[f] = find_root(part, np.int64(f))
         if not is_shell[f]:
             is_shell[part[f]] = False
     for f in range(part.shape[0]):
         is_shell[f] = is_shell[part[f]]
-    return part, is_shell
+    return part
 
 
 @njit(cache=True)
@@ -186,7 +215,7 @@ def list_edges(faces, num):
     """Number the undirected edges of triangles.
 
     Args:
-        faces: see `find_shells`.
+        faces: see `pair_halves`.
 
     Returns:
         edge: the undirected edge of each half-edge 3 f + k, from corner k of triangle f to the next

@@ -8,6 +8,10 @@ import math
 import numpy as np
 from numba import njit
 
+from navbake.compiled import UNCOUNTED
+
+UPRIGHT = 1e-9  # the z of a unit normal below which a triangle counts as upright
+
 
 @njit(inline="always")
 def _cross(a, b, c):
@@ -22,42 +26,49 @@ def _length(x, y, z):
     return math.sqrt(x * x + y * y + z * z)
 
 
-@njit(cache=True)
-def take_corners(vertices, faces):
-    """The corners of triangles, (m, 3, 3) float64."""
-    corners = np.empty((faces.shape[0], 3, 3))
-    for f in range(faces.shape[0]):
+@njit(cache=True, nogil=True)
+def take_corners(vertices, faces, corners, first, end):
+    """Write the corners of the triangles ``range(first, end)`` into (m, 3, 3) float64."""
+    for f in range(first, end):
         for corner in range(3):
             for k in range(3):
                 corners[f, corner, k] = vertices[faces[f, corner], k]
-    return corners
 
 
-@njit(cache=True)
-def measure_triangles(corners, upright):
-    """Unit normals and boxes of triangles, corners (m, 3, 3) float64 [m].
+@njit(cache=True, nogil=True)
+def measure_boxes(corners, bounds, first, end):
+    """Write the boxes round the triangles ``range(first, end)``: lower corner, upper corner [m].
 
     Args:
-        upright: a normal with a smaller z than this gets none, as that of an upright triangle.
-
-    Returns:
-        normal, (m, 3) float64, 0 where a triangle has no area; and bounds, (m, 6) float64: lower
-        corner, upper corner [m].
+        corners: (m, 3, 3) float64 [m].
+        bounds: receives the boxes, (m, 6) float64.
     """
-    num = corners.shape[0]
-    normal, bounds = np.zeros((num, 3)), np.empty((num, 6))
-    for t in range(num):
-        c = corners[t]
-        x, y, z = _cross(c[0], c[1], c[2])
-        length = _length(x, y, z)
-        if length > 0.0:
-            normal[t, 0], normal[t, 1], normal[t, 2] = x / length, y / length, z / length
-        if abs(normal[t, 2]) < upright:
-            normal[t, 2] = 0.0
+    for t in range(first, end):
         for k in range(3):
-            bounds[t, k] = min(c[0, k], c[1, k], c[2, k])
-            bounds[t, 3 + k] = max(c[0, k], c[1, k], c[2, k])
-    return normal, bounds
+            a, b, c = corners[t, 0, k], corners[t, 1, k], corners[t, 2, k]
+            bounds[t, k], bounds[t, 3 + k] = min(a, b, c), max(a, b, c)
+
+
+@njit(cache=True, **UNCOUNTED)
+def unit_normal(corners, t):
+    """The unit normal of a triangle: x, y and z; z is 0 for an upright one, or one without area."""
+    x, y, z = _cross(corners[t, 0], corners[t, 1], corners[t, 2])
+    length = _length(x, y, z)
+    if not length > 0.0:
+        return 0.0, 0.0, 0.0
+    up = z / length
+    return x / length, y / length, 0.0 if abs(up) < UPRIGHT else up
+
+
+@njit(inline="always")
+def is_upright(corners, t):
+    """Whether `unit_normal` would have a z of 0."""
+    x, y, z = _cross(corners[t, 0], corners[t, 1], corners[t, 2])
+    # the sum is no less than the length; so most are told without a root
+    if abs(z) > 2.0 * UPRIGHT * (abs(x) + abs(y) + abs(z)):
+        return False
+    length = _length(x, y, z)
+    return not length > 0.0 or abs(z / length) < UPRIGHT
 
 
 @njit(cache=True)

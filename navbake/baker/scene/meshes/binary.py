@@ -50,11 +50,11 @@ def read_plain_ply(data: bytes) -> tuple[Float, Int32] | None:
         return None
     of_faces = np.frombuffer(data, face, num_faces, middle)
     of_vertices = np.frombuffer(data, vertex, num_vertices, header.end())
-    faces = of_faces["index"]
+    faces = of_faces["index"].astype(np.int32)  # one too large for that is negative
     # the number of a polygon's corners stands before each; it has to be three for all
     if (of_faces["count"] != 3).any() or not 0 <= faces.min() <= faces.max() < num_vertices:
         return None
-    return _to_float64([of_vertices[axis] for axis in "xyz"]), faces.astype(np.int32)
+    return _to_float64([of_vertices[axis] for axis in "xyz"]), faces
 
 
 def read_plain_stl(data: bytes) -> tuple[Float, Int32] | None:

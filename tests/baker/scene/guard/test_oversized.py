@@ -70,6 +70,14 @@ def test_a_bake_refuses_before_mujoco_sees_it(tmp_path, monkeypatch):
             navbake.bake(scene(tmp_path, **parts))
 
 
+def test_what_an_included_file_holds_is_made_as_often(tmp_path):
+    """Also where nothing in it would ask for anything by itself."""
+    (tmp_path / "inner.xml").write_text(f"<mujoco>{BALL * 200}</mujoco>")
+    path = scene(tmp_path, world=replicate(1000, '<include file="inner.xml"/>'))
+    with pytest.raises(SceneError, match=r"elements made by <replicate>, got .* in .*inner\.xml"):
+        refuse_oversized(path)
+
+
 def test_included_files_count_as_often_as_they_are_made(tmp_path):
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts" / "inner.xml").write_text(f"<mujoco>{replicate(1000)}</mujoco>")

@@ -1,0 +1,181 @@
+"""Shortcuts through numba's compiler, for kernels of navbake.
+
+They leave out work whose result nobody uses, so that the code that comes out does the same:
+
+- Machine code is made of what Python calls, and not of what is only linked into that.
+- What is inlined into a kernel's source is not copied first, twice: it was made for this call.
+- Which variables a statement has, and which options a function, is found out with fewer calls.
+- Python looks for garbage seldom: a compiler makes much, and little of it are circles.
+
+Source: `CPUCodeLibrary`, `InlineWorker`, `Inst` and `TargetConfig` of numba 0.68. With other
+versions, kernels are compiled as numba does it, which is slower.
+"""
+
+# numba has few types
+# mypy: disable-error-code="attr-defined,no-untyped-call,misc"
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from types import SimpleNamespace
+from typing import Any
+
+from numba.core import environment, inline_closurecall, ir
+from numba.core.codegen import JITCodeLibrary
+from numba.core.inline_closurecall import InlineWorker
+from numba.core.targetconfig import TargetConfig
+
+BETWEEN_COLLECTIONS = 200_000  # objects that are made, net, before Python looks for garbage
+NO_COPIES = SimpleNamespace(deepcopy=lambda block: block)
+HOLDERS = (ir.Var, ir.Inst, list, tuple, dict)  # in the order in which numba asks
+
+
+class LeanLibrary(JITCodeLibrary):
+    """Code of a function and of all that it calls; machine code is made when Python calls it."""
+
+    _is_generated = False
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def _generate(self) -> None:
+        if self._is_generated:
+            return
+        self._is_generated = True
+        self._dynamic_globals.clear()  # found once more
+        super()._finalize_final_module()
+        for variable in self._final_module.global_variables:
+            found = environment.lookup_environment(variable.name)
+            if found is not None:
+                self._codegen.set_env(variable.name, found)
+
+    @property
+    def codegen(self) -> Any:
+        """What keeps the environments of machine code."""
+        return self._codegen if self._is_generated else NoMachineCode(self._codegen)
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """The address of a function; 0 if the library doesn't define it."""
+        self._ensure_finalized()
+        try:
+            is_defined = not self._final_module.get_function(name).is_declaration
+        except NameError:
+            is_defined = False
+        if not is_defined:
+            return 0
+        self._generate()
+        return int(super().get_pointer_to_function(name))
+
+    def serialize_using_object_code(self) -> tuple[str, str, Any]:
+        """What is kept on disk: of what is only linked into other code, no machine code."""
+        if self._is_generated:
+            return super().serialize_using_object_code()  # type: ignore[no-any-return]
+        return self.name, "bitcode", self._get_module_for_linking().as_bitcode()
+
+
+class NoMachineCode:
+    """Stands for what keeps the environments of machine code, for a library that has none."""
+
+    def __init__(self, codegen: Any) -> None:
+        self._codegen = codegen
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._codegen, name)
+
+    def set_env(self, name: str, found: Any) -> None:
+        """Do nothing: whoever makes the machine code does it."""
+
+
+def _inline_function(
+    worker: Any, caller: Any, block: Any, i: int, function: Any, types: Any = None
+) -> Any:
+    """`InlineWorker.inline_function` without copies."""
+    callee = worker.run_untyped_passes(function)
+    copy = inline_closurecall.copy
+    inline_closurecall.copy = NO_COPIES  # type: ignore[assignment]
+    try:
+        free = function.__code__.co_freevars
+        return worker.inline_ir(caller, block, i, callee, free, arg_typs=types)
+    finally:
+        inline_closurecall.copy = copy
+
+
+@cache
+def _defaults(config: type[TargetConfig]) -> dict[str, Any]:
+    return {name: option.default for name, option in config.options.items()}
+
+
+def _values(config: TargetConfig) -> dict[str, Any]:
+    """`TargetConfig.values`, which compares options thousands of times."""
+    return {**_defaults(type(config)), **config._values}
+
+
+@cache
+def _kind_of(cls: type) -> type | None:
+    """What a field of a statement is that may hold variables; None for what can't."""
+    return next((kind for kind in HOLDERS if issubclass(cls, kind)), None)
+
+
+def _list_vars(statement: ir.Inst, value: Any) -> list[ir.Var]:
+    """`Inst._rec_list_vars`: the variables in a field of a statement."""
+    kind = _kind_of(type(value))  # type: ignore[arg-type]
+    if kind is None:
+        return []
+    if kind is ir.Var:
+        return [value]
+    if kind is ir.Inst:
+        return list(value.list_vars())
+    found: list[ir.Var] = []
+    for each in value.values() if kind is dict else value:
+        found += _list_vars(statement, each)
+    return found
+
+
+# What is put in place of what while navbake's kernels are compiled
+REPLACED: tuple[tuple[Any, str, Any], ...] = (
+    (InlineWorker, "inline_function", _inline_function),
+    (TargetConfig, "values", _values),
+    (ir.Inst, "_rec_list_vars", _list_vars),
+)
+
+
+@contextmanager
+def library_class(codegen: Any, cls: type[JITCodeLibrary]) -> Iterator[None]:
+    """Make libraries of a class of one's own inside; numba's lock is held."""
+    before = vars(codegen).get("_library_class")
+    codegen._library_class = cls  # over its class's
+    try:
+        yield
+    finally:
+        if before is None:
+            del codegen._library_class
+        else:
+            codegen._library_class = before
+
+
+@contextmanager
+def shortcuts(codegen: Any) -> Iterator[None]:
+    """Compile by shortcuts inside; numba's lock is held.
+
+    Args:
+        codegen: the `JITCPUCodegen` whose libraries are lean.
+    """
+    if "_library_class" in vars(codegen):  # a kernel that the kernel calls
+        yield
+        return
+    threshold = gc.get_threshold()
+    before = [getattr(owner, name) for owner, name, _ in REPLACED]
+    gc.set_threshold(max(threshold[0], BETWEEN_COLLECTIONS), *threshold[1:])
+    for owner, name, function in REPLACED:
+        setattr(owner, name, function)
+    try:
+        with library_class(codegen, LeanLibrary):
+            yield
+    finally:
+        for (owner, name, _), function in zip(REPLACED, before, strict=True):
+            setattr(owner, name, function)
+        gc.set_threshold(*threshold)

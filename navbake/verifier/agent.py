@@ -1,0 +1,143 @@
+"""For which agent a grid is: what its metadata state of the agent, and of inflations."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from navbake.errors import FormatError, QueryError
+from navbake.navgrid.grid_base import GridBase
+from navbake.navgrid.lattice import FARTHEST
+from navbake.types import Json
+
+MODES = ("exact", "minos")
+MOST_RADIUS = 10_000.0  # for which a grid can be inflated [m]
+
+
+class Agent(NamedTuple):
+    """For whom the grid is.
+
+    Attributes:
+        height, radius, step: as baked [m].
+        min_up: least z of a floor's unit normal.
+    """
+
+    height: float
+    radius: float
+    step: float
+    min_up: float
+
+    @classmethod
+    def of(cls, grid: GridBase) -> Agent:
+        """The agent that a grid states, with the format's defaults for what it doesn't state.
+
+        Raises:
+            FormatError: what it states is no size of an agent.
+        """
+        most = float(FARTHEST / grid.unit)
+        _check(grid.metadata, "agentHeight", math.ulp(0.0), most, "a length > 0")
+        for key in ("agentRadius", "traversableFloorHeight"):
+            _check(grid.metadata, key, 0, most, "a length >= 0")
+        _check(grid.navbake, "maxSlope", 0, 90, "0 to 90 degrees")
+        if grid.agent_height <= grid.max_step:
+            raise FormatError(
+                f"the grid's metadata: expected `agentHeight` above `traversableFloorHeight`, got "
+                f"{grid.agent_height:g} and {grid.max_step:g} m: nothing is left to judge cells by"
+            )
+        slope = grid.navbake.get("maxSlope")
+        min_up = float(np.cos(np.radians(45.0 if slope is None else slope)))
+        return cls(grid.agent_height, grid.agent_radius, grid.max_step, min_up)
+
+    def footprint(self, cell_size: float) -> list[tuple[float, bool]]:
+        """The baked footprint: half-size and whether it is round, for square and disc [m]."""
+        half = cell_size / 2
+        parts = [(half, False)] if self.radius < half * np.sqrt(2.0) else []
+        return parts + ([(self.radius, True)] if self.radius > half else [])
+
+
+def _check(metadata: Json, key: str, least: float, most: float, expected: str) -> None:
+    value = metadata.get(key)
+    if value is not None and not _is_within(value, least, most):
+        raise FormatError(
+            f"the grid's metadata: expected {expected} as `{key}`, got {repr(value)[:50]}: "
+            "cells can't be judged for such an agent"
+        )
+
+
+def _is_within(value: object, least: float, most: float) -> bool:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and least <= value <= most  # type: ignore[operator]
+
+
+class Inflation(NamedTuple):
+    """What was done to a grid for a larger agent.
+
+    Attributes:
+        radius: of the cylinder that stands on free cells [m]; None for the baked footprint.
+        reach: how far from the centre of a cell that was closed the reason may be [m]; 0 where
+            nothing was closed.
+        by_centres: whether that is an occupied cell of any kind, as in the mode ``minos``, which
+            measures to the centres of cells.
+    """
+
+    radius: float | None = None
+    reach: float = 0.0
+    by_centres: bool = False
+
+
+def inflate_for(grid: Any, radius: float | None) -> tuple[Any, Inflation, list[str]]:
+    """The grid for a radius [m], or as it is if None; what was done to it; and notes.
+
+    A grid that was inflated for a smaller radius is inflated further: that gives what one
+    inflation for the larger radius gives.
+
+    Raises:
+        QueryError: the grid was inflated for a larger radius, or in the mode ``minos``.
+        FormatError: the metadata state an inflation for no radius.
+    """
+    done, notes = _stated_inflation(grid)
+    if radius is None:
+        return grid, done, notes
+    if done.by_centres:
+        raise QueryError(
+            "the grid was inflated in the mode minos, whose cells promise nothing for a radius: "
+            "leave the radius out, or give the grid as it was before"
+        )
+    if done.radius is not None and radius < done.radius:
+        raise QueryError(
+            f"the grid was inflated for {done.radius:g} m, which can't be undone for {radius:g} m: "
+            f"expected a radius of at least {done.radius:g} m, or the grid as it was before"
+        )
+    inflated = grid if radius == done.radius else grid.inflate(radius)
+    return inflated, Inflation(radius, radius), notes
+
+
+def _stated_inflation(grid: GridBase) -> tuple[Inflation, list[str]]:
+    """The inflation that the metadata state, and what a user should know of it."""
+    stated = grid.metadata.get("inflation")
+    entries = stated if isinstance(stated, list) else []
+    done = [e for e in entries if isinstance(e, dict) and e.get("mode") in MODES]
+    notes = []
+    if stated is not None and (len(done) < len(entries) or not isinstance(stated, list)):
+        notes.append(
+            "the metadata's `inflation` isn't as navbake writes it: what it closed has to touch "
+            "something by itself"
+        )
+    for entry in done:
+        if not _is_within(entry.get("radius"), 0, MOST_RADIUS):
+            raise FormatError(
+                f"the grid's metadata: expected a radius of 0 to {MOST_RADIUS:,.0f} m in "
+                f"`inflation`, got {repr(entry.get('radius'))[:50]}"
+            )
+    if not done:
+        return Inflation(), notes
+    largest = max(float(entry["radius"]) for entry in done)
+    if all(entry["mode"] == "exact" for entry in done):
+        return Inflation(largest, largest), notes
+    notes.append(
+        "inflated in the mode minos, which measures from the centres of cells: free cells are "
+        "judged by the baked footprint"
+    )
+    return Inflation(None, largest, by_centres=True), notes

@@ -1,0 +1,145 @@
+"""Blocks of rows: however large they are, a bake gives the same bytes."""
+
+import numpy as np
+import pytest
+
+from navbake.baker import column_blocks
+from navbake.baker import columns as columns_module
+from navbake.baker.clock import StageClock
+from navbake.baker.columns import Rows, split_rows
+from navbake.baker.cracks import find_columns, find_columns_of_rows
+from navbake.baker.pipeline import run_bake
+from navbake.baker.stages import bake_stages, take_first_look
+from navbake.config.settings import load_config, parse_config
+from navbake.formats.navgrid import dumps_navgrid
+from project_paths import CONFIGS
+
+SAMPLES = sorted(path.stem for path in CONFIGS.glob("*.yaml"))
+
+# slabs with cracks between them along both axes and at an angle, and a post in one
+SLAB = '<geom type="box" size=".4 .4 .1" pos="{} {} {}" euler="0 0 {}"/>'
+CRACKED = "".join(
+    SLAB.format(0.81 * i + 0.005 * (j % 3), 0.82 * j, 0.02 * (i % 3), 2 * ((i + j) % 4))
+    for i in range(4)
+    for j in range(5)
+)
+CRACKED += '<geom type="cylinder" size=".05 .5" pos="1.2 1.2 .5"/>'
+CRACKED += '<geom type="plane" size="0 0 1" pos="0 0 -1"/>'
+
+
+def stages_of(tmp_path, geoms, cell_size):
+    path = tmp_path / "scene.xml"
+    path.write_text(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
+    return take_first_look(
+        parse_config({"scene": {"path": str(path)}, "grid": {"cell_size": cell_size}}), StageClock()
+    )
+
+
+@pytest.mark.parametrize("cell_size", [0.05, 0.02, 0.013])
+def test_columns_of_rows_are_those_of_the_whole(tmp_path, monkeypatch, cell_size):
+    """Cracks are closed in the same way, also where they cross the blocks' borders."""
+    stages = stages_of(tmp_path, CRACKED, cell_size)
+    tiled, agent, lattice = stages.tiled, stages.config.agent, stages.lattice
+    whole = find_columns(tiled, agent, 0.03)
+    plain = columns_module.cast_columns(tiled)
+    assert len(split_rows(lattice)) == 1
+    assert len(plain.z) != len(whole.z) or (plain.z != whole.z).any()
+    for rows in (8, 16, 40):
+        monkeypatch.setattr(columns_module, "BLOCK_CELLS", rows * lattice.width)
+        assert len(split_rows(lattice)) == -(-lattice.height // rows)
+        blocks = find_columns(tiled, agent, 0.03)
+        for one, other in zip(blocks.crossings, whole.crossings, strict=True):
+            np.testing.assert_array_equal(one, other)
+    rng = np.random.default_rng(0)
+    for first, end in np.sort(rng.integers(0, lattice.height + 1, (5, 2))).tolist():
+        (part, _), expected = find_columns_of_rows(tiled, agent, 0.03, Rows(first, end)), whole
+        a, b = first * lattice.width, end * lattice.width
+        np.testing.assert_array_equal(
+            part.start[a : b + 1], expected.start[a : b + 1] - expected.start[a]
+        )
+        inside = slice(int(expected.start[a]), int(expected.start[b]))
+        for one, other in zip(part.crossings[1:], expected.crossings[1:], strict=True):
+            np.testing.assert_array_equal(one, other[inside])
+
+
+def in_blocks(monkeypatch, cells):
+    """Bake in blocks of about so many cells, and keep none of their columns."""
+    monkeypatch.setattr(columns_module, "BLOCK_CELLS", cells)
+    monkeypatch.setattr(column_blocks, "KEPT_CELLS", 0)
+
+
+def bake_bytes(config) -> bytes:
+    grid = run_bake(config).grid
+    grid.timings = {}
+    return dumps_navgrid(grid)
+
+
+@pytest.mark.parametrize("cells", [1, 3000, 20_000])
+@pytest.mark.parametrize("name", SAMPLES)
+def test_samples_in_blocks(monkeypatch, name, cells):
+    config = load_config(CONFIGS / f"{name}.yaml")
+    expected = bake_bytes(config)
+    in_blocks(monkeypatch, cells)
+    assert bake_bytes(config) == expected
+
+
+# a hall with what most rules are about: a storey on a stair, a mesh, posts, a roof, a door, a bed
+HALL = """
+<mujoco><compiler angle="degree"/>
+<asset>
+  <mesh name="wedge" vertex="0 0 0 1 0 0 0 1 0 1 1 0 0 0 .4 0 1 .4"/>
+  <mesh name="shed" vertex="0 0 0 2 0 0 0 2 0 2 2 0 0 0 2 2 0 2 0 2 2 2 2 2"/>
+</asset>
+<worldbody>
+  <geom name="floor" type="box" size="3 3 .1" pos="0 0 -.1"/>
+  <geom name="beside" type="box" size="1 3 .1" pos="4.015 0 -.1"/>
+  <geom name="ground" type="plane" size="0 0 1" pos="0 0 -.6"/>
+  <geom name="wall_n" type="box" size="3 .1 1.4" pos="0 2.9 1.4"/>
+  <geom name="wall_s" type="box" size="3 .1 1.4" pos="0 -2.9 1.4"/>
+  <geom name="wall_m" type="box" size=".1 1.2 1.4" pos=".3 -1.7 1.4"/>
+  <geom name="wall_o" type="box" size=".1 1.2 1.4" pos=".3 1.7 1.4" euler="0 0 4"/>
+  <geom name="upper" type="box" size="1.2 2 .1" pos="-1.8 0 1.9"/>
+  <geom name="roof" type="box" size="1.3 2.2 .05" pos="-1.8 0 4.4"/>
+  <geom type="mesh" mesh="wedge" pos="1.2 -1 0" contype="0" conaffinity="0"/>
+  <geom type="mesh" mesh="shed" pos="3.2 .4 0"/>
+  <geom name="bed" type="box" size=".5 .9 .25" pos="1.8 1.6 .25"/>
+  <geom type="cylinder" size=".03 .6" pos="2.1 -1.8 .6"/>
+  <geom type="sphere" size=".3" pos="-2 -1 .1"/>
+  {stairs}
+  <body name="door" pos=".3 -.5 1"><joint type="hinge" axis="0 0 1" range="0 90"/>
+    <geom type="box" size=".03 .48 1" pos="0 .48 0"/></body>
+</worldbody></mujoco>
+""".replace(
+    "{stairs}",
+    "".join(
+        f'<geom type="box" size=".15 .4 {0.1 * k}" pos="{0.9 - 0.27 * k} -1 {0.1 * k}"/>'
+        for k in range(1, 11)
+    ),
+)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"agent": {"radius": 0.2}, "attributes": ["clearance"]},
+        {"grid": {"cell_size": 0.04, "bounds": [-2.5, -1.7, 3.9, 2.1]}},
+        {"grid": {"cell_size": 0.3, "margin": 1.0}},  # slopes join floors over coarse cells
+        {"levels": [{"ground": 0.0, "top": 1.5}], "rooms": {"door_width": 0.9}},
+        {"floors": {"crack": 0.0, "tops": True, "roofs": True}, "names": False},
+        {"floors": {"from": [[4.0, -1.0, 0.0]], "reach": "steps"}},
+    ],
+)
+def test_hall_in_blocks(tmp_path, monkeypatch, settings):
+    path = tmp_path / "hall.xml"
+    path.write_text(HALL)
+    config = parse_config({"scene": {"path": str(path)}, "grid": {"cell_size": 0.05}} | settings)
+    expected = bake_bytes(config)
+    in_blocks(monkeypatch, 1000)
+    assert bake_bytes(config) == expected
+    in_blocks(monkeypatch, 5000)
+    assert bake_bytes(config) == expected
+    joined = bake_stages(config).columns
+    monkeypatch.undo()
+    for one, other in zip(joined.crossings, bake_stages(config).columns.crossings, strict=True):
+        np.testing.assert_array_equal(one, other)

@@ -1,0 +1,128 @@
+"""Shortcuts through numba's compiler change how long it takes, and nothing else."""
+
+from __future__ import annotations
+
+import gc
+import os
+import pickle
+import subprocess
+import sys
+from contextlib import suppress
+
+import pytest
+from numba.core import inline_closurecall
+from numba.core.compiler import DEFAULT_FLAGS, run_frontend
+from numba.core.registry import cpu_target
+
+from navbake import loading
+from navbake.compiler import shortcuts as module
+from navbake.navgrid.kernels import islands, union_find
+from project_paths import ROOT
+
+JOIN = vars(islands)["_join"]
+# numba's own functions, and what stands in their place
+OWN = {name: (getattr(owner, name), ours) for owner, name, ours in module.REPLACED}
+
+pytestmark = pytest.mark.skipif(not loading.loads_light(), reason="made for another numba")
+
+
+def sample(values, start=1, *, limit=(2, 3)):
+    total, parts = 0, []
+    for i, value in enumerate(values):
+        if i > start and value not in limit:
+            parts.append((i, {"value": value}, f"{value}"))
+            total += [x for x in parts if x][-1][0]
+    return total, parts[start:]
+
+
+@pytest.mark.parametrize("function", [sample, JOIN.py_func, union_find.unite.py_func])
+def test_variables_of_statements_are_those_that_numba_lists(function):
+    for block in run_frontend(function).blocks.values():
+        for statement in block.body:
+            for part in (statement, *(v for v in vars(statement).values())):
+                numbas, ours = OWN["_rec_list_vars"]
+                expected = [v.name for v in numbas(statement, part)]
+                assert [v.name for v in ours(statement, part)] == expected
+
+
+def test_options_are_those_that_numba_gives():
+    flags = DEFAULT_FLAGS.copy()
+    numbas, ours = OWN["values"]
+    assert ours(flags) == numbas(flags)
+    flags.release_gil, flags.boundscheck = True, True
+    assert list(ours(flags).items()) == list(numbas(flags).items())
+
+
+def test_numba_is_as_it_was_afterwards():
+    def replaced():
+        return [getattr(owner, name) for owner, name, _ in module.REPLACED]
+
+    def library():
+        return getattr(codegen, "_library_class")  # noqa: B009 - numba's own name
+
+    codegen = cpu_target.target_context.codegen()
+    before, library_before = replaced(), library()
+    threshold, copy = gc.get_threshold(), inline_closurecall.copy
+    with suppress(ValueError), module.shortcuts(codegen):
+        with module.shortcuts(codegen):
+            assert library() is module.LeanLibrary
+        assert library() is module.LeanLibrary
+        assert replaced() == [ours for _, _, ours in module.REPLACED]
+        raise ValueError
+    assert replaced() == before and library() is library_before
+    assert "_library_class" not in vars(codegen)
+    assert (threshold, copy) == (gc.get_threshold(), inline_closurecall.copy)
+
+
+USE = """
+import sys
+from navbake import loading
+if "plain" in sys.argv:
+    loading.MADE_FOR = "0.0."
+import numpy as np
+from navbake.navgrid.kernels import islands
+start, width = np.array([0, 15]), np.array([5])
+free = np.array([1, 1, 0, 1, 1,  1, 1, 0, 0, 0,  0, 0, 0, 1, 1], bool)
+links = np.zeros((0, 2), np.int64)
+part, size = islands.label_islands(start, width, free, np.zeros(15, np.float32), 0.1, links)
+assert part.tolist() == [1, 1, 0, 2, 2,  1, 1, 0, 0, 0,  0, 0, 0, 3, 3], part
+assert size.tolist() == [0, 4, 2, 2], size
+print(sum(islands._join.stats.cache_hits.values()))
+print(sum(islands.label_islands.stats.cache_hits.values()))
+"""
+
+
+def use(folder, *arguments):
+    """Label islands in a process; how often `_join` and `label_islands` were found on disk."""
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": str(ROOT)}
+    code = [sys.executable, "-c", USE, *arguments]
+    done = subprocess.run(code, env=env, stdout=subprocess.PIPE, text=True, check=True)
+    return [int(word) for word in done.stdout.split()]
+
+
+def kinds(folder):
+    """By kernel, whether machine code is kept or LLVM's alone."""
+    found = {}
+    for path in folder.rglob("islands.*.nbc"):
+        found[path.name.partition("-")[0]] = pickle.loads(path.read_bytes())[0][1]
+    return found
+
+
+def test_machine_code_is_kept_of_what_python_calls(tmp_path):
+    assert use(tmp_path) == [0, 0]
+    assert kinds(tmp_path) == {
+        "islands.label_islands": "object",
+        "islands._join": "bitcode",
+        "islands._rank": "bitcode",
+    }
+    assert use(tmp_path) == [0, 1]
+    for path in tmp_path.rglob("islands.label_islands*"):
+        path.unlink()
+    assert use(tmp_path) == [1, 0]  # what was kept is linked into what is compiled
+    assert use(tmp_path) == [0, 1]
+
+
+def test_kernels_are_compiled_without_shortcuts_by_another_numba(tmp_path):
+    assert use(tmp_path, "plain") == [0, 0]
+    assert set(kinds(tmp_path).values()) == {"object"}
+    assert use(tmp_path, "plain") == [0, 1]
