@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from navbake import samples, tensors
     from navbake.arena.explored import ExploredMap
     from navbake.auditor.audit import audit
+    from navbake.baker.live.baker import Baker
     from navbake.baker.pipeline import bake
     from navbake.baker.voxelize.voxelizer import Voxelizer, create_voxel_grid
     from navbake.config.settings import BakeConfig
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 __all__ = [
     "BakeConfig",
     "BakeWarning",
+    "Baker",
     "ConfigError",
     "ExploredMap",
     "FormatError",
@@ -66,6 +68,7 @@ _LAZY = {
     "audit": "navbake.auditor.audit:audit",
     "bake": "navbake.baker.pipeline:bake",
     "BakeConfig": "navbake.config.settings:BakeConfig",
+    "Baker": "navbake.baker.live.baker:Baker",
     "ExploredMap": "navbake.arena.explored:ExploredMap",
     "MultiLevelGrid": "navbake.navgrid.grid:MultiLevelGrid",
     "PathFinder": "navbake.runtime.path_finder:PathFinder",
@@ -82,6 +85,8 @@ _MODULES = ("samples", "tensors")  # of navbake, loaded when they are first aske
 
 # where the functions behind methods of grids and voxels are
 OPERATIONS |= {
+    "grid._repr_html_": "navbake.views.notebook:show_html",
+    "grid._repr_png_": "navbake.views.notebook:draw_png",
     "grid.at": "navbake.runtime.places.place:place_at",
     "grid.block": "navbake.runtime.blocks.block:block",
     "grid.describe_cell": "navbake.views.why:describe_cell",

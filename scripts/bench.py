@@ -20,7 +20,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks import bake_rows, run_rows, start_rows, tensor_rows, voxel_rows
+from benchmarks import bake_rows, live_rows, run_rows, start_rows, tensor_rows, voxel_rows
 from benchmarks.measure import Result, Row, measure_row
 from benchmarks.scenes import ROOMS, Scenes
 
@@ -35,6 +35,7 @@ def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
         **run_rows.make_rows(scenes),
         **tensor_rows.make_rows(scenes),
         **voxel_rows.make_rows(scenes.folder),
+        **live_rows.make_rows(scenes),
     }
 
 

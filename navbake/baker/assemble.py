@@ -1,7 +1,9 @@
 """The grid that is written: levels, occupancy, rooms, doors and what made them, put together."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +13,7 @@ from navbake.baker.boxes import Box, written_ground
 from navbake.baker.lattice import Window, cut_cells
 from navbake.baker.scene.model import mujoco_version
 from navbake.baker.stages import Stages
-from navbake.baker.warn import collect_warnings
-from navbake.config.settings import settings_digest, settings_to_state
+from navbake.baker.warn import ContentNotes, collect_warnings
 from navbake.navgrid.door_states import with_door_names
 from navbake.navgrid.doors import Door, Runs, to_runs
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
@@ -21,13 +22,44 @@ from navbake.navgrid.user_data import UserData
 from navbake.types import Int, Json
 
 
-def build_grid(stages: Stages) -> SceneGrid2D | MultiLevelGrid:
-    """Put what the stages found into the grid that is written."""
+class Standing(NamedTuple):
+    """What stands in cells, as the grid tells it.
+
+    Attributes:
+        notes: what is warned of; None where nothing is known.
+        user_data: gives the names of a level's cells in a window; None where none are wanted.
+        floors: the floor of each level as it is written, shape (height, width) of the whole
+            lattice, float32; None where that is to be made.
+    """
+
+    notes: ContentNotes | None
+    user_data: Callable[[int, Window], UserData] | None
+    floors: list[NDArray[np.float32]] | None = None
+
+    @classmethod
+    def of(cls, stages: Stages) -> Standing:
+        """As the stages of a bake have it."""
+        contents = stages.contents
+        if contents is None:
+            return cls(None, None)
+        named = contents.user_data if stages.config.names.enabled else None
+        return cls(ContentNotes.of(stages.scene, contents), named)
+
+
+def build_grid(stages: Stages, standing: Standing | None = None) -> SceneGrid2D | MultiLevelGrid:
+    """Put what the stages found into the grid that is written.
+
+    Args:
+        standing: what stands in the cells; as the stages have it if None.
+    """
+    standing = standing or Standing.of(stages)
     windows = stages.boxes.windows
     doors = _cut_doors(stages, windows)
-    metadata = _metadata(stages, windows, doors)
+    metadata = _metadata(stages, windows, doors, standing.notes)
     places = enumerate(zip(windows, stages.boxes.boxes, strict=True))
-    grids = [_level_grid(stages, number, *place, doors, metadata) for number, place in places]
+    grids = [
+        _level_grid(stages, number, *place, doors, metadata, standing) for number, place in places
+    ]
     grid: SceneGrid2D | MultiLevelGrid = grids[0]
     if len(grids) > 1:
         grid = MultiLevelGrid(grids=grids, metadata=metadata, cell_size=stages.lattice.cell_size)
@@ -36,7 +68,13 @@ def build_grid(stages: Stages) -> SceneGrid2D | MultiLevelGrid:
 
 
 def _level_grid(
-    stages: Stages, number: int, window: Window, box: Box, doors: Sequence[Door], metadata: Json
+    stages: Stages,
+    number: int,
+    window: Window,
+    box: Box,
+    doors: Sequence[Door],
+    metadata: Json,
+    standing: Standing,
 ) -> SceneGrid2D:
     """One level's grid, blocked by the doors in their states."""
     level, part = stages.floors.levels[number], stages.lattice.cut(*window)
@@ -44,8 +82,13 @@ def _level_grid(
     occupied = stages.occupancy.levels[number][window].copy()
     for door in doors:
         occupied.ravel()[door.cells_in(door.state, num_levels)[number]] = True
+    floor = (
+        level.floor[window].astype(np.float32)
+        if standing.floors is None
+        else (np.ascontiguousarray(standing.floors[number][window]))
+    )
     attributes: dict[str, NDArray[Any]] = {
-        "floorHeight": level.floor[window].astype(np.float32),
+        "floorHeight": floor,
         "roomIndex": np.ascontiguousarray(stages.rooms.index[number][window]),
         "occupancy": occupied.astype(np.uint8),
     }
@@ -55,9 +98,9 @@ def _level_grid(
             solid.ravel()[door.solid_in(door.state, num_levels)[number]] = True
         attributes["solid"] = solid.astype(np.uint8)
     user_data = UserData()
-    if stages.config.names.enabled and stages.contents is not None:
-        contents = stages.contents.user_data(number, window)  # read on first use
-        user_data = with_door_names(contents, doors, number, num_levels)
+    if standing.user_data is not None:  # read on first use
+        named = standing.user_data(number, window)
+        user_data = with_door_names(named, doors, number, num_levels)
     return SceneGrid2D(
         width=part.width,
         height=part.height,
@@ -71,10 +114,11 @@ def _level_grid(
     )
 
 
-def _metadata(stages: Stages, windows: list[Window], doors: Sequence[Door]) -> Json:
+def _metadata(
+    stages: Stages, windows: list[Window], doors: Sequence[Door], notes: ContentNotes | None
+) -> Json:
     config, agent = stages.config, stages.config.agent
-    warnings = collect_warnings(stages)
-    closed = {door.id: door.closed_cells for door in stages.doors.placed}
+    warnings = collect_warnings(stages, notes)
     return {
         "sceneId": stages.scene.id,
         "cellAttributes": [
@@ -91,8 +135,7 @@ def _metadata(stages: Stages, windows: list[Window], doors: Sequence[Door]) -> J
             "version": __version__,
             "mujoco": mujoco_version(),
             "sceneDigest": stages.scene.digest,
-            "settingsDigest": settings_digest(config),
-            "settings": settings_to_state(config),
+            **stages.stated_settings,
             "worldFrame": {
                 "up": "z",
                 "unit": "m",
@@ -106,7 +149,7 @@ def _metadata(stages: Stages, windows: list[Window], doors: Sequence[Door]) -> J
             ],
             "links": _cut_links(stages.floors.links, windows, stages.lattice.width).tolist(),
             "names": config.names.enabled,
-            "rooms": [room.to_json() for room in stages.rooms.with_doors(closed).table],
+            "rooms": stages.room_table,
             "doors": [_door_entry(door) for door in doors],
             **({"warnings": warnings} if warnings else {}),
         },

@@ -48,10 +48,12 @@ class ColumnBlocks:
         self._tiled, self._agent, self._crack, self._clock = tiled, agent, crack, clock
         self._moved: dict[Rows, Moved] = {}
         self._kept: Columns | None = None
+        # the lines that were moved, where all columns are kept
+        self.moved: Moved | None = None
         self._some: tuple[Int, Columns] | None = None  # the cells that were asked for last
         with clock.stage("columns"):
             if self.lattice.width * self.lattice.height <= KEPT_CELLS:
-                self._kept = find_columns(tiled, agent, crack)
+                self._kept, self.moved = find_columns(tiled, agent, crack)
 
     def blocks(self) -> Iterator[Columns]:
         """The columns of all rows, by bands of them, in their order."""

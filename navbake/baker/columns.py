@@ -73,7 +73,7 @@ class TiledShapes:
     @cached_property
     def heights(self) -> Band:
         """Heights below and above everything over the lattice [m]."""
-        return _height_range(self.shapes, self.lattice)
+        return height_range(self.shapes, self.lattice)
 
 
 @dataclass(frozen=True)
@@ -266,7 +266,7 @@ def _facets_of(triangles: Triangles) -> Facets:
     return Facets(*triangles, bounds)
 
 
-def _height_range(shapes: Shapes, lattice: Lattice) -> Band:
+def height_range(shapes: Shapes, lattice: Lattice) -> Band:
     """Heights below and above everything over the lattice, infinite planes included [m]."""
     bounds = shapes.bounds()
     heights = [0.0] if bounds is None else [float(bounds[0, 2]), float(bounds[1, 2])]

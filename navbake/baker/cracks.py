@@ -99,15 +99,25 @@ class Moved(NamedTuple):
 NONE_MOVED = Moved(np.empty(0, dtype=np.int64), np.empty((0, 2)))
 
 
-def find_columns(tiled: TiledShapes, agent: AgentSettings, crack: float) -> Columns:
-    """Cast the columns of all cells, and close the cracks, band by band for the memory it takes."""
+def find_columns(tiled: TiledShapes, agent: AgentSettings, crack: float) -> tuple[Columns, Moved]:
+    """Cast the columns of all cells, and close the cracks, band by band for the memory it takes.
+
+    Returns:
+        The columns, and which of their lines were moved.
+    """
     lattice, gathered = tiled.lattice, GatheredColumns(tiled.lattice)
-    bands = split_rows(lattice)
+    bands, moved = split_rows(lattice), [NONE_MOVED]
     if len(bands) == 1:
-        return close_cracks(cast_columns(tiled), tiled, agent, crack)
+        columns = cast_columns(tiled)
+        if crack == 0:
+            return columns, NONE_MOVED
+        return _close_cracks(columns, tiled, agent, crack)[:2]
     for rows in bands:
-        gathered.add(find_columns_of_rows(tiled, agent, crack, rows)[0], rows)
-    return gathered.join()
+        columns, lines = find_columns_of_rows(tiled, agent, crack, rows)
+        gathered.add(columns, rows)
+        moved.append(lines)
+    cells, offsets = zip(*moved, strict=True)
+    return gathered.join(), Moved(np.concatenate(cells), np.concatenate(offsets))
 
 
 def find_columns_of_rows(
@@ -196,22 +206,33 @@ def _close_cracks(
     each cell that a line may be moved past, and as many again for each round.
     """
     limits = agent_limits(agent)
-    gaps = list_gaps(columns, limits, crack)
-    if not len(gaps.cell):
+    cells, candidates = measure_cracks(list_gaps(columns, limits, crack), tiled, limits, crack)
+    if not len(cells):
         return _Closed(columns, NONE_MOVED, 0)
+    return _replace_by_best(columns, tiled, cells, candidates, limits, crack)
+
+
+def measure_cracks(
+    gaps: Gaps, tiled: TiledShapes, limits: AgentLimits, crack: float
+) -> tuple[Int, Float]:
+    """The cells with a gap that is a crack, and the lines that each may get instead of its own.
+
+    See `_list_candidates`; no cell where no gap is a crack.
+    """
+    nothing = np.empty(0, dtype=np.int64), np.empty((0, 0, 2))
+    if not len(gaps.cell):
+        return nothing
     # most gaps are open: half of the ways tell most of these, and to measure is dearest
     for spacing in (2, 1):
-        gaps = gaps.only(
-            ~_find_open(_make_probe(gaps, tiled, limits, crack_reach(crack)), crack, spacing)
-        )
+        probe = _make_probe(gaps, tiled, limits, crack_reach(crack))
+        gaps = gaps.only(~_find_open(probe, crack, spacing))
         if not len(gaps.cell):
-            return _Closed(columns, NONE_MOVED, 0)
+            return nothing
     offset = _measure(_make_probe(gaps, tiled, limits, crack), crack)
     closed = ~np.isnan(offset[:, 0, 0])
     if not closed.any():
-        return _Closed(columns, NONE_MOVED, 0)
-    cells, candidates = _list_candidates(gaps.cell[closed], offset[closed])
-    return _replace_by_best(columns, tiled, cells, candidates, limits, crack)
+        return nothing
+    return _list_candidates(gaps.cell[closed], offset[closed])
 
 
 def _list_candidates(cell: Int, offset: Float) -> tuple[Int, Float]:

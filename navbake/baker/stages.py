@@ -23,7 +23,7 @@ from navbake.baker.cracks import crack_reach
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
 from navbake.baker.doors.doors import Doors, Surroundings, place_doors, warn_immovable_doors
 from navbake.baker.doors.walkable import warn_walkable_doors
-from navbake.baker.floors.levels import Floors, find_floors
+from navbake.baker.floors.levels import Floors, Judged, find_floors
 from navbake.baker.floors.window import crop_floors
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.lattice import Window, lay_lattice, lay_whole
@@ -40,11 +40,11 @@ from navbake.baker.scene.guard.isolated import CompileLimits
 from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.keywords import SettingKeywords
-from navbake.config.settings import BakeConfig
+from navbake.config.settings import BakeConfig, settings_digest, settings_to_state
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import limit_threads
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Json
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Unpack
@@ -205,6 +205,10 @@ class Stages:
 
         They are found on the whole scene, and cut to the lattice.
         """
+        return self.judge_floors(None)
+
+    def judge_floors(self, notes: list[Judged] | None) -> Floors:
+        """Find `floors`; `notes` receives what was decided about sheets of the whole scene."""
         config, (tiled, window, columns) = self.config, self.whole
         given = None if config.levels == "auto" else list(config.levels)
         # how a sheet ends does not depend on how wide the agent is
@@ -216,9 +220,8 @@ class Stages:
             return check_occupancy(columns.at(cells), tiled, volume, cells, floors).occupied
 
         with self.clock.stage("floors"), self._errors_say_where():
-            floors = find_floors(
-                columns, tiled.shapes, config.agent, config.floors, given, is_occupied
-            )
+            asked = columns, tiled.shapes, config.agent, config.floors, given, is_occupied
+            floors = find_floors(*asked, notes)
             return floors if columns.lattice == self.lattice else crop_floors(floors, window)
 
     @cached_property
@@ -295,6 +298,18 @@ class Stages:
             self.config.agent.height,
         )
         return find_level_boxes(levels, occupied, self.lattice, self.scene.bounds, height)
+
+    @cached_property
+    def room_table(self) -> list[Json]:
+        """The table of rooms as a file states it, with the doors between them."""
+        closed = {door.id: door.closed_cells for door in self.doors.placed}
+        return [room.to_json() for room in self.rooms.with_doors(closed).table]
+
+    @cached_property
+    def stated_settings(self) -> Json:
+        """The settings and their digest, as a file states them."""
+        digest, state = settings_digest(self.config), settings_to_state(self.config)
+        return {"settingsDigest": digest, "settings": state}
 
     def _tile(self, lattice: Lattice) -> TiledShapes:
         reach = max(self.footprints.whole.reach, crack_reach(self.config.floors.crack))

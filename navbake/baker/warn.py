@@ -1,11 +1,13 @@
 """The warnings of a bake, one line each."""
 
-from collections import Counter
+from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from navbake.baker.boxes import LevelBoxes
-from navbake.baker.contents.contents import Contents
+from navbake.baker.contents.contents import Contents, LevelContents
 from navbake.baker.floors.levels import Floors
 from navbake.baker.floors.outline import find_cropped
 from navbake.baker.floors.patch import Patch
@@ -17,24 +19,49 @@ from navbake.baker.scene.scene import Scene
 from navbake.baker.stages import Stages
 from navbake.config.settings import BakeConfig
 from navbake.errors import printable
+from navbake.types import Int
 
 MAX_MOVABLE = 3  # bodies with a free joint that a warning names at most
 
 
-def collect_warnings(stages: Stages) -> list[str]:
-    """The warnings of all stages, in their order."""
-    return [printable(warning) for warning in _find_warnings(stages)]
+class ContentNotes(NamedTuple):
+    """What is to be told of the contents of cells.
+
+    Attributes:
+        taken: how many cells each body with a free joint takes, see `count_taken`.
+        warnings: of the contents.
+    """
+
+    taken: Int
+    warnings: list[str]
+
+    @classmethod
+    def of(cls, scene: Scene, contents: Contents) -> ContentNotes:
+        """What is to be told of the contents of a bake."""
+        return cls(count_taken(scene, contents), contents.warnings)
 
 
-def _find_warnings(stages: Stages) -> list[str]:
+def collect_warnings(stages: Stages, notes: ContentNotes | None = None) -> list[str]:
+    """The warnings of all stages, in their order.
+
+    Args:
+        notes: of the contents; of those that the stages have if None.
+    """
+    if notes is None and stages.contents is not None:
+        notes = ContentNotes.of(stages.scene, stages.contents)
+    return [printable(warning) for warning in _find_warnings(stages, notes)]
+
+
+def _find_warnings(stages: Stages, notes: ContentNotes | None) -> list[str]:
+    cell_area = stages.lattice.cell_size**2
     return [
         *stages.scene.warnings,
         *stages.unmatched,
         *warn_part_judged(stages),
         *warn_nothing_free(stages),
-        *(warn_movable(stages.scene, stages.contents) if stages.contents else ()),
+        *(warn_movable(stages.scene, notes.taken, cell_area) if notes else ()),
         *warn_missing_floors(stages.scene, stages.floors, stages.config),
-        *(stages.contents.warnings if stages.contents else ()),
+        *(notes.warnings if notes else ()),
         *stages.rooms.warnings,
         *stages.doors.warnings,
         *warn_interleaved(stages.floors, stages.boxes),
@@ -109,34 +136,55 @@ def warn_nothing_free(stages: Stages) -> list[str]:
     ]
 
 
-def warn_movable(scene: Scene, contents: Contents) -> list[str]:
-    """Warn of bodies with a free joint that take floor: agents, and things that move later.
+def count_taken(scene: Scene, contents: Contents) -> Int:
+    """Count the cells that each body with a free joint takes, shape (nbody,), int64.
 
     A body takes a cell that it blocks where all that blocks the cell is on bodies with a free
     joint. So a cup on a table takes none.
     """
-    body_of = find_free_bodies(scene.model)
+    body_of, taken = find_free_bodies(scene.model), np.zeros(scene.model.nbody, dtype=np.int64)
     if (body_of < 0).all():
-        return []
-    num_cells: Counter[int] = Counter()
+        return taken
     for listed in contents.levels:
-        cell, geom = listed.cell[listed.blocks], listed.geom[listed.blocks]
-        is_fixed = np.zeros(len(listed.start) - 1, dtype=np.bool_)
-        is_fixed[cell[body_of[geom] < 0]] = True
-        taken = ~is_fixed[cell]
-        pairs = np.unique(np.stack([cell[taken], body_of[geom[taken]]]), axis=1)
-        num_cells.update(pairs[1].tolist())
-    if not num_cells:
+        count_taken_cells(listed, body_of, taken, 1)
+    return taken
+
+
+def count_taken_cells(listed: LevelContents, body_of: Int, taken: Int, by: int) -> None:
+    """Add `by` to what each body has in `taken` for each cell that it takes.
+
+    Args:
+        listed: the contents of the cells.
+        body_of: the body with a free joint that each geom hangs on, -1 for none.
+    """
+    cell, geom = listed.cell[listed.blocks], listed.geom[listed.blocks]
+    is_fixed = np.zeros(len(listed.start) - 1, dtype=np.bool_)
+    is_fixed[cell[body_of[geom] < 0]] = True
+    free = ~is_fixed[cell]
+    pairs = np.unique(np.stack([cell[free], body_of[geom[free]]]), axis=1)
+    np.add.at(taken, pairs[1], by)
+
+
+def warn_movable(scene: Scene, taken: Int, cell_area: float) -> list[str]:
+    """Warn of bodies with a free joint that take floor: agents, and things that move later.
+
+    Args:
+        taken: see `count_taken`.
+        cell_area: of one cell [m²].
+    """
+    bodies = np.flatnonzero(taken)
+    if not len(bodies):
         return []
-    cell_area = contents.levels[0].lattice.cell_size ** 2
+    first = bodies[np.lexsort((bodies, -taken[bodies]))][:MAX_MOVABLE].tolist()
     named = [
-        f"{body_name(scene.model, body)!r} ({num * cell_area:.2f} m²)"
-        for body, num in sorted(num_cells.items(), key=lambda entry: (-entry[1], entry[0]))
+        f"{body_name(scene.model, body)!r} ({int(taken[body]) * cell_area:.2f} m²)"
+        for body in first
     ]
-    more = f", and {len(named) - MAX_MOVABLE} more" if named[MAX_MOVABLE:] else ""
+    left = len(bodies) - len(named)
+    more = f", and {left} more" if left else ""
     return [
         f"bodies with a free joint take floor, where they stand now: "
-        f"{', '.join(named[:MAX_MOVABLE])}{more}; `scene.exclude.movable: true` leaves all such "
+        f"{', '.join(named)}{more}; `scene.exclude.movable: true` leaves all such "
         f"bodies out, `scene.exclude.bodies` those that its patterns name"
     ]
 

@@ -38,9 +38,22 @@ class PathFinder(PathQuestions, PlaceQuestions, DrawQuestions):
     """
 
     def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
-        self.grid = grid
-        self._cache = GridCache(grid, cut_corners=cut_corners)
-        self._planner = Planner(self._cache)
+        self._cut_corners = cut_corners
+        self.use(grid)
+
+    def use(self, grid: NavGrid) -> None:
+        """Answer about another grid from now on, as after `Baker.update`.
+
+        What was planned and kept for the last one is forgotten.
+
+        Raises:
+            QueryError: a weight is negative.
+        """
+        cache = GridCache(grid, cut_corners=self._cut_corners)
+        for name in ("many", "_spawner"):
+            self.__dict__.pop(name, None)
+        self.grid, self._cache = grid, cache
+        self._planner = Planner(cache)
 
     @cached_property
     def many(self) -> ManyPlaces:

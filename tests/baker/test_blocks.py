@@ -40,14 +40,14 @@ def test_columns_of_rows_are_those_of_the_whole(tmp_path, monkeypatch, cell_size
     """Cracks are closed in the same way, also where they cross the blocks' borders."""
     stages = stages_of(tmp_path, CRACKED, cell_size)
     tiled, agent, lattice = stages.tiled, stages.config.agent, stages.lattice
-    whole = find_columns(tiled, agent, 0.03)
+    whole, _ = find_columns(tiled, agent, 0.03)
     plain = columns_module.cast_columns(tiled)
     assert len(split_rows(lattice)) == 1
     assert len(plain.z) != len(whole.z) or (plain.z != whole.z).any()
     for rows in (8, 16, 40):
         monkeypatch.setattr(columns_module, "BLOCK_CELLS", rows * lattice.width)
         assert len(split_rows(lattice)) == -(-lattice.height // rows)
-        blocks = find_columns(tiled, agent, 0.03)
+        blocks, _ = find_columns(tiled, agent, 0.03)
         for one, other in zip(blocks.crossings, whole.crossings, strict=True):
             np.testing.assert_array_equal(one, other)
     rng = np.random.default_rng(0)

@@ -18,7 +18,7 @@ from navbake.errors import QueryError
 from navbake.navgrid.islands import clearance
 from navbake.runtime.flat_grid import flatten
 from navbake.runtime.path_finder import PathFinder
-from tensors.libraries import ON_ALL, given, library, positions_over, shown
+from tensors.libraries import ON_ALL, compiled, given, library, positions_over, shown
 
 pytest.importorskip("array_api_compat")
 
@@ -119,19 +119,21 @@ def test_distances_and_steps_lead_to_goals(case):
     t = grid.tensors(xp, dtype=dtype, goals=goals)
     starts = finder.random_point(np.random.default_rng(1), 200, anywhere=True).astype(dtype)
     for k, goal in enumerate(goals):
-        found = shown(tensors.distance_to_goal(t, given(xp, starts, dtype), k))
+        ask = compiled(xp, lambda p, k=k: tensors.distance_to_goal(t, p, k))
+        ask_step = compiled(xp, lambda p, k=k: tensors.path_step(t, p, k))
+        found = shown(ask(given(xp, starts, dtype)))
         expected = finder.distances(starts.astype(np.float64), goal)
         np.testing.assert_allclose(found, expected, rtol=1e-6)
         # whoever takes the steps arrives, and has gone no farther than the field says
         at = starts.astype(np.float64)
         for _ in range(400):
-            step = shown(tensors.path_step(t, given(xp, at, dtype), k)).astype(np.float64)
+            step = shown(ask_step(given(xp, at, dtype))).astype(np.float64)
             assert np.isfinite(step).all()
             lengths = np.hypot(*step.T)
             assert np.all((lengths < 1e-12) | (np.abs(lengths - 1) < 1e-5))
             at[:, :2] += 0.02 * step
             at[:, 2] = finder.many.snap(at)[:, 2]
-        arrived = shown(tensors.distance_to_goal(t, given(xp, at, dtype), k))
+        arrived = shown(ask(given(xp, at, dtype)))
         assert (arrived < 0.15).all()
 
 
@@ -152,16 +154,17 @@ def test_bilinear_clearance(case):
     name, dtype = case
     xp, grid = library(name), level_from("....\n....\n....\n...#")
     t = grid.tensors(xp, dtype=dtype)
+    ask = compiled(xp, lambda p: tensors.clearance(t, p))
     values = clearance(grid).astype(np.float64)
     at_centers = [[0.05 + 0.1 * c, -0.05 - 0.1 * r, 0.0] for r, c in np.ndindex(4, 4)]
-    found = shown(tensors.clearance(t, given(xp, at_centers, dtype)))
+    found = shown(ask(given(xp, at_centers, dtype)))
     np.testing.assert_allclose(found, values.ravel(), atol=1e-6)
-    between = shown(tensors.clearance(t, given(xp, [[0.175, -0.22, 0.0]], dtype)))
+    between = shown(ask(given(xp, [[0.175, -0.22, 0.0]], dtype)))
     rows = values[1:3, 1:3] @ [0.75, 0.25]
     np.testing.assert_allclose(between, [rows @ [0.3, 0.7]], atol=1e-6)
-    corner = shown(tensors.clearance(t, given(xp, [[0.001, -0.001, 0.0]], dtype)))
+    corner = shown(ask(given(xp, [[0.001, -0.001, 0.0]], dtype)))
     np.testing.assert_allclose(corner, values[0, 0], atol=1e-6)
-    assert np.isnan(shown(tensors.clearance(t, given(xp, [[-0.01, 0.0, 0.0]], dtype)))).all()
+    assert np.isnan(shown(ask(given(xp, [[-0.01, 0.0, 0.0]], dtype)))).all()
 
 
 @ON_ALL
@@ -173,16 +176,18 @@ def test_heights_and_patches_turn_with_the_agent(case):
     agent = given(xp, [[0.15, -0.15, 1.0]] * 2, dtype)
     yaw = given(xp, [0.0, np.pi / 2], dtype)
     pattern = given(xp, [[0.0, 0.0], [0.1, 0.0], [0.0, 0.1], [9.0, 0.0]], dtype)
-    found = shown(tensors.heights(t, agent, yaw, pattern))
+    scan = compiled(xp, lambda p, yaw: tensors.heights(t, p, yaw, pattern))
+    found = shown(scan(agent, yaw))
     expected = [[0.1, 0.2, 0.1, np.nan], [0.1, 0.1, 0.0, np.nan]]
     np.testing.assert_allclose(found, expected, atol=1e-6)
     # looking along x: what is ahead, x larger, is in the first row; left is y larger
-    cut = shown(tensors.patch(t, agent, yaw, (3, 5), 0.1, "floor"))
+    crop = compiled(xp, lambda p, yaw: tensors.patch(t, p, yaw, (3, 5), 0.1, "floor"))
+    cut = shown(crop(agent, yaw))
     assert cut.shape == (2, 3, 5)
     np.testing.assert_allclose(cut[0, :, 2], [0.2, 0.1, 0.0], atol=1e-6)
     np.testing.assert_allclose(cut[0, 1], [np.nan, 0.1, 0.1, 0.1, 0.1], atol=1e-6)
     np.testing.assert_allclose(cut[1, 1], [np.nan, 0.0, 0.1, 0.2, 0.3], atol=1e-6)
-    free = shown(tensors.patch(t, agent, yaw, (1, 1)))
+    free = shown(compiled(xp, lambda p, yaw: tensors.patch(t, p, yaw, (1, 1)))(agent, yaw))
     assert free.dtype == bool and free.shape == (2, 1, 1)
 
 
@@ -267,26 +272,30 @@ def test_many_scenes_at_once(case):
     scene = np.repeat([2, 0, 1], 400)
     positions = np.concatenate([positions_over(grids[k], rng, 400, dtype) for k in (2, 0, 1)])
     p, ids = given(xp, positions, dtype), xp.asarray(scene)
-    alone = [g.tensors(xp, dtype=dtype, goals=own) for g, own in zip(grids, goals, strict=True)]
+    # each grid alone, in numpy
+    alone = [g.tensors(dtype=dtype, goals=own) for g, own in zip(grids, goals, strict=True)]
     for function in (
         tensors.level_at, tensors.floor, tensors.room, tensors.is_navigable, tensors.clearance,
     ):  # fmt: skip
-        found = shown(function(t, p, scene_id=ids))
+        ask = compiled(xp, lambda p, ids, ask=function: ask(t, p, scene_id=ids))
+        found = shown(ask(p, ids))
         for k, single in enumerate(alone):
             here = scene == k
-            expected = shown(function(single, given(xp, positions[here], dtype)))
-            np.testing.assert_array_equal(found[here], expected)
-            as_one = shown(function(t, given(xp, positions[here], dtype), scene_id=k))
-            np.testing.assert_array_equal(as_one, expected)
-    found = shown(tensors.distance_to_goal(t, p, 0, scene_id=ids))
-    steps = shown(tensors.path_step(t, p, 0, scene_id=ids))
-    for k, single in enumerate(alone):
+            expected = function(single, positions[here].astype(dtype))
+            np.testing.assert_allclose(found[here], expected, rtol=0, atol=1e-6)
+    for k in range(3):  # one number for all
         own = given(xp, positions[scene == k], dtype)
-        np.testing.assert_array_equal(
-            found[scene == k], shown(tensors.distance_to_goal(single, own))
-        )
-        expected = shown(tensors.path_step(single, own))
-        np.testing.assert_allclose(steps[scene == k], expected, atol=1e-6)
+        floors = compiled(xp, lambda p, k=k: tensors.floor(t, p, scene_id=k))(own)
+        expected = tensors.floor(alone[k], positions[scene == k].astype(dtype))
+        np.testing.assert_array_equal(shown(floors), expected)
+    ask = compiled(xp, lambda p: tensors.distance_to_goal(t, p, 0, scene_id=ids))
+    ask_step = compiled(xp, lambda p: tensors.path_step(t, p, 0, scene_id=ids))
+    found, steps = shown(ask(p)), shown(ask_step(p))
+    for k, single in enumerate(alone):
+        own = positions[scene == k].astype(dtype)
+        np.testing.assert_array_equal(found[scene == k], tensors.distance_to_goal(single, own))
+        expected = tensors.path_step(single, own)
+        np.testing.assert_allclose(steps[scene == k], expected, atol=1e-5)
     u = given(xp, rng.random((1200, 3)), dtype)
     drawn = tensors.sample(t, u, scene_id=ids)
     assert shown(tensors.is_navigable(t, drawn, scene_id=ids)).all()

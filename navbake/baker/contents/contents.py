@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 
 from navbake.baker.columns import Columns, TiledShapes, tiles_of_rows
 from navbake.baker.contents.cell_names import BLOCKERS, OBJECTS, WALLS, name_cells, name_geoms
-from navbake.baker.contents.structure import FloorSupport, find_carriers, find_ceilings
+from navbake.baker.contents.structure import (
+    Carriers,
+    FloorSupport,
+    find_carriers,
+    find_ceilings,
+)
 from navbake.baker.contents.walls import (
     BUILDING,
     OBJECT,
@@ -121,24 +126,58 @@ class Contents:
         return UserData(partial(self._name_cells, level, window))
 
     def _name_cells(self, level: int, window: Window) -> Shared:
-        listed = self.levels[level]
-        kind = self.kinds[listed.geom]
-        bits = np.where(listed.blocks, BLOCKERS, 0)
-        bits |= np.where(listed.stands & self._is_wall(listed), WALLS, 0)
-        bits |= np.where(listed.stands & (kind == OBJECT), OBJECTS, 0)
-        carrier = listed.carrier
-        below = np.flatnonzero(carrier >= 0)
-        below = below[self.kinds[carrier[below]] == OBJECT]
-        cell = np.concatenate([listed.cell, below])
-        geom = np.concatenate([listed.geom, carrier[below]])
-        bits = np.concatenate([bits, np.full(len(below), OBJECTS)])
-        with collector_off():
-            return Shared(*name_cells(cell, geom, bits, self.names, listed.lattice, window))
+        return name_contents(self.levels[level], self.kinds, self.names, window)
 
     def _is_wall(self, listed: LevelContents) -> Bool:
-        kind = self.kinds[listed.geom]
-        wall: Bool = (kind == WALL) | ((kind == BUILDING) & listed.upper)
-        return wall
+        return is_wall(listed, self.kinds)
+
+
+def name_contents(
+    listed: LevelContents, kinds: NDArray[np.uint8], names: Sequence[str], window: Window
+) -> Shared:
+    """The user data of a storey's cells, see `Contents.user_data`."""
+    kind = kinds[listed.geom]
+    bits = np.where(listed.blocks, BLOCKERS, 0)
+    bits |= np.where(listed.stands & is_wall(listed, kinds), WALLS, 0)
+    bits |= np.where(listed.stands & (kind == OBJECT), OBJECTS, 0)
+    carrier = listed.carrier
+    below = np.flatnonzero(carrier >= 0)
+    below = below[kinds[carrier[below]] == OBJECT]
+    cell = np.concatenate([listed.cell, below])
+    geom = np.concatenate([listed.geom, carrier[below]])
+    bits = np.concatenate([bits, np.full(len(below), OBJECTS)])
+    with collector_off():
+        return Shared(*name_cells(cell, geom, bits, names, listed.lattice, window))
+
+
+def is_wall(listed: LevelContents, kinds: NDArray[np.uint8]) -> Bool:
+    """Whether each entry of a storey's cells is a wall there."""
+    kind = kinds[listed.geom]
+    wall: Bool = (kind == WALL) | ((kind == BUILDING) & listed.upper)
+    return wall
+
+
+def classify_geoms(
+    scene: Scene,
+    extents: Extents,
+    over_floors: GeomsOverFloors,
+    carriers: Carriers,
+    agent: AgentSettings,
+    settings: NameSettings,
+) -> tuple[NDArray[np.uint8], list[str]]:
+    """Tell what each geom is, see `Contents.kinds`; and what the user should know."""
+    buildings = find_buildings(scene, extents, over_floors)
+    ceilings = find_ceilings(extents, over_floors.base, is_static(scene), agent)
+    kinds = np.full(len(scene.geoms), OBJECT, dtype=np.uint8)
+    kinds[carriers.building | ceilings] = STRUCTURE
+    kinds[find_walls(scene, extents, over_floors, carriers, buildings)] = WALL
+    kinds[buildings] = BUILDING
+    warnings: list[str] = []
+    if settings.walls:  # walls of the settings replace those by shape
+        named, warnings = match_walls(scene, settings.walls)
+        kinds[kinds == WALL] = OBJECT
+        kinds[named] = WALL
+    return kinds, warnings
 
 
 class ContentsFinder:
@@ -160,7 +199,7 @@ class ContentsFinder:
         highest = -np.inf if scene.bounds is None else float(scene.bounds[1, 2])
         tops = [*(level.ground for level in floors.levels[1:]), highest]
         candidates = wall_candidates(scene, self._extents)
-        groups = _group_triangles(tiled)
+        groups = group_triangles(tiled)
         self._levels = [
             _LevelLister(tiled, groups, level, top, agent, candidates)
             for level, top in zip(floors.levels, tops, strict=True)
@@ -180,18 +219,8 @@ class ContentsFinder:
         self._levels.clear()
         step = agent.traversable_floor_height
         carriers = find_carriers(floors, carry, extents, step, self._tiled.lattice)
-        over_floors = _measure_over_floors(levels, floors, extents)
-        buildings = find_buildings(scene, extents, over_floors)
-        ceilings = find_ceilings(extents, over_floors.base, is_static(scene), agent)
-        kinds = np.full(len(scene.geoms), OBJECT, dtype=np.uint8)
-        kinds[carriers.building | ceilings] = STRUCTURE
-        kinds[find_walls(scene, extents, over_floors, carriers, buildings)] = WALL
-        kinds[buildings] = BUILDING
-        warnings: list[str] = []
-        if settings.walls:  # walls of the settings replace those by shape
-            named, warnings = match_walls(scene, settings.walls)
-            kinds[kinds == WALL] = OBJECT
-            kinds[named] = WALL
+        over_floors = measure_over_floors(levels, floors, extents)
+        kinds, warnings = classify_geoms(scene, extents, over_floors, carriers, agent, settings)
         return Contents(levels, kinds, name_geoms(scene), warnings)
 
 
@@ -264,7 +293,7 @@ class _LevelLister:
         return LevelContents(lattice, self._start, geom, stands, blocks, upper, self._carrier)
 
 
-def _group_triangles(tiled: TiledShapes) -> Groups:
+def group_triangles(tiled: TiledShapes) -> Groups:
     """Group the triangles over each tile by geom."""
     known = tiled.facets, tiled.tiles
     start = np.zeros_like(tiled.tiles.triangle_start)
@@ -276,7 +305,7 @@ def _group_triangles(tiled: TiledShapes) -> Groups:
     return groups
 
 
-def _measure_over_floors(
+def measure_over_floors(
     levels: Sequence[LevelContents], floors: Floors, extents: Extents
 ) -> GeomsOverFloors:
     num = len(extents.low)

@@ -65,15 +65,25 @@ class GeomsOverFloors:
 
 def wall_candidates(scene: Scene, extents: Extents) -> Bool:
     """Mark the geoms that may be walls or hold a building, by their own shape alone."""
+    return candidates_of(is_static(scene), is_surface(scene), extents)
+
+
+def candidates_of(static: Bool, surface: Bool, extents: Extents) -> Bool:
+    """`wall_candidates` of geoms of which is known which are static, and which are surfaces."""
     tall = extents.high - extents.low >= TALL
     slender = _is_slender(extents, *THIN, THICK)
-    return tall & is_static(scene) & slender | _may_hold_building(scene, extents)
+    return tall & static & slender | _may_hold_building(surface, extents)
 
 
 def find_buildings(scene: Scene, extents: Extents, over_floors: GeomsOverFloors) -> Bool:
     """Mark the meshes that hold a whole building: surfaces, tall, wide both ways, and hollow."""
     hollow = over_floors.upper_area < HOLLOW * extents.thin * extents.long
-    return _may_hold_building(scene, extents) & hollow
+    return _may_hold_building(is_surface(scene), extents) & hollow
+
+
+def is_surface(scene: Scene) -> Bool:
+    """Mark the geoms that are made of triangles, and no hulls."""
+    return np.array([report.shape in TRIANGLES for report in scene.geoms], dtype=np.bool_)
 
 
 def is_static(scene: Scene) -> Bool:
@@ -172,8 +182,7 @@ def _ends_at(one: Int, other: Int, extents: Extents) -> Bool:
     return ends
 
 
-def _may_hold_building(scene: Scene, extents: Extents) -> Bool:
-    surface = np.array([report.shape in TRIANGLES for report in scene.geoms])
+def _may_hold_building(surface: Bool, extents: Extents) -> Bool:
     tall = extents.high - extents.low >= TALL
     return surface & tall & (extents.thin >= BUILDING_WIDTH)
 

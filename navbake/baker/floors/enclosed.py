@@ -38,6 +38,7 @@ class EnclosedFinder:
     def __init__(self, lattice: Lattice, shapes: Shapes, agent: AgentSettings) -> None:
         self._lattice, self._planes, self._limits = lattice, shapes.planes, agent_limits(agent)
         ids, heights = np.empty(0, dtype=np.int32), np.empty(0)
+        self.holds_floor = False  # anything as large as one
         self._held = Gathered(ids, heights, ids)  # cell, height and holder of each surface
 
     def add(self, columns: Columns) -> None:
@@ -69,6 +70,7 @@ class EnclosedFinder:
             members = member[first[number] : first[number + 1]]
             if not test.passes(cell[members]):
                 continue
+            self.holds_floor = True
             area = len(members) * lattice.cell_size**2
             surfaces = cell[members], z[members]
             edges, goes_on = count_ends(lattice, *surfaces, footing, step, at_cell)

@@ -81,6 +81,24 @@ class Floors:
     enclosed: list[Patch]
 
 
+class Judged(NamedTuple):
+    """What was decided about the sheets on the way to the floors.
+
+    Attributes:
+        every: all standable surfaces.
+        large: those of the sheets that are large enough for floors.
+        counted: those that are floors.
+        candidate: of each footing, whether a floor may go on there, bool.
+        holds_floor: whether a closed mesh holds anything as large as a floor.
+    """
+
+    every: Standable
+    large: Standable
+    counted: Standable
+    candidate: Bool
+    holds_floor: bool
+
+
 def find_floors(
     columns: ColumnSource,
     shapes: Shapes,
@@ -88,6 +106,7 @@ def find_floors(
     settings: FloorSettings,
     given: list[LevelSettings] | None,
     is_occupied: OccupancyTest,
+    notes: list[Judged] | None = None,
 ) -> Floors:
     """Find the storeys, the floor of each, and the steps between them.
 
@@ -97,6 +116,7 @@ def find_floors(
     Args:
         shapes: the geometry that the columns were cast at.
         given: the levels of the configuration, or None to find them.
+        notes: receives what was decided on the way, which takes memory.
 
     Raises:
         SceneError: there is no floor at all, none on a given level, or none at a place that one
@@ -110,6 +130,7 @@ def find_floors(
         enclosing.add(block)
     every, footing = finder.found()
     enclosed = enclosing.found(footing, settings)
+    holds_floor = enclosing.holds_floor
     if not len(every.z):
         raise SceneError(_no_floor(finder.num_surfaces, len(footing.z), agent))
     del finder, enclosing  # they hold the arrays of `every`, too
@@ -129,9 +150,12 @@ def find_floors(
     tops = describe_sheets(large, (rejected.tops | rejected.shelves) & ~starts)
     roofs = describe_sheets(large, rejected.roofs & ~starts & is_told)
     small_starts = describe_sheets(every, starts & ~is_large)
+    judged = None if notes is None else (every, large)
     del every, large, site  # as many as cells: the rest is about those that count
     placed, left_out, unreached = _place_reached(counted, starts, columns, agent, settings, given)
     candidate = _mark_candidates(placed.standable, large_or_start, footing, agent)
+    if notes is not None and judged is not None:
+        notes.append(Judged(*judged, placed.standable, candidate, holds_floor))
     levels = [
         LevelFloor(label, ground, *_level_floor(k, placed, footing, candidate, agent))
         for k, (label, ground) in enumerate(zip(placed.labels, placed.grounds, strict=True))

@@ -56,7 +56,7 @@ def _has_room(crossings, cell, i, limits):
 
 
 @njit(inline="always")
-def _mark_standable(crossings, cell, limits, stands):
+def mark_standable(crossings, cell, limits, stands):
     """Note for each crossing of a cell whether it has room, as `_has_room`; all from above.
 
     Returns the height of the one that has, NaN for none or several.
@@ -178,7 +178,7 @@ def _is_even(only, cell, width, reach, step):
 
 
 @njit(cache=True, **UNCOUNTED)
-def _gaps_of_cell(lattice, crossings, limits, reach, room, place, low, high):
+def gaps_of_cell(lattice, crossings, limits, reach, room, place, low, high):
     """Write the gaps of one cell, unless there is no room for them; returns their number."""
     count, last, stands = 0, np.inf, room.stands
     for axis in AXES:
@@ -249,7 +249,7 @@ def find_gaps(lattice, crossings, limits, reach, room, task, first, end):
         for col in range(width):
             cell, at = row * width + col, np.int64(0)
             if task == MARK:
-                only[cell] = _mark_standable(crossings, cell, limits, room.stands)
+                only[cell] = mark_standable(crossings, cell, limits, room.stands)
                 continue
             if task == WRITE:
                 if start[cell + 1] == start[cell]:
@@ -262,7 +262,7 @@ def find_gaps(lattice, crossings, limits, reach, room, task, first, end):
             ):
                 continue
             low, high = room.low[at:], room.high[at:]
-            count = _gaps_of_cell(lattice, crossings, limits, reach, room, (row, col), low, high)
+            count = gaps_of_cell(lattice, crossings, limits, reach, room, (row, col), low, high)
             if task == COUNT:
                 start[cell + 1] = count
 
@@ -278,9 +278,9 @@ def count_gaps(lattice, crossings, limits, reach, room, cells, counts):
         for other_row in range(max(0, row - reach), min(lattice.height, row + reach + 1)):
             for other_col in range(max(0, col - reach), min(lattice.width, col + reach + 1)):
                 other = other_row * lattice.width + other_col
-                _mark_standable(crossings, other, limits, room.stands)
+                mark_standable(crossings, other, limits, room.stands)
         place = row, col
-        counts[n] = _gaps_of_cell(
+        counts[n] = gaps_of_cell(
             lattice, crossings, limits, reach, room, place, room.low, room.high
         )
 

@@ -76,6 +76,8 @@ def match_doors(
     two as good, the nearer. A door in no opening is left out; an opening may have
     several. The result has the sorted ids of each opening's doors, by its number.
     """
+    if not doors:
+        return {}
     reach = DOOR_REACH / lattice.cell_size + SLACK
     boxes = np.array([_box(opening.cells, lattice.width) for opening in openings])
     firsts, lasts = np.moveaxis(boxes.reshape(-1, 2, 2), 1, 0)

@@ -1,5 +1,9 @@
 """What is open: floor under the sky up to the edge of the grid."""
 
+from __future__ import annotations
+
+from typing import NamedTuple
+
 import numpy as np
 
 from navbake.baker.columns import Columns
@@ -14,6 +18,7 @@ from navbake.baker.rooms.spaces import WIDEST
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings
 from navbake.lazy import lazy
+from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int, Int32
 
 ndimage = lazy("scipy.ndimage")  # only windows of scenes need it
@@ -29,9 +34,23 @@ OPEN_SHARE = 0.5
 BEYOND = 0.5
 
 
+class Outdoors(NamedTuple):
+    """The segments of a level, and which of them are outdoors.
+
+    Attributes:
+        segment: of each cell; those that are outdoors and touch have the least number of all.
+        outdoors: the numbers of those that are outdoors.
+        asked_sky: whether it was asked above which cells there is nothing but the sky.
+    """
+
+    segment: Int32
+    outdoors: set[int]
+    asked_sky: bool
+
+
 def find_outdoors(
     segment: Int32, floor: Float, overhead: Overhead, agent: AgentSettings, scene: Scene
-) -> tuple[Int32, set[int]]:
+) -> Outdoors:
     """Find the segments of a level that are outdoors, and unite those that touch.
 
     They reach the edge of the grid (or floor beyond which there is nothing up to that edge, or
@@ -46,10 +65,6 @@ def find_outdoors(
         segment: the segment of each cell, 0 for none.
         floor: heights of the floor, of the same shape, NaN for none [m].
         scene: with its bounds, and ground that goes on beyond them.
-
-    Returns:
-        The segments, of which those that are outdoors and touch have the least number of all; and
-        the numbers of those that are outdoors.
     """
     lattice = overhead.columns.lattice
     count = int(segment.max(initial=0)) + 1
@@ -60,17 +75,14 @@ def find_outdoors(
     edge[edge] = ~_is_under_top(cell, floor, overhead.columns.at(cell))
     candidates = _longest_runs(segment, edge, count) * lattice.cell_size > EDGE_LENGTH
     if not candidates.any():
-        return segment, set()
+        return Outdoors(segment, set(), False)
     is_candidate = candidates[segment]
     cell = np.flatnonzero(is_candidate)
     number, top = segment.ravel()[cell], overhead.top[cell]
     is_open = top <= floor.ravel()[cell] + agent.height + SLACK
     if not is_open.all() and scene.bounds is not None:
         # a window of a larger scene cuts through rooms, and they go on beyond it
-        x0, y0, x1, y1 = lattice.bounds
-        (low_x, low_y), (high_x, high_y) = scene.bounds[:, :2]
-        more = np.array([[high_y - y1, y0 - low_y], [x0 - low_x, high_x - x1]])
-        end = is_candidate & _edge_cells(is_empty, more <= BEYOND * lattice.cell_size)
+        end = is_candidate & _edge_cells(is_empty, find_ends(lattice, scene.bounds))
         if end.any():
             away = ndimage.distance_transform_edt(~end).ravel()[cell]
             is_open |= away * lattice.cell_size <= EAVES
@@ -80,7 +92,15 @@ def find_outdoors(
     united = _unite_touching(segment, outdoors, steep)
     if outdoors.any() and len(scene.shapes.planes.geom):
         united[outdoors] = united[outdoors].min()
-    return united[segment], set(np.unique(united[outdoors]).tolist())
+    return Outdoors(united[segment], set(np.unique(united[outdoors]).tolist()), True)
+
+
+def find_ends(lattice: Lattice, bounds: Float) -> Bool:
+    """At which sides of a lattice the scene in a box ends: [[upper, lower], [left, right]]."""
+    x0, y0, x1, y1 = lattice.bounds
+    (low_x, low_y), (high_x, high_y) = bounds[:, :2]
+    more = np.array([[high_y - y1, y0 - low_y], [x0 - low_x, high_x - x1]])
+    return np.asarray(more <= BEYOND * lattice.cell_size)
 
 
 def _is_under_top(cell: Int, floor: Float, columns: Columns) -> Bool:

@@ -51,6 +51,7 @@ class Rooms:
         links: pairs of rooms of two levels between which a step leads.
         lattice: the cells.
         warnings: what the user should know, one line each.
+        asked_sky: whether they depend on which cells are under the sky, see `Outdoors`.
     """
 
     index: list[RoomIndex]
@@ -59,6 +60,7 @@ class Rooms:
     links: list[tuple[RoomKey, RoomKey]]
     lattice: Lattice
     warnings: list[str]
+    asked_sky: bool = False
 
     def room_at(self, level: int, cell: int) -> str | None:
         """The id of the room of a level's cell, counted on the whole lattice; None for none."""
@@ -122,7 +124,8 @@ def find_rooms(
     found = openings.find_openings(index, floors, agent.traversable_floor_height)
     links = openings.find_room_links(index, floors)
     table = name_neighbours(describe_rooms(index, named, floors, lattice), found, links, {})
-    return Rooms(index, table, found, links, lattice, assignment.warnings)
+    notes = assignment.warnings, assignment.asked_sky
+    return Rooms(index, table, found, links, lattice, *notes)
 
 
 class _Assignment:
@@ -135,6 +138,7 @@ class _Assignment:
         self._under = [np.zeros(mask.shape, dtype=np.int32) for mask in open_cells]
         self._rooms: list[NamedRoom] = []  # owners count from 1
         self.warnings: list[str] = []
+        self.asked_sky = False  # see `Outdoors`
 
     def add(self, marked: MarkedRooms, source: str, outdoors: Container[int] = ()) -> None:
         """Give the cells that have no room yet to the rooms of a source.
@@ -179,7 +183,8 @@ class _Assignment:
                 self._owner[number], segment = share_rest(
                     owner, segment, cell_size, settings.min_area
                 )
-            segment, outside = find_outdoors(segment, level.floor, overhead, agent, scene)
+            segment, outside, asked = find_outdoors(segment, level.floor, overhead, agent, scene)
+            self.asked_sky |= asked
             outdoors.update(room + len(names) for room in outside)
             labels.append(np.where(segment > 0, segment + len(names), 0))
             names += [None] * int(segment.max(initial=0))

@@ -81,7 +81,7 @@ class RoomMarkers:
         """
         model = self.scene.model
         names = names_at(model, model.name_geomadr.tolist())
-        chosen, warnings = _match(names, self.settings.geoms, DEFAULT_GEOMS, "geoms")
+        chosen, warnings = match_geoms(names, self.settings)
         labels = self._no_rooms()
         if not chosen:
             return MarkedRooms([], labels, warnings)
@@ -116,7 +116,7 @@ class RoomMarkers:
         model, lattice = self.scene.model, self.columns.lattice
         height, least = self.agent.height, self.settings.min_area
         names = names_at(model, model.name_siteadr.tolist())
-        chosen, warnings = _match(names, self.settings.sites, DEFAULT_SITES, "sites")
+        chosen, warnings = match_sites(names, self.settings)
         labels = self._no_rooms()
         kept: list[str | None] = []
         small: list[str] = []
@@ -180,6 +180,16 @@ def _upward_surfaces(
             found.append((cell, block.z[at], block.geom[at]))
     cells, heights, owners = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
     return cells, heights, owners
+
+
+def match_geoms(names: Sequence[str], settings: RoomSettings) -> tuple[list[int], list[str]]:
+    """The geoms that may mark rooms, by their names; and a warning for each unused pattern."""
+    return _match(names, settings.geoms, DEFAULT_GEOMS, "geoms")
+
+
+def match_sites(names: Sequence[str], settings: RoomSettings) -> tuple[list[int], list[str]]:
+    """The sites that may mark rooms, by their names; and a warning for each unused pattern."""
+    return _match(names, settings.sites, DEFAULT_SITES, "sites")
 
 
 def _match(

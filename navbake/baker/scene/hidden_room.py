@@ -43,14 +43,14 @@ class HiddenRoom:
         of a rock without a bottom. It has to be as large as a floor (`floors.min_area` after
         `floors.shrink`). Furniture is too small for that, which its box alone tells.
         """
-        if not self._is_large(geom):
+        if not self.is_large(geom):
             return False
         key = int(self._model.geom_dataid[geom]), self._data.geom_xmat[geom].tobytes()
         if key not in self._answers:
             self._answers[key] = self._look(geom)
         return self._answers[key]
 
-    def _is_large(self, geom: int) -> bool:
+    def is_large(self, geom: int) -> bool:
         """Whether an agent may find room in the box of a mesh."""
         mat = self._data.geom_xmat[geom].reshape(3, 3)
         if not np.isfinite(mat).all():

@@ -120,3 +120,12 @@ def data_with_joints(model: Any, data: Any, positions: Mapping[int, float]) -> A
         moved.qpos[model.jnt_qposadr[joint]] = position
     mujoco.mj_kinematics(model, moved)
     return moved
+
+
+def place_geoms(model: Any, data: Any) -> None:
+    """Place all geoms of a data by its joint positions and mocap bodies."""
+    try:
+        mujoco.mj_kinematics(model, data)
+    except (mujoco.FatalError, mujoco.UnexpectedError, ValueError) as error:
+        reason = " ".join(str(error).split())[:400]
+        raise SceneError(f"MuJoCo cannot take the pose: {reason}") from error

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,7 +109,7 @@ def load_scene(
     model, parts, ground, compiled, data = opened or open_file(settings, limits)
     with catch_warnings() as warned:
         data = pose_model(model, settings) if data is None else data
-    digest = run_beside(_digest, model, data, parts)
+    digest = run_beside(digest_scene, model, data, parts)
     lying = run_beside(_warn_lying, settings, parts)
     meshes = MeshTriangles(model)
     room = HiddenRoom(model, data, meshes, agent or AgentSettings(), floors or FloorSettings())
@@ -214,19 +214,51 @@ def _warn_lying(settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str
     ]
 
 
-def _digest(model: Any, data: Any, parts: dict[int, MeshPart]) -> str:
-    """sha256 of what the bake can see of a posed model, wherever it was loaded from."""
-    digest = hashlib.sha256()
-    for names in all_names(model).geoms:
-        digest.update("\0".join(names).encode() + b"\n")
-    for number, array in enumerate(_digest_arrays(model, data, parts)):
+class DigestedNames(NamedTuple):
+    """What the names of a model add to the digest of a scene; they never change.
+
+    Attributes:
+        geoms: the sha256 of the geoms' names, with which the digest begins.
+        sites, joints: their names, uint8.
+    """
+
+    geoms: Any
+    sites: NDArray[np.uint8]
+    joints: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, model: Any) -> "DigestedNames":
+        """Of a model."""
+        digest = hashlib.sha256()
+        for names in all_names(model).geoms:
+            digest.update("\0".join(names).encode() + b"\n")
+        sites, joints = (
+            np.frombuffer("\0".join(names_at(model, addresses.tolist())).encode(), dtype=np.uint8)
+            for addresses in (model.name_siteadr, model.name_jntadr)
+        )
+        return cls(digest, sites, joints)
+
+
+def digest_scene(
+    model: Any, data: Any, parts: dict[int, MeshPart], names: DigestedNames | None = None
+) -> str:
+    """sha256 of what the bake can see of a posed model, wherever it was loaded from.
+
+    Args:
+        names: the model's, where they are known.
+    """
+    names = names or DigestedNames.of(model)
+    digest = names.geoms.copy()
+    for number, array in enumerate(_digest_arrays(model, data, parts, names)):
         array = np.ascontiguousarray(array)
         digest.update(f"{number} {array.dtype.str} {array.shape}\n".encode())
         digest.update(array.reshape(-1).view(np.uint8).data)
-    return digest.hexdigest()
+    return str(digest.hexdigest())
 
 
-def _digest_arrays(model: Any, data: Any, parts: dict[int, MeshPart]) -> Iterator[NDArray[Any]]:
+def _digest_arrays(
+    model: Any, data: Any, parts: dict[int, MeshPart], names: DigestedNames
+) -> Iterator[NDArray[Any]]:
     yield from (model.geom_type, model.geom_size, model.geom_dataid, model.geom_bodyid)
     yield from (model.geom_contype, model.geom_conaffinity, model.geom_group)
     yield from (model.geom_rgba, model.geom_matid, model.mat_rgba)
@@ -237,9 +269,7 @@ def _digest_arrays(model: Any, data: Any, parts: dict[int, MeshPart]) -> Iterato
     yield from (model.jnt_type, model.jnt_bodyid, is_limited, model.jnt_range)
     yield from (model.jnt_pos, model.jnt_axis, model.jnt_qposadr, data.qpos)
     yield from (model.site_type, model.site_size, data.site_xpos, data.site_xmat)
-    for addresses in (model.name_siteadr, model.name_jntadr):
-        names = names_at(model, addresses.tolist())
-        yield np.frombuffer("\0".join(names).encode(), dtype=np.uint8)
+    yield from (names.sites, names.joints)
     yield from (model.mesh_vertadr, model.mesh_faceadr, model.mesh_vert, model.mesh_face)
     yield from (model.mesh_graphadr, model.mesh_graph)
     yield from (model.hfield_nrow, model.hfield_ncol, model.hfield_size, model.hfield_data)

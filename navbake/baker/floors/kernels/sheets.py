@@ -290,7 +290,7 @@ def grow_floor(lattice, start, height, floor, step):
             cell = queue[q]
             known = _list_beside(lattice, cell, floor, beside)
             heights = height[start[cell] : start[cell + 1]]
-            value[q] = _nearest_height(heights, beside[:known], step)
+            value[q] = nearest_height(heights, beside[:known], step)
         for q in range(end):
             queued[queue[q]] = False
             floor[queue[q]] = value[q]
@@ -323,7 +323,7 @@ def _list_beside(lattice, cell, floor, beside):
 
 
 @njit(inline="always")
-def _nearest_height(heights, beside, step):
+def nearest_height(heights, beside, step):
     """The height at which a floor goes on in a cell, or NaN."""
     best, best_gap = math.nan, step + SLACK
     for floor in beside:

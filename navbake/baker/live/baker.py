@@ -1,0 +1,227 @@
+"""Keeps the grid of a scene up to date while things in it move."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+import warnings
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from navbake.baker.arguments import LeftOut, take_input
+from navbake.baker.assemble import Standing, build_grid
+from navbake.baker.clock import StageClock
+from navbake.baker.live.doors import CandidateSearch
+from navbake.baker.live.following import FollowedScene, Moved
+from navbake.baker.live.not_local import NotLocal
+from navbake.baker.live.poses import Poses
+from navbake.baker.live.stages import LiveStages
+from navbake.baker.scene.scene import open_file
+from navbake.baker.stages import Stages, take_first_look
+from navbake.config.keywords import SettingKeywords
+from navbake.errors import BakeWarning
+from navbake.navgrid.grid import NavGrid
+from navbake.threads import limit_threads
+from navbake.types import Float, Int
+
+if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
+    from typing_extensions import Unpack
+
+LOG = logging.getLogger("navbake")
+
+
+class Changes(NamedTuple):
+    """What an update changed.
+
+    Attributes:
+        grid: the grid as it is now, `Baker.grid`.
+        cells: for each level, the ids of the cells whose floor, room, occupancy or weight is
+            another one, ascending, int64; id = col + row * width.
+        is_new: whether the grid's levels or their rectangles are others: then all cells are
+            listed.
+        reason: why the whole scene was baked again; empty where only what is near to what moved
+            was looked at.
+        seconds: how long it took.
+    """
+
+    grid: NavGrid
+    cells: list[Int]
+    is_new: bool
+    reason: str
+    seconds: float
+
+
+class Baker:
+    """Bakes a scene, and keeps its grid up to date while bodies move and joints turn.
+
+    `grid` is what `navbake.bake` makes of the scene in its pose of now, bit for bit. An update asks
+    again only what is near to what moved, as far as nothing else depends on it; see
+    ``docs/live.md``. Bodies with a free joint are part of the scene, where they stand.
+
+    Grids are never written to: each update makes a new one, which shares with the last what is the
+    same in both. So whoever holds a grid has a snapshot that stays as it is, and any thread may
+    read `grid` while another one updates. A `PathFinder` goes on answering about its own grid,
+    until its method `use` moves it to the new one.
+
+    Args:
+        scene, data, exclude, robot, settings: see `navbake.bake`.
+        threads: how many to use, >= 1; all cores if None.
+
+    Raises:
+        ConfigError: a setting is wrong.
+        SceneError: the scene cannot be read, or holds nothing to bake.
+
+    Example:
+        >>> baker = navbake.Baker("my_scene.xml", grid={"bounds": [0, 0, 8, 6]})
+        >>> finder = navbake.PathFinder(baker.grid)
+        >>> changes = baker.update(bodies={"chair_3": [2.0, 1.5, 0.0]})
+        >>> finder.use(changes.grid)
+    """
+
+    def __init__(
+        self,
+        scene: Any,
+        data: Any = None,
+        /,
+        *,
+        exclude: Mapping[str, Any] | None = None,
+        robot: Any = None,
+        threads: int | None = None,
+        **settings: Unpack[SettingKeywords],
+    ) -> None:
+        config, opened = take_input(scene, data, settings, LeftOut(exclude, robot))
+        opened = opened or open_file(config.scene)
+        self._config, self._opened, self._threads = config, opened, threads
+        self._lock = threading.Lock()
+        with limit_threads(threads):
+            first = take_first_look(config, StageClock(), opened=opened)
+            self._scene = FollowedScene(config, opened, first.scene)
+            self._poses = Poses(opened.model, first.scene.data, str(config.scene.path))
+            self._passes: list[LiveStages] | None = None
+            self._bake(first)
+            self._grid = self._build()
+        for warning in self._grid.warnings:
+            warnings.warn(warning, BakeWarning, stacklevel=2)
+
+    @property
+    def grid(self) -> NavGrid:
+        """The grid of the scene as it is now; each update makes a new one."""
+        return self._grid
+
+    @property
+    def model(self) -> Any:
+        """The scene's mujoco.MjModel."""
+        return self._opened.model
+
+    @property
+    def pose(self) -> tuple[Float, Float, Float]:
+        """Copies of the qpos, mocap_pos and mocap_quat of the data that is baked now."""
+        return self._poses.copy()
+
+    def update(
+        self,
+        data: Any = None,
+        *,
+        bodies: Mapping[str, ArrayLike] | None = None,
+        joints: Mapping[str, float] | None = None,
+    ) -> Changes:
+        """Bring the grid up to date.
+
+        Without arguments, it looks at the model again: a geom whose size, pose on its body, colour
+        or group was written there may have moved, appeared or vanished. What was written into
+        meshes and height fields isn't seen.
+
+        Args:
+            data: the mujoco.MjData whose joint positions and mocap bodies are the new pose; the
+                last pose if None.
+            bodies: bodies with a free joint, and mocap bodies, by name: x, y, z [m], or these and
+                a quaternion w, x, y, z; world frame.
+            joints: positions of hinges and slides, by name [rad or m].
+
+        Returns:
+            The new grid, and which cells changed.
+
+        Raises:
+            QueryError: there is no such body or joint, or a pose is no number.
+            ConfigError: the data is of another model, as when geoms were added to it.
+            SceneError: the scene as it is now holds nothing to bake; `grid` stays as it was.
+        """
+        begin = time.perf_counter()
+        with self._lock, limit_threads(self._threads):
+            pose = self._poses.take(data, bodies, joints)
+            moved = self._scene.pose(pose)
+            reason = self._follow(moved)
+            self._poses.keep()
+            self._scene.keep(moved.scene, np.flatnonzero(moved.every))
+            old, self._grid = self._grid, self._build()
+            cells, is_new = _compare(old, self._grid)
+            return Changes(self._grid, cells, is_new, reason, time.perf_counter() - begin)
+
+    def _follow(self, moved: Moved) -> str:
+        """Bring the stages up to date, or find them anew; returns why."""
+        passes, self._passes = self._passes, None
+        try:
+            if passes is None:
+                raise NotLocal("the last update failed")
+            differ = self._search.follow(moved.scene, moved.every)
+            for one in passes:
+                rejected = {candidate.id for candidate in one.stages.doors.rejected}
+                one.follow(moved, differ)
+                if rejected != {candidate.id for candidate in one.stages.doors.rejected}:
+                    raise NotLocal("another body is a door, or none any more")
+            self._passes = passes
+        except NotLocal as why:
+            LOG.debug("all is baked again: %s", why)
+            opened = self._opened._replace(data=moved.scene.data)
+            self._bake(take_first_look(self._config, StageClock(), opened=opened))
+            return str(why)
+        return ""
+
+    def _bake(self, first: Stages) -> None:
+        """Find all stages; see `settle_doors`."""
+        self._search = CandidateSearch(self._config, first.scene, first.candidates)
+        passes = [LiveStages(first)]
+        while rejected := passes[-1].stages.doors.rejected:
+            last = passes[-1].stages
+            kept = [candidate for candidate in last.candidates if candidate not in rejected]
+            passes.append(LiveStages(replace(last, candidates=kept)))
+        self._passes = passes
+
+    def _build(self) -> NavGrid:
+        assert self._passes is not None
+        live = self._passes[-1]
+        standing = None
+        if live.contents is not None:
+            contents = live.contents
+            named = None
+            if self._config.names.enabled:
+
+                def named(level: int, window: Any) -> Any:
+                    return contents.user_data(window)
+
+            standing = Standing(contents.notes(), named, live.floor_layers)
+        return build_grid(live.stages, standing)
+
+
+def _compare(old: NavGrid, new: NavGrid) -> tuple[list[Int], bool]:
+    """The cells that differ in any layer, by level; all where levels or lattices do."""
+    pairs = list(zip(old.levels, new.levels, strict=False))
+    is_new = len(old.levels) != len(new.levels)
+    is_new |= any(one.lattice != other.lattice for one, other in pairs)
+    if is_new:
+        return [np.arange(level.width * level.height) for level in new.levels], True
+    cells = []
+    for one, other in pairs:
+        # weights are what the occupancy says
+        differs = one.attributes["occupancy"] != other.attributes["occupancy"]
+        for name, layer in other.attributes.items():
+            before = one.attributes[name]
+            if name != "occupancy" and not np.may_share_memory(before, layer):
+                differs |= (before != layer) & ~((before != before) & (layer != layer))
+        cells.append(np.flatnonzero(differs))
+    return cells, False

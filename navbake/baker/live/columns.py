@@ -1,0 +1,298 @@
+"""The columns of a scene in which things move: only those near what moved are cast again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from navbake.baker.columns import Columns, TiledShapes, cast_points, tile_shapes
+from navbake.baker.cracks import Gaps, Moved, crack_cells, crack_reach, measure_cracks
+from navbake.baker.floors.sheets import agent_limits
+from navbake.baker.kernels.arrays import AgentLimits, Band, Crossings
+from navbake.baker.kernels.cracks import GapRoom
+from navbake.baker.kernels.hits import RIM
+from navbake.baker.kernels.tiles import TILE, tile_of
+from navbake.baker.live.kernels import pool as kernels
+from navbake.baker.live.kernels.cracks import list_gaps_in
+from navbake.baker.live.kernels.pool import Pool
+from navbake.baker.live.kernels.regions import cells_of_boxes, grow_cells, join_cells, near_tiles
+from navbake.baker.live.not_local import NotLocal
+from navbake.baker.scene.shapes import Shapes, Solids, Triangles
+from navbake.config.settings import BakeConfig
+from navbake.navgrid.lattice import Lattice
+from navbake.types import Bool, Float, Int, Int32
+
+# A pool has so much room more than it needs at first
+ROOM = 1.25
+
+
+class Scratch:
+    """Arrays over all cells that are as new after each use, so that none costs a pass over them."""
+
+    def __init__(self, lattice: Lattice) -> None:
+        cells = lattice.width * lattice.height
+        self.start = np.zeros(cells + 1, dtype=np.int64)  # means something where it was written
+        self.slot = np.zeros(cells + 1, dtype=np.int64)  # so does this
+        self.count = np.zeros(cells, dtype=np.int64)  # and this
+        self.local = np.full(cells, -1, dtype=np.int32)
+        self.flag = np.zeros(cells, dtype=np.bool_)
+        self.floor = np.full(cells, np.nan)
+        self.ceiling = np.full(cells, np.nan)
+
+
+class Region(NamedTuple):
+    """The columns of some cells.
+
+    Attributes:
+        cells: ids, ascending, shape (n,), int64.
+        columns: numbered as the cells are.
+        place: where in the pool each crossing is, int64; empty where they aren't from there.
+    """
+
+    cells: Int
+    columns: Crossings
+    place: Int
+
+    def number(self, cells: Int) -> Int:
+        """The numbers of some of the region's cells."""
+        return np.searchsorted(self.cells, cells)
+
+    def by_id(self, scratch: Scratch) -> Crossings:
+        """The columns by cell id; the last such is the only one that holds."""
+        kernels.point_at(self.cells, self.columns.start, scratch.start)
+        return self.columns._replace(start=scratch.start)
+
+
+class Asked(NamedTuple):
+    """Cells whose columns may have changed, ascending.
+
+    Attributes:
+        cells: those whose line in the centre is cast again.
+        region: those in which cracks are looked for again.
+        every: both.
+    """
+
+    cells: Int
+    region: Int
+    every: Int
+
+
+class Boxed(NamedTuple):
+    """Triangles' corners, shape (n, 3, 3), and their boxes, (n, 6) [m]."""
+
+    corners: Float
+    boxes: Float
+
+
+class LiveColumns:
+    """The columns of all cells, of which some can be replaced."""
+
+    def __init__(self, config: BakeConfig, columns: Columns, moved: Moved) -> None:
+        self.lattice, self.scratch = columns.lattice, Scratch(columns.lattice)
+        self._crack = config.floors.crack
+        self._limits = agent_limits(config.agent)
+        self._known: Boxed | None = None
+        self._is_cracked = np.zeros(len(columns.start) - 1, dtype=np.bool_)
+        self._is_cracked[moved.cells] = True
+        self._fill(columns.crossings)
+
+    def _fill(self, crossings: Crossings, sheet: Int32 | None = None) -> None:
+        count = np.diff(crossings.start).astype(np.int32)
+        self.used = len(crossings.z)
+        room = int(self.used * ROOM) + 10_000
+
+        def widen(array: Any) -> Any:
+            wide = np.empty((room, *array.shape[1:]), dtype=array.dtype)
+            wide[: self.used] = array
+            return wide
+
+        _, z, normal, geom, closed = crossings
+        none = np.full(self.used, -1, dtype=np.int32)
+        layers = widen(z), widen(normal), widen(geom), widen(closed)
+        sheets = widen(none if sheet is None else sheet)
+        self.pool = Pool(crossings.start[:-1].copy(), count, *layers, sheets)
+
+    def gather(self, cells: Int) -> Region:
+        """The columns of some cells, ascending."""
+        return Region(cells, *kernels.gather(self.pool, cells))
+
+    def all(self) -> Columns:
+        """The columns of all cells."""
+        return Columns(self.lattice, self.gather(np.arange(len(self.pool.first))).columns)
+
+    def near(self, shapes: Shapes, cells: Int, reach: float, heights: Band) -> TiledShapes:
+        """The part of the geometry that is near some cells, listed by tiles; all planes.
+
+        Args:
+            reach: how far beyond its centre a cell looks for geometry [m].
+            heights: below and above all geometry [m].
+        """
+        lattice, solids, triangles = self.lattice, shapes.solids, shapes.triangles
+        summed = np.zeros((-(-lattice.height // TILE) + 1, -(-lattice.width // TILE) + 1), np.int64)
+        tile = np.unique(tile_of(lattice, cells))
+        rows, cols = np.divmod(tile, summed.shape[1] - 1)
+        summed[rows + 1, cols + 1] = 1
+        np.cumsum(summed, axis=0, out=summed)
+        np.cumsum(summed, axis=1, out=summed)
+        masks = []
+        for boxes in (solids.bounds, self._boxes_of(triangles)):
+            masks.append(np.empty(len(boxes), dtype=np.bool_))
+            near_tiles(boxes, reach, lattice, TILE, summed, masks[-1])
+        of_solids, of_triangles = map(np.flatnonzero, masks)
+        part = replace(
+            shapes,
+            solids=Solids._make(array[of_solids] for array in solids),
+            triangles=Triangles._make(array[of_triangles] for array in triangles),
+        )
+        tiled = tile_shapes(part, lattice, reach)
+        tiled.__dict__["heights"] = heights
+        return tiled
+
+    def _boxes_of(self, triangles: Triangles) -> Float:
+        """Boxes round triangles; only those of other corners than the last time are new."""
+        corners, known = triangles.corners, self._known
+        if known is None or len(known.corners) != len(corners):
+            self._known = known = Boxed(corners, _boxes(corners))
+        elif known.corners is not corners:
+            rows = np.flatnonzero((known.corners != corners).any(axis=(1, 2)))
+            known.boxes[rows] = _boxes(corners[rows])
+            self._known = known = Boxed(corners, known.boxes)
+        return known.boxes
+
+    def asked(self, boxes: Float) -> Asked:
+        """The cells whose columns may be others when the geometry in boxes is, (n, 6) [m]."""
+        cells = cells_of_boxes(self.lattice, boxes, RIM, self.scratch.flag)
+        if self._crack == 0:
+            return Asked(cells, cells, cells)
+        region = self._region_of_cracks(boxes)
+        again = join_cells(cells, region[self._is_cracked[region]])
+        return Asked(again, region, join_cells(again, region))
+
+    def cast(self, tiled: TiledShapes, asked: Asked) -> Region:
+        """Cast columns again, and close cracks again there; gives those that are others now.
+
+        Args:
+            tiled: what there is now near `asked.every`.
+        """
+        centers = self.lattice.positions(*np.divmod(asked.cells, self.lattice.width))
+        fresh = cast_points(tiled, asked.cells, centers)
+        is_cracked = np.zeros(len(asked.region), dtype=np.bool_)
+        found = Region(asked.cells, fresh, np.empty(0, np.int64))
+        if self._crack > 0:
+            found = self._close_cracks(asked, fresh, tiled, is_cracked)
+        self._is_cracked[asked.region] = is_cracked
+        is_new = np.empty(len(found.cells), dtype=np.bool_)
+        kernels.differs(self.pool, found.cells, found.columns, is_new)
+        return _only(found, is_new)
+
+    def check_planes(self, shapes: Shapes, old: Band, new: Band) -> None:
+        """NotLocal where level planes are crossed at other heights by lines that begin elsewhere.
+
+        They are so by rounding alone, as `heights` of all geometry changes.
+        """
+        planes = shapes.only(np.isin(np.arange(len(shapes.endless)), shapes.planes.geom))
+        cell = np.zeros(1, dtype=np.int64)
+        center = self.lattice.positions([0], [0])
+
+        def cast(heights: Band) -> Float:
+            tiled = tile_shapes(planes, self.lattice, 0.0)
+            tiled.__dict__["heights"] = heights
+            return cast_points(tiled, cell, center).z
+
+        if not np.array_equal(cast(old), cast(new)):
+            raise NotLocal("lines cross a plane at another height, by rounding")
+
+    def put(self, region: Region, sheet: Int32) -> None:
+        """Replace columns, with the sheet of each surface, -1 for none."""
+        if self.used + len(sheet) > len(self.pool.z):
+            kept, place = kernels.gather(self.pool, np.arange(len(self.pool.first)))
+            self._fill(kept, self.pool.sheet[place])
+        kernels.put(self.pool, region.cells, region.columns, sheet, self.used)
+        self.used += len(sheet)
+
+    def _region_of_cracks(self, boxes: Float) -> Int:
+        """The cells in which cracks may be others, with all that decide together with them."""
+        lattice, flag, reach = self.lattice, self.scratch.flag, self._crack_cells
+        near = cells_of_boxes(lattice, boxes, crack_reach(self._crack), flag)
+        region: Int = grow_cells(lattice.width, lattice.height, near, reach, flag)
+        while True:
+            around = grow_cells(lattice.width, lattice.height, region, reach, flag)
+            joined = join_cells(region, around[self._is_cracked[around]])
+            if len(joined) == len(region):
+                return region
+            region = joined
+
+    @property
+    def _crack_cells(self) -> int:
+        """How far the nearest line beyond a crack may be, in cells."""
+        return crack_cells(self._crack, self.lattice)
+
+    def _close_cracks(
+        self, asked: Asked, fresh: Crossings, tiled: TiledShapes, is_cracked: Bool
+    ) -> Region:
+        """`close_cracks` in a region; marks the cells that get another line."""
+        lattice, reach, (again, region, every) = self.lattice, self._crack_cells, asked
+        around = grow_cells(lattice.width, lattice.height, region, reach, self.scratch.flag)
+        around = join_cells(around, again)
+        raw, _ = kernels.gather(self.pool, around)
+        raw = kernels.replace_columns(raw, np.searchsorted(around, again), fresh)
+        whole = Region(around, raw, np.empty(0, np.int64))
+        gaps = self._list_gaps(whole, region)
+        if len(gaps.cell):
+            cells, candidates = measure_cracks(gaps, tiled, self._limits, self._crack)
+            if len(cells):
+                is_cracked[np.searchsorted(region, cells)] = True
+                whole = self._replace_by_best(whole, tiled, region, cells, candidates)
+        columns = _take(whole.columns, whole.number(every))
+        return Region(every, columns, np.empty(0, np.int64))
+
+    def _list_gaps(self, whole: Region, asked: Int) -> Gaps:
+        none = np.empty(0)
+        stands = np.empty(len(whole.columns.z), dtype=np.bool_)
+        room = GapRoom(stands, none, np.empty(0, np.int64), none, none)
+        columns = whole.by_id(self.scratch)
+        limits: AgentLimits = self._limits
+        asks = self.lattice, columns, limits, self._crack_cells, room
+        return Gaps(*list_gaps_in(*asks, whole.cells, asked))
+
+    def _replace_by_best(
+        self, whole: Region, tiled: TiledShapes, region: Int, cells: Int, candidates: Float
+    ) -> Region:
+        """The region with the line in each cell that leaves the fewest gaps; see `close_cracks`."""
+        best = candidates[:, 0].copy()
+        fewest = np.full(len(cells), np.iinfo(np.int64).max)
+        centers = self.lattice.positions(*np.divmod(cells, self.lattice.width))
+        numbers = whole.number(cells)
+
+        def replaced(offset: Float) -> Region:
+            new = cast_points(tiled, cells, centers + offset)
+            return whole._replace(columns=kernels.replace_columns(whole.columns, numbers, new))
+
+        for offset in candidates.swapaxes(0, 1):
+            asked = (fewest > 0) & ~np.isnan(offset[:, 0])
+            if not asked.any():
+                continue
+            gaps = self._list_gaps(replaced(np.where(asked[:, None], offset, best)), region)
+            place = np.searchsorted(cells, gaps.cell).clip(max=len(cells) - 1)
+            place = place[cells[place] == gaps.cell]
+            left = np.bincount(place, minlength=len(cells))
+            better = asked & (left < fewest)
+            best[better], fewest[better] = offset[better], left[better]
+        return replaced(best)
+
+
+def _only(region: Region, kept: Bool) -> Region:
+    return Region(region.cells[kept], _take(region.columns, np.flatnonzero(kept)), region.place)
+
+
+def _take(columns: Crossings, numbers: Int) -> Crossings:
+    counts = np.diff(columns.start)[numbers]
+    start = np.concatenate([[0], np.cumsum(counts)])
+    taken = np.repeat(columns.start[numbers] - start[:-1], counts) + np.arange(start[-1])
+    return Crossings(start, *(part[taken] for part in columns[1:]))
+
+
+def _boxes(corners: Float) -> Float:
+    return np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)

@@ -1,0 +1,175 @@
+"""A scene whose geoms moved: what moved, and the scene as it is now."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from navbake.baker.kernels.constants import MESH
+from navbake.baker.scene.collect import collect_shapes
+from navbake.baker.scene.hidden_room import HiddenRoom
+from navbake.baker.scene.model import OpenScene
+from navbake.baker.scene.scene import DigestedNames, Scene, digest_scene, load_scene
+from navbake.baker.scene.shapes import Shapes, Solids, Triangles
+from navbake.config.settings import BakeConfig
+from navbake.types import Bool, Float, Int
+
+# What of a model decides which geoms count, as what, and how large they are; users write there
+CHOOSING = (
+    "geom_type", "geom_size", "geom_dataid", "geom_contype", "geom_conaffinity", "geom_group",
+    "geom_rgba", "geom_matid", "mat_rgba",
+)  # fmt: skip
+
+
+class Moved(NamedTuple):
+    """What is different in a scene.
+
+    Attributes:
+        scene: as it is now.
+        geoms: ids of the geoms that count now or did, and whose geometry differs, ascending.
+        boxes: the boxes of the geometry that they had and have, shape (n, 6) [m].
+        box_geom: the geom of each box, shape (n,).
+        every: all geoms that moved, whether they count or not, shape (ngeom,), bool.
+    """
+
+    scene: Scene
+    geoms: Int
+    boxes: Float
+    box_geom: Int
+    every: Bool
+
+
+class FollowedScene:
+    """A scene of one model, in one pose after the other.
+
+    Args:
+        opened: the model.
+        scene: in its first pose.
+    """
+
+    def __init__(self, config: BakeConfig, opened: OpenScene, scene: Scene) -> None:
+        self._config, self._opened = config, opened
+        self._names = DigestedNames.of(opened.model)
+        self._first = scene
+        self._is_large = np.zeros(opened.model.ngeom, dtype=np.bool_)
+        self.keep(scene, np.arange(opened.model.ngeom))
+
+    def keep(self, scene: Scene, moved: Int) -> None:
+        """Take a scene for the one that the next pose is compared with; `moved` are geoms' ids."""
+        model = scene.model
+        self.scene = scene
+        self._chosen = [np.array(getattr(model, name)) for name in CHOOSING]
+        self._poses = _poses_of(scene.data)
+        room = self._room(scene.data)
+        for geom in moved[model.geom_type[moved] == MESH].tolist():
+            self._is_large[geom] = room.is_large(geom)
+
+    def _room(self, data: Any) -> HiddenRoom:
+        scene, config = self._first, self._config
+        return HiddenRoom(scene.model, data, scene.meshes, config.agent, config.floors)
+
+    def pose(self, data: Any) -> Moved:
+        """Find what moved in a pose; `keep` makes it the one that the next is compared with.
+
+        Args:
+            data: a mujoco.MjData of the model, with all geoms placed.
+
+        Raises:
+            SceneError: a geom that counts stands at no finite place.
+        """
+        was, model = self.scene, self.scene.model
+        moved = np.flatnonzero((_poses_of(data) != self._poses).any(axis=1))
+        choices_hold = all(
+            np.array_equal(known, getattr(model, name))
+            for known, name in zip(self._chosen, CHOOSING, strict=True)
+        )
+        if not choices_hold or self._may_count_otherwise(moved, data):
+            return self._load(data)
+        counted = np.array([geom for geom in moved.tolist() if was.choices[geom].counted], np.int64)
+        parts = was.parts
+        shapes, boxes, owner = was.shapes, np.empty((0, 6)), np.empty(0, dtype=np.int64)
+        if len(counted):
+            asked = counted.tolist()
+            new = collect_shapes(model, data, was.choices, parts, asked, was.meshes).shapes
+            mask = np.zeros(model.ngeom, dtype=np.bool_)
+            mask[counted] = True
+            shapes = _with(was.shapes, new, mask)
+            boxes, owner = _join_boxes(was.shapes.only(mask), new)
+        scene = replace(
+            was,
+            shapes=shapes,
+            bounds=shapes.bounds() if len(counted) else was.bounds,
+            digest=digest_scene(model, data, parts, self._names),
+            data=data,
+        )
+        every = np.zeros(model.ngeom, dtype=np.bool_)
+        every[moved] = True
+        return Moved(scene, counted, boxes, owner, every)
+
+    def _may_count_otherwise(self, moved: Int, data: Any) -> bool:
+        """Whether a mesh moved that is so large that its pose decides as what it counts."""
+        meshes = moved[self.scene.model.geom_type[moved] == MESH]
+        if not len(meshes):
+            return False
+        room = self._room(data)
+        return any(self._is_large[geom] or room.is_large(geom) for geom in meshes.tolist())
+
+    def _load(self, data: Any) -> Moved:
+        """Choose the geoms that count again."""
+        config, was = self._config, self.scene
+        opened = self._opened._replace(data=data)
+        scene = load_scene(config.scene, config.agent, config.floors, opened=opened)
+        every = np.ones(scene.model.ngeom, dtype=np.bool_)
+        boxes = _join_boxes(was.shapes, scene.shapes)
+        return Moved(scene, np.flatnonzero(every), *boxes, every)
+
+
+def _poses_of(data: Any) -> Float:
+    return np.hstack([data.geom_xpos, data.geom_xmat])
+
+
+def _with(shapes: Shapes, new: Shapes, changed: Bool) -> Shapes:
+    """The shapes with new ones in place of those of the geoms that are marked."""
+    solids, planes, triangles = shapes.solids, shapes.planes, shapes.triangles
+    if len(new.solids.geom):
+        at = np.searchsorted(solids.geom, new.solids.geom)
+        solids = Solids(*(_put(old, at, now) for old, now in zip(solids, new.solids, strict=True)))
+    if len(new.planes.geom):
+        at = np.searchsorted(planes.geom, new.planes.geom)
+        pos, mat = _put(planes.pos, at, new.planes.pos), _put(planes.mat, at, new.planes.mat)
+        planes = planes._replace(pos=pos, mat=mat)
+    if len(new.triangles.geom):
+        here = np.flatnonzero(changed[triangles.geom])
+        triangles = Triangles(
+            *(_put(old, here, now) for old, now in zip(triangles, new.triangles, strict=True))
+        )
+    return Shapes(solids, planes, triangles, shapes.endless)
+
+
+def _put(old: Any, at: Int, new: Any) -> Any:
+    copy = old.copy()
+    copy[at] = new
+    return copy
+
+
+def _join_boxes(*shapes: Shapes) -> tuple[Float, Int]:
+    found = [boxes_of(one) for one in shapes]
+    boxes, owner = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+    return boxes, owner
+
+
+def boxes_of(shapes: Shapes) -> tuple[Float, Int]:
+    """Boxes round the geometry, one a geom, (n, 6) [m], endless for planes; and the geoms."""
+    solids, triangles, planes = shapes.solids, shapes.triangles, shapes.planes
+    boxes, owner = [solids.bounds], [solids.geom.astype(np.int64)]
+    if len(triangles.geom):
+        first = np.flatnonzero(np.diff(triangles.geom, prepend=np.int32(-1)))
+        low = np.minimum.reduceat(triangles.corners.min(axis=1), first)
+        high = np.maximum.reduceat(triangles.corners.max(axis=1), first)
+        boxes.append(np.concatenate([low, high], axis=1))
+        owner.append(triangles.geom[first].astype(np.int64))
+    boxes.append(np.tile(np.repeat([-np.inf, np.inf], 3), (len(planes.geom), 1)))
+    owner.append(planes.geom.astype(np.int64))
+    return np.concatenate(boxes), np.concatenate(owner)

@@ -1,0 +1,115 @@
+"""Sheets of surfaces in a region: their parts there, and how far a part goes on outside.
+
+Connected components by union-find in the region; outside, breadth-first search on the pool.
+"""
+
+import numpy as np
+from numba import njit
+
+from navbake.baker.floors.kernels.enclosed import find_holders
+from navbake.baker.floors.kernels.sheets import mark_surfaces, neighbour
+from navbake.baker.kernels.constants import SLACK
+from navbake.navgrid.kernels.union_find import find_root, unite
+
+
+@njit(cache=True)
+def mark_region(lattice, cells, crossings, planes, limits, floor_like, standable, count):
+    """`mark_surfaces` for some cells alone; `crossings.start` and `count` are by cell id."""
+    for cell in cells:
+        mark_surfaces(
+            lattice, crossings, planes, limits, floor_like, standable, count, cell, cell + 1
+        )
+
+
+@njit(cache=True)
+def hold_region(lattice, cells, crossings, planes, limits, holder):
+    """`find_holders` for some cells alone; ``crossings.start`` is by cell id."""
+    for cell in cells:
+        find_holders(lattice, crossings, planes, limits, holder, cell, cell + 1)
+
+
+@njit(cache=True)
+def label_region(lattice, cells, start, z, standable, step, local):
+    """The connected part of each standable surface of a region, (n,) int64, -1 for the others.
+
+    Neighbours hang together that are at most a step apart. `start` is by number of the region's
+    cells; `local`, (all cells,) int32, is -1 everywhere, and so again afterwards. Returns also how
+    many parts there are; they are numbered by their first surfaces.
+    """
+    for n in range(cells.shape[0]):
+        local[cells[n]] = n
+    parent = np.arange(z.shape[0])
+    for n in range(cells.shape[0]):
+        for way in range(2):
+            other = neighbour(lattice, cells[n], way)
+            if other < 0 or local[other] < 0:
+                continue
+            m = local[other]
+            for a in range(start[n], start[n + 1]):
+                for b in range(start[m], start[m + 1]):
+                    if standable[a] and standable[b] and abs(z[a] - z[b]) <= step + SLACK:
+                        unite(parent, a, b)
+    part, num = np.full(z.shape[0], -1), 0
+    for i in range(z.shape[0]):
+        if not standable[i]:
+            continue
+        root = find_root(parent, i)
+        if root == i:
+            part[i] = num
+            num += 1
+        else:
+            part[i] = part[root]
+    for cell in cells:
+        local[cell] = -1
+    return part, num
+
+
+@njit(cache=True)
+def explore(lattice, pool, step, cells, places, sheet, mark, most):
+    """Go from some surfaces to all of their sheet that hang together with them.
+
+    Args:
+        cells, places: the cells of the surfaces to begin with, and their places in the pool.
+        sheet: only surfaces of it are gone to.
+        mark: by place in the pool, int32; what is 0 is free, and gets the first surface's mark.
+            Where another mark is met, that ends the search.
+        most: how many surfaces are visited at most.
+
+    Returns:
+        The mark that was met, 0 for none, or -1 where there are more surfaces than `most`; and
+        cells and places of the visited surfaces.
+    """
+    own = mark[places[0]]
+    room = max(4 * places.shape[0], 1024)
+    queue_cell, queue_place = np.empty(room, np.int64), np.empty(room, np.int64)
+    end = places.shape[0]
+    queue_cell[:end], queue_place[:end] = cells, places
+    begin, met = 0, 0
+    while begin < end and met == 0:
+        cell, z = queue_cell[begin], pool.z[queue_place[begin]]
+        begin += 1
+        for way in range(4):
+            other = neighbour(lattice, cell, way)
+            if other < 0:
+                continue
+            for j in range(pool.first[other], pool.first[other] + pool.length[other]):
+                if pool.sheet[j] != sheet or abs(pool.z[j] - z) > step + SLACK:
+                    continue
+                if mark[j] == own:
+                    continue
+                if mark[j] != 0:
+                    met = mark[j]
+                    break
+                if end == queue_cell.shape[0]:
+                    larger_cell, larger_place = (
+                        np.empty(2 * end, np.int64),
+                        np.empty(2 * end, np.int64),
+                    )
+                    larger_cell[:end], larger_place[:end] = queue_cell, queue_place
+                    queue_cell, queue_place = larger_cell, larger_place
+                mark[j] = own
+                queue_cell[end], queue_place[end] = other, j
+                end += 1
+        if end > most and met == 0:
+            met = -1
+    return met, queue_cell[:end].copy(), queue_place[:end].copy()

@@ -1,0 +1,216 @@
+"""A Baker's grid is a fresh bake's, bit for bit, whatever moved."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import warnings
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import navbake
+from differences import first_difference
+from navbake.baker.live.floors import LiveFloors
+
+sys.path.insert(0, str(Path(__file__).parents[3] / "scripts"))
+
+from sweep_moves import ROOM, make_model, sweep
+
+pytestmark = pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
+
+OPEN_ROOM = """
+<mujoco><worldbody>
+  <geom name="floor" type="box" pos="2 2 -0.1" size="2 2 0.1"/>
+  <geom name="pillar" type="box" pos="0.2 0.2 1.25" size="0.2 0.2 1.25"/>
+  <body name="chair" pos="1 1 0.45"><freejoint/><geom type="box" size="0.2 0.2 0.45"/></body>
+  <body name="fixed" pos="3 3 0.3"><geom name="box" type="box" size="0.2 0.2 0.3"/></body>
+  <body name="person" mocap="true" pos="3 1 0.6"><geom type="cylinder" size="0.2 0.6"/></body>
+</worldbody></mujoco>
+"""
+
+
+def fresh(baker: navbake.Baker, **settings) -> navbake.SceneGrid2D:
+    """A bake of a baker's model as it is now."""
+    data = mujoco.MjData(baker.model)
+    data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = baker.pose
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return navbake.bake(baker.model, data, **settings)
+
+
+def open_room(**settings) -> navbake.Baker:
+    return navbake.Baker(mujoco.MjModel.from_xml_string(OPEN_ROOM), **settings)
+
+
+@pytest.mark.parametrize(
+    ("scene", "moves"), [("room", 25), ("bridge", 6), ("apartment", 4), ("house", 2)]
+)
+def test_updates_equal_fresh_bakes(scene, moves):
+    found, reasons = sweep(scene, moves, seed=3)
+    assert found is None
+    assert scene != "room" or reasons[""] >= moves // 3
+
+
+def test_only_what_is_near_is_looked_at(monkeypatch):
+    baker = open_room()
+    asked = []
+    follow = LiveFloors.follow
+
+    def spy(self, changed, touched, planes):
+        asked.append(len(touched))
+        return follow(self, changed, touched, planes)
+
+    monkeypatch.setattr(LiveFloors, "follow", spy)
+    changes = baker.update(bodies={"chair": [1.5, 1.2, 0.45]})
+    assert changes.reason == ""
+    assert asked and asked[0] < 250  # of 1,600 cells
+    assert first_difference(changes.grid, fresh(baker)) is None
+
+
+def test_changes_list_the_cells_that_differ():
+    baker = open_room()
+    before = baker.grid
+    changes = baker.update(bodies={"chair": [1.5, 1.2, 0.45]})
+    assert changes.grid is baker.grid
+    assert changes.grid is not before
+    differs = before.occupancy != changes.grid.occupancy
+    assert np.array_equal(changes.cells[0], np.flatnonzero(differs))
+    assert differs.any()
+    assert not changes.is_new
+    nothing = baker.update()
+    assert nothing.cells[0].size == 0
+
+
+def test_a_snapshot_stays_as_it_was():
+    baker = open_room()
+    first = baker.grid
+    weights = first.weights.copy()
+    names = fresh(baker).user_data
+    for x in (1.4, 1.8, 2.2):
+        baker.update(bodies={"chair": [x, 1.2, 0.45]})
+    assert np.array_equal(first.weights, weights)
+    # names are made when someone looks at them, of what stood there then
+    assert dict(first.user_data) == dict(names)
+
+
+def test_readers_see_whole_grids_while_one_writes():
+    baker = open_room()
+    known = [baker.grid]
+    broken, stop = [], threading.Event()
+
+    def read():
+        while not stop.is_set():
+            grid = baker.grid
+            if not np.array_equal(np.isinf(grid.weights), grid.occupancy != 0):
+                broken.append(grid)
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    for step in range(20):
+        known.append(baker.update(bodies={"chair": [1 + step * 0.05, 1.2, 0.45]}).grid)
+    stop.set()
+    reader.join()
+    assert not broken
+    assert len({id(grid) for grid in known}) == len(known)
+
+
+def test_a_geom_vanishes_and_appears():
+    baker = open_room()
+    geom = baker.model.geom("box").id
+    occupied = int(baker.grid.occupancy.sum())
+    for shown in (0, 1):
+        baker.model.geom_contype[geom] = baker.model.geom_conaffinity[geom] = shown
+        changes = baker.update()
+        assert first_difference(changes.grid, fresh(baker)) is None
+        assert (int(changes.grid.occupancy.sum()) == occupied) == bool(shown)
+
+
+def test_a_body_leaves_the_grid_and_comes_back():
+    settings = {"grid": {"bounds": [0, 0, 4, 4]}}
+    baker = open_room(**settings)
+    for place in ([30.0, 1.0, 0.45], [1.0, 2.0, 0.45]):
+        changes = baker.update(bodies={"chair": place})
+        assert first_difference(changes.grid, fresh(baker, **settings)) is None
+
+
+def test_a_mocap_body_and_a_door_follow():
+    bodies = (
+        '<body name="thing" pos="1 1 0.4"><freejoint/><geom type="box" size="0.2 0.2 0.4"/></body>'
+    )
+    baker = navbake.Baker(mujoco.MjModel.from_xml_string(ROOM.format(bodies=bodies)))
+    for update in ({"bodies": {"mocap": [2, 2, 0.6]}}, {"joints": {"hinge": 1.2}}):
+        changes = baker.update(**update)
+        assert first_difference(changes.grid, fresh(baker)) is None
+        assert changes.cells[0].size > 0
+    assert [door.id for door in baker.grid.doors] == ["door"]
+
+
+def test_a_data_is_followed():
+    baker = open_room()
+    data = mujoco.MjData(baker.model)
+    data.qpos[0] += 0.5
+    changes = baker.update(data)
+    assert first_difference(changes.grid, fresh(baker)) is None
+    assert changes.cells[0].size > 0
+
+
+def test_a_finder_moves_to_the_new_grid():
+    baker = open_room()
+    finder = navbake.PathFinder(baker.grid)
+    assert finder.is_navigable([2.0, 2.0, 0.0])
+    grid = baker.update(bodies={"chair": [2.0, 2.0, 0.45]}).grid
+    assert finder.is_navigable([2.0, 2.0, 0.0])
+    finder.use(grid)
+    assert not finder.is_navigable([2.0, 2.0, 0.0])
+    assert finder.find_path([1.0, 2.0, 0.0], [3.5, 2.0, 0.0]) is not None
+
+
+BAD = {
+    "no body 'chiar'.*did you mean 'chair'": {"bodies": {"chiar": [0, 0, 0]}},
+    "pose of body 'chair', got NaN": {"bodies": {"chair": [0, np.nan, 0]}},
+    "expected x, y, z .* of body 'chair'": {"bodies": {"chair": [0, 0]}},
+    "quaternion of body 'chair' that is not 0": {"bodies": {"chair": [0, 0, 0, 0, 0, 0, 0]}},
+    "body 'fixed' can't be placed: it has no free joint": {"bodies": {"fixed": [0, 0, 0]}},
+    "no joint 'hinge' in the scene": {"joints": {"hinge": 0.1}},
+}
+
+
+@pytest.mark.parametrize("message", BAD)
+def test_wrong_poses_are_refused(message):
+    baker = open_room()
+    before = baker.grid
+    with pytest.raises(navbake.QueryError, match=message):
+        baker.update(**BAD[message])
+    assert baker.grid is before
+    assert first_difference(baker.update().grid, before) is None
+
+
+def test_a_data_of_another_model_is_refused():
+    baker = open_room()
+    more = OPEN_ROOM.replace('<body name="fixed"', '<geom size="0.1"/><body name="fixed"')
+    data = mujoco.MjData(mujoco.MjModel.from_xml_string(more))
+    with pytest.raises(navbake.ConfigError, match=r"ngeom = 5.*got 6"):
+        baker.update(data)
+    data = mujoco.MjData(baker.model)
+    data.qpos[1] = np.nan
+    with pytest.raises(navbake.QueryError, match="pose of body 'chair', got NaN"):
+        baker.update(data)
+
+
+def test_after_a_pose_without_a_floor_all_is_baked_again():
+    model, _ = make_model("bridge")
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body name="floor"><freejoint/>'
+        '<geom type="box" size="2 2 0.1"/></body></worldbody></mujoco>'
+    )
+    baker = navbake.Baker(model)
+    before = baker.grid
+    with pytest.raises(navbake.SceneError, match="no floor"):
+        baker.update(bodies={"floor": [0, 0, 0, 0.7071, 0.7071, 0, 0]})
+    assert baker.grid is before
+    changes = baker.update(bodies={"floor": [0, 0, 0, 1, 0, 0, 0]})
+    assert changes.reason
+    assert first_difference(changes.grid, fresh(baker)) is None
