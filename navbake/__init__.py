@@ -85,6 +85,8 @@ _MODULES = ("samples", "tensors")  # of navbake, loaded when they are first aske
 
 # where the functions behind methods of grids and voxels are
 OPERATIONS |= {
+    "grid._repr_html_": "navbake.views.notebook:show_html",
+    "grid._repr_png_": "navbake.views.notebook:draw_png",
     "grid.at": "navbake.runtime.places.place:place_at",
     "grid.block": "navbake.runtime.blocks.block:block",
     "grid.describe_cell": "navbake.views.why:describe_cell",

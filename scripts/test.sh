@@ -22,4 +22,5 @@ mypy
 python -m pytest -rs "$@" # -rs lists what was skipped, and why
 if [ -n "$missing" ]; then
     echo "$0: skipped the tests that need $missing" >&2
+    echo "$0: jax and torch come with: .venv/bin/pip install -e '.[tensors-test]'" >&2
 fi

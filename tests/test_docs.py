@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import re
 import shlex
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +23,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").g
 PICTURES = sorted((ROOT / "docs" / "pictures").glob("*.png"))
 MAX_README_WORDS = 700
 MAX_PICTURE_BYTES = 150_000
+FRAMEWORKS = ("gymnasium", "jax", "mujoco.mjx", "torch")
 COMMANDS: Any = typer.main.get_command(app)
 UsageError = typer.BadParameter.__base__  # click may be a part of typer, or not
 
@@ -34,6 +37,21 @@ each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.rel
 
 def blocks_of(page: Path, *languages: str) -> list[str]:
     return [text for language, text in BLOCK.findall(page.read_text()) if language in languages]
+
+
+def frameworks_of(text: str) -> list[str]:
+    """Which of the packages that not every machine has a block imports."""
+    found = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            found.update(f"{node.module}.{alias.name}" for alias in node.names)
+    return [name for name in FRAMEWORKS if name in found]
+
+
+def run_block(page: Path, number: int, text: str, names: dict[str, Any]) -> None:
+    exec(compile(text, f"{page.name}, block {number}", "exec"), names)
 
 
 def anchors_of(page: Path) -> set[str]:
@@ -59,7 +77,27 @@ def test_python_runs(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {"__name__": "docs"}
     for number, text in enumerate(blocks_of(page, "python")):
-        exec(compile(text, f"{page.name}, block {number}", "exec"), names)
+        if not frameworks_of(text):
+            run_block(page, number, text, names)
+
+
+@pytest.mark.parametrize(
+    ("page", "number"),
+    [
+        pytest.param(page, number, id=f"{page.name}-{'-'.join(frameworks_of(text))}-{number}")
+        for page in PAGES
+        for number, text in enumerate(blocks_of(page, "python"))
+        if frameworks_of(text)
+    ],
+)
+def test_python_with_a_framework_runs_by_itself(page, number, tmp_path, monkeypatch):
+    text = blocks_of(page, "python")[number]
+    for name in (*frameworks_of(text), "array_api_compat"):
+        if find_spec(name) is None:
+            pytest.skip(f"{name} is not installed")
+    (tmp_path / "configs").symlink_to(ROOT / "configs")
+    monkeypatch.chdir(tmp_path)
+    run_block(page, number, text, {"__name__": "docs"})
 
 
 @each_page

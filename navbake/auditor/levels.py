@@ -146,16 +146,23 @@ def _highest_rise(facts: Facts) -> float:
 
 
 def check_agent(facts: Facts) -> Iterator[Remark]:
-    """The agent can't be: its sizes are none, or it takes steps as high as itself."""
-    grid = facts.grid
-    for key, taken, what in (
-        ("agentHeight", grid.agent_height, "> 0"),
-        ("agentRadius", grid.agent_radius, ">= 0"),
-        ("traversableFloorHeight", grid.max_step, ">= 0"),
+    """The agent can't be: its sizes are none, it takes steps as high as itself, or it is another.
+
+    That is another than that of the settings, which a bake states beside it.
+    """
+    grid, settings = facts.grid, facts.settings.get("agent", {})
+    for key, taken, what, name, default in (
+        ("agentHeight", grid.agent_height, "> 0", "height", 1.14),
+        ("agentRadius", grid.agent_radius, ">= 0", "radius", 0.05),
+        ("traversableFloorHeight", grid.max_step, ">= 0", "traversable_floor_height", 0.25),
     ):
+        baked: Any = settings.get(name, default) if isinstance(settings, dict) else None
         stated = grid.metadata.get(key)
         if stated is not None and not _is_length(stated, grid.unit, or_zero=what != "> 0"):
             text = f"`{key}` is {stated!r}, which is no length {what}: it counts as {taken:g} m"
+            yield Remark("agent", ERROR, None, None, text)
+        elif facts.settings and type(baked) in (int, float) and not math.isclose(taken, baked):
+            text = f"`{key}` is {taken:g} m, but its settings say that it was baked for {baked:g} m"
             yield Remark("agent", ERROR, None, None, text)
     if grid.max_step >= grid.agent_height:
         text = f"the agent of {grid.agent_height:g} m takes steps of {grid.max_step:g} m"

@@ -173,10 +173,9 @@ def _verified(
 ) -> SceneGrid2D | MultiLevelGrid:
     """The grid with what a verification by MuJoCo and FCL found, and a warning if it disagrees."""
     # a bake that doesn't verify starts without FCL's and MuJoCo's shapes of the scene
-    from navbake.verifier.verify import Options, floors_to_expect, verify_scene
+    from navbake.verifier.verify import Options, verify_scene
 
-    floors = floors_to_expect(stages.config)
-    report = verify_scene(grid, stages.scene, Options(sample=sample), floors)
+    report = verify_scene(grid, stages.scene, Options(sample=sample), stages.config)
     found = len(report.findings)
     verified = {
         "sample": sample,

@@ -63,6 +63,24 @@ FACES = [
     *((0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)),
     *((2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)),
 ]
+# A room with a crack in its floor, a door, and boxes that are moved: one near the crack, one onto
+# the other, one out of the scene
+MOVING = """<mujoco model="moving">
+<asset>
+  <mesh name="wedge" vertex="0 0 0 .4 0 0 0 .4 0 0 0 .6" face="0 2 1 0 1 3 1 2 3 0 3 2"/>
+</asset>
+<worldbody>
+  <geom type="mesh" mesh="wedge" pos="-1.1 .15 0" contype="0" conaffinity="0"/>
+  <geom type="box" size="1.5 1.5 .1" pos="-1.505 0 -.1"/>
+  <geom type="box" size="1.5 1.5 .1" pos="1.505 0 -.1"/>
+  <geom type="box" size=".05 1.1 1.2" pos="1.2 .4 1.2"/>
+  <body name="door" pos="1.2 -1.4 1">
+    <joint name="hinge" type="hinge" axis="0 0 1" range="0 90"/>
+    <geom type="box" size=".02 .3 1" pos="0 .35 0"/>
+  </body>
+  <body name="one" pos="-1 0 .2"><freejoint/><geom type="box" size=".2 .2 .2"/></body>
+  <body name="two" pos="-2 -.8 .05"><freejoint/><geom type="box" size=".6 .6 .05"/></body>
+</worldbody></mujoco>"""
 # A grid as other tools write it: with a hole in its floor that no geom is in
 FOREIGN = {
     "type": "SceneGrid2D",
@@ -126,7 +144,10 @@ def compile_all(progress: Callable[[str, float], None]) -> None:
     version of navbake or numba, and for another processor. `progress` is called with the name of
     each part, and 0 and 1 as it begins and ends.
     """
+    import numpy as np  # --help does without it
+
     from navbake.baker.pipeline import run_bake  # loads MuJoCo
+    from navbake.baker.rooms.windows import find_windows  # loads numba
     from navbake.config.settings import as_config  # loads pydantic
 
     with tempfile.TemporaryDirectory() as name:
@@ -149,6 +170,14 @@ def compile_all(progress: Callable[[str, float], None]) -> None:
         soup.write_bytes(_draw_soup())
         grids.append(run_bake(as_config({"scene": {"path": soup}, "grid": coarse})).grid)
         progress("bake", 1.0)
+        wall = np.zeros((40, 40), dtype=np.bool_)
+        wall[20], wall[20, 15:25] = True, False
+        find_windows(~wall & (np.arange(40) == 20)[:, None], wall, 0.1)  # no small scene has a sill
+        progress("update", 0.0)
+        moving = folder / "moving.xml"
+        moving.write_text(MOVING, encoding="utf-8")
+        _use_baker(navbake.Baker(moving, scene={"geoms": "all"}, grid={"cell_size": 0.1}))
+        progress("update", 1.0)
         progress("run time", 0.0)
         for number, grid in enumerate(grids):
             file = folder / f"{number}.grid.json"
@@ -161,6 +190,14 @@ def compile_all(progress: Callable[[str, float], None]) -> None:
         progress("voxels", 0.0)
         _use_voxels(navbake.Voxelizer(path), folder)
         progress("voxels", 1.0)
+
+
+def _use_baker(baker: navbake.Baker) -> None:
+    """Move things about."""
+    baker.update(joints={"hinge": 0.8})
+    for place in ((-0.1, 0.0, 0.2), (-2.0, -0.8, 0.3), (1.0, 0.5, 0.02), (9.0, 9.0, 0.2)):
+        baker.update(bodies={"one": place})
+    baker.update(bodies={"two": (0.1, 0.6, -0.06), "one": (0.0, -0.6, 0.2)})
 
 
 def _draw_hollow() -> str:
@@ -176,14 +213,16 @@ def _draw_hollow() -> str:
 
 
 def _draw_soup() -> bytes:
-    """Write a box that lacks a triangle as a binary PLY."""
-    faces = FACES[:-1]
+    """Write a box that lacks a triangle, with a low block in it, as a binary PLY."""
+    block = [(0.3 * x, 0.3 * y, 0.4 * z - 1.6) for x, y, z in CORNERS]
+    corners = [*([2.0 * v for v in corner] for corner in CORNERS), *block]
+    faces = [*FACES[:-1], *((a + 8, b + 8, c + 8) for a, b, c in FACES)]
     header = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(CORNERS)}\n"
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(corners)}\n"
         "property float x\nproperty float y\nproperty float z\n"
         f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
-    vertices = (struct.pack("<3f", *(2 * value for value in corner)) for corner in CORNERS)
+    vertices = (struct.pack("<3f", *corner) for corner in corners)
     return (
         header.encode() + b"".join(vertices) + b"".join(struct.pack("<B3i", 3, *f) for f in faces)
     )

@@ -388,3 +388,13 @@ class GridBase:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a NavGrid file, gzipped if its name ends in ``.gz``."""
         operation("grid.save")(self, path)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of the grid; see `navbake.views.notebook.show_html`."""
+        shown: str = operation("grid._repr_html_")(self)
+        return shown
+
+    def _repr_png_(self) -> bytes:
+        """What a notebook shows that takes pictures alone; see `navbake.views.notebook`."""
+        drawn: bytes = operation("grid._repr_png_")(self)
+        return drawn

@@ -10,16 +10,12 @@ import numpy as np
 from navbake.navgrid.grid_base import GridBase
 from navbake.types import Vector3
 from navbake.verifier.agent import Agent
-from navbake.verifier.lines import Line, Lines, Surface
+from navbake.verifier.lines import CRACK, FACES_UP, RIM, WAYS, Line, Lines, Surface
 from navbake.verifier.report import FLOOR_OFF, Finding, LevelCounts
 from navbake.verifier.sample import LevelSample
 
 OFF = 1e-4  # metres that a floor may be off a surface, and
 SHARE = 1e-6  # a share of its distance from the origin, which float32 rounds off
-CRACK = 0.03  # width of a crack that is no gap, unless the settings say otherwise [m]
-WAYS = [(np.cos(a), np.sin(a)) for a in np.arange(16) * (np.pi / 8)]
-RIM = 1e-6  # a line this near to an edge may meet it or not [m]
-FACES_UP = 1e-6  # least z of the unit normal of what faces up
 
 
 class Unknown(NamedTuple):
@@ -63,51 +59,47 @@ class FloorCheck:
     def run(self, sample: LevelSample, counts: LevelCounts) -> tuple[list[Finding], list[Unknown]]:
         """Check the floors of a level, and find the places to stand that no level has.
 
-        Columns whose floor is off are not asked for more.
+        A floor may lie inside of a solid: floors go on under things, of which those that are lower
+        than a step block nothing. Where an agent can stand on one of these, that place is lost.
+        Columns whose floor is off, or beside the centre, are not asked for more.
         """
         findings, unknown = list[Finding](), list[Unknown]()
         for cell in range(len(sample)):
-            fault = self._judge_floor(sample, cell, counts)
-            if fault is None:
+            if np.isnan(sample.floor[cell]):
                 unknown += self._find_unknown(sample, cell)
+                continue
+            counts.floors += 1
+            if self._has_floor(sample, cell, beside=False):
+                unknown += self._find_unknown(sample, cell)
+            elif self._has_floor(sample, cell, beside=True):
+                counts.in_cracks += 1
             else:
-                findings.append(fault)
+                counts.floors_off += 1
+                findings.append(self._describe_off(sample, cell))
         return findings, unknown
 
     # ------------------------------------------------------------ floors
 
-    def _judge_floor(self, sample: LevelSample, cell: int, counts: LevelCounts) -> Finding | None:
-        """What is wrong with a cell's floor, if it has one; None for nothing."""
+    def _has_floor(self, sample: LevelSample, cell: int, *, beside: bool) -> bool:
+        """Whether a surface faces up at a cell's floor: at its centre, or beside it."""
         (x, y), z = sample.xy[cell].tolist(), float(sample.floor[cell])
-        if z != z:  # NaN
-            return None
-        counts.floors += 1
+        low, high = z - rounding(x, y, z), z + rounding(x, y, z)
+        place = sample.number, int(sample.rows[cell]), int(sample.cols[cell])
+        if not beside:
+            return self.line_at(*place).faces_up(low, high)
+        # at the edge of a crack, floors that slope have any height
+        is_gap = all(abs(s.z - z) > self.agent.step for s in self.standable_at(*place))
+        min_up = self.agent.min_up if is_gap else np.inf
+        return self._lines.faces_up_beside(x, y, low, high, self._crack, min_up=min_up)
+
+    def _describe_off(self, sample: LevelSample, cell: int) -> Finding:
+        (x, y), z = sample.xy[cell].tolist(), float(sample.floor[cell])
         row, col = int(sample.rows[cell]), int(sample.cols[cell])
-        line = self.line_at(sample.number, row, col)
-        if _faces_up(line, (x, y, z)):
-            return None
-        if self._faces_up_beside((x, y, z)):
-            counts.in_cracks += 1
-            return None
-        counts.floors_off += 1
-        off = min((abs(s.z - z) for s in line.surfaces if s.up >= FACES_UP), default=None)
+        surfaces = self.line_at(sample.number, row, col).surfaces
+        off = min((abs(s.z - z) for s in surfaces if s.up >= FACES_UP), default=None)
         text = f"has its floor at {z:.4f} m, "
         text += "over no surface" if off is None else f"{off:.4f} m off the nearest surface"
         return Finding(FLOOR_OFF, sample.number, (row, col), (x, y, z), text, None, off)
-
-    def _faces_up_beside(self, place: Vector3) -> bool:
-        """Whether a line at the edge of a crack, or of a rim, meets the floor."""
-        x, y, z = place
-        center = np.array(place)
-        reach = np.array([self._crack + RIM, self._crack + RIM, rounding(*place)])
-        if not self._lines.obstacles.meets_box(center - reach, center + reach):
-            return False
-        for distance in (RIM, self._crack / 4, self._crack / 2, self._crack):
-            for a, b in WAYS if distance else ():
-                at = x + distance * a, y + distance * b
-                if _faces_up(self._lines.at(*at), (*at, z)):
-                    return True
-        return False
 
     # ------------------------------------------------------------ places that are lost
 
@@ -207,13 +199,3 @@ class FloorCheck:
                 if any(is_same_height(s.z, floor) for s in beside):
                     return True
         return False
-
-
-def _faces_up(line: Line, place: Vector3) -> bool:
-    """Whether a surface at a place faces up.
-
-    It may lie inside of a solid: floors go on under things, of which those that are lower than a
-    step block nothing. Where an agent can stand on one of these, that place is lost.
-    """
-    limit = rounding(*place)
-    return any(abs(s.z - place[2]) <= limit and s.up >= FACES_UP for s in line.surfaces)

@@ -40,8 +40,9 @@ class Sheet:
         reached: whether steps lead to a floor of the grid.
         area: [m²].
         inner: of that, what is farther from the outline than floors are shrunk by.
-        over: of the area, what lies over another place to stand.
-        walls, drops, edges: how many edges of its outline have a wall, drop to a floor; and all.
+        over: of the area, what lies over a place to stand that isn't its own.
+        walls, drops, edges: how many edges of its outline have a wall, drop to another floor; and
+            all. What drops to the sheet itself, as beside its own stairs, makes it no top.
     """
 
     place: Vector3
@@ -100,7 +101,7 @@ class SheetSearch:
         inner = [
             (r, c) for r, c in places if all((r + i, c + j) in places for i in span for j in span)
         ]
-        over = [number for _, _, number in own if number > 0]
+        over = {(r, c) for r, c, n in own if any((r, c, k) not in own for k in range(n))}
         areas = [len(found) * self._edge**2 for found in (places, inner, over)]
         sheet.area, sheet.inner, sheet.over = areas
         return sheet
@@ -117,6 +118,7 @@ class SheetSearch:
         stands on the floor may be one by its lower parts, without steps that lead there.
         """
         own, known, queue = {start}, set[Node](), deque([start])
+        below: list[Node] = []
         self._seen.add(start)
         while queue and len(own) < MOST_PLACES and not sheet.reached:
             row, col, number = queue.popleft()
@@ -129,14 +131,14 @@ class SheetSearch:
                 is_own = (row, col, number) in own
                 if beside is None:
                     if is_own:
-                        self._note_edge(sheet, (row, col), (dr, dc), z)
+                        below += self._note_edge(sheet, (row, col), (dr, dc), z)
                     continue
                 node = (r, c, beside)
                 if node in own or node in known:
                     continue
                 if self._is_known(r, c, self._check.standable_at(0, r, c)[beside].z):
                     if is_own and not self._walks(row, col, dr, dc, z):
-                        self._note_edge(sheet, (row, col), (dr, dc), z)
+                        below += self._note_edge(sheet, (row, col), (dr, dc), z)
                         continue
                     known.add(node)
                     sheet.reached = len(known) * self._edge**2 >= REACHED
@@ -144,6 +146,7 @@ class SheetSearch:
                     own.add(node)
                     self._seen.add(node)
                 queue.append(node)
+        sheet.drops = sum(node not in own for node in below)
         return own
 
     def _near(self, row: int, col: int, z: float) -> int | None:
@@ -169,8 +172,8 @@ class SheetSearch:
 
     def _note_edge(
         self, sheet: Sheet, here: tuple[int, int], way: tuple[int, int], z: float
-    ) -> None:
-        """Note how a sheet ends: at a wall, over a floor that it drops to, or neither."""
+    ) -> list[Node]:
+        """Note how a sheet ends, at a wall or not; the place that it drops to, if it drops."""
         sheet.edges += 1
         low, high = z + self._agent.step, z + max(self._agent.height, MIN_WALL)
         for k in range(1, self._stride + 1):
@@ -178,6 +181,6 @@ class SheetSearch:
             line = self._check.line_at(0, row, col)
             if any(begin < low and end > high for begin, end in line.solid):
                 sheet.walls += 1
-                return
-        lower = [s.z for s in self._check.standable_at(0, row, col) if s.z < z]
-        sheet.drops += bool(lower)
+                return []
+        lower = [s for s in self._check.standable_at(0, row, col) if s.z < z]
+        return [(row, col, len(lower) - 1)] if lower else []

@@ -21,7 +21,7 @@ from scipy.spatial import ConvexHull, QhullError
 from navbake.baker.scene.chatter import catch_chatter
 from navbake.baker.scene.scene import Scene
 from navbake.errors import SceneError
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Json
 from navbake.verifier.mesh_parts import CAVITY, SHEET, SOLID, split_parts
 
 GEOM = mujoco.mjtGeom
@@ -31,6 +31,7 @@ FAR = 1e4  # half-size that stands for the infinite side of a plane with a finit
 CONVEX = "convex"  # what an obstacle is, beside the kinds of parts of meshes
 HALF_SPACE = "half-space"
 HEIGHT_FIELD = "height field"
+UPRIGHT = 1e-9  # least z of a unit normal, up or down, of what a vertical line can cross
 
 
 @dataclass(eq=False)
@@ -62,9 +63,12 @@ class Obstacles:
 
     Attributes:
         items: obstacle i is geom i of the model.
-        model, data: the MuJoCo model; two more geoms, a box and a cylinder, are to probe with.
+        model, data: the MuJoCo model; two more geoms, a box and a cylinder, are to probe with, and
+            behind them are those of `facing`.
         low, high: boxes of all, shape (n, 3) [m].
         names: of the scene's geoms, by id.
+        facing: of each surface of a mesh, the model's geoms with its triangles that face up, and
+            with those that face down: where two lie in one place, a ray meets only one of them.
         pos, mat, size: poses and sizes of the model's geoms, its own arrays.
     """
 
@@ -74,6 +78,7 @@ class Obstacles:
     low: Float
     high: Float
     names: list[str]
+    facing: dict[int, list[int]]
     pos: Float = field(init=False)
     mat: Float = field(init=False)
     size: Float = field(init=False)
@@ -158,6 +163,8 @@ class _Builder:
         self._items: list[Obstacle] = []
         self._heights: list[Float] = []
         self._shared: dict[tuple[int, str], list[Any]] = {}
+        self._facing: list[tuple[int, Json]] = []
+        self._halves: dict[tuple[str, bytes], list[str]] = {}
 
     def add(self, geom: int, mesh_mode: str) -> None:
         kind, size = int(self._model.geom_type[geom]), self._model.geom_size[geom].copy()
@@ -174,6 +181,10 @@ class _Builder:
         world = self._spec.worldbody
         world.add_geom(type=GEOM.mjGEOM_BOX, size=[0.1, 0.1, 0.1])
         world.add_geom(type=GEOM.mjGEOM_CYLINDER, size=[0.1, 0.1, 0.0])
+        facing: dict[int, list[int]] = {}
+        for more, (number, settings) in enumerate(self._facing):
+            world.add_geom(**settings)
+            facing.setdefault(number, []).append(len(self._items) + 2 + more)
         try:
             with catch_chatter():
                 model = self._spec.compile()
@@ -189,9 +200,11 @@ class _Builder:
         low = np.array([item.low for item in self._items]) if self._items else none
         high = np.array([item.high for item in self._items]) if self._items else none
         names = [report.name for report in self._scene.geoms]
-        return Obstacles(self._items, model, data, low, high, names)
+        return Obstacles(self._items, model, data, low, high, names, facing)
 
     def _pose(self, geom: int) -> tuple[Float, Float]:
+        if geom in self._scene.parts:  # these are in the world's frame
+            return np.eye(3), np.zeros(3)
         mat = self._data.geom_xmat[geom].reshape(3, 3).copy()
         return mat, self._data.geom_xpos[geom].copy()
 
@@ -203,11 +216,10 @@ class _Builder:
         *,
         points: Float | None = None,
         same: bool = True,
-        at_origin: bool = False,
         **settings: Any,
     ) -> None:
         """Place a shape of FCL, and the geom of MuJoCo that the settings describe."""
-        mat, pos = (np.eye(3), np.zeros(3)) if at_origin else self._pose(geom)
+        mat, pos = self._pose(geom)
         placed = fcl.CollisionObject(shape, fcl.Transform(mat, pos))
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, mat.ravel())
@@ -280,36 +292,51 @@ class _Builder:
                 self._shared[key] = pieces
         else:
             pieces = self._shared[key]
-        for kind, shape, points, name in pieces:
+        for kind, shape, points, triangles, name in pieces:
             is_hull = kind == CONVEX
             collides = {} if is_hull else {"contype": 0, "conaffinity": 0}  # needs no hull
+            if not is_hull:
+                self._add_facing(name, points, triangles, *self._pose(geom))
             self._put(
                 geom,
                 kind,
                 shape,
                 points=points,
                 same=is_hull,
-                at_origin=part is not None,
                 type=GEOM.mjGEOM_MESH,
                 meshname=name,
                 **collides,
             )
 
+    def _add_facing(self, name: str, points: Float, triangles: Int, mat: Float, pos: Float) -> None:
+        """Add what faces up of a surface, and what faces down, each as a mesh of its own."""
+        key = name, mat[2].tobytes()
+        if key not in self._halves:
+            a, b, c = (points[triangles[:, k]] for k in range(3))
+            normal = np.cross(b - a, c - a)
+            up, least = normal @ mat[2], UPRIGHT * np.linalg.norm(normal, axis=1)
+            halves = [triangles[up > least], triangles[up < -least]]
+            self._halves[key] = [self._name_mesh(*_used(points, h)) for h in halves if len(h)]
+        quat = np.zeros(4)
+        mujoco.mju_mat2Quat(quat, mat.ravel())
+        place = {"type": GEOM.mjGEOM_MESH, "pos": pos, "quat": quat, "contype": 0, "conaffinity": 0}
+        number = len(self._items)
+        self._facing += [(number, {**place, "meshname": half}) for half in self._halves[key]]
+
     def _pieces(self, vertices: Float, faces: Int, on_hull: Float, mode: str) -> list[Any]:
-        """Kind, FCL's shape, points and mesh name of each piece of a mesh."""
+        """Kind, FCL's shape, points, triangles and mesh name of each piece of a mesh."""
         hull = _hull_of(on_hull) if mode == "hull" else None
         if hull is not None:
             points, triangles = hull
             counted = np.concatenate([np.full((len(triangles), 1), 3), triangles], axis=1)
             shape = fcl.Convex(points, len(triangles), counted.ravel())
-            return [(CONVEX, shape, points, self._name_mesh(points, triangles))]
+            return [(CONVEX, shape, points, triangles, self._name_mesh(points, triangles))]
         parts = [(SHEET, faces)] if mode == "shell" else split_parts(vertices, np.asarray(faces))
         pieces = []
         for kind, own in parts:
-            used, triangles = np.unique(own, return_inverse=True)
-            points, triangles = vertices[used], triangles.reshape(-1, 3)
+            points, triangles = _used(vertices, own)
             name = self._name_mesh(points, triangles)
-            pieces.append((kind, _surface(points, triangles), points, name))
+            pieces.append((kind, _surface(points, triangles), points, triangles, name))
         return pieces
 
     def _name_mesh(self, points: Float, triangles: Int) -> str:
@@ -323,6 +350,12 @@ class _Builder:
             inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
         )
         return name
+
+
+def _used(vertices: Float, faces: Int) -> tuple[Float, Int]:
+    """The vertices that faces use, and the faces by these."""
+    used, corners = np.unique(faces, return_inverse=True)
+    return vertices[used], corners.reshape(-1, 3)
 
 
 def _solid(kind: int, size: Float) -> Any:

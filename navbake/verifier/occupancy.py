@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Vector3
 from navbake.verifier.agent import Agent
-from navbake.verifier.lines import UP, Lines
-from navbake.verifier.mesh_parts import CAVITY, UNCLEAR
+from navbake.verifier.lines import Lines
+from navbake.verifier.mesh_parts import UNCLEAR
 from navbake.verifier.obstacles import is_enclosing
 from navbake.verifier.probes import (
     APART,
@@ -95,11 +95,15 @@ class OccupancyCheck:
         within = self._inside(index, asked & (touched < 0), volume[0].bands)
         is_inside = within >= 0
         touched[is_inside] = within[is_inside]
-        disputed &= touched < 0
+        bare = self._find_bare(sample, asked & (touched < 0))
+        disputed &= (touched < 0) & ~bare
         counts.disputed += int(disputed.sum())
         counts.free_touches += int((touched >= 0).sum())
-        counts.free_free += int((asked & (touched < 0) & ~disputed).sum())
-        findings = []
+        counts.free_free += int((asked & (touched < 0) & ~disputed & ~bare).sum())
+        text = f"is free, but no floor is within {self._agent.step:g} m of its level's ground"
+        findings = [
+            _finding(NO_FLOOR, sample, cell, text) for cell in np.flatnonzero(bare).tolist()
+        ]
         for cell in np.flatnonzero(touched >= 0).tolist():
             number = int(touched[cell])
             name, depth = self._obstacles.name(number), None
@@ -113,6 +117,22 @@ class OccupancyCheck:
                 text = f"is free, but {name!r} reaches into it"
             findings.append(_finding(FREE_TOUCHES, sample, cell, text, name, depth))
         return findings
+
+    def _find_bare(self, sample: LevelSample, asked: Bool) -> Bool:
+        """Which cells of a level that states no floors have none within a step of its ground.
+
+        A floor is a surface that faces up, also beside a crack or a rim.
+        """
+        bare = np.zeros(len(sample), dtype=np.bool_)
+        step = self._agent.step + self._tolerance
+        for cell in np.flatnonzero(asked & (not sample.states_floors)).tolist():
+            (x, y), z = sample.xy[cell].tolist(), float(sample.floor[cell])
+            low, high = z - step, z + step
+            bare[cell] = not (
+                self._lines.at(x, y).faces_up(low, high)
+                or self._lines.faces_up_beside(x, y, low, high)
+            )
+        return bare
 
     # ------------------------------------------------------------ blocked cells
 
@@ -163,7 +183,10 @@ class OccupancyCheck:
             return _finding(BLOCKED_APART, sample, cell, text)
         gap, number = min(known)
         name = self._obstacles.name(number)
-        text = f"is blocked, but the nearest geom, {name!r}, is {gap:.4f} m off"
+        text = (
+            "is blocked, but nothing touches the volume over it: the nearest geom, "
+            f"{name!r}, is {gap:.4f} m off"
+        )
         return _finding(BLOCKED_APART, sample, cell, text, name, gap)
 
     # ------------------------------------------------------------ questions
@@ -210,13 +233,11 @@ class OccupancyCheck:
         for number in np.flatnonzero(self._encloses).tolist():
             low, high = self._obstacles.low[number], self._obstacles.high[number]
             cells = index.under(low, high, 0.0, bands)
-            sign = -1 if self._obstacles.items[number].kind == CAVITY else 1
             for cell in cells[asked[cells]].tolist():
-                middle = (bands.low[cell] + bands.high[cell]) / 2
-                if self._crossings(number, np.array([*sample.xy[cell], middle])) % 2:
-                    depth[cell] += sign
-                    if sign > 0:
-                        found[cell] = number
+                leaves, enters = self._lines.crossings(number, _middle(sample, cell, bands))
+                depth[cell] += leaves - enters  # less than 0 in a cavity
+                if leaves > enters:
+                    found[cell] = number
         found[depth <= 0] = -1
         return found
 
@@ -227,21 +248,16 @@ class OccupancyCheck:
         for number in [k for k, item in enumerate(items) if item.kind == UNCLEAR]:
             low, high = self._obstacles.low[number], self._obstacles.high[number]
             for k, cell in enumerate(cells.tolist()):
-                point = np.array([*sample.xy[cell], (bands.low[cell] + bands.high[cell]) / 2])
+                point = _middle(sample, cell, bands)
                 if ((low < point) & (point < high)).all():
-                    maybe[k] |= self._crossings(number, point) % 2 == 1
+                    maybe[k] |= sum(self._lines.crossings(number, point)) % 2 == 1
         return maybe
 
-    def _crossings(self, number: int, point: Float) -> int:
-        """How often the way up from a point crosses an obstacle's surface."""
-        count, start = 0, point.copy()
-        for _ in range(200):
-            distance, _ = self._lines.ray(number, start, UP)
-            if distance < 0:
-                break
-            count += 1
-            start[2] += distance + 1e-6
-        return count
+
+def _middle(sample: LevelSample, cell: int, bands: Bands) -> Vector3:
+    """The middle of the volume over a cell [m]."""
+    x, y = sample.xy[cell].tolist()
+    return x, y, float(bands.low[cell] + bands.high[cell]) / 2
 
 
 def _finding(

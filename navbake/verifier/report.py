@@ -15,7 +15,6 @@ NO_FLOOR = "free cell without floor"
 FLOOR_OFF = "floor off"
 PLACE_LOST = "place lost"
 PATH_TOUCHES = "path touches"
-KINDS = (FREE_TOUCHES, BLOCKED_APART, NO_FLOOR, FLOOR_OFF, PLACE_LOST, PATH_TOUCHES)
 MOST_FINDINGS = 10_000  # that are listed; all are counted
 
 
@@ -24,8 +23,8 @@ class Finding:
     """One place where a grid and its scene disagree.
 
     Attributes:
-        kind: one of `KINDS`.
-        level: the level, 0 is the lowest; -1 for a place that no level has.
+        kind: what it is, one of this module's names in capitals, such as `FREE_TOUCHES`.
+        level: the level, 0 is the lowest; of a lost place, the one where it was looked for.
         cell: row and column on it, None where it has no such cell.
         position: world x, y, z [m].
         text: what is wrong, in words.
@@ -139,7 +138,7 @@ class VerifyReport:
         return sum(level.cells for level in self.levels)
 
     def of_kind(self, kind: str) -> Iterator[Finding]:
-        """The findings of one of `KINDS`."""
+        """The findings of one kind, such as `FREE_TOUCHES`."""
         return (finding for finding in self.findings if finding.kind == kind)
 
     @property

@@ -19,7 +19,7 @@ from navbake.types import Bool
 from navbake.verifier.agent import Agent, inflate_for
 from navbake.verifier.doors import pose_doors
 from navbake.verifier.floors import FloorCheck
-from navbake.verifier.lines import Lines
+from navbake.verifier.lines import CRACK, Lines
 from navbake.verifier.lost import SheetSearch
 from navbake.verifier.mesh_parts import UNCLEAR
 from navbake.verifier.obstacles import Obstacles, build_obstacles
@@ -98,27 +98,21 @@ def verify(
     path = None if isinstance(grid, GridBase) else Path(grid)
     content: Any = grid if path is None else read_navgrid(path)
     source = find_source(content, scene, path, force=force, data=data)
-    floors = floors_to_expect(source.config) if source.are_known else None
-    return verify_scene(content, source.scene, options, floors, source.notes)
-
-
-def floors_to_expect(config: BakeConfig) -> FloorSettings | None:
-    """The settings of floors by which a storey may be missed; None if some may be left out."""
-    all_count = config.levels == "auto" and config.floors.reach == "all"
-    return config.floors if all_count else None
+    config = source.config if source.are_known else None
+    return verify_scene(content, source.scene, options, config, source.notes)
 
 
 def verify_scene(
     grid: NavGrid,
     scene: Scene,
     options: Options,
-    floors: FloorSettings | None,
+    config: BakeConfig | None,
     notes: Sequence[str] = (),
 ) -> VerifyReport:
     """Compare a grid with a loaded scene.
 
     Args:
-        floors: the settings of the bake, where they are known and leave out no storeys.
+        config: the settings of the bake, where they are known.
         notes: what the report is to say first.
 
     Raises:
@@ -138,6 +132,11 @@ def verify_scene(
         levels=[LevelCounts(name) for name in content.level_names],
         notes=[*notes, *told],
     )
+    if inflation.reach > 0 and config is not None and config.grid.bounds is not None:
+        report.notes.append(
+            "`grid.bounds` cut the grid, which knows nothing of what lies beyond: a larger agent's "
+            "cylinder may touch it"
+        )
     if grid.is_blocked:
         report.notes.append("what was blocked at run time is left out")
     samples = take_sample(content, options.sample, options.seed, with_floors)
@@ -155,11 +154,13 @@ def verify_scene(
         report.findings += check.run(sample, counts, volume, excused)
     if all(with_floors):
         fixed = build_obstacles(scene, doors.data, doors.geoms) if doors.geoms else obstacles
-        _check_floors(report, content, samples, FloorCheck(content, Lines(fixed), agent), floors)
+        crack = CRACK if config is None else config.floors.crack
+        floors = FloorCheck(content, Lines(fixed), agent, crack)
+        _check_floors(report, content, samples, floors, config)
     else:
         report.notes.append(
-            "the grid states no floors of cells, so cells are judged over their level's ground, "
-            "and neither floors nor lost places are looked for"
+            "the grid states no floors of cells, so cells are judged over their level's ground: "
+            "free ones need a floor within a step of it, and lost places aren't looked for"
         )
     if check.num_groundless:
         report.notes.append(
@@ -227,16 +228,17 @@ def _check_floors(
     grid: GridBase,
     samples: list[LevelSample],
     check: FloorCheck,
-    floors: FloorSettings | None,
+    config: BakeConfig | None,
 ) -> None:
     """Look for floors that are off, and for places that are lost.
 
-    Floors by themselves may be missed where the settings don't leave out any; and where the grid
+    Floors by themselves are asked for where the settings don't leave out any; and where the grid
     has no floor at all, whatever the settings.
     """
+    leaves_out = config is None or config.levels != "auto" or config.floors.reach != "all"
     has_floors = any((~np.isnan(level.floor_height)).any() for level in grid.levels)
-    is_asked = floors is not None or not has_floors
-    settings = floors or FloorSettings()
+    is_asked = not leaves_out or not has_floors
+    settings = FloorSettings() if config is None else config.floors
     search = SheetSearch(check, check.agent, grid.levels[0].lattice.cell_size, settings.shrink)
     left, area = 0, 0.0
     for sample, counts in zip(samples, report.levels, strict=True):
@@ -259,8 +261,9 @@ def _check_floors(
             report.findings.append(found)
     if left:
         report.notes.append(
-            f"{left} places to stand, {area:.1f} m², are on no level: no steps lead there, and "
-            "they are too small for a floor, or lie as tops of furniture, shelves and roofs do"
+            f"{left} {'place' if left == 1 else 'places'} to stand, {area:.1f} m² in all, on no "
+            "level: no steps lead there; too small for a floor, or the top of furniture, of a "
+            "shelf, or of a roof"
         )
 
 

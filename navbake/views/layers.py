@@ -89,31 +89,55 @@ def _show_islands(grid: NavGrid, number: int) -> Panel:
 
 
 def _show_rooms(grid: NavGrid, number: int) -> Panel:
-    level = grid.levels[number]
-    index, doors = level.room_index, _door_mask(grid, number)
-    colors = np.zeros((int(index.max(initial=0)) + 1, 3), dtype=np.uint8)
-    colors[0] = rgb_of(OCCUPIED)
+    cells = RoomCells.of(grid, number)
+    level, index = grid.levels[number], cells.room_index
     labels = []
-    # one palette for all levels, so that rooms over each other differ
-    for room, color in zip(grid.rooms, make_palette(len(grid.rooms))[1:], strict=True):
-        if room.level != number:
-            continue
+    for room in grid.rooms:
         mask = index == room.index
-        if mask.any():
-            colors[room.index] = color
+        if room.level == number and mask.any():
             labels.append(_place_label(level, mask, room))
-    rgb = colors[index]
-    unassigned = (index == 0) & level.free
-    rgb[unassigned] = rgb_of(FREE)
-    furniture = (index > 0) & ~level.free
-    rgb[furniture] = (rgb[furniture] * FURNITURE).astype(np.uint8)
-    rgb[np.isnan(level.floor_height)] = rgb_of(NO_FLOOR)
-    rgb[doors] = rgb_of(DOOR)
     legend = [("no room", OCCUPIED), ("no floor", NO_FLOOR)]
-    legend += [("free, no room", FREE)] if unassigned.any() else []
-    legend += [("darker: occupied", DARKER)] if furniture.any() else []
-    legend += [("door", DOOR)] if doors.any() else []
-    return Panel("rooms", rgb, legend=tuple(legend), labels=tuple(labels))
+    legend += [("free, no room", FREE)] if ((index == 0) & cells.free).any() else []
+    legend += [("darker: occupied", DARKER)] if ((index > 0) & ~cells.free).any() else []
+    legend += [("door", DOOR)] if cells.door.any() else []
+    return Panel("rooms", cells.paint(), legend=tuple(legend), labels=tuple(labels))
+
+
+class RoomCells(NamedTuple):
+    """What the colour of a cell in a picture of rooms follows from; arrays (height, width)."""
+
+    colors: NDArray[np.uint8]  # shape (2 n + 2, 3): see `paint`
+    room_index: NDArray[np.uint16]
+    free: Bool
+    floor: NDArray[np.float32]  # NaN for none
+    door: Bool  # where one stands, closed or as it is
+
+    @classmethod
+    def of(cls, grid: NavGrid, number: int) -> "RoomCells":
+        """The cells of one level."""
+        level = grid.levels[number]
+        index = level.room_index
+        rooms = np.zeros((int(index.max(initial=0)) + 1, 3), dtype=np.uint8)
+        # one palette for all levels, so that rooms over each other differ
+        for room, color in zip(grid.rooms, make_palette(len(grid.rooms))[1:], strict=True):
+            if room.level == number and room.index < len(rooms):
+                rooms[room.index] = color
+        colors = np.stack([(rooms * FURNITURE).astype(np.uint8), rooms], axis=1).reshape(-1, 3)
+        colors[:2] = rgb_of(OCCUPIED), rgb_of(FREE)
+        colors = np.concatenate([colors, [rgb_of(NO_FLOOR), rgb_of(DOOR)]]).astype(np.uint8)
+        return cls(colors, index, level.free, level.floor_height, _door_mask(grid, number))
+
+    def paint(self, rows: slice = slice(None)) -> NDArray[np.uint8]:
+        """Colours of some rows, shape (number of rows, width, 3).
+
+        A room has two colours, for occupied and for free cells; the last two are no floor and a
+        door.
+        """
+        code = self.room_index[rows] * np.intp(2) + self.free[rows]
+        code[np.isnan(self.floor[rows])] = len(self.colors) - 2
+        code[self.door[rows]] = len(self.colors) - 1
+        painted: NDArray[np.uint8] = self.colors.take(code, axis=0)
+        return painted
 
 
 LAYERS: dict[str, Callable[[NavGrid, int], Panel]] = {

@@ -441,6 +441,11 @@ def giant_steps(grid):
     grid.metadata["traversableFloorHeight"] = 2.0
 
 
+@plant("apartment", ERROR, r"`agentHeight` is 2 m, but its settings say .* for 1\.14 m", -1)
+def another_agent(grid):
+    grid.metadata["agentHeight"] = 2.0
+
+
 @plant("apartment", ERROR, "`agentRadius` is -1, which is no length >= 0: it counts as 0 m", -1)
 def negative_radius(grid):
     grid.metadata["agentRadius"] = -1

@@ -37,6 +37,8 @@ def test_methods_call_what_is_registered(monkeypatch):
     )
     grid = SceneGrid2D.__new__(SceneGrid2D)
     arguments = {
+        "_repr_html_": (),
+        "_repr_png_": (),
         "at": ((0, 0),),
         "block": (),
         "describe_cell": (0, 0),

@@ -18,6 +18,13 @@ def library(name):
     return import_module(name)
 
 
+def compiled(xp, function):
+    """A function as it is; of JAX, which compiles each operation for each shape, as a whole."""
+    if xp.__name__ != "jax.numpy":
+        return function
+    return import_module("jax").jit(function)
+
+
 def cases():
     """Library and dtype, by name."""
     for name in LIBRARIES:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from hypothesis import given as given_by
@@ -10,13 +12,13 @@ from hypothesis import strategies as st
 
 import navbake
 from grid_maps import level_from, random_house
-from level_maps import stairs
+from level_maps import level_of, stack, stairs
 from navbake import tensors
 from navbake.errors import QueryError
 from navbake.navgrid.islands import clearance
 from navbake.runtime.flat_grid import flatten
 from navbake.runtime.path_finder import PathFinder
-from tensors.libraries import ON_ALL, given, library, positions_over, shown
+from tensors.libraries import ON_ALL, compiled, given, library, positions_over, shown
 
 pytest.importorskip("array_api_compat")
 
@@ -117,19 +119,21 @@ def test_distances_and_steps_lead_to_goals(case):
     t = grid.tensors(xp, dtype=dtype, goals=goals)
     starts = finder.random_point(np.random.default_rng(1), 200, anywhere=True).astype(dtype)
     for k, goal in enumerate(goals):
-        found = shown(tensors.distance_to_goal(t, given(xp, starts, dtype), k))
+        ask = compiled(xp, lambda p, k=k: tensors.distance_to_goal(t, p, k))
+        ask_step = compiled(xp, lambda p, k=k: tensors.path_step(t, p, k))
+        found = shown(ask(given(xp, starts, dtype)))
         expected = finder.distances(starts.astype(np.float64), goal)
         np.testing.assert_allclose(found, expected, rtol=1e-6)
         # whoever takes the steps arrives, and has gone no farther than the field says
         at = starts.astype(np.float64)
         for _ in range(400):
-            step = shown(tensors.path_step(t, given(xp, at, dtype), k)).astype(np.float64)
+            step = shown(ask_step(given(xp, at, dtype))).astype(np.float64)
             assert np.isfinite(step).all()
             lengths = np.hypot(*step.T)
             assert np.all((lengths < 1e-12) | (np.abs(lengths - 1) < 1e-5))
             at[:, :2] += 0.02 * step
             at[:, 2] = finder.many.snap(at)[:, 2]
-        arrived = shown(tensors.distance_to_goal(t, given(xp, at, dtype), k))
+        arrived = shown(ask(given(xp, at, dtype)))
         assert (arrived < 0.15).all()
 
 
@@ -150,16 +154,17 @@ def test_bilinear_clearance(case):
     name, dtype = case
     xp, grid = library(name), level_from("....\n....\n....\n...#")
     t = grid.tensors(xp, dtype=dtype)
+    ask = compiled(xp, lambda p: tensors.clearance(t, p))
     values = clearance(grid).astype(np.float64)
     at_centers = [[0.05 + 0.1 * c, -0.05 - 0.1 * r, 0.0] for r, c in np.ndindex(4, 4)]
-    found = shown(tensors.clearance(t, given(xp, at_centers, dtype)))
+    found = shown(ask(given(xp, at_centers, dtype)))
     np.testing.assert_allclose(found, values.ravel(), atol=1e-6)
-    between = shown(tensors.clearance(t, given(xp, [[0.175, -0.22, 0.0]], dtype)))
+    between = shown(ask(given(xp, [[0.175, -0.22, 0.0]], dtype)))
     rows = values[1:3, 1:3] @ [0.75, 0.25]
     np.testing.assert_allclose(between, [rows @ [0.3, 0.7]], atol=1e-6)
-    corner = shown(tensors.clearance(t, given(xp, [[0.001, -0.001, 0.0]], dtype)))
+    corner = shown(ask(given(xp, [[0.001, -0.001, 0.0]], dtype)))
     np.testing.assert_allclose(corner, values[0, 0], atol=1e-6)
-    assert np.isnan(shown(tensors.clearance(t, given(xp, [[-0.01, 0.0, 0.0]], dtype)))).all()
+    assert np.isnan(shown(ask(given(xp, [[-0.01, 0.0, 0.0]], dtype)))).all()
 
 
 @ON_ALL
@@ -171,16 +176,18 @@ def test_heights_and_patches_turn_with_the_agent(case):
     agent = given(xp, [[0.15, -0.15, 1.0]] * 2, dtype)
     yaw = given(xp, [0.0, np.pi / 2], dtype)
     pattern = given(xp, [[0.0, 0.0], [0.1, 0.0], [0.0, 0.1], [9.0, 0.0]], dtype)
-    found = shown(tensors.heights(t, agent, yaw, pattern))
+    scan = compiled(xp, lambda p, yaw: tensors.heights(t, p, yaw, pattern))
+    found = shown(scan(agent, yaw))
     expected = [[0.1, 0.2, 0.1, np.nan], [0.1, 0.1, 0.0, np.nan]]
     np.testing.assert_allclose(found, expected, atol=1e-6)
     # looking along x: what is ahead, x larger, is in the first row; left is y larger
-    cut = shown(tensors.patch(t, agent, yaw, (3, 5), 0.1, "floor"))
+    crop = compiled(xp, lambda p, yaw: tensors.patch(t, p, yaw, (3, 5), 0.1, "floor"))
+    cut = shown(crop(agent, yaw))
     assert cut.shape == (2, 3, 5)
     np.testing.assert_allclose(cut[0, :, 2], [0.2, 0.1, 0.0], atol=1e-6)
     np.testing.assert_allclose(cut[0, 1], [np.nan, 0.1, 0.1, 0.1, 0.1], atol=1e-6)
     np.testing.assert_allclose(cut[1, 1], [np.nan, 0.0, 0.1, 0.2, 0.3], atol=1e-6)
-    free = shown(tensors.patch(t, agent, yaw, (1, 1)))
+    free = shown(compiled(xp, lambda p, yaw: tensors.patch(t, p, yaw, (1, 1)))(agent, yaw))
     assert free.dtype == bool and free.shape == (2, 1, 1)
 
 
@@ -226,6 +233,19 @@ def test_samples_cover_the_free_cells_evenly_and_no_others():
     assert grid.cells_at(ends).col.tolist() == [0, 3]
 
 
+def test_samples_of_a_room_that_is_not_there_are_not_of_another_island_or_scene():
+    grid = level_from("..#..\n..#..\n..#..")
+    grid.attributes["roomIndex"] = np.array([[1, 1, 0, 2, 2]] * 3, dtype=np.uint16)
+    t = tensors.make_tensors([grid, grid])
+    u = np.full((5, 1), 0.5)
+    drawn = tensors.sample(t, u, room=[1, 2, 3, -1, 4], scene_id=0)
+    assert np.isnan(drawn[:, 0]).tolist() == [False, False, True, True, True]
+    left = np.array([0.05, -0.05, 0.0])
+    drawn = tensors.sample(t, u, room=[1, 2, 3, -1, 4], scene_id=0, reachable_from=left)
+    assert np.isnan(drawn[:, 0]).tolist() == [False, True, True, True, True]
+    assert np.isnan(tensors.sample(t, u, room=3, scene_id=0)).all()
+
+
 def test_where_no_place_is_samples_are_nan():
     grid = level_from("..#.\n..#.\n..#.")
     t = grid.tensors()
@@ -236,6 +256,10 @@ def test_where_no_place_is_samples_are_nan():
     assert np.isnan(tensors.sample(t, u, reachable_from=beside)).all()
     nobody = level_from("###").tensors()
     assert np.isnan(tensors.sample(nobody, u)).all()
+    bad = [[np.nan, 0.5, 0.5], [0.5, np.nan, 0.5], [0.5, 0.5, np.nan]]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.isnan(tensors.sample(t, np.array(bad))).all()
 
 
 @ON_ALL
@@ -248,31 +272,106 @@ def test_many_scenes_at_once(case):
     scene = np.repeat([2, 0, 1], 400)
     positions = np.concatenate([positions_over(grids[k], rng, 400, dtype) for k in (2, 0, 1)])
     p, ids = given(xp, positions, dtype), xp.asarray(scene)
-    alone = [g.tensors(xp, dtype=dtype, goals=own) for g, own in zip(grids, goals, strict=True)]
+    # each grid alone, in numpy
+    alone = [g.tensors(dtype=dtype, goals=own) for g, own in zip(grids, goals, strict=True)]
     for function in (
         tensors.level_at, tensors.floor, tensors.room, tensors.is_navigable, tensors.clearance,
     ):  # fmt: skip
-        found = shown(function(t, p, scene_id=ids))
+        ask = compiled(xp, lambda p, ids, ask=function: ask(t, p, scene_id=ids))
+        found = shown(ask(p, ids))
         for k, single in enumerate(alone):
             here = scene == k
-            expected = shown(function(single, given(xp, positions[here], dtype)))
-            np.testing.assert_array_equal(found[here], expected)
-            as_one = shown(function(t, given(xp, positions[here], dtype), scene_id=k))
-            np.testing.assert_array_equal(as_one, expected)
-    found = shown(tensors.distance_to_goal(t, p, 0, scene_id=ids))
-    steps = shown(tensors.path_step(t, p, 0, scene_id=ids))
-    for k, single in enumerate(alone):
+            expected = function(single, positions[here].astype(dtype))
+            np.testing.assert_allclose(found[here], expected, rtol=0, atol=1e-6)
+    for k in range(3):  # one number for all
         own = given(xp, positions[scene == k], dtype)
-        np.testing.assert_array_equal(
-            found[scene == k], shown(tensors.distance_to_goal(single, own))
-        )
-        expected = shown(tensors.path_step(single, own))
-        np.testing.assert_allclose(steps[scene == k], expected, atol=1e-6)
+        floors = compiled(xp, lambda p, k=k: tensors.floor(t, p, scene_id=k))(own)
+        expected = tensors.floor(alone[k], positions[scene == k].astype(dtype))
+        np.testing.assert_array_equal(shown(floors), expected)
+    ask = compiled(xp, lambda p: tensors.distance_to_goal(t, p, 0, scene_id=ids))
+    ask_step = compiled(xp, lambda p: tensors.path_step(t, p, 0, scene_id=ids))
+    found, steps = shown(ask(p)), shown(ask_step(p))
+    for k, single in enumerate(alone):
+        own = positions[scene == k].astype(dtype)
+        np.testing.assert_array_equal(found[scene == k], tensors.distance_to_goal(single, own))
+        expected = tensors.path_step(single, own)
+        np.testing.assert_allclose(steps[scene == k], expected, atol=1e-5)
     u = given(xp, rng.random((1200, 3)), dtype)
     drawn = tensors.sample(t, u, scene_id=ids)
     assert shown(tensors.is_navigable(t, drawn, scene_id=ids)).all()
     drawn = tensors.sample(t, u, scene_id=ids, reachable_from=drawn)
     assert shown(tensors.is_navigable(t, drawn, scene_id=ids)).all()
+
+
+@ON_ALL
+def test_unknown_scenes_and_goals_are_nowhere(case):
+    name, dtype = case
+    xp, grid = library(name), level_from("...\n...")
+    here = (0.05, -0.05, 0.0)
+    t = tensors.make_tensors([grid] * 2, xp, dtype=dtype, goals=[[here, (0.25, -0.05, 0.0)]] * 2)
+    p, ids = given(xp, [here] * 5, dtype), xp.asarray([0, 1, 2, -1, 99])
+    known = [True, True, False, False, False]
+    assert shown(tensors.is_navigable(t, p, ids)).tolist() == known
+    assert (shown(tensors.level_at(t, p, ids)) == 0).tolist() == known
+    for ask in (tensors.floor, tensors.clearance):
+        assert (~np.isnan(shown(ask(t, p, ids)))).tolist() == known
+    yaw, pattern = p[:, 0] * 0, p[:1, :2] * 0
+    assert (~np.isnan(shown(tensors.heights(t, p, yaw, pattern, ids))[:, 0])).tolist() == known
+    drawn = shown(tensors.sample(t, p[:, :1], scene_id=ids))
+    assert (~np.isnan(drawn[:, 0])).tolist() == known
+    distance = shown(tensors.distance_to_goal(t, p, ids, scene_id=0))
+    np.testing.assert_allclose(distance, [0.0, 0.2, np.nan, np.nan, np.nan], atol=1e-6)
+    steps = shown(tensors.path_step(t, p, ids, scene_id=0))
+    assert (~np.isnan(steps[:, 0])).tolist() == known
+
+
+@ON_ALL
+def test_numbers_are_taken_as_lists_and_as_numpys(case):
+    name, dtype = case
+    xp, grids = library(name), [level_from("...\n..."), level_from("...\n...", ground=1.0)]
+    here = (0.05, -0.05, 1.5)
+    t = tensors.make_tensors(grids, xp, dtype=dtype, goals=[[here, here]] * 2)
+    for ids in ([0, 1], (0, 1), np.array([0, 1]), np.array([0, 1], dtype=np.int16)):
+        np.testing.assert_allclose(shown(tensors.floor(t, [here] * 2, ids)), [0.0, 1.0])
+        assert (shown(tensors.distance_to_goal(t, [here] * 2, ids, scene_id=1)) == 0).all()
+        drawn = tensors.sample(t, [[0.5]] * 2, room=np.array([0, 0]), scene_id=ids)
+        np.testing.assert_allclose(shown(drawn)[:, 2], [0.0, 1.0])
+        scan = tensors.heights(t, [here] * 2, [0.0, 0.0], [(0.0, 0.0)], ids)
+        np.testing.assert_allclose(shown(scan), [[0.0], [1.0]])
+    assert shown(tensors.floor(t, here, np.int64(1))) == 1.0
+    assert shown(tensors.distance_to_goal(t, here, np.int32(1), scene_id=np.int64(1))) == 0.0
+    from_one = tensors.sample(t, [[0.5]] * 2, reachable_from=here, scene_id=1)
+    np.testing.assert_allclose(shown(from_one)[:, 2], 1.0)
+    assert shown(tensors.patch(t, here, np.float64(0.0), (1, 2), np.float64(0.1), scene_id=1)).all()
+
+
+def test_everything_stays_on_the_tensors_device():
+    torch = pytest.importorskip("torch")
+    # arrays of this device have no numbers, and fail beside those of another
+    t = tensors.make_tensors([grid_of(0), grid_of(1)], torch, device="meta", goals=[[], []])
+    p = torch.zeros((4, 3), device="meta")
+    asked = [
+        tensors.level_at(t, p, 1),
+        tensors.clearance(t, [[0.0, 0.0, 0.0]], [1]),
+        tensors.heights(t, p, p[:, 0], [[0.0, 0.0]], [0, 1, 1, 0]),
+        tensors.patch(t, p, p[:, 0], (2, 2), scene_id=1),
+        tensors.sample(t, p, scene_id=1),
+        tensors.sample(t, p, room=1, min_clearance=0.1, reachable_from=p, scene_id=[0, 1, 0, 1]),
+        tensors.sample(grid_of(0).tensors(torch, device="meta"), p),
+    ]
+    assert {a.device.type for a in asked} == {"meta"}
+
+
+@pytest.mark.parametrize("rise", [-1e-9, 0.0, 1e-9])
+def test_floors_that_float32_cannot_tell_apart_are_told_apart(rise):
+    grid = stack(level_of("000"), level_of("000"))
+    for level, z in zip(grid.levels, (3.2, 3.2 + rise), strict=True):
+        level.min_yup = (level.min_yup[0], z, level.min_yup[2])
+        del level.attributes["floorHeight"]
+    p = np.array([[0.05, -0.05, 3.3]], dtype=np.float32)
+    expected = PathFinder(grid).cell_at(p[0].astype(float)).level
+    assert expected == int(rise > 0)
+    assert tensors.level_at(grid.tensors(dtype="float32"), p) == expected
 
 
 def test_arrays_are_shared_by_dlpack():
@@ -295,7 +394,26 @@ def test_arrays_are_shared_by_dlpack():
         (lambda t: tensors.heights(t, np.zeros(3), np.zeros(()), np.zeros(2)), "a pattern of"),
         (lambda t: tensors.patch(t, np.zeros(3), np.zeros(()), layer="smell"), "no layer 'smell'"),
         (lambda t: tensors.patch(t, np.zeros(3), np.zeros(()), (0, 4)), "rows, columns and a cell"),
+        (lambda t: tensors.patch(t, np.zeros(3), np.zeros(()), 64), r"a shape \(rows, columns\)"),
+        (lambda t: tensors.patch(t, np.zeros(3), np.zeros(()), (1, 1), np.inf), "a cell > 0"),
         (lambda t: tensors.sample(t, np.zeros((4, 2))), "u of shape"),
+        (
+            lambda t: tensors.sample(t, np.zeros((4, 3)), reachable_from=np.zeros((2, 3))),
+            r"a reachable_from that fits the shape \(4,\), got one of shape \(2,\)",
+        ),
+        (
+            lambda t: tensors.sample(t, np.zeros((4, 3)), room="hall"),
+            "an integer or integers as room",
+        ),
+        (
+            lambda t: tensors.sample(t, np.zeros((4, 3)), min_clearance=np.zeros(4)),
+            "one number as min_clearance",
+        ),
+        (
+            lambda t: tensors.floor(t, np.zeros((2, 3)), np.array([0.0, 0.9])),
+            "an integer or integers as scene, got float64",
+        ),
+        (lambda t: tensors.floor(t, "here"), "expected numbers, got 'here'"),
     ],
 )
 def test_questions_that_cannot_be_answered(ask, message):
@@ -333,6 +451,8 @@ def test_several_grids_need_a_scene_and_goals_for_each():
         tensors.make_tensors(grids, goals=[[(0, 0, 0)]])
     with pytest.raises(QueryError, match="at least one grid"):
         tensors.make_tensors([])
+    with pytest.raises(QueryError, match="a grid or several, got 5"):
+        tensors.make_tensors(5)
     with pytest.raises(QueryError, match="expected grids"):
         tensors.make_tensors(["house.grid.json"])
 

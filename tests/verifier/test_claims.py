@@ -79,6 +79,35 @@ def test_only_what_is_judged_itself_is_a_reason(room):
     assert (kinds.BLOCKED_APART, 0, (row, col)) in kinds_at(navbake.verify(wrong, config))
 
 
+def test_an_exact_inflation_measures_from_what_is_solid(tmp_path):
+    """An agent's disc reaches beyond squares: what it alone touches closes no cells for others."""
+    wall = box("floor", -2, -1, -0.1, 2, 1, 0) + box("wall", -2, -1, 0, -1.9, 1, 2)
+    config = {"scene": {"path": str(write(tmp_path, world(wall)))}, "agent": {"radius": 0.3}}
+    grid = navbake.bake(config)
+    planted = (kinds.BLOCKED_APART, 0, (10, 5))  # its centre is 0.45 m from the wall
+    for mode in ("exact", "minos"):
+        inflated = grid.inflate(0.35, mode=mode)
+        assert_true(inflated, config)
+        wrong = copy_of(inflated)
+        assert wrong.free[10, 5] == (mode == "exact") and wrong.occupancy[10, 3:5].tolist() == [
+            1,
+            0,
+        ]
+        wrong.weights[10, 5] = np.inf
+        assert kinds_at(navbake.verify(wrong, config)) == ({planted} if mode == "exact" else set())
+
+
+def test_what_bounds_cut_away_may_touch_a_larger_agent(tmp_path):
+    parts = box("floor", -2, -1, -0.1, 2, 1, 0) + box("wall", -2, -1, 0, -1.9, 1, 2)
+    config = {"scene": {"path": str(write(tmp_path, world(parts)))}}
+    scene = {**config, "grid": {"bounds": [-1.8, -1, 2, 1]}}
+    grid = navbake.bake(scene)
+    assert not any("bounds" in note for note in assert_true(grid, scene).notes)
+    report = navbake.verify(grid, scene, radius=0.3)
+    assert {found.geom for found in report.findings} == {"wall"}
+    assert any("`grid.bounds` cut the grid" in note for note in report.notes)
+
+
 def test_the_rim_of_a_single_level_closes_nothing(room):
     grid, config = room
     wrong = copy_of(grid.inflate(0.2))
@@ -140,6 +169,20 @@ def test_a_grid_without_any_floor_has_lost_its_places(room):
         assert "there is nothing to stand on under it" in lost[0].text and lost[0].size > 8
 
 
+def test_a_house_without_any_floor_has_lost_its_storeys(house):
+    """Its stairs drop to its own floor, which makes it no top of something."""
+    grid, config = house
+    levels = []
+    for level in grid.levels:
+        bare = np.full(level.shape, np.nan, dtype=np.float32)
+        levels.append(
+            blocked(level).with_layers(attributes={**level.attributes, "floorHeight": bare})
+        )
+    (found,) = navbake.verify(grid.with_levels(levels), config).findings
+    assert found.kind == kinds.PLACE_LOST and found.size > 15
+    assert found.geom in ("ground floor", "upper floor")
+
+
 def test_one_floor_that_is_left_hides_nothing(room):
     """Not even the first one, a step from which the search begins."""
     grid, config = room
@@ -157,7 +200,7 @@ def test_a_top_over_a_floor_is_not_lost(tmp_path):
     parts = [box("floor", -4, -4, -0.1, 4, 4, 0), box("platform", -2, -2, 1.5, 2, 2, 1.6)]
     config = {"scene": {"path": str(write(tmp_path, world("".join(parts))))}}
     report = assert_true(navbake.bake(config), config)
-    assert any("tops of furniture" in note for note in report.notes)
+    assert any("the top of furniture" in note for note in report.notes)
 
 
 def test_a_roof_is_not_lost(tmp_path):
@@ -166,7 +209,7 @@ def test_a_roof_is_not_lost(tmp_path):
     parts += [box(f"wall {k}", *sides) for k, sides in enumerate(walls(0.0))]
     config = {"scene": {"path": str(write(tmp_path, world("".join(parts))))}}
     report = assert_true(navbake.bake(config), config)
-    assert any("tops of furniture" in note for note in report.notes)
+    assert any("the top of furniture" in note for note in report.notes)
 
 
 def test_an_underside_is_no_floor(room):
@@ -237,6 +280,32 @@ def test_others_may_block_what_has_no_floor(tmp_path):
     assert num_bare > 0
     report = assert_true(of_others(grid), config)
     assert any(note.startswith(f"{num_bare} blocked cells touch nothing") for note in report.notes)
+
+
+def test_free_cells_of_others_need_a_floor(tmp_path):
+    """Within a step of the level's ground; a crack under a cell's centre is no gap."""
+    parts = [box("floor", -2, -1, -0.1, 0.04, 1, 0), box("beyond", 0.06, -1, -0.1, 1, 1, 0)]
+    parts += [box("cellar", 1, -1, -1.1, 2, 1, -1), box("kerb", -2, -1, 0, -1.5, 1, 0.2)]
+    config = {"scene": {"path": str(write(tmp_path, world("".join(parts))))}}
+    weights = np.ones((20, 40))
+    wrong = navbake.SceneGrid2D(
+        width=40, height=20, cell_size=0.1, min_yup=(-2.0, 0.0, -1.0), weights=weights
+    )
+    report = navbake.verify(wrong, config)
+    over_cellar = {(kinds.NO_FLOOR, 0, (row, col)) for row in range(20) for col in range(30, 40)}
+    assert kinds_at(report) == over_cellar
+    assert "no floor is within 0.25 m of its level's ground" in report.findings[0].text
+    assert report.levels[0].free_free == 600
+
+
+def test_floors_of_others_count_though_they_are_the_ground(room):
+    """What a map states is looked at; an inflation for the verification changes nothing of it."""
+    grid, config = room
+    floors = np.where(grid.free, 0.0, np.nan).astype(np.float32)
+    flat = of_others(grid, attributes={"floorHeight": floors})
+    num_floors = int(np.count_nonzero(~np.isnan(floors)))
+    for radius in (None, 0.1):
+        assert navbake.verify(flat, config, radius=radius).levels[0].floors == num_floors
 
 
 @pytest.mark.parametrize("radius", [0.1, 0.25])

@@ -6,9 +6,10 @@ import json
 
 import numpy as np
 import pytest
+import trimesh
 
 import navbake
-from box_worlds import body, world
+from box_worlds import body, box, world
 from door_scenes import LEAF, ROOMS
 from door_scenes import world as door_world
 from navbake.errors import ConfigError, QueryError
@@ -73,6 +74,53 @@ def test_meshes_count_as_they_are_baked(tmp_path):
     # inside of the closed part, the floor is blocked, though no surface is near
     for x, y, occupied in ((0.65, -0.9, 1), (-1.15, 0.75, 0)):
         assert grid.occupancy[tuple(grid.lattice.rows_cols([x, y]))] == occupied
+
+
+def test_walls_may_stand_on_a_slab_of_their_own_mesh(tmp_path):
+    """Their undersides lie on its top: of two faces in one place, a ray meets only one."""
+    sides = [((0, 0, -0.1), (4, 3, 0)), ((0, 0, 0), (4, 0.5, 2)), ((1, 1, 0), (2, 2, 0.7))]
+    parts = [trimesh.creation.box(bounds=bounds) for bounds in sides]
+    # a slab on the wall, too: from inside of it, one leaves the wall where one enters the slab
+    parts.append(trimesh.creation.box(bounds=((0, 0, 2), (4, 0.5, 2.2))))
+    trimesh.util.concatenate(parts).export(tmp_path / "room.obj")
+    config = {"scene": {"path": str(tmp_path / "room.obj")}}
+    grid = navbake.bake(config)
+    report = assert_true(grid, config)
+    assert report.levels[0].floors == 40 * 30
+    wrong = copy_of(grid)
+    row, col = (int(v) for v in grid.lattice.rows_cols([2.05, 0.25]))
+    assert not grid.free[row, col]
+    wrong.weights[row, col] = 1.0
+    (found,) = navbake.verify(wrong, config).findings
+    assert (found.kind, found.cell) == (kinds.FREE_TOUCHES, (row, col))
+
+
+def test_cracks_are_as_wide_as_the_settings_say(tmp_path):
+    parts = box("floor", 0, 0, -0.1, 1.01, 2, 0) + box("other", 1.09, 0, -0.1, 3, 2, 0)
+    config = {"scene": {"path": str(write(tmp_path, world(parts)))}, "floors": {"crack": 0.1}}
+    grid = navbake.bake(config)
+    assert assert_true(grid, config).levels[0].in_cracks == 18  # its ends are open
+    report = navbake.verify(grid, {**config, "floors": {}})
+    assert {found.kind for found in report.findings} == {kinds.FLOOR_OFF}
+    assert any("settings are others" in note for note in report.notes)
+
+
+@pytest.mark.parametrize("tilt", [0, 25])
+def test_a_crack_beside_a_slope_may_have_any_height(tmp_path, tilt):
+    """The line that was baked lies at the crack's edge, of which no line here is sure to be."""
+    slabs = "".join(
+        f'<geom type="box" size="1 1.5 0.05" pos="{x} 0 0" euler="0 0 7"/>' for x in (-1.013, 1.012)
+    )
+    scene = world(f'<body euler="0 {tilt} 0">{slabs}</body>')
+    path = write(tmp_path, scene.replace("<mujoco>", '<mujoco><compiler angle="degree"/>'))
+    config = {"scene": {"path": str(path)}, "grid": {"cell_size": 0.05}}
+    grid = navbake.bake(config)
+    assert assert_true(grid, config).levels[0].in_cracks > 3
+    raised = grid.with_layers(
+        attributes={**grid.attributes, "floorHeight": grid.floor_height + np.float32(0.02)}
+    )
+    counts = navbake.verify(raised, config, sample=400).levels[0]
+    assert counts.floors_off > 0.98 * counts.floors
 
 
 def test_part_of_a_scene_and_movable_bodies(tmp_path):

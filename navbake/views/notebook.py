@@ -1,0 +1,138 @@
+"""What a notebook shows of a grid: a small picture of each level, with a line of facts.
+
+Pillow draws it, which navbake has for textures anyway, so no extra is needed.
+"""
+
+from __future__ import annotations
+
+import html
+import io
+import math
+from base64 import b64encode
+from typing import NamedTuple
+
+import numpy as np
+from PIL import Image
+
+from navbake.errors import printable
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.views.layers import RoomCells
+
+PICTURE_SIDE = 800  # longest side of the picture of all levels [pixels]
+LEVEL_SIDE = 400  # longest side of a level's picture in HTML [pixels]
+MAX_LEVELS = 16  # that are shown; the facts count them all
+MAX_NAME = 60  # letters of a scene's or a level's name
+BETWEEN = "white"  # no colour of a cell
+BAND_CELLS = 1 << 20  # painted at once, so that a large grid takes little memory
+
+
+def show_html(grid: NavGrid) -> str:
+    """A line of facts, and the levels beside each other, lowest first: for a notebook.
+
+    Cells have the colours of `RoomCells`: rooms each their own, darker where something stands in
+    them, doors red. The pictures are inside, and at most `LEVEL_SIDE` pixels long; names are
+    escaped. The same grid gives the same text.
+    """
+    facts = [_facts_of(level) for level in grid.levels]
+    scale = _scale_for(grid, LEVEL_SIDE)
+    figures = []
+    for number, name in enumerate(grid.level_names[:MAX_LEVELS]):
+        picture = b64encode(_to_png(_draw_level(grid, number, scale))).decode("ascii")
+        caption = f"<b>{_short(name)}</b>: {facts[number].text}"
+        figures.append(
+            '<figure style="margin:0">'
+            f'<img style="image-rendering:pixelated" alt="{_short(name)}" '
+            f'src="data:image/png;base64,{picture}">'
+            f"<figcaption>{caption}</figcaption></figure>"
+        )
+    count = len(grid.levels)
+    if count > MAX_LEVELS:
+        figures.append(f"and {count - MAX_LEVELS} more")
+    whole = [
+        f"{count} level{'s' if count > 1 else ''}",
+        f"cells of {grid.levels[0].lattice.cell_size:g} m",
+        _counted(sum(fact.num_rooms for fact in facts), "room"),
+        f"{sum(fact.free_area for fact in facts):.1f} m² free",
+        f"agent of {grid.agent_radius:g} m radius, {grid.agent_height:g} m high",
+    ]
+    return (
+        f"<div><b>{_short(grid.scene_id or type(grid).__name__)}</b>: {', '.join(whole)}"
+        '<div style="display:flex;flex-wrap:wrap;gap:8px;margin-top:4px">'
+        f"{''.join(figures)}</div></div>"
+    )
+
+
+def draw_png(grid: NavGrid) -> bytes:
+    """One picture of the levels, row by row from the lowest: at most `PICTURE_SIDE` pixels long."""
+    count = min(len(grid.levels), MAX_LEVELS)
+    columns = math.ceil(math.sqrt(count))
+    # a gap of one hundredth between levels
+    gap = PICTURE_SIDE // 100 if count > 1 else 0
+    scale = _scale_for(grid, (PICTURE_SIDE - (columns - 1) * gap) // columns)
+    levels = [_draw_level(grid, number, scale) for number in range(count)]
+    width = max(level.width for level in levels) + gap
+    height = max(level.height for level in levels) + gap
+    size = (columns * width - gap, math.ceil(count / columns) * height - gap)
+    sheet = Image.new("RGB", size, BETWEEN)
+    for number, level in enumerate(levels):
+        sheet.paste(level, (number % columns * width, number // columns * height))
+    return _to_png(sheet)
+
+
+class Facts(NamedTuple):
+    """What is said of a level."""
+
+    text: str
+    num_rooms: int
+    free_area: float  # [m2]
+
+
+def _facts_of(level: SceneGrid2D) -> Facts:
+    num_rooms = int(np.count_nonzero(np.bincount(level.room_index.ravel())[1:]))
+    free_area = np.count_nonzero(level.free) * level.lattice.cell_size**2
+    parts = [
+        f"{level.width} × {level.height} cells",
+        f"ground {level.ground:.2f} m",
+        _counted(num_rooms, "room"),
+        f"{free_area:.1f} m² free",
+    ]
+    return Facts(", ".join(parts), num_rooms, free_area)
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def _scale_for(grid: NavGrid, side: int) -> tuple[int, int]:
+    """How many pixels a cell has, and how many cells a pixel; one of them is 1.
+
+    Whole numbers keep cells square and alike. One scale for all levels keeps them comparable.
+    """
+    longest = max(max(level.shape) for level in grid.levels)
+    return max(side // longest, 1), -(-longest // side)
+
+
+def _draw_level(grid: NavGrid, number: int, scale: tuple[int, int]) -> Image.Image:
+    """Draw a level; where a pixel has several cells, it has their mean colour."""
+    pixels, cells = scale
+    rooms = RoomCells.of(grid, number)
+    height, width = rooms.free.shape
+    band = max(BAND_CELLS // (width * cells), 1) * cells
+    bands = [
+        np.asarray(Image.fromarray(rooms.paint(slice(row, row + band))).reduce(cells))
+        for row in range(0, height, band)
+    ]
+    image = Image.fromarray(np.concatenate(bands))
+    return image.resize((image.width * pixels, image.height * pixels), Image.Resampling.NEAREST)
+
+
+def _to_png(image: Image.Image) -> bytes:
+    content = io.BytesIO()
+    image.save(content, format="png")
+    return content.getvalue()
+
+
+def _short(name: str) -> str:
+    """A name as HTML, cut where it is long."""
+    cut = name if len(name) <= MAX_NAME else f"{name[: MAX_NAME - 1]}…"
+    return html.escape(printable(cut))
