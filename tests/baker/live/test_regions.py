@@ -88,13 +88,13 @@ def test_taken_cells_are_counted_as_for_a_whole_level(seed):
     flags = rng.choice(np.array([STANDS, STANDS | BLOCKS], dtype=np.uint8), start[-1])
     body_of = np.array([-1, 1, 1, 2, 2, 3, 4, -1])
     taken, expected = np.zeros((2, 5), dtype=np.int64)
+    line = Lattice(0.0, 0.0, 0.25, 1, 1)
     cells = np.flatnonzero(rng.random(12) < 0.7)
     count_taken(Entries(start, geom, flags), cells, body_of, taken, -1)
     for cell in cells:
         here = slice(start[cell], start[cell + 1])
         listed = np.array([0, counts[cell]])
         marks = [(flags[here] & flag) > 0 for flag in (STANDS, BLOCKS)]
-        line = LATTICE._replace(width=1, height=1)
         none = np.zeros(1, dtype=np.int32)
         level = LevelContents(line, listed, geom[here], *marks, marks[0], none)
         count_taken_cells(level, body_of, expected, -1)
