@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -89,7 +89,9 @@ def make_tensors(
     )
     num_goals = len(per_grid[0])
     if math.prod(shape) * max(num_goals, 1) >= 2**31:
-        text = " x ".join(map(str, shape)) + (f" for each of {num_goals} goals" if goals else "")
+        text = " x ".join(map(str, shape)) + (
+            f" for each of {num_goals} goals" if num_goals else ""
+        )
         raise QueryError(f"expected less than 2^31 cells in all, got {text}")
     made = {
         **_lattices(scenes, shape, target.floating),
@@ -188,6 +190,8 @@ class _Scene:
 
 
 def _check_grids(grids: Any) -> list[Any]:
+    if not isinstance(grids, Iterable):
+        raise QueryError(f"expected a grid or several, got {grids!r}")
     several = list(grids)
     if not several:
         raise QueryError("expected at least one grid, got none")
@@ -240,9 +244,12 @@ def _layers(
         ground[number, : len(levels)] = flat.floors.ground
         own = flat.floors.ground[flat.level_of(np.arange(flat.num_cells))]
         stand = np.where(np.isnan(flat.floors.z), own, flat.floors.z)
+        heights, rank = np.unique(stand, return_inverse=True)
+        rank = np.where(np.isnan(flat.floors.z), rank, rank + len(heights)).astype(np.int32)
         island = scene.cache.islands.number
         layers = {
             "reach": (lowest_reaching(stand, flat.floors.max_step, dtype), np.inf),
+            "rank": (rank, -1),
             "top": (
                 np.where(flat.free, highest_standing(stand, max_drop, dtype), -np.inf),
                 -np.inf,

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any
 
 from navbake.errors import QueryError
 from navbake.tensors.grid_tensors import Array, GridTensors
 from navbake.tensors.layers import clearance, floor, is_navigable, island, room
-from navbake.tensors.locate import as_array, check_positions
+from navbake.tensors.locate import as_array, check_positions, check_scenes, device_of
 
 LAYERS: dict[str, Any] = {
     "floor": floor,
@@ -41,7 +43,8 @@ def heights(
     Returns:
         World z [m], shape (..., k); NaN where there is no floor.
     """
-    return floor(t, _turned(t, positions, yaw, pattern), _per_point(t, scene_id))
+    points = _turned(t, positions, yaw, pattern)
+    return floor(t, points, _per_point(t, scene_id, points.shape[:-2]))
 
 
 def patch(
@@ -71,10 +74,12 @@ def patch(
     """
     if layer not in LAYERS:
         raise QueryError(f"no layer {layer!r}: expected one of {', '.join(LAYERS)}")
+    if not isinstance(shape, Sequence) or [isinstance(n, int) for n in shape] != [True, True]:
+        raise QueryError(f"expected a shape (rows, columns), whole numbers, got {shape!r}")
     rows, cols = shape
-    if rows < 1 or cols < 1 or not cell > 0:
+    if rows < 1 or cols < 1 or not 0 < cell < math.inf:
         raise QueryError(f"expected rows, columns and a cell > 0, got {shape} and {cell!r}")
-    xp, device = t.xp, getattr(t.floor, "device", None)
+    xp, device, cell = t.xp, device_of(t), float(cell)
     ahead = (xp.arange(rows, dtype=t.dtype, device=device) - (rows - 1) / 2) * -cell
     left = (xp.arange(cols, dtype=t.dtype, device=device) - (cols - 1) / 2) * -cell
     grid = xp.stack(
@@ -86,7 +91,7 @@ def patch(
     )
     points = _turned(t, positions, yaw, xp.reshape(grid, (-1, 2)))
     further: dict[str, str] = {"mode": "nearest"} if layer == "clearance" else {}
-    values = LAYERS[layer](t, points, _per_point(t, scene_id), **further)
+    values = LAYERS[layer](t, points, _per_point(t, scene_id, points.shape[:-2]), **further)
     return xp.reshape(values, (*values.shape[:-1], rows, cols))
 
 
@@ -107,8 +112,7 @@ def _turned(t: GridTensors, positions: Array, yaw: Array, pattern: Array) -> Arr
     return xp.stack([x, y, xp.broadcast_to(p[..., 2, None], x.shape)], axis=-1)
 
 
-def _per_point(t: GridTensors, scene_id: Array | int | None) -> Any:
-    """The scenes of agents as scenes of their points."""
-    if scene_id is None or isinstance(scene_id, int):
-        return scene_id
-    return t.xp.asarray(scene_id)[..., None]
+def _per_point(t: GridTensors, scene_id: Array | int | None, shape: tuple[int, ...]) -> Any:
+    """The scenes of agents, shape (...), as scenes of their points, shape (..., 1)."""
+    scenes = check_scenes(t, scene_id, shape)
+    return None if scenes is None else scenes[..., None]

@@ -5,7 +5,15 @@ from __future__ import annotations
 from navbake.errors import QueryError
 from navbake.tensors.grid_tensors import Array, GridTensors
 from navbake.tensors.layers import island
-from navbake.tensors.locate import as_array, bounded, check_scenes, split
+from navbake.tensors.locate import (
+    as_array,
+    bounded,
+    broadcast,
+    check_numbers,
+    check_scenes,
+    device_of,
+    split,
+)
 
 
 def sample(
@@ -33,7 +41,8 @@ def sample(
         scene_id: which grid, where there are several; an integer or integers of shape (...).
 
     Returns:
-        World x, y and floor z [m], shape (..., 3); NaN where there is no such place.
+        World x, y and floor z [m], shape (..., 3); NaN where there is no such place, or a number
+        of `u` is NaN.
     """
     xp = t.xp
     numbers = as_array(t, u)
@@ -42,44 +51,43 @@ def sample(
     shape = tuple(numbers.shape[:-1])
     scenes = check_scenes(t, scene_id, shape)
     base = t.num_rooms + 1
+    is_known = ~xp.isnan(numbers[..., 0])
+    first = xp.where(is_known, numbers[..., 0], 0.0)
     if reachable_from is None:
-        group = xp.zeros(shape, dtype=t.index) if scenes is None else scenes
+        group = xp.zeros_like(first, dtype=t.index) if scenes is None else scenes
         cells, keys = t.by_room, t.room_key
+        is_known = is_known & (group >= 0)
     else:
         start = as_array(t, reachable_from)
-        home = island(t, start, _scenes_of(t, start, scenes, shape))
-        group = xp.broadcast_to(xp.astype(home, t.index), shape)
+        if scenes is not None:
+            start = broadcast(t, start, (*shape, 3), "reachable_from")
+        home = broadcast(t, island(t, start, scenes), shape, "reachable_from")
+        group = xp.astype(home, t.index)
         cells, keys = t.by_island, t.island_key
+        is_known = is_known & (group > 0)
     if cells.shape[0] == 0:
-        return xp.full((*shape, 3), xp.nan, dtype=t.dtype)
+        return xp.full((*shape, 3), xp.nan, dtype=t.dtype, device=device_of(t))
     low, high = group * base, (group + 1) * base
     if room is not None:
-        number = xp.asarray(room, dtype=t.index) if isinstance(room, int) else room
-        low = group * base + xp.astype(number, t.index)
+        number = check_numbers(t, room, "room", base, shape)
+        is_known = is_known & (number >= 0)
+        low = group * base + number
         high = low + 1
     begin, end = _find(t, keys, low), _find(t, keys, high)
-    is_known = (group > 0) if reachable_from is not None else (group >= 0)
     if min_clearance is not None:
+        if getattr(min_clearance, "ndim", 0) != 0:
+            raise QueryError("expected one number as min_clearance [m], got an array of them")
         allowed = xp.astype(t.clearance[cells] >= min_clearance, t.index)
         before = xp.concat([xp.zeros_like(allowed[:1]), xp.cumulative_sum(allowed)])
-        first, count = before[begin], before[end] - before[begin]
-        at = _find(t, before[1:], first + _rank(t, numbers[..., 0], count) + 1)
+        count = before[end] - before[begin]
+        at = _find(t, before[1:], before[begin] + _rank(t, first, count) + 1)
     else:
         count = end - begin
-        at = begin + _rank(t, numbers[..., 0], count)
+        at = begin + _rank(t, first, count)
     cell = xp.astype(cells[bounded(xp, at, 0, cells.shape[0] - 1)], t.index)
     places = _within(t, cell, numbers)
-    return xp.where((is_known & (count > 0))[..., None], places, xp.nan)
-
-
-def _scenes_of(t: GridTensors, start: Array, scenes: Array, shape: tuple[int, ...]) -> Array:
-    """The scenes of the positions that places are to be reached from."""
-    if scenes is None or tuple(start.shape[:-1]) == shape:
-        return scenes
-    raise QueryError(
-        f"expected reachable_from of shape {(*shape, 3)}, one for each place, where there are "
-        f"several scenes, got {tuple(start.shape)}"
-    )
+    is_place = is_known & (count > 0) & ~xp.any(xp.isnan(places), axis=-1)
+    return xp.where(is_place[..., None], places, xp.nan)
 
 
 def _rank(t: GridTensors, u: Array, count: Array) -> Array:

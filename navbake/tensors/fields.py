@@ -2,9 +2,18 @@
 
 from collections.abc import Callable
 
+import numpy as np
+
 from navbake.errors import QueryError
 from navbake.tensors.grid_tensors import Array, GridTensors
-from navbake.tensors.locate import centers, check_positions, check_scenes, locate
+from navbake.tensors.locate import (
+    centers,
+    check_number,
+    check_numbers,
+    check_positions,
+    check_scenes,
+    locate,
+)
 from navbake.tensors.pieces import answer_all
 
 
@@ -76,18 +85,15 @@ def _ask(
     goal: Array | int,
     scene_id: Array | int | None,
 ) -> Array:
-    p = check_positions(t, positions)
-    shape = p.shape[:-1]
-    return answer_all(t, answer, p, _first_of(t, goal, shape), check_scenes(t, scene_id, shape))
-
-
-def _first_of(t: GridTensors, goal: Array | int, shape: tuple[int, ...]) -> Array | int:
-    """Where the cells of goals begin in `cost` and `onward`; shape (...) of many goals."""
-    count = len(t.goals)
+    xp, p, count = t.xp, check_positions(t, positions), len(t.goals)
     if not count:
         raise QueryError("the tensors know no goals: name them when they are made, goals=[…]")
-    if not isinstance(goal, int):
-        return t.xp.broadcast_to(t.xp.astype(goal, t.index), shape) * t.floor.shape[0]
-    if not 0 <= goal < count:
-        raise QueryError(f"no goal {goal}: expected 0 to {count - 1}")
-    return goal * int(t.floor.shape[0])
+    shape, num_cells = p.shape[:-1], int(t.floor.shape[0])
+    if isinstance(goal, int | np.integer):
+        first = check_number(goal, "goal", count) * num_cells
+    else:
+        goals = check_numbers(t, goal, "goal", count, shape)
+        p = xp.where((goals >= 0)[..., None], p, xp.nan)  # to no goal, so from nowhere
+        first = xp.where(goals >= 0, goals, 0) * num_cells
+    # `first` is where the goal's cells begin in `cost` and `onward`
+    return answer_all(t, answer, p, first, check_scenes(t, scene_id, shape))

@@ -43,6 +43,9 @@ class GridTensors:
         num_rows, num_cols: of each level, without padding.
         reach: by cell, the lowest z [m] from which the cell's floor is at most a step above; of a
             cell without a floor the same of its level's ground; inf in padding.
+        rank: by cell, int32, its place among the heights of a scene's floors, all grounds below
+            all floors; -1 in padding. Of the floors that a position reaches, the highest rank
+            counts.
         top: by cell, the highest z [m] at which `is_navigable` holds; -inf where nobody can stand.
         floor: by cell [m], NaN for no floor.
         ground: z of each level's ground [m].
@@ -80,6 +83,7 @@ class GridTensors:
     num_rows: Array = field(repr=False)
     num_cols: Array = field(repr=False)
     reach: Array = field(repr=False)
+    rank: Array = field(repr=False)
     top: Array = field(repr=False)
     floor: Array = field(repr=False)
     ground: Array = field(repr=False)

@@ -1,6 +1,9 @@
 """Which cell a position is in: the rule of `navbake.navgrid.cells`, for arrays of any library."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
+
+import numpy as np
 
 from navbake.errors import QueryError
 from navbake.tensors.grid_tensors import Array, GridTensors
@@ -27,26 +30,25 @@ def locate(t: GridTensors, positions: Array, scene_id: Array | int | None) -> Lo
     xp, shape = t.xp, t.shape
     x, y, z = positions[..., 0], positions[..., 1], positions[..., 2]
     first = first_level(t, scene_id)
+    if scene_id is not None:
+        z = xp.where(scene_id >= 0, z, xp.nan)  # in no scene, so nowhere
     cell, inside = on_level(t, x, y, first)
     if t.one_ground:
         inside = inside & (z >= t.reach[cell]) & (z < FAR)
         return Located(xp.where(inside, cell, 0), xp.zeros_like(cell), inside)
     best, level = xp.zeros_like(cell), xp.zeros_like(cell)
-    highest = xp.full_like(z, -xp.inf)  # how high the best floor is; a ground is below all floors
-    is_floor = xp.zeros_like(inside)
+    highest = xp.full_like(cell, -1)  # the rank of the best floor
     for k in range(shape.levels):
         if k and t.same_lattice:
             cell = cell + shape.rows * shape.cols
         elif k:
             cell, inside = on_level(t, x, y, first + k)
-        reach, has_floor = t.reach[cell], ~xp.isnan(t.floor[cell])
-        reached = inside & (z >= reach) & (z < FAR)
-        better = reached & ((has_floor & ~is_floor) | ((has_floor == is_floor) & (reach > highest)))
+        rank = t.rank[cell]
+        better = inside & (z >= t.reach[cell]) & (z < FAR) & (rank > highest)
         best = xp.where(better, cell, best)
         level = xp.where(better, k, level)
-        highest = xp.where(better, reach, highest)
-        is_floor = is_floor | (better & has_floor)
-    return Located(best, level, highest > -xp.inf)
+        highest = xp.where(better, rank, highest)
+    return Located(best, level, highest >= 0)
 
 
 def on_level(t: GridTensors, x: Array, y: Array, first: Array | int) -> tuple[Array, Array]:
@@ -73,7 +75,7 @@ def first_level(t: GridTensors, scene_id: Array | int | None) -> Array | int:
     """The number of the first level of each scene, among those of all scenes."""
     if scene_id is None:
         return 0
-    return scene_id * t.shape.levels
+    return t.xp.where(scene_id >= 0, scene_id, 0) * t.shape.levels
 
 
 def split(t: GridTensors, cell: Array) -> tuple[Array, Array, Array]:
@@ -104,34 +106,80 @@ def as_array(t: GridTensors, values: Array) -> Array:
 
     A position that is rounded to another dtype may be in another cell.
     """
-    if not hasattr(values, "dtype"):
-        return t.xp.asarray(values, dtype=t.dtype)
-    if values.dtype != t.dtype:
+    if isinstance(values, int | float | Sequence):
+        return _new_array(t, values, t.dtype)
+    if getattr(values, "dtype", None) != t.dtype:
+        kind = getattr(values, "dtype", "no numbers")
         raise QueryError(
-            f"expected an array of {t.dtype}, as the tensors are, got {values.dtype}: convert it, "
-            "or make the tensors with that dtype"
+            f"expected an array of {t.dtype}, as the tensors are, got {type(values).__name__} of "
+            f"{kind}: convert it, or make the tensors with that dtype"
         )
     return values
 
 
 def check_scenes(t: GridTensors, scene_id: Array | int | None, shape: tuple[int, ...]) -> Array:
-    """The scenes of positions of a shape (...); None where there is one scene."""
+    """The scenes of positions of a shape (...), -1 for unknown ones; None where there is one."""
     if scene_id is None:
         if t.shape.scenes > 1:
             raise QueryError(f"expected a scene_id, 0 to {t.shape.scenes - 1}: there are several")
         return None
-    if isinstance(scene_id, int):
-        if not 0 <= scene_id < t.shape.scenes:
-            raise QueryError(f"no scene {scene_id}: expected 0 to {t.shape.scenes - 1}")
-        return t.xp.full(shape, scene_id, dtype=t.index) if t.shape.scenes > 1 else None
-    ids = t.xp.astype(scene_id, t.index)
+    if isinstance(scene_id, int | np.integer):
+        scene_id = check_number(scene_id, "scene", t.shape.scenes)
+        if t.shape.scenes == 1:
+            return None
+    return check_numbers(t, scene_id, "scene", t.shape.scenes, shape)
+
+
+def check_number(given: int | np.integer, what: str, count: int) -> int:
+    """Check the number of a scene or goal: 0 to count - 1."""
+    if not 0 <= given < count:
+        raise QueryError(f"no {what} {given}: expected 0 to {count - 1}")
+    return int(given)
+
+
+def check_numbers(
+    t: GridTensors, given: Array | int, what: str, count: int, shape: tuple[int, ...]
+) -> Array:
+    """Numbers of scenes, goals or rooms as an array of a shape; -1 for those that are not there.
+
+    They can't be refused: no code may look at the numbers of an array, as it may be traced.
+
+    Args:
+        what: is numbered.
+        count: how many there are; numbers go from 0 to count - 1.
+    """
+    if isinstance(given, int | Sequence | np.ndarray | np.integer):
+        given = _new_array(t, given, None)
+    if not hasattr(given, "dtype") or not t.xp.isdtype(given.dtype, "integral"):
+        kind = getattr(given, "dtype", type(given).__name__)
+        raise QueryError(f"expected an integer or integers as {what}, got {kind}")
+    numbers = t.xp.astype(given, t.index)
+    numbers = t.xp.where((numbers >= 0) & (numbers < count), numbers, -1)
+    return broadcast(t, numbers, shape, what)
+
+
+def broadcast(t: GridTensors, values: Array, shape: tuple[int, ...], what: str) -> Array:
+    """Values in a shape that they fit."""
     try:
-        return t.xp.broadcast_to(ids, shape)
+        return t.xp.broadcast_to(values, shape)
     except (ValueError, RuntimeError, TypeError) as error:
         raise QueryError(
-            f"expected a scene_id that fits positions of shape {shape}, got one of shape "
-            f"{tuple(ids.shape)}"
+            f"expected a {what} that fits the shape {tuple(shape)}, got one of shape "
+            f"{tuple(values.shape)}"
         ) from error
+
+
+def device_of(t: GridTensors) -> Array:
+    """Where the arrays are; None for the default, as in what JAX compiles."""
+    return getattr(t.floor, "device", None)
+
+
+def _new_array(t: GridTensors, values: Array, dtype: Array) -> Array:
+    """Python's or numpy's numbers as an array on the tensors' device."""
+    try:
+        return t.xp.asarray(values, dtype=dtype, device=device_of(t))
+    except (ValueError, TypeError, RuntimeError) as error:
+        raise QueryError(f"expected numbers, got {values!r:.60}") from error
 
 
 def bounded(xp: Array, values: Array, low: Array | float, high: Array | float) -> Array:

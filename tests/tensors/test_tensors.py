@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from hypothesis import given as given_by
@@ -10,7 +12,7 @@ from hypothesis import strategies as st
 
 import navbake
 from grid_maps import level_from, random_house
-from level_maps import stairs
+from level_maps import level_of, stack, stairs
 from navbake import tensors
 from navbake.errors import QueryError
 from navbake.navgrid.islands import clearance
@@ -231,6 +233,19 @@ def test_samples_cover_the_free_cells_evenly_and_no_others():
     assert grid.cells_at(ends).col.tolist() == [0, 3]
 
 
+def test_samples_of_a_room_that_is_not_there_are_not_of_another_island_or_scene():
+    grid = level_from("..#..\n..#..\n..#..")
+    grid.attributes["roomIndex"] = np.array([[1, 1, 0, 2, 2]] * 3, dtype=np.uint16)
+    t = tensors.make_tensors([grid, grid])
+    u = np.full((5, 1), 0.5)
+    drawn = tensors.sample(t, u, room=[1, 2, 3, -1, 4], scene_id=0)
+    assert np.isnan(drawn[:, 0]).tolist() == [False, False, True, True, True]
+    left = np.array([0.05, -0.05, 0.0])
+    drawn = tensors.sample(t, u, room=[1, 2, 3, -1, 4], scene_id=0, reachable_from=left)
+    assert np.isnan(drawn[:, 0]).tolist() == [False, True, True, True, True]
+    assert np.isnan(tensors.sample(t, u, room=3, scene_id=0)).all()
+
+
 def test_where_no_place_is_samples_are_nan():
     grid = level_from("..#.\n..#.\n..#.")
     t = grid.tensors()
@@ -241,6 +256,10 @@ def test_where_no_place_is_samples_are_nan():
     assert np.isnan(tensors.sample(t, u, reachable_from=beside)).all()
     nobody = level_from("###").tensors()
     assert np.isnan(tensors.sample(nobody, u)).all()
+    bad = [[np.nan, 0.5, 0.5], [0.5, np.nan, 0.5], [0.5, 0.5, np.nan]]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.isnan(tensors.sample(t, np.array(bad))).all()
 
 
 @ON_ALL
@@ -284,6 +303,77 @@ def test_many_scenes_at_once(case):
     assert shown(tensors.is_navigable(t, drawn, scene_id=ids)).all()
 
 
+@ON_ALL
+def test_unknown_scenes_and_goals_are_nowhere(case):
+    name, dtype = case
+    xp, grid = library(name), level_from("...\n...")
+    here = (0.05, -0.05, 0.0)
+    t = tensors.make_tensors([grid] * 2, xp, dtype=dtype, goals=[[here, (0.25, -0.05, 0.0)]] * 2)
+    p, ids = given(xp, [here] * 5, dtype), xp.asarray([0, 1, 2, -1, 99])
+    known = [True, True, False, False, False]
+    assert shown(tensors.is_navigable(t, p, ids)).tolist() == known
+    assert (shown(tensors.level_at(t, p, ids)) == 0).tolist() == known
+    for ask in (tensors.floor, tensors.clearance):
+        assert (~np.isnan(shown(ask(t, p, ids)))).tolist() == known
+    yaw, pattern = p[:, 0] * 0, p[:1, :2] * 0
+    assert (~np.isnan(shown(tensors.heights(t, p, yaw, pattern, ids))[:, 0])).tolist() == known
+    drawn = shown(tensors.sample(t, p[:, :1], scene_id=ids))
+    assert (~np.isnan(drawn[:, 0])).tolist() == known
+    distance = shown(tensors.distance_to_goal(t, p, ids, scene_id=0))
+    np.testing.assert_allclose(distance, [0.0, 0.2, np.nan, np.nan, np.nan], atol=1e-6)
+    steps = shown(tensors.path_step(t, p, ids, scene_id=0))
+    assert (~np.isnan(steps[:, 0])).tolist() == known
+
+
+@ON_ALL
+def test_numbers_are_taken_as_lists_and_as_numpys(case):
+    name, dtype = case
+    xp, grids = library(name), [level_from("...\n..."), level_from("...\n...", ground=1.0)]
+    here = (0.05, -0.05, 1.5)
+    t = tensors.make_tensors(grids, xp, dtype=dtype, goals=[[here, here]] * 2)
+    for ids in ([0, 1], (0, 1), np.array([0, 1]), np.array([0, 1], dtype=np.int16)):
+        np.testing.assert_allclose(shown(tensors.floor(t, [here] * 2, ids)), [0.0, 1.0])
+        assert (shown(tensors.distance_to_goal(t, [here] * 2, ids, scene_id=1)) == 0).all()
+        drawn = tensors.sample(t, [[0.5]] * 2, room=np.array([0, 0]), scene_id=ids)
+        np.testing.assert_allclose(shown(drawn)[:, 2], [0.0, 1.0])
+        scan = tensors.heights(t, [here] * 2, [0.0, 0.0], [(0.0, 0.0)], ids)
+        np.testing.assert_allclose(shown(scan), [[0.0], [1.0]])
+    assert shown(tensors.floor(t, here, np.int64(1))) == 1.0
+    assert shown(tensors.distance_to_goal(t, here, np.int32(1), scene_id=np.int64(1))) == 0.0
+    from_one = tensors.sample(t, [[0.5]] * 2, reachable_from=here, scene_id=1)
+    np.testing.assert_allclose(shown(from_one)[:, 2], 1.0)
+    assert shown(tensors.patch(t, here, np.float64(0.0), (1, 2), np.float64(0.1), scene_id=1)).all()
+
+
+def test_everything_stays_on_the_tensors_device():
+    torch = pytest.importorskip("torch")
+    # arrays of this device have no numbers, and fail beside those of another
+    t = tensors.make_tensors([grid_of(0), grid_of(1)], torch, device="meta", goals=[[], []])
+    p = torch.zeros((4, 3), device="meta")
+    asked = [
+        tensors.level_at(t, p, 1),
+        tensors.clearance(t, [[0.0, 0.0, 0.0]], [1]),
+        tensors.heights(t, p, p[:, 0], [[0.0, 0.0]], [0, 1, 1, 0]),
+        tensors.patch(t, p, p[:, 0], (2, 2), scene_id=1),
+        tensors.sample(t, p, scene_id=1),
+        tensors.sample(t, p, room=1, min_clearance=0.1, reachable_from=p, scene_id=[0, 1, 0, 1]),
+        tensors.sample(grid_of(0).tensors(torch, device="meta"), p),
+    ]
+    assert {a.device.type for a in asked} == {"meta"}
+
+
+@pytest.mark.parametrize("rise", [-1e-9, 0.0, 1e-9])
+def test_floors_that_float32_cannot_tell_apart_are_told_apart(rise):
+    grid = stack(level_of("000"), level_of("000"))
+    for level, z in zip(grid.levels, (3.2, 3.2 + rise), strict=True):
+        level.min_yup = (level.min_yup[0], z, level.min_yup[2])
+        del level.attributes["floorHeight"]
+    p = np.array([[0.05, -0.05, 3.3]], dtype=np.float32)
+    expected = PathFinder(grid).cell_at(p[0].astype(float)).level
+    assert expected == int(rise > 0)
+    assert tensors.level_at(grid.tensors(dtype="float32"), p) == expected
+
+
 def test_arrays_are_shared_by_dlpack():
     t = grid_of(0).tensors()
     np.testing.assert_array_equal(np.from_dlpack(t.floor), t.floor)
@@ -304,7 +394,26 @@ def test_arrays_are_shared_by_dlpack():
         (lambda t: tensors.heights(t, np.zeros(3), np.zeros(()), np.zeros(2)), "a pattern of"),
         (lambda t: tensors.patch(t, np.zeros(3), np.zeros(()), layer="smell"), "no layer 'smell'"),
         (lambda t: tensors.patch(t, np.zeros(3), np.zeros(()), (0, 4)), "rows, columns and a cell"),
+        (lambda t: tensors.patch(t, np.zeros(3), np.zeros(()), 64), r"a shape \(rows, columns\)"),
+        (lambda t: tensors.patch(t, np.zeros(3), np.zeros(()), (1, 1), np.inf), "a cell > 0"),
         (lambda t: tensors.sample(t, np.zeros((4, 2))), "u of shape"),
+        (
+            lambda t: tensors.sample(t, np.zeros((4, 3)), reachable_from=np.zeros((2, 3))),
+            r"a reachable_from that fits the shape \(4,\), got one of shape \(2,\)",
+        ),
+        (
+            lambda t: tensors.sample(t, np.zeros((4, 3)), room="hall"),
+            "an integer or integers as room",
+        ),
+        (
+            lambda t: tensors.sample(t, np.zeros((4, 3)), min_clearance=np.zeros(4)),
+            "one number as min_clearance",
+        ),
+        (
+            lambda t: tensors.floor(t, np.zeros((2, 3)), np.array([0.0, 0.9])),
+            "an integer or integers as scene, got float64",
+        ),
+        (lambda t: tensors.floor(t, "here"), "expected numbers, got 'here'"),
     ],
 )
 def test_questions_that_cannot_be_answered(ask, message):
@@ -342,6 +451,8 @@ def test_several_grids_need_a_scene_and_goals_for_each():
         tensors.make_tensors(grids, goals=[[(0, 0, 0)]])
     with pytest.raises(QueryError, match="at least one grid"):
         tensors.make_tensors([])
+    with pytest.raises(QueryError, match="a grid or several, got 5"):
+        tensors.make_tensors(5)
     with pytest.raises(QueryError, match="expected grids"):
         tensors.make_tensors(["house.grid.json"])
 

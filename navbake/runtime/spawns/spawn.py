@@ -1,8 +1,8 @@
 """Draws where many agents start, see `PathFinder.spawn`."""
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -80,7 +80,8 @@ class Spawner:
             check_radius(clearance, "clearance")
         numbers: tuple[int, ...] = ()
         if rooms is not None:
-            names = [rooms] if isinstance(rooms, str) else list(rooms)
+            is_one = isinstance(rooms, str) or not isinstance(rooms, Iterable)
+            names: list[Any] = [rooms] if is_one else list(rooms)
             if not names:
                 raise QueryError("expected at least one room, got none")
             numbers = tuple(sorted({cache.rooms.find(name) for name in names}))

@@ -246,6 +246,7 @@ def test_a_row_that_is_just_long_enough_is_packed():
         (True, {}, "n >= 1, got True"),
         (2, {"rooms": "kitchn"}, "no room 'kitchn' in 'apartment': did you mean 'kitchen'?"),
         (2, {"rooms": ["kitchen", "x"]}, "no room 'x'"),
+        (2, {"rooms": 3}, "no room 3 in .apartment."),
         (2, {"rooms": []}, "at least one room"),
         (2, {"level": 1}, "no level 1"),
         (2, {"island": 99}, "no island 99"),
