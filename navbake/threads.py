@@ -62,11 +62,19 @@ def run_in_bands(
 def run_beside(task: Callable[..., Result], *args: Any) -> Callable[[], Result]:
     """Start a function on another thread; on one thread, it runs when its result is asked for.
 
+    Kernels that it starts may take as many threads as those of this thread.
+
     Returns what waits for the result, and gives it or raises what the function raised.
     """
-    if num_threads() == 1:
+    count = num_threads()
+    if count == 1:
         return partial(task, *args)
-    return _get_pool().submit(task, *args).result
+    return _get_pool().submit(_run_limited, count, task, args).result
+
+
+def _run_limited(count: int, task: Callable[..., Result], args: tuple[Any, ...]) -> Result:
+    with limit_threads(count):  # a limit is known to its own thread alone
+        return task(*args)
 
 
 def _work(

@@ -75,3 +75,10 @@ def test_run_beside_gives_the_result_or_raises(threads):
         result = run_beside(divmod, 7, 0)
         with pytest.raises(ZeroDivisionError):
             result()
+
+
+def test_what_runs_beside_has_the_limit_too(monkeypatch):
+    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 5)
+    with limit_threads(2):
+        assert run_beside(num_threads)() == 2
+    assert run_beside(num_threads)() == 5

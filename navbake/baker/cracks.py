@@ -283,15 +283,20 @@ def only_near(columns: Columns, cells: Int, reach: int) -> Columns:
 
     Of those that are known; all others are empty, so that a trial copies few.
     """
-    lattice, around, known = columns.lattice, np.arange(-reach, reach + 1), columns.known_rows
-    row, col = np.divmod(cells, lattice.width)
-    rows = np.clip(row[:, None, None] + around[:, None], known.first, known.end - 1)
-    cols = np.clip(col[:, None, None] + around, 0, lattice.width - 1)
-    near = np.unique(rows * lattice.width + cols)
+    lattice, known = columns.lattice, columns.known_rows
+    first, end = known.cells(lattice)
+    # row by row, then column by column: a window for each cell would take memory
+    is_near = np.zeros((known.end - known.first, lattice.width), dtype=np.bool_)
+    row, col = np.divmod(cells - first, lattice.width)
+    for k in range(-reach, reach + 1):
+        is_near[np.clip(row + k, 0, len(is_near) - 1), col] = True
+    row, col = np.nonzero(is_near)
+    for k in range(-reach, reach + 1):
+        is_near[row, np.clip(col + k, 0, lattice.width - 1)] = True
+    near = first + np.flatnonzero(is_near)
     counts = columns.start[near + 1] - columns.start[near]
     start = np.zeros_like(columns.start)
     start[near + 1] = counts
-    first, end = known.cells(lattice)
     np.cumsum(start[first : end + 1], out=start[first : end + 1])
     total = int(start[end])
     taken = np.repeat(columns.start[near] - start[near], counts) + np.arange(total)

@@ -30,7 +30,10 @@ def list_by_band(boxes: Float, grow: float, lattice: Lattice) -> tuple[Int, Int3
 def _list(
     boxes: Float, grow: float, lattice: Lattice, count: int, *, by_band: bool
 ) -> tuple[Int, Int32]:
-    chunks = CHUNKS * num_threads() if len(boxes) > WORTH * count and num_threads() > 1 else 1
+    threads, chunks = num_threads(), 1
+    if threads > 1 and len(boxes) > WORTH * count:
+        # no more counts than boxes, however many threads there are
+        chunks = min(CHUNKS * threads, len(boxes) // count)
     cursor = np.zeros((chunks, count), dtype=np.int64)
     asked = boxes, grow, lattice, by_band, cursor
     run_in_bands(list_boxes, chunks, *asked, np.empty(0, dtype=np.int32))

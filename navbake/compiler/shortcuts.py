@@ -169,7 +169,8 @@ def shortcuts(codegen: Any) -> Iterator[None]:
         return
     threshold = gc.get_threshold()
     before = [getattr(owner, name) for owner, name, _ in REPLACED]
-    gc.set_threshold(max(threshold[0], BETWEEN_COLLECTIONS), *threshold[1:])
+    if threshold[0] > 0:  # else Python never looks
+        gc.set_threshold(max(threshold[0], BETWEEN_COLLECTIONS), *threshold[1:])
     for owner, name, function in REPLACED:
         setattr(owner, name, function)
     try:

@@ -82,3 +82,18 @@ def test_boxes_near_cells(boxes):
         near &= (boxes[:, 1] <= y + reach) & (boxes[:, 4] >= y - reach)
         assert listed == np.flatnonzero(near).tolist()
         assert set(listed) <= set(as_lists(*by_tile)[tile_of(LATTICE, cell)])
+
+
+def test_counts_are_no_more_than_boxes(monkeypatch, boxes):
+    expected = list_by_tile(boxes, GROW, LATTICE)
+    counts = []
+
+    def run(kernel, chunks, *args):
+        counts.append(args[4].shape)
+        kernel(*args, 0, chunks)
+
+    monkeypatch.setattr("navbake.baker.listing.num_threads", lambda: 64)
+    monkeypatch.setattr("navbake.baker.listing.run_in_bands", run)
+    for one, other in zip(list_by_tile(boxes, GROW, LATTICE), expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert all(chunks > 1 and chunks * tiles <= NUM for chunks, tiles in counts)

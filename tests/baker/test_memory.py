@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import warnings as python_warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -244,6 +245,19 @@ def test_nothing_that_is_given_changes(model, spec):
 
 
 # ---------------------------------------------------------------- poses
+
+
+def test_what_mujoco_warns_of_a_spec_is_kept(tmp_path):
+    path = tmp_path / "scene.xml"
+    path.write_text(
+        '<mujoco><compiler settotalmass="3"/><worldbody><geom type="box" size="2 2 .1"/>'
+        '<body pos="0 0 2"><freejoint/><geom size=".2"/></body></worldbody></mujoco>'
+    )
+    expected = bytes_of(path)
+    with python_warnings.catch_warnings():
+        python_warnings.simplefilter("error", UserWarning)  # it is a BakeWarning, and no other
+        python_warnings.simplefilter("ignore", navbake.BakeWarning)
+        assert bytes_of(mujoco.MjSpec.from_file(str(path)), scene={"path": str(path)}) == expected
 
 
 def test_pose_of_a_data_is_that_of_the_joints(path, model):

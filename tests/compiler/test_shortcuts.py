@@ -74,6 +74,18 @@ def test_numba_is_as_it_was_afterwards():
     assert (threshold, copy) == (gc.get_threshold(), inline_closurecall.copy)
 
 
+@pytest.mark.parametrize(("own", "expected"), [(700, 200_000), (10**6, 10**6), (0, 0)])
+def test_garbage_is_looked_for_seldom_or_never(own, expected):
+    threshold = gc.get_threshold()
+    gc.set_threshold(own)
+    try:
+        with module.shortcuts(cpu_target.target_context.codegen()):
+            assert gc.get_threshold()[0] == expected
+        assert gc.get_threshold()[0] == own
+    finally:
+        gc.set_threshold(*threshold)
+
+
 USE = """
 import sys
 from navbake import loading

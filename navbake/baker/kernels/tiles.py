@@ -8,7 +8,6 @@ Bands of BAND rows are what one thread works on where items visit the cells unde
 """
 
 import math
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -17,11 +16,6 @@ TILE = 8  # cells along a tile's edge; a tile's cells are the bits of an int64
 BAND = 8  # rows of cells in a band
 # How far beyond the centres of cells one looks, in cells, so that rounding loses none
 HAIR = 1e-3
-
-
-def count_tiles(lattice: Any) -> int:
-    """How many tiles a lattice has, in plain Python."""
-    return int(-(-lattice.width // TILE) * -(-lattice.height // TILE))
 
 
 @njit(cache=True)
@@ -88,12 +82,6 @@ def centers_between(low, high, cell_size, count):
     first = np.ceil(max(low / cell_size - 0.5 - HAIR, 0.0))
     last = np.floor(min(high / cell_size - 0.5 + HAIR, count - 1.0))
     return np.int64(min(first, float(count))), np.int64(max(last, -1.0))
-
-
-@njit(inline="always")
-def count_bands(lattice):
-    """How many bands a lattice has."""
-    return (lattice.height + BAND - 1) // BAND
 
 
 @njit(inline="always")
@@ -188,37 +176,3 @@ def list_near(lattice, boxes, start, item, cells, reach):
             count += 1
         first[n + 1] = count
     return first, near[:count]
-
-
-@njit(cache=True)
-def list_by_tile(ranges, num_tiles, stride):
-    """List, for each tile, the items over it.
-
-    Args:
-        ranges: by item, its first and last tile along one axis, then along the other, (n, 4)
-            int64; last < first for items beside all tiles.
-        num_tiles: how many tiles there are.
-        stride: the step between tile numbers along the first axis.
-
-    Returns:
-        start, (num_tiles + 1,) int64, and item, (start[-1],) int32, ascending within a tile.
-    """
-    start = np.zeros(num_tiles + 1, np.int64)
-    item = np.empty(0, np.int32)
-    cursor = start[:-1].copy()
-    for writing in (False, True):
-        if writing:
-            for tile in range(num_tiles):
-                start[tile + 1] += start[tile]
-            item = np.empty(start[-1], np.int32)
-            cursor = start[:-1].copy()
-        for n in range(ranges.shape[0]):
-            for one in range(ranges[n, 0], ranges[n, 1] + 1):
-                for other in range(ranges[n, 2], ranges[n, 3] + 1):
-                    tile = one * stride + other
-                    if writing:
-                        item[cursor[tile]] = n
-                        cursor[tile] += 1
-                    else:
-                        start[tile + 1] += 1
-    return start, item

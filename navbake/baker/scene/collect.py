@@ -276,8 +276,8 @@ def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, Int | Int32, Int32 | Non
     vertices = model.mesh_vert[first : first + count].astype(np.float64)
     first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
     faces = model.mesh_face[first : first + count]
-    hull = _hull_faces(model, mesh)
     name = name_at(model, model.name_meshadr[mesh])
+    hull = _hull_faces(model, mesh, name)
     for index in (faces, hull):
         if index.size and not 0 <= int(index.min()) <= int(index.max()) < len(vertices):
             raise SceneError(f"mesh {name!r} is broken: faces of missing vertices")
@@ -286,7 +286,7 @@ def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, Int | Int32, Int32 | Non
     return vertices, faces, hull if len(hull) else None
 
 
-def _hull_faces(model: Any, mesh: int) -> Int32:
+def _hull_faces(model: Any, mesh: int, name: str) -> Int32:
     """The faces of the hull that MuJoCo collides with, shape (m, 3); none where it made no hull.
 
     It may have fewer vertices than the mesh's own hull, see `maxhullvert`. Finding it anew would
@@ -301,4 +301,6 @@ def _hull_faces(model: Any, mesh: int) -> Int32:
     num_vertices, num_faces = (int(number) for number in model.mesh_graph[address : address + 2])
     first = address + 2 + 3 * num_vertices + 3 * num_faces
     faces = np.asarray(model.mesh_graph[first : first + 3 * num_faces])
+    if len(faces) != 3 * num_faces:
+        raise SceneError(f"mesh {name!r} is broken: its hull's faces are missing")
     return faces.reshape(-1, 3)

@@ -10,9 +10,9 @@ import numpy as np
 from navbake.baker.scene.mesh_scene import MeshPart, is_mesh_scene, take_mesh_parts
 from navbake.baker.scene.model import (
     OpenScene,
-    add_ground,
     catch_warnings,
     compile_model,
+    compile_spec,
     model_of_parts,
 )
 from navbake.baker.scene.names import name_at
@@ -77,18 +77,12 @@ def _open(scene: Any, settings: SceneSettings, warned: list[str]) -> OpenScene:
             )
         return OpenScene(scene, {}, None, warned)
     if isinstance(scene, mujoco.MjSpec):
-        model = compile_model(path, warned, lambda: _compile_copy(scene, ground))
+        model = compile_model(path, warned, lambda: compile_spec(scene.copy(), ground, warned))
         parts = {}
     else:
         found = take_mesh_parts(scene, path, settings.up, settings.unit)
         model, parts = model_of_parts(found, path, ground, warned)
     return OpenScene(model, parts, None if ground is None else int(model.ngeom) - 1, warned)
-
-
-def _compile_copy(spec: Any, ground: float | None) -> Any:
-    copy = spec.copy()
-    add_ground(copy, ground)
-    return copy.compile()
 
 
 def check_data(model: Any, data: Any, name: str) -> None:

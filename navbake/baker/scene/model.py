@@ -117,7 +117,7 @@ def _load_xml(path: Path, warnings: list[str], ground: float | None) -> Any:
     root = _peek_root(path)
     if root == "robot":
         text, meshes = read_urdf(path)
-        return compile_model(path, warnings, lambda: _build_urdf(text, meshes, ground))
+        return compile_model(path, warnings, lambda: _build_urdf(text, meshes, ground, warnings))
     if root not in ("mujoco", ""):
         raise SceneError(f"expected <mujoco> or <robot> in {path}, got <{root[:40]}>")
     refuse_oversized(path)
@@ -143,7 +143,7 @@ def model_of_parts(
     parts: list[MeshPart], path: Path, ground: float | None, warnings: list[str]
 ) -> tuple[Any, dict[int, MeshPart]]:
     """The model of a mesh scene's parts, and the parts by geom id."""
-    model = compile_model(path, warnings, lambda: _build_model(parts, ground))
+    model = compile_model(path, warnings, lambda: _build_model(parts, ground, warnings))
     return model, {int(model.geom(part.name).id): part for part in parts}
 
 
@@ -168,13 +168,17 @@ def _build_mjcf(path: Path, ground: float | None, warnings: list[str]) -> Any:
         if ground is not None:
             raise ConfigError(f"`scene.ground` can't be added to {path}: let its name end in .xml")
         return mujoco.MjModel.from_xml_path(str(path))
-    spec = mujoco.MjSpec.from_file(str(path))
+    return compile_spec(mujoco.MjSpec.from_file(str(path)), ground, warnings)
+
+
+def compile_spec(spec: Any, ground: float | None, warnings: list[str]) -> Any:
+    """Compile a spec, to which ground is added; what MuJoCo warns of is added to `warnings`."""
     for mesh in spec.meshes:
         # Geoms of type sdf collide by a field of distances in an octree, which takes 0.2 s a mesh
         # to fill. They count by their triangles here. Older MuJoCos fill it always.
         if hasattr(mesh, "octree_maxdepth"):
             mesh.octree_maxdepth = 0
-    add_ground(spec, ground)
+    _add_ground(spec, ground)
     with python_warnings.catch_warnings(record=True) as said:  # MjSpec warns by Python's means
         python_warnings.simplefilter("always")
         model = spec.compile()
@@ -182,7 +186,7 @@ def _build_mjcf(path: Path, ground: float | None, warnings: list[str]) -> Any:
     return model
 
 
-def add_ground(spec: Any, height: float | None) -> None:
+def _add_ground(spec: Any, height: float | None) -> None:
     """Add endless ground at a height, under a name that nothing else has."""
     if height is None:
         return
@@ -194,7 +198,7 @@ def add_ground(spec: Any, height: float | None) -> None:
     body.add_geom(name=name, type=plane, size=(0, 0, 1), contype=0, conaffinity=0)
 
 
-def _build_model(parts: list[MeshPart], ground: float | None) -> Any:
+def _build_model(parts: list[MeshPart], ground: float | None, warnings: list[str]) -> Any:
     """A model of mesh parts: one static body and geom a part, which can't collide.
 
     It has their names alone. Each geom has a tetrahedron in place of its triangles, because MuJoCo
@@ -206,27 +210,27 @@ def _build_model(parts: list[MeshPart], ground: float | None) -> Any:
         body = spec.worldbody.add_body(name=part.name)
         geom = body.add_geom(name=part.name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=part.name)
         geom.contype = geom.conaffinity = 0
-    add_ground(spec, ground)
-    return _compile_geometry(spec)
+    return _compile_geometry(spec, ground, warnings)
 
 
-def _build_urdf(text: str, files: dict[str, Path], ground: float | None) -> Any:
+def _build_urdf(
+    text: str, files: dict[str, Path], ground: float | None, warnings: list[str]
+) -> Any:
     """A model of a URDF, its meshes read as mesh scenes are, whatever their format."""
     spec = mujoco.MjSpec.from_string(text)
     read = cache(lambda file: _join_parts(read_mesh_parts(files[file])))
     for mesh in spec.meshes:
         file, mesh.file = mesh.file, ""
         _fill_mesh(mesh, *read(file))
-    add_ground(spec, ground)
-    return _compile_geometry(spec)
+    return _compile_geometry(spec, ground, warnings)
 
 
-def _compile_geometry(spec: Any) -> Any:
+def _compile_geometry(spec: Any, ground: float | None, warnings: list[str]) -> Any:
     """Compile a spec whatever its masses and inertias are: they do not matter to a bake."""
     spec.compiler.balanceinertia = True
     spec.compiler.boundmass = max(spec.compiler.boundmass, 1e-6)
     spec.compiler.boundinertia = max(spec.compiler.boundinertia, 1e-6)
-    return spec.compile()
+    return compile_spec(spec, ground, warnings)
 
 
 def _join_parts(parts: list[MeshPart]) -> tuple[Float, Int]:

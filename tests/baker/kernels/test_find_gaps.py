@@ -6,6 +6,7 @@ Run ``NAVBAKE_EXAMPLES=3000 pytest tests/baker/kernels/test_find_gaps.py`` for m
 from __future__ import annotations
 
 import os
+import tracemalloc
 from typing import NamedTuple
 
 import numpy as np
@@ -157,3 +158,22 @@ def test_gaps_of_some_cells_are_counted_by_what_is_near(seed):
         cells = np.flatnonzero(np.random.default_rng(seed).random(num) < 0.1)
         near = only_near(columns, cells, crack_cells(crack, LATTICE))
         np.testing.assert_array_equal(count_gaps(near, cells, LIMITS, crack), expected[cells])
+
+
+def test_what_is_near_takes_memory_for_cells_and_not_for_windows():
+    lattice = Lattice(x_min=0.0, y_max=2.0, width=200, height=200, cell_size=0.01)
+    num = lattice.width * lattice.height
+    one = np.arange(num + 1), np.zeros(num), np.zeros((num, 3), np.float32)
+    crossings = Crossings(*one, np.arange(num, dtype=np.int32), np.zeros(num, np.uint8))
+    cells = np.arange(0, num, 37)
+    tracemalloc.start()
+    near = only_near(Columns(lattice, crossings), cells[:20], 30)
+    only_near(Columns(lattice, crossings), cells, 30)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    row, col = np.divmod(cells[:20], 200)
+    rows, cols = (abs(np.arange(200) - place[:, None]) <= 30 for place in (row, col))
+    expected = (rows[:, :, None] & cols[:, None, :]).any(axis=0)
+    np.testing.assert_array_equal(np.diff(near.start).reshape(200, 200), expected)
+    np.testing.assert_array_equal(near.geom, np.flatnonzero(expected))
+    assert most < 10e6  # windows for each cell take 67 MB

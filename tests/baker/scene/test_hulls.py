@@ -77,6 +77,14 @@ def test_a_broken_hull_is_told():
         MeshTriangles(model).count(0, "hull")
 
 
+@pytest.mark.parametrize("count", [1000, -1])
+def test_a_hull_without_its_faces_is_told(count):
+    model = compile_mesh(np.random.default_rng(0).normal(size=(40, 3)))
+    model.mesh_graph[1] = count
+    with pytest.raises(SceneError, match="mesh 'mesh' is broken: its hull's faces are missing"):
+        MeshTriangles(model).count(0, "hull")
+
+
 def test_a_mesh_of_type_sdf_gets_no_octree(tmp_path):
     """Filling it takes longer than all else that MuJoCo compiles, and no bake looks at it."""
     path = tmp_path / "scene.xml"

@@ -1,7 +1,7 @@
 """What lies over which tile of a voxel grid's columns, and where triangles are.
 
 The same uniform grid of tiles as the lattice's (Ericson, Real-Time Collision Detection, 2005, 7.1),
-listed by the same counting sort, see `baker.kernels.tiles`.
+listed by a counting sort as well, see `baker.kernels.tiles`.
 """
 
 import math
@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from navbake.baker.kernels.constants import OPEN_SURFACE
-from navbake.baker.kernels.tiles import TILE, list_by_tile
+from navbake.baker.kernels.tiles import TILE
 
 
 @njit(cache=True)
@@ -23,10 +23,44 @@ def touched(low, high, first, res, num):
 
 
 @njit(cache=True)
+def _list_items(ranges, num_tiles, stride):
+    """List, for each tile, the items over it.
+
+    Args:
+        ranges: by item, its first and last tile along one axis, then along the other, (n, 4)
+            int64; last < first for items beside all tiles.
+        num_tiles: how many tiles there are.
+        stride: the step between tile numbers along the first axis.
+
+    Returns:
+        start, (num_tiles + 1,) int64, and item, (start[-1],) int32, ascending within a tile.
+    """
+    start = np.zeros(num_tiles + 1, np.int64)
+    item = np.empty(0, np.int32)
+    cursor = start[:-1].copy()
+    for writing in (False, True):
+        if writing:
+            for tile in range(num_tiles):
+                start[tile + 1] += start[tile]
+            item = np.empty(start[-1], np.int32)
+            cursor = start[:-1].copy()
+        for n in range(ranges.shape[0]):
+            for one in range(ranges[n, 0], ranges[n, 1] + 1):
+                for other in range(ranges[n, 2], ranges[n, 3] + 1):
+                    tile = one * stride + other
+                    if writing:
+                        item[cursor[tile]] = n
+                        cursor[tile] += 1
+                    else:
+                        start[tile + 1] += 1
+    return start, item
+
+
+@njit(cache=True)
 def bin_items(bounds, origin, res, shape):
     """List, for each tile of a grid's columns, the (n, 6) boxes that reach into it.
 
-    Returns what `list_by_tile` does; tiles along y follow each other.
+    Returns what `_list_items` does; tiles along y follow each other.
     """
     tiles_x, tiles_y = (shape[0] + TILE - 1) // TILE, (shape[1] + TILE - 1) // TILE
     ranges = np.empty((bounds.shape[0], 4), np.int64)
@@ -37,7 +71,7 @@ def bin_items(bounds, origin, res, shape):
         is_beside = bounds[n, 2] > top or bounds[n, 5] < origin[2] or i1 < i0 or j1 < j0
         ranges[n, 0], ranges[n, 1] = (0, -1) if is_beside else (i0 // TILE, i1 // TILE)
         ranges[n, 2], ranges[n, 3] = j0 // TILE, j1 // TILE
-    return list_by_tile(ranges, tiles_x * tiles_y, tiles_y)
+    return _list_items(ranges, tiles_x * tiles_y, tiles_y)
 
 
 @njit(cache=True)
