@@ -23,6 +23,8 @@ from navbake.types import Float, Int, Int32
 
 # Crossings of so many cells are found at once, for the memory that it takes
 BLOCK_CELLS = 1 << 20
+# So many lines at points are worth a call on another thread
+LEAST_POINTS = 1024
 
 
 class Rows(NamedTuple):
@@ -243,15 +245,28 @@ def cast_points(tiled: TiledShapes, cells: Int, points: Float) -> Crossings:
     """
     shapes, heights = tiled.shapes, tiled.heights
     load_mujoco_library(mujoco_library())
-    lines = points, tile_of(tiled.lattice, cells)
+    tile = tile_of(tiled.lattice, cells)
     geometry = (shapes.solids, tiled.facets, shapes.planes, tiled.tiles, heights)
-    start = np.zeros(len(points) + 1, dtype=np.int64)
-    cast_points_at(*lines, *geometry, _empty_crossings(start, 0))
-    np.cumsum(start, out=start)
-    crossings = _empty_crossings(start, int(start[-1]))
-    if len(crossings.z):
-        cast_points_at(*lines, *geometry, crossings)
-    return crossings
+    parts: dict[int, Crossings] = {}
+
+    def cast(first: int, end: int) -> None:
+        parts[first] = cast_points_at(points[first:end], tile[first:end], *geometry)
+
+    run_in_bands(cast, len(points), least=LEAST_POINTS)
+    return _join_crossings([parts[first] for first in sorted(parts)])
+
+
+def _join_crossings(parts: list[Crossings]) -> Crossings:
+    """Columns of one part after the other."""
+    if len(parts) == 1:
+        return parts[0]
+    ends = np.cumsum([0, *(part.start[-1] for part in parts)])
+    starts = [part.start[1:] + end for part, end in zip(parts, ends, strict=False)]
+    empty = _empty_crossings(np.zeros(1, dtype=np.int64), 0)
+    layers = zip(empty[1:], *(part[1:] for part in parts), strict=True)
+    return Crossings(
+        np.concatenate([empty.start, *starts]), *(np.concatenate(layer) for layer in layers)
+    )
 
 
 def _empty_crossings(start: Int, count: int) -> Crossings:

@@ -5,7 +5,7 @@ scipy has such functions, but takes longer to load than the apartment to bake.
 
 import numpy as np
 
-from navbake.navgrid.kernels.connect import number_parts
+from navbake.navgrid.kernels.connect import list_touching, number_parts
 from navbake.types import Int, Int32
 
 
@@ -27,10 +27,5 @@ def touching(cells: Int, width: int) -> Int:
         cells: ascending cell ids, shape (m,).
         width: of the lattice.
     """
-    col, pairs = cells % width, []
-    for down, right in ((0, 1), (1, -1), (1, 0), (1, 1)):
-        beside = cells + down * width + right
-        place = np.searchsorted(cells, beside).clip(max=len(cells) - 1)
-        meets = (cells[place] == beside) & (col + right >= 0) & (col + right < width)
-        pairs.append(np.stack([np.flatnonzero(meets), place[meets]]))
-    return np.concatenate(pairs, axis=1)
+    pairs: Int = list_touching(np.ascontiguousarray(cells, dtype=np.int64), width)
+    return pairs

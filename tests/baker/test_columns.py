@@ -499,3 +499,19 @@ def test_planes(tmp_path: Path, name: str) -> None:
         z, normal = column(columns, cell, 0)
         np.testing.assert_allclose(z, expected(x, y), atol=1e-12)
         np.testing.assert_allclose(normal[:, 2], -1.0 if name == "front down" else 1.0)
+
+
+def test_lines_at_points_are_the_same_on_any_number_of_threads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = load(tmp_path, aligned_xml(np.random.default_rng(5)))
+    lattice = Lattice(-1.05, 1.05, 0.1, 21, 21)
+    cells = np.arange(21 * 21)
+    tiled, points = tile_shapes(scene.shapes, lattice, 0.1), lattice.positions(*divmod(cells, 21))
+    whole = cast_points(tiled, cells, points)
+    monkeypatch.setattr("navbake.baker.columns.LEAST_POINTS", 7)
+    with limit_threads(2):
+        parts = cast_points(tiled, cells, points)
+    for one, other in zip(whole, parts, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert cast_points(tiled, cells[:0], points[:0]).start.tolist() == [0]

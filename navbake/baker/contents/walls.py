@@ -10,7 +10,7 @@ import numpy as np
 from navbake.baker.contents.structure import Carriers
 from navbake.baker.scene.bodies import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.extents import Extents
-from navbake.baker.scene.names import body_name, names_of, warn_unmatched
+from navbake.baker.scene.names import all_names, body_name, names_of, warn_unmatched
 from navbake.baker.scene.scene import Scene
 from navbake.types import Bool, Float, Int
 
@@ -128,7 +128,7 @@ def find_walls(
     too: parapets, lintels, stubs, windows. Something that one can stand on is a wall only if it
     is named so, and what carries floors continues no wall. Geoms that are excluded are no walls.
     """
-    named_by_geom = [" ".join(_names(scene, report.id)).lower() for report in scene.geoms]
+    named_by_geom = [" ".join(names).lower() for names in all_names(scene.model).geoms]
     hinted = np.array([any(hint in names for hint in HINTS) for names in named_by_geom])
     static, slender = is_static(scene) & ~excluded, _is_slender(extents, *THIN)
     stands = static & (over_floors.base <= NEAR_FLOOR)

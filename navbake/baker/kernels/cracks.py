@@ -161,7 +161,7 @@ def _lower_side_of_gap(lattice, crossings, limits, reach, stands, place, way, di
 
 
 @njit(inline="always")
-def _is_even(only, cell, width, reach, step):
+def is_even(only, cell, width, reach, step):
     """Whether on each axis one side of a cell is within a step of it, by the heights in `only`.
 
     A quick test for what `_floors_end` finds; the cell is not within `reach` of the lattice's edge.
@@ -258,7 +258,7 @@ def find_gaps(lattice, crossings, limits, reach, room, task, first, end):
             elif (
                 is_inner
                 and reach <= col < width - reach
-                and _is_even(only, cell, width, reach, step)
+                and is_even(only, cell, width, reach, step)
             ):
                 continue
             low, high = room.low[at:], room.high[at:]

@@ -21,6 +21,7 @@ import numpy as np
 from llvmlite import binding
 from numba import njit, types
 
+from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import BOX, CONVEX_SOLID, CYLINDER, OPEN_SURFACE, PLANE, SPHERE
 from navbake.baker.kernels.hits import (
     INSIDE,
@@ -319,20 +320,44 @@ def cast_line(x, y, tile, solids, facets, planes, tiles, heights, ray, hits):
     return count - settle(hits, zero, count, facets, hits, count)
 
 
-@njit(cache=True)
-def cast_points_at(points, tile, solids, facets, planes, tiles, heights, crossings):
-    """Cross vertical lines at points, (n, 2) [m], over tiles, (n,) int64.
+@njit(inline="always")
+def _with_room(crossings, used, count):
+    """Crossings with room for some more behind the used ones."""
+    if used + count <= crossings.z.shape[0]:
+        return crossings
+    room = max(used + count, 2 * used)
+    z, normal, geom = np.empty(room), np.empty((room, 3), np.float32), np.empty(room, np.int32)
+    closed = np.empty(room, np.uint8)
+    z[:used], normal[:used] = crossings.z[:used], crossings.normal[:used]
+    geom[:used], closed[:used] = crossings.geom[:used], crossings.closed[:used]
+    return Crossings(crossings.start, z, normal, geom, closed)
 
-    Twice, as `cast_lines`, but what is counted is exact.
-    """
-    ray = make_ray()
-    for n in range(points.shape[0]):
-        hits = make_hits(most_hits(tile[n], planes, tiles))
+
+@njit(cache=True, nogil=True)
+def cast_points_at(points, tile, solids, facets, planes, tiles, heights):
+    """Cross vertical lines at points, (n, 2) [m], over tiles, (n,) int64: `Crossings` by line."""
+    num = points.shape[0]
+    most = np.int64(0)
+    for n in range(num):
+        most = max(most, most_hits(tile[n], planes, tiles))
+    ray, hits = make_ray(), make_hits(most)
+    room = 4 * num
+    found = Crossings(
+        np.zeros(num + 1, np.int64), np.empty(room), np.empty((room, 3), np.float32),
+        np.empty(room, np.int32), np.empty(room, np.uint8),
+    )  # fmt: skip
+    used = np.int64(0)
+    for n in range(num):
         x, y = points[n, 0], points[n, 1]
         count = cast_line(x, y, tile[n], solids, facets, planes, tiles, heights, ray, hits)
-        if crossings.z.shape[0] == 0:
-            crossings.start[n + 1] = count
-            continue
-        out = hits_of(crossings, crossings.start[n], crossings.start[n + 1])
+        found = _with_room(found, used, count)
         for i in range(count):
-            copy_hit(hits, i, out, i)
+            found.z[used + i], found.geom[used + i] = hits.z[i], hits.geom[i]
+            found.closed[used + i] = hits.closed[i]
+            for axis in range(3):
+                found.normal[used + i, axis] = hits.normal[i, axis]
+        used += count
+        found.start[n + 1] = used
+    return Crossings(
+        found.start, found.z[:used], found.normal[:used], found.geom[:used], found.closed[:used]
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -9,9 +10,10 @@ import numpy as np
 
 from navbake.baker.columns import Columns, TiledShapes, cast_points, tile_shapes
 from navbake.baker.cracks import Gaps, Moved, crack_cells, crack_reach, measure_cracks
+from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.floors.sheets import agent_limits
-from navbake.baker.kernels.arrays import AgentLimits, Band, Crossings
-from navbake.baker.kernels.cracks import GapRoom
+from navbake.baker.kernels.arrays import Band, Crossings
+from navbake.baker.kernels.cracks import GapRoom, count_gaps
 from navbake.baker.kernels.hits import RIM
 from navbake.baker.kernels.tiles import TILE, tile_of
 from navbake.baker.live.kernels import pool as kernels
@@ -19,11 +21,14 @@ from navbake.baker.live.kernels.cracks import list_gaps_in
 from navbake.baker.live.kernels.pool import Pool
 from navbake.baker.live.kernels.regions import cells_of_boxes, grow_cells, join_cells, near_tiles
 from navbake.baker.live.not_local import NotLocal
+from navbake.baker.rooms.overhead import Overhead, keep_holes
 from navbake.baker.scene.shapes import Shapes, Solids, Triangles
-from navbake.config.settings import BakeConfig
+from navbake.config.settings import AgentSettings, BakeConfig
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int, Int32
 
+# A line this far beyond a box [cells], more than rounding can be, does not meet what is in it
+SPARE = 1e-3
 # A pool has so much room more than it needs at first
 ROOM = 1.25
 
@@ -58,6 +63,11 @@ class Region(NamedTuple):
     def number(self, cells: Int) -> Int:
         """The numbers of some of the region's cells."""
         return np.searchsorted(self.cells, cells)
+
+    def only(self, cells: Int) -> Region:
+        """A part of the region, with no places."""
+        columns = kernels.take_columns(self.columns, self.cells, cells)
+        return Region(cells, columns, np.empty(0, dtype=np.int64))
 
     def by_id(self, scratch: Scratch) -> Crossings:
         """The columns by cell id; the last such is the only one that holds."""
@@ -122,6 +132,24 @@ class LiveColumns:
         """The columns of all cells."""
         return Columns(self.lattice, self.gather(np.arange(len(self.pool.first))).columns)
 
+    def blocks(self) -> Iterator[Columns]:
+        """The columns of all cells, in one block."""
+        yield self.all()
+
+    def at(self, cells: Int | Int32) -> Columns:
+        """Columns in which those of some cells are known."""
+        region = self.gather(np.unique(cells).astype(np.int64))
+        return Columns(self.lattice, region.by_id(self.scratch))
+
+    def overhead(self, level: LevelFloor, agent: AgentSettings) -> Overhead:
+        """What `OverheadFinder` finds."""
+        top, up = np.full(len(self.pool.first), np.nan), np.zeros(len(self.pool.first), np.float32)
+        kernels.find_tops(self.pool, top, up)
+        holes = np.isnan(level.floor)
+        bare = self.at(np.flatnonzero(holes))
+        keep_holes(holes.ravel(), bare.start, level.ground, bare, agent)
+        return Overhead(self, top, up, [holes])
+
     def near(self, shapes: Shapes, cells: Int, reach: float, heights: Band) -> TiledShapes:
         """The part of the geometry that is near some cells, listed by tiles; all planes.
 
@@ -131,8 +159,7 @@ class LiveColumns:
         """
         lattice, solids, triangles = self.lattice, shapes.solids, shapes.triangles
         summed = np.zeros((-(-lattice.height // TILE) + 1, -(-lattice.width // TILE) + 1), np.int64)
-        tile = np.unique(tile_of(lattice, cells))
-        rows, cols = np.divmod(tile, summed.shape[1] - 1)
+        rows, cols = np.divmod(tile_of(lattice, cells), summed.shape[1] - 1)
         summed[rows + 1, cols + 1] = 1
         np.cumsum(summed, axis=0, out=summed)
         np.cumsum(summed, axis=1, out=summed)
@@ -163,7 +190,7 @@ class LiveColumns:
 
     def asked(self, boxes: Float) -> Asked:
         """The cells whose columns may be others when the geometry in boxes is, (n, 6) [m]."""
-        cells = cells_of_boxes(self.lattice, boxes, RIM, self.scratch.flag)
+        cells = cells_of_boxes(self.lattice, boxes, RIM, SPARE, self.scratch.flag)
         if self._crack == 0:
             return Asked(cells, cells, cells)
         region = self._region_of_cracks(boxes)
@@ -185,7 +212,7 @@ class LiveColumns:
         self._is_cracked[asked.region] = is_cracked
         is_new = np.empty(len(found.cells), dtype=np.bool_)
         kernels.differs(self.pool, found.cells, found.columns, is_new)
-        return _only(found, is_new)
+        return found.only(found.cells[is_new])
 
     def check_planes(self, shapes: Shapes, old: Band, new: Band) -> None:
         """NotLocal where level planes are crossed at other heights by lines that begin elsewhere.
@@ -215,7 +242,7 @@ class LiveColumns:
     def _region_of_cracks(self, boxes: Float) -> Int:
         """The cells in which cracks may be others, with all that decide together with them."""
         lattice, flag, reach = self.lattice, self.scratch.flag, self._crack_cells
-        near = cells_of_boxes(lattice, boxes, crack_reach(self._crack), flag)
+        near = cells_of_boxes(lattice, boxes, crack_reach(self._crack), 1.0, flag)
         region: Int = grow_cells(lattice.width, lattice.height, near, reach, flag)
         while True:
             around = grow_cells(lattice.width, lattice.height, region, reach, flag)
@@ -236,62 +263,58 @@ class LiveColumns:
         lattice, reach, (again, region, every) = self.lattice, self._crack_cells, asked
         around = grow_cells(lattice.width, lattice.height, region, reach, self.scratch.flag)
         around = join_cells(around, again)
-        raw, _ = kernels.gather(self.pool, around)
-        raw = kernels.replace_columns(raw, np.searchsorted(around, again), fresh)
+        was = self.gather(around)
+        raw = kernels.replace_columns(was.columns, was.number(again), fresh)
         whole = Region(around, raw, np.empty(0, np.int64))
         gaps = self._list_gaps(whole, region)
         if len(gaps.cell):
             cells, candidates = measure_cracks(gaps, tiled, self._limits, self._crack)
             if len(cells):
                 is_cracked[np.searchsorted(region, cells)] = True
-                whole = self._replace_by_best(whole, tiled, region, cells, candidates)
-        columns = _take(whole.columns, whole.number(every))
-        return Region(every, columns, np.empty(0, np.int64))
+                whole = self._replace_by_best(whole, tiled, cells, candidates)
+        return whole.only(every)
 
     def _list_gaps(self, whole: Region, asked: Int) -> Gaps:
-        none = np.empty(0)
-        stands = np.empty(len(whole.columns.z), dtype=np.bool_)
-        room = GapRoom(stands, none, np.empty(0, np.int64), none, none)
-        columns = whole.by_id(self.scratch)
-        limits: AgentLimits = self._limits
-        asks = self.lattice, columns, limits, self._crack_cells, room
-        return Gaps(*list_gaps_in(*asks, whole.cells, asked))
+        asks = self._asks_of_gaps(whole, self.scratch.floor)
+        args = *asks, whole.cells, asked
+        return Gaps(*list_gaps_in(*args))
+
+    def _count_gaps(self, near: Region, cells: Int) -> Int:
+        counts = np.empty(len(cells), dtype=np.int64)
+        args = *self._asks_of_gaps(near, np.empty(0)), cells, counts
+        count_gaps(*args)
+        return counts
+
+    def _asks_of_gaps(self, region: Region, only: Float) -> tuple[Any, ...]:
+        none, limits = np.empty(0), self._limits
+        stands = np.empty(len(region.columns.z), dtype=np.bool_)
+        room = GapRoom(stands, only, np.empty(0, np.int64), none, none)
+        return self.lattice, region.by_id(self.scratch), limits, self._crack_cells, room
 
     def _replace_by_best(
-        self, whole: Region, tiled: TiledShapes, region: Int, cells: Int, candidates: Float
+        self, whole: Region, tiled: TiledShapes, cells: Int, candidates: Float
     ) -> Region:
         """The region with the line in each cell that leaves the fewest gaps; see `close_cracks`."""
         best = candidates[:, 0].copy()
         fewest = np.full(len(cells), np.iinfo(np.int64).max)
         centers = self.lattice.positions(*np.divmod(cells, self.lattice.width))
-        numbers = whole.number(cells)
 
-        def replaced(offset: Float) -> Region:
+        def replaced(region: Region, offset: Float) -> Region:
             new = cast_points(tiled, cells, centers + offset)
-            return whole._replace(columns=kernels.replace_columns(whole.columns, numbers, new))
+            columns = kernels.replace_columns(region.columns, region.number(cells), new)
+            return region._replace(columns=columns)
 
+        lattice, flag = self.lattice, self.scratch.flag
+        near = whole.only(grow_cells(lattice.width, lattice.height, cells, self._crack_cells, flag))
         for offset in candidates.swapaxes(0, 1):
             asked = (fewest > 0) & ~np.isnan(offset[:, 0])
             if not asked.any():
                 continue
-            gaps = self._list_gaps(replaced(np.where(asked[:, None], offset, best)), region)
-            place = np.searchsorted(cells, gaps.cell).clip(max=len(cells) - 1)
-            place = place[cells[place] == gaps.cell]
-            left = np.bincount(place, minlength=len(cells))
+            trial = replaced(near, np.where(asked[:, None], offset, best))
+            left = self._count_gaps(trial, cells)
             better = asked & (left < fewest)
             best[better], fewest[better] = offset[better], left[better]
-        return replaced(best)
-
-
-def _only(region: Region, kept: Bool) -> Region:
-    return Region(region.cells[kept], _take(region.columns, np.flatnonzero(kept)), region.place)
-
-
-def _take(columns: Crossings, numbers: Int) -> Crossings:
-    counts = np.diff(columns.start)[numbers]
-    start = np.concatenate([[0], np.cumsum(counts)])
-    taken = np.repeat(columns.start[numbers] - start[:-1], counts) + np.arange(start[-1])
-    return Crossings(start, *(part[taken] for part in columns[1:]))
+        return replaced(whole, best)
 
 
 def _boxes(corners: Float) -> Float:

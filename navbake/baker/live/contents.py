@@ -24,6 +24,7 @@ from navbake.baker.contents.contents import (
 )
 from navbake.baker.contents.structure import Carriers, FloorSupport, find_carriers
 from navbake.baker.contents.walls import (
+    NEAR_FLOOR,
     WALL_BAND,
     GeomsOverFloors,
     candidates_of,
@@ -43,6 +44,7 @@ from navbake.baker.live.floors import FloorChanges
 from navbake.baker.live.following import boxes_of
 from navbake.baker.live.kernels.contents import (
     count_in_tiles,
+    count_taken,
     list_in_tiles,
     measure_entries,
     replace_entries,
@@ -53,7 +55,7 @@ from navbake.baker.occupancy.occupancy import Footprint
 from navbake.baker.scene.bodies import find_free_bodies
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
-from navbake.baker.warn import ContentNotes, count_taken_cells
+from navbake.baker.warn import ContentNotes
 from navbake.config.settings import BakeConfig
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import Shared, UserData
@@ -122,7 +124,8 @@ class LiveContents:
         self._free_body = find_free_bodies(scene.model)
         self.taken = np.zeros(scene.model.nbody, dtype=np.int64)
         if (self._free_body >= 0).any():
-            self._count_taken(self._assemble(), 1)
+            for band in self._bands:
+                count_taken(band, np.arange(len(band.start) - 1), self._free_body, self.taken, 1)
 
     # ------------------------------------------------------------------ updates
 
@@ -155,15 +158,17 @@ class LiveContents:
         self._mark_geoms(changes.heights, marked)
         carried = self._follow_support(touched, level, changes, moved)
         decided = (self._is_static | self._is_surface) & marked
-        was = [array[decided] for array in self._measured]
+        was = self._decisive(decided)
         self._measure_marked(scene, marked, level)
-        now = [array[decided] for array in self._measured]
+        now = self._decisive(decided)
         as_before = all(np.array_equal(one, other) for one, other in zip(was, now, strict=True))
         kinds_hold = carried and as_before and not self._may_be_others(moved)
         if not kinds_hold:
             if not carried:
-                self._carriers = self._find_carriers(floors)
-            kinds_hold = self._classify(scene)
+                was_carried, self._carriers = self._carriers, self._find_carriers(floors)
+                carried = _decide_the_same(was_carried, self._carriers, self._is_static)
+            kinds_hold = carried and as_before and not self._may_be_others(moved)
+            kinds_hold = kinds_hold or self._classify(scene)
         return self._mark_walls(cells, kinds_hold)
 
     def _measure_moved(self, scene: Scene, moved: Bool) -> None:
@@ -226,12 +231,22 @@ class LiveContents:
                 continue
             changed.append(cells[own][differs])
             if counted:
-                self._count_taken_of(bands[number], local[differs], -1)
+                count_taken(bands[number], local[differs], self._free_body, self.taken, -1)
             bands[number] = Entries(start, geom, flags)
             if counted:
-                self._count_taken_of(bands[number], local[differs], 1)
+                count_taken(bands[number], local[differs], self._free_body, self.taken, 1)
         self._bands = bands
         return np.concatenate([np.empty(0, dtype=np.int64), *changed])
+
+    def _decisive(self, geoms: Bool) -> list[Float | Int]:
+        """What was measured of some geoms, as far as it can decide what they are.
+
+        How deep a geom reaches under a floor does not: all that begins so low may be a wall, and
+        none of it is a ceiling.
+        """
+        base, *others = (array[geoms] for array in self._measured)
+        low = min(NEAR_FLOOR, self._config.agent.height / 2)
+        return [np.maximum(base, low), *others]
 
     def _mark_geoms(self, cells: Int, marked: Bool) -> None:
         """Mark the geoms in some cells."""
@@ -248,7 +263,7 @@ class LiveContents:
         footprint = Footprint.of(agent, lattice.cell_size)
         reach = max(lattice.cell_size / 2, footprint.reach) + 2 * TOUCH
         boxes, _ = boxes_of(scene.shapes.only(marked))
-        cells = cells_of_boxes(lattice, boxes, reach, self._live.scratch.flag)
+        cells = cells_of_boxes(lattice, boxes, reach, 1.0, self._live.scratch.flag)
         per_band, floor = ROWS * lattice.width, level.floor.reshape(-1)
         sizes = self._extents.low, self._extents.high
         for number, own in _by_band(cells, per_band):
@@ -372,14 +387,6 @@ class LiveContents:
     def _assemble(self) -> LevelContents:
         return _to_level(_join(self._bands), self._live.lattice, self.support)
 
-    def _count_taken(self, listed: LevelContents, by: int) -> None:
-        """Count the cells that bodies with a free joint take."""
-        count_taken_cells(listed, self._free_body, self.taken, by)
-
-    def _count_taken_of(self, band: Entries, cells: Int, by: int) -> None:
-        line = self._live.lattice._replace(width=len(cells), height=1)
-        self._count_taken(_to_level(_take(band, cells), line, self.support), by)
-
 
 def _split(listed: LevelContents, lattice: Lattice) -> list[Entries]:
     flags = np.where(listed.stands, STANDS, 0) | np.where(listed.blocks, BLOCKS, 0)
@@ -391,6 +398,16 @@ def _split(listed: LevelContents, lattice: Lattice) -> list[Entries]:
         here = slice(int(start[0]), int(start[-1]))
         bands.append(Entries(start - start[0], listed.geom[here], bits[here]))
     return bands
+
+
+def _decide_the_same(one: Carriers, other: Carriers, static: Bool) -> bool:
+    """Whether walls and structure are the same with other carriers, see `classify_geoms`.
+
+    What only lies on floors, and what one can stand on, is asked of static geoms alone.
+    """
+    differs = one.building != other.building
+    differs |= static & ((one.things != other.things) | (one.stood_on != other.stood_on))
+    return not differs.any()
 
 
 def _by_band(cells: Int, per_band: int) -> list[tuple[int, slice]]:

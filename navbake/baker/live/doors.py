@@ -135,7 +135,7 @@ class LiveDoors:
             return True
         cell = self._lattice.cell_size
         box = self._reach[door].box[None]
-        near = cells_of_boxes(self._lattice, box, SIGHT + 2 * cell, self._scratch.flag)
+        near = cells_of_boxes(self._lattice, box, SIGHT + 2 * cell, 1.0, self._scratch.flag)
         place = np.searchsorted(touched, near)
         return bool((np.append(touched, -1)[place] == near).any())
 

@@ -19,12 +19,19 @@ from navbake.baker.floors.sheets import AreaTest, agent_limits
 from navbake.baker.floors.stairs import PLATEAU
 from navbake.baker.kernels.constants import CLOSED_SURFACE
 from navbake.baker.live.columns import LiveColumns, Region
-from navbake.baker.live.kernels.grow import regrow
-from navbake.baker.live.kernels.regions import grow_cells, label_cells
-from navbake.baker.live.kernels.sheets import explore, hold_region, label_region, mark_region
+from navbake.baker.live.kernels.grow import compare_floors, find_standing, list_heights, regrow
+from navbake.baker.live.kernels.regions import are_in, grow_cells, join_cells, label_cells
+from navbake.baker.live.kernels.sheets import (
+    explore,
+    group_parts,
+    hold_region,
+    label_region,
+    mark_region,
+)
 from navbake.baker.live.not_local import NotLocal
 from navbake.baker.scene.shapes import Planes, Shapes
 from navbake.config.settings import BakeConfig
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
 # What a sheet is: none that counts, the floor that things move on, or another large one
@@ -33,6 +40,8 @@ SMALL, MAIN, OTHER = 0, 1, 2
 REACHES = (3, 8, 20, 50)
 # How many surfaces a search for a way round visits, as long as it finds none
 VISITS = (2_000, 20_000, 200_000, 2_000_000)
+# So many cells are worth a call on another thread
+LEAST_CELLS = 4096
 
 
 class FloorChanges(NamedTuple):
@@ -276,8 +285,9 @@ class LiveFloors:
         """Which surfaces of a region are floor-like, and which standable."""
         num, scratch = len(region.columns.z), self._live.scratch
         marks = np.zeros(num, dtype=np.bool_), np.zeros(num, dtype=np.bool_)
-        known = region.by_id(scratch), planes, self._limits
-        mark_region(self._live.lattice, region.cells, *known, *marks, scratch.count)
+        known = region.cells, region.by_id(scratch), planes, self._limits
+        work = mark_region, len(region.cells), self._live.lattice
+        run_in_bands(*work, *known, marks, scratch.count, least=LEAST_CELLS)
         return marks
 
     # ------------------------------------------------------------------ sheets
@@ -291,26 +301,35 @@ class LiveFloors:
         start, z = region.columns.start, region.columns.z
         asked = live.lattice, cells, start, z, standable, self._limits.step
         part, num = label_region(*asked, live.scratch.local)
-        cell_of = np.repeat(cells, np.diff(start))
-        node = np.flatnonzero(standable)
-        node = node[np.argsort(part[node], kind="stable")]
-        bounds = np.searchsorted(part[node], np.arange(num + 1))
+        number = np.repeat(np.arange(len(cells)), np.diff(start))
+        cell_of = cells[number]
+        node, bounds = group_parts(part, num)
         sheet = pool.sheet[region.place[node]]
-        has_new = np.bincount(part[node], sheet < 0, num) > 0
-        for k in np.flatnonzero(has_new).tolist():
+        is_new, is_main = sheet < 0, sheet == self._main
+        has_new, has_main, has_other = (
+            np.bincount(part[node], marks, num) > 0
+            for marks in (is_new, is_main, ~is_new & ~is_main)
+        )
+        # most joins the floor alone, all at once
+        joins = is_new & (has_main & ~has_other)[part[node]]
+        pool.sheet[region.place[node[joins]]] = self._main
+        self._size[self._main] += np.count_nonzero(joins)
+        for k in np.flatnonzero(has_new & (has_other | ~has_main)).tolist():
             members = node[bounds[k] : bounds[k + 1]]
             self._join(cell_of[members], region.place[members])
         self._check_grown()
         sheet = pool.sheet[region.place[node]]
         own = node[sheet == self._main]
         cluster = label_cells(live.lattice, cells, live.scratch.local)
-        cluster = cluster[np.searchsorted(cells, cell_of[own])]
-        pairs, which = np.unique(
-            np.stack([cluster, part[own]], axis=1), axis=0, return_inverse=True
-        )
-        torn = np.flatnonzero(np.bincount(pairs[:, 0].astype(np.int64)) > 1)
-        for number in torn:
-            parts = [own[which == k] for k in np.flatnonzero(pairs[:, 0] == number)]
+        cluster, part = cluster[number[own]], part[own]
+        any_part = np.zeros(len(cells), dtype=np.int64)
+        any_part[cluster] = part
+        is_torn = np.zeros(len(cells), dtype=np.bool_)
+        is_torn[cluster[part != any_part[cluster]]] = True
+        own, cluster, part = (array[is_torn[cluster]] for array in (own, cluster, part))
+        for torn in np.flatnonzero(is_torn).tolist():
+            here = cluster == torn
+            parts = [own[here & (part == k)] for k in np.unique(part[here])]
             self._check_whole([(cell_of[one], region.place[one]) for one in parts])
 
     def _join(self, cells: Int, places: Int) -> None:
@@ -364,7 +383,7 @@ class LiveFloors:
             column = np.repeat(region.cells, np.diff(region.columns.start))
             small = np.unique(column[(sheet >= 0) & (self._kind[sheet] == SMALL)])
             left = small[self._test.inner(small)]
-            near = np.isin(left, self._around(cells, self._reach), assume_unique=True)
+            near = are_in(left, self._around(cells, self._reach))
             self._inner[to] += np.count_nonzero(near)
             if self._inner[to] >= self._needed:
                 self._measure_sheet(to, cells, places)
@@ -473,59 +492,47 @@ class LiveFloors:
         Where it comes out as it was at the edge of a region, nothing beyond it changes; the other
         regions are made larger.
         """
-        heights, standable = [changed[:0]], [changed[:0]]
+        found = FloorChanges(changed[:0], changed[:0])
         for reach in REACHES:
             cells = self._around(changed, reach)
             if self._is_other[cells].any():
                 raise NotLocal("another floor, a top or a roof is near")
             region = self._live.gather(cells)
             new = self._grow_region(region, planes)
-            inner = np.isin(cells, self._around(changed, reach - 1), assume_unique=True)
+            inner = are_in(cells, self._around(changed, reach - 1))
             cluster = label_cells(self._live.lattice, cells, self._live.scratch.local)
             is_open = np.bincount(cluster, new.moved & ~inner) > 0
             done = ~is_open[cluster]
             here = cells[done]
-            heights.append(cells[new.has_height & done])
-            standable.append(cells[new.has_shifted & done])
+            # a cell may have changed twice, and so to what it was
+            marks = new.has_height & done, new.has_shifted & done
+            joined = (join_cells(was, cells[m]) for was, m in zip(found, marks, strict=True))
+            found = FloorChanges(*joined)
             floor, stands = self.level.floor.reshape(-1), self.level.standable.reshape(-1)
             floor[here], stands[here] = new.value[done], new.stands[done]
             self._rings[here] = new.ring[done]
             changed = changed[is_open[cluster[np.searchsorted(cells, changed)]]]
             if not len(changed):
-                # a cell may have changed twice, and so to what it was
-                return FloorChanges(
-                    np.unique(np.concatenate(heights)), np.unique(np.concatenate(standable))
-                )
+                return found
         raise NotLocal("the floor under things changes far around")
 
     def _grow_region(self, region: Region, planes: Planes) -> Grown:
         """Let the floor go on again in a region."""
         cells, taken = region.cells, self._marks(region, planes)[0]
-        is_main = self._live.pool.sheet[region.place] == self._main
-        column = np.repeat(np.arange(len(cells)), np.diff(region.columns.start))
-        stands, value = np.zeros(len(cells), dtype=np.bool_), np.full(len(cells), np.nan)
-        stands[column[is_main]] = True
-        value[column[is_main]] = region.columns.z[is_main]
-        ring = np.where(stands, 0, -1).astype(np.int32)
-        self._regrow(region, taken & ~stands[column], value, ring, self._rings)
-        has_height = ~_same(value, self.level.floor.reshape(-1)[cells])
-        moved = has_height | (ring != self._rings[cells])
-        has_shifted = stands != self.level.standable.reshape(-1)[cells]
-        return Grown(value, stands, ring, has_height, has_shifted, moved)
+        value, ring = np.empty(len(cells)), np.empty(len(cells), dtype=np.int32)
+        sheets = region.place, self._live.pool.sheet, self._main
+        find_standing(region.columns.start, region.columns.z, *sheets, taken, value, ring)
+        self._regrow(region, taken, value, ring, self._rings)
+        grown = Grown(value, ring == 0, ring, *np.empty((3, len(cells)), dtype=np.bool_))
+        was = self.level.floor.reshape(-1), self.level.standable.reshape(-1), self._rings
+        compare_floors(cells, value, ring, *was, *grown[3:])
+        return grown
 
     def _regrow(self, region: Region, taken: Bool, value: Float, ring: Int32, rings: Int32) -> None:
-        column = np.repeat(np.arange(len(region.cells)), np.diff(region.columns.start))
-        counts = np.bincount(column[taken], minlength=len(region.cells))
-        start, height = np.concatenate([[0], np.cumsum(counts)]), region.columns.z[taken]
+        start, height = list_heights(region.columns.start, region.columns.z, taken)
         asked = self._live.lattice, region.cells, start, height, self._limits.step
         floor = self.level.floor.reshape(-1)
         regrow(*asked, value, ring, floor, rings, self._live.scratch.local)
-
-
-def _same(one: Float, other: Float) -> Bool:
-    """Whether floors are the same to the last bit, or both are none."""
-    equal = one.view(np.int64) == other.view(np.int64)
-    return np.asarray(equal | (np.isnan(one) & np.isnan(other)))
 
 
 def _check_kind(config: BakeConfig, floors: Floors, judged: Judged, columns: Columns) -> None:

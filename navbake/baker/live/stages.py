@@ -33,8 +33,8 @@ from navbake.baker.live.not_local import NotLocal
 from navbake.baker.live.rooms import RoomMarks, rooms_hold
 from navbake.baker.occupancy.occupancy import check_footprints
 from navbake.baker.rooms.outdoors import find_ends
-from navbake.baker.rooms.overhead import OverheadFinder
 from navbake.baker.rooms.rooms import Blocked, Rooms, find_rooms
+from navbake.baker.rooms.segmentation import SpaceFinder
 from navbake.baker.stages import Stages
 from navbake.types import Bool, Float, Int
 
@@ -47,6 +47,7 @@ class Parts(NamedTuple):
     contents: LiveContents | None
     marks: RoomMarks
     doors: LiveDoors
+    spaces: SpaceFinder
 
 
 class LiveStages:
@@ -90,7 +91,8 @@ class LiveStages:
                 self.contents = LiveContents(*known_scene, floors, stages.columns, columns)
             marks = RoomMarks(stages.config, stages.scene)
             live_doors = LiveDoors(stages.scene, stages.candidates, stages.lattice, columns.scratch)
-            self._parts = Parts(columns, live_floors, self.contents, marks, live_doors)
+            kept = columns, live_floors, self.contents, marks, live_doors
+            self._parts = Parts(*kept, SpaceFinder())
         shapes = stages.doorless.shapes
         self._heights = height_range(shapes, stages.lattice)
         self._cropped = find_cropped(stages.lattice, shapes.bounds())
@@ -181,7 +183,7 @@ class LiveStages:
         Returns:
             All cells near it, and whether rooms are as they were.
         """
-        columns, floors, contents, marks, _ = parts
+        columns, floors, contents, marks = parts[:4]
         doorless, lattice = stages.doorless, columns.lattice
         shapes, scratch = doorless.shapes, columns.scratch
         if own[shapes.planes.geom].any():
@@ -193,7 +195,7 @@ class LiveStages:
         footprint = stages.footprints.whole
         reach = max(footprint.reach, crack_reach(stages.config.floors.crack))
         near_by = max(footprint.reach, lattice.cell_size / 2) + 2 * TOUCH
-        touched = cells_of_boxes(lattice, boxes, near_by, scratch.flag)
+        touched = cells_of_boxes(lattice, boxes, near_by, 1.0, scratch.flag)
         asked = columns.asked(boxes)
         near = columns.near(shapes, join_cells(touched, asked.every), reach, heights)
         found = columns.cast(near, asked)
@@ -224,12 +226,9 @@ class LiveStages:
         if contents is not None:
             shape = stages.lattice.shape
             blocked = Blocked(contents.wall.reshape(shape), contents.low.reshape(shape))
-        columns = parts.columns.all()
-        finder = OverheadFinder(columns, floors.levels, config.agent)
-        finder.add(columns)
-        return find_rooms(
-            stages.doorless, finder.found(), floors, [blocked], config.rooms, config.agent
-        )
+        overhead = parts.columns.overhead(floors.levels[0], config.agent)
+        settings = config.rooms, config.agent, parts.spaces
+        return find_rooms(stages.doorless, overhead, floors, [blocked], *settings)
 
 
 def _check_cells(stages: Stages, region: Region, near: TiledShapes, scratch: Scratch) -> None:

@@ -12,16 +12,14 @@ from navbake.baker.contents.walls import WALL_BAND
 from navbake.baker.floors.sheets import agent_limits
 from navbake.baker.kernels.constants import SAME, SLACK
 from navbake.baker.lattice import EDGES
+from navbake.baker.rooms.distances import squared_distances
 from navbake.baker.rooms.kernels.labels import label_parts
 from navbake.baker.rooms.overhead import Overhead
 from navbake.baker.rooms.spaces import WIDEST
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings
-from navbake.lazy import lazy
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int, Int32
-
-ndimage = lazy("scipy.ndimage")  # only windows of scenes need it
 
 # What is outdoors reaches the edge over more than this in one piece: no opening in a wall at the
 # edge is so wide [m]
@@ -84,8 +82,8 @@ def find_outdoors(
         # a window of a larger scene cuts through rooms, and they go on beyond it
         end = is_candidate & _edge_cells(is_empty, find_ends(lattice, scene.bounds))
         if end.any():
-            away = ndimage.distance_transform_edt(~end).ravel()[cell]
-            is_open |= away * lattice.cell_size <= EAVES
+            away = squared_distances(end, int(EAVES / lattice.cell_size) + 1).ravel()[cell]
+            is_open |= np.sqrt(away) * lattice.cell_size <= EAVES
     open_cells = np.bincount(number[is_open], minlength=count)
     all_cells = np.bincount(number, minlength=count)
     outdoors = candidates & (open_cells >= OPEN_SHARE * all_cells)

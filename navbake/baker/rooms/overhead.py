@@ -55,14 +55,14 @@ class OverheadFinder:
         self._found.top[first + filled] = columns.z[last]
         self._found.up[first + filled] = columns.normal[last, 2]
         for level, holes in zip(self._levels, self._found.holes, strict=True):
-            _keep_holes(holes.ravel()[first:end], start, level.ground, columns, self._agent)
+            keep_holes(holes.ravel()[first:end], start, level.ground, columns, self._agent)
 
     def found(self) -> Overhead:
         """What was found in all blocks."""
         return self._found
 
 
-def _keep_holes(
+def keep_holes(
     holes: Bool, start: NDArray[np.int64], ground: float, columns: Columns, agent: AgentSettings
 ) -> None:
     """Keep the marks of cells in which nothing stands at the height of an agent's body.

@@ -15,6 +15,7 @@ from navbake.baker.rooms.openings import Opening, RoomIndex, RoomKey
 from navbake.baker.rooms.outdoors import find_outdoors
 from navbake.baker.rooms.overhead import Overhead
 from navbake.baker.rooms.segmentation import (
+    SpaceFinder,
     give_covered,
     labels_in_order,
     segment_by_gaps,
@@ -95,6 +96,7 @@ def find_rooms(
     blocked: Sequence[Blocked],
     settings: RoomSettings,
     agent: AgentSettings,
+    spaces: SpaceFinder | None = None,
 ) -> Rooms:
     """Find the room that each cell belongs to.
 
@@ -102,7 +104,7 @@ def find_rooms(
     itself, see `share_rest`. Cells without a floor, and cells that a wall or a window stands in,
     belong to none. On each level, rooms are numbered by
     their first cells in reading order: from large y to small, from small x to large. A room that
-    reaches over several levels is one room on each.
+    reaches over several levels is one room on each. `spaces` may know those of the one level.
 
     Raises:
         ConfigError: a polygon names a level that does not exist.
@@ -113,7 +115,7 @@ def find_rooms(
     for level, (wall, low) in zip(levels, blocked, strict=True):
         window = find_windows(low, wall, lattice.cell_size)
         open_cells.append(~np.isnan(level.floor) & ~wall & ~window)
-    assignment = _Assignment(open_cells)
+    assignment = _Assignment(open_cells, spaces)
     markers = RoomMarkers(scene, overhead.columns, levels, settings, agent)
     for source in settings.sources:
         if source == "auto":
@@ -131,8 +133,8 @@ def find_rooms(
 class _Assignment:
     """The room of each cell as the sources add rooms; the first source that has one keeps it."""
 
-    def __init__(self, open_cells: Sequence[Bool]) -> None:
-        self._open = open_cells
+    def __init__(self, open_cells: Sequence[Bool], spaces: SpaceFinder | None) -> None:
+        self._open, self._spaces = open_cells, spaces
         self._owner = [np.zeros(mask.shape, dtype=np.int32) for mask in open_cells]
         # whose floor lies under the cell's own, for cells without an owner
         self._under = [np.zeros(mask.shape, dtype=np.int32) for mask in open_cells]
@@ -202,7 +204,8 @@ class _Assignment:
         if settings.door_width != "auto":
             return segment_rooms(open_cells, size, settings.door_width, least, level.floor)
         holes = overhead.holes[number]
-        rooms, close = segment_by_gaps(open_cells, size, least, level.floor, holes)
+        known = holes, self._spaces
+        rooms, close = segment_by_gaps(open_cells, size, least, level.floor, *known)
         if close:
             self.warnings.append(_describe_close(close, number, lattice))
         return rooms

@@ -94,6 +94,30 @@ def segment_rooms(
     return rooms
 
 
+class SpaceFinder:
+    """Finds spaces between gaps, and knows the last ones: most changes of a scene leave them."""
+
+    def __init__(self) -> None:
+        self._asked: tuple[Bool, Bool, float] | None = None
+        self._found: tuple[Int32, list[CloseCall]] = np.zeros((0, 0), dtype=np.int32), []
+
+    def find(
+        self, open_cells: Bool, holes: Bool, cell_size: float
+    ) -> tuple[Int32, list[CloseCall]]:
+        """See `part_at_gaps`; cells of gaps get the label of the space that is nearest."""
+        if not self._knows(open_cells, holes, cell_size):
+            label, close = part_at_gaps(open_cells, holes, cell_size)
+            flood(label, open_cells, np.zeros(label.shape, dtype=np.int32), 0)
+            self._asked, self._found = (open_cells.copy(), holes.copy(), cell_size), (label, close)
+        return self._found
+
+    def _knows(self, open_cells: Bool, holes: Bool, cell_size: float) -> bool:
+        if self._asked is None or self._asked[2] != cell_size:
+            return False
+        asked = zip(self._asked[:2], (open_cells, holes), strict=True)
+        return all(np.array_equal(known, new) for known, new in asked)
+
+
 class Segments(NamedTuple):
     """The rooms of a level, and the gaps between them that were close calls.
 
@@ -112,6 +136,7 @@ def segment_by_gaps(
     min_area: float,
     floor: Float | None = None,
     holes: Bool | None = None,
+    spaces: SpaceFinder | None = None,
 ) -> Segments:
     """Divide the open cells of a level into rooms, at gaps much narrower than the rooms are.
 
@@ -127,7 +152,8 @@ def segment_by_gaps(
     How wide a space is along a gap is measured close behind it. Other gaps in the same line
     between the same spaces count as one with it, so that a row of pillars parts nothing. Stairs
     and small regions join others as in `segment_rooms`, whose arguments these are; `holes` are
-    cells without a floor that one sees through, as in a stairwell, which narrow no space.
+    cells without a floor that one sees through, as in a stairwell, which narrow no space. `spaces`
+    may know what is parted already.
 
     Source:
         Region merging as in Bormann et al. (ICRA 2016), on regions between the "virtual walls"
@@ -140,8 +166,7 @@ def segment_by_gaps(
     window = _grow_window(bounding_window(open_cells), open_cells.shape)
     open_cells = np.ascontiguousarray(open_cells[window])
     seen = np.zeros_like(open_cells) if holes is None else holes[window]
-    label, close = part_at_gaps(open_cells, seen, cell_size)
-    flood(label, open_cells, np.zeros(label.shape, dtype=np.int32), 0)
+    label, close = (spaces or SpaceFinder()).find(open_cells, seen, cell_size)
     label = _join_stairs_and_small(label, open_cells, cell_size, min_area, floor, window)
     rooms[window] = renumber(label)
     first_row, first_col = window[0].start, window[1].start

@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fnmatch import translate
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from navbake.baker.kernels.constants import SAME
 from navbake.baker.rooms.volumes import vertical_chords
 from navbake.baker.scene.choice import Choice
 from navbake.baker.scene.collect import collect_shapes
-from navbake.baker.scene.names import names_at, warn_unmatched
+from navbake.baker.scene.names import own_names, warn_unmatched
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Solids, solid_bounds
 from navbake.config.rooms import DEFAULT_GEOMS, DEFAULT_SITES, RoomPolygon, RoomSettings
@@ -80,7 +81,7 @@ class RoomMarkers:
         lies so over a room's floor is `covered`.
         """
         model = self.scene.model
-        names = names_at(model, model.name_geomadr.tolist())
+        names = own_names(model, "geom")
         chosen, warnings = match_geoms(names, self.settings)
         labels = self._no_rooms()
         if not chosen:
@@ -115,7 +116,7 @@ class RoomMarkers:
         """
         model, lattice = self.scene.model, self.columns.lattice
         height, least = self.agent.height, self.settings.min_area
-        names = names_at(model, model.name_siteadr.tolist())
+        names = own_names(model, "site")
         chosen, warnings = match_sites(names, self.settings)
         labels = self._no_rooms()
         kept: list[str | None] = []
@@ -184,17 +185,20 @@ def _upward_surfaces(
 
 def match_geoms(names: Sequence[str], settings: RoomSettings) -> tuple[list[int], list[str]]:
     """The geoms that may mark rooms, by their names; and a warning for each unused pattern."""
-    return _match(names, settings.geoms, DEFAULT_GEOMS, "geoms")
+    chosen, warnings = _match(tuple(names), tuple(settings.geoms), DEFAULT_GEOMS, "geoms")
+    return list(chosen), list(warnings)
 
 
 def match_sites(names: Sequence[str], settings: RoomSettings) -> tuple[list[int], list[str]]:
     """The sites that may mark rooms, by their names; and a warning for each unused pattern."""
-    return _match(names, settings.sites, DEFAULT_SITES, "sites")
+    chosen, warnings = _match(tuple(names), tuple(settings.sites), DEFAULT_SITES, "sites")
+    return list(chosen), list(warnings)
 
 
+@lru_cache(maxsize=8)  # a scene that is kept up to date asks each time
 def _match(
-    names: Sequence[str], patterns: Sequence[str], defaults: Sequence[str], setting: str
-) -> tuple[list[int], list[str]]:
+    names: tuple[str, ...], patterns: tuple[str, ...], defaults: tuple[str, ...], setting: str
+) -> tuple[tuple[int, ...], tuple[str, ...]]:
     """Ids of what matches, and a warning for each pattern of the user's that matches nothing."""
     chosen: set[int] = set()
     warnings = []
@@ -204,7 +208,7 @@ def _match(
         chosen.update(found)
         if not found and pattern not in defaults:
             warnings.append(warn_unmatched(f"rooms.{setting}", pattern, names))
-    return sorted(chosen), warnings
+    return tuple(sorted(chosen)), tuple(warnings)
 
 
 def _room_name(geom: str) -> str:

@@ -83,6 +83,19 @@ def _read_names(model: Any) -> ModelNames:
     )
 
 
+# Empty where something has none, by "geom" or "site"
+_own_names: WeakKeyDictionary[Any, dict[str, tuple[str, ...]]] = WeakKeyDictionary()
+
+
+def own_names(model: Any, kind: str) -> tuple[str, ...]:
+    """The own names of all geoms or sites, by their ids, empty for none; read once, as above."""
+    known = _own_names.setdefault(model, {})
+    if kind not in known:
+        addresses = {"geom": model.name_geomadr, "site": model.name_siteadr}[kind]
+        known[kind] = tuple(names_at(model, addresses.tolist()))
+    return known[kind]
+
+
 def body_name(model: Any, body: int) -> str:
     """A body's name; ``body <id>`` where it has none."""
     return all_names(model).bodies[body]

@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from navbake.baker.kernels.contents import count_candidates, list_geoms
-from navbake.baker.kernels.flags import PROBED, STANDS
+from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS
 
 
 @njit(cache=True)
@@ -68,6 +68,27 @@ def replace_entries(old, cells, start, geom, flags, marked):
                 at += 1
         new_start[cell + 1] = at
     return new_start, new_geom, new_flags, changed
+
+
+@njit(cache=True)
+def count_taken(band, cells, body_of, taken, by):
+    """`count_taken_cells` for some cells of a band, counted from its first."""
+    for cell in cells:
+        first, last = band.start[cell], band.start[cell + 1]
+        is_free = True
+        for i in range(first, last):
+            is_free = is_free and (not band.flags[i] & BLOCKS or body_of[band.geom[i]] >= 0)
+        if not is_free:
+            continue
+        for i in range(first, last):
+            if not band.flags[i] & BLOCKS:
+                continue
+            body, is_new = body_of[band.geom[i]], True
+            for j in range(first, i):
+                is_known = band.flags[j] & BLOCKS and body_of[band.geom[j]] == body
+                is_new = is_new and not is_known
+            if is_new:
+                taken[body] += by
 
 
 @njit(cache=True)

@@ -32,6 +32,49 @@ def _list_known(lattice, cell, local, value, ring, floor, rings, now, beside):
 
 
 @njit(cache=True)
+def list_heights(start, z, taken):
+    """The heights of the surfaces that are taken, ragged by column as `z` is: start and heights."""
+    begin, height, at = np.zeros(start.shape[0], np.int64), np.empty(z.shape[0]), 0
+    for n in range(start.shape[0] - 1):
+        for i in range(start[n], start[n + 1]):
+            if taken[i]:
+                height[at] = z[i]
+                at += 1
+        begin[n + 1] = at
+    return begin, height[:at].copy()
+
+
+@njit(cache=True)
+def find_standing(start, z, place, sheet, main, taken, value, ring):
+    """Find where one can stand: floors of the main sheet, into `value` and `ring` of `regrow`.
+
+    `place` tells where in `sheet` each surface is. Marks in `taken` are taken off there: no other
+    floor goes on.
+    """
+    for n in range(start.shape[0] - 1):
+        value[n], ring[n] = math.nan, -1
+        for i in range(start[n], start[n + 1]):
+            if sheet[place[i]] == main:
+                value[n], ring[n] = z[i], 0
+        if ring[n] == 0:
+            taken[start[n] : start[n + 1]] = False
+
+
+@njit(cache=True)
+def compare_floors(cells, value, ring, floor, standable, rings, has_height, has_shifted, moved):
+    """Tell which cells have another floor now; the results are as in `Grown`.
+
+    `floor`, `standable` and `rings` are those of before, by cell id.
+    """
+    for n in range(cells.shape[0]):
+        one, other = value[n], floor[cells[n]]
+        same = one == other and math.copysign(1.0, one) == math.copysign(1.0, other)
+        has_height[n] = not (same or (math.isnan(one) and math.isnan(other)))
+        has_shifted[n] = (ring[n] == 0) != standable[cells[n]]
+        moved[n] = has_height[n] or ring[n] != rings[cells[n]]
+
+
+@njit(cache=True)
 def regrow(lattice, cells, start, height, step, value, ring, floor, rings, local):
     """Let the floor go on in the cells of a region.
 

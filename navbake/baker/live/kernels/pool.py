@@ -57,6 +57,15 @@ def gather(pool, cells):
     return Crossings(start, z, normal, geom, closed), place
 
 
+@njit(cache=True)
+def find_tops(pool, top, up):
+    """The height of each cell's highest surface [m], and the z of its normal: see `Overhead`."""
+    for cell in range(pool.first.shape[0]):
+        if pool.length[cell] > 0:
+            last = pool.first[cell] + pool.length[cell] - 1
+            top[cell], up[cell] = pool.z[last], pool.normal[last, 2]
+
+
 @njit(inline="always")
 def _are_equal(one, other):
     """Whether two numbers are the same to the last bit; 0.0 and -0.0 aren't."""
@@ -103,6 +112,28 @@ def point_at(cells, local_start, start):
     for n in range(cells.shape[0]):
         start[cells[n]] = local_start[n]
         start[cells[n] + 1] = local_start[n + 1]
+
+
+@njit(cache=True)
+def take_columns(columns, cells, some):
+    """The columns of some of the cells; both ascending, and all of the former are among them."""
+    start, number, n = np.zeros(some.shape[0] + 1, np.int64), np.empty(some.shape[0], np.int64), 0
+    for k in range(some.shape[0]):
+        while cells[n] < some[k]:
+            n += 1
+        number[k] = n
+        start[k + 1] = start[k] + columns.start[n + 1] - columns.start[n]
+    total = start[some.shape[0]]
+    z, normal, geom = np.empty(total), np.empty((total, 3), np.float32), np.empty(total, np.int32)
+    closed = np.empty(total, np.uint8)
+    for k in range(some.shape[0]):
+        j = columns.start[number[k]]
+        for i in range(start[k], start[k + 1]):
+            z[i], geom[i], closed[i] = columns.z[j], columns.geom[j], columns.closed[j]
+            for axis in range(3):
+                normal[i, axis] = columns.normal[j, axis]
+            j += 1
+    return Crossings(start, z, normal, geom, closed)
 
 
 @njit(cache=True)

@@ -9,41 +9,66 @@ from navbake.baker.floors.kernels.sheets import neighbour
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 
-@njit(cache=True)
-def cells_of_boxes(lattice, boxes, grow, flag):
-    """The cells whose centres lie in boxes, (n, 6) [m], grown by `grow` [m] and a cell, ascending.
+@njit(inline="always")
+def _mark_row(row, first, last, width, left, right, flag):
+    """Mark the cells ``[first, last)`` of a row, and note how far its marks reach."""
+    flag[row * width + first : row * width + last] = True
+    left[row], right[row] = min(left[row], first), max(right[row], last)
 
-    `flag`, (cells,) bool, is all False, and so again afterwards.
+
+@njit(cache=True)
+def _take_marked(width, left, right, flag):
+    """The marked cells, ascending; row by row, which costs less than to sort them.
+
+    `left` and `right` tell where in each row marks begin, and past their end. Takes the marks off.
     """
-    size, count = lattice.cell_size, 0
-    ranges = np.zeros((boxes.shape[0], 4), np.int64)
+    total, k = 0, 0
+    for row in range(left.shape[0]):
+        total += max(right[row] - left[row], 0)
+    cells = np.empty(total, np.int64)
+    for row in range(left.shape[0]):
+        for cell in range(row * width + left[row], row * width + right[row]):
+            if flag[cell]:
+                flag[cell] = False
+                cells[k] = cell
+                k += 1
+    return cells[:k].copy()
+
+
+@njit(cache=True)
+def cells_of_boxes(lattice, boxes, grow, spare, flag):
+    """The cells whose centres lie in boxes, (n, 6) [m], grown by `grow` [m] and `spare` [cells].
+
+    Ascending. `spare` is more than rounding can make. `flag`, (cells,) bool, is all False, and so
+    again afterwards.
+    """
+    size, width = lattice.cell_size, lattice.width
+    left_end, right_end = np.full(lattice.height, width), np.zeros(lattice.height, np.int64)
     for n in range(boxes.shape[0]):
         # clipped before they are whole numbers, which a far box would exceed
-        left = (boxes[n, 0] - grow - lattice.x_min) / size - 1.5
-        right = (boxes[n, 3] + grow - lattice.x_min) / size + 0.5
-        top = (lattice.y_max - boxes[n, 4] - grow) / size - 1.5
-        bottom = (lattice.y_max - boxes[n, 1] + grow) / size + 0.5
-        ranges[n, 0] = math.floor(min(max(top, 0.0), lattice.height))
-        ranges[n, 1] = math.ceil(min(max(bottom + 1.0, 0.0), lattice.height))
-        ranges[n, 2] = math.floor(min(max(left, 0.0), lattice.width))
-        ranges[n, 3] = math.ceil(min(max(right + 1.0, 0.0), lattice.width))
-        for row in range(ranges[n, 0], ranges[n, 1]):
-            for col in range(ranges[n, 2], ranges[n, 3]):
-                cell = row * lattice.width + col
-                if not flag[cell]:
-                    flag[cell] = True
-                    count += 1
-    cells, k = np.empty(count, np.int64), 0
-    for n in range(boxes.shape[0]):
-        for row in range(ranges[n, 0], ranges[n, 1]):
-            for col in range(ranges[n, 2], ranges[n, 3]):
-                cell = row * lattice.width + col
-                if flag[cell]:
-                    flag[cell] = False
-                    cells[k] = cell
-                    k += 1
-    cells.sort()
-    return cells
+        left = (boxes[n, 0] - grow - lattice.x_min) / size - 0.5 - spare
+        right = (boxes[n, 3] + grow - lattice.x_min) / size - 0.5 + spare
+        top = (lattice.y_max - boxes[n, 4] - grow) / size - 0.5 - spare
+        bottom = (lattice.y_max - boxes[n, 1] + grow) / size - 0.5 + spare
+        first_row = math.ceil(min(max(top, 0.0), lattice.height))
+        end_row = math.floor(min(max(bottom + 1.0, 0.0), lattice.height))
+        first = math.ceil(min(max(left, 0.0), width))
+        last = math.floor(min(max(right + 1.0, 0.0), width))
+        if last > first:
+            for row in range(first_row, end_row):
+                _mark_row(row, first, last, width, left_end, right_end, flag)
+    return _take_marked(width, left_end, right_end, flag)
+
+
+@njit(cache=True)
+def are_in(cells, some):
+    """Which cells of a region are in another one, (n,) bool; both ascending: a merge."""
+    result, k = np.zeros(cells.shape[0], np.bool_), 0
+    for n in range(cells.shape[0]):
+        while k < some.shape[0] and some[k] < cells[n]:
+            k += 1
+        result[n] = k < some.shape[0] and some[k] == cells[n]
+    return result
 
 
 @njit(cache=True)
@@ -65,36 +90,26 @@ def join_cells(one, other):
 
 
 @njit(cache=True)
-def _grow_along(cells, by, stride, place, length, flag):
-    """Some cells and those at most so many away along one axis; the axis' own place is given."""
-    count, found = 0, np.empty(2 * cells.shape[0] + 64, np.int64)
-    for n in range(cells.shape[0]):
-        first, last = max(place[n] - by, 0), min(place[n] + by, length - 1)
-        origin = cells[n] - place[n] * stride
-        for at in range(first, last + 1):
-            other = origin + at * stride
-            if flag[other]:
-                continue
-            flag[other] = True
-            if count == found.shape[0]:
-                larger = np.empty(2 * count, np.int64)
-                larger[:count] = found
-                found = larger
-            found[count] = other
-            count += 1
-    found = found[:count].copy()
-    for cell in found:
-        flag[cell] = False
-    return found
-
-
-@njit(cache=True)
 def grow_cells(width, height, cells, by, flag):
-    """Some cells and those at most so many rows and columns away, ascending; see above."""
-    beside = _grow_along(cells, by, 1, cells % width, width, flag)
-    found = _grow_along(beside, by, width, beside // width, height, flag)
-    found.sort()
-    return found
+    """Some cells and those at most so many rows and columns away, ascending; see above.
+
+    Runs of cells in a row that grow into each other are marked as one.
+    """
+    left, right, n = np.full(height, width), np.zeros(height, np.int64), 0
+    while n < cells.shape[0]:
+        row, col = cells[n] // width, cells[n] % width
+        last = col
+        n += 1
+        while n < cells.shape[0] and cells[n] // width == row:
+            following = cells[n] % width
+            if not col <= following <= last + 2 * by + 1:
+                break
+            last = max(last, following)
+            n += 1
+        first, end = max(col - by, 0), min(last + by + 1, width)
+        for near in range(max(row - by, 0), min(row + by + 1, height)):
+            _mark_row(near, first, end, width, left, right, flag)
+    return _take_marked(width, left, right, flag)
 
 
 @njit(cache=True)

@@ -12,20 +12,58 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 
-@njit(cache=True)
-def mark_region(lattice, cells, crossings, planes, limits, floor_like, standable, count):
-    """`mark_surfaces` for some cells alone; `crossings.start` and `count` are by cell id."""
-    for cell in cells:
-        mark_surfaces(
-            lattice, crossings, planes, limits, floor_like, standable, count, cell, cell + 1
-        )
+@njit(inline="always")
+def _end_of_run(cells, n, end):
+    """Where the run of consecutive cells ends that begins with the n-th."""
+    m = n + 1
+    while m < end and cells[m] == cells[m - 1] + 1:
+        m += 1
+    return m
+
+
+@njit(cache=True, nogil=True)
+def mark_region(lattice, cells, crossings, planes, limits, marks, count, first, end):
+    """`mark_surfaces` for some cells alone, ``cells[first:end]``, run by run.
+
+    ``crossings.start`` and `count` are by cell id; `marks` are `floor_like` and `standable`.
+    """
+    floor_like, standable = marks
+    n = first
+    while n < end:
+        m = _end_of_run(cells, n, end)
+        begin, past = cells[n], cells[m - 1] + 1
+        mark_surfaces(lattice, crossings, planes, limits, floor_like, standable, count, begin, past)
+        n = m
 
 
 @njit(cache=True)
 def hold_region(lattice, cells, crossings, planes, limits, holder):
     """`find_holders` for some cells alone; ``crossings.start`` is by cell id."""
-    for cell in cells:
-        find_holders(lattice, crossings, planes, limits, holder, cell, cell + 1)
+    n = 0
+    while n < cells.shape[0]:
+        m = _end_of_run(cells, n, cells.shape[0])
+        find_holders(lattice, crossings, planes, limits, holder, cells[n], cells[m - 1] + 1)
+        n = m
+
+
+@njit(cache=True)
+def group_parts(part, num):
+    """The surfaces of each part, ascending: ``order[bounds[k]:bounds[k + 1]]``; a counting sort.
+
+    `part` is (n,) int64, -1 for surfaces that belong to none of the `num` parts.
+    """
+    bounds = np.zeros(num + 1, np.int64)
+    for i in range(part.shape[0]):
+        if part[i] >= 0:
+            bounds[part[i] + 1] += 1
+    for k in range(num):
+        bounds[k + 1] += bounds[k]
+    place, order = bounds[:-1].copy(), np.empty(bounds[num], np.int64)
+    for i in range(part.shape[0]):
+        if part[i] >= 0:
+            order[place[part[i]]] = i
+            place[part[i]] += 1
+    return order, bounds
 
 
 @njit(cache=True)

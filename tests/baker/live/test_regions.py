@@ -1,0 +1,120 @@
+"""The kernels and shortcuts of an update against plain ways to the same answers."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from navbake.baker.contents.contents import LevelContents
+from navbake.baker.kernels.flags import BLOCKS, STANDS
+from navbake.baker.live.contents import Entries
+from navbake.baker.live.kernels.contents import count_taken
+from navbake.baker.live.kernels.regions import are_in, cells_of_boxes, grow_cells
+from navbake.baker.live.kernels.sheets import group_parts
+from navbake.baker.rooms.segmentation import SpaceFinder, segment_by_gaps
+from navbake.baker.warn import count_taken_cells
+from navbake.navgrid.lattice import Lattice
+
+LATTICE = Lattice(-1.0, 2.0, 0.25, 23, 17)
+CELLS = LATTICE.width * LATTICE.height
+seeds = st.integers(0, 2**32 - 1)
+
+
+def inside(boxes, grow):
+    """The cells whose centres lie in boxes, one by one."""
+    x, y = LATTICE.positions(*np.divmod(np.arange(CELLS), LATTICE.width)).T
+    marked = np.zeros(CELLS, dtype=np.bool_)
+    for x0, y0, _, x1, y1, _ in boxes:
+        marked |= (x >= x0 - grow) & (x <= x1 + grow) & (y >= y0 - grow) & (y <= y1 + grow)
+    return np.flatnonzero(marked)
+
+
+@given(seeds)
+def test_cells_of_boxes_are_those_whose_centres_lie_there(seed):
+    rng = np.random.default_rng(seed)
+    low = rng.uniform(-4, 6, (int(rng.integers(0, 5)), 3))
+    boxes = np.hstack([low, low + rng.uniform(0, 3, low.shape)])
+    flag, grow, spare = np.zeros(CELLS, dtype=np.bool_), rng.uniform(0, 1), rng.uniform(1e-3, 2)
+    found = cells_of_boxes(LATTICE, boxes, grow, spare, flag)
+    assert not flag.any()
+    assert np.isin(inside(boxes, grow), found).all()
+    exact = inside(boxes, grow + spare * LATTICE.cell_size)
+    assert np.array_equal(found, exact)
+
+
+def test_far_and_endless_boxes_are_cut_off_at_the_lattice():
+    flag = np.zeros(CELLS, dtype=np.bool_)
+    endless = np.array([[-np.inf, -np.inf, 0, np.inf, np.inf, 1.0]])
+    assert np.array_equal(cells_of_boxes(LATTICE, endless, 0.1, 1.0, flag), np.arange(CELLS))
+    far = np.array([[1e30, 1e30, 0, 1e31, 1e31, 1.0], [-1e31, 0, 0, -1e30, 1, 1.0]])
+    assert not len(cells_of_boxes(LATTICE, far, 0.1, 1.0, flag))
+
+
+@given(seeds, st.integers(0, 6))
+def test_a_grown_region_has_all_cells_so_many_away(seed, by):
+    rng = np.random.default_rng(seed)
+    cells = rng.integers(0, CELLS, int(rng.integers(0, 12)))  # some twice, in any order
+    flag = np.zeros(CELLS, dtype=np.bool_)
+    found = grow_cells(LATTICE.width, LATTICE.height, cells, by, flag)
+    assert not flag.any()
+    place = np.stack(np.divmod(np.arange(CELLS), LATTICE.width))
+    marked = np.zeros(CELLS, dtype=np.bool_)
+    for cell in cells:
+        marked |= (np.abs(place - place[:, cell, None]) <= by).all(axis=0)
+    assert np.array_equal(found, np.flatnonzero(marked))
+
+
+@given(seeds)
+def test_cells_are_looked_up_in_another_region(seed):
+    rng = np.random.default_rng(seed)
+    one, other = (np.unique(rng.integers(0, 30, int(n))) for n in rng.integers(0, 20, 2))
+    assert np.array_equal(are_in(one, other), np.isin(one, other))
+
+
+@given(seeds)
+def test_parts_are_grouped_in_their_order(seed):
+    rng = np.random.default_rng(seed)
+    part = rng.integers(-1, 5, int(rng.integers(0, 30)))
+    order, bounds = group_parts(part, 5)
+    for k in range(5):
+        assert np.array_equal(order[bounds[k] : bounds[k + 1]], np.flatnonzero(part == k))
+
+
+@given(seeds)
+def test_taken_cells_are_counted_as_for_a_whole_level(seed):
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(0, 5, 12)
+    start = np.concatenate([[0], np.cumsum(counts)])
+    geom = rng.integers(0, 8, start[-1]).astype(np.int32)
+    flags = rng.choice(np.array([STANDS, STANDS | BLOCKS], dtype=np.uint8), start[-1])
+    body_of = np.array([-1, 1, 1, 2, 2, 3, 4, -1])
+    taken, expected = np.zeros((2, 5), dtype=np.int64)
+    line = Lattice(0.0, 0.0, 0.25, 1, 1)
+    cells = np.flatnonzero(rng.random(12) < 0.7)
+    count_taken(Entries(start, geom, flags), cells, body_of, taken, -1)
+    for cell in cells:
+        here = slice(start[cell], start[cell + 1])
+        listed = np.array([0, counts[cell]])
+        marks = [(flags[here] & flag) > 0 for flag in (STANDS, BLOCKS)]
+        none = np.zeros(1, dtype=np.int32)
+        level = LevelContents(line, listed, geom[here], *marks, marks[0], none)
+        count_taken_cells(level, body_of, expected, -1)
+    assert np.array_equal(taken, expected)
+
+
+def test_spaces_are_known_as_long_as_nothing_else_is_open():
+    is_open = np.ones((40, 81), dtype=np.bool_)
+    is_open[:, 40] = False
+    is_open[18:22, 40] = True
+    known = SpaceFinder()
+    for changed in ((), (0, 0), (5, 40), ()):
+        there = is_open.copy()
+        if changed:
+            there[changed] = not there[changed]
+        for _ in range(2):
+            rooms = segment_by_gaps(there, 0.25, 1.0, spaces=known)
+            expected = segment_by_gaps(there, 0.25, 1.0)
+            assert np.array_equal(rooms.rooms, expected.rooms)
+            assert rooms.close == expected.close
+    label = known.find(there, np.zeros_like(there), 0.25)[0]
+    assert known.find(there, np.zeros_like(there), 0.25)[0] is label
+    assert known.find(there, np.zeros_like(there), 0.125)[0] is not label
