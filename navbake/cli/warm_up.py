@@ -78,8 +78,8 @@ MOVING = """<mujoco model="moving">
     <joint name="hinge" type="hinge" axis="0 0 1" range="0 90"/>
     <geom type="box" size=".02 .3 1" pos="0 .35 0"/>
   </body>
-  <body name="one" pos="-1 0 .2"><freejoint/><geom type="box" size=".2 .2 .2"/></body>
-  <body name="two" pos="-2 -.8 .05"><freejoint/><geom type="box" size=".6 .6 .05"/></body>
+  <body name="one" mocap="true" pos="-1 0 .2"><geom type="box" size=".2 .2 .2"/></body>
+  <body name="two" mocap="true" pos="-2 -.8 .05"><geom type="box" size=".6 .6 .05"/></body>
 </worldbody></mujoco>"""
 # A grid as other tools write it: with a hole in its floor that no geom is in
 FOREIGN = {
