@@ -13,7 +13,7 @@ from navbake.cli.warm_up import cold_kernels, compile_all
 def test_warms_up_from_one_end_to_the_other():
     parts = []
     compile_all(lambda name, share: parts.append((name, share)))
-    names = ["bake", "run time", "voxels"]
+    names = ["bake", "update", "run time", "voxels"]
     assert parts == [(name, share) for name in names for share in (0.0, 1.0)]
     assert cold_kernels() == []
 
