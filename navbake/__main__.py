@@ -15,6 +15,8 @@ import threading
 from types import FrameType
 from typing import Any
 
+from navbake.compiler.garbage import collect_seldom
+
 INTERRUPTED = 130
 """The exit status after Ctrl-C, as shells have it: 128 and the signal's number."""
 
@@ -26,9 +28,6 @@ DELAY = 0.05  # after which a Ctrl-C that was dropped comes again [s]
 _heard = 0  # how many signals Python has heard of
 _pressed = 0  # how many times Ctrl-C has not taken effect yet
 _is_terminated = False
-# How many objects are made, net, before Python looks for garbage. Imports and loaded kernels make
-# some 100 thousand, all of which stay: by default it looks through them again and again.
-BETWEEN_COLLECTIONS = 200_000
 
 
 def main() -> None:
@@ -41,7 +40,7 @@ def main() -> None:
     then the first one ends the process after PATIENCE, too. SIGTERM is like Ctrl-C, so that files
     and processes that only help are removed.
     """
-    gc.set_threshold(BETWEEN_COLLECTIONS, *gc.get_threshold()[1:])
+    collect_seldom()
     try:
         _listen()
         from navbake.cli.main import main as run  # now that Ctrl-C is expected

@@ -11,7 +11,6 @@ out of date costs time, and nothing else.
 
 from __future__ import annotations
 
-import gc
 import importlib
 import json
 import os
@@ -21,9 +20,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from navbake.compiler.garbage import collect_seldom
+
 FILE = Path(__file__).with_name("kernels.json")
 PREFIX = "navbake."
-BETWEEN_COLLECTIONS = 200_000  # objects that are made, net, before Python looks for garbage
 START = 2.0  # how long a process that helps takes until it compiles [s]
 RAYS = "navbake.baker.kernels.rays"  # its kernels call MuJoCo
 
@@ -197,5 +197,5 @@ def compile_listed(cold: Sequence[str], number: int, count: int, parent: int) ->
 
 def main() -> None:
     """Compile beside another process, see `navbake.dispatch`: the arguments are JSON."""
-    gc.set_threshold(BETWEEN_COLLECTIONS, *gc.get_threshold()[1:])
+    collect_seldom()
     compile_listed(**json.loads(sys.argv[1]))

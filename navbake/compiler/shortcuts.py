@@ -28,7 +28,8 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.inline_closurecall import InlineWorker
 from numba.core.targetconfig import TargetConfig
 
-BETWEEN_COLLECTIONS = 200_000  # objects that are made, net, before Python looks for garbage
+from navbake.compiler.garbage import BETWEEN_COLLECTIONS
+
 NO_COPIES = SimpleNamespace(deepcopy=lambda block: block)
 HOLDERS = (ir.Var, ir.Inst, list, tuple, dict)  # in the order in which numba asks
 
