@@ -66,33 +66,44 @@ def lowest_reaching(
     floors: Float, max_step: float, dtype: np.dtype[np.floating]
 ) -> NDArray[np.floating]:
     """The lowest z of `dtype` from which floors are at most a step above, by floor [m]."""
-    some, where = np.unique(floors, return_inverse=True)
-    reach = _tolerance(some, max_step, dtype)
 
-    def holds(z: Float) -> Bool:
-        return np.asarray(some <= z + max_step)
+    def holds(z: Float, floor: Float) -> Bool:
+        return np.asarray(floor <= z + max_step)
 
-    found = smallest_true(holds, some - max_step - reach, some - max_step + reach, dtype)
-    return found[where.reshape(floors.shape)]
+    return _by_floor(floors, lambda floor: floor - max_step, holds, dtype)
 
 
 def highest_standing(
     floors: Float, max_drop: float, dtype: np.dtype[np.floating]
 ) -> NDArray[np.floating]:
     """The highest z of `dtype` that is at most `max_drop` above floors, by floor [m]."""
+
+    def holds(down: Float, floor: Float) -> Bool:
+        return np.asarray(-down - floor <= max_drop)
+
+    return -_by_floor(floors, lambda floor: -floor - max_drop, holds, dtype)
+
+
+def _by_floor(
+    floors: Float,
+    exact: Callable[[Float], Float],
+    holds: Callable[[Float, Float], Bool],
+    dtype: np.dtype[np.floating],
+) -> NDArray[np.floating]:
+    """`smallest_true` of a condition that depends on the floor; each height is looked at once.
+
+    Args:
+        floors: heights, of any shape [m].
+        exact: where exact arithmetic has the thresholds, by floor [m].
+        holds: the condition, for numbers and their floors.
+        dtype: see `smallest_true`.
+    """
     some, where = np.unique(floors, return_inverse=True)
-    reach = _tolerance(some, max_drop, dtype)
-
-    def holds(down: Float) -> Bool:
-        return np.asarray(-down - some <= max_drop)
-
-    found = -smallest_true(holds, -some - max_drop - reach, -some - max_drop + reach, dtype)
+    middle = exact(some)
+    # farther from there than rounding can move a threshold
+    reach = 1e-9 + 16 * float(np.finfo(dtype).eps) * (np.abs(some) + np.abs(middle))
+    found = smallest_true(lambda v: holds(v, some), middle - reach, middle + reach, dtype)
     return found[where.reshape(floors.shape)]
-
-
-def _tolerance(floors: Float, height: float, dtype: np.dtype[np.floating]) -> Float:
-    """How far a threshold surely is from where exact arithmetic has it [m]."""
-    return 1e-9 + 8 * float(np.finfo(dtype).eps) * (np.abs(floors) + height)
 
 
 def _to_order(values: NDArray[np.floating]) -> NDArray[np.int64]:
