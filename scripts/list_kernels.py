@@ -32,7 +32,7 @@ def main() -> None:
 def record() -> Any:
     """Use all kernels, and note those that Python calls, in the order of the first calls."""
     import navbake
-    from navbake.cli.warm_up import compile_all
+    from navbake.cli.commands.warm_up import compile_all
     from navbake.dispatch import Kernel
     from navbake.kernel_list import Entry, KernelList, encode
 

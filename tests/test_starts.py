@@ -102,7 +102,7 @@ exec({python!r})
 """
     warm = """
 import navbake
-from navbake.cli.warm_up import compile_all
+from navbake.cli.commands.warm_up import compile_all
 compile_all(lambda name, share: None)
 """
     return RECORD + (warm if warm_up else use) + "\nprint('\\n' + json.dumps(sorted(record())))"
@@ -146,7 +146,7 @@ def test_a_bake_compiles_nothing_that_was_compiled_before():
 
 
 def test_warm_up_reaches_every_kernel():
-    from navbake.cli.warm_up import cold_kernels, compile_all, load_kernels
+    from navbake.cli.commands.warm_up import cold_kernels, compile_all, load_kernels
 
     compile_all(lambda name, share: None)
     load_kernels()

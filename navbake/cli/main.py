@@ -14,17 +14,17 @@ from contextlib import suppress
 from typer import Exit, Option, Typer
 
 from navbake._version import __version__
-from navbake.cli.bake import bake
-from navbake.cli.checks import audit, verify
-from navbake.cli.grids import info, plot, rooms, why
-from navbake.cli.inflate import inflate
-from navbake.cli.map_descriptor import mdf
+from navbake.cli.commands.bake import bake
+from navbake.cli.commands.checks import audit, verify
+from navbake.cli.commands.grids import info, plot, rooms, why
+from navbake.cli.commands.inflate import inflate
+from navbake.cli.commands.map_descriptor import mdf
+from navbake.cli.commands.path import path
+from navbake.cli.commands.scenes import geoms, init, samples
+from navbake.cli.commands.voxelize import voxelize
+from navbake.cli.commands.warm_up import warm_up
 from navbake.cli.options import prepared
-from navbake.cli.path import path
 from navbake.cli.printing import print_causes, print_error
-from navbake.cli.scenes import geoms, init, samples
-from navbake.cli.voxelize import voxelize
-from navbake.cli.warm_up import warm_up
 from navbake.errors import NavbakeError
 
 # No command draws with OpenGL. MuJoCo's import is faster without looking for it.

@@ -6,8 +6,8 @@ import logging
 
 import pytest
 
+from navbake.cli.commands.warm_up import cold_kernels, compile_all
 from navbake.cli.main import main
-from navbake.cli.warm_up import cold_kernels, compile_all
 
 
 def test_warms_up_from_one_end_to_the_other():
@@ -28,10 +28,10 @@ def test_the_command(capsys):
 def test_commands_print_what_is_logged(monkeypatch, capsys):
     """A slow start is told on stderr, whether it is a terminal or a pipe."""
     monkeypatch.setattr(
-        "navbake.cli.warm_up.load_kernels",
+        "navbake.cli.commands.warm_up.load_kernels",
         lambda: logging.getLogger("navbake.compiled").warning("compiling"),
     )
-    monkeypatch.setattr("navbake.cli.warm_up.compile_all", lambda progress: None)
+    monkeypatch.setattr("navbake.cli.commands.warm_up.compile_all", lambda progress: None)
     with pytest.raises(SystemExit):
         main(["warm-up"])
     assert "navbake: compiling\n" in capsys.readouterr().err
