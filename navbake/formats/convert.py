@@ -52,6 +52,29 @@ FORMATS = (
         encode="navbake.formats.navgrid:encode_files",
         read="navbake.formats.navgrid:read_navgrid",
     ),
+    Format(
+        name="npz",
+        endings=(".npz",),
+        meaning="NumPy archive: all that a grid holds, arrays as they are",
+        encode="navbake.formats.maps.grid_npz:encode_grid_npz",
+        read="navbake.formats.maps.grid_npz:read_grid_npz",
+    ),
+    Format(
+        name="nav2",
+        endings=(".yaml", ".yml"),
+        meaning="map of ROS and nav2: a YAML and an image for each level, or a costmap",
+        encode="navbake.formats.maps.nav2:encode_nav2",
+        read="navbake.formats.maps.nav2:read_nav2",
+        write_options=("level", "radius", "mode", "image", "inflation", "scaling"),
+    ),
+    Format(
+        name="procthor",
+        endings=(".png",),
+        meaning="ProcTHORMap of MolmoSpaces: free cells and rooms of each level",
+        encode="navbake.formats.maps.procthor:encode_procthor",
+        read="navbake.formats.maps.procthor:read_procthor",
+        write_options=("level", "radius"),
+    ),
 )
 """All formats; of formats with an ending in common, the first is its."""
 
