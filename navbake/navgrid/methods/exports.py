@@ -77,3 +77,20 @@ class Exports:
         See `navbake.formats.maps.grid_npz` for its arrays.
         """
         return self.convert(path, "npz")
+
+    def to_mjcf(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        level: int | None = None,
+        height: float | None = None,
+        flat: bool = False,
+    ) -> list[Path]:
+        """Write a MuJoCo scene of walls and floors, and the settings that bake it to these cells.
+
+        Takes and raises what `navbake.formats.maps.mjcf.encode_mjcf` does.
+
+        Returns:
+            The files that were written.
+        """
+        return self.convert(path, "mjcf", level=level, height=height, flat=flat)
