@@ -1,13 +1,17 @@
 """What a report says of each cell when one points at it."""
 
+from collections.abc import MutableMapping
+
 import numpy as np
+import orjson
 
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
-from navbake.navgrid.user_data import NAMES, Shared, UserData, names_in
+from navbake.navgrid.user_data import NAMES, Shared, UserData, collector_off, names_in
 from navbake.types import Int, Json
-from navbake.views.report.packing import NONE, number_distinct, pack, to_steps
+from navbake.views.report.packing import NONE, number_distinct, pack, to_steps, to_text
 
+KINDS = (*NAMES, "blockers")  # keys of a cell's user data that list names
 MILLIMETRE = 1e-3  # to which floors and clearances are rounded [m]
 MAX_SHOWN = 4_000_000  # cells of a level that a page holds; of larger ones only every n-th
 
@@ -26,8 +30,8 @@ def describe_cells(grid: NavGrid, number: int) -> Json:
     Returns:
         ``every``, see `thinning`; ``floor`` and ``clearance`` in steps of a millimetre from
         ``floorFrom`` and 0; ``room``, ``island``; ``weight`` and ``names`` as numbers into the
-        lists ``weights`` (None for infinite) and ``nameLists``. An entry of these holds the names
-        of what stands in a cell under `NAMES`, and under ``blockers`` what blocks it.
+        lists ``weights`` (None for infinite) and ``nameLists``, which is JSON, compressed. An entry
+        of it holds the names of what stands in a cell, and of what blocks it, by `KINDS`.
     """
     level = grid.levels[number]
     every = thinning(level)
@@ -47,30 +51,33 @@ def describe_cells(grid: NavGrid, number: int) -> Json:
         "weight": pack(weight),
         "weights": [value if np.isfinite(value) else None for value in weights],
         "names": pack(names[shown]),
-        "nameLists": name_lists,
+        "nameLists": to_text(orjson.dumps(name_lists)),
     }
 
 
 def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
     """Which entry of the list of names each cell has, -1 for none, shape (height, width)."""
-    known: dict[tuple[tuple[str, ...], ...], int] = {}
-    keys = (*NAMES, "blockers")
+    found: dict[bytes, int] = {}  # by an entry's JSON: most cells have the entry of others
+    lists: list[Json] = []
 
     def number_of(entry: Json) -> int:
-        names = tuple(tuple(sorted(names_in(entry, key))) for key in keys)
-        return known.setdefault(names, len(known)) if any(names) else NONE
+        key = orjson.dumps(entry, default=str)
+        if key not in found:
+            names = {kind: sorted(names_in(entry, kind)) for kind in KINDS}
+            names = {kind: some for kind, some in names.items() if some}
+            found[key] = len(lists) if names else NONE
+            lists.extend([names] if names else [])
+        return found[key]
 
     numbers = np.full(level.height * level.width, NONE, dtype=np.int64)
     source = UserData.of(level.user_data).source
     if isinstance(source, Shared):
-        entries = np.array([number_of(entry) for entry in source.entries], dtype=np.int64)
-        if len(entries):
-            numbers[source.cells] = entries[source.number]
+        cells, number, entries = source
     else:
-        for cell, entry in level.user_data.items():
-            numbers[cell] = number_of(entry)
-    lists = [
-        {key: list(found) for key, found in zip(keys, names, strict=True) if found}
-        for names in known
-    ]
+        with collector_off():
+            table = source if isinstance(source, MutableMapping) else source.read()
+        cells, entries = np.fromiter(table, np.int64, len(table)), list(table.values())
+        number = np.arange(len(table))
+    if len(cells):
+        numbers[cells] = np.fromiter(map(number_of, entries), np.int64, len(entries))[number]
     return numbers.reshape(level.shape), lists

@@ -30,7 +30,7 @@ COLORS = (
     "#0072b2",
     "#cc79a7",
     "#e69f00",
-    "#000000",
+    "#6f5f4f",
     "#56b4e9",
     "#f7f3e8",
     "#9aa2b1",
@@ -110,6 +110,7 @@ def _show_level(first: NavGrid, second: NavGrid, level: LevelDifference) -> Json
                 "legend": legend,
                 "scale": None,
                 "labels": [],
+                "doors": [],
             }
         ],
         "marks": [],

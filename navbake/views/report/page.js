@@ -14,6 +14,7 @@ const pictures = new Map(), unpacked = new Map();
 const sheet = () => content.sheets[state.sheet];
 const level = () => sheet().levels[state.level];
 const layers = () => level().layers;
+const fixed = (value, digits) => (Number(value.toFixed(digits)) + 0).toFixed(digits); // never -0
 const layer = () => layers().find((each) => each.name === state.layer) || layers()[0];
 
 function element(tag, text, attributes = {}) {
@@ -25,11 +26,15 @@ function element(tag, text, attributes = {}) {
 
 // --- arrays -----------------------------------------------------------------------------------
 
+// Undo packing.to_text.
+function inflate(text) {
+  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate")));
+}
+
 // Undo packing.pack: zlib, planes of bytes, differences along rows. The largest number is none: -1.
 async function unpack(packed, rows, cols) {
-  const bytes = Uint8Array.from(atob(packed.data), (c) => c.charCodeAt(0));
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-  const planes = new Uint8Array(await new Response(stream).arrayBuffer());
+  const planes = new Uint8Array(await inflate(packed.data).arrayBuffer());
   const count = rows * cols, mask = 2 ** (8 * packed.bytes) - 1, values = new Float64Array(count);
   for (let row = 0; row < rows; row++) {
     let before = 0;
@@ -53,6 +58,7 @@ async function unpackCells(shown) {
   const cells = shown.cells, rows = Math.ceil(shown.height / cells.every), cols = Math.ceil(shown.width / cells.every);
   const made = { cols };
   for (const key of ["floor", "clearance", "room", "island", "weight", "names"]) made[key] = await unpack(cells[key], rows, cols);
+  made.nameLists = await inflate(cells.nameLists).json();
   shown.unpacked = made;
   return made;
 }
@@ -67,7 +73,7 @@ function describe(shown, x, y) {
   if (!arrays) return lines[0];
   const at = Math.floor(row / cells.every) * arrays.cols + Math.floor(col / cells.every);
   const floor = arrays.floor[at], weight = cells.weights[arrays.weight[at]], free = weight !== null;
-  const height = floor < 0 ? "no floor" : `floor ${(cells.floorFrom + floor / 1000).toFixed(3)} m`;
+  const height = floor < 0 ? "no floor" : `floor ${fixed(cells.floorFrom + floor / 1000, 3)} m`;
   lines[0] += `: ${height}, ${free ? "free" : "blocked"}`;
   const facts = [];
   if (free && weight !== 1) facts.push(`weight ${weight}`);
@@ -75,7 +81,7 @@ function describe(shown, x, y) {
   const room = arrays.room[at];
   if (room > 0) facts.push(`room ${shown.rooms[room] || room}`);
   if (facts.length) lines.push(facts.join(", "));
-  const names = arrays.names[at] < 0 ? {} : cells.nameLists[arrays.names[at]];
+  const names = arrays.names[at] < 0 ? {} : arrays.nameLists[arrays.names[at]];
   const standing = ["doors", "objects", "walls"].filter((key) => names[key]).map((key) => `${key}: ${names[key].join(", ")}`);
   const all = ["doors", "objects", "walls"].flatMap((key) => names[key] || []);
   const blockers = names.blockers || all;
@@ -86,7 +92,7 @@ function describe(shown, x, y) {
 
 function tell(x, y) {
   state.pointed = [x, y];
-  const words = [`x ${x.toFixed(3)}, y ${y.toFixed(3)} m`];
+  const words = [`x ${fixed(x, 3)}, y ${fixed(y, 3)} m`];
   const marks = shownMarks().filter((mark) => Math.hypot(mark.x - x, mark.y - y) * view.scale < NEAR);
   for (const mark of marks) words.push(`${mark.kind}: ${mark.text}`);
   const change = changeAt(x, y);
@@ -142,6 +148,7 @@ function draw() {
     pen.imageSmoothingEnabled = pixel < 1;
     pen.drawImage(image, ...toPixels(own.xMin, own.yMax), image.naturalWidth * pixel, image.naturalHeight * pixel);
   }
+  for (const door of drawn.doors) drawDoor(door);
   drawLabels(drawn);
   for (const mark of shownMarks()) {
     const [px, py] = toPixels(mark.x, mark.y);
@@ -151,6 +158,20 @@ function draw() {
   }
   if (state.pointed) drawPointer(...state.pointed);
   drawBar();
+}
+
+// A closed door is a line from jamb to jamb; one that lets through is a dashed line.
+function drawDoor(door) {
+  const closed = door.state === "closed";
+  pen.setLineDash(closed ? [] : [3, 3]);
+  for (const [color, width] of [["#fff", 4], ["#b02a1e", closed ? 3 : 2]]) {
+    pen.strokeStyle = color;
+    pen.lineWidth = width;
+    pen.beginPath();
+    pen.moveTo(...toPixels(...door.start)); pen.lineTo(...toPixels(...door.end));
+    pen.stroke();
+  }
+  pen.setLineDash([]);
 }
 
 function drawPointer(x, y) {
@@ -287,10 +308,15 @@ function showLegend() {
   if (drawn.title) parts.push(element("strong", drawn.title));
   if (drawn.scale) {
     const box = element("span", "", { class: "scale" }), strip = element("canvas", "", { width: drawn.scale.colors.length, height: 1 });
-    const ink = strip.getContext("2d");
+    const ink = strip.getContext("2d"), ticks = element("span", "", { class: "ticks" });
     drawn.scale.colors.forEach((color, i) => { ink.fillStyle = color; ink.fillRect(i, 0, 1, 1); });
-    box.append(element("span", drawn.scale.low), strip, element("span", `${drawn.scale.high} ${drawn.scale.label}`));
-    parts.push(box);
+    for (const tick of drawn.scale.ticks) {
+      const text = element("span", tick.text);
+      text.style.setProperty("left", `${100 * tick.position}%`);
+      ticks.append(text);
+    }
+    box.append(strip, ticks);
+    parts.push(element("span", drawn.scale.label), box);
   }
   for (const [text, color] of drawn.legend) {
     const box = element("span");

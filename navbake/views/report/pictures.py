@@ -9,9 +9,11 @@ from PIL import Image
 
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
-from navbake.views.layers import LAYERS, make_panels
+from navbake.views.color_scale import ColorScale
+from navbake.views.layers import LAYERS, make_panel, paint
 from navbake.views.report.cells import thinning
 
+BAR = 64  # colours of the bar beside a layer
 PALETTE = 256  # most colours of a picture that numbers them, one byte a pixel
 
 
@@ -37,22 +39,23 @@ def to_png(rgb: NDArray[np.uint8]) -> str:
 
 
 def _draw_layer(grid: NavGrid, number: int, layer: str) -> Json:
-    panel = make_panels(grid, layer)[number]
+    panel = make_panel(grid, layer, number)
     every = thinning(grid.levels[number])
     return {
         "name": layer,
-        "title": panel.title.partition(": ")[2],
-        "png": to_png(panel.rgb[::every, ::every]),
+        "title": panel.title.removeprefix(f"{grid.level_names[number]}: "),
+        "png": to_png(paint(panel)[::every, ::every]),
         "legend": panel.legend,
-        "scale": None,
-        "labels": [
-            {
-                "text": label.text,
-                "fallback": label.fallback,
-                "x": label.x,
-                "y": label.y,
-                "width": label.width,
-            }
-            for label in panel.labels
-        ],
+        "scale": None if panel.scale is None else _describe_scale(panel.scale),
+        "labels": [label._asdict() for label in panel.labels],
+        "doors": [door._asdict() for door in panel.doors],
+    }
+
+
+def _describe_scale(scale: ColorScale) -> Json:
+    colors = [f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue in scale.bar(BAR).tolist()]
+    return {
+        "label": scale.label,
+        "colors": colors,
+        "ticks": [tick._asdict() for tick in scale.ticks],
     }
