@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
     from navbake.runtime.path_finder import PathFinder
     from navbake.verifier.verify import verify
+    from navbake.views.report.report import write_report as report
     from navbake.voxels.grid import VoxelGrid
 
 __all__ = [
@@ -64,6 +65,7 @@ __all__ = [
     "from_procthor",
     "load",
     "load_voxels",
+    "report",
     "samples",
     "tensors",
     "verify",
@@ -87,6 +89,7 @@ _LAZY = {
     "from_procthor": "navbake.formats.maps.procthor:read_procthor",
     "load": "navbake.formats.navgrid:read_navgrid",
     "load_voxels": "navbake.formats.voxels:read_voxels",
+    "report": "navbake.views.report.report:write_report",
     "verify": "navbake.verifier.verify:verify",
 }
 
