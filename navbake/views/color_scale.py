@@ -74,22 +74,33 @@ class ColorScale(NamedTuple):
         return painted
 
 
-def linear_scale(values: NDArray[Any], label: str) -> ColorScale:
-    """A scale from the least to the largest of some finite values, shape (n,)."""
+def linear_scale(values: NDArray[Any], label: str, *, dark_high: bool = False) -> ColorScale:
+    """A scale from the least to the largest of some finite values, shape (n,).
+
+    The largest is the lightest, or the darkest where `dark_high` asks for it.
+    """
     low, high = (float(values.min()), float(values.max())) if values.size else (0.0, MIN_RANGE)
+    ticks = _round_ticks(low, high)
     widen = max(0.0, MIN_RANGE - (high - low)) / 2
-    low, high = low - widen, high + widen
-    step = _nice_step((high - low) / (MAX_TICKS - 1))
-    first = math.ceil(low / step - 1e-6)
+    low, high = (low, high + 2 * widen) if dark_high else (low - widen, high + widen)
+    placed = tuple(Tick((value - low) / (high - low), text) for value, text in ticks)
+    stops = STOPS
+    if dark_high:
+        stops = tuple((1 - position, color) for position, color in reversed(STOPS))
+    return ColorScale(label, (low, high), (0.0, 1.0), placed, stops)
+
+
+def _round_ticks(low: float, high: float) -> list[tuple[float, str]]:
+    """Some round numbers from one value to another; the value itself where they are one."""
+    if high == low:
+        return [(low, f"{low:g}")]
+    step = nice_step((high - low) / (MAX_TICKS - 1))
     digits = max(0, -math.floor(math.log10(step) + 1e-9))
-    ticks = []
-    for number in range(first, math.floor(high / step + 1e-6) + 1):
-        position = (number * step - low) / (high - low)
-        ticks.append(Tick(min(max(position, 0.0), 1.0), f"{number * step:.{digits}f}"))
-    return ColorScale(label, (low, high), (0.0, 1.0), tuple(ticks))
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [(n * step, f"{n * step + 0.0:.{digits}f}") for n in range(first, last + 1)]
 
 
-def _nice_step(least: float) -> float:
+def nice_step(least: float) -> float:
     """The first of 1, 2, 5, 10, 20, … that is no less, whatever its power of ten."""
     power = 10.0 ** math.floor(math.log10(least))
     return next((n * power for n in (1, 2, 5) if n * power >= least * (1 - 1e-9)), 10 * power)
@@ -112,8 +123,6 @@ def height_scale(heights: NDArray[Any], label: str) -> ColorScale:
     step = max(HEIGHT_STEP, (high - low) / MAX_HEIGHTS)
     counts = np.bincount(np.round((heights - low) / step).astype(np.int64))
     steps = np.flatnonzero(counts)
-    if len(steps) < 2 or high - low < HEIGHT_STEP:
-        return linear_scale(heights, label)
     length = np.concatenate([[0.0], np.cumsum(np.sqrt(np.diff(steps)))])
     # flat floors look flat: a few centimetres are a part of the scale, not all of it
     spread = max(float(length[-1]), MIN_RANGE / HEIGHT_STEP)
@@ -128,10 +137,10 @@ def height_scale(heights: NDArray[Any], label: str) -> ColorScale:
 
 
 def _choose_ticks(ticks: list[Tick], areas: NDArray[np.int64]) -> tuple[Tick, ...]:
-    """The lowest, the highest, and between them what the largest areas have, none too close."""
+    """That of the largest area, the ends, and those of the next largest, none too close."""
     order = np.argsort(-areas, kind="stable").tolist()
     chosen: list[Tick] = []
-    for number in [0, len(ticks) - 1, *order]:
+    for number in [order[0], 0, len(ticks) - 1, *order]:
         tick = ticks[number]
         if all(abs(tick.position - other.position) >= TICK_GAP for other in chosen):
             chosen.append(tick)

@@ -15,7 +15,7 @@ ROUTE = "#1864ab"
 MARKS = ("#d6336c", "#1c7ed6", "#e8590c", "#2b8a3e", "#7048e8", "#0b7285")  # by kind
 
 OUTDOORS = "#e2ecba"
-ROOMS = ("#b092f6", "#ecec88", "#60b09c", "#cec4f6", "#a6ceb0", "#a69cc4")
+ROOMS = ("#a6ceb0", "#cec4f6", "#ecec88", "#60b09c", "#b092f6", "#c0f0f8")
 BLOCKED_SHARE = 0.55  # of `OCCUPIED` in the colour of a room where something stands in it
 DARKER = "#6b6f78"  # stands in the legend for all rooms' darker colours
 
