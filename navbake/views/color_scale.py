@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from navbake.views.colors import rgb_of
 
-# ten colours at equal distances, from 0.22 to 1
-VIRIDIS = ["#3e4989", "#34618d", "#2a768e", "#228b8d", "#1fa188", "#31b57b", "#58c765", "#8bd646"]
-VIRIDIS += ["#c5e021", "#fde725"]
+# From 0.22 to 1, at places whose colours look equally far apart to people who see no red, no green,
+# or both
+VIRIDIS = ["#3e4989", "#31678e", "#287d8e", "#218e8d", "#1e9c89", "#24ab82", "#39b976", "#5bc863"]
+VIRIDIS += ["#8ed644", "#fde725"]
 STOPS = tuple((number / (len(VIRIDIS) - 1), color) for number, color in enumerate(VIRIDIS))
 SHADES = 1024  # colours that a scale is rounded to
 MIN_RANGE = 0.1  # least span of a scale, so that flat floors look flat
@@ -110,8 +111,8 @@ def height_scale(heights: NDArray[Any], label: str) -> ColorScale:
     """A scale that tells floors 2 cm apart and 3 m apart in one picture.
 
     Heights are rounded to centimetres. Where there are floors at all heights, as on a ramp, the
-    scale is even. Where there are none from one height to the next, it shrinks to the square root
-    of the gap: 3 m take 12 times as much of it as 2 cm, not 150 times.
+    scale is even. Where there are none from one height to the next, it shrinks to the cube root of
+    the gap: 3 m take 5 times as much of it as 2 cm, not 150 times.
 
     Args:
         heights: finite ones, shape (n,) [m].
@@ -123,7 +124,7 @@ def height_scale(heights: NDArray[Any], label: str) -> ColorScale:
     step = max(HEIGHT_STEP, (high - low) / MAX_HEIGHTS)
     counts = np.bincount(np.round((heights - low) / step).astype(np.int64))
     steps = np.flatnonzero(counts)
-    length = np.concatenate([[0.0], np.cumsum(np.sqrt(np.diff(steps)))])
+    length = np.concatenate([[0.0], np.cumsum(np.cbrt(np.diff(steps)))])
     # flat floors look flat: a few centimetres are a part of the scale, not all of it
     spread = max(float(length[-1]), MIN_RANGE / HEIGHT_STEP)
     positions = 0.5 + (length - length[-1] / 2) / spread
