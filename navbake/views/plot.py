@@ -47,7 +47,7 @@ MOST_KEYS = 40  # entries of the key to the numbers in small rooms
 NUM_TICKS, TICK_INCHES = 5, 0.35  # most steps on an axis, and the least length of one
 DOOR_STROKES = {  # colours and widths [points], from below
     "closed": (("#ffffff", 4.2), (DOOR, 2.6)),
-    "open": ((DOOR, 3.2), ("#ffffff", 1.5)),
+    "open": ((DOOR, 3.8), ("#ffffff", 1.6)),
 }
 ROUTE_STROKES = (("#ffffff", 3.4), (ROUTE, 1.8))
 

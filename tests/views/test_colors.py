@@ -1,6 +1,6 @@
 """Colours stay apart, for people who see no red or no green, too; heights and rooms differ."""
 
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
@@ -127,7 +127,9 @@ def test_heights_keep_their_order_and_the_ticks_their_values(heights):
     for tick in scale.ticks:
         value = np.interp(tick.position, scale.positions, scale.values)
         assert float(tick.text) == pytest.approx(value, abs=HEIGHT_STEP)
-    assert all(b.position - a.position > 0.1 for a, b in zip(scale.ticks, scale.ticks[1:], strict=False))
+    assert all(
+        b.position - a.position > 0.1 for a, b in zip(scale.ticks, scale.ticks[1:], strict=False)
+    )
 
 
 def test_flat_floors_look_flat():
@@ -163,7 +165,7 @@ def slow_neighbours(index, reach):
     for lines in (index, index.T):
         for line in lines:
             seen = [(place, int(region)) for place, region in enumerate(line) if region]
-            for (place, one), (next_place, other) in zip(seen, seen[1:], strict=False):
+            for (place, one), (next_place, other) in pairwise(seen):
                 if one != other and next_place - place - 1 <= reach:
                     pairs.add((min(one, other), max(one, other)))
     return pairs

@@ -11,6 +11,7 @@ from navbake.errors import printable
 
 FONT = "DejaVu Sans"  # comes with matplotlib
 UNKNOWN = "\N{REPLACEMENT CHARACTER}"  # stands for letters that no font has
+LINE_ADVANCE = 1.2  # from line to line, of a line's height
 REFERENCE_DPI = 720  # texts are measured at this resolution; they grow with their size
 
 
@@ -23,7 +24,7 @@ class Text(NamedTuple):
     def size(self, points: float) -> tuple[float, float]:
         """Its width and height in letters of so many points [inches]."""
         lines = [_measure(line, self.font) for line in self.text.split("\n")]
-        height = sum(height for _, height in lines) + 0.2 * (len(lines) - 1)
+        height = lines[0][1] * (1 + LINE_ADVANCE * (len(lines) - 1))
         return max(width for width, _ in lines) * points / 10, height * points / 10
 
     def cut(self, points: float, width: float) -> Text:

@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 from navbake.views.color_scale import nice_step
 from navbake.views.drawing.fonts import Text
 
+# Functions import matplotlib when they draw: it is an extra, and takes half a second to load.
+
 POINTS = 8.0
 LINE = 0.22  # from line to line [inches]
 SWATCH = (0.2, 0.12)  # width and height of a colour in the legend [inches]

@@ -63,7 +63,9 @@ def plan_layout(
     scale = min(wide / extent[0], max(high, MIN_MAP) / extent[1])
     map_size = max(extent[0] * scale, MIN_MAP), max(extent[1] * scale, MIN_MAP)
 
-    slots = [max(map_size[0] + around, MIN_SLOT) for around in around_x]
+    slots = [map_size[0] + around for around in around_x]
+    spare = (WIDTH - 2 * MARGIN - sum(slots)) / columns
+    slots = [slot + max(0.0, min(MIN_SLOT - slot, spare)) for slot in slots]
     width = max(sum(slots) + 2 * MARGIN, MIN_WIDTH)
     height = HEADING + rows * (map_size[1] + around_y) + footer
     corners, title_widths = [], []
