@@ -85,7 +85,7 @@ def draw_rooms() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "house-100.xml"
         scene.write_text(make_house(100), encoding="utf-8")
-        grid = navbake.bake(scene, overrides=["grid.cell_size=0.1"])
+        grid = navbake.bake(scene, grid={"cell_size": 0.1})
     return render_png(grid, layers=("rooms",))
 
 
