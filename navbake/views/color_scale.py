@@ -23,6 +23,7 @@ STOPS = tuple((number / (len(VIRIDIS) - 1), color) for number, color in enumerat
 SHADES = 1024  # colours that a scale is rounded to
 MIN_RANGE = 0.1  # least span of a scale, so that flat floors look flat
 HEIGHT_STEP = 0.01  # heights nearer than this are one [m]
+MIN_LENGTH = 5.0  # of a scale of heights, in steps that lie beside each other
 MAX_HEIGHTS = 1 << 16  # steps that a range of heights is split into at most
 MAX_TICKS = 6
 TICK_GAP = 0.11  # least distance of two ticks, of the scale's length
@@ -95,7 +96,7 @@ def _round_ticks(low: float, high: float) -> list[tuple[float, str]]:
     """Some round numbers from one value to another; the value itself where they are one."""
     if high == low:
         return [(low, f"{low:g}")]
-    step = nice_step((high - low) / (MAX_TICKS - 1))
+    step = nice_step((high - low) / MAX_TICKS)
     digits = max(0, -math.floor(math.log10(step) + 1e-9))
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return [(n * step, f"{n * step + 0.0:.{digits}f}") for n in range(first, last + 1)]
@@ -126,7 +127,7 @@ def height_scale(heights: NDArray[Any], label: str) -> ColorScale:
     steps = np.flatnonzero(counts)
     length = np.concatenate([[0.0], np.cumsum(np.cbrt(np.diff(steps)))])
     # flat floors look flat: a few centimetres are a part of the scale, not all of it
-    spread = max(float(length[-1]), MIN_RANGE / HEIGHT_STEP)
+    spread = max(float(length[-1]), MIN_LENGTH)
     positions = 0.5 + (length - length[-1] / 2) / spread
     values = low + steps * step
     at = zip(positions.tolist(), values.tolist(), strict=True)

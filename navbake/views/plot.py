@@ -356,7 +356,11 @@ def _write_names(ax: Any, names: Sequence[Written], layout: Layout) -> None:
     middle = {"ha": "center", "va": "center", "multialignment": "center"}
     for name in names:
         style = name.text.style(name.points) | middle | {"transform": ax.transAxes, "color": INK}
-        ax.text(name.x / width, name.y / height, name.text.text, path_effects=halo, **style)
+        written = ax.text(name.x / width, name.y / height, name.text.text, **style)
+        if name.is_beside:  # it may lie over anything
+            written.set_bbox({"facecolor": "white", "alpha": 0.85, "pad": 1, "edgecolor": "none"})
+        else:
+            written.set_path_effects(halo)
 
 
 def _draw_route(ax: Any, route: Route, level: int) -> None:

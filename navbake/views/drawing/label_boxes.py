@@ -48,6 +48,7 @@ class Written(NamedTuple):
     box: Box  # what it takes up
     number: int | None = None  # that it is, None for a name
     name: str = ""  # that the number stands for
+    is_beside: bool = False  # what it names, not in it
 
 
 def place_labels(
@@ -106,7 +107,7 @@ def _fit(
             if box is not None and not any(box.meets(other) for other in taken):
                 x, y = (box.left + box.right) / 2, (box.bottom + box.top) / 2
                 stands_for = (label.number, whole.text) if text is number else (None, "")
-                return Written(text, points, x, y, box, *stands_for)
+                return Written(text, points, x, y, box, *stands_for, not label.width)
     return None
 
 
