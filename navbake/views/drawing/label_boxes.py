@@ -106,8 +106,10 @@ def _fit(
             box = _around(center, width, height, size)
             if box is not None and not any(box.meets(other) for other in taken):
                 x, y = (box.left + box.right) / 2, (box.bottom + box.top) / 2
-                stands_for = (label.number, whole.text) if text is number else (None, "")
-                return Written(text, points, x, y, box, *stands_for, not label.width)
+                written = Written(text, points, x, y, box, is_beside=not label.width)
+                if text is number:
+                    return written._replace(number=label.number, name=whole.text)
+                return written
     return None
 
 
