@@ -73,6 +73,4 @@ def lab_difference(one, other):
     spread = np.exp(-(((mean_h - 275) / 25) ** 2))
     rc = 2 * np.sqrt(mean_c**7 / (mean_c**7 + 25.0**7))
     rt = -np.sin(np.radians(60 * spread)) * rc
-    return np.sqrt(
-        (dl / sl) ** 2 + (dc / sc) ** 2 + (dh / sh) ** 2 + rt * (dc / sc) * (dh / sh)
-    )
+    return np.sqrt((dl / sl) ** 2 + (dc / sc) ** 2 + (dh / sh) ** 2 + rt * (dc / sc) * (dh / sh))
