@@ -22,7 +22,7 @@ def _holds_sheet(standable, cell, sheet):
     return False
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def list_edges(standable, chosen):
     """List the edges of the chosen sheets, (sheets,) bool.
 
@@ -44,7 +44,7 @@ def list_edges(standable, chosen):
     return surface[:count].copy(), way_out[:count].copy()
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def look_out(standable, surface, way, step, cells, floors):
     """Look out from edges: the cells beyond each, and the floors more than a step below in them.
 

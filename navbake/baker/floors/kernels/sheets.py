@@ -101,7 +101,18 @@ def neighbour(lattice, cell, way):
     return cell - width
 
 
-@njit(cache=True)
+@njit(inline="always")
+def neighbours(lattice, cell):
+    """The next cells east, south, west and north, each -1 for none."""
+    width, num = lattice.width, lattice.width * lattice.height
+    col = cell % width
+    east = cell + 1 if col + 1 < width else -1
+    south = cell + width if cell + width < num else -1
+    west = cell - 1 if col > 0 else -1
+    return east, south, west, cell - width
+
+
+@njit(cache=True, nogil=True)
 def join_by_steps(lattice, start, z, group, step):
     """Label the connected parts of standable surfaces: of one group, neighbours a step apart.
 
@@ -183,7 +194,7 @@ def join_by_slopes(lattice, start, z, normal, step):
     return pairs
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def group_members(part, size):
     """List the members of each part, given the part of each surface, int32, and the parts' sizes.
 
@@ -200,7 +211,7 @@ def group_members(part, size):
     return start, member
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def find_links(lattice, start, z, level, step):
     """Pairs of surfaces in neighbouring cells, a step apart, on different levels.
 
@@ -265,7 +276,7 @@ def list_options(footing, candidate, lowest, highest, start, height, cell0, end)
                 place += 1
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def grow_floor(lattice, start, height, floor, step):
     """Let a level's floor go on under things, ring by ring, in place.
 
@@ -298,8 +309,7 @@ def grow_floor(lattice, start, height, floor, step):
         for q in range(end):
             if math.isnan(value[q]):
                 continue
-            for way in range(4):
-                other = neighbour(lattice, queue[q], way)
+            for other in neighbours(lattice, queue[q]):
                 if other < 0 or queued[other] or start[other] == start[other + 1]:
                     continue
                 if math.isnan(floor[other]):
@@ -314,8 +324,7 @@ def grow_floor(lattice, start, height, floor, step):
 def _list_beside(lattice, cell, floor, beside):
     """Write the floors of a cell's neighbours that have one; returns how many they are."""
     count = 0
-    for way in range(4):
-        other = neighbour(lattice, cell, way)
+    for other in neighbours(lattice, cell):
         if other >= 0 and not math.isnan(floor[other]):
             beside[count] = floor[other]
             count += 1

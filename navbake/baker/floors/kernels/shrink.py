@@ -36,7 +36,7 @@ def east_rim(offsets: np.ndarray) -> np.ndarray:
     return np.array(rim, dtype=np.int64).reshape(-1, 2)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def mark_inner(cells, offsets, rim, width, height, needed, mask, counted, inner):
     """Mark the cells of a set whose neighbours at all offsets belong to it, until enough are found.
 

@@ -153,10 +153,12 @@ def _hold(low, wall, row, next_row, next_wall, held):
     if next_row < 0 or next_row >= rows:
         return np.uint8(0)
     first, last = max(row - 1, 0), min(row + 1, rows - 1)
-    if not (low[row] or low[first] or low[last]):  # most cells
+    there = held[next_row]
+    if there == 0 and not next_wall[next_row]:  # most cells: nothing there holds anything
+        return np.uint8(0)
+    if not (low[row] or low[first] or low[last]):
         return np.uint8(0)
     found = 0
-    there = held[next_row]
     if low[row] and (next_wall[next_row] or there & EXACT):
         found = EXACT
     for other in range(first, last + 1):
