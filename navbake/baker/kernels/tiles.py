@@ -12,6 +12,8 @@ import math
 import numpy as np
 from numba import njit
 
+from navbake.compiled import UNCOUNTED
+
 TILE = 8  # cells along a tile's edge; a tile's cells are the bits of an int64
 BAND = 8  # rows of cells in a band
 # How far beyond the centres of cells one looks, in cells, so that rounding loses none
@@ -119,7 +121,7 @@ def _bands_under(boxes, n, grow, lattice):
     return first // BAND, last // BAND, 0, 0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def list_boxes(boxes, grow, lattice, by_band, under, cursor, item, first, end):
     """Count, or list, the (n, 6) boxes that reach into each tile; or into each band.
 

@@ -11,6 +11,7 @@ from numba import njit
 
 from navbake.baker.floors.kernels.sheets import neighbour
 from navbake.baker.kernels.constants import SLACK
+from navbake.compiled import UNCOUNTED
 
 
 @njit(inline="always")
@@ -44,7 +45,7 @@ def list_edges(standable, chosen):
     return surface[:count].copy(), way_out[:count].copy()
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def look_out(standable, surface, way, step, cells, floors):
     """Look out from edges: the cells beyond each, and the floors more than a step below in them.
 

@@ -12,10 +12,11 @@ from numba import njit
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE, SAME, SLACK
 from navbake.baker.kernels.tiles import cell_center
+from navbake.compiled import UNCOUNTED
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def count_planes_over(planes, x, y, z):
     """How many infinite planes have a point behind them."""
     count = 0
@@ -30,7 +31,7 @@ def count_planes_over(planes, x, y, z):
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def look_up(crossings, i, last):
     """How many solids of a column hold the i-th surface, and the height of the next one above.
 
@@ -54,7 +55,7 @@ def look_up(crossings, i, last):
     return surfaces, others, above
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable, count, cell0, end):
     """Tell which crossings are floor-like and which are standable, into two (n,) bool arrays.
 
@@ -245,7 +246,7 @@ def find_links(lattice, start, z, level, step):
     return pairs
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def count_options(footing, candidate, floor, lowest, highest, count, cell0, end):
     """Count the heights at which a level's floor may go on in each cell, into (cells,) int64.
 
@@ -260,7 +261,7 @@ def count_options(footing, candidate, floor, lowest, highest, count, cell0, end)
                     count[cell] += 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def list_options(footing, candidate, lowest, highest, start, height, cell0, end):
     """Write the heights that `count_options` counts, (options,) float64 [m].
 
@@ -287,10 +288,15 @@ def grow_floor(lattice, start, height, floor, step):
     all over the lattice, read little memory.
     """
     num = floor.shape[0]
-    queue, queued = np.empty(num, np.int64), np.zeros(num, np.bool_)
-    following, value = np.empty(num, np.int64), np.empty(num, np.float64)
-    beside = np.empty(4, np.float64)
-    end = 0
+    rings = np.empty(num, np.int64), np.empty(num, np.int64), np.zeros(num, np.bool_)
+    _grow(lattice, start, height, floor, step, (*rings, np.empty(num), np.empty(4)))
+
+
+@njit(cache=True, **UNCOUNTED)
+def _grow(lattice, start, height, floor, step, room):
+    """See `grow_floor`; `room` is for two rings, marks by cell, a ring's heights, and neighbours'."""
+    queue, following, queued, value, beside = room
+    num, end = floor.shape[0], 0
     for cell in range(num):
         if start[cell] < start[cell + 1] and _list_beside(lattice, cell, floor, beside) > 0:
             queued[cell] = True
