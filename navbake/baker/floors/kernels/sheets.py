@@ -6,6 +6,7 @@ apart, by union-find. Floors grow ring by ring, breadth first.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -14,6 +15,7 @@ from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE, SAME, 
 from navbake.baker.kernels.tiles import cell_center
 from navbake.compiled import UNCOUNTED
 from navbake.navgrid.kernels.union_find import find_root, unite
+from navbake.types import Bool, Float, Int32
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -87,6 +89,60 @@ def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable, cou
                 standable[i] = True
                 count[cell] += 1
                 previous = z
+
+
+class Surfaces(NamedTuple):
+    """Standable surfaces, and the heights of floor-like ones, column by column.
+
+    Attributes:
+        z, cell, geom: of each standable one, float64 [m], int32, int32.
+        surface: which of the floor-like ones it is, int32.
+        is_top: whether nothing lies above it in its column, bool.
+        footing: heights of the floor-like ones, float64 [m].
+    """
+
+    z: Float
+    cell: Int32
+    surface: Int32
+    geom: Int32
+    is_top: Bool
+    footing: Float
+
+
+@njit(cache=True, nogil=True, **UNCOUNTED)
+def list_surfaces(crossings, marks, places, before, found, writing, first, end):
+    """List the surfaces that `mark_surfaces` marked; twice: to count, then to write.
+
+    Looks at the columns ``range(first, end)`` of the crossings.
+
+    Args:
+        marks: which crossings are floor-like, and which are standable, (n,) bool each.
+        places: by column, where its standable surfaces go, and where its floor-like ones do, int64;
+            of these, ``places[1][column + 1]`` receives the number in the first call.
+        before: how many cells, and how many floor-like surfaces, come before these columns.
+        found: receives the surfaces.
+    """
+    (floor_like, standable), (start, footing_start) = marks, places
+    z, geom = crossings.z, crossings.geom
+    for column in range(first, end):
+        begin, past = crossings.start[column], crossings.start[column + 1]
+        if not writing:
+            count = 0
+            for i in range(begin, past):
+                count += floor_like[i]
+            footing_start[column + 1] = count
+            continue
+        at, footing = start[column], footing_start[column]
+        for i in range(begin, past):
+            if standable[i]:
+                found.z[at], found.geom[at] = z[i], geom[i]
+                found.cell[at] = before[0] + column
+                found.surface[at] = before[1] + footing
+                found.is_top[at] = z[past - 1] - z[i] <= SLACK
+                at += 1
+            if floor_like[i]:
+                found.footing[footing] = z[i]
+                footing += 1
 
 
 @njit(cache=True)
@@ -294,7 +350,7 @@ def grow_floor(lattice, start, height, floor, step):
 
 @njit(cache=True, **UNCOUNTED)
 def _grow(lattice, start, height, floor, step, room):
-    """See `grow_floor`; `room` is for two rings, marks by cell, a ring's heights, and neighbours'."""
+    """See `grow_floor`; `room`: two rings, marks by cell, a ring's heights, and neighbours'."""
     queue, following, queued, value, beside = room
     num, end = floor.shape[0], 0
     for cell in range(num):
