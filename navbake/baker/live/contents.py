@@ -40,8 +40,8 @@ from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS, UNPROVED
 from navbake.baker.kernels.tiles import tile_of
 from navbake.baker.lattice import Window
 from navbake.baker.live.columns import LiveColumns, Region
-from navbake.baker.live.floors import FloorChanges
 from navbake.baker.live.following import boxes_of
+from navbake.baker.live.growth import FloorChanges
 from navbake.baker.live.kernels.contents import (
     count_in_tiles,
     count_taken,
