@@ -13,6 +13,8 @@ import numpy as np
 
 from navbake.baker.floors.levels import LARGE_ROOF, LevelFloor
 from navbake.baker.floors.stairs import PLATEAU
+from navbake.baker.live.growth import FloorChanges
+from navbake.baker.live.kernels.regions import are_in
 from navbake.baker.live.not_local import NotLocal
 from navbake.baker.live.sheets import LiveSheets
 from navbake.types import Float, Int
@@ -56,20 +58,37 @@ class FloorBudget:
         if ((number == known.bucket) & (heights < known.bucket_low)).any():
             raise NotLocal("a floor is a little lower than the ground")
 
-    def spend(self, changed: Int) -> None:
-        """Measure the floor again where so much has changed that it may be judged otherwise.
-
-        Args:
-            changed: the cells that became standable, or are no longer.
-        """
-        if not len(changed):
+    def spend(self, changes: FloorChanges) -> None:
+        """Measure the floor again where so much has changed that it may be judged otherwise."""
+        stands = self._level.standable.reshape(-1)
+        flipped = changes.standable
+        risen = changes.heights[stands[changes.heights]]
+        risen = risen[~are_in(risen, flipped)]
+        if not len(flipped) + len(risen):
             return
-        around = len(self._sheets.around(changed, self._sheets.reach))
-        self._known = self._known._replace(left=self._known.left - 2 * around)
+        # a change of height counts as one of all that is near; two counts are compared
+        num = self._count_changed(flipped) + len(self._sheets.around(risen, self._sheets.reach))
+        self._known = self._known._replace(left=self._known.left - 2 * num)
         if self._known.left < 0:
             was, self._known = self._known, self._measure()
             if was[:3] != self._known[:3]:
                 raise NotLocal("the ground has another height")
+
+    def _count_changed(self, flipped: Int) -> int:
+        """How many cells are left now when the floor is shrunk and weren't, or the other way.
+
+        Cells of the floor that became standable, or are no longer, count too. In any part of the
+        floor that goes by heights no more cells can have changed.
+        """
+        sheets, stands = self._sheets, self._level.standable.reshape(-1)
+        region = sheets.around(flipped, 2 * sheets.reach)
+        near = are_in(region, sheets.around(flipped, sheets.reach))
+        is_flipped = are_in(region, flipped)
+        now = stands[region]
+        left = np.zeros((2, len(region)), dtype=np.bool_)
+        for row, marks in zip(left, (now, now ^ is_flipped), strict=True):
+            row[marks] = sheets.test.inner(region[marks])
+        return int(np.count_nonzero(((left[0] != left[1]) & near) | is_flipped))
 
     def _measure(self) -> Measured:
         """Measure the floor.

@@ -283,11 +283,10 @@ class LiveColumns:
         self, asked: Asked, fresh: Crossings, tiled: TiledShapes, is_cracked: Bool
     ) -> Region:
         """`close_cracks` in a region; marks the cells that get another line."""
-        lattice, reach, (again, region, every) = self.lattice, self._crack_cells, asked
+        lattice, reach, (again, region, _) = self.lattice, self._crack_cells, asked
         around = grow_cells(lattice.width, lattice.height, region, reach, self.scratch.flag)
         around = join_cells(around, again)
-        was = self.gather(around)
-        raw = kernels.replace_columns(was.columns, was.number(again), fresh)
+        raw = kernels.gather_replaced(self.pool, around, again, fresh)
         whole = Region(around, raw, np.empty(0, np.int64))
         gaps = self._list_gaps(whole, region)
         if len(gaps.cell):
@@ -295,7 +294,7 @@ class LiveColumns:
             if len(cells):
                 is_cracked[np.searchsorted(region, cells)] = True
                 whole = self._replace_by_best(whole, tiled, cells, candidates)
-        return whole.only(every)
+        return whole
 
     def _list_gaps(self, whole: Region, asked: Int) -> Gaps:
         asks = self._asks_of_gaps(whole, self.scratch.floor)

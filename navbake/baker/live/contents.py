@@ -59,9 +59,12 @@ from navbake.baker.warn import ContentNotes
 from navbake.config.settings import BakeConfig
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import Shared, UserData
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
 ROWS = 8  # of cells in a band
+# So many tiles are worth a call on another thread
+LEAST_TILES = 8
 
 
 class Entries(NamedTuple):
@@ -192,21 +195,23 @@ class LiveContents:
         groups = group_triangles(near)
         tiles = np.unique(tile_of(lattice, cells))
         footprint = Footprint.of(agent, lattice.cell_size)
-        lists = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint8)
+        nothing = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint8)
         storey = StoreyCells(
-            scratch.floor, scratch.ceiling, occupied.reshape(-1), scratch.slot, *lists
+            scratch.floor, scratch.ceiling, occupied.reshape(-1), scratch.slot, *nothing
         )
+        few = {"least": LEAST_TILES}
         scratch.slot[cells + 1] = 0
-        boxes = shapes.solids, shapes.planes, near.tiles, groups
-        count_in_tiles(lattice, *boxes, footprint, storey, tiles)
+        lists = near.tiles, groups
+        boxes = shapes.solids, shapes.planes, lists
+        run_in_bands(count_in_tiles, len(tiles), lattice, *boxes, footprint, storey, tiles, **few)
         slot = np.concatenate([[0], np.cumsum(scratch.slot[cells + 1])])
         point_at(cells, slot, scratch.slot)
         geom, flags = np.empty(slot[-1], dtype=np.int32), np.zeros(slot[-1], dtype=np.uint8)
         storey = storey._replace(geom=geom, flags=flags)
         probe = Probe(WALL_BAND[0] + TOUCH, WALL_BAND[1] - TOUCH, self._candidates)
-        geometry = (shapes.solids, near.facets, shapes.planes), near.tiles, groups
-        crossings = touched.by_id(scratch)
-        list_in_tiles(lattice, crossings, *geometry, footprint, probe, storey, tiles)
+        geometry = (shapes.solids, near.facets, shapes.planes), lists
+        asked = lattice, touched.by_id(scratch), *geometry, footprint, probe, storey, tiles
+        run_in_bands(list_in_tiles, len(tiles), *asked, **few)
         scratch.floor[cells] = np.nan
         kept = flags > 0
         start, flags = np.concatenate([[0], np.cumsum(kept)])[slot], flags[kept]
@@ -287,7 +292,7 @@ class LiveContents:
         holds = not differs.any() and not len(changes.heights)
         holds &= not self._stood_on[moved].any() and not self._carries[moved].any()
         if differs.any():
-            geom, gap = self.support.geom.copy(), self.support.gap.copy()
+            geom, gap = self.support.geom.copy(), self.support.gap  # no grid has the gaps
             geom[cells], gap[cells] = support.geom, support.gap
             self.support = FloorSupport(geom, gap)
         if not holds:

@@ -100,7 +100,7 @@ class LiveFloors:
             raise NotLocal("the floor lies over another surface to stand on")
         self._budget.check(heights)
         changes = self._growth.follow(cells)
-        self._budget.spend(changes.standable)
+        self._budget.spend(changes)
         return changes
 
     def _check_enclosed(self, changed: Region, planes: Planes) -> None:

@@ -167,6 +167,38 @@ def take_columns(columns, cells, some):
 
 
 @njit(cache=True)
+def gather_replaced(pool, cells, some, new):
+    """The columns of some cells, of which some are replaced by new ones; all ascending."""
+    start, k = np.zeros(cells.shape[0] + 1, np.int64), 0
+    for n in range(cells.shape[0]):
+        count = np.int64(pool.length[cells[n]])
+        if k < some.shape[0] and some[k] == cells[n]:
+            count = new.start[k + 1] - new.start[k]
+            k += 1
+        start[n + 1] = start[n] + count
+    total = start[cells.shape[0]]
+    z, normal, geom = np.empty(total), np.empty((total, 3), np.float32), np.empty(total, np.int32)
+    closed, k = np.empty(total, np.uint8), 0
+    for n in range(cells.shape[0]):
+        if k < some.shape[0] and some[k] == cells[n]:
+            j = new.start[k]
+            k += 1
+            for i in range(start[n], start[n + 1]):
+                z[i], geom[i], closed[i] = new.z[j], new.geom[j], new.closed[j]
+                for axis in range(3):
+                    normal[i, axis] = new.normal[j, axis]
+                j += 1
+        else:
+            j = pool.first[cells[n]]
+            for i in range(start[n], start[n + 1]):
+                z[i], geom[i], closed[i] = pool.z[j], pool.geom[j], pool.closed[j]
+                for axis in range(3):
+                    normal[i, axis] = pool.normal[j, axis]
+                j += 1
+    return Crossings(start, z, normal, geom, closed)
+
+
+@njit(cache=True)
 def replace_columns(old, numbers, new):
     """Columns of which some, by their numbers, ascending, are replaced by new ones."""
     num = old.start.shape[0] - 1
