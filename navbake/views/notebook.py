@@ -16,7 +16,7 @@ from PIL import Image
 
 from navbake.errors import printable
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.views.layers import RoomCells
+from navbake.views.room_cells import RoomCells
 
 PICTURE_SIDE = 800  # longest side of the picture of all levels [pixels]
 LEVEL_SIDE = 400  # longest side of a level's picture in HTML [pixels]
@@ -30,8 +30,8 @@ def show_html(grid: NavGrid) -> str:
     """A line of facts, and the levels beside each other, lowest first: for a notebook.
 
     Cells have the colours of `RoomCells`: rooms each their own, darker where something stands in
-    them, doors red. The pictures are inside, and at most `LEVEL_SIDE` pixels long; names are
-    escaped. The same grid gives the same text.
+    them, doors red, open doorways orange. The pictures are inside, and at most `LEVEL_SIDE` pixels
+    long; names are escaped. The same grid gives the same text.
     """
     facts = [_facts_of(level) for level in grid.levels]
     scale = _scale_for(grid, LEVEL_SIDE)
