@@ -5,7 +5,7 @@ import json
 import pytest
 
 from navbake.errors import FormatError
-from navbake.formats.geojson import read_room_outlines
+from navbake.formats.shapes.geojson import read_room_outlines
 
 SQUARE = [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]]
 HOLE = [[1, 1], [2, 1], [2, 2], [1, 2], [1, 1]]
