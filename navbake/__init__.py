@@ -89,6 +89,7 @@ OPERATIONS |= {
     "grid._repr_png_": "navbake.views.notebook:draw_png",
     "grid.at": "navbake.runtime.places.place:place_at",
     "grid.block": "navbake.runtime.blocks.block:block",
+    "grid.convert": "navbake.formats.convert:write_as",
     "grid.describe_cell": "navbake.views.why:describe_cell",
     "grid.inflate": "navbake.runtime.inflation.inflate:inflate",
     "grid.inflate_footprint": "navbake.runtime.inflation.footprint:inflate_footprint",

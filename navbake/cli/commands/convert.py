@@ -1,0 +1,98 @@
+"""The command `navbake convert`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+from typer import Argument, BadParameter, Option
+
+from navbake.cli.options import STDOUT, beside_output, check_output, write_stdout
+from navbake.cli.printing import say_unless_quiet
+from navbake.errors import FormatError
+from navbake.formats.convert import FORMATS, Format, encode_as, find_format, read_as
+from navbake.formats.source import write_files
+
+# Options of formats. A field is called as the option of the format's functions is, and None stands
+# for one that isn't given.
+
+
+class MapOptions(NamedTuple):
+    """Options of maps."""
+
+    level: int | None = Option(None, min=0, help="Only this level; 0 is the lowest.")
+
+
+def _list_formats() -> str:
+    """The table of formats as a help text shows it."""
+    lines = []
+    for form in FORMATS:
+        ways = [way for way, is_there in (("in", form.read), ("out", form.encode)) if is_there]
+        lines.append(f"{form.name} ({', '.join(form.endings)}; {', '.join(ways)}): {form.meaning}.")
+    return "\n\n".join(lines)
+
+
+def convert(
+    source: Annotated[Path, Argument(metavar="IN", help="The file to read.")],
+    output: Annotated[Path, Argument(metavar="OUT", help="File to write, - for stdout; not IN.")],
+    maps: MapOptions,
+    to: str | None = Option(
+        None, "--to", metavar="FORMAT", help="Format of OUT.  [default: by its ending]"
+    ),
+    origin: str | None = Option(
+        None, "--from", metavar="FORMAT", help="Format of IN.  [default: by its ending]"
+    ),
+) -> None:
+    if output == STDOUT and to is None:
+        raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
+    reader, writer = _find(source, origin, False, "--from"), _find(output, to, True, "--to")
+    read_options, write_options = _share_out(maps._asdict(), reader, writer)
+    check_output(output, inputs=[source])
+    files = encode_as(
+        read_as(source, reader.name, **read_options), output, writer.name, **write_options
+    )
+    if output == STDOUT:
+        if len(files) > 1:
+            raise BadParameter(f"{writer.name} is {len(files)} files", param_hint="OUT")
+        (content,) = files.values()
+        write_stdout(content if isinstance(content, bytes) else b"".join(content))
+        return
+    for path in files:
+        check_output(path, inputs=[source])
+    with beside_output(output):
+        for path in write_files(files):
+            say_unless_quiet(path)
+
+
+convert.__doc__ = f"""Convert a grid from one format to another.
+
+Example: navbake convert house.grid.json map.yaml
+
+Formats:
+
+{_list_formats()}
+"""
+
+
+def _find(path: Path, name: str | None, writing: bool, option: str) -> Format:
+    try:
+        return find_format(path, name, writing=writing)
+    except FormatError as error:
+        hint = option if name is not None else ("OUT" if writing else "IN")
+        raise BadParameter(str(error), param_hint=hint) from error
+
+
+def _share_out(
+    options: dict[str, Any], reader: Format, writer: Format
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The options that are given, for the reader and for the writer; one of neither is refused."""
+    given = {name: value for name, value in options.items() if value not in (None, [], ())}
+    for name in given:
+        if name not in (*reader.read_options, *writer.write_options):
+            takers = [f"{form.name} as OUT" for form in FORMATS if name in form.write_options]
+            takers += [f"{form.name} as IN" for form in FORMATS if name in form.read_options]
+            flag = f"--{name.replace('_', '-')}"
+            raise BadParameter(f"does nothing here: it is for {', '.join(takers)}", param_hint=flag)
+    for_reader = {name: value for name, value in given.items() if name in reader.read_options}
+    for_writer = {name: value for name, value in given.items() if name in writer.write_options}
+    return for_reader, for_writer
