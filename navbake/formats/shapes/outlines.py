@@ -39,12 +39,6 @@ class Outlines:
     part_start: Int
     label: Int32
 
-    def rings(self, part: int, lattice: Lattice) -> list[Float]:
-        """World x, y of the rings of a part [m], each of shape (n, 2), float64, not closed."""
-        first, last = self.part_start[part], self.part_start[part + 1]
-        start = self.ring_start[first : last + 1]
-        points = place_corners(self.corners[start[0] : start[-1]], lattice)
-        return np.split(points, start[1:-1] - start[0])
 
 
 def place_corners(corners: NDArray[np.integer], lattice: Lattice) -> Float:

@@ -153,13 +153,12 @@ def _door_cells(grid: NavGrid, door: Door, level: int) -> Int:
 
 
 def _find_rooms(grid: NavGrid, place: tuple[int, str, float], level: SceneGrid2D) -> list[Shape]:
-    labels, parts = _polygons_by_label(level, level.room_index)
+    parts = _polygons(level, level.room_index)
     known = {room.index: room for room in grid.rooms if room.level == place[0]}
     count = np.bincount(level.room_index.ravel())
     found = []
-    for index in sorted(labels):
+    for index, rings in parts.items():
         room = known.get(index)
-        rings = [parts[k] for k in labels[index]]
         name, area = (room and room.name) or None, _area(level, int(count[index]))
         room_id = room.id if room else f"{place[0]}:{index}"
         more = {"outdoors": True} if room and room.outdoors else {}
@@ -177,24 +176,16 @@ def _find_doors(grid: NavGrid, place: tuple[int, str, float], level: SceneGrid2D
     return found
 
 
-def _polygons(level: SceneGrid2D, mask: Any) -> tuple[list[int], list[list[Float]]]:
-    labels, parts = _polygons_by_label(level, mask)
-    return list(labels), parts
-
-
-def _polygons_by_label(
-    level: SceneGrid2D, labels: Any
-) -> tuple[dict[int, list[int]], list[list[Float]]]:
-    """The rings of each part of labelled cells, and which parts each label has."""
+def _polygons(level: SceneGrid2D, labels: Any) -> dict[int, list[list[Float]]]:
+    """The parts of labelled cells, each a list of rings, by label."""
     outlines = trace_outlines(labels)
     points = place_corners(outlines.corners, level.lattice)
     rings = np.split(points, outlines.ring_start[1:-1])
     bounds = outlines.part_start.tolist()
-    parts = [rings[first:last] for first, last in zip(bounds, bounds[1:], strict=False)]
-    of_label: dict[int, list[int]] = {}
-    for number, label in enumerate(outlines.label.tolist()):
-        of_label.setdefault(label, []).append(number)
-    return of_label, parts
+    parts: dict[int, list[list[Float]]] = {}
+    for label, first, last in zip(outlines.label.tolist(), bounds, bounds[1:], strict=False):
+        parts.setdefault(label, []).append(rings[first:last])
+    return parts
 
 
 def _area(level: SceneGrid2D, count: int) -> float:
