@@ -23,6 +23,18 @@ class MapOptions(NamedTuple):
     level: int | None = Option(None, min=0, help="Only this level; 0 is the lowest.")
 
 
+class ShapeOptions(NamedTuple):
+    """Options of meshes and graphs."""
+
+    tolerance: float | None = Option(
+        None, min=0, help="How far a mesh may be off the floor [m].  [default: 0.001]"
+    )
+    up: str | None = Option(None, metavar="y|z", help="Upward axis of an OBJ.  [default: y]")
+    cut_corners: bool | None = Option(
+        None, "--cut-corners", help="Let diagonal steps of a graph pass blocked corners."
+    )
+
+
 def _list_formats() -> str:
     """The table of formats as a help text shows it."""
     lines = []
@@ -36,6 +48,7 @@ def convert(
     source: Annotated[Path, Argument(metavar="IN", help="The file to read.")],
     output: Annotated[Path, Argument(metavar="OUT", help="File to write, - for stdout; not IN.")],
     maps: MapOptions,
+    shapes: ShapeOptions,
     to: str | None = Option(
         None, "--to", metavar="FORMAT", help="Format of OUT.  [default: by its ending]"
     ),
@@ -46,7 +59,7 @@ def convert(
     if output == STDOUT and to is None:
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
     reader, writer = _find(source, origin, False, "--from"), _find(output, to, True, "--to")
-    read_options, write_options = _share_out(maps._asdict(), reader, writer)
+    read_options, write_options = _share_out(maps._asdict() | shapes._asdict(), reader, writer)
     check_output(output, inputs=[source])
     files = encode_as(
         read_as(source, reader.name, **read_options), output, writer.name, **write_options

@@ -3,8 +3,8 @@
 Each side between a cell and a neighbour of another label is a step that has its cell on the left.
 A walk over these steps, which turns left wherever it can stay with its cell, closes round each
 connected part and each hole of it (Freeman 1961; crack codes: Rosenfeld and Kak, Digital Picture
-Processing, 1982). Where a part touches itself at a corner, the walk comes there twice, and is cut in
-two: so no ring of corners has a corner twice.
+Processing, 1982). Where a part touches itself at a corner, the walk comes there twice, and is cut
+in two: so no ring of corners has a corner twice.
 """
 
 import numpy as np
@@ -75,8 +75,8 @@ def trace_rings(parts, num_sides):
     Returns:
         The corners of all rings, row and column of corners of cells (0, 0 is the upper left one of
         the first cell without the border), shape (n, 2), int32; where each ring starts among them,
-        and n, int64; and the part that each ring is of, int32. Seen with rows downwards, outer rings
-        run anticlockwise and holes clockwise.
+        and n, int64; and the part that each ring is of, int32. Seen with rows downwards, outer
+        rings run anticlockwise and holes clockwise.
     """
     corners, stack = np.empty((num_sides, 2), np.int32), np.empty((num_sides, 2), np.int32)
     starts, of_part = np.empty(num_sides // 4 + 1, np.int64), np.empty(num_sides // 4, np.int32)

@@ -161,7 +161,9 @@ def _mesh_level(
         axis=-1,
     )
     found, room = np.unique(room, return_inverse=True)
-    in_grid = [NO_ROOM if i == 0 else names.get((number, i), f"{number}:{i}") for i in found.tolist()]
+    in_grid = [
+        NO_ROOM if i == 0 else names.get((number, i), f"{number}:{i}") for i in found.tolist()
+    ]
     # 0 is no room, also where all cells are in one
     shift = 0 if found.size and found[0] == 0 else 1
     rooms = in_grid if shift == 0 else [NO_ROOM, *in_grid]

@@ -19,9 +19,7 @@ VERTEX = "v %.10g %.10g %.10g %.3f %.3f %.3f\n"
 FACE = "f %d %d %d\nf %d %d %d\n"
 
 
-def encode_obj(
-    grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE, up: str = "y"
-) -> Files:
+def encode_obj(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE, up: str = "y") -> Files:
     """Make an OBJ of a grid's walkable floor; see `make_floor_mesh` for its quads.
 
     Each level is an object, each room a group of it, and each vertex has the colour of its room

@@ -21,8 +21,9 @@ class Outlines:
     """Rings round the connected parts of labelled cells.
 
     A part is cells of one label that share edges; cells that only touch at a corner are two parts.
-    No ring has a corner twice. Rings of a part, and of different parts, touch at single corners at
-    most. So each part is a valid polygon (OGC simple features), whatever the cells are.
+    No ring has a corner twice, and rings of one label meet at single corners at most. So each part is
+    a valid polygon, and all parts of a label a valid multipolygon (OGC simple features), whatever
+    the cells are.
 
     Attributes:
         corners: of all rings, row and column of corners of cells, shape (n, 2), int32; (0, 0) is
@@ -38,7 +39,6 @@ class Outlines:
     ring_start: Int
     part_start: Int
     label: Int32
-
 
 
 def place_corners(corners: NDArray[np.integer], lattice: Lattice) -> Float:

@@ -134,9 +134,14 @@ def door_line(grid: NavGrid, door: Door, level: int) -> Float | None:
     # the principal axis: the eigenvector of the largest eigenvalue
     axis = np.linalg.eigh((points - middle).T @ (points - middle))[1][:, 1]
     axis = axis if tuple(axis) > (0.0, 0.0) else -axis
+    half = part.lattice.cell_size / 2
+    if np.ptp((points - middle) @ axis) * np.abs(axis).min() < half:
+        axis = np.round(
+            axis
+        )  # over its length it leaves the row of cells by less than the cells tell
     along = (points - middle) @ axis
     # from edge to edge of the outermost cells
-    pad = part.lattice.cell_size / 2 / np.abs(axis).max()
+    pad = half / np.abs(axis).max()
     ends = np.array([[along.min() - pad], [along.max() + pad]])
     line: Float = np.round(middle + ends * axis, 6) + 0.0
     return line
@@ -194,7 +199,7 @@ def _area(level: SceneGrid2D, count: int) -> float:
 
 def _rounded(value: float) -> float:
     """To a micrometre, and without -0.0."""
-    return round(value, 6) + 0.0
+    return round(float(value), 6) + 0.0
 
 
 def import_shapely() -> Any:
