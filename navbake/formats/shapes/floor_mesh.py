@@ -43,7 +43,8 @@ class LevelMesh:
     def faces(self) -> Int:
         """The vertices of each triangle, anticlockwise from above, shape (2 n, 3), int64."""
         first = 4 * np.arange(len(self.room))[:, None, None]
-        return (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+        faces: Int = (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+        return faces
 
     @property
     def area(self) -> float:
@@ -155,17 +156,13 @@ def _mesh_level(
         [
             lattice.x_min + cols * size,
             lattice.y_max - rows * size,
-            # to a micrometre, which drops the noise of float32
-            np.round(planes[:, :1] + right * planes[:, 1:2] + down * planes[:, 2:], 6),
+            planes[:, :1] + right * planes[:, 1:2] + down * planes[:, 2:],
         ],
         axis=-1,
     )
     found, room = np.unique(room, return_inverse=True)
-    in_grid = [
-        NO_ROOM if i == 0 else names.get((number, i), f"{number}:{i}") for i in found.tolist()
-    ]
+    rooms = [names.get((number, i), f"{number}:{i}") for i in found.tolist() if i]
     # 0 is no room, also where all cells are in one
-    shift = 0 if found.size and found[0] == 0 else 1
-    rooms = in_grid if shift == 0 else [NO_ROOM, *in_grid]
+    room = room.astype(np.int64) + (len(rooms) == len(found))
     origin = (lattice.x_min, lattice.y_max, level.ground)
-    return LevelMesh(name, origin, vertices.reshape(-1, 3), room.astype(np.int64) + shift, rooms)
+    return LevelMesh(name, origin, vertices.reshape(-1, 3), room, [NO_ROOM, *rooms])

@@ -28,9 +28,9 @@ Ring = list[list[float]]
 def to_geojson(grid: NavGrid, kinds: Collection[str] = KINDS) -> Json:
     """Describe the rooms, walkable areas and doors of a grid as a FeatureCollection.
 
-    Each is a feature: a room or a walkable area is a Polygon or MultiPolygon along the cells' edges,
-    a door a LineString; see `navbake.formats.shapes.shape.find_shapes`. Coordinates are world x, y
-    [m]. Properties are ``kind``, ``level``, ``levelName``, ``height`` (of the level's ground [m]),
+    Each is a feature: a room or a walkable area is a Polygon or MultiPolygon along the cells'
+    edges, a door a LineString; see `navbake.formats.shapes.shape.find_shapes`. Coordinates are
+    world x, y [m]. Properties are ``kind``, ``level``, ``levelName``, ``height`` (of the level's ground [m]),
     ``id``, ``name`` and ``area`` [m²]; ``outdoors`` of rooms, ``state`` and ``rooms`` of doors.
 
     Args:
@@ -41,8 +41,11 @@ def to_geojson(grid: NavGrid, kinds: Collection[str] = KINDS) -> Json:
         QueryError: a kind is unknown.
     """
     features = [_feature(shape) for shape in find_shapes(grid, kinds)]
-    about = {"sceneId": grid.scene_id, "frame": "world x, y in metres"}
-    about["cellSize"] = grid.levels[0].lattice.cell_size
+    about = {
+        "sceneId": grid.scene_id,
+        "frame": "world x, y in metres",
+        "cellSize": grid.levels[0].lattice.cell_size,
+    }
     return {"type": "FeatureCollection", "navbake": about, "features": features}
 
 

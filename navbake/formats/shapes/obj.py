@@ -48,6 +48,7 @@ def list_lines(mesh: FloorMesh, up: str) -> Iterator[bytes]:
     for level, colors in zip(mesh.levels, color_rooms(mesh), strict=True):
         yield f"o {levels.name(level.name)}\n".encode()
         x, y, z = level.vertices.T
+        z = np.round(z, 6)  # drops the noise of float32
         points = np.stack([x, z, 0.0 - y] if up == "y" else [x, y, z], axis=1)
         shades = np.array(colors)[np.repeat(level.room, 4)] / 255
         values = np.hstack([points, shades]).ravel().tolist()

@@ -21,9 +21,9 @@ class Outlines:
     """Rings round the connected parts of labelled cells.
 
     A part is cells of one label that share edges; cells that only touch at a corner are two parts.
-    No ring has a corner twice, and rings of one label meet at single corners at most. So each part is
-    a valid polygon, and all parts of a label a valid multipolygon (OGC simple features), whatever
-    the cells are.
+    No ring has a corner twice, and rings of one label meet at single corners at most. So each part
+    is a valid polygon, and all parts of a label a valid multipolygon (OGC simple features),
+    whatever the cells are.
 
     Attributes:
         corners: of all rings, row and column of corners of cells, shape (n, 2), int32; (0, 0) is
@@ -73,7 +73,7 @@ def trace_outlines(labels: NDArray[np.integer]) -> Outlines:
     is_hole = _doubled_areas(corners, start) < 0
     order = np.lexsort((np.arange(len(part)), is_hole, part, label[part]))
     gathered, ring_start = _gather(corners, start, order)
-    of_part, first = np.unique(_ranks(part[order]), return_index=True)
+    first = np.unique(_ranks(part[order]), return_index=True)[1]
     part_start = np.append(first, len(order)).astype(np.int64)
     return Outlines(gathered, ring_start, part_start, label[part[order][first]])
 

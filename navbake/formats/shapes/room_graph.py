@@ -111,6 +111,10 @@ class _Opening(NamedTuple):
     position: Float
 
 
+_Way = tuple[tuple[int, int], _Opening, Door | None, bool]
+"""The rooms by number, 0 for the outside; where; the door; whether steps lead through."""
+
+
 def make_room_graph(grid: NavGrid) -> RoomGraph:
     """Make the graph of a grid's rooms, as they are now.
 
@@ -124,7 +128,7 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
     flat, number = search.flat, room_map.number
     openings = [*_find_openings(search, number), *_find_links(flat, number)]
     number_of = {room.id: k for k, room in enumerate(room_map.rooms, 1)}
-    ways = []
+    ways: list[_Way] = []
     taken: set[int] = set()
     for door in grid.doors:
         ways += _door_ways(grid, flat, (door, number_of), openings, taken)
@@ -211,10 +215,6 @@ def _connected(pairs: Int, corners: Int) -> Iterator[Int]:
     part = csgraph.connected_components(graph, directed=False)[1][:count]
     order = np.argsort(part, kind="stable")
     yield from np.split(order, np.flatnonzero(np.diff(part[order])) + 1)
-
-
-_Way = tuple[tuple[int, int], _Opening, Door | None, bool]
-"""The rooms by number, 0 for the outside; where; the door; whether steps lead through."""
 
 
 def _door_ways(

@@ -63,7 +63,8 @@ class Shape:
             line: BaseGeometry = shapely.LineString(self.line)
             return line
         polygons = [shapely.Polygon(rings[0], rings[1:]) for rings in self.parts]
-        return polygons[0] if len(polygons) == 1 else shapely.MultiPolygon(polygons)
+        joined: BaseGeometry = polygons[0] if len(polygons) == 1 else shapely.MultiPolygon(polygons)
+        return joined
 
     @property
     def properties(self) -> Json:
@@ -112,7 +113,7 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
             shapes += _find_rooms(grid, place, level)
         if WALKABLE in kinds and level.free.any():
             parts = _polygons(level, level.free)[1]
-            area = _area(level, np.count_nonzero(level.free))
+            area = _area(level, int(np.count_nonzero(level.free)))
             shapes.append(Shape(WALKABLE, *place, None, None, area, parts, None, {}))
         if DOOR in kinds:
             shapes += _find_doors(grid, place, level)

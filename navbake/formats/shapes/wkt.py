@@ -21,8 +21,7 @@ COLUMNS = ("kind", "level", "levelName", "height", "id", "name", "area")
 def encode_wkt(grid: NavGrid, path: Path) -> Files:
     """Make a CSV of a grid's shapes, see `navbake.formats.shapes.shape.find_shapes`.
 
-    The columns are ``WKT`` and then the properties that a GeoJSON of the grid has, but those of doors
-    and of outdoors.
+    The columns are ``WKT`` and then the properties that all features of a GeoJSON of the grid have.
 
     Raises:
         MissingDependencyError: shapely is not installed.
