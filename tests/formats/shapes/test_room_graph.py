@@ -61,7 +61,7 @@ def test_samples_have_the_ways_of_their_tables(name):
 def test_openings_have_their_width_and_place():
     level = rooms_of(["111222", "11#222", "111222", "111222", "###222", "333333"])
     graph = level.to_graph("rooms")
-    first, second, third = graph.ways
+    second, first, third = graph.ways
     # two openings, one on each side of the obstacle
     assert (first.rooms, first.kind, first.passable) == (("0:1", "0:2"), "open", True)
     assert first.width == pytest.approx(0.1) and second.width == pytest.approx(0.2)
@@ -148,7 +148,9 @@ def test_networkx_reads_graphml(tmp_path, name):
 
     def listed(found):
         return sorted(
-            (sorted(ends), sorted(entry.items())) for *ends, entry in found.edges(data=True)
+            # of a multigraph, the file numbers the edges
+            (sorted(ends), sorted(item for item in entry.items() if item[0] != "id"))
+            for *ends, entry in found.edges(data=True)
         )
 
     assert listed(read) == listed(graph)
