@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from navbake.baker.pipeline import bake
     from navbake.baker.voxelize.voxelizer import Voxelizer, create_voxel_grid
     from navbake.config.settings import BakeConfig
+    from navbake.formats.maps.grid_npz import read_grid_npz as from_npz
+    from navbake.formats.maps.nav2 import read_nav2 as from_nav2
+    from navbake.formats.maps.procthor import read_procthor as from_procthor
     from navbake.formats.navgrid import read_navgrid as load
     from navbake.formats.voxels import read_voxels as load_voxels
     from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
@@ -57,6 +60,9 @@ __all__ = [
     "audit",
     "bake",
     "create_voxel_grid",
+    "from_nav2",
+    "from_npz",
+    "from_procthor",
     "load",
     "load_voxels",
     "report",
@@ -78,6 +84,9 @@ _LAZY = {
     "VoxelGrid": "navbake.voxels.grid:VoxelGrid",
     "Voxelizer": "navbake.baker.voxelize.voxelizer:Voxelizer",
     "create_voxel_grid": "navbake.baker.voxelize.voxelizer:create_voxel_grid",
+    "from_nav2": "navbake.formats.maps.nav2:read_nav2",
+    "from_npz": "navbake.formats.maps.grid_npz:read_grid_npz",
+    "from_procthor": "navbake.formats.maps.procthor:read_procthor",
     "load": "navbake.formats.navgrid:read_navgrid",
     "load_voxels": "navbake.formats.voxels:read_voxels",
     "report": "navbake.views.report.report:write_report",

@@ -159,7 +159,7 @@ def _bytes_left(stream: BinaryIO | gzip.GzipFile) -> int:
 def read_bytes(
     source: str | os.PathLike[str] | bytes,
     *,
-    begins: bytes = b"",
+    begins: bytes | tuple[bytes, ...] = b"",
     expected: str = "",
     limit: int = MAX_BYTES,
 ) -> tuple[bytes, str]:
@@ -167,8 +167,8 @@ def read_bytes(
 
     Args:
         source: a path, or a file's content.
-        begins: how such a file begins. Nothing else of it is read if it doesn't: what is no such
-            file may be a device that never ends.
+        begins: how such a file begins, or in which ways. Nothing else of it is read if it doesn't:
+            what is no such file may be a device that never ends.
         expected: what was expected then, for the message.
         limit: most bytes that such a file may have.
 

@@ -21,6 +21,22 @@ class MapOptions(NamedTuple):
     """Options of maps."""
 
     level: int | None = Option(None, min=0, help="Only this level; 0 is the lowest.")
+    radius: float | None = Option(
+        None, metavar="R", help="Inflate for an agent of this radius first [m]."
+    )
+    mode: str | None = Option(
+        None,
+        help="trinary (free, occupied, unknown), scale or raw (with costs).  [default: trinary]",
+    )
+    image: str | None = Option(
+        None, help="pgm or png.  [default: pgm; png with --mode scale, which needs transparency]"
+    )
+    inflation: float | None = Option(
+        None, metavar="R", help="Costs by nav2's formula, up to this distance from obstacles [m]."
+    )
+    scaling: float | None = Option(
+        None, help="How fast these costs fall, nav2's cost_scaling_factor [1/m].  [default: 10]"
+    )
 
 
 class ShapeOptions(NamedTuple):

@@ -31,6 +31,7 @@ class LevelMesh:
         vertices: world x, y, z [m], shape (4 n, 3), float64; of each quad anticlockwise from above.
         room: by quad, which of `rooms` it is in, shape (n,), int64, ascending; 0 for none.
         rooms: the rooms' names by that number, each once; 0 is "no room".
+        indices: the rooms' indices on the level by that number, see `SceneGrid2D.room_index`.
     """
 
     name: str
@@ -38,6 +39,7 @@ class LevelMesh:
     vertices: Float
     room: Int
     rooms: list[str]
+    indices: list[int]
 
     @property
     def faces(self) -> Int:
@@ -161,8 +163,10 @@ def _mesh_level(
         axis=-1,
     )
     found, room = np.unique(room, return_inverse=True)
-    rooms = [names.get((number, i), f"{number}:{i}") for i in found.tolist() if i]
+    indices = [i for i in found.tolist() if i]
+    rooms = [names.get((number, i), f"{number}:{i}") for i in indices]
     # 0 is no room, also where all cells are in one
     room = room.astype(np.int64) + (len(rooms) == len(found))
     origin = (lattice.x_min, lattice.y_max, level.ground)
-    return LevelMesh(name, origin, vertices.reshape(-1, 3), room, [NO_ROOM, *rooms])
+    vertices = vertices.reshape(-1, 3)
+    return LevelMesh(name, origin, vertices, room, [NO_ROOM, *rooms], [0, *indices])

@@ -30,8 +30,9 @@ def to_geojson(grid: NavGrid, kinds: Collection[str] = KINDS) -> Json:
 
     Each is a feature: a room or a walkable area is a Polygon or MultiPolygon along the cells'
     edges, a door a LineString; see `navbake.formats.shapes.shape.find_shapes`. Coordinates are
-    world x, y [m]. Properties are ``kind``, ``level``, ``levelName``, ``height`` (of the level's ground [m]),
-    ``id``, ``name`` and ``area`` [m²]; ``outdoors`` of rooms, ``state`` and ``rooms`` of doors.
+    world x, y [m]. Properties are ``kind``, ``level``, ``levelName``, ``height`` (of the level's
+    ground [m]), ``id``, ``name`` and ``area`` [m²]; ``outdoors`` of rooms, ``state`` and ``rooms``
+    of doors.
 
     Args:
         grid: a grid of one or several levels.

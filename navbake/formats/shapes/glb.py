@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from navbake._version import __version__
 from navbake.formats.shapes.floor_mesh import TOLERANCE, FloorMesh, LevelMesh, make_floor_mesh
-from navbake.formats.shapes.room_colors import Color, color_rooms
+from navbake.formats.shapes.room_colors import color_mesh
 from navbake.formats.source import Files
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
@@ -32,20 +32,21 @@ def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE) -> Fi
 
     y is up, in metres, as glTF has it: ``(x, z, -y)`` of the world. Each level is an object by its
     name, whose origin is the outer corner of the level's cell 0 on its ground; each room a material
-    by its name, in a colour of its own.
+    by its name, in its colour of the pictures.
 
     Args:
         path: the file.
         tolerance: see `make_floor_mesh` [m].
     """
-    return {path: pack_glb(make_floor_mesh(grid, tolerance))}
+    mesh = make_floor_mesh(grid, tolerance)
+    return {path: pack_glb(mesh, color_mesh(grid, mesh))}
 
 
-def pack_glb(mesh: FloorMesh) -> bytes:
-    """The content of a GLB file."""
+def pack_glb(mesh: FloorMesh, colors: list[NDArray[np.uint8]]) -> bytes:
+    """The content of a GLB file; `colors` are those of each level's rooms, sRGB."""
     parts = _Parts()
-    for level, colors in zip(mesh.levels, color_rooms(mesh), strict=True):
-        parts.add_level(level, colors)
+    for level, of_level in zip(mesh.levels, colors, strict=True):
+        parts.add_level(level, of_level)
     text = orjson.dumps(parts.describe())
     text += b" " * (-len(text) % 4)
     data = b"".join(parts.data)  # arrays of 4 bytes a value
@@ -73,7 +74,7 @@ class _Parts:
         asset = {"version": "2.0", "generator": f"navbake {__version__}"}
         return {"asset": asset, "scene": 0, "scenes": [scene], **lists, **buffers}
 
-    def add_level(self, level: LevelMesh, colors: list[Color]) -> None:
+    def add_level(self, level: LevelMesh, colors: NDArray[np.uint8]) -> None:
         """Add a level as an object."""
         x, y, z = level.origin
         node: Json = {"name": level.name, "translation": [x, z, 0.0 - y]}
@@ -81,7 +82,7 @@ class _Parts:
             node["mesh"] = self._add("meshes", self._mesh(level, colors))
         self._add("nodes", node)
 
-    def _mesh(self, level: LevelMesh, colors: list[Color]) -> Json:
+    def _mesh(self, level: LevelMesh, colors: NDArray[np.uint8]) -> Json:
         local = level.vertices - level.origin
         turned = np.stack([local[:, 0], local[:, 2], 0.0 - local[:, 1]], axis=1).astype("<f4")
         primitives = []
@@ -94,7 +95,7 @@ class _Parts:
             material = {
                 "name": level.rooms[room],
                 "pbrMetallicRoughness": {
-                    "baseColorFactor": [*(_linear(c) for c in colors[room]), 1.0],
+                    "baseColorFactor": [*(_linear(c) for c in colors[room].tolist()), 1.0],
                     "metallicFactor": 0.0,
                 },
                 "doubleSided": True,

@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.errors import QueryError
 from navbake.formats.shapes.floor_mesh import TOLERANCE, FloorMesh, make_floor_mesh
-from navbake.formats.shapes.room_colors import color_rooms
+from navbake.formats.shapes.room_colors import color_mesh
 from navbake.formats.source import Files
 from navbake.navgrid.grid import NavGrid
 
@@ -37,20 +38,21 @@ def encode_obj(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE, up: s
     """
     if up not in UPS:
         raise QueryError(f"expected y or z as up, got {up!r}")
-    return {path: list(list_lines(make_floor_mesh(grid, tolerance), up))}
+    mesh = make_floor_mesh(grid, tolerance)
+    return {path: list(list_lines(mesh, color_mesh(grid, mesh), up))}
 
 
-def list_lines(mesh: FloorMesh, up: str) -> Iterator[bytes]:
-    """The content of an OBJ file, in pieces."""
+def list_lines(mesh: FloorMesh, colors: list[NDArray[np.uint8]], up: str) -> Iterator[bytes]:
+    """The content of an OBJ file, in pieces; `colors` are those of each level's rooms, sRGB."""
     yield f"# the walkable floor of a navbake grid, in metres, {up} up\n".encode()
     done = 0
     levels, groups = _Names(), _Names()
-    for level, colors in zip(mesh.levels, color_rooms(mesh), strict=True):
+    for level, of_level in zip(mesh.levels, colors, strict=True):
         yield f"o {levels.name(level.name)}\n".encode()
         x, y, z = level.vertices.T
         z = np.round(z, 6)  # drops the noise of float32
         points = np.stack([x, z, 0.0 - y] if up == "y" else [x, y, z], axis=1)
-        shades = np.array(colors)[np.repeat(level.room, 4)] / 255
+        shades = of_level[np.repeat(level.room, 4)] / 255
         values = np.hstack([points, shades]).ravel().tolist()
         yield ((VERTEX * len(points)) % tuple(values)).encode()
         faces = level.faces + done + 1  # counted from 1 through the file

@@ -1,19 +1,19 @@
-"""The colours of rooms in meshes."""
+"""The colours of rooms in meshes: those of the pictures."""
+
+import numpy as np
+from numpy.typing import NDArray
 
 from navbake.formats.shapes.floor_mesh import FloorMesh
-from navbake.views.colors import FREE, make_palette, rgb_of
+from navbake.navgrid.grid import NavGrid
+from navbake.views.colors import FREE, rgb_of
+from navbake.views.room_cells import color_rooms
 
-Color = tuple[int, int, int]
-"""Red, green and blue, 0 to 255, sRGB."""
 
-
-def color_rooms(mesh: FloorMesh) -> list[list[Color]]:
-    """A colour for each of `LevelMesh.rooms`, by level; each room of the grid has its own."""
-    count = [len(level.rooms) - 1 for level in mesh.levels]
-    red, green, blue = make_palette(sum(count)).T.tolist()
-    colors: list[Color] = list(zip(red, green, blue, strict=True))[1:]
+def color_mesh(grid: NavGrid, mesh: FloorMesh) -> list[NDArray[np.uint8]]:
+    """A colour for each of `LevelMesh.rooms`, sRGB, shape (n, 3), by level; neighbours' differ."""
     found = []
-    for number in count:
-        found.append([rgb_of(FREE), *colors[:number]])
-        colors = colors[number:]
+    for number, level in enumerate(mesh.levels):
+        colors = color_rooms(grid, number)[level.indices]
+        colors[0] = rgb_of(FREE)
+        found.append(colors)
     return found

@@ -41,6 +41,53 @@ class Exports:
         written: list[Path] = operation("grid.convert")(self, path, to, **options)
         return written
 
+    def to_nav2(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        level: int | None = None,
+        radius: float | None = None,
+        mode: str = "trinary",
+        image: str | None = None,
+        inflation: float | None = None,
+        scaling: float | None = None,
+    ) -> list[Path]:
+        """Write maps of ROS and nav2: a YAML and an image for each level.
+
+        Takes and raises what `navbake.formats.maps.nav2.encode_nav2` does; `navbake.from_nav2`
+        reads them.
+
+        Returns:
+            The files that were written.
+        """
+        options = {"level": level, "radius": radius, "mode": mode, "image": image}
+        options |= {"inflation": inflation, "scaling": scaling}
+        return self.convert(path, "nav2", **options)
+
+    def to_procthor(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        level: int | None = None,
+        radius: float | None = None,
+    ) -> list[Path]:
+        """Write MolmoSpaces' ``ProcTHORMap`` (PNG) of each level.
+
+        Takes and raises what `navbake.formats.maps.procthor.encode_procthor` does;
+        `navbake.from_procthor` reads them.
+
+        Returns:
+            The files that were written.
+        """
+        return self.convert(path, "procthor", level=level, radius=radius)
+
+    def to_npz(self, path: str | os.PathLike[str]) -> list[Path]:
+        """Write a NumPy archive that holds all of the grid; `navbake.from_npz` reads it.
+
+        See `navbake.formats.maps.grid_npz` for its arrays.
+        """
+        return self.convert(path, "npz")
+
     def to_mesh(self, tolerance: float = 0.001) -> FloorMesh:
         """The walkable floor as quads, level by level; `convert` writes it as GLB or OBJ.
 

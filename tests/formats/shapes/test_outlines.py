@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import shapely
@@ -21,8 +23,7 @@ MASKS = arrays(np.int32, SIDES, elements=st.integers(0, 1))
 def rings_by_part(outlines, lattice):
     points = place_corners(outlines.corners, lattice)
     rings = np.split(points, outlines.ring_start[1:-1])
-    bounds = outlines.part_start
-    return [rings[first:last] for first, last in zip(bounds, bounds[1:], strict=False)]
+    return [rings[first:last] for first, last in pairwise(outlines.part_start)]
 
 
 def lattice_of(labels, cell=0.1):
@@ -119,7 +120,7 @@ def test_many_cells_take_a_moment():
     outlines = trace_outlines(labels)
     doubled = 0
     row, col = outlines.corners.astype(np.int64).T
-    for first, last in zip(outlines.ring_start, outlines.ring_start[1:], strict=False):
+    for first, last in pairwise(outlines.ring_start):
         r, c = row[first:last], col[first:last]
         doubled += int((r * np.roll(c, -1) - c * np.roll(r, -1)).sum())
     assert doubled == 2 * np.count_nonzero(labels)
