@@ -68,12 +68,33 @@ FORMATS = (
         write_options=("level", "radius", "mode", "image", "inflation", "scaling"),
     ),
     Format(
+        name="nav2-keepout",
+        endings=(".yaml", ".yml"),
+        meaning="mask of nav2's keepout filter: rooms and polygons that robots stay out of",
+        encode="navbake.formats.maps.masks:encode_keepout",
+        write_options=("level", "image", "zone", "zones"),
+    ),
+    Format(
+        name="nav2-speed",
+        endings=(".yaml", ".yml"),
+        meaning="mask of nav2's speed filter: limits in rooms and polygons, NAME=PERCENT each",
+        encode="navbake.formats.maps.masks:encode_speed",
+        write_options=("level", "image", "zone", "zones"),
+    ),
+    Format(
         name="procthor",
         endings=(".png",),
         meaning="ProcTHORMap of MolmoSpaces: free cells and rooms of each level",
         encode="navbake.formats.maps.procthor:encode_procthor",
         read="navbake.formats.maps.procthor:read_procthor",
         write_options=("level", "radius"),
+    ),
+    Format(
+        name="mjcf",
+        endings=(".xml",),
+        meaning="MuJoCo scene of walls and floors, and the settings that bake it to these cells",
+        encode="navbake.formats.maps.mjcf:encode_mjcf",
+        write_options=("level", "height", "flat"),
     ),
     Format(
         name="glb",

@@ -9,6 +9,7 @@ import pytest
 import navbake
 from differences import first_difference
 from navbake import files
+from navbake.cli.main import main
 from navbake.errors import FormatError
 from navbake.formats.convert import FORMATS, find_format
 from navbake.navgrid.operations import resolve
@@ -92,3 +93,56 @@ def test_the_longest_ending_decides():
     assert find_format("A.JSON", writing=False).name == "navgrid"
     with pytest.raises(FormatError, match=r"got json"):
         find_format("json", writing=False)
+
+
+# ---------------------------------------------------------------- maps
+
+
+def test_each_way_there_and_back(run):
+    house = navbake.load("house.json.gz")
+    assert run("house.json.gz", "a.npz") == (0, "a.npz\n", "")
+    assert run("a.npz", "a.json")[0] == 0
+    assert first_difference(navbake.load("a.json"), house) is None
+    status, out, err = run("house.json.gz", "map.yaml", "--level", 1, "--radius", 0.3)
+    assert (status, out, err) == (0, "map.pgm\nmap.yaml\n", "")
+    assert run("map.yaml", "top.png")[0] == 0 and run("top.png", "top.json")[0] == 0
+    expected = house.inflate(0.3).levels[1].free
+    assert (navbake.load("top.json").free == expected).all()
+    assert run("house.json.gz", "stay.yml", "--to", "nav2-keepout", "--zone", "1")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "culprit"),
+    [
+        (["map.yaml", "--inflation", 1], 1, "mode trinary has no costs"),
+        (["map.yaml", "--flat"], 2, "it is for mjcf as OUT"),
+        (["a.png", "--mode", "raw"], 2, "it is for nav2 as OUT"),
+        (["-", "--to", "nav2", "--level", 0], 2, "nav2 is 2 files"),
+        (["map.yaml", "--to", "nav2-keepout", "--zones", "map.yaml"], 1, "apart from the inputs"),
+    ],
+)
+def test_options_that_do_nothing_are_refused(run, arguments, status, culprit):
+    got, out, err = run("house.json.gz", *arguments)
+    assert (got, out) == (status, "") and culprit in err
+    assert not Path("map.pgm").exists()
+
+
+def test_an_image_is_never_written_over_an_input(run):
+    run("house.json.gz", "map.yaml", "--level", 1, "--image", "png")
+    run("house.json.gz", "plan.png", "--level", 1)
+    status, _, err = run("plan.png", "plan.yaml", "--image", "png")
+    assert status == 1 and "apart from the inputs" in err and not Path("plan.yaml").exists()
+
+
+def test_extrudes_any_map(run, tmp_path):
+    run("house.json.gz", "map.yaml", "--level", 1)
+    for source in ("map.yaml", "house.json.gz"):
+        with pytest.raises(SystemExit) as end:
+            main(["extrude", source, "-o", "scene.xml"])
+        assert not end.value.code
+        assert Path("scene.xml").exists() and Path("scene.yaml").exists()
+    for arguments in (["-o", "-"], ["-o", "scene.json"], ["-o", "a.xml", "--level", "7"]):
+        with pytest.raises(SystemExit) as end:
+            main(["extrude", "house.json.gz", *arguments])
+        assert end.value.code
+    assert not Path("a.xml").exists()

@@ -135,12 +135,12 @@ def encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image:
     entries: Json = {
         "image": image_path.name,
         "mode": mode,
-        "resolution": level.lattice.cell_size,
-        "origin": [round(x_min, DIGITS) + 0.0, round(y_min, DIGITS) + 0.0, 0.0],
+        "resolution": float(level.lattice.cell_size),
+        "origin": [round(float(x_min), DIGITS) + 0.0, round(float(y_min), DIGITS) + 0.0, 0.0],
         "negate": 0,
         "occupied_thresh": occupied,
         "free_thresh": free,
-        "navbake": {"ground": round(level.ground, DIGITS) + 0.0},  # nav2 passes over it
+        "navbake": {"ground": round(float(level.ground), DIGITS) + 0.0},  # nav2 passes over it
     }
     text = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None, allow_unicode=True)
     picture = encode_pgm(pixels) if image == "pgm" else encode_png(pixels)

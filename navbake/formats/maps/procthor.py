@@ -147,7 +147,7 @@ def _straighten(
         layers, offsets[0] = (layers[0][::-1], layers[1][::-1]), height - 1 - offsets[0]
     if col_x < 0:
         layers, offsets[1] = (layers[0][:, ::-1], layers[1][:, ::-1]), width - 1 - offsets[1]
-    cell = 1.0 / abs(col_x)
+    cell = 1.0 / float(abs(col_x))
     lattice = Lattice(-(offsets[1] + 0.5) * cell, (offsets[0] + 0.5) * cell, cell, width, height)
     if not cell >= LEAST_EDGE or not all(abs(value) <= FARTHEST for value in lattice.bounds):
         raise FormatError(f"expected a map within {FARTHEST:g} m of the origin, got {path}")

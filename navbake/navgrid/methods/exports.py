@@ -88,6 +88,23 @@ class Exports:
         """
         return self.convert(path, "npz")
 
+    def to_mjcf(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        level: int | None = None,
+        height: float | None = None,
+        flat: bool = False,
+    ) -> list[Path]:
+        """Write a MuJoCo scene of walls and floors, and the settings that bake it to these cells.
+
+        Takes and raises what `navbake.formats.maps.mjcf.encode_mjcf` does.
+
+        Returns:
+            The files that were written.
+        """
+        return self.convert(path, "mjcf", level=level, height=height, flat=flat)
+
     def to_mesh(self, tolerance: float = 0.001) -> FloorMesh:
         """The walkable floor as quads, level by level; `convert` writes it as GLB or OBJ.
 
