@@ -53,8 +53,9 @@ def encode_keepout(
         path, level: as of `navbake.formats.maps.nav2.encode_nav2`.
         image: ``pgm`` or ``png``; ``pgm`` if None.
         zone: names, ids or numbers of rooms, and names of polygons.
-        zones: a GeoJSON file of polygons, see `navbake.formats.shapes.geojson.read_room_outlines`. All
-            of them count if `zone` is None.
+        zones: a GeoJSON file of polygons, see
+            `navbake.formats.shapes.geojson.read_room_outlines`. All of them count if `zone` is
+            None.
 
     Raises:
         FormatError: nothing has such a name, or a polygon holds no cell's centre of its level.
