@@ -107,6 +107,10 @@ OPERATIONS |= {
     "grid.inflate_footprint": "navbake.runtime.inflation.footprint:inflate_footprint",
     "grid.save": "navbake.formats.navgrid:write_navgrid",
     "grid.tensors": "navbake.tensors.build:make_tensors",
+    "grid.to_geojson": "navbake.formats.shapes.geojson:to_geojson",
+    "grid.to_graph": "navbake.formats.shapes.graph:make_graph",
+    "grid.to_mesh": "navbake.formats.shapes.floor_mesh:make_floor_mesh",
+    "grid.to_polygons": "navbake.formats.shapes.shape:find_shapes",
     "grid.values_at": "navbake.runtime.places.place:values_at",
     "voxels.save": "navbake.formats.voxels:write_voxels",
 }

@@ -96,6 +96,45 @@ FORMATS = (
         encode="navbake.formats.maps.mjcf:encode_mjcf",
         write_options=("level", "height", "flat"),
     ),
+    Format(
+        name="glb",
+        endings=(".glb",),
+        meaning="walkable floor as a mesh, glTF 2.0, for Blender, Unity, Unreal",
+        encode="navbake.formats.shapes.glb:encode_glb",
+        write_options=("tolerance",),
+    ),
+    Format(
+        name="obj",
+        endings=(".obj",),
+        meaning="walkable floor as a mesh, Wavefront OBJ, for Recast and any other",
+        encode="navbake.formats.shapes.obj:encode_obj",
+        write_options=("tolerance", "up"),
+    ),
+    Format(
+        name="geojson",
+        endings=(".geojson",),
+        meaning="rooms, walkable areas and doors as polygons and lines",
+        encode="navbake.formats.shapes.geojson:encode_geojson",
+    ),
+    Format(
+        name="wkt",
+        endings=(".wkt", ".csv"),
+        meaning="the same as a table with WKT, for GDAL, QGIS, PostGIS",
+        encode="navbake.formats.shapes.wkt:encode_wkt",
+    ),
+    Format(
+        name="graphml",
+        endings=(".graphml",),
+        meaning="rooms and the ways between them as a graph, for networkx, Gephi, yEd",
+        encode="navbake.formats.shapes.graphml:encode_graphml",
+    ),
+    Format(
+        name="graph",
+        endings=(".graph.npz",),
+        meaning="free cells and the steps between them as a sparse matrix, for scipy",
+        encode="navbake.formats.shapes.cell_graph:encode_cell_graph",
+        write_options=("cut_corners",),
+    ),
 )
 """All formats; of formats with an ending in common, the first is its."""
 

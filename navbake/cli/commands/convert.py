@@ -51,6 +51,18 @@ class MapOptions(NamedTuple):
     )
 
 
+class ShapeOptions(NamedTuple):
+    """Options of meshes and graphs."""
+
+    tolerance: float | None = Option(
+        None, min=0, help="How far a mesh may be off the floor [m].  [default: 0.001]"
+    )
+    up: str | None = Option(None, metavar="y|z", help="Upward axis of an OBJ.  [default: y]")
+    cut_corners: bool | None = Option(
+        None, "--cut-corners", help="Let diagonal steps of a graph pass blocked corners."
+    )
+
+
 def _list_formats() -> str:
     """The table of formats as a help text shows it."""
     lines = []
@@ -64,6 +76,7 @@ def convert(
     source: Annotated[Path, Argument(metavar="IN", help="The file to read.")],
     output: Annotated[Path, Argument(metavar="OUT", help="File to write, - for stdout; not IN.")],
     maps: MapOptions,
+    shapes: ShapeOptions,
     to: str | None = Option(
         None, "--to", metavar="FORMAT", help="Format of OUT.  [default: by its ending]"
     ),
@@ -74,7 +87,7 @@ def convert(
     if output == STDOUT and to is None:
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
     reader, writer = _find(source, origin, False, "--from"), _find(output, to, True, "--to")
-    _convert(source, output, reader, writer, maps._asdict())
+    _convert(source, output, reader, writer, maps._asdict() | shapes._asdict())
 
 
 def extrude(

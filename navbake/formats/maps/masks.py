@@ -17,10 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.errors import FormatError
-from navbake.formats.geojson import read_room_outlines
 from navbake.formats.maps.nav2 import IMAGES, YAMLS, encode_map
 from navbake.formats.maps.occupancy import FREE, OCCUPIED, Values
 from navbake.formats.maps.paths import level_paths
+from navbake.formats.shapes.geojson import read_room_outlines
 from navbake.formats.source import Files
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.polygon import cover_cells
@@ -53,8 +53,9 @@ def encode_keepout(
         path, level: as of `navbake.formats.maps.nav2.encode_nav2`.
         image: ``pgm`` or ``png``; ``pgm`` if None.
         zone: names, ids or numbers of rooms, and names of polygons.
-        zones: a GeoJSON file of polygons, see `navbake.formats.geojson.read_room_outlines`. All
-            of them count if `zone` is None.
+        zones: a GeoJSON file of polygons, see
+            `navbake.formats.shapes.geojson.read_room_outlines`. All of them count if `zone` is
+            None.
 
     Raises:
         FormatError: nothing has such a name, or a polygon holds no cell's centre of its level.

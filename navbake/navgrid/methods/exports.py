@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Collection
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from navbake.navgrid.operations import operation
+from navbake.types import Json
+
+if TYPE_CHECKING:
+    from navbake.formats.shapes.cell_graph import CellGraph
+    from navbake.formats.shapes.floor_mesh import FloorMesh
+    from navbake.formats.shapes.room_graph import RoomGraph
+    from navbake.formats.shapes.shape import Shape
+
+KINDS = ("room", "walkable", "door")  # of shapes
 
 
 class Exports:
@@ -94,3 +104,69 @@ class Exports:
             The files that were written.
         """
         return self.convert(path, "mjcf", level=level, height=height, flat=flat)
+
+    def to_mesh(self, tolerance: float = 0.001) -> FloorMesh:
+        """The walkable floor as quads, level by level; `convert` writes it as GLB or OBJ.
+
+        See `navbake.formats.shapes.floor_mesh.make_floor_mesh`.
+
+        Args:
+            tolerance: how far the mesh may be off the floor at a cell's centre [m], >= 0.
+
+        Raises:
+            QueryError: the tolerance is none.
+        """
+        mesh: FloorMesh = operation("grid.to_mesh")(self, tolerance)
+        return mesh
+
+    def to_polygons(self, kinds: Collection[str] = KINDS) -> list[Shape]:
+        """Rooms and walkable areas as polygons along the cells' edges, doors as lines.
+
+        Each gives its `geometry` for shapely. See `navbake.formats.shapes.shape.find_shapes`.
+
+        Args:
+            kinds: which shapes: ``room``, ``walkable``, ``door``.
+
+        Raises:
+            QueryError: a kind is unknown.
+        """
+        shapes: list[Shape] = operation("grid.to_polygons")(self, kinds)
+        return shapes
+
+    def to_geojson(self, kinds: Collection[str] = KINDS) -> Json:
+        """The same as a GeoJSON FeatureCollection; `convert` writes it.
+
+        See `navbake.formats.shapes.geojson.to_geojson`.
+
+        Args:
+            kinds: which features: ``room``, ``walkable``, ``door``.
+
+        Raises:
+            QueryError: a kind is unknown.
+        """
+        collection: Json = operation("grid.to_geojson")(self, kinds)
+        return collection
+
+    @overload
+    def to_graph(
+        self, kind: Literal["cells"] = "cells", *, cut_corners: bool = False
+    ) -> CellGraph: ...
+    @overload
+    def to_graph(self, kind: Literal["rooms"], *, cut_corners: bool = False) -> RoomGraph: ...
+    def to_graph(self, kind: str = "cells", *, cut_corners: bool = False) -> CellGraph | RoomGraph:
+        """The steps between free cells, or the ways between rooms, as a graph.
+
+        Each gives itself `to_networkx`; of cells, `matrix` is for scipy.
+
+        Args:
+            kind: ``cells``, see `navbake.formats.shapes.cell_graph.make_cell_graph`; or ``rooms``,
+                see `navbake.formats.shapes.room_graph.make_room_graph`.
+            cut_corners: let diagonal steps pass blocked corners; of ``cells``.
+
+        Raises:
+            QueryError: the kind is unknown, or a weight is negative.
+        """
+        graph: CellGraph | RoomGraph = operation("grid.to_graph")(
+            self, kind, cut_corners=cut_corners
+        )
+        return graph
