@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 
 import numpy as np
 
@@ -25,6 +27,7 @@ from navbake.baker.cracks import (
 from navbake.baker.lattice import Window
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
+from navbake.threads import run_beside
 from navbake.types import Int, Int32
 
 # Columns of at most so many cells are kept: they take about 100 bytes each
@@ -56,14 +59,29 @@ class ColumnBlocks:
                 self._kept, self.moved = find_columns(tiled, agent, crack)
 
     def blocks(self) -> Iterator[Columns]:
-        """The columns of all rows, by bands of them, in their order."""
+        """The columns of all rows, by bands of them, in their order.
+
+        The next ones are found on another thread while the caller looks at those before them.
+        The clock has only the time that the caller waits.
+        """
         if self._kept is not None:
             yield self._kept
             return
-        for rows in split_rows(self.lattice):
-            with self._clock.part("columns"):
-                columns = self._find(rows)
-            yield columns
+        coming = deque[Callable[[], Columns]]()
+        try:
+            for rows in split_rows(self.lattice):
+                coming.append(run_beside(self._find, rows))
+                if len(coming) > 1:
+                    yield self._wait(coming.popleft())
+            yield self._wait(coming.popleft())
+        finally:
+            while coming:  # the caller stopped early: nothing runs on
+                with suppress(Exception):
+                    coming.popleft()()
+
+    def _wait(self, found: Callable[[], Columns]) -> Columns:
+        with self._clock.part("columns"):
+            return found()
 
     def at(self, cells: Int | Int32) -> Columns:
         """Columns in which those of some cells are known, whatever the order of their ids."""

@@ -247,6 +247,20 @@ def make_ray():
     return Ray(np.empty(3), np.zeros(3), np.zeros(3), np.empty(3), np.empty(3))
 
 
+@njit(cache=True, **UNCOUNTED)
+def _settle_lines(start, end, hits, facets, spare):
+    """Turn the hits of some lines into crossings, see `settle`; returns how many were dropped.
+
+    Args:
+        start: where each line's hits begin, counted from what the first one's number is.
+        end: past each line's last hit.
+    """
+    count, zero = np.int64(0), np.int64(0)
+    for line in range(end.shape[0]):
+        count += settle(hits, start[line] - start[0], end[line], facets, spare, zero)
+    return count
+
+
 @njit(cache=True, nogil=True)
 def cast_lines(
     lattice, solids, facets, planes, items, heights, crossings, dropped, first_band, end
@@ -282,14 +296,13 @@ def cast_lines(
         here = slice(items.triangle_start[band], items.triangle_start[band + 1])
         listed, is_crossed = items.triangle_item[here], items.is_crossed[here]
         raster_triangles(facets, listed, is_crossed, lattice, rows, hits, place, writing)
-        num_dropped = 0
+        if writing:
+            begin = start[first : last + 1]
+            dropped[band] = _settle_lines(begin, place, hits, facets, middle)
+            continue
+        dropped[band] = 0
         for line in range(last - first):
-            if writing:
-                begin = start[first + line] - start[first]
-                num_dropped += settle(hits, begin, place[line], facets, middle, np.int64(0))
-            else:
-                start[first + line + 1] = place[line]
-        dropped[band] = num_dropped
+            start[first + line + 1] = place[line]
 
 
 @njit(inline="always")
