@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from navbake.baker.columns import (
     TiledShapes,
     cast_columns,
     cast_points,
+    empty_crossings,
     split_rows,
 )
 from navbake.baker.floors.sheets import agent_limits
@@ -30,6 +31,7 @@ from navbake.baker.kernels.cracks import (
     GapRoom,
     find_gaps,
     probe_lines,
+    replace_columns,
 )
 from navbake.baker.kernels.tiles import list_near
 from navbake.config.settings import AgentSettings
@@ -470,13 +472,6 @@ def _replace_lines(columns: Columns, tiled: TiledShapes, cells: Int, offset: Flo
     counts[cells - first] = np.diff(new.start)
     start = np.zeros(len(old.start), dtype=np.int64)
     np.cumsum(counts, out=start[first + 1 : end + 1])
-    # what stays lies between the replaced columns: few pieces, copied as they are
-    ends = zip([0, *old.start[cells + 1]], [*old.start[cells], old.start[end]], strict=True)
-    stays = [slice(int(a), int(b)) for a, b in ends]
-    comes = [slice(int(n), int(m)) for n, m in itertools.pairwise(new.start)] + [slice(0, 0)]
-    parts: dict[str, Any] = {"start": start}
-    for name in ("z", "normal", "geom", "closed"):
-        was, now = getattr(old, name), getattr(new, name)
-        pieces = [part for s, c in zip(stays, comes, strict=True) for part in (was[s], now[c])]
-        parts[name] = np.concatenate(pieces)
-    return replace(columns, crossings=old._replace(**parts))
+    replaced = empty_crossings(start, int(start[end]))
+    run_in_bands(replace_columns, end - first, old, new, cells, replaced, begin=first)
+    return replace(columns, crossings=replaced)

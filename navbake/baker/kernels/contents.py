@@ -108,7 +108,7 @@ def _column(lattice, row, col, cells, reach):
     return Prism(x, y, cells.floor[cell], cells.ceiling[cell], reach, reach)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def count_candidates(lattice, solids, planes, tiles, groups, footprint, cells, first, end):
     """Count for each cell with a floor the geoms whose boxes meet its column: an upper bound.
 
@@ -320,7 +320,7 @@ def list_geoms(lattice, crossings, shapes, tiles, groups, footprint, probe, cell
                 _list_geom(asked, shapes, tiles, groups, is_solid, n, cells, here)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def describe_floors(floors, crossings, min_up, support):
     """Find which geom carries each cell's floor, and how far below the next floor lies.
 
@@ -367,7 +367,7 @@ def count_supports(support, standable, limit, covering, counts):
         counts.stood_on[geom] |= standable[i]
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def measure_over_floors(listed, floors, extents, base, rise, area, upper_area):
     """Measure how a storey's geoms stand over its floors, into four (geoms,) arrays.
 

@@ -227,7 +227,7 @@ class GapRoom(NamedTuple):
 MARK, COUNT, WRITE = range(3)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def find_gaps(lattice, crossings, limits, reach, room, task, first, end):
     """Find gaps in floors: cells that have none where cells on both sides have; in three rounds.
 
@@ -283,6 +283,40 @@ def count_gaps(lattice, crossings, limits, reach, room, cells, counts):
         counts[n] = gaps_of_cell(
             lattice, crossings, limits, reach, room, place, room.low, room.high
         )
+
+
+@njit(inline="always")
+def _copy_crossings(source, first, last, into, place):
+    """Copy crossings from the first to before the last to a place of others."""
+    z, normal, geom, closed = into.z, into.normal, into.geom, into.closed
+    for i in range(last - first):
+        z[place + i], geom[place + i] = source.z[first + i], source.geom[first + i]
+        closed[place + i] = source.closed[first + i]
+        for axis in range(3):
+            normal[place + i, axis] = source.normal[first + i, axis]
+
+
+@njit(cache=True, nogil=True, **UNCOUNTED)
+def replace_columns(old, new, cells, replaced, first, end):
+    """Write columns of which some are replaced; of the cells ``range(first, end)``.
+
+    Args:
+        old: the columns of all cells, and
+        new: one for each of some `cells`, (n,) int64 ascending; all are `Crossings`.
+        replaced: has its `start`, and receives the others.
+    """
+    k, cell = np.int64(0), first
+    while k < cells.shape[0] and cells[k] < first:
+        k += 1
+    while cell < end:
+        stop = end
+        if k < cells.shape[0] and cells[k] < end:
+            stop = cells[k]
+            place = replaced.start[stop]
+            _copy_crossings(new, new.start[k], new.start[k + 1], replaced, place)
+            k += 1
+        _copy_crossings(old, old.start[cell], old.start[stop], replaced, replaced.start[cell])
+        cell = stop + 1
 
 
 class Asked(NamedTuple):

@@ -12,10 +12,11 @@ from numba import njit
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE, SAME, SLACK
 from navbake.baker.kernels.tiles import cell_center
+from navbake.compiled import UNCOUNTED
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def count_planes_over(planes, x, y, z):
     """How many infinite planes have a point behind them."""
     count = 0
@@ -30,7 +31,7 @@ def count_planes_over(planes, x, y, z):
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def look_up(crossings, i, last):
     """How many solids of a column hold the i-th surface, and the height of the next one above.
 
@@ -54,7 +55,7 @@ def look_up(crossings, i, last):
     return surfaces, others, above
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable, count, cell0, end):
     """Tell which crossings are floor-like and which are standable, into two (n,) bool arrays.
 
@@ -66,7 +67,6 @@ def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable, cou
     one height the lowest counts. Looks at the cells ``range(cell0, end)``.
     """
     for cell in range(cell0, end):
-        x, y = cell_center(lattice, cell)
         first, last = crossings.start[cell], crossings.start[cell + 1]
         previous, gentle = -math.inf, -math.inf
         count[cell] = 0
@@ -81,8 +81,10 @@ def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable, cou
             if z - previous <= SAME:
                 continue
             surfaces, others, above = look_up(crossings, i, last)
-            inside = surfaces + others + count_planes_over(planes, x, y, z)
-            if inside <= 0 and above - z >= limits.headroom - SLACK:
+            if above - z < limits.headroom - SLACK:
+                continue
+            x, y = cell_center(lattice, cell)
+            if surfaces + others + count_planes_over(planes, x, y, z) <= 0:
                 standable[i] = True
                 count[cell] += 1
                 previous = z
@@ -234,7 +236,7 @@ def find_links(lattice, start, z, level, step):
     return pairs
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def count_options(footing, candidate, floor, lowest, highest, count, cell0, end):
     """Count the heights at which a level's floor may go on in each cell, into (cells,) int64.
 
@@ -249,7 +251,7 @@ def count_options(footing, candidate, floor, lowest, highest, count, cell0, end)
                     count[cell] += 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def list_options(footing, candidate, lowest, highest, start, height, cell0, end):
     """Write the heights that `count_options` counts, (options,) float64 [m].
 
