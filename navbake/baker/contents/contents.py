@@ -97,7 +97,7 @@ class Contents:
         listed = self.levels[level]
         chosen = self._is_wall(listed) & listed.stands & listed.blocks
         cells = np.zeros(len(listed.start) - 1, dtype=np.bool_)
-        cells[listed.cell[chosen]] = True
+        kernels.mark_cells(listed.start, chosen, cells)
         return cells.reshape(listed.lattice.shape)
 
     def low_cells(self, level: int) -> Bool:

@@ -113,13 +113,14 @@ def _steps(floors: Floors, carrier: Int32, lattice: Lattice) -> tuple[Int, Int, 
     `carrier` is the geom that carries each floor, shape (levels, cells), -1 for none.
     """
     floor = np.concatenate([level.floor.ravel() for level in floors.levels])
-    # cells of all levels are numbered on
-    place = np.arange(carrier.size).reshape(-1, *lattice.shape)
     pairs = [floors.links[:, [0, 2]] * carrier.shape[1] + floors.links[:, [1, 3]]]
-    for cell, geom in zip(place, carrier.reshape(place.shape), strict=True):
-        for one, other in EDGES:
-            meet = (geom[one] != geom[other]) & (geom[one] >= 0) & (geom[other] >= 0)
-            pairs.append(np.stack([cell[one][meet], cell[other][meet]], axis=1))
+    for number, geom in enumerate(carrier.reshape(-1, *lattice.shape)):
+        for (one, other), offset in zip(EDGES, (1, lattice.width), strict=True):
+            row, col = np.nonzero(geom[one] != geom[other])
+            meet = (geom[one][row, col] >= 0) & (geom[other][row, col] >= 0)
+            # cells of all levels are numbered on
+            cell = (row * lattice.width + col)[meet] + number * carrier.shape[1]
+            pairs.append(np.stack([cell, cell + offset], axis=1))
     cells = np.concatenate(pairs)
     rise = floor[cells[:, 1]] - floor[cells[:, 0]]
     geoms = carrier.ravel()[cells].astype(np.int64)

@@ -58,6 +58,8 @@ class Standable(NamedTuple):
 
     def members(self, sheets: Int | Int32) -> Iterator[tuple[int, Int]]:
         """Of some sheets, each one's number and the indices of its surfaces."""
+        if not len(sheets):
+            return
         start, member = group_members(self.sheet, self.sheet_size)
         for sheet in sheets:
             yield sheet, member[start[sheet] : start[sheet + 1]]

@@ -288,12 +288,15 @@ def count_gaps(lattice, crossings, limits, reach, room, cells, counts):
 @njit(inline="always")
 def _copy_crossings(source, first, last, into, place):
     """Copy crossings from the first to before the last to a place of others."""
-    z, normal, geom, closed = into.z, into.normal, into.geom, into.closed
+    for i in range(last - first):  # array by array, as memory is copied fastest
+        into.z[place + i] = source.z[first + i]
     for i in range(last - first):
-        z[place + i], geom[place + i] = source.z[first + i], source.geom[first + i]
-        closed[place + i] = source.closed[first + i]
+        into.geom[place + i] = source.geom[first + i]
+    for i in range(last - first):
+        into.closed[place + i] = source.closed[first + i]
+    for i in range(last - first):
         for axis in range(3):
-            normal[place + i, axis] = source.normal[first + i, axis]
+            into.normal[place + i, axis] = source.normal[first + i, axis]
 
 
 @njit(cache=True, nogil=True, **UNCOUNTED)

@@ -108,12 +108,12 @@ def _box(cells: Int, width: int) -> Int:
 
 def _find_steps(rooms: RoomIndex, floor: Float, slopes: Int, max_step: float) -> tuple[Int, Int]:
     """Pairs of rooms that meet, the lower one times PAIR plus the other, and both cells, (n, 2)."""
-    cell = np.arange(rooms.size).reshape(rooms.shape)
-    joined = [slopes]
-    for one, other in EDGES:
-        is_step = np.abs(floor[one] - floor[other]) <= max_step + SLACK
-        is_step &= rooms[one] != rooms[other]
-        joined.append(np.stack([cell[one][is_step], cell[other][is_step]], axis=1))
+    joined, width = [slopes], rooms.shape[1]
+    for (one, other), offset in zip(EDGES, (1, width), strict=True):
+        row, col = np.nonzero(rooms[one] != rooms[other])  # few: the heights of these are compared
+        is_step = np.abs(floor[one][row, col] - floor[other][row, col]) <= max_step + SLACK
+        cell = (row * width + col)[is_step]
+        joined.append(np.stack([cell, cell + offset], axis=1))
     cells = np.concatenate(joined)
     a, b = rooms.ravel()[cells].astype(np.int64).T
     meet = (a != b) & (a > 0) & (b > 0)

@@ -6,6 +6,7 @@ apart, by union-find. Floors grow ring by ring, breadth first.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -14,6 +15,7 @@ from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE, SAME, 
 from navbake.baker.kernels.tiles import cell_center
 from navbake.compiled import UNCOUNTED
 from navbake.navgrid.kernels.union_find import find_root, unite
+from navbake.types import Bool, Float, Int
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -277,12 +279,38 @@ def grow_floor(lattice, start, height, floor, step):
     heights are listed by cell, see `list_options`; they are few, so that rings, which visit cells
     all over the lattice, read little memory.
     """
-    num = floor.shape[0]
-    queue, queued = np.empty(num, np.int64), np.zeros(num, np.bool_)
-    following, value = np.empty(num, np.int64), np.empty(num, np.float64)
-    beside = np.empty(4, np.float64)
+    num = np.int64(0)
+    for cell in range(floor.shape[0]):
+        num += 1 if start[cell] < start[cell + 1] else 0
+    queued, beside = np.zeros(floor.shape[0], np.bool_), np.empty(4, np.float64)
+    ring, following = np.empty(num, np.int64), np.empty(num, np.int64)
+    rings = Rings(ring, following, queued, np.empty(num, np.float64), beside)
+    _grow(lattice, start, height, floor, step, rings)
+
+
+class Rings(NamedTuple):
+    """Room for the rings that a floor grows by.
+
+    Attributes:
+        ring, following: the cells of a ring and of the next one, int64.
+        queued: whether a cell is in one of them, bool by cell.
+        value: the floors of the ring's cells [m].
+        beside: (4,) float64, floors beside a cell [m].
+    """
+
+    ring: Int
+    following: Int
+    queued: Bool
+    value: Float
+    beside: Float
+
+
+@njit(cache=True, **UNCOUNTED)
+def _grow(lattice, start, height, floor, step, rings):
+    """See `grow_floor`."""
+    queue, following, queued, value, beside = rings
     end = 0
-    for cell in range(num):
+    for cell in range(floor.shape[0]):
         if start[cell] < start[cell + 1] and _list_beside(lattice, cell, floor, beside) > 0:
             queued[cell] = True
             queue[end] = cell
