@@ -188,7 +188,8 @@ class GatheredColumns:
         np.add(columns.start[first + 1 : end + 1], len(self._arrays) - begin, out=ends)
         _, z, normal, geom, closed = columns.crossings
         part = slice(begin, stop)
-        self._arrays.add(z[part], normal[part], geom[part], closed[part])
+        share = end / (len(self._start) - 1)
+        self._arrays.add(z[part], normal[part], geom[part], closed[part], share=share)
 
     def join(self) -> Columns:
         """The columns of all rows; nothing is added after that."""

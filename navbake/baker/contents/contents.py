@@ -279,7 +279,7 @@ class _LevelLister:
             inside = first + np.searchsorted(start, unproved, side="right") - 1
             flags[unproved[occupied.ravel()[inside]]] |= BLOCKS
         self._start[first + 1 : end + 1] = start[1:] + len(self._listed)
-        self._listed.add(geom[kept], flags)
+        self._listed.add(geom[kept], flags, share=end / len(floor))
         part = slice(first, end)
         support = FloorSupport(self._carrier[part], self.gap[part])
         crossings = columns.crossings._replace(start=columns.start[first : end + 1])

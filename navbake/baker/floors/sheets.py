@@ -153,10 +153,12 @@ class StandableFinder:
         here = np.repeat(np.arange(len(column) - 1), self._start[known[0] + 1 : known[1] + 1])
         is_top = top[here] - z <= SLACK
         surface = before[at] + len(self._footing)
-        self._surfaces.add(z, known[0] + here, surface, columns.geom[at], is_top)
+        share = known[1] / (len(self._start) - 1)
+        parts = z, known[0] + here, surface, columns.geom[at], is_top
+        self._surfaces.add(*parts, share=share)
         if _slopes_may_join(self._lattice, self._agent):
-            self._normals.add(columns.normal[at])
-        self._footing.add(columns.z[floor_like])
+            self._normals.add(columns.normal[at], share=share)
+        self._footing.add(columns.z[floor_like], share=share)
 
     def found(self) -> tuple[Standable, Footing]:
         """The standable surfaces and their sheets, and all that a floor may go on at."""
