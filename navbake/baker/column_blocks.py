@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 
 import numpy as np
 
@@ -32,6 +30,8 @@ from navbake.types import Int, Int32
 
 # Columns of at most so many cells are kept: they take about 100 bytes each
 KEPT_CELLS = 1 << 22
+# Blocks that there are at a time: the one that is looked at, and the next one
+ALIVE = 2
 
 
 class ColumnBlocks:
@@ -67,17 +67,16 @@ class ColumnBlocks:
         if self._kept is not None:
             yield self._kept
             return
-        coming = deque[Callable[[], Columns]]()
-        try:
-            for rows in split_rows(self.lattice):
-                coming.append(run_beside(self._find, rows))
-                if len(coming) > 1:
-                    yield self._wait(coming.popleft())
-            yield self._wait(coming.popleft())
-        finally:
-            while coming:  # the caller stopped early: nothing runs on
-                with suppress(Exception):
-                    coming.popleft()()
+        bands = self._bands()
+        coming = run_beside(self._find, bands[0])
+        for rows in [*bands[1:], None]:
+            found = [self._wait(coming)]
+            if rows is not None:
+                coming = run_beside(self._find, rows)
+            yield found.pop()  # nothing here holds it while the caller waits for the next one
+
+    def _bands(self) -> list[Rows]:
+        return split_rows(self.lattice, ALIVE)
 
     def _wait(self, found: Callable[[], Columns]) -> Columns:
         with self._clock.part("columns"):
@@ -119,7 +118,7 @@ class ColumnBlocks:
 
     def _all_moved(self) -> Moved:
         """All lines that were moved."""
-        for rows in split_rows(self.lattice):
+        for rows in self._bands():
             if rows not in self._moved:
                 self._find(rows)
         cells, offsets = zip(*(self._moved[rows] for rows in sorted(self._moved)), strict=True)

@@ -42,9 +42,12 @@ class Rows(NamedTuple):
         return Rows(max(self.first - by, 0), min(self.end + by, lattice.height))
 
 
-def split_rows(lattice: Lattice) -> list[Rows]:
-    """Split a lattice into blocks of rows of about `BLOCK_CELLS` cells, of whole `BAND`s."""
-    count = max(BLOCK_CELLS // (lattice.width * BAND), 1) * BAND
+def split_rows(lattice: Lattice, alive: int = 1) -> list[Rows]:
+    """Split a lattice into blocks of rows, of whole `BAND`s, and about `BLOCK_CELLS` cells.
+
+    Where several are `alive` at a time, they have so many cells together.
+    """
+    count = max(BLOCK_CELLS // (alive * lattice.width * BAND), 1) * BAND
     firsts = range(0, lattice.height, count)
     return [Rows(first, min(first + count, lattice.height)) for first in firsts]
 
