@@ -168,15 +168,16 @@ class _Collector:
         self._endless = np.zeros(model.ngeom, dtype=np.bool_)
         self._meshes = meshes
         self._flat: set[str] = set()  # meshes that a note tells of
+        self._kinds, self._shapes = model.geom_type.tolist(), model.geom_dataid.tolist()
         numbers = np.hstack([data.geom_xpos, data.geom_xmat, model.geom_size])
         self._is_finite = np.isfinite(numbers).all(axis=1)
         self.notes: list[str] = []
 
     def add(self, geom: int, mesh_mode: str) -> str:
         """Take one geom in; returns as what."""
-        name = names_of(self._model, geom).geom
-        kind, shape = int(self._model.geom_type[geom]), int(self._model.geom_dataid[geom])
+        kind, shape = self._kinds[geom], self._shapes[geom]
         if not self._is_finite[geom]:
+            name = names_of(self._model, geom).geom
             raise SceneError(f"geom {name!r} has a pose or size that is no number")
         if kind in SOLIDS:
             self._solids.append(geom)
@@ -184,6 +185,7 @@ class _Collector:
         if kind == constants.PLANE:
             return self._add_plane(geom)
         if kind not in (constants.HFIELD, constants.MESH, constants.SDF) or shape < 0:
+            name = names_of(self._model, geom).geom
             raise SceneError(f"geom {name!r} is broken: it has no shape (type {kind})")
         if kind == constants.HFIELD:
             field = GeomTriangles.of_corners(_height_field(self._model, shape), constants.SOLID)

@@ -328,8 +328,7 @@ def _grow(lattice, start, height, floor, step, rings):
         for q in range(end):
             if math.isnan(value[q]):
                 continue
-            for way in range(4):
-                other = neighbour(lattice, queue[q], way)
+            for other in _around(lattice, queue[q]):
                 if other < 0 or queued[other] or start[other] == start[other + 1]:
                     continue
                 if math.isnan(floor[other]):
@@ -341,11 +340,20 @@ def _grow(lattice, start, height, floor, step, rings):
 
 
 @njit(inline="always")
+def _around(lattice, cell):
+    """The next cells east, south, west and north, less than 0 for none; see `neighbour`."""
+    width, col = lattice.width, cell % lattice.width
+    east = cell + 1 if col + 1 < width else np.int64(-1)
+    south = cell + width if cell + width < width * lattice.height else np.int64(-1)
+    west = cell - 1 if col > 0 else np.int64(-1)
+    return east, south, west, cell - width
+
+
+@njit(inline="always")
 def _list_beside(lattice, cell, floor, beside):
     """Write the floors of a cell's neighbours that have one; returns how many they are."""
     count = 0
-    for way in range(4):
-        other = neighbour(lattice, cell, way)
+    for other in _around(lattice, cell):
         if other >= 0 and not math.isnan(floor[other]):
             beside[count] = floor[other]
             count += 1
