@@ -273,18 +273,19 @@ def list_options(footing, candidate, lowest, highest, start, height, cell0, end)
 def grow_floor(lattice, start, height, floor, step):
     """Let a level's floor go on under things, ring by ring, in place.
 
+    Patches of cells that don't touch grow one after the other, as each then stays in fast memory.
     A cell without a floor (NaN) takes that of its heights that is nearest to the floor of a
     neighbour (the lower one if two are equally near), when they differ by at most a step. All
     cells of a ring are decided before any is written, so their order decides nothing. The
-    heights are listed by cell, see `list_options`; they are few, so that rings, which visit cells
-    all over the lattice, read little memory.
+    heights are listed by cell, see `list_options`.
     """
     num = np.int64(0)
     for cell in range(floor.shape[0]):
         num += 1 if start[cell] < start[cell + 1] else 0
-    queued, beside = np.zeros(floor.shape[0], np.bool_), np.empty(4, np.float64)
     ring, following = np.empty(num, np.int64), np.empty(num, np.int64)
-    rings = Rings(ring, following, queued, np.empty(num, np.float64), beside)
+    queued, seen = np.zeros(floor.shape[0], np.bool_), np.zeros(floor.shape[0], np.bool_)
+    value, beside = np.empty(num, np.float64), np.empty(4, np.float64)
+    rings = Rings(ring, following, queued, value, beside, seen)
     _grow(lattice, start, height, floor, step, rings)
 
 
@@ -296,6 +297,7 @@ class Rings(NamedTuple):
         queued: whether a cell is in one of them, bool by cell.
         value: the floors of the ring's cells [m].
         beside: (4,) float64, floors beside a cell [m].
+        seen: whether a cell's patch is known, bool by cell.
     """
 
     ring: Int
@@ -303,32 +305,49 @@ class Rings(NamedTuple):
     queued: Bool
     value: Float
     beside: Float
+    seen: Bool
 
 
 @njit(cache=True, **UNCOUNTED)
 def _grow(lattice, start, height, floor, step, rings):
-    """See `grow_floor`."""
-    queue, following, queued, value, beside = rings
-    end = 0
+    """See `grow_floor`; one patch of cells after the other."""
     for cell in range(floor.shape[0]):
-        if start[cell] < start[cell + 1] and _list_beside(lattice, cell, floor, beside) > 0:
+        if start[cell] < start[cell + 1] and not rings.seen[cell]:
+            _grow_patch(lattice, start, height, floor, step, rings, cell)
+
+
+@njit(inline="always")
+def _grow_patch(lattice, start, height, floor, step, rings, cell):
+    """Let a floor go on in the cells with heights that hang together with one of them."""
+    ring, following, queued, value, beside, seen = rings
+    following[0], seen[cell] = cell, True
+    end, known, count = 0, 0, 1
+    while known < count:
+        cell = following[known]
+        known += 1
+        if _list_beside(lattice, cell, floor, beside) > 0:
             queued[cell] = True
-            queue[end] = cell
+            ring[end] = cell
             end += 1
+        for other in _around(lattice, cell):
+            if other >= 0 and not seen[other] and start[other] < start[other + 1]:
+                seen[other] = True
+                following[count] = other
+                count += 1
     while end > 0:
         for q in range(end):
-            cell = queue[q]
-            known = _list_beside(lattice, cell, floor, beside)
+            cell = ring[q]
+            found = _list_beside(lattice, cell, floor, beside)
             heights = height[start[cell] : start[cell + 1]]
-            value[q] = nearest_height(heights, beside[:known], step)
+            value[q] = nearest_height(heights, beside[:found], step)
         for q in range(end):
-            queued[queue[q]] = False
-            floor[queue[q]] = value[q]
+            queued[ring[q]] = False
+            floor[ring[q]] = value[q]
         count = 0
         for q in range(end):
             if math.isnan(value[q]):
                 continue
-            for other in _around(lattice, queue[q]):
+            for other in _around(lattice, ring[q]):
                 if other < 0 or queued[other] or start[other] == start[other + 1]:
                     continue
                 if math.isnan(floor[other]):
@@ -336,7 +355,7 @@ def _grow(lattice, start, height, floor, step, rings):
                     following[count] = other
                     count += 1
         end = count
-        queue, following = following, queue
+        ring, following = following, ring
 
 
 @njit(inline="always")
