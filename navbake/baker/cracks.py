@@ -31,7 +31,7 @@ from navbake.baker.kernels.cracks import (
     GapRoom,
     find_gaps,
     probe_lines,
-    replace_columns,
+    splice_columns,
 )
 from navbake.baker.kernels.tiles import list_near
 from navbake.config.settings import AgentSettings
@@ -473,5 +473,5 @@ def _replace_lines(columns: Columns, tiled: TiledShapes, cells: Int, offset: Flo
     start = np.zeros(len(old.start), dtype=np.int64)
     np.cumsum(counts, out=start[first + 1 : end + 1])
     replaced = empty_crossings(start, int(start[end]))
-    run_in_bands(replace_columns, end - first, old, new, cells, replaced, begin=first)
+    run_in_bands(splice_columns, end - first, old, new, cells, replaced, begin=first)
     return replace(columns, crossings=replaced)

@@ -300,7 +300,7 @@ def _copy_crossings(source, first, last, into, place):
 
 
 @njit(cache=True, nogil=True, **UNCOUNTED)
-def replace_columns(old, new, cells, replaced, first, end):
+def splice_columns(old, new, cells, replaced, first, end):
     """Write columns of which some are replaced; of the cells ``range(first, end)``.
 
     Args:

@@ -5,7 +5,7 @@ import pytest
 
 from navbake.baker.columns import empty_crossings
 from navbake.baker.kernels.arrays import Crossings
-from navbake.baker.kernels.cracks import replace_columns
+from navbake.baker.kernels.cracks import splice_columns
 from navbake.threads import run_in_bands
 
 
@@ -35,7 +35,7 @@ def test_some_columns_are_replaced(seed):
     counts[cells] = np.diff(new.start)
     start = np.concatenate([[0], np.cumsum(counts)])
     found = empty_crossings(start, int(start[-1]))
-    run_in_bands(replace_columns, count, old, new, cells, found)
+    run_in_bands(splice_columns, count, old, new, cells, found)
     number = {int(cell): k for k, cell in enumerate(cells)}
     for cell in range(count):
         expected = column(new, number[cell]) if cell in number else column(old, cell)
