@@ -297,7 +297,8 @@ def only_near(columns: Columns, cells: Int, reach: int) -> Columns:
         is_near[row, np.clip(col + k, 0, lattice.width - 1)] = True
     near = first + np.flatnonzero(is_near)
     counts = columns.start[near + 1] - columns.start[near]
-    start = np.zeros_like(columns.start)
+    # `zeros_like` would write them all, for each block again
+    start = np.zeros(len(columns.start), dtype=np.int64)
     start[near + 1] = counts
     np.cumsum(start[first : end + 1], out=start[first : end + 1])
     total = int(start[end])
