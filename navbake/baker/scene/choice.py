@@ -138,10 +138,11 @@ def _find_excluded(
     exclude = settings.exclude
     bodies = _excluded_bodies(model, settings)
     reasons = [bodies[body] for body in model.geom_bodyid.tolist()]
-    for geom, name in enumerate(names if exclude.geoms else ()):
-        pattern = _first_match(exclude.geoms, name.geom)
-        if pattern:
-            reasons[geom] = f"excluded: matches {pattern!r}"
+    if exclude.geoms:
+        for geom, name in enumerate(names):
+            pattern = _first_match(exclude.geoms, name.geom)
+            if pattern:
+                reasons[geom] = f"excluded: matches {pattern!r}"
     body_names = all_names(model).bodies[1:]
     notes = _unused("scene.exclude.bodies", exclude.bodies, body_names)
     return reasons, notes + _unused("scene.exclude.geoms", exclude.geoms, [n.geom for n in names])
@@ -149,17 +150,18 @@ def _find_excluded(
 
 def _excluded_bodies(model: Any, settings: SceneSettings) -> list[str]:
     """The reason each body is excluded, empty where it isn't; the world never is."""
+    exclude, parents = settings.exclude, model.body_parentid.tolist()
     free = {int(model.jnt_bodyid[j]) for j in np.flatnonzero(model.jnt_type == FREE)}
     reasons, names = [""] * model.nbody, all_names(model).bodies
     for body in range(1, model.nbody):  # parents come before their children
         name = names[body]
-        pattern = _first_match(settings.exclude.bodies, name)
+        pattern = _first_match(exclude.bodies, name) if exclude.bodies else None
         if pattern:
             reasons[body] = f"excluded: body {name!r} matches {pattern!r}"
-        elif settings.exclude.movable and body in free:
+        elif exclude.movable and body in free:
             reasons[body] = f"excluded: body {name!r} is movable (free joint)"
         else:
-            reasons[body] = reasons[int(model.body_parentid[body])]
+            reasons[body] = reasons[parents[body]]
     return reasons
 
 

@@ -15,7 +15,7 @@ from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE, SAME, 
 from navbake.baker.kernels.tiles import cell_center
 from navbake.compiled import UNCOUNTED
 from navbake.navgrid.kernels.union_find import find_root, unite
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Int32
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -92,6 +92,60 @@ def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable, cou
                 previous = z
 
 
+class Surfaces(NamedTuple):
+    """Standable surfaces, and the heights of floor-like ones, column by column.
+
+    Attributes:
+        z, cell, geom: of each standable one, float64 [m], int32, int32.
+        surface: which of the floor-like ones it is, int32.
+        is_top: whether nothing lies above it in its column, bool.
+        footing: heights of the floor-like ones, float64 [m].
+    """
+
+    z: Float
+    cell: Int32
+    surface: Int32
+    geom: Int32
+    is_top: Bool
+    footing: Float
+
+
+@njit(cache=True, nogil=True, **UNCOUNTED)
+def list_surfaces(crossings, marks, places, before, found, writing, first, end):
+    """List the surfaces that `mark_surfaces` marked; twice: to count, then to write.
+
+    Looks at the columns ``range(first, end)`` of the crossings.
+
+    Args:
+        marks: which crossings are floor-like, and which are standable, (n,) bool each.
+        places: by column, where its standable surfaces go, and where its floor-like ones do, int64;
+            of these, ``places[1][column + 1]`` receives the number in the first call.
+        before: how many cells, and how many floor-like surfaces, come before these columns.
+        found: receives the surfaces.
+    """
+    (floor_like, standable), (start, footing_start) = marks, places
+    z, geom = crossings.z, crossings.geom
+    for column in range(first, end):
+        begin, past = crossings.start[column], crossings.start[column + 1]
+        if not writing:
+            count = 0
+            for i in range(begin, past):
+                count += floor_like[i]
+            footing_start[column + 1] = count
+            continue
+        at, footing = start[column], footing_start[column]
+        for i in range(begin, past):
+            if standable[i]:
+                found.z[at], found.geom[at] = z[i], geom[i]
+                found.cell[at] = before[0] + column
+                found.surface[at] = before[1] + footing
+                found.is_top[at] = z[past - 1] - z[i] <= SLACK
+                at += 1
+            if floor_like[i]:
+                found.footing[footing] = z[i]
+                footing += 1
+
+
 @njit(cache=True)
 def neighbour(lattice, cell, way):
     """The next cell east (0), south (1), west (2) or north (3), or -1."""
@@ -105,7 +159,18 @@ def neighbour(lattice, cell, way):
     return cell - width
 
 
-@njit(cache=True)
+@njit(inline="always")
+def neighbours(lattice, cell):
+    """The next cells east, south, west and north, each -1 for none."""
+    width, num = lattice.width, lattice.width * lattice.height
+    col = cell % width
+    east = cell + 1 if col + 1 < width else -1
+    south = cell + width if cell + width < num else -1
+    west = cell - 1 if col > 0 else -1
+    return east, south, west, cell - width
+
+
+@njit(cache=True, nogil=True)
 def join_by_steps(lattice, start, z, group, step):
     """Label the connected parts of standable surfaces: of one group, neighbours a step apart.
 
@@ -187,7 +252,7 @@ def join_by_slopes(lattice, start, z, normal, step):
     return pairs
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def group_members(part, size):
     """List the members of each part, given the part of each surface, int32, and the parts' sizes.
 
@@ -204,7 +269,7 @@ def group_members(part, size):
     return start, member
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def find_links(lattice, start, z, level, step):
     """Pairs of surfaces in neighbouring cells, a step apart, on different levels.
 
@@ -269,7 +334,7 @@ def list_options(footing, candidate, lowest, highest, start, height, cell0, end)
                 place += 1
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def grow_floor(lattice, start, height, floor, step):
     """Let a level's floor go on under things, ring by ring, in place.
 
