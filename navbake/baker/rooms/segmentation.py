@@ -205,7 +205,7 @@ def _join_stairs_and_small(
 ) -> Int32:
     least = min_area / cell_size**2 - ROUNDING
     num = int(label.max(initial=0))
-    cells = np.bincount(label.ravel(), minlength=num + 1)
+    cells = labels.count_cells(label, num + 1)
     is_stair = False
     if floor is not None:
         slopes = _measure_slopes(label, floor[window], cell_size)

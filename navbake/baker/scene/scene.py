@@ -22,6 +22,7 @@ from navbake.baker.scene.shapes import Shapes
 from navbake.config.scene import SceneSettings, stem_of
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.errors import SceneError
+from navbake.navgrid.user_data import collector_off
 from navbake.threads import run_beside
 from navbake.types import Float
 
@@ -89,6 +90,7 @@ class Scene:
     meshes: MeshTriangles
 
 
+@collector_off()
 def load_scene(
     settings: SceneSettings,
     agent: AgentSettings | None = None,
