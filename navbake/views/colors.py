@@ -1,19 +1,25 @@
-"""The colours of pictures, as ``#rrggbb``."""
+"""The colours of pictures, as ``#rrggbb``.
 
-import colorsys
+They are chosen so that people who see no red or no green tell them apart, too:
+`tests/views/test_colors.py` measures how far apart they stay. What is free is light, what is
+blocked is dark, so that a picture printed in grey still reads.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
 
-FREE, OCCUPIED, NO_FLOOR, DOOR = "#f7f3e8", "#3b4252", "#b9c0cc", "#c0392b"
-DARKER = "#8f8f8f"  # stands in the legend for all rooms' darker colours
-ROUTE = "#d6336c"
+FREE, OCCUPIED, NO_FLOOR = "#f7f3e8", "#3b4252", "#b9c0cc"
+DOOR = "#c8440a"  # where a door blocks the way
+DOORWAY = "#ff9f5a"  # where it would, were it closed
+ROUTE = "#1864ab"
 MARKS = ("#d6336c", "#1c7ed6", "#e8590c", "#2b8a3e", "#7048e8", "#0b7285")  # by kind
 
-# Hues a golden ratio of a turn apart stay apart, however many there are
-GOLDEN = 0.618034
-FIRST_HUE = 0.58
-SHADES = ((0.5, 0.97), (0.25, 0.95), (0.6, 0.87))  # saturation and value, in turn
+OUTDOORS = "#e2ecba"
+ROOMS = ("#b092f6", "#ecec88", "#60b09c", "#cec4f6", "#a6ceb0", "#a69cc4")
+BLOCKED_SHARE = 0.55  # of `OCCUPIED` in the colour of a room where something stands in it
+DARKER = "#6b6f78"  # stands in the legend for all rooms' darker colours
+
+UP, DOWN, ACROSS = "#2b8a3e", "#7048e8", "#1c7ed6"  # where a link leads
 
 
 def rgb_of(color: str) -> tuple[int, int, int]:
@@ -22,10 +28,7 @@ def rgb_of(color: str) -> tuple[int, int, int]:
     return red, green, blue
 
 
-def make_palette(count: int) -> NDArray[np.uint8]:
-    """A colour for each number from 1, shape (count + 1, 3), uint8; 0 is black."""
-    colors = [(0.0, 0.0, 0.0)]
-    for number in range(count):
-        saturation, value = SHADES[number % len(SHADES)]
-        colors.append(colorsys.hsv_to_rgb((FIRST_HUE + number * GOLDEN) % 1.0, saturation, value))
-    return np.round(np.array(colors) * 255).astype(np.uint8)
+def darkened(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The colours of rooms, shape (…, 3), where something stands in them."""
+    mixed = rgb * (1 - BLOCKED_SHARE) + np.array(rgb_of(OCCUPIED)) * BLOCKED_SHARE
+    return np.round(mixed).astype(np.uint8)

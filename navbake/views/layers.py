@@ -1,66 +1,103 @@
-"""What a picture shows of each level: a colour or a value for every cell, and labels."""
+"""What a picture shows of each level: a colour or a value for every cell, names and doors."""
 
-from collections.abc import Callable
-from typing import NamedTuple
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import QueryError
+from navbake.navgrid.cells import check_level
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
-from navbake.navgrid.rooms import Room
-from navbake.types import Bool
-from navbake.views.colors import DARKER, DOOR, FREE, NO_FLOOR, OCCUPIED, make_palette, rgb_of
+from navbake.views.color_scale import height_scale, linear_scale
+from navbake.views.colors import (
+    ACROSS,
+    DARKER,
+    DOOR,
+    DOORWAY,
+    DOWN,
+    FREE,
+    MARKS,
+    NO_FLOOR,
+    OCCUPIED,
+    ROOMS,
+    UP,
+    rgb_of,
+)
+from navbake.views.door_marks import doorway_cells, find_door_marks
+from navbake.views.names import label_doors, label_rooms
+from navbake.views.panel import Panel, paint
+from navbake.views.regions import choose_colors, find_neighbours
+from navbake.views.room_cells import WALL, RoomCells
 
-FURNITURE = 0.75  # brightness of a room's colour where something stands in it
+if TYPE_CHECKING:
+    from navbake.verifier.report import Finding
+
+__all__ = ["DISAGREEMENTS", "LAYERS", "make_panel", "make_panels", "paint"]
+
 BLOCKED_LEGEND = (("occupied", OCCUPIED), ("no floor", NO_FLOOR))
+OCCUPANCY_LEGEND = (("free", FREE), *BLOCKED_LEGEND)
+DISAGREEMENTS = "disagreements"  # the layer that shows what a verification found
 
 
-class Label(NamedTuple):
-    """A room's name on a picture."""
-
-    text: str
-    fallback: str  # written in its place if no font has its letters
-    x: float  # of its middle, world frame [m]
-    y: float
-    width: float  # of the room at this place [m]
+def make_panels(
+    grid: NavGrid, layer: str, *, findings: Sequence[Finding] | None = None
+) -> list[Panel]:
+    """Show a layer of all levels, lowest first; see `make_panel`."""
+    numbers = range(len(grid.levels))
+    return [make_panel(grid, layer, number, findings=findings) for number in numbers]
 
 
-class Panel(NamedTuple):
-    """One layer of one level; cells whose value is finite are coloured by that, not by `rgb`."""
+def make_panel(
+    grid: NavGrid, layer: str, number: int, *, findings: Sequence[Finding] | None = None
+) -> Panel:
+    """Show a layer of one level.
 
-    title: str
-    rgb: NDArray[np.uint8]  # shape (height, width, 3)
-    values: NDArray[np.float32] | None = None  # shape (height, width)
-    scale: str = ""  # what the values are, with their unit
-    legend: tuple[tuple[str, str], ...] = ()  # meanings and their colours
-    labels: tuple[Label, ...] = ()
+    Args:
+        grid: a grid of one or several levels.
+        layer: one of `LAYERS`, or `DISAGREEMENTS`.
+        number: of the level, 0 is the lowest.
+        findings: what a verification found, for the layer `DISAGREEMENTS`.
 
+    Returns:
+        The layer; `paint` turns it into colours.
 
-def make_panels(grid: NavGrid, layer: str) -> list[Panel]:
-    """Show one of `LAYERS` of all levels, lowest first."""
-    if layer not in LAYERS:
+    Raises:
+        QueryError: there is no such layer or level, or it needs findings and has none.
+    """
+    check_level(number, len(grid.levels))
+    if layer == DISAGREEMENTS and findings is not None:
+        panel = _show_disagreements(grid, number, findings)
+    elif layer == DISAGREEMENTS:
+        raise QueryError(f"the layer {layer} shows the findings of a verification: pass findings")
+    elif layer not in LAYERS:
         raise QueryError(f"expected one of {', '.join(LAYERS)} as layer, got {layer!r}")
-    panels = (LAYERS[layer](grid, number) for number in range(len(grid.levels)))
-    return [
-        panel._replace(title=f"{name}: {panel.title}")
-        for name, panel in zip(grid.level_names, panels, strict=True)
-    ]
+    else:
+        panel = LAYERS[layer](grid, number)
+    if len(grid.levels) == 1:
+        return panel
+    return panel._replace(title=f"{grid.level_names[number]}: {panel.title}")
 
 
 def _show_occupancy(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
     area = np.count_nonzero(level.free) * level.lattice.cell_size**2
-    title = f"ground {level.ground:.2f} m, free {area:.1f} m\N{SUPERSCRIPT TWO}"
-    return Panel(title, _color_occupancy(level), legend=(("free", FREE), *BLOCKED_LEGEND))
+    title = f"occupancy, {area:.1f} m\N{SUPERSCRIPT TWO} free"
+    doors = find_door_marks(grid, number)
+    return Panel(title, _color_occupancy(level), legend=OCCUPANCY_LEGEND, doors=doors)
 
 
 def _show_floor(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
     rgb = np.full((*level.shape, 3), rgb_of(NO_FLOOR), dtype=np.uint8)
     metres = level.floor_height * np.float32(level.unit)
-    return Panel("floor height", rgb, metres, "z [m]", (("no floor", NO_FLOOR),))
+    scale = height_scale(metres[np.isfinite(metres)], "z [m]")
+    legend = (("no floor", NO_FLOOR),)
+    return Panel("floor height", rgb, metres, scale, legend, has_relief=True)
 
 
 def _show_clearance(grid: NavGrid, number: int) -> Panel:
@@ -75,78 +112,95 @@ def _show_weights(grid: NavGrid, number: int) -> Panel:
     return _show_free(level, level.weights, "weights", "cost of a cell")
 
 
-def _show_free(level: SceneGrid2D, values: NDArray[np.floating], title: str, scale: str) -> Panel:
+def _show_free(level: SceneGrid2D, values: NDArray[np.floating], title: str, label: str) -> Panel:
     """Show values where an agent can stand, and what is there elsewhere."""
     shown = np.where(level.free, values, np.nan).astype(np.float32)
+    scale = linear_scale(shown[np.isfinite(shown)], label)
     return Panel(title, _color_occupancy(level), shown, scale, BLOCKED_LEGEND)
 
 
 def _show_islands(grid: NavGrid, number: int) -> Panel:
-    level, island = grid.levels[number], islands_of(grid)[number]
+    islands = islands_of(grid)
+    level, island = grid.levels[number], islands[number]
+    count = max(int(each.max(initial=0)) for each in islands)
+    reach = math.ceil(WALL / level.lattice.cell_size)
+    # an island may span several levels, and has one colour on all of them
+    pairs = set().union(*(find_neighbours(each, reach) for each in islands))
+    palette = np.array([rgb_of(color) for color in ROOMS], dtype=np.uint8)
     rgb = _color_occupancy(level)
-    rgb[level.free] = make_palette(int(island.max(initial=0)))[island[level.free]]
+    rgb[level.free] = palette[choose_colors(count, pairs, len(palette))[island[level.free]]]
     return Panel("islands", rgb, legend=BLOCKED_LEGEND)
 
 
 def _show_rooms(grid: NavGrid, number: int) -> Panel:
-    cells = RoomCells.of(grid, number)
-    level, index = grid.levels[number], cells.room_index
-    labels = []
-    for room in grid.rooms:
-        mask = index == room.index
-        if room.level == number and mask.any():
-            labels.append(_place_label(level, mask, room))
-    legend = [("no room", OCCUPIED), ("no floor", NO_FLOOR)]
-    legend += [("free, no room", FREE)] if ((index == 0) & cells.free).any() else []
-    legend += [("darker: occupied", DARKER)] if ((index > 0) & ~cells.free).any() else []
-    legend += [("door", DOOR)] if cells.door.any() else []
-    return Panel("rooms", cells.paint(), legend=tuple(legend), labels=tuple(labels))
+    cells, index = RoomCells.of(grid, number), grid.levels[number].room_index
+    entries = {
+        ("no room", OCCUPIED): ((index == 0) & ~cells.free & ~np.isnan(cells.floor)).any(),
+        ("no floor", NO_FLOOR): np.isnan(cells.floor).any(),
+        ("free, no room", FREE): ((index == 0) & cells.free).any(),
+        ("darker: occupied", DARKER): ((index > 0) & ~cells.free).any(),
+        ("door", DOOR): cells.door.any(),
+        ("doorway", DOORWAY): (cells.doorway & ~cells.door).any(),
+    }
+    legend = tuple(entry for entry, is_there in entries.items() if is_there)
+    labels, doors = label_rooms(grid, number), find_door_marks(grid, number)
+    return Panel("rooms", cells.paint(), legend=legend, labels=labels, doors=doors)
 
 
-class RoomCells(NamedTuple):
-    """What the colour of a cell in a picture of rooms follows from; arrays (height, width)."""
+def _show_doors(grid: NavGrid, number: int) -> Panel:
+    rgb = _color_occupancy(grid.levels[number])
+    rgb[doorway_cells(grid, number, blocked=False)] = rgb_of(DOORWAY)
+    rgb[doorway_cells(grid, number, blocked=True)] = rgb_of(DOOR)
+    legend = (("door", DOOR), ("doorway", DOORWAY), *OCCUPANCY_LEGEND)
+    marks = find_door_marks(grid, number)
+    return Panel("doors", rgb, legend=legend, labels=label_doors(marks), doors=marks)
 
-    colors: NDArray[np.uint8]  # shape (2 n + 2, 3): see `paint`
-    room_index: NDArray[np.uint16]
-    free: Bool
-    floor: NDArray[np.float32]  # NaN for none
-    door: Bool  # where one stands, closed or as it is
 
-    @classmethod
-    def of(cls, grid: NavGrid, number: int) -> "RoomCells":
-        """The cells of one level."""
-        level = grid.levels[number]
-        index = level.room_index
-        rooms = np.zeros((int(index.max(initial=0)) + 1, 3), dtype=np.uint8)
-        # one palette for all levels, so that rooms over each other differ
-        for room, color in zip(grid.rooms, make_palette(len(grid.rooms))[1:], strict=True):
-            if room.level == number and room.index < len(rooms):
-                rooms[room.index] = color
-        colors = np.stack([(rooms * FURNITURE).astype(np.uint8), rooms], axis=1).reshape(-1, 3)
-        colors[:2] = rgb_of(OCCUPIED), rgb_of(FREE)
-        colors = np.concatenate([colors, [rgb_of(NO_FLOOR), rgb_of(DOOR)]]).astype(np.uint8)
-        return cls(colors, index, level.free, level.floor_height, _door_mask(grid, number))
+def _show_links(grid: NavGrid, number: int) -> Panel:
+    level = grid.levels[number]
+    rgb = _color_occupancy(level)
+    links = grid.link_array
+    ends = np.concatenate([links, links[:, [2, 3, 0, 1]]])
+    ends = ends[ends[:, 0] == number]
+    rows, cols = np.divmod(ends[:, 1], level.width)
+    for color, leads in (
+        (ACROSS, ends[:, 2] == number),
+        (UP, ends[:, 2] > number),
+        (DOWN, ends[:, 2] < number),
+    ):
+        rgb[rows[leads], cols[leads]] = rgb_of(color)
+    legend = (("leads up", UP), ("leads down", DOWN), ("steep, same level", ACROSS))
+    return Panel("links", rgb, legend=(*legend, *OCCUPANCY_LEGEND))
 
-    def paint(self, rows: slice = slice(None)) -> NDArray[np.uint8]:
-        """Colours of some rows, shape (number of rows, width, 3).
 
-        A room has two colours, for occupied and for free cells; the last two are no floor and a
-        door.
-        """
-        code = self.room_index[rows] * np.intp(2) + self.free[rows]
-        code[np.isnan(self.floor[rows])] = len(self.colors) - 2
-        code[self.door[rows]] = len(self.colors) - 1
-        painted: NDArray[np.uint8] = self.colors.take(code, axis=0)
-        return painted
+def _show_disagreements(grid: NavGrid, number: int, findings: Sequence[Finding]) -> Panel:
+    """Show the cells where a verification found that grid and scene disagree, by kind."""
+    level = grid.levels[number]
+    rgb = _color_occupancy(level)
+    kinds = color_kinds(finding.kind for finding in findings)
+    here = [finding for finding in findings if finding.level == number]
+    for finding in here:
+        row, col = finding.cell or level.lattice.rows_cols(finding.position)
+        if 0 <= row < level.height and 0 <= col < level.width:
+            rgb[row, col] = rgb_of(kinds[finding.kind])
+    title = f"{len(here)} disagreement{'' if len(here) == 1 else 's'}"
+    return Panel(title, rgb, legend=(*kinds.items(), *OCCUPANCY_LEGEND))
+
+
+def color_kinds(kinds: Iterable[str]) -> dict[str, str]:
+    """A colour for each kind of mark."""
+    return {kind: MARKS[n % len(MARKS)] for n, kind in enumerate(sorted(set(kinds)))}
 
 
 LAYERS: dict[str, Callable[[NavGrid, int], Panel]] = {
     "occupancy": _show_occupancy,
     "floor": _show_floor,
     "rooms": _show_rooms,
+    "doors": _show_doors,
     "clearance": _show_clearance,
     "island": _show_islands,
     "weights": _show_weights,
+    "links": _show_links,
 }
 """How each layer of a level is shown, by the layer's name."""
 
@@ -154,33 +208,7 @@ LAYERS: dict[str, Callable[[NavGrid, int], Panel]] = {
 def _color_occupancy(level: SceneGrid2D) -> NDArray[np.uint8]:
     """Colours of the cells by whether an agent can stand in them, shape (height, width, 3)."""
     palette = np.array([rgb_of(OCCUPIED), rgb_of(FREE), rgb_of(NO_FLOOR)], dtype=np.uint8)
-    return palette[np.where(level.free, 1, np.where(np.isnan(level.floor_height), 2, 0))]
-
-
-def _door_mask(grid: NavGrid, number: int) -> Bool:
-    """The cells of a level in which a door stands, closed or as it is."""
-    mask = np.zeros(grid.levels[number].shape, dtype=np.bool_)
-    for door in grid.doors:
-        for state in ("closed", door.state):
-            mask.flat[door.cells_in(state, len(grid.levels))[number]] = True
-    return mask
-
-
-def _place_label(level: SceneGrid2D, mask: Bool, room: Room) -> Label:
-    """Put a room's name where the largest disc fits into the room."""
-    # Imported here, as scipy takes longer to load than most pictures to draw.
-    from scipy.ndimage import distance_transform_edt
-
-    rows, cols = np.nonzero(mask)
-    part = mask[rows.min() : rows.max() + 1, cols.min() : cols.max() + 1]
-    space = distance_transform_edt(np.pad(part, 1))[1:-1, 1:-1]
-    row, col = np.unravel_index(int(np.argmax(space)), space.shape)
-    # the run of the room's cells in that row: what the name may take up, and its middle
-    others = np.flatnonzero(~np.pad(part[row], 1)) - 1
-    after = int(np.searchsorted(others, col))
-    first, last = others[after - 1] + 1, others[after] - 1
-    middle = (first + last) / 2 + cols.min()
-    x, y = level.lattice.positions(row + rows.min(), middle)
-    width = (last - first + 1) * level.lattice.cell_size
-    fallback = f"{room.level}:{room.index}"
-    return Label(room.name or fallback, fallback, float(x), float(y), width)
+    painted: NDArray[np.uint8] = palette[
+        np.where(level.free, 1, np.where(np.isnan(level.floor_height), 2, 0))
+    ]
+    return painted

@@ -16,7 +16,7 @@ from PIL import Image
 
 from navbake.errors import printable
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.views.layers import RoomCells
+from navbake.views.room_cells import RoomCells
 
 PICTURE_SIDE = 800  # longest side of the picture of all levels [pixels]
 LEVEL_SIDE = 400  # longest side of a level's picture in HTML [pixels]

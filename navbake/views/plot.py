@@ -14,7 +14,8 @@ from navbake.navgrid.cells import check_level
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.runtime.paths.path import Path as Route
 from navbake.views.colors import MARKS, ROUTE
-from navbake.views.layers import Label, Panel, make_panels
+from navbake.views.layers import make_panels
+from navbake.views.panel import Label, Panel, paint
 
 # Functions import matplotlib when they draw: it is an extra, and takes half a second to load.
 
@@ -125,20 +126,8 @@ def _figure_size(width: float, height: float, rows: int, cols: int) -> tuple[flo
 
 
 def _draw_panel(figure: Any, ax: Any, panel: Panel, level: SceneGrid2D) -> None:
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     x_min, y_min, x_max, y_max = level.lattice.bounds
-    rgb = panel.rgb
-    if panel.values is not None:
-        shown = np.isfinite(panel.values)
-        values = panel.values[shown]
-        low, high = (float(values.min()), float(values.max())) if values.size else (0.0, MIN_RANGE)
-        widen = max(0.0, MIN_RANGE - (high - low)) / 2
-        colors = ScalarMappable(Normalize(low - widen, high + widen), COLOR_MAP)
-        rgb = rgb.copy()
-        rgb[shown] = colors.to_rgba(values, bytes=True)[:, :3]
-        figure.colorbar(colors, ax=ax, label=panel.scale)
+    rgb = paint(panel)
     ax.imshow(rgb, extent=(x_min, x_max, y_min, y_max))  # row 0, the top one, has the largest y
     ax.set_title(panel.title, fontsize="medium", parse_math=False)
 
