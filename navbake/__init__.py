@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
     from navbake.runtime.path_finder import PathFinder
     from navbake.verifier.verify import verify
+    from navbake.views.viewer.view import view
     from navbake.voxels.grid import VoxelGrid
 
 __all__ = [
@@ -61,6 +62,7 @@ __all__ = [
     "samples",
     "tensors",
     "verify",
+    "view",
 ]
 
 # where each public name is that loads dependencies
@@ -79,6 +81,7 @@ _LAZY = {
     "load": "navbake.formats.navgrid:read_navgrid",
     "load_voxels": "navbake.formats.voxels:read_voxels",
     "verify": "navbake.verifier.verify:verify",
+    "view": "navbake.views.viewer.view:view",
 }
 
 _MODULES = ("samples", "tensors")  # of navbake, loaded when they are first asked for

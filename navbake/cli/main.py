@@ -21,6 +21,7 @@ from navbake.cli.commands.inflate import inflate
 from navbake.cli.commands.map_descriptor import mdf
 from navbake.cli.commands.path import path
 from navbake.cli.commands.scenes import geoms, init, samples
+from navbake.cli.commands.view import view
 from navbake.cli.commands.voxelize import voxelize
 from navbake.cli.commands.warm_up import warm_up
 from navbake.cli.options import prepared
@@ -43,7 +44,7 @@ app = Typer(
 COMMANDS = (
     *(samples, init, geoms, bake),
     *(info, rooms, why, plot, inflate, path, voxelize, mdf, warm_up),
-    *(verify, audit),
+    *(verify, audit, view),
 )
 for command in COMMANDS:
     app.command()(prepared(command))

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.navgrid.cells import Cell
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Float
-from navbake.views.viewer.drawing import Surface
-from navbake.views.viewer.overlay import Carpet
+from navbake.views.viewer.mesh.drawing import Surface
+from navbake.views.viewer.mesh.overlay import Carpet
 
 BELOW = 0.05  # a floor so much over what was clicked is still under it [m]
 
@@ -84,10 +84,10 @@ def pick(
     number = _level_below(grid, place, levels)
     if number is None:
         return None
-    level = grid.levels[number]
-    row, col = (int(v) for v in level.lattice.rows_cols(place))
-    floor = float(level.floor_of(np.array(row), np.array(col)))
-    z = floor if np.isfinite(floor) else level.ground
+    here = grid.levels[number]
+    row, col = (int(v) for v in here.lattice.rows_cols(place))
+    floor = float(here.floor_of(np.array(row), np.array(col)))
+    z = floor if np.isfinite(floor) else here.ground
     return Pick(Cell(number, row, col), (float(place[0]), float(place[1]), z), geom)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.types import Int
-from navbake.views.viewer.drawing import Drawing, Surface
+from navbake.views.viewer.mesh.drawing import Drawing, Surface
 
 CAP_SHADE = 0.35  # light of a cut face, by that of its geom
 
@@ -104,7 +104,8 @@ def _meet(surface: Surface, edges: Int, height: float) -> NDArray[np.float32]:
     share = (height - begin[:, 2]) / (end[:, 2] - begin[:, 2])
     met = begin + share[:, None] * (end - begin)
     met[:, 2] = height
-    return met.astype(np.float32)
+    ends: NDArray[np.float32] = met.astype(np.float32)
+    return ends
 
 
 def _close(surface: Surface, ends: _Ends, solid: NDArray[np.bool_]) -> Surface | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -11,8 +10,9 @@ from numpy.typing import NDArray
 
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.types import Float
-from navbake.views.viewer.glb import Primitive, make_glb
-from navbake.views.viewer.patches import Patches, lay_patches
+from navbake.views.viewer.mesh.glb import Primitive, make_glb
+from navbake.views.viewer.mesh.patches import Patches, lay_patches
+from navbake.views.viewer.mesh.render import write_png
 
 LIFT = 0.012  # by which the grid lies over the floor, so that it is seen [m]
 TILE = 4096  # pixels a side that any browser's textures may have
@@ -59,14 +59,14 @@ def draw_overlay(carpet: Carpet, rgb: NDArray[np.uint8], opacity: float = 1.0) -
         opacity: above 0, up to 1.
     """
     rgba = np.dstack([rgb, np.where(carpet.shown, 255, 0).astype(np.uint8)])
-    primitives, pictures = [], []
+    primitives: list[Primitive] = []
+    pictures: list[bytes] = []
     for rows, cols in _tiles(carpet.level.shape):
         rectangles = _rectangles_in(carpet, rows, cols)
         if not len(rectangles.faces):
             continue
-        more = {"picture": len(pictures), "opacity": opacity, "is_cut_out": True, "is_lit": False}
-        primitives.append(rectangles._replace(**more))
-        pictures.append(_write_png(rgba[rows, cols]))
+        primitives.append(rectangles._replace(picture=len(pictures), opacity=opacity))
+        pictures.append(write_png(rgba[rows, cols]))
     return make_glb(primitives, pictures)
 
 
@@ -94,13 +94,6 @@ def _rectangles_in(carpet: Carpet, rows: slice, cols: slice) -> Primitive:
         np.stack([x, y, z], axis=-1).reshape(-1, 3).astype(np.float32),
         faces,
         uv=np.stack([u, v], axis=-1).reshape(-1, 2).astype(np.float32),
+        is_cut_out=True,
+        is_lit=False,
     )
-
-
-def _write_png(rgba: NDArray[np.uint8]) -> bytes:
-    # loads Pillow, which the command line's start does without
-    from PIL import Image
-
-    content = io.BytesIO()
-    Image.fromarray(rgba).save(content, "PNG", compress_level=1)
-    return content.getvalue()

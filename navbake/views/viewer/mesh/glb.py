@@ -11,8 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-
-
 FLOAT, USHORT, UINT = 5126, 5123, 5125  # glTF's component types
 ARRAY, ELEMENTS = 34962, 34963  # and its kinds of buffers
 NEAREST, MIPMAPS, CLAMP = 9728, 9987, 33071  # how pictures are sampled

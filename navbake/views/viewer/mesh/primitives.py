@@ -1,4 +1,4 @@
-"""The shapes that MuJoCo draws by a few numbers, as triangles: box, sphere, capsule, …"""
+"""The shapes that MuJoCo draws by a few numbers, as triangles: box, sphere, capsule and so on."""
 
 from typing import NamedTuple
 
@@ -110,6 +110,4 @@ def _make_ball(*, is_capsule: bool) -> Shape:
 _BOX = _make_box()
 _SPHERE, _CAPSULE = _make_ball(is_capsule=False), _make_ball(is_capsule=True)
 # edges twice, so that the round side and the flat ends are shaded apart
-_CYLINDER = _turn(
-    np.array([0.0, 1, 1, 1, 1, 0]), np.zeros(6), np.array([1.0, 1, 1, -1, -1, -1])
-)
+_CYLINDER = _turn(np.array([0.0, 1, 1, 1, 1, 0]), np.zeros(6), np.array([1.0, 1, 1, -1, -1, -1]))

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.types import Float
-from navbake.views.viewer.materials import Look, find_looks, read_texture
-from navbake.views.viewer.primitives import (
+from navbake.views.viewer.mesh.materials import Look, find_looks, read_texture
+from navbake.views.viewer.mesh.primitives import (
     BOX,
     CAPSULE,
     CYLINDER,
@@ -23,18 +23,12 @@ from navbake.views.viewer.primitives import (
     shape_of,
 )
 
+if TYPE_CHECKING:
+    from navbake.baker.scene.scene import Scene
+
 SHOWN_GROUPS = 3  # MuJoCo's viewers show the geoms of the groups 0 to 2
 ENDLESS = 1.5  # an endless plane is drawn so much larger than what stands on it
 QUAD = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)
-
-
-class Scene(Protocol):
-    """A compiled scene in its pose, as `navbake.verifier.source.find_source` gives it."""
-
-    id: str
-    model: Any
-    data: Any
-    parts: Mapping[int, Any]
 
 
 class Surface(NamedTuple):
@@ -68,6 +62,7 @@ class Drawing(NamedTuple):
         bounds: lower and upper corner of all, world frame, shape (2, 3) [m].
         names: of each geom as grids name it, by geom id.
         solid: whether a geom is one convex piece, so that a cut through it can be closed.
+        has_hidden: some geoms are drawn only with hidden ones.
     """
 
     surfaces: tuple[Surface, ...]
@@ -75,6 +70,7 @@ class Drawing(NamedTuple):
     bounds: Float
     names: tuple[str, ...]
     solid: NDArray[np.bool_]
+    has_hidden: bool
 
 
 class _Piece(NamedTuple):
@@ -108,7 +104,8 @@ def draw_scene(
     looks = find_looks(model)
     drawn = (looks.rgba[:, 3] > 0) & ~np.isin(np.arange(model.ngeom), list(removed))
     in_groups = drawn & (model.geom_group < SHOWN_GROUPS)
-    if not with_hidden and in_groups.any():
+    has_hidden = bool(in_groups.any() and (drawn & ~in_groups).any())
+    if has_hidden and not with_hidden:
         drawn = in_groups
     pieces = [*_draw_solids(model, data, drawn), *_draw_others(scene, data, looks, drawn)]
     bounds = _bounds_of(pieces)
@@ -119,7 +116,8 @@ def draw_scene(
         one.texture: read_texture(model, one.texture) for one in surfaces if one.texture >= 0
     }
     solid = (model.geom_type >= SPHERE) & (model.geom_type <= BOX)
-    return Drawing(surfaces, textures, _bounds_of(pieces), tuple(name_things(model)), solid)
+    names = tuple(name_things(model))
+    return Drawing(surfaces, textures, _bounds_of(pieces), names, solid, has_hidden)
 
 
 def _draw_solids(model: Any, data: Any, drawn: NDArray[np.bool_]) -> list[_Piece]:
@@ -140,9 +138,7 @@ def _draw_solids(model: Any, data: Any, drawn: NDArray[np.bool_]) -> list[_Piece
     return pieces
 
 
-def _draw_others(
-    scene: Scene, data: Any, looks: Look, drawn: NDArray[np.bool_]
-) -> list[_Piece]:
+def _draw_others(scene: Scene, data: Any, looks: Look, drawn: NDArray[np.bool_]) -> list[_Piece]:
     """Meshes, height fields, and the exact parts of a mesh file."""
     model, pieces = scene.model, []
     for geom in np.flatnonzero(drawn).tolist():
@@ -168,8 +164,8 @@ def _draw_others(
 
 
 def _piece(geom: int, vertices: Float, faces: NDArray[Any]) -> _Piece:
-    owners = (np.full(n, geom, dtype=np.int32) for n in (len(vertices), len(faces)))
-    return _Piece(vertices, faces.astype(np.uint32), *owners)
+    of_vertices, of_faces = (np.full(len(of), geom, np.int32) for of in (vertices, faces))
+    return _Piece(vertices, faces.astype(np.uint32), of_vertices, of_faces)
 
 
 def _mesh_triangles(
@@ -280,7 +276,5 @@ def name_things(model: Any) -> list[str]:
     bodies = {root: name(int(addresses[root]), f"body {root}") for root in set(roots)}
     return [
         bodies[root] if root else name(address, f"geom {geom}")
-        for geom, (root, address) in enumerate(
-            zip(roots, model.name_geomadr.tolist(), strict=True)
-        )
+        for geom, (root, address) in enumerate(zip(roots, model.name_geomadr.tolist(), strict=True))
     ]
