@@ -44,6 +44,7 @@ class Page:
         self._stage = Stage(server)
         self._set_up(exhibit)
         self._stage.place_camera(exhibit.bounds)
+        server.on_client_connect(lambda client: self._stage.fit_camera(client, exhibit.bounds))
         server.scene.on_click()(self._click)
         self._thread = threading.Thread(target=self._work, name="viewer", daemon=True)
         self._thread.start()
@@ -52,6 +53,7 @@ class Page:
         gui = self.server.gui
         gui.set_panel_label(exhibit.grid.scene_id or "navbake")
         self._controls = Controls(gui, exhibit, self.chosen, self.change, self._verify)
+        gui.main_panel.dock_right()  # beside the scene, not over it
 
     def change(self, change: Change) -> None:
         """Change what is chosen, soon; from any thread."""

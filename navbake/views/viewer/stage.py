@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,8 +26,28 @@ MARK = 1 / 180  # radius of a mark, by the diagonal of the grid
 MARK_RADII = 0.06, 0.5  # least and greatest [m]
 GROWN = 0.006  # by which what is lit is larger than it is, so that it is seen [m]
 MOST_NAMES = 250  # names that are written at most, the largest rooms' first
-ELEVATION = math.radians(52)  # of the first camera over the horizon
+ELEVATION = math.radians(58)  # of the first camera over the horizon
 FIELD_OF_VIEW = math.radians(45)
+USUAL_ASPECT = 1.2
+MARGIN = 1.08  # by which the first camera is farther away than the box needs
+
+
+def find_camera(bounds: Float, aspect: float) -> Float:
+    """Where a box fills the page that is looked at from the south and above, shape (3,) [m].
+
+    Args:
+        bounds: lower and upper corner of the box, shape (2, 3) [m].
+        aspect: width of the page by its height.
+    """
+    middle = bounds.mean(axis=0)
+    away = np.array([0.0, -math.cos(ELEVATION), math.sin(ELEVATION)])
+    up = np.array([0.0, math.sin(ELEVATION), math.cos(ELEVATION)])
+    corners = np.array(list(product(*bounds.T))) - middle
+    slope = math.tan(FIELD_OF_VIEW / 2)
+    across, along = np.abs(corners[:, 0]) / (slope * aspect), np.abs(corners @ up) / slope
+    distance = (np.maximum(across, along) + corners @ away).max()
+    place: Float = middle + max(float(distance), 1.0) * MARGIN * away
+    return place
 
 
 class Stage:
@@ -41,16 +62,19 @@ class Stage:
         server.scene.configure_default_lights(cast_shadow=False)
 
     def place_camera(self, bounds: Float) -> None:
-        """Look at a box from the south and above, so that it fills the page."""
-        middle = bounds.mean(axis=0)
-        reach = max(float(np.linalg.norm(bounds[1] - bounds[0])) / 2, 1.0)
-        distance = reach / math.tan(FIELD_OF_VIEW / 2)
-        away = np.array([0.0, -math.cos(ELEVATION), math.sin(ELEVATION)])
+        """Look at a box from the south and above, so that it fills the usual page."""
         camera = self._server.initial_camera
+        place = find_camera(bounds, USUAL_ASPECT)
         camera.fov = FIELD_OF_VIEW
-        camera.near, camera.far = 0.05, 40 * distance
-        camera.look_at = middle
-        camera.position = middle + distance * away
+        camera.near, camera.far = 0.05, 40 * max(float(place[2] - bounds[0, 2]), 1.0)
+        camera.look_at = bounds.mean(axis=0)
+        camera.position = place
+
+    def fit_camera(self, client: viser.ClientHandle, bounds: Float) -> None:
+        """Move the first camera of a page that is narrower than usual."""
+        if client.camera.aspect < USUAL_ASPECT:
+            client.camera.position = find_camera(bounds, client.camera.aspect)
+            client.camera.look_at = bounds.mean(axis=0)
 
     def clear(self) -> None:
         """Take everything away."""

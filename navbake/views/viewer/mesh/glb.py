@@ -17,29 +17,25 @@ NEAREST, MIPMAPS, CLAMP = 9728, 9987, 33071  # how pictures are sampled
 
 
 class Primitive(NamedTuple):
-    """Triangles that are drawn alike.
+    """Triangles that are drawn alike, in their colours as they are.
 
     Attributes:
         vertices: shape (n, 3), world frame [m].
         faces: indices into `vertices`, shape (m, 3).
-        normals: shape (n, 3), where the surface is round; None for flat triangles.
         colors: red, green, blue and opacity of each vertex, 0 to 1, linear light, shape (n, 4).
         uv: place of each vertex on a picture, from its upper left corner, shape (n, 2).
         picture: which of the pictures; None for none.
         opacity: of all of it; below 1, what is behind shines through.
         is_cut_out: parts of the picture are clear, and nothing is drawn there.
-        is_lit: light and shade; else the colours as they are.
     """
 
     vertices: NDArray[np.float32]
     faces: NDArray[np.uint32]
-    normals: NDArray[np.float32] | None = None
     colors: NDArray[np.float32] | None = None
     uv: NDArray[np.float32] | None = None
     picture: int | None = None
     opacity: float = 1.0
     is_cut_out: bool = False
-    is_lit: bool = True
 
 
 def make_glb(primitives: Sequence[Primitive], pictures: Sequence[bytes] = ()) -> bytes:
@@ -111,8 +107,6 @@ class _Writer:
         vertices = np.ascontiguousarray(one.vertices, np.float32)
         bounds = {"min": vertices.min(axis=0).tolist(), "max": vertices.max(axis=0).tolist()}
         attributes = {"POSITION": self._accessor(vertices, FLOAT, "VEC3", **bounds)}
-        if one.normals is not None:
-            attributes["NORMAL"] = self._accessor(one.normals.astype(np.float32), FLOAT, "VEC3")
         if one.colors is not None:
             steps = np.round(np.clip(one.colors, 0, 1) * 65535).astype(np.uint16)
             attributes["COLOR_0"] = self._accessor(steps, USHORT, "VEC4", normalized=True)
@@ -135,4 +129,4 @@ def _material(one: Primitive) -> dict[str, Any]:
     is_clear = one.opacity < 1 or (one.colors is not None and bool((one.colors[:, 3] < 1).any()))
     mode = "BLEND" if is_clear else "MASK" if one.is_cut_out else "OPAQUE"
     material = {"pbrMetallicRoughness": looks, "alphaMode": mode, "doubleSided": True}
-    return material if one.is_lit else {**material, "extensions": {"KHR_materials_unlit": {}}}
+    return {**material, "extensions": {"KHR_materials_unlit": {}}}

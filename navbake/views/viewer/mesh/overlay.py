@@ -95,5 +95,4 @@ def _rectangles_in(carpet: Carpet, rows: slice, cols: slice) -> Primitive:
         faces,
         uv=np.stack([u, v], axis=-1).reshape(-1, 2).astype(np.float32),
         is_cut_out=True,
-        is_lit=False,
     )

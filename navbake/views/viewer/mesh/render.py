@@ -11,22 +11,46 @@ from numpy.typing import NDArray
 from navbake.views.viewer.mesh.drawing import Surface
 from navbake.views.viewer.mesh.glb import Primitive, make_glb
 
+MOST_FLAT = 400_000  # triangles with sharp edges; of more, edges are smooth, which takes less
+LIGHT = 0.12, 0.28, 0.13, 0.74  # from everywhere, and on what faces along x, y and z
+
 
 def write_surfaces(surfaces: Sequence[Surface], textures: Mapping[int, NDArray[np.uint8]]) -> bytes:
     """Write surfaces and the textures that they use as one GLB."""
     used = sorted({one.texture for one in surfaces if one.uv is not None})
-    primitives = [
-        Primitive(
-            one.vertices,
-            one.faces,
-            normals=normals_of(one) if one.is_round else None,
-            colors=one.colors,
-            uv=one.uv,
-            picture=None if one.uv is None else used.index(one.texture),
+    primitives = []
+    for one in surfaces:
+        shaded = shade(one if one.is_round or len(one.faces) > MOST_FLAT else _part(one))
+        picture = None if one.uv is None else used.index(one.texture)
+        primitives.append(
+            Primitive(shaded.vertices, shaded.faces, shaded.colors, shaded.uv, picture)
         )
-        for one in surfaces
-    ]
     return make_glb(primitives, [write_png(textures[number]) for number in used])
+
+
+def shade(surface: Surface) -> Surface:
+    """A surface with light and shade in its colours.
+
+    The light comes from above, from the south-west and, weaker, from the south; both sides of a
+    triangle are alike. So a browser has only colours to draw, which it does smoothly without a
+    graphics card, too.
+    """
+    facing = np.abs(normals_of(surface))
+    share = LIGHT[0] + facing @ np.array(LIGHT[1:], dtype=np.float32)
+    colors = surface.colors.copy()
+    colors[:, :3] *= share[:, None]
+    return surface._replace(colors=colors)
+
+
+def _part(surface: Surface) -> Surface:
+    """The same triangles with corners of their own, so that edges between them are sharp."""
+    corners = surface.faces.ravel()
+    return surface._replace(
+        vertices=surface.vertices[corners],
+        faces=np.arange(len(corners), dtype=np.uint32).reshape(-1, 3),
+        colors=surface.colors[corners],
+        uv=None if surface.uv is None else surface.uv[corners],
+    )
 
 
 def normals_of(surface: Surface) -> NDArray[np.float32]:
