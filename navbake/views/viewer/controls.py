@@ -121,7 +121,7 @@ class Controls:
 
     def _add_click(self, chosen: Choices) -> None:
         gui, add = self._gui, self._handles
-        with self._folder("A click"):
+        with self._folder("Click"):
             add["click"] = gui.add_dropdown("A click", CLICKS, initial_value=chosen.click)
             self._on(add["click"], lambda does: lambda now: replace(now, click=does))
             add["told"] = gui.add_markdown("")
@@ -205,7 +205,7 @@ class Controls:
         as_it_is = replace(chosen, doors=(), inflation=None)
         at["free"].content = texts.say_counts(exhibit.count(chosen), exhibit.count(as_it_is))
         panels = [exhibit.panel(chosen, number) for number in chosen.levels]
-        at["legend"].content = texts.write_legend(panels[-1]) if panels else ""
+        at["legend"].content = texts.write_legend(panels)
         asks = chosen.layer == DISAGREEMENTS
         at["verify"].visible = asks
         at["verified"].visible = asks and exhibit.report is not None

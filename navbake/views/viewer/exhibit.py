@@ -15,7 +15,7 @@ from navbake.runtime.paths.path import Path
 from navbake.types import Float, Json
 from navbake.views.layers import DISAGREEMENTS, LAYERS, make_panel
 from navbake.views.panel import Panel, paint
-from navbake.views.viewer.choices import Choices
+from navbake.views.viewer.choices import CUT_OVER, Choices
 from navbake.views.viewer.mesh.cut import cut_drawing
 from navbake.views.viewer.mesh.drawing import Drawing, Surface, draw_scene
 from navbake.views.viewer.mesh.overlay import draw_overlay, lay_carpet
@@ -111,11 +111,14 @@ class Exhibit:
 
     @property
     def bounds(self) -> Float:
-        """Lower and upper corner of the grid's levels, world frame, shape (2, 3) [m]."""
+        """Lower and upper corner of what is looked into, world frame, shape (2, 3) [m].
+
+        It reaches from the lowest ground up to where the scene is cut over the highest.
+        """
         corners = np.array([level.lattice.bounds for level in self.grid.levels])
         grounds = [level.ground for level in self.grid.levels]
         low, high = corners[:, :2].min(axis=0), corners[:, 2:].max(axis=0)
-        return np.array([[*low, min(grounds)], [*high, max(grounds)]])
+        return np.array([[*low, min(grounds)], [*high, max(grounds) + CUT_OVER]])
 
     def shown_grid(self, chosen: Choices) -> NavGrid:
         """The grid with its doors as chosen, inflated as chosen."""
@@ -160,6 +163,16 @@ class Exhibit:
             key,
             lambda: (panel, draw_overlay(self.carpets[number], paint(panel), chosen.opacity)),
         )[1]
+
+    def is_covered(self, chosen: Choices, number: int, place: tuple[float, float, float]) -> bool:
+        """Whether a place on a level lies below the floor of a higher level that is shown."""
+        for other in (self.grid.levels[k] for k in chosen.levels if k > number):
+            row, col = (int(v) for v in other.lattice.rows_cols(place))
+            if 0 <= row < other.height and 0 <= col < other.width:
+                floor = float(other.floor_of(np.array(row), np.array(col)))
+                if floor > place[2] + self.grid.max_step:
+                    return True
+        return False
 
     def drawing(self, chosen: Choices) -> Drawing | None:
         """The scene as triangles, its doors as chosen; None without a scene."""

@@ -139,6 +139,8 @@ class Stage:
                 inside = 0 <= row < level.height and 0 <= col < level.width
                 floor = float(level.floor_of(np.array(row), np.array(col))) if inside else math.nan
                 z = floor if math.isfinite(floor) else level.ground
+                if exhibit.is_covered(chosen, number, (label.x, label.y, z)):
+                    continue
                 names.append((-label.width, label.text, (label.x, label.y, z + 0.1)))
         chosen_names = sorted(names)[:MOST_NAMES]
         self._replace(

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import html
 import re
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
+from navbake.views.color_scale import ColorScale
 from navbake.views.panel import Panel
 from navbake.views.viewer.choices import Choices
 from navbake.views.viewer.exhibit import Counts, Route, Told
@@ -19,6 +21,7 @@ MARKED = re.compile(r"([\\`*_{}\[\]<>()#+!|~.-])")
 HINT_INSPECT = "Click a cell or a thing to read about it."
 HINT_START, HINT_GOAL = "Click where the path starts.", "Click where it goes to."
 NAMES_SHOWN = 6
+SCALES_SHOWN = 3
 CHANGED = "Files have changed: baking again…"
 
 
@@ -112,33 +115,41 @@ def _code(name: str) -> str:
     return name.replace("`", "'").replace("|", "\\|").replace("\n", " ")
 
 
-def write_legend(panel: Panel) -> str:
-    """The legend of a layer: its colours, and the scale of its values."""
-    parts = []
-    scale = panel.scale
-    if scale is not None:
-        stops = ", ".join(f"{color} {100 * place:.1f}%" for place, color in scale.stops)
-        ticks = "".join(
-            f'<span style="position:absolute;left:{100 * tick.position:.1f}%;'
-            f'transform:translateX(-{100 * tick.position:.0f}%)">{html.escape(tick.text)}</span>'
-            for tick in scale.ticks
-        )
-        parts.append(
-            f'<div style="margin-bottom:2px">{html.escape(scale.label)}</div>'
-            f'<div style="height:10px;border-radius:2px;'
-            f'background:linear-gradient(to right, {stops})"></div>'
-            f'<div style="position:relative;height:16px">{ticks}</div>'
-        )
+def write_legend(panels: Sequence[Panel]) -> str:
+    """The legend of a layer's levels: their scales of values, and what colours mean.
+
+    Levels have scales of their own; those of the highest levels are written.
+    """
+    scales = [(panel.title, panel.scale) for panel in panels[::-1] if panel.scale is not None]
+    parts = [
+        _write_scale(scale, title if scales[1:] else scale.label)
+        for title, scale in scales[:SCALES_SHOWN]
+    ]
+    meanings = dict(entry for panel in panels for entry in panel.legend)
     swatches = "".join(
         f'<span style="display:inline-flex;align-items:center;margin-right:10px">'
         f'<span style="width:11px;height:11px;border-radius:2px;margin-right:5px;'
         f'border:1px solid rgba(128,128,128,.6);background:{color}"></span>'
         f"{html.escape(meaning)}</span>"
-        for meaning, color in panel.legend
+        for meaning, color in meanings.items()
     )
-    parts.append(f"<div>{swatches}</div>")
-    body = "".join(parts)
+    body = "".join([*parts, f"<div>{swatches}</div>"])
     return f'<div style="font-size:12px;line-height:1.5;padding:2px 12px 6px">{body}</div>'
+
+
+def _write_scale(scale: ColorScale, title: str) -> str:
+    stops = ", ".join(f"{color} {100 * place:.1f}%" for place, color in scale.stops)
+    ticks = "".join(
+        f'<span style="position:absolute;left:{100 * tick.position:.1f}%;'
+        f'transform:translateX(-{100 * tick.position:.0f}%)">{html.escape(tick.text)}</span>'
+        for tick in scale.ticks
+    )
+    return (
+        f'<div style="margin-bottom:2px">{html.escape(title)}</div>'
+        f'<div style="height:10px;border-radius:2px;'
+        f'background:linear-gradient(to right, {stops})"></div>'
+        f'<div style="position:relative;height:18px">{ticks}</div>'
+    )
 
 
 def say_report(report: VerifyReport) -> str:

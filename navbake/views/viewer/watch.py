@@ -29,7 +29,7 @@ def find_files(paths: Iterable[Path]) -> list[Path]:
     folders: dict[str, None] = {"": None}
     named: list[tuple[Path, str]] = []
     while waiting:
-        path, home = waiting.pop()
+        path, home = waiting.pop(0)
         if path in found:
             continue
         found[path] = None

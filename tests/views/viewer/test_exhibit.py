@@ -54,7 +54,7 @@ def test_a_path_follows_two_clicks(room, chosen):
     np.testing.assert_array_equal(route.path.positions, expected.positions)
     assert f"{expected.length:.2f}".replace(".", "\\.") in texts.say_route(now, route)
     # too wide for the opening: the reason is the finder's
-    wide = replace(now, inflation=(0.45, 0.0))
+    wide = replace(now, inflation=(0.9, 0.0))
     assert room.route(wide).path is None
     assert "No path" in texts.say_route(wide, room.route(wide))
     # the third click begins again
@@ -63,7 +63,7 @@ def test_a_path_follows_two_clicks(room, chosen):
 
 
 def test_a_cell_tells_what_blocks_it_and_that_is_lit(room, chosen):
-    told = room.tell(replace(chosen, inspected=at(room, 1.02, 0.52, geom=2)))
+    told = room.tell(replace(chosen, inspected=at(room, 1.02, 0.52, geom=4)))
     assert told.facts == room.grid.describe_cell(1.02, 0.52, 0)
     assert told.clicked == "table"
     text = texts.say_cell(told, None)
@@ -100,8 +100,9 @@ def test_a_verification_fills_its_layer(room, chosen):
         Exhibit(room.grid).verify()
 
 
+@pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
 def test_a_level_is_looked_into_from_over_its_ground():
-    grid = navbake.bake(str(navbake.samples.path("house")))
+    grid = navbake.bake(navbake.samples.path("house"))
     chosen = first_choices(grid)
     assert chosen.levels == (0, 1)
     one = chosen.with_level(grid, 0)
@@ -109,10 +110,10 @@ def test_a_level_is_looked_into_from_over_its_ground():
     assert one.with_level(grid, None) == chosen
 
 
+@pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
 def test_doors_move_in_grid_and_scene():
-    exhibit = make_exhibit(
-        navbake.bake(str(navbake.samples.path("apartment"))), navbake.samples.path("apartment")
-    )
+    apartment = navbake.samples.path("apartment")
+    exhibit = make_exhibit(navbake.bake(apartment), apartment)
     chosen, door = first_choices(exhibit.grid), exhibit.grid.doors[0]
     closed = chosen.with_door(exhibit.grid, [door.id], "closed")
     gone = chosen.with_door(exhibit.grid, [door.id], "removed")
@@ -132,18 +133,18 @@ def test_doors_move_in_grid_and_scene():
     assert closed.with_door(exhibit.grid, [door.id], door.state) == chosen
 
 
+@pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
 def test_choices_outlive_another_bake_as_far_as_it_has_them(room, chosen):
     now = replace(
         chosen, levels=(0, 3), doors=(("gone", "open"),), layer="rooms",
-        inspected=at(room, 1.0, 1.0, geom=2), start=at(room, -1.5, 1),
+        inspected=at(room, 1.0, 1.0, geom=4), start=at(room, -1.5, 1),
         click=INSPECT,
     )  # fmt: skip
     kept = keep_choices(now, room.grid)
     assert kept.levels == (0,) and kept.doors == () and kept.layer == "rooms"
     assert kept.inspected.cell == now.inspected.cell and kept.inspected.geom is None
-    small = navbake.bake(
-        {"scene": {"path": str(navbake.samples.path("apartment"))}, "grid": {"cell_size": 0.5}}
-    )
+    apartment = navbake.samples.path("apartment")
+    small = navbake.bake(apartment, grid={"cell_size": 0.5})
     far = replace(now, inspected=now.inspected._replace(position=(99.0, 99.0, 0.0)))
     assert keep_choices(far, small).inspected is None
 

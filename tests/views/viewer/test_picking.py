@@ -48,7 +48,8 @@ def test_what_is_not_drawn_is_not_clicked(room):
 
 
 def test_rays_meet_what_mujoco_says_they_meet(room):
-    model = mujoco.MjModel.from_xml_path(str(navbake.samples.path("apartment")))
+    scene = navbake.samples.path("apartment").parent / "scenes" / "apartment.xml"
+    model = mujoco.MjModel.from_xml_path(str(scene))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     grid = navbake.bake(model, grid={"cell_size": 0.2})
@@ -75,10 +76,10 @@ def test_rays_meet_what_mujoco_says_they_meet(room):
     assert met > 20
 
 
+@pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
 def test_of_two_storeys_the_one_below_the_click_counts():
-    exhibit = make_exhibit(
-        navbake.bake(str(navbake.samples.path("house"))), navbake.samples.path("house")
-    )
+    house = navbake.samples.path("house")
+    exhibit = make_exhibit(navbake.bake(house), house)
     grid = exhibit.grid
     upper, lower = grid.levels[1], grid.levels[0]
     floors = np.argwhere((np.abs(upper.floor - upper.ground) < 0.01)[: lower.height, : lower.width])

@@ -15,6 +15,7 @@ from navbake.views.viewer.mesh.patches import Patches, lay_patches
 from navbake.views.viewer.mesh.render import write_png
 
 LIFT = 0.012  # by which the grid lies over the floor, so that it is seen [m]
+OVERLAP = 0.002  # of a cell, by which patches overlap: none shows through between them
 TILE = 4096  # pixels a side that any browser's textures may have
 
 
@@ -81,8 +82,8 @@ def _rectangles_in(carpet: Carpet, rows: slice, cols: slice) -> Primitive:
     patches, lattice = carpet.patches, carpet.level.lattice
     inside = (patches.rows[:, 0] >= rows.start) & (patches.rows[:, 0] < rows.stop)
     inside &= (patches.cols[:, 0] >= cols.start) & (patches.cols[:, 0] < cols.stop)
-    row = patches.rows[inside][:, [1, 1, 0, 0]]  # counter-clockwise from above
-    col = patches.cols[inside][:, [0, 1, 1, 0]]
+    row, col = (ends[inside] + [-OVERLAP, OVERLAP] for ends in (patches.rows, patches.cols))
+    row, col = row[:, [1, 1, 0, 0]], col[:, [0, 1, 1, 0]]  # counter-clockwise from above
     x: Float = lattice.x_min + col * lattice.cell_size
     y: Float = lattice.y_max - row * lattice.cell_size
     z = np.broadcast_to(patches.z[inside][:, None] + carpet.lift, x.shape)

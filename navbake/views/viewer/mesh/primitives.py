@@ -88,8 +88,10 @@ def _turn(radius: Float, z: Float, end: Float) -> Shape:
     row, col = np.mgrid[: len(radius) - 1, :SEGMENTS]
     right = (col + 1) % SEGMENTS
     corners = (row, col), (row + 1, col), (row + 1, right), (row, right)
+    line = np.stack([radius, z, end])
+    is_same = (line[:, 1:] == line[:, :-1]).all(axis=0)  # two rows at one place
     quads = np.stack([(a * SEGMENTS + b).ravel() for a, b in corners], axis=1)
-    faces = _halve(quads)
+    faces = _halve(quads[~np.repeat(is_same, SEGMENTS)])
     ends = faces // SEGMENTS
     # at a pole, one of the two triangles has no area
     flat = (radius[ends] == 0).sum(axis=1) > 1

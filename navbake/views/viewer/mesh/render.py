@@ -12,7 +12,7 @@ from navbake.views.viewer.mesh.drawing import Surface
 from navbake.views.viewer.mesh.glb import Primitive, make_glb
 
 MOST_FLAT = 400_000  # triangles with sharp edges; of more, edges are smooth, which takes less
-LIGHT = 0.12, 0.28, 0.13, 0.74  # from everywhere, and on what faces along x, y and z
+LIGHT = 0.2, 0.3, 0.16, 0.8  # from everywhere, and on what faces along x, y and z
 
 
 def write_surfaces(surfaces: Sequence[Surface], textures: Mapping[int, NDArray[np.uint8]]) -> bytes:

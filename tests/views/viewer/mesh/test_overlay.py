@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -16,6 +16,7 @@ from navbake.views.viewer.mesh.patches import FLAT, lay_patches
 from viewer_scenes import room_exhibit
 
 
+@settings(deadline=None, max_examples=40)
 @given(st.integers(0, 2**32), st.integers(1, 300), st.integers(1, 300), st.integers(0, 4))
 def test_each_cell_with_a_floor_is_covered_once_at_its_height(seed, height, width, kind):
     rng = np.random.default_rng(seed)
