@@ -168,9 +168,7 @@ def test_a_grid_without_its_scene_is_shown_alone(room, tmp_path):
 
 def test_names_from_files_are_text_on_the_page():
     assert texts.plain("a_b *c* <img src=x>") == r"a\_b \*c\* \<img src=x\>"
-    legend = texts.write_legend(
-        room_exhibit()
-        .panel(first_choices(room_exhibit().grid), 0)
-        ._replace(legend=(("<b>bold</b>", "#ffffff"),))
-    )
+    exhibit = room_exhibit()
+    panel = exhibit.panel(first_choices(exhibit.grid), 0)
+    legend = texts.write_legend([panel._replace(legend=(("<b>bold</b>", "#ffffff"),))])
     assert "<b>" not in legend
