@@ -8,6 +8,7 @@ import pytest
 import navbake
 from navbake.errors import QueryError
 from navbake.views.layers import DISAGREEMENTS
+from navbake.views.panel import Panel
 from navbake.views.viewer import texts
 from navbake.views.viewer.choices import INSPECT, ROUTE, first_choices, keep_choices
 from navbake.views.viewer.exhibit import Exhibit
@@ -145,7 +146,7 @@ def test_choices_outlive_another_bake_as_far_as_it_has_them(room, chosen):
     assert kept.inspected.cell == now.inspected.cell and kept.inspected.geom is None
     apartment = navbake.samples.path("apartment")
     small = navbake.bake(apartment, grid={"cell_size": 0.5})
-    far = replace(now, inspected=now.inspected._replace(position=(99.0, 99.0, 0.0)))
+    far = replace(now, inspected=Pick(now.inspected.cell, (99.0, 99.0, 0.0), None))
     assert keep_choices(far, small).inspected is None
 
 
@@ -168,7 +169,6 @@ def test_a_grid_without_its_scene_is_shown_alone(room, tmp_path):
 
 def test_names_from_files_are_text_on_the_page():
     assert texts.plain("a_b *c* <img src=x>") == r"a\_b \*c\* \<img src=x\>"
-    exhibit = room_exhibit()
-    panel = exhibit.panel(first_choices(exhibit.grid), 0)
-    legend = texts.write_legend([panel._replace(legend=(("<b>bold</b>", "#ffffff"),))])
+    panel = Panel("room", np.zeros((1, 1, 3), np.uint8), legend=(("<b>bold</b>", "#ffffff"),))
+    legend = texts.write_legend([panel])
     assert "<b>" not in legend

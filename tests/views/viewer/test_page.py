@@ -76,7 +76,7 @@ def test_two_clicks_make_a_path(shown):
     page.wait_for("Click where the path starts.", PATIENCE)
     page.click_at(0.3, 0.4)
     page.wait_for(HINT_GOAL, PATIENCE)
-    page.click_at(0.7, 0.4)
+    page.click_at(0.75, 0.7)
     text = page.wait_for("cost", PATIENCE)
     length = float(re.search(r"([\d.]+) m, cost", text).group(1))
     assert 0.5 < length < 6

@@ -16,13 +16,14 @@ from navbake.views.viewer.mesh.drawing import Drawing, Surface, draw_scene
 HEIGHTS = st.floats(-3, 3, width=32)
 
 
-def surface_of(corners, geom=None):
+def surface_of(corners, uv=None):
     count = len(corners)
     return Surface(
         corners.reshape(-1, 3).astype(np.float32),
         np.arange(3 * count, dtype=np.uint32).reshape(-1, 3),
-        np.zeros(count, np.int32) if geom is None else geom,
+        np.zeros(count, np.int32),
         np.ones((3 * count, 4), np.float32),
+        uv,
     )
 
 
@@ -87,7 +88,7 @@ def test_a_cut_solid_is_closed(height):
 
 def test_uv_go_along():
     corners = np.array([[[0, 0, 0], [1, 0, 0], [0, 0, 2]]], dtype=np.float32)
-    surface = surface_of(corners)._replace(uv=np.array([[0, 0], [1, 0], [0, 1]], dtype=np.float32))
+    surface = surface_of(corners, np.array([[0, 0], [1, 0], [0, 1]], dtype=np.float32))
     (left,) = cut_drawing(drawing_of(surface, solid=False), 1.0)
     at_cut = left.vertices[:, 2] == 1.0
     np.testing.assert_allclose(left.uv[at_cut, 1], 0.5)
