@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
     from navbake.runtime.path_finder import PathFinder
     from navbake.verifier.verify import verify
+    from navbake.views.report.report import write_report as report
     from navbake.views.viewer.view import view
     from navbake.voxels.grid import VoxelGrid
 
@@ -59,6 +60,7 @@ __all__ = [
     "create_voxel_grid",
     "load",
     "load_voxels",
+    "report",
     "samples",
     "tensors",
     "verify",
@@ -80,6 +82,7 @@ _LAZY = {
     "create_voxel_grid": "navbake.baker.voxelize.voxelizer:create_voxel_grid",
     "load": "navbake.formats.navgrid:read_navgrid",
     "load_voxels": "navbake.formats.voxels:read_voxels",
+    "report": "navbake.views.report.report:write_report",
     "verify": "navbake.verifier.verify:verify",
     "view": "navbake.views.viewer.view:view",
 }

@@ -1,0 +1,227 @@
+"""What differs between two grids: cell by cell, and in their rooms, doors and settings."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.rooms import Room
+from navbake.types import Bool, Float, Int, Json
+from navbake.views.report.tables import flatten
+
+MOST_APART = 1.5  # of the grounds of two levels that are taken for the same storey [m]
+SAME_FLOOR = 1e-3  # by how much floors differ that are taken for the same [m]
+
+# what became of a cell, in the order of what a reader wants to know first
+CHANGES = (
+    "became free",
+    "became blocked",
+    "floor moved",
+    "other room",
+    "other weight",
+    "only in the first",
+    "only in the second",
+)
+ALIKE = ("free in both", "blocked in both", "no floor in both")
+
+
+class LevelDifference(NamedTuple):
+    """How a level of the first grid and one of the second differ.
+
+    Attributes:
+        first, second: their numbers.
+        lattice: the cells of the first one's lattice that cover both.
+        change: what became of each cell: the number of its entry in `CHANGES` + `ALIKE`, uint8.
+        rooms: pairs of rooms that are the same, and their intersection over union.
+    """
+
+    first: int
+    second: int
+    lattice: Lattice
+    change: NDArray[np.uint8]
+    rooms: list[tuple[int, int, float]]
+
+    def counts(self) -> dict[str, int]:
+        """Cells by what became of them, for the changes that there are."""
+        count = np.bincount(self.change.ravel(), minlength=len(CHANGES))
+        return {name: int(count[i]) for i, name in enumerate(CHANGES) if count[i]}
+
+
+def match_levels(first: NavGrid, second: NavGrid) -> list[tuple[int, int]]:
+    """Pair the levels of two grids whose grounds are the nearest, at most `MOST_APART` apart."""
+    apart = [
+        (abs(one.ground - other.ground), i, j)
+        for i, one in enumerate(first.levels)
+        for j, other in enumerate(second.levels)
+    ]
+    pairs: list[tuple[int, int]] = []
+    for distance, i, j in sorted(apart):
+        taken = any(i == a or j == b for a, b in pairs)
+        if distance <= MOST_APART and not taken:
+            pairs.append((i, j))
+    return sorted(pairs)
+
+
+def compare_levels(
+    first: SceneGrid2D, second: SceneGrid2D, pair: tuple[int, int]
+) -> LevelDifference:
+    """Compare two levels at the centres of the first one's cells.
+
+    Its lattice goes on beyond its edges as far as the second one reaches. So grids with cells of
+    the same size that lie on each other are compared cell by cell, and others by the cell of the
+    second that holds the centre.
+    """
+    lattice = _cover_both(first.lattice, second.lattice)
+    one, other = _Sampled.of(first, lattice), _Sampled.of(second, lattice)
+    rooms = _match_rooms(one.room, other.room)
+    same_room = np.zeros(
+        (int(one.room.max(initial=0)) + 1, int(other.room.max(initial=0)) + 1), bool
+    )
+    same_room[0, 0] = True
+    for a, b, _ in rooms:
+        same_room[a, b] = True
+    # NaN, no floor, differs from every height, and not from itself
+    moved = ~(np.abs(one.floor - other.floor) <= SAME_FLOOR)
+    moved &= ~(np.isnan(one.floor) & np.isnan(other.floor))
+    happened = (
+        other.free & ~one.free & one.there,
+        one.free & ~other.free & other.there,
+        moved & one.there & other.there,
+        ~same_room[one.room, other.room] & one.there & other.there,
+        (one.weight != other.weight) & one.there & other.there,
+        one.there & ~other.there & one.holds_anything,
+        other.there & ~one.there & other.holds_anything,
+        one.free,
+        ~np.isnan(one.floor),
+    )
+    change = np.full(lattice.shape, len(CHANGES) + len(ALIKE) - 1, dtype=np.uint8)
+    for number, mask in reversed(list(enumerate(happened))):
+        change[mask] = number
+    return LevelDifference(*pair, lattice, change, rooms)
+
+
+class _Sampled(NamedTuple):
+    """A level at the centres of a lattice's cells; arrays of the lattice's shape."""
+
+    there: Bool  # whether the level has a cell there
+    free: Bool
+    floor: Float  # world z [m], NaN for none
+    room: Int
+    weight: Float
+
+    @property
+    def holds_anything(self) -> Bool:
+        return np.asarray(self.free | ~np.isnan(self.floor))
+
+    @classmethod
+    def of(cls, level: SceneGrid2D, lattice: Lattice) -> _Sampled:
+        own = level.lattice
+        rows = np.floor((own.y_max - lattice.center_y()) / own.cell_size).astype(np.int64)
+        cols = np.floor((lattice.center_x() - own.x_min) / own.cell_size).astype(np.int64)
+        inside = ((rows >= 0) & (rows < own.height))[:, None] & ((cols >= 0) & (cols < own.width))
+        at = np.ix_(np.clip(rows, 0, own.height - 1), np.clip(cols, 0, own.width - 1))
+        return cls(
+            there=inside,
+            free=level.free[at] & inside,
+            floor=np.where(inside, level.floor[at], np.nan),
+            room=np.where(inside, level.room_index[at].astype(np.int64), 0),
+            weight=np.where(inside, level.weights[at].astype(np.float64), np.inf),
+        )
+
+
+def _cover_both(lattice: Lattice, other: Lattice) -> Lattice:
+    """The cells of a lattice, and as many more beside them as cover another one, too."""
+    x0, y0, x1, y1 = other.bounds
+    size = lattice.cell_size
+    slack = 1e-6 * size  # of what lies on an edge but for rounding
+    left = max(0, int(np.ceil((lattice.x_min - x0 - slack) / size)))
+    top = max(0, int(np.ceil((y1 - lattice.y_max - slack) / size)))
+    right = max(0, int(np.ceil((x1 - lattice.bounds[2] - slack) / size)))
+    bottom = max(0, int(np.ceil((lattice.bounds[1] - y0 - slack) / size)))
+    return Lattice(
+        lattice.x_min - left * size,
+        lattice.y_max + top * size,
+        size,
+        lattice.width + left + right,
+        lattice.height + top + bottom,
+    )
+
+
+def _match_rooms(one: Int, other: Int) -> list[tuple[int, int, float]]:
+    """Pair rooms each of which overlaps the other the most, with intersection over union."""
+    num_one, num_other = int(one.max(initial=0)) + 1, int(other.max(initial=0)) + 1
+    codes, counts = np.unique(one * num_other + other, return_counts=True)
+    cells_one = np.bincount(one.ravel(), minlength=num_one)
+    cells_other = np.bincount(other.ravel(), minlength=num_other)
+    overlaps = []
+    for code, count in zip(codes.tolist(), counts.tolist(), strict=True):
+        a, b = divmod(code, num_other)
+        if a and b:
+            share = count / (int(cells_one[a]) + int(cells_other[b]) - count)
+            overlaps.append((share, a, b))
+    best_of_one: dict[int, tuple[float, int]] = {}
+    best_of_other: dict[int, tuple[float, int]] = {}
+    for share, a, b in sorted(overlaps, key=lambda found: (found[0], -found[1], -found[2])):
+        best_of_one[a], best_of_other[b] = (share, b), (share, a)
+    return sorted(
+        (a, b, share) for a, (share, b) in best_of_one.items() if best_of_other[b][1] == a
+    )
+
+
+def list_rooms(first: NavGrid, second: NavGrid, levels: list[LevelDifference]) -> list[Json]:
+    """The rooms that changed: ``what``, and the first and the second one's names and areas."""
+    rows = []
+    rooms = [{(room.level, room.index): room for room in grid.rooms} for grid in (first, second)]
+    for level in levels:
+        for a, b, share in level.rooms:
+            one = rooms[0].pop((level.first, a), None)
+            other = rooms[1].pop((level.second, b), None)
+            if one is None or other is None:
+                continue
+            changed = "" if share == 1 else f"{share:.1%} of their cells are common"
+            renamed = "" if one.name == other.name else "renamed"
+            if changed or renamed:
+                what = "; ".join(part for part in (renamed, changed) if part)
+                rows.append(_room_row(what, one, other))
+    rows += [_room_row("only in the first", room, None) for room in rooms[0].values()]
+    rows += [_room_row("only in the second", None, room) for room in rooms[1].values()]
+    return rows
+
+
+def _room_row(what: str, one: Room | None, other: Room | None) -> Json:
+    def shown(room: Room | None) -> str:
+        return "" if room is None else f"{room.name or room.id}, {room.area:.2f} m²"
+
+    return {"what": what, "first": shown(one), "second": shown(other)}
+
+
+def list_doors(first: NavGrid, second: NavGrid) -> list[Json]:
+    """The doors that only one of two grids has, or that are in another state."""
+    states = [{door.id: door.state for door in grid.doors} for grid in (first, second)]
+    return [
+        {"what": name, "first": states[0].get(name, ""), "second": states[1].get(name, "")}
+        for name in sorted(states[0].keys() | states[1].keys())
+        if states[0].get(name) != states[1].get(name)
+    ]
+
+
+def list_settings(first: NavGrid, second: NavGrid) -> list[Json]:
+    """The settings and digests that differ, by their path in the metadata."""
+    values = [dict(flatten(_settings_of(grid))) for grid in (first, second)]
+    return [
+        {"what": key, "first": values[0].get(key, ""), "second": values[1].get(key, "")}
+        for key in sorted(values[0].keys() | values[1].keys())
+        if values[0].get(key) != values[1].get(key)
+    ]
+
+
+def _settings_of(grid: NavGrid) -> Json:
+    own: Json = {
+        key: grid.navbake[key] for key in ("settings", "sceneDigest") if key in grid.navbake
+    }
+    facts = {"cellSize": grid.cell_size * grid.unit, "agentRadius": grid.agent_radius}
+    return {**own, **facts, "inflation": grid.metadata.get("inflation")}

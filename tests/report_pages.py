@@ -1,0 +1,41 @@
+"""Reads what a report's page holds, by Python: the script of the page has its own reader."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import zlib
+from base64 import b64decode
+
+import numpy as np
+from PIL import Image
+
+CONTENT = re.compile(rb'<script type="application/json" id="content">(.*?)</script>', re.DOTALL)
+
+
+def content_of(page):
+    """What a page shows."""
+    [found] = CONTENT.findall(page)
+    return json.loads(found)
+
+
+def text_of(packed):
+    """Undo `packing.to_text`."""
+    return zlib.decompress(b64decode(packed))
+
+
+def unpack(packed, shape):
+    """Undo `packing.pack`."""
+    planes = np.frombuffer(text_of(packed["data"]), dtype=np.uint8).reshape(packed["bytes"], -1)
+    values = sum(plane.astype(np.int64) << 8 * i for i, plane in enumerate(planes)).reshape(shape)
+    limit = 1 << 8 * packed["bytes"]
+    if packed["deltas"]:
+        values = np.cumsum(values, axis=1) % limit
+    return np.where(values == limit - 1, -1, values)
+
+
+def picture_of(layer):
+    """A layer's picture, shape (rows, cols, 3), uint8."""
+    data = layer["png"].removeprefix("data:image/png;base64,")
+    return np.asarray(Image.open(io.BytesIO(b64decode(data))).convert("RGB"))

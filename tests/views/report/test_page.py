@@ -1,0 +1,135 @@
+"""The page in a browser: it shows what the grid holds, asks for nothing, and nothing fails."""
+
+from __future__ import annotations
+
+import pytest
+
+import navbake
+from browser import errors_of, needs_browser, open_browser, requests_of, strangers_of, wait_until
+from navbake.auditor.audit import audit
+from navbake.views.report.report import write_report
+from project_paths import ROOT
+
+POINT = """
+  const box = canvas.getBoundingClientRect(), [px, py] = toPixels(arguments[0], arguments[1]);
+  const at = { clientX: box.left + px, clientY: box.top + py };
+  canvas.dispatchEvent(new PointerEvent("pointermove", at));
+"""
+# the colour of the canvas where a world position is, without the pointer's cross
+LOOK = """
+  state.pointed = null;
+  draw();
+  const [px, py] = toPixels(arguments[0], arguments[1]), ratio = window.devicePixelRatio || 1;
+  return [...pen.getImageData(px * ratio, py * ratio, 1, 1).data].slice(0, 3);
+"""
+
+
+@pytest.fixture(scope="module")
+def house():
+    return navbake.bake(ROOT / "configs" / "house.yaml")
+
+
+@pytest.fixture(scope="module")
+def page(house, tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    wider = house.inflate(0.4)
+    write_report([house, wider], path, names=["house", "wider"], audits=[audit(house), None])
+    return path
+
+
+def press(driver, box, text):
+    [button] = [b for b in driver.find_elements("css selector", f"#{box} button") if b.text == text]
+    button.click()
+    wait_until(lambda: driver.execute_script("return pictureOf(layer()).complete"), "the picture")
+
+
+def told(driver, x, y):
+    driver.execute_script(POINT, x, y)
+    return driver.find_element("id", "pointed").text
+
+
+@needs_browser
+@pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True)])
+def test_a_reader_looks_at_two_grids(page, house, width, dark):
+    with open_browser(width, 900, dark=dark) as driver:
+        driver.get(page.as_uri())
+        wait_until(lambda: driver.execute_script("return Boolean(level().unpacked)"), "the cells")
+        assert driver.title == "house, wider"
+        # nothing is wider than the page
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= width
+        for number, level in enumerate(house.levels):
+            press(driver, "levels", house.level_names[number])
+            wait_until(lambda: driver.execute_script("return Boolean(level().unpacked)"), "cells")
+            cell = house.describe_cell(*at_blocked(house, number), number)
+            words = told(driver, *cell["center"])
+            assert f"row {cell['row']}, col {cell['col']}, cell {cell['cell']}" in words
+            assert "blocked" in words
+            assert all(name in words for name in cell["blockers"])
+            free = house.describe_cell(*at_free(level), number)
+            words = told(driver, *free["center"])
+            assert f"floor {free['floor']:.3f} m, free" in words
+        colors = {}
+        for layer in ("occupancy", "rooms", "clearance"):
+            press(driver, "layers", layer)
+            colors[layer] = tuple(driver.execute_script(LOOK, *free["center"]))
+        assert len(set(colors.values())) == 3
+        press(driver, "grids", "difference")
+        press(driver, "levels", house.level_names[0])
+        wait_until(lambda: driver.execute_script("return level().changes?.length > 0"), "changes")
+        x, y = at_changed(house)
+        words = told(driver, x, y)
+        assert "became blocked" in words
+        assert "house: row" in words
+        assert "wider: row" in words
+        assert errors_of(driver) == []
+        assert strangers_of(requests_of(driver)) == []
+
+
+@needs_browser
+def test_the_map_zooms_and_moves(page):
+    with open_browser() as driver:
+        driver.get(page.as_uri())
+        before = driver.execute_script("return {...view}")
+        press(driver, "zoom", "+")
+        assert driver.execute_script("return view.scale") == pytest.approx(1.5 * before["scale"])
+        # what is under the pointer stays there when one scrolls
+        stays = """
+          const box = canvas.getBoundingClientRect(), at = toWorld(40, 60);
+          const turn = { clientX: box.left + 40, clientY: box.top + 60, deltaY: -300 };
+          canvas.dispatchEvent(new WheelEvent("wheel", turn));
+          const now = toWorld(40, 60);
+          return Math.hypot(now[0] - at[0], now[1] - at[1]) * view.scale;
+        """
+        assert driver.execute_script(stays) < 1  # pixel: events have whole ones
+        press(driver, "zoom", "all")
+        assert driver.execute_script("return {...view}") == pytest.approx(before)
+
+
+@needs_browser
+def test_names_in_the_page_are_text(tmp_path, house):
+    level = house.levels[0].with_layers(metadata={"sceneId": "<img src=x onerror=alert(1)>"})
+    path = tmp_path / "report.html"
+    write_report(level, path)
+    with open_browser() as driver:
+        driver.get(path.as_uri())
+        assert driver.find_element("id", "title").text == "<img src=x onerror=alert(1)>"
+        assert driver.find_elements("css selector", "img") == []
+        assert errors_of(driver) == []
+
+
+def at_blocked(grid, number):
+    """A position in a blocked cell whose blocker is known."""
+    level = grid.levels[number]
+    cell = next(cell for cell in level.user_data if not level.free.flat[cell])
+    return level.lattice.positions(*divmod(cell, level.width)).tolist()
+
+
+def at_free(level):
+    cell = int(level.free.ravel().argmax())
+    return level.lattice.positions(*divmod(cell, level.width)).tolist()
+
+
+def at_changed(house):
+    level = house.levels[0]
+    closed = level.free & ~house.inflate(0.4).levels[0].free
+    return level.lattice.positions(*divmod(int(closed.ravel().argmax()), level.width)).tolist()
