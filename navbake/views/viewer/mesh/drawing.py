@@ -20,6 +20,7 @@ from navbake.views.viewer.mesh.primitives import (
     PLANE,
     ROUND,
     SPHERE,
+    choose_detail,
     shape_of,
 )
 
@@ -123,11 +124,12 @@ def draw_scene(
 def _draw_solids(model: Any, data: Any, drawn: NDArray[np.bool_]) -> list[_Piece]:
     """Boxes, spheres and the like, all of a kind at once."""
     pieces = []
+    detail = choose_detail(int(np.isin(model.geom_type[drawn], ROUND).sum()))
     for kind in (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX):
         geoms = np.flatnonzero(drawn & (model.geom_type == kind)).astype(np.int32)
         if not len(geoms):
             continue
-        shape, sizes, halves = shape_of(kind, model.geom_size[geoms])
+        shape, sizes, halves = shape_of(kind, model.geom_size[geoms], detail)
         rotations = data.geom_xmat[geoms].reshape(-1, 3, 3)
         vertices = shape.place(sizes, halves, rotations, data.geom_xpos[geoms])
         count = len(shape.unit)

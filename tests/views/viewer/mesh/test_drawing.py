@@ -130,3 +130,9 @@ def test_a_shape_is_placed_as_often_as_asked():
     turns = np.stack([np.eye(3)] * 2)
     placed = shape.place(sizes, halves, turns, np.array([[0.0, 0, 0], [5, 0, 0]]))
     np.testing.assert_allclose(placed[1].min(axis=0), [3, -1, -1])
+
+
+def test_many_round_geoms_are_drawn_coarser():
+    ball = '<geom type="sphere" size=".1" pos="{} 0 0"/>'
+    one, many = (draw("".join(ball.format(k) for k in range(count))) for count in (1, 600))
+    assert len(many.surfaces[0].faces) < 600 * len(one.surfaces[0].faces) / 4
