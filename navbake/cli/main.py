@@ -16,6 +16,7 @@ from typer import Exit, Option, Typer
 from navbake._version import __version__
 from navbake.cli.commands.bake import bake
 from navbake.cli.commands.checks import audit, verify
+from navbake.cli.commands.convert import convert, extrude
 from navbake.cli.commands.grids import info, rooms, why
 from navbake.cli.commands.inflate import inflate
 from navbake.cli.commands.map_descriptor import mdf
@@ -45,7 +46,7 @@ app = Typer(
 )
 COMMANDS = (
     *(samples, init, geoms, bake),
-    *(info, rooms, why, plot, inflate, path, voxelize, mdf, warm_up),
+    *(info, rooms, why, plot, inflate, path, voxelize, mdf, convert, extrude, warm_up),
     *(verify, audit, report, view),
 )
 for command in COMMANDS:
