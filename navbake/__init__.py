@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from navbake.runtime.path_finder import PathFinder
     from navbake.verifier.verify import verify
     from navbake.views.report.report import write_report as report
+    from navbake.views.viewer.view import view
     from navbake.voxels.grid import VoxelGrid
 
 __all__ = [
@@ -69,6 +70,7 @@ __all__ = [
     "samples",
     "tensors",
     "verify",
+    "view",
 ]
 
 # where each public name is that loads dependencies
@@ -91,6 +93,7 @@ _LAZY = {
     "load_voxels": "navbake.formats.voxels:read_voxels",
     "report": "navbake.views.report.report:write_report",
     "verify": "navbake.verifier.verify:verify",
+    "view": "navbake.views.viewer.view:view",
 }
 
 _MODULES = ("samples", "tensors")  # of navbake, loaded when they are first asked for

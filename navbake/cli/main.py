@@ -24,6 +24,7 @@ from navbake.cli.commands.path import path
 from navbake.cli.commands.plot import plot
 from navbake.cli.commands.report import report
 from navbake.cli.commands.scenes import geoms, init, samples
+from navbake.cli.commands.view import view
 from navbake.cli.commands.voxelize import voxelize
 from navbake.cli.commands.warm_up import warm_up
 from navbake.cli.options import prepared
@@ -46,7 +47,7 @@ app = Typer(
 COMMANDS = (
     *(samples, init, geoms, bake),
     *(info, rooms, why, plot, inflate, path, voxelize, mdf, convert, extrude, warm_up),
-    *(verify, audit, report),
+    *(verify, audit, report, view),
 )
 for command in COMMANDS:
     app.command()(prepared(command))
