@@ -184,7 +184,9 @@ class LiveSheets:
             raise NotLocal("another floor, a top or a roof grows")
         to = self.main if self.main in known else int(known[np.argmax(self._size[known])])
         if to != self.main:
-            self._inner[to] = self._inner[known].sum()
+            # of several, cells at their seam may be left together, also far from what is new
+            most = self._inner if len(known) == 1 else self._size
+            self._inner[to] = most[known].sum()
             self._grown.append((to, cells[is_new], places[is_new]))
         pool.sheet[places[is_new]] = to
         self._size[to] += np.count_nonzero(is_new)
@@ -195,8 +197,9 @@ class LiveSheets:
     def _check_grown(self) -> None:
         """Make sure that small sheets that have grown, or become one, are too small for a floor.
 
-        What is left of one when it is shrunk is at most what was left of its parts, and what is
-        left near the new surfaces, if all small sheets there were one.
+        What is left of one when it is shrunk is at most what was left of it before, and what is
+        left near the new surfaces, if all small sheets there were one. Where several become one,
+        all of them may be left.
         """
         for to, cells, places in self._grown:
             size = int(self._size[to])
