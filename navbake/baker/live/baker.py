@@ -40,8 +40,9 @@ class Changes(NamedTuple):
 
     Attributes:
         grid: the grid as it is now, `Baker.grid`.
-        cells: for each level, the ids of the cells whose floor, room, occupancy or weight is
-            another one, ascending, int64; id = col + row * width.
+        cells: for each level, the ids of the cells of which any layer is another one (floor, room,
+            occupancy with weight, and those of `attributes`), ascending, int64;
+            id = col + row * width.
         is_new: whether the grid's levels or their rectangles are others: then all cells are
             listed.
         reason: why the whole scene was baked again; empty where only what is near to what moved
