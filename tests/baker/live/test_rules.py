@@ -11,6 +11,7 @@ import pytest
 import navbake
 from differences import first_difference
 from navbake.baker.live import baker as module
+from navbake.baker.live import sheets
 
 pytestmark = pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
 
@@ -181,3 +182,19 @@ def test_two_updates_that_undo_each_other_leave_the_first_grid():
     for place in ([2.0, 2.0, 0.4], [1.0, 1.0, 0.4]):
         baker.update(bodies={"chair": place})
     assert first_difference(baker.grid, first) is None
+
+
+def test_sheets_are_numbered_anew_in_long_runs(monkeypatch):
+    """The tops of two boxes are new sheets each time; their numbers must not become ever more."""
+    monkeypatch.setattr(sheets, "SPARE_NUMBERS", 5)
+    boxes = "".join(CHAIR.replace("chair", f"chair_{k}") for k in range(2))
+    baker = navbake.Baker(make(boxes))
+    followed = baker._passes[-1]._parts.floors._sheets
+    most = 0
+    for k in range(40):
+        places = {f"chair_{n}": [1.0 + 0.1 * k, 1.5 + 2 * n, 0.4] for n in range(2)}
+        changes = baker.update(bodies=places)
+        assert changes.reason == ""
+        most = max(most, len(followed._kind))
+    assert most < 40
+    check(baker, {}, bodies={"chair_0": [2.0, 2.0, 0.4]})
