@@ -198,7 +198,7 @@ def test_sheets_are_numbered_anew_in_long_runs(monkeypatch):
 
     monkeypatch.setattr(sheets.LiveSheets, "follow", spy)
     for k in range(40):
-        places = {f"chair_{n}": [1.0 + 0.1 * k, 1.5 + 2 * n, 0.4] for n in range(2)}
+        places = {f"chair_{n}": [1.0 + k % 3, 1.5 + 2 * n, 0.4] for n in range(2)}
         assert baker.update(bodies=places).reason == ""
     assert max(numbers) < 40
     check(baker, {}, bodies={"chair_0": [2.0, 2.0, 0.4]})
