@@ -205,7 +205,7 @@ class Baker:
                 def named(level: int, window: Any) -> Any:
                     return contents.user_data(window)
 
-            standing = Standing(contents.notes(), named, live.floor_layers)
+            standing = Standing(contents.notes(), named, live.floor_layers, live.weigh)
         return build_grid(live.stages, standing)
 
 

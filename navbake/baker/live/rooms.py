@@ -80,13 +80,25 @@ class Seen(NamedTuple):
 
 
 class LiveRooms:
-    """The rooms of the one level of a scene, where floors and walls are known."""
+    """The rooms of the one level of a scene, where floors and walls are known.
 
-    def __init__(self, config: BakeConfig, scene: Scene, columns: LiveColumns) -> None:
+    Args:
+        spaces: knows those that the rooms were made of.
+        floors: in which they were found.
+    """
+
+    def __init__(
+        self,
+        config: BakeConfig,
+        scene: Scene,
+        columns: LiveColumns,
+        spaces: SpaceFinder,
+        floors: Floors,
+    ) -> None:
         self._config, self._columns = config, columns
         self.marks = RoomMarks(config, scene)
-        self._spaces = SpaceFinder()
-        self._have_stairs = True  # as far as is known
+        self._spaces = spaces
+        self._have_stairs = self._find_stairs(floors.levels[0])
 
     def find(self, scene: Scene, floors: Floors, contents: LiveContents | None) -> Rooms:
         """Find all rooms again; the scene is without doors."""
