@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,12 +16,13 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import navbake
+from make_house import make_house
 from navbake.navgrid.grid import NavGrid
 from navbake.views.plot import render_png
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURES = ROOT / "docs" / "pictures"
-SIZE = (1000, 1000)  # pixels; what is larger is scaled down
+SIZE = (1250, 1600)  # pixels; what is larger is scaled down
 COLORS = 256  # of the palette that a picture is reduced to
 START, GOAL = (0.0, -4.8, 0.0), (-2.2, -3.2, 3.0)  # [m], from the garden to a room upstairs
 
@@ -36,7 +38,7 @@ def draw_house() -> bytes:
 
 
 def draw_apartment() -> bytes:
-    """Rooms and floor heights of one storey."""
+    """Named rooms and floor heights of one storey."""
     return render_png(bake("apartment"), layers=("rooms", "floor"))
 
 
@@ -45,9 +47,24 @@ def draw_floors() -> bytes:
     return render_png(bake("warehouse"), layers=("occupancy", "floor"))
 
 
+def draw_terrain() -> bytes:
+    """Hills, a brook and a bridge, which is a level of its own."""
+    return render_png(bake("terrain"), layers=("floor",))
+
+
 def draw_islands() -> bytes:
     """Connected parts, and the distance to the nearest obstacle."""
     return render_png(bake("terrain"), level=0, layers=("island", "clearance"))
+
+
+def draw_clutter() -> bytes:
+    """What an agent can't pass, and what it steps over."""
+    return render_png(bake("clutter"), level=0, layers=("occupancy", "floor"))
+
+
+def draw_doors() -> bytes:
+    """Open doors, what they block, where they close, and how wide they are."""
+    return render_png(bake("house"), layers=("doors",))
 
 
 def draw_inflated() -> bytes:
@@ -61,6 +78,15 @@ def draw_path() -> bytes:
     grid = bake("house")
     path = navbake.PathFinder(grid).find_path(START, GOAL)
     return render_png(grid, layers=("occupancy",), route=path)
+
+
+def draw_rooms() -> bytes:
+    """A hundred rooms: those that share a wall have different colours."""
+    with tempfile.TemporaryDirectory() as folder:
+        scene = Path(folder) / "house-100.xml"
+        scene.write_text(make_house(100), encoding="utf-8")
+        grid = navbake.bake(scene, grid={"cell_size": 0.1})
+    return render_png(grid, layers=("rooms",))
 
 
 def draw_voxels() -> bytes:
@@ -84,9 +110,13 @@ PICTURE_MAKERS: dict[str, Callable[[], bytes]] = {
     "house": draw_house,
     "apartment": draw_apartment,
     "floors": draw_floors,
+    "terrain": draw_terrain,
     "islands": draw_islands,
+    "clutter": draw_clutter,
+    "doors": draw_doors,
     "inflated": draw_inflated,
     "path": draw_path,
+    "rooms": draw_rooms,
     "voxels": draw_voxels,
 }
 

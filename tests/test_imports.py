@@ -27,7 +27,7 @@ DOORS = {
     "mujoco": ("baker.scene", "verifier"),
     "fcl": ("baker.occupancy", "verifier"),
     "trimesh": ("baker.scene",),
-    "matplotlib": ("views.plot",),
+    "matplotlib": ("views.plot", "views.drawing"),
     "typer": ("cli",),
     "rich": ("cli",),
 }

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.baker.columns import (
     Columns,
@@ -34,7 +35,7 @@ from navbake.baker.kernels.cracks import (
 from navbake.baker.kernels.tiles import list_near
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
-from navbake.threads import run_in_bands
+from navbake.threads import run_beside, run_in_bands
 from navbake.types import Bool, Float, Int
 
 # Ways in which a gap's width is measured, over half a turn: the widths of a gap that runs between
@@ -474,9 +475,12 @@ def _replace_lines(columns: Columns, tiled: TiledShapes, cells: Int, offset: Flo
     ends = zip([0, *old.start[cells + 1]], [*old.start[cells], old.start[end]], strict=True)
     stays = [slice(int(a), int(b)) for a, b in ends]
     comes = [slice(int(n), int(m)) for n, m in itertools.pairwise(new.start)] + [slice(0, 0)]
-    parts: dict[str, Any] = {"start": start}
-    for name in ("z", "normal", "geom", "closed"):
-        was, now = getattr(old, name), getattr(new, name)
+
+    def splice(was: NDArray[Any], now: NDArray[Any]) -> NDArray[Any]:
         pieces = [part for s, c in zip(stays, comes, strict=True) for part in (was[s], now[c])]
-        parts[name] = np.concatenate(pieces)
-    return replace(columns, crossings=old._replace(**parts))
+        return np.concatenate(pieces)
+
+    normal = run_beside(splice, old.normal, new.normal)  # as large as all others together
+    z, geom = splice(old.z, new.z), splice(old.geom, new.geom)
+    closed = splice(old.closed, new.closed)
+    return replace(columns, crossings=Crossings(start, z, normal(), geom, closed))

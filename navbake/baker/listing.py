@@ -35,7 +35,8 @@ def _list(
         # no more counts than boxes, however many threads there are
         chunks = min(CHUNKS * threads, len(boxes) // count)
     cursor = np.zeros((chunks, count), dtype=np.int64)
-    asked = boxes, grow, lattice, by_band, cursor
+    under = np.empty((len(boxes), 4), dtype=np.int32)
+    asked = boxes, grow, lattice, by_band, under, cursor
     run_in_bands(list_boxes, chunks, *asked, np.empty(0, dtype=np.int32))
     start = np.zeros(count + 1, dtype=np.int64)
     np.cumsum(cursor.sum(axis=0), out=start[1:])

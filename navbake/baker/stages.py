@@ -5,7 +5,7 @@ scene → columns → floors → occupancy → contents → rooms → doors; `bu
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,7 +18,7 @@ from navbake.baker.boxes import LevelBoxes, find_level_boxes
 from navbake.baker.clock import Progress, StageClock
 from navbake.baker.column_blocks import ColumnBlocks
 from navbake.baker.columns import Columns, ColumnSource, TiledShapes, tile_shapes
-from navbake.baker.contents.contents import Contents, ContentsFinder
+from navbake.baker.contents.contents import Contents, ContentsFinder, KnownGeoms
 from navbake.baker.cracks import crack_reach
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
 from navbake.baker.doors.doors import Doors, Surroundings, place_doors, warn_immovable_doors
@@ -43,7 +43,7 @@ from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig, settings_digest, settings_to_state
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
-from navbake.threads import limit_threads
+from navbake.threads import limit_threads, run_beside
 from navbake.types import Bool, Float, Int, Json
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
@@ -205,7 +205,19 @@ class Stages:
 
         They are found on the whole scene, and cut to the lattice.
         """
+        _ = self.whole  # columns take all threads; most of what floors take then is one thread's
+        if self._asks_contents:
+            _ = self._known_geoms
         return self.judge_floors(None)
+
+    @property
+    def _asks_contents(self) -> bool:
+        return bool(self.config.names.enabled or self.config.rooms.sources)
+
+    @cached_property
+    def _known_geoms(self) -> Callable[[], KnownGeoms]:
+        """What contents need of the geoms alone, found beside what is asked for next."""
+        return run_beside(KnownGeoms.of, self.doorless, self.tiled)
 
     def judge_floors(self, notes: list[Judged] | None) -> Floors:
         """Find `floors`; `notes` receives what was decided about sheets of the whole scene."""
@@ -261,8 +273,9 @@ class Stages:
             occupancy = OccupancyFinder(floors, tiled, self.footprints)
             with clock.part("contents"):
                 contents = None
-                if config.names.enabled or config.rooms.sources:
-                    contents = ContentsFinder(self.doorless, tiled, floors, agent)
+                if self._asks_contents:
+                    known = self._known_geoms()
+                    contents = ContentsFinder(self.doorless, tiled, known, floors, agent)
             overhead = OverheadFinder(columns, floors.levels, agent)
             for block in columns.blocks():
                 occupancy.add(block)
@@ -321,7 +334,7 @@ class Stages:
         They are the largest of all values, and nothing needs them once the doors are settled. One
         that is asked for again is found again.
         """
-        for name in ("tiled", "whole", "columns", "_cells"):
+        for name in ("tiled", "whole", "columns", "_known_geoms", "_cells"):
             self.__dict__.pop(name, None)
 
     @contextmanager

@@ -16,10 +16,11 @@ from typer import Exit, Option, Typer
 from navbake._version import __version__
 from navbake.cli.commands.bake import bake
 from navbake.cli.commands.checks import audit, verify
-from navbake.cli.commands.grids import info, plot, rooms, why
+from navbake.cli.commands.grids import info, rooms, why
 from navbake.cli.commands.inflate import inflate
 from navbake.cli.commands.map_descriptor import mdf
 from navbake.cli.commands.path import path
+from navbake.cli.commands.plot import plot
 from navbake.cli.commands.report import report
 from navbake.cli.commands.scenes import geoms, init, samples
 from navbake.cli.commands.voxelize import voxelize

@@ -15,13 +15,15 @@ from numpy.typing import NDArray
 
 from navbake.views.colors import rgb_of
 
-# ten colours at equal distances, from 0.22 to 1
-VIRIDIS = ["#3e4989", "#34618d", "#2a768e", "#228b8d", "#1fa188", "#31b57b", "#58c765", "#8bd646"]
-VIRIDIS += ["#c5e021", "#fde725"]
+# From 0.22 to 1, at places whose colours look equally far apart to people who see no red, no green,
+# or both
+VIRIDIS = ["#3e4989", "#31678e", "#287d8e", "#218e8d", "#1e9c89", "#24ab82", "#39b976", "#5bc863"]
+VIRIDIS += ["#8ed644", "#fde725"]
 STOPS = tuple((number / (len(VIRIDIS) - 1), color) for number, color in enumerate(VIRIDIS))
 SHADES = 1024  # colours that a scale is rounded to
 MIN_RANGE = 0.1  # least span of a scale, so that flat floors look flat
 HEIGHT_STEP = 0.01  # heights nearer than this are one [m]
+MIN_LENGTH = 5.0  # of a scale of heights, in steps that lie beside each other
 MAX_HEIGHTS = 1 << 16  # steps that a range of heights is split into at most
 MAX_TICKS = 6
 TICK_GAP = 0.11  # least distance of two ticks, of the scale's length
@@ -74,22 +76,33 @@ class ColorScale(NamedTuple):
         return painted
 
 
-def linear_scale(values: NDArray[Any], label: str) -> ColorScale:
-    """A scale from the least to the largest of some finite values, shape (n,)."""
+def linear_scale(values: NDArray[Any], label: str, *, dark_high: bool = False) -> ColorScale:
+    """A scale from the least to the largest of some finite values, shape (n,).
+
+    The largest is the lightest, or the darkest where `dark_high` asks for it.
+    """
     low, high = (float(values.min()), float(values.max())) if values.size else (0.0, MIN_RANGE)
+    ticks = _round_ticks(low, high)
     widen = max(0.0, MIN_RANGE - (high - low)) / 2
-    low, high = low - widen, high + widen
-    step = _nice_step((high - low) / (MAX_TICKS - 1))
-    first = math.ceil(low / step - 1e-6)
+    low, high = (low, high + 2 * widen) if dark_high else (low - widen, high + widen)
+    placed = tuple(Tick((value - low) / (high - low), text) for value, text in ticks)
+    stops = STOPS
+    if dark_high:
+        stops = tuple((1 - position, color) for position, color in reversed(STOPS))
+    return ColorScale(label, (low, high), (0.0, 1.0), placed, stops)
+
+
+def _round_ticks(low: float, high: float) -> list[tuple[float, str]]:
+    """Some round numbers from one value to another; the value itself where they are one."""
+    if high == low:
+        return [(low, f"{low:g}")]
+    step = nice_step((high - low) / MAX_TICKS)
     digits = max(0, -math.floor(math.log10(step) + 1e-9))
-    ticks = []
-    for number in range(first, math.floor(high / step + 1e-6) + 1):
-        position = (number * step - low) / (high - low)
-        ticks.append(Tick(min(max(position, 0.0), 1.0), f"{number * step:.{digits}f}"))
-    return ColorScale(label, (low, high), (0.0, 1.0), tuple(ticks))
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [(n * step, f"{n * step + 0.0:.{digits}f}") for n in range(first, last + 1)]
 
 
-def _nice_step(least: float) -> float:
+def nice_step(least: float) -> float:
     """The first of 1, 2, 5, 10, 20, … that is no less, whatever its power of ten."""
     power = 10.0 ** math.floor(math.log10(least))
     return next((n * power for n in (1, 2, 5) if n * power >= least * (1 - 1e-9)), 10 * power)
@@ -99,8 +112,8 @@ def height_scale(heights: NDArray[Any], label: str) -> ColorScale:
     """A scale that tells floors 2 cm apart and 3 m apart in one picture.
 
     Heights are rounded to centimetres. Where there are floors at all heights, as on a ramp, the
-    scale is even. Where there are none from one height to the next, it shrinks to the square root
-    of the gap: 3 m take 12 times as much of it as 2 cm, not 150 times.
+    scale is even. Where there are none from one height to the next, it shrinks to the cube root of
+    the gap: 3 m take 5 times as much of it as 2 cm, not 150 times.
 
     Args:
         heights: finite ones, shape (n,) [m].
@@ -112,11 +125,9 @@ def height_scale(heights: NDArray[Any], label: str) -> ColorScale:
     step = max(HEIGHT_STEP, (high - low) / MAX_HEIGHTS)
     counts = np.bincount(np.round((heights - low) / step).astype(np.int64))
     steps = np.flatnonzero(counts)
-    if len(steps) < 2 or high - low < HEIGHT_STEP:
-        return linear_scale(heights, label)
-    length = np.concatenate([[0.0], np.cumsum(np.sqrt(np.diff(steps)))])
+    length = np.concatenate([[0.0], np.cumsum(np.cbrt(np.diff(steps)))])
     # flat floors look flat: a few centimetres are a part of the scale, not all of it
-    spread = max(float(length[-1]), MIN_RANGE / HEIGHT_STEP)
+    spread = max(float(length[-1]), MIN_LENGTH)
     positions = 0.5 + (length - length[-1] / 2) / spread
     values = low + steps * step
     at = zip(positions.tolist(), values.tolist(), strict=True)
@@ -128,10 +139,10 @@ def height_scale(heights: NDArray[Any], label: str) -> ColorScale:
 
 
 def _choose_ticks(ticks: list[Tick], areas: NDArray[np.int64]) -> tuple[Tick, ...]:
-    """The lowest, the highest, and between them what the largest areas have, none too close."""
+    """That of the largest area, the ends, and those of the next largest, none too close."""
     order = np.argsort(-areas, kind="stable").tolist()
     chosen: list[Tick] = []
-    for number in [0, len(ticks) - 1, *order]:
+    for number in [order[0], 0, len(ticks) - 1, *order]:
         tick = ticks[number]
         if all(abs(tick.position - other.position) >= TICK_GAP for other in chosen):
             chosen.append(tick)

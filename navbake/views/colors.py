@@ -12,14 +12,14 @@ FREE, OCCUPIED, NO_FLOOR = "#f7f3e8", "#3b4252", "#b9c0cc"
 DOOR = "#c8440a"  # where a door blocks the way
 DOORWAY = "#ff9f5a"  # where it would, were it closed
 ROUTE = "#1864ab"
-MARKS = ("#d6336c", "#1c7ed6", "#e8590c", "#2b8a3e", "#7048e8", "#0b7285")  # by kind
+MARKS = ("#d24bff", "#0f875a", "#a5a50f", "#780f96", "#f07896", "#4b4b00")  # by kind
 
 OUTDOORS = "#e2ecba"
-ROOMS = ("#b092f6", "#ecec88", "#60b09c", "#cec4f6", "#a6ceb0", "#a69cc4")
+ROOMS = ("#a6ceb0", "#cec4f6", "#ecec88", "#60b09c", "#b092f6", "#c0f0f8")
 BLOCKED_SHARE = 0.55  # of `OCCUPIED` in the colour of a room where something stands in it
 DARKER = "#6b6f78"  # stands in the legend for all rooms' darker colours
 
-UP, DOWN, ACROSS = "#2b8a3e", "#7048e8", "#1c7ed6"  # where a link leads
+UP, DOWN, ACROSS = MARKS[1], MARKS[3], MARKS[0]  # where a link leads
 
 
 def rgb_of(color: str) -> tuple[int, int, int]:

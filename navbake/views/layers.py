@@ -39,8 +39,9 @@ if TYPE_CHECKING:
 
 __all__ = ["DISAGREEMENTS", "LAYERS", "make_panel", "make_panels", "paint"]
 
-BLOCKED_LEGEND = (("occupied", OCCUPIED), ("no floor", NO_FLOOR))
-OCCUPANCY_LEGEND = (("free", FREE), *BLOCKED_LEGEND)
+RELIEF = 0.04  # a step that is lit or shaded well [m]
+RELIEF_SLOPE = 0.3  # or one of a cell, at this slope, so that large cells of hills aren't all dark
+OCCUPANCY = {"free": FREE, "occupied": OCCUPIED, "no floor": NO_FLOOR}
 DISAGREEMENTS = "disagreements"  # the layer that shows what a verification found
 
 
@@ -88,7 +89,7 @@ def _show_occupancy(grid: NavGrid, number: int) -> Panel:
     area = np.count_nonzero(level.free) * level.lattice.cell_size**2
     title = f"occupancy, {area:.1f} m\N{SUPERSCRIPT TWO} free"
     doors = find_door_marks(grid, number)
-    return Panel(title, _color_occupancy(level), legend=OCCUPANCY_LEGEND, doors=doors)
+    return Panel(title, _color_occupancy(level), legend=_legend_of(level), doors=doors)
 
 
 def _show_floor(grid: NavGrid, number: int) -> Panel:
@@ -96,27 +97,40 @@ def _show_floor(grid: NavGrid, number: int) -> Panel:
     rgb = np.full((*level.shape, 3), rgb_of(NO_FLOOR), dtype=np.uint8)
     metres = level.floor_height * np.float32(level.unit)
     scale = height_scale(metres[np.isfinite(metres)], "z [m]")
-    legend = (("no floor", NO_FLOOR),)
-    return Panel("floor height", rgb, metres, scale, legend, has_relief=True)
+    legend = (("no floor", NO_FLOOR),) if np.isnan(metres).any() else ()
+    step = max(RELIEF, RELIEF_SLOPE * level.lattice.cell_size)
+    title = "floor height [m]"
+    if len(scale.ticks) == 1:
+        title = f"{title}: {scale.ticks[0].text}"
+    return Panel(title, rgb, metres, scale, legend, relief=step)
 
 
 def _show_clearance(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
     stored = level.attributes.get("clearance")
     metres = clearance(level) if stored is None else stored * level.unit
-    return _show_free(level, metres, "clearance", "to the nearest obstacle [m]")
+    return _show_free(level, metres, "clearance [m]", "to the nearest obstacle [m]")
 
 
 def _show_weights(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
-    return _show_free(level, level.weights, "weights", "cost of a cell")
+    return _show_free(level, level.weights, "weights", "cost of a cell", dark_high=True)
 
 
-def _show_free(level: SceneGrid2D, values: NDArray[np.floating], title: str, label: str) -> Panel:
+def _show_free(
+    level: SceneGrid2D,
+    values: NDArray[np.floating],
+    title: str,
+    label: str,
+    *,
+    dark_high: bool = False,
+) -> Panel:
     """Show values where an agent can stand, and what is there elsewhere."""
     shown = np.where(level.free, values, np.nan).astype(np.float32)
-    scale = linear_scale(shown[np.isfinite(shown)], label)
-    return Panel(title, _color_occupancy(level), shown, scale, BLOCKED_LEGEND)
+    scale = linear_scale(shown[np.isfinite(shown)], label, dark_high=dark_high)
+    if len(scale.ticks) == 1:  # nothing to tell apart, so a number says it
+        title = f"{title}: {scale.ticks[0].text}"
+    return Panel(title, _color_occupancy(level), shown, scale, _legend_of(level)[1:])
 
 
 def _show_islands(grid: NavGrid, number: int) -> Panel:
@@ -129,7 +143,7 @@ def _show_islands(grid: NavGrid, number: int) -> Panel:
     palette = np.array([rgb_of(color) for color in ROOMS], dtype=np.uint8)
     rgb = _color_occupancy(level)
     rgb[level.free] = palette[choose_colors(count, pairs, len(palette))[island[level.free]]]
-    return Panel("islands", rgb, legend=BLOCKED_LEGEND)
+    return Panel("islands", rgb, legend=_legend_of(level)[1:])
 
 
 def _show_rooms(grid: NavGrid, number: int) -> Panel:
@@ -148,10 +162,11 @@ def _show_rooms(grid: NavGrid, number: int) -> Panel:
 
 
 def _show_doors(grid: NavGrid, number: int) -> Panel:
-    rgb = _color_occupancy(grid.levels[number])
+    level = grid.levels[number]
+    rgb = _color_occupancy(level)
     rgb[doorway_cells(grid, number, blocked=False)] = rgb_of(DOORWAY)
     rgb[doorway_cells(grid, number, blocked=True)] = rgb_of(DOOR)
-    legend = (("door", DOOR), ("doorway", DOORWAY), *OCCUPANCY_LEGEND)
+    legend = (("door", DOOR), ("doorway", DOORWAY), *_legend_of(level))
     marks = find_door_marks(grid, number)
     return Panel("doors", rgb, legend=legend, labels=label_doors(marks), doors=marks)
 
@@ -170,7 +185,7 @@ def _show_links(grid: NavGrid, number: int) -> Panel:
     ):
         rgb[rows[leads], cols[leads]] = rgb_of(color)
     legend = (("leads up", UP), ("leads down", DOWN), ("steep, same level", ACROSS))
-    return Panel("links", rgb, legend=(*legend, *OCCUPANCY_LEGEND))
+    return Panel("links", rgb, legend=(*legend, *_legend_of(level)))
 
 
 def _show_disagreements(grid: NavGrid, number: int, findings: Sequence[Finding]) -> Panel:
@@ -184,7 +199,7 @@ def _show_disagreements(grid: NavGrid, number: int, findings: Sequence[Finding])
         if 0 <= row < level.height and 0 <= col < level.width:
             rgb[row, col] = rgb_of(kinds[finding.kind])
     title = f"{len(here)} disagreement{'' if len(here) == 1 else 's'}"
-    return Panel(title, rgb, legend=(*kinds.items(), *OCCUPANCY_LEGEND))
+    return Panel(title, rgb, legend=(*kinds.items(), *_legend_of(level)))
 
 
 def color_kinds(kinds: Iterable[str]) -> dict[str, str]:
@@ -207,8 +222,21 @@ LAYERS: dict[str, Callable[[NavGrid, int], Panel]] = {
 
 def _color_occupancy(level: SceneGrid2D) -> NDArray[np.uint8]:
     """Colours of the cells by whether an agent can stand in them, shape (height, width, 3)."""
-    palette = np.array([rgb_of(OCCUPIED), rgb_of(FREE), rgb_of(NO_FLOOR)], dtype=np.uint8)
-    painted: NDArray[np.uint8] = palette[
-        np.where(level.free, 1, np.where(np.isnan(level.floor_height), 2, 0))
-    ]
+    palette = np.array([rgb_of(color) for color in OCCUPANCY.values()], dtype=np.uint8)
+    painted: NDArray[np.uint8] = palette[_kinds(level)]
     return painted
+
+
+def _kinds(level: SceneGrid2D) -> NDArray[np.uint8]:
+    """Which of `OCCUPANCY` each cell is, shape (height, width)."""
+    is_blocked = np.where(np.isnan(level.floor_height), np.uint8(2), np.uint8(1))
+    return np.where(level.free, np.uint8(0), is_blocked)
+
+
+def _legend_of(level: SceneGrid2D) -> tuple[tuple[str, str], ...]:
+    """What there is of `OCCUPANCY` on a level; free is always first."""
+    there = np.bincount(_kinds(level).ravel(), minlength=len(OCCUPANCY)) > 0
+    there[0] = True
+    return tuple(
+        entry for entry, is_there in zip(OCCUPANCY.items(), there, strict=True) if is_there
+    )

@@ -31,8 +31,10 @@ def label_rooms(grid: NavGrid, number: int) -> tuple[Label, ...]:
 def label_doors(marks: tuple[DoorMark, ...]) -> tuple[Label, ...]:
     """The doors' ids and widths, each in the middle of its doorway."""
     return tuple(
-        Label(f"{mark.id} {mark.width:.1f} m", f"{mark.width:.1f} m", *mark.middle, 0.0, 0.0)
-        for mark in marks
+        Label(
+            f"{mark.id} {mark.width:.1f} m", f"{mark.width:.1f} m", *mark.middle, 0.0, 0.0, number
+        )
+        for number, mark in enumerate(marks, 1)
     )
 
 
@@ -45,13 +47,14 @@ def _place_name(level: SceneGrid2D, mask: Bool, box: tuple[slice, slice], room: 
     space = distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
     row, col = np.unravel_index(int(np.argmax(space)), space.shape)
     first, last = _run(mask[row], int(col))
-    top, bottom = _run(mask[:, col], int(row))
+    top, bottom = _run(mask[:, (first + last) // 2], int(row))
     middle = box[0].start + row * stride, box[1].start + (first + last) / 2 * stride
     x, y = level.lattice.positions(*middle)
     edge = level.lattice.cell_size * stride
-    size = (last - first + 1) * edge, (bottom - top + 1) * edge
+    half = min(int(row) - top, bottom - int(row))  # the name's middle is in this row
+    size = (last - first + 1) * edge, (2 * half + 1) * edge
     fallback = f"{room.level}:{room.index}"
-    return Label(room.name or fallback, fallback, float(x), float(y), *size)
+    return Label(room.name or fallback, fallback, float(x), float(y), *size, room.index)
 
 
 def _run(line: Bool, at: int) -> tuple[int, int]:

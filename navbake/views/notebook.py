@@ -30,8 +30,8 @@ def show_html(grid: NavGrid) -> str:
     """A line of facts, and the levels beside each other, lowest first: for a notebook.
 
     Cells have the colours of `RoomCells`: rooms each their own, darker where something stands in
-    them, doors red. The pictures are inside, and at most `LEVEL_SIDE` pixels long; names are
-    escaped. The same grid gives the same text.
+    them, doors red, open doorways orange. The pictures are inside, and at most `LEVEL_SIDE` pixels
+    long; names are escaped. The same grid gives the same text.
     """
     facts = [_facts_of(level) for level in grid.levels]
     scale = _scale_for(grid, LEVEL_SIDE)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from navbake.views.color_scale import ColorScale
 from navbake.views.door_marks import DoorMark
 
-LIT, SHADED = 0.4, 0.5  # most that relief mixes white or black into a colour
-RELIEF_HEIGHT = 0.04  # a step of this height gets three quarters of it [m]
+LIT, SHADED = 0.3, 0.35  # most that relief mixes white or black into a colour
+BAND_CELLS = 1 << 20  # painted at once
 
 
 class Label(NamedTuple):
@@ -23,6 +23,7 @@ class Label(NamedTuple):
     y: float
     width: float  # of what it names at this place [m]
     height: float  # of the same [m]
+    number: int = 0  # written where there is no space for the name
 
 
 class Panel(NamedTuple):
@@ -35,28 +36,36 @@ class Panel(NamedTuple):
     legend: tuple[tuple[str, str], ...] = ()  # meanings and their colours
     labels: tuple[Label, ...] = ()
     doors: tuple[DoorMark, ...] = ()
-    has_relief: bool = False  # whether the values are heights, lit from the upper left
+    relief: float = 0.0  # a step of values that gets 3/4 of the most light or shade; 0: no relief
 
 
 def paint(panel: Panel) -> NDArray[np.uint8]:
     """The colour of each cell, shape (height, width, 3), row 0 at the largest y."""
     if panel.values is None or panel.scale is None:
         return panel.rgb
-    shown = np.isfinite(panel.values)
-    colors = panel.scale.color(panel.values[shown])
-    if panel.has_relief:
-        colors = _light(colors, relief(panel.values)[shown])
     painted = panel.rgb.copy()
-    painted[shown] = colors
+    # in bands: the numbers in between take ten times the memory of a picture
+    band = max(BAND_CELLS // panel.values.shape[1], 1)
+    for first in range(0, len(painted), band):
+        rows = slice(first, first + band)
+        values = panel.values[rows]
+        shown = np.isfinite(values)
+        colors = panel.scale.color(values[shown])
+        if panel.relief:
+            above = min(first, 1)  # light falls on the first row by the one above it
+            lit = light_of(panel.values[first - above : first + band], panel.relief)[above:]
+            colors = _light(colors, lit[shown])
+        painted[rows][shown] = colors
     return painted
 
 
-def relief(heights: NDArray[Any]) -> NDArray[np.float32]:
+def light_of(heights: NDArray[Any], step: float) -> NDArray[np.float32]:
     """How the light falls on floors, from -1, in shade, to 1, lit: shape (height, width).
 
     The light comes from the upper left, as on maps. A cell that is higher than its neighbours
-    above and to the left is lit, one that is lower lies in shade; where there is no floor beside
-    it, neither. So a step of 2 cm shows as a line, whatever the scale of colours spans.
+    above and to the left is lit, one that is lower lies in shade, by 3/4 where it is higher or
+    lower by `step`. Where there is no floor beside it, it is neither. So a step of 2 cm shows as
+    a line, whatever the scale of colours spans.
     """
     rise = np.zeros(heights.shape, dtype=np.float32)
     finite = np.where(np.isfinite(heights), heights, np.nan)
@@ -65,7 +74,7 @@ def relief(heights: NDArray[Any]) -> NDArray[np.float32]:
         ((slice(None), slice(1, None)), (slice(None), slice(None, -1))),
     ):
         rise[part] += np.nan_to_num(finite[part] - finite[before])
-    lit: NDArray[np.float32] = np.tanh(rise / np.float32(RELIEF_HEIGHT))
+    lit: NDArray[np.float32] = np.tanh(rise / np.float32(step))
     return lit
 
 

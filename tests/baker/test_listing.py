@@ -89,7 +89,7 @@ def test_counts_are_no_more_than_boxes(monkeypatch, boxes):
     counts = []
 
     def run(kernel, chunks, *args):
-        counts.append(args[4].shape)
+        counts.append(args[5].shape)
         kernel(*args, 0, chunks)
 
     monkeypatch.setattr("navbake.baker.listing.num_threads", lambda: 64)

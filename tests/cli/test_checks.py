@@ -61,7 +61,7 @@ def test_verify_names_what_is_wrong_and_draws_it(room, run):
 
 
 def test_verify_draws_each_mark_on_its_level(folder, run):
-    """A floor that is off below, a cell that touches above; the legend is under both."""
+    """A floor that is off below, a cell that touches above; the legend is below both."""
     image = pytest.importorskip("PIL.Image")
     path = write(folder, world(stairs_house()), "house.xml")
     wrong = copy_of(navbake.bake({"scene": {"path": str(path)}, "grid": {"cell_size": 0.2}}))
@@ -72,12 +72,15 @@ def test_verify_draws_each_mark_on_its_level(folder, run):
     wrong.save("wrong.grid.json")
     assert run("verify", "wrong.grid.json", "--scene", path, "-o", "wrong.png")[0] == 1
     pixels = np.asarray(image.open("wrong.png").convert("RGB")).astype(int)
-    half, drawn = len(pixels) // 2, []
+    # the levels lie beside each other, and the legend below both
+    legend, half, drawn = len(pixels) - 90, pixels.shape[1] // 2, []
     for text in MARKS[:2]:
         is_mark = np.abs(pixels - list(bytes.fromhex(text[1:]))).max(axis=-1) < 8
-        drawn.append((int(is_mark[:half].sum()), int(is_mark[half:].sum())))
-    (off_below, in_legend), (touching_below, touching_above) = drawn
-    assert off_below > 0 and touching_below == 0 and touching_above > in_legend > 0
+        maps = is_mark[:legend]
+        assert is_mark[legend:].any()
+        drawn.append((int(maps[:, :half].sum()), int(maps[:, half:].sum())))
+    (off_below, off_above), (touching_below, touching_above) = drawn
+    assert off_below > 0 and off_above == 0 and touching_below == 0 and touching_above > 0
 
 
 def test_verify_looks_at_a_sample_or_at_all(room, run):

@@ -37,6 +37,16 @@ def test_rooms_and_their_picture(folder, run):
     assert (folder / "rooms.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_pictures_end_as_they_are(folder, run):
+    run("bake", "room.yaml", "-q")
+    status, out, _ = run("plot", "room.grid.json", "-o", "room.svg", "--layer", "doors")
+    assert (status, out) == (0, "room.svg\n")
+    assert b"<svg" in (folder / "room.svg").read_bytes()
+    status, _, err = run("plot", "room.grid.json", "-o", "room.png", "--layer", "heat")
+    assert status == 2
+    assert all(layer in " ".join(err.split()) for layer in ("occupancy", "doors", "links", "heat"))
+
+
 def test_doors_are_listed_with_their_states(folder, run):
     box = '<body name="box" pos="1.5 1.5 0.5"><geom type="box" size="0.1 0.1 0.1"/></body>'
     (folder / "doors.xml").write_text(world(ROOMS, LEAF, box))

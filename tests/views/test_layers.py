@@ -5,8 +5,20 @@ import pytest
 
 from navbake.errors import QueryError
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
-from navbake.views.colors import DOOR, FREE, NO_FLOOR, OCCUPIED, rgb_of
-from navbake.views.layers import LAYERS, make_panels
+from navbake.verifier.report import FLOOR_OFF, FREE_TOUCHES, Finding
+from navbake.views.colors import (
+    DOOR,
+    DOORWAY,
+    DOWN,
+    FREE,
+    NO_FLOOR,
+    OCCUPIED,
+    OUTDOORS,
+    UP,
+    rgb_of,
+)
+from navbake.views.layers import DISAGREEMENTS, LAYERS, make_panel, make_panels
+from navbake.views.panel import Panel, light_of, paint
 from navbake.views.plot import render_png
 
 ROOMS = """
@@ -18,7 +30,7 @@ ROOMS = """
 """
 
 
-def make_level(art=ROOMS, name="küche"):
+def make_level(art=ROOMS, name="küche", state="open"):
     """``#`` wall, ``.`` no floor, D a door, T a table in room b."""
     rows = art.strip().split("\n")
     cells = np.array([list(row.ljust(max(map(len, rows)), ".")) for row in rows])
@@ -41,7 +53,7 @@ def make_level(art=ROOMS, name="küche"):
                     room(2, name),
                 ],
                 "doors": [
-                    {"id": "d", "state": "open", "cells": {"closed": [[0, [door, 1]]], "open": []}}
+                    {"id": "d", "state": state, "cells": {"closed": [[0, [door, 1]]], "open": []}}
                 ],
             }
         },
@@ -67,10 +79,13 @@ def test_rooms():
     a, b = panel.rgb[1, 1], panel.rgb[1, 5]
     assert (panel.rgb[1:4, 1:4] == a).all()
     assert (panel.rgb[3, 6] < b).any()
-    assert tuple(panel.rgb[2, 4]) == rgb_of(DOOR)
+    assert tuple(panel.rgb[2, 4]) == rgb_of(DOORWAY)
+    [closed] = make_panels(make_level(state="closed"), "rooms")
+    assert tuple(closed.rgb[2, 4]) == rgb_of(DOOR)
+    assert ("door", DOOR) in closed.legend and ("doorway", DOORWAY) not in closed.legend
     assert tuple(panel.rgb[0, 0]) == rgb_of(OCCUPIED)
     assert tuple(panel.rgb[0, 10]) == rgb_of(NO_FLOOR)
-    assert ("door", DOOR) in panel.legend
+    assert ("doorway", DOORWAY) in panel.legend and ("door", DOOR) not in panel.legend
 
 
 def test_free_cells_of_no_room_are_not_shown_as_walls():
@@ -87,7 +102,7 @@ def test_names_stand_in_their_rooms():
     (panel,) = make_panels(make_level(), "rooms")
     one, other = panel.labels
     assert (one.x, one.y) == pytest.approx((1.25, 1.25))
-    assert one.width == pytest.approx(1.5)
+    assert (one.width, one.height) == pytest.approx((1.5, 1.5))
     assert (other.text, other.fallback) == ("küche", "0:2")
     assert 2.0 <= other.x <= 4.0
 
@@ -137,3 +152,101 @@ def test_refuses():
         make_panels(make_level(), "heat")
     with pytest.raises(QueryError, match="at least one layer"):
         render_png(make_level(), layers=[])
+
+
+def test_a_level_alone_has_no_name_in_its_title():
+    level = make_level()
+    grid = MultiLevelGrid(grids=[make_level(), make_level()], cell_size=0.5)
+    assert make_panels(level, "rooms")[0].title == "rooms"
+    assert [p.title for p in make_panels(grid, "rooms")] == ["level 0: rooms", "level 1: rooms"]
+    with pytest.raises(QueryError, match="no level 2: expected 0 to 1"):
+        make_panel(grid, "rooms", 2)
+
+
+def test_the_outdoors_have_a_colour_of_their_own():
+    level = make_level()
+    level.metadata["navbake"]["rooms"][0]["outdoors"] = True
+    [panel] = make_panels(level, "rooms")
+    assert tuple(panel.rgb[1, 1]) == rgb_of(OUTDOORS) != tuple(panel.rgb[1, 5])
+
+
+def test_doors_are_where_they_stand_and_would_stand():
+    level = make_level()
+    level.metadata["navbake"]["doors"][0]["cells"]["open"] = [[0, [23, 1]]]
+    [panel] = make_panels(level, "doors")
+    assert tuple(panel.rgb[2, 4]) == rgb_of(DOORWAY)
+    assert tuple(panel.rgb[2, 1]) == rgb_of(DOOR)  # cell 23 of rows of 11
+    assert [label.text for label in panel.labels] == ["d 0.5 m"]
+    [mark] = panel.doors
+    assert (mark.id, mark.state) == ("d", "open")
+    assert mark.middle == pytest.approx((2.25, 1.25))
+
+
+def test_links_lead_up_and_down():
+    levels = [make_level(), make_level()]
+    metadata = {"navbake": {"links": [[0, 12, 1, 13]]}}
+    grid = MultiLevelGrid(grids=levels, cell_size=0.5, metadata=metadata)
+    below, above = make_panels(grid, "links")
+    assert tuple(below.rgb[1, 1]) == rgb_of(UP)
+    assert tuple(above.rgb[1, 2]) == rgb_of(DOWN)
+    assert (below.rgb == rgb_of(UP)).all(axis=2).sum() == 1
+
+
+def test_disagreements_are_where_they_were_found():
+    level = make_level()
+    findings = [
+        Finding(FREE_TOUCHES, 0, (1, 2), (1.25, 1.75, 0.0), "touches"),
+        Finding(FLOOR_OFF, 0, None, (0.75, 0.75, 0.0), "off"),
+        Finding(FLOOR_OFF, 0, None, (99.0, 0.0, 0.0), "beside the grid"),
+        Finding(FLOOR_OFF, 1, (1, 1), (0.75, 1.75, 3.0), "of another level"),
+    ]
+    panel = make_panel(level, DISAGREEMENTS, 0, findings=findings)
+    colors = dict(panel.legend)
+    assert tuple(panel.rgb[1, 2]) == rgb_of(colors[FREE_TOUCHES])
+    assert tuple(panel.rgb[3, 1]) == rgb_of(colors[FLOOR_OFF])
+    assert panel.title == "3 disagreements"
+    plain = make_panel(level, "occupancy", 0).rgb
+    assert (panel.rgb != plain).any(axis=2).sum() == 2
+    with pytest.raises(QueryError, match="pass findings"):
+        make_panel(level, DISAGREEMENTS, 0)
+
+
+def test_paint_colours_values_and_leaves_the_rest():
+    level = make_level()
+    level.weights[1, 1] = 10.0
+    [panel] = make_panels(level, "weights")
+    painted = paint(panel)
+    assert painted.dtype == np.uint8 and painted.shape == panel.rgb.shape
+    cheap, dear = panel.scale.bar(2)
+    assert (painted[1, 1] == dear).all() and (painted[1, 2] == cheap).all()
+    assert (painted[0, 0] == rgb_of(OCCUPIED)).all() and (painted[0, 10] == rgb_of(NO_FLOOR)).all()
+    assert cheap.sum() > dear.sum()  # what costs much is dark
+    assert (panel.rgb == make_panels(level, "weights")[0].rgb).all()  # it is not painted over
+
+
+def test_bands_are_painted_as_the_whole(monkeypatch):
+    rng = np.random.default_rng(1)
+    level = make_level()
+    level.attributes["floorHeight"][:] = rng.choice([0, 0.02, 0.3, np.nan], level.shape)
+    panel = make_panel(level, "floor", 0)
+    whole = paint(panel)
+    for size in (1, 11, 22, 40):
+        monkeypatch.setattr("navbake.views.panel.BAND_CELLS", size)
+        np.testing.assert_array_equal(paint(panel), whole)
+
+
+def test_light_comes_from_the_upper_left():
+    heights = np.zeros((4, 4), dtype=np.float32)
+    heights[1:3, 1:3] = 0.02
+    heights[3, 3] = np.nan
+    lit = light_of(heights, 0.04)
+    assert (lit[1, 1:3] > 0).all() and (lit[1:3, 1] > 0).all()  # its upper and left edge
+    assert (lit[3, 1:3] < 0).all() and (lit[1:3, 3] < 0).all()  # below and right of it
+    assert lit[0].tolist() == [0] * 4 and lit[3, 3] == 0
+    assert lit[1, 2] == pytest.approx(np.tanh(0.5))
+    assert light_of(np.float32([[0, 0.04]]), 0.04)[0, 1] == pytest.approx(np.tanh(1))
+
+
+def test_a_panel_of_colours_is_painted_as_it_is():
+    rgb = np.arange(12, dtype=np.uint8).reshape(2, 2, 3)
+    np.testing.assert_array_equal(paint(Panel("p", rgb)), rgb)

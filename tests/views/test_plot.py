@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from navbake.errors import MissingDependencyError, NavbakeError, QueryError
+from navbake.navgrid.doors import to_runs
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
-from navbake.views.colors import FREE, MARKS, NO_FLOOR, OCCUPIED
-from navbake.views.plot import Mark, plot_grid, render_png
+from navbake.runtime.paths.path import Path as Route
+from navbake.views.colors import DOOR, FREE, MARKS, NO_FLOOR, OCCUPIED, ROUTE
+from navbake.views.layers import make_panel, paint
+from navbake.views.plot import Mark, plot_grid, render_png, render_svg
 
 pytest.importorskip("matplotlib")
 
@@ -117,10 +120,124 @@ def test_marks_are_drawn_on_their_level_or_on_all(house):
     for level in (0, 1, -1):
         marks = [Mark(level, 0.5, 1.0, "floor off"), Mark(level, 1.5, 0.5, "path touches")]
         drawn = pixels(render_png(house, layers=("occupancy",), marks=marks))
-        assert drawn.shape == plain.shape
+        assert drawn.shape[1] == plain.shape[1]
         is_mark = [np.abs(drawn - color(c)).max(axis=-1) < 8 for c in MARKS[:2]]
-        half = len(drawn) // 2
-        colored.append([(mark[:half].sum(), mark[half:].sum()) for mark in is_mark])
+        # levels of one layer lie beside each other; the legend is below them
+        above, half = drawn.shape[0] * 3 // 4, drawn.shape[1] // 2
+        maps = [mark[:above] for mark in is_mark]
+        colored.append([(mark[:, :half].sum(), mark[:, half:].sum()) for mark in maps])
     for first, second, both in zip(*colored, strict=True):
-        assert first[0] > second[0] and second[1] > first[1]
+        assert first[0] > second[0] == 0 and second[1] > first[1] == 0
         assert both == (first[0], second[1])
+
+
+def find(image, text, rows=slice(None)):
+    """Rows and columns of a colour's pixels."""
+    return np.nonzero((np.abs(image[rows] - color(text)) < 8).all(axis=2))
+
+
+def test_every_cell_is_drawn_where_it_is():
+    """Each cell's middle, found by the corners of the map, has the cell's colour."""
+    level = make_level(width=12, height=8)
+    rng = np.random.default_rng(0)
+    level.weights[:] = np.where(rng.random(level.shape) < 0.5, 1.0, np.inf)
+    level.weights[[0, 0, -1, -1], [0, -1, 0, -1]] = np.inf
+    level.attributes["floorHeight"][:] = 0
+    image = pixels(render_png(level, layers=["occupancy"]))
+    rows, cols = find(image, OCCUPIED, slice(0, image.shape[0] - 60))
+    edges = rows.min(), rows.max() + 1, cols.min(), cols.max() + 1
+    middle_rows = (edges[0] + (np.arange(8) + 0.5) / 8 * (edges[1] - edges[0])).astype(int)
+    middle_cols = (edges[2] + (np.arange(12) + 0.5) / 12 * (edges[3] - edges[2])).astype(int)
+    shown = image[np.ix_(middle_rows, middle_cols)]
+    np.testing.assert_array_equal(shown, paint(make_panel(level, "occupancy", 0)))
+
+
+@pytest.mark.parametrize("layers", [["occupancy"], ["occupancy", "floor"], ["rooms"] * 5])
+def test_letters_are_readable_in_a_readme(layers):
+    """830 pixels of a README show at most 8.3 inches, so 7.5 points are at least 10 pixels."""
+    image = pixels(render_png(make_level(), layers=layers))
+    assert 150 * 4 < image.shape[1] <= 150 * 8.3 + 1
+
+
+def test_the_background_is_light(house):
+    image = pixels(render_png(house))
+    edges = np.concatenate([image[:2].reshape(-1, 3), image[:, :2].reshape(-1, 3)])
+    assert (edges == 255).all()
+
+
+def test_svg_is_the_same_every_time_and_has_no_date(house, tmp_path):
+    svg = render_svg(house)
+    assert svg == render_svg(house)
+    assert svg.startswith(b"<?xml") and b"<svg" in svg
+    assert b"date" not in svg.lower() and b"Matplotlib v" not in svg
+    assert plot_grid(house, tmp_path / "house.SVG").read_bytes() == svg
+    assert plot_grid(house, tmp_path / "house.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_svg_leaves_settings_as_they_are(house):
+    from matplotlib import rcParams
+
+    before = dict(rcParams)
+    render_svg(house)
+    assert dict(rcParams) == before
+
+
+@pytest.mark.parametrize(
+    "name", ['<b>&amp;"x"</b>', "$a_b$", "客厅", "a" * 500, "\x1b[31m", "שלום"]
+)
+def test_any_name_is_a_title(name, recwarn):
+    from xml.etree import ElementTree
+
+    grid = make_level(name=name)
+    ElementTree.fromstring(render_svg(grid))
+    assert render_png(grid).startswith(b"\x89PNG")
+    assert [str(warning.message) for warning in recwarn] == []
+
+
+def test_a_path_is_blue_over_white_and_on_its_level(house):
+    def route(level):
+        ends = np.array([[-0.5, 0.3, 0.0], [1.5, 1.8, 0.0]])
+        cells = np.array([[level, 16, 5], [level, 1, 24]])
+        return Route(ends, np.full(2, level), cells, 2.5, 2.5, [], [])
+
+    for level in (0, 1):
+        image = pixels(render_png(house, layers=["occupancy"], route=route(level)))
+        above, half = image.shape[0] * 3 // 4, image.shape[1] // 2
+        _, cols = find(image, ROUTE, slice(0, above))
+        assert len(cols) > 200
+        assert (cols // half == level).all()
+        rows, _ = find(image, ROUTE, slice(above, None))
+        assert len(rows) > 20  # the legend has it
+
+
+@pytest.mark.parametrize("state", ["closed", "open"])
+def test_doors_are_full_or_hollow_lines(state):
+    level = make_level()
+    cells = {"closed": [[0, to_runs(np.arange(5 * 30 + 18, 5 * 30 + 27))]], "open": []}
+    door = {"id": "d", "state": state, "cells": cells, "solid": cells}
+    level.metadata["navbake"] = {"doors": [door]}
+    image = pixels(render_png(level, layers=["occupancy"]))
+    rows, cols = find(image, DOOR, slice(0, image.shape[0] * 8 // 10))
+    column = image[rows.min() - 12 : rows.max() + 13, int(cols.mean())]
+    is_door = np.abs(column - color(DOOR)).max(axis=1) < 90
+    assert np.count_nonzero(np.diff(is_door, prepend=False, append=False)) == (
+        2 if state == "closed" else 4  # one line, or the two edges of a hollow one
+    )
+    # nine cells of thirty: as long as the doorway is wide
+    _, free_cols = find(image, FREE, slice(0, image.shape[0] * 8 // 10))
+    cell = (free_cols.max() + 1 - free_cols.min()) / 30
+    assert np.ptp(cols) + 1 == pytest.approx(9 * cell, abs=3)
+
+
+def test_large_grids_are_drawn_in_bounded_detail():
+    level = make_level(width=2500, height=1900)
+    level.weights[:, 1200] = np.inf  # a thin wall is still seen
+    level.attributes["floorHeight"][:] = 0
+    level.weights[:950] = 1.0
+    level.weights[:, 1200] = np.inf
+    content = render_png(level, layers=["occupancy"])
+    image = pixels(content)
+    assert len(content) < 300_000
+    rows, cols = find(image, FREE, slice(0, image.shape[0] // 2))
+    line = image[rows.min() + 40, cols.min() : cols.max() + 1]
+    assert line.sum(axis=1).min() < color(FREE).sum() - 30

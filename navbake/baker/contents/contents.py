@@ -180,28 +180,50 @@ def classify_geoms(
     return kinds, warnings
 
 
+class KnownGeoms(NamedTuple):
+    """What is known of geoms before the floors are.
+
+    Attributes:
+        extents: boxes round them.
+        groups: the triangles over each tile by geom.
+    """
+
+    extents: Extents
+    groups: Groups
+
+    @classmethod
+    def of(cls, scene: Scene, tiled: TiledShapes) -> "KnownGeoms":
+        """Of the geoms of a scene, and of its geometry."""
+        return cls(measure_geoms(scene.shapes, len(scene.geoms)), group_triangles(tiled))
+
+
 class ContentsFinder:
     """Lists what stands in every cell with a floor, block by block, and classifies each geom.
 
     Args:
         scene: without doors, as is what was found in it.
         tiled: its geometry.
+        known: what is known of its geoms.
         floors: the storeys.
         agent: who stands there.
     """
 
     def __init__(
-        self, scene: Scene, tiled: TiledShapes, floors: Floors, agent: AgentSettings
+        self,
+        scene: Scene,
+        tiled: TiledShapes,
+        known: KnownGeoms,
+        floors: Floors,
+        agent: AgentSettings,
     ) -> None:
         self._scene, self._tiled, self._floors, self._agent = scene, tiled, floors, agent
-        self._extents = measure_geoms(scene.shapes, len(scene.geoms))
+        self._extents = known.extents
         # each storey ends at the next one's ground, the last one at the scene's top [m]
         highest = -np.inf if scene.bounds is None else float(scene.bounds[1, 2])
         tops = [*(level.ground for level in floors.levels[1:]), highest]
         candidates = wall_candidates(scene, self._extents)
-        groups = group_triangles(tiled)
         self._levels = [
-            _LevelLister(tiled, groups, level, top, agent, candidates)
+            _LevelLister(tiled, known.groups, level, top, agent, candidates)
             for level, top in zip(floors.levels, tops, strict=True)
         ]
 

@@ -1,5 +1,6 @@
 """Which geoms are walls, or meshes that hold a whole building."""
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -17,7 +18,7 @@ from navbake.types import Bool, Float, Int
 OBJECT, WALL, STRUCTURE, BUILDING = range(4)
 """What a geom can be; BUILDING is a mesh that holds a whole one, floors and walls together."""
 
-HINTS = ("wall", "partition")  # in the names of walls, whatever the case
+HINTED = re.compile("wall|partition")  # in the names of walls, whatever the case
 
 # A wall begins at most this far over a floor (as a window over its sill), and is this high [m]
 NEAR_FLOOR, TALL = 0.6, 1.5
@@ -129,7 +130,7 @@ def find_walls(
     is named so, and what carries floors continues no wall. Geoms that are excluded are no walls.
     """
     named_by_geom = [" ".join(names).lower() for names in all_names(scene.model).geoms]
-    hinted = np.array([any(hint in names for hint in HINTS) for names in named_by_geom])
+    hinted = np.array([bool(HINTED.search(names)) for names in named_by_geom], dtype=np.bool_)
     static, slender = is_static(scene) & ~excluded, _is_slender(extents, *THIN)
     stands = static & (over_floors.base <= NEAR_FLOOR)
     named = stands & hinted

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from navbake.baker.columns import Columns, ColumnSource
 from navbake.baker.connect import connect
 from navbake.baker.floors.kernels.sheets import (
+    Surfaces,
     group_members,
     join_by_slopes,
     join_by_steps,
+    list_surfaces,
     mark_surfaces,
 )
 from navbake.baker.floors.kernels.shrink import east_rim, mark_inner, near_offsets
@@ -141,20 +143,21 @@ class StandableFinder:
         asked = self._lattice, columns.crossings, self._planes, agent_limits(self._agent)
         work = known[1] - known[0], *asked, floor_like, is_standable, self._start[1:]
         run_in_bands(mark_surfaces, *work, begin=known[0])
-        column = columns.start[known[0] : known[1] + 1]
-        before = np.zeros(count + 1, dtype=np.int64)  # how many footings come before each surface
-        np.cumsum(floor_like, out=before[1:])
-        self._footing_start[known[0] + 1 : known[1] + 1] = np.diff(before[column])
-        at = np.flatnonzero(is_standable)
-        top = columns.z[np.maximum(column[1:] - 1, 0)] if count else np.zeros(len(column) - 1)
-        z = columns.z[at]
-        here = np.repeat(np.arange(len(column) - 1), self._start[known[0] + 1 : known[1] + 1])
-        is_top = top[here] - z <= SLACK
-        surface = before[at] + len(self._footing)
-        self._surfaces.add(z, known[0] + here, surface, columns.geom[at], is_top)
+        cells = slice(known[0] + 1, known[1] + 1)
+        start, footing_start = (np.zeros(known[1] - known[0] + 1, np.int64) for _ in range(2))
+        np.cumsum(self._start[cells], out=start[1:])
+        crossings = columns.crossings._replace(start=columns.start[known[0] : known[1] + 1])
+        marks, places = (floor_like, is_standable), (start, footing_start)
+        listed = crossings, marks, places, (known[0], len(self._footing))
+        run_in_bands(list_surfaces, len(start) - 1, *listed, _make_surfaces(0, 0), False)
+        self._footing_start[cells] = footing_start[1:]
+        np.cumsum(footing_start, out=footing_start)
+        found = _make_surfaces(int(start[-1]), int(footing_start[-1]))
+        run_in_bands(list_surfaces, len(start) - 1, *listed, found, True)
+        self._surfaces.add(found.z, found.cell, found.surface, found.geom, found.is_top)
         if _slopes_may_join(self._lattice, self._agent):
-            self._normals.add(columns.normal[at])
-        self._footing.add(columns.z[floor_like])
+            self._normals.add(columns.normal[is_standable])
+        self._footing.add(found.footing)
 
     def found(self) -> tuple[Standable, Footing]:
         """The standable surfaces and their sheets, and all that a floor may go on at."""
@@ -169,6 +172,12 @@ class StandableFinder:
             sheet, size = _unite(sheet, sheet[slopes], len(size))
         parts = z, cell, surface, geom, is_top, sheet, size, slopes
         return Standable(lattice, start, *parts), Footing(self._footing_start, footing)
+
+
+def _make_surfaces(count: int, footings: int) -> Surfaces:
+    z, footing = np.empty(count), np.empty(footings)
+    cell, surface, geom = (np.empty(count, dtype=np.int32) for _ in range(3))
+    return Surfaces(z, cell, surface, geom, np.empty(count, dtype=np.bool_), footing)
 
 
 def find_standable(

@@ -108,7 +108,7 @@ def _column(lattice, row, col, cells, reach):
     return Prism(x, y, cells.floor[cell], cells.ceiling[cell], reach, reach)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def count_candidates(lattice, solids, planes, tiles, groups, footprint, cells, first, end):
     """Count for each cell with a floor the geoms whose boxes meet its column: an upper bound.
 
@@ -299,6 +299,16 @@ def _list_geom(asked, shapes, tiles, groups, is_solid, n, cells, here):
                 here.length[r, c] = _add(cells, cell, here.length[r, c], geom, here.flags[r, c])
 
 
+@njit(cache=True, **UNCOUNTED)
+def _list_tile(tile, asked, shapes, tiles, groups, cells, here):
+    """List what stands in the cells of a tile or blocks them."""
+    _begin(asked, shapes[2], cells, here)
+    for is_solid in (False, True):
+        start = tiles.solid_start if is_solid else groups.start
+        for n in range(start[tile], start[tile + 1]):
+            _list_geom(asked, shapes, tiles, groups, is_solid, n, cells, here)
+
+
 @njit(cache=True, nogil=True)
 def list_geoms(lattice, crossings, shapes, tiles, groups, footprint, probe, cells, first, end):
     """List for each cell with a floor the geoms that stand in it or block it.
@@ -313,14 +323,10 @@ def list_geoms(lattice, crossings, shapes, tiles, groups, footprint, probe, cell
     here = _make_tile_cells()
     for tile in range(first, end):
         asked = TileQuestion(lattice, tile_window(lattice, tile), crossings, footprint, probe)
-        _begin(asked, shapes[2], cells, here)
-        for is_solid in (False, True):
-            start = tiles.solid_start if is_solid else groups.start
-            for n in range(start[tile], start[tile + 1]):
-                _list_geom(asked, shapes, tiles, groups, is_solid, n, cells, here)
+        _list_tile(tile, asked, shapes, tiles, groups, cells, here)
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def describe_floors(floors, crossings, min_up, support):
     """Find which geom carries each cell's floor, and how far below the next floor lies.
 
@@ -346,7 +352,7 @@ def describe_floors(floors, crossings, min_up, support):
                 support.gap[cell] = floor - z[i]
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def count_supports(support, standable, limit, covering, counts):
     """Count the cells of one storey by the geom that carries their floor.
 
@@ -367,7 +373,7 @@ def count_supports(support, standable, limit, covering, counts):
         counts.stood_on[geom] |= standable[i]
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def measure_over_floors(listed, floors, extents, base, rise, area, upper_area):
     """Measure how a storey's geoms stand over its floors, into four (geoms,) arrays.
 

@@ -227,7 +227,7 @@ class GapRoom(NamedTuple):
 MARK, COUNT, WRITE = range(3)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def find_gaps(lattice, crossings, limits, reach, room, task, first, end):
     """Find gaps in floors: cells that have none where cells on both sides have; in three rounds.
 

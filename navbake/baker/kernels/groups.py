@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from numba import njit
 
+from navbake.compiled import UNCOUNTED
 from navbake.types import Float, Int
 
 
@@ -25,7 +26,7 @@ class Groups(NamedTuple):
     box: Float
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def count_groups(facets, tiles, count, first, end):
     """Count the groups of the tiles ``range(first, end)``, into (tiles,) int64."""
     geoms, items = facets.geom, tiles.triangle_item
@@ -37,7 +38,7 @@ def count_groups(facets, tiles, count, first, end):
                 count[tile] += 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def fill_groups(facets, tiles, groups, first, end):
     """Write the groups of the tiles ``range(first, end)``; `start` is known."""
     for tile in range(first, end):

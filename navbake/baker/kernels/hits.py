@@ -196,7 +196,7 @@ def settle(hits, first, last, facets, spare, place):
     return last - kept
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def close_up(crossings):
     """Move crossings up to where hits were dropped before them; returns how many there are."""
     start, count = crossings.start, np.int64(0)

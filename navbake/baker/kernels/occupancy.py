@@ -159,8 +159,15 @@ def check_cells(
     Looks at the queries of the rows of tiles ``range(first, end)``. `footprint` is what an agent
     sweeps over a cell; the queries are sorted by cell, and the answers are written into them.
     """
-    search, tiles_x = _make_search(), (lattice.width + TILE - 1) // TILE
-    run, shapes = search.run, (lattice, solids, facets)
+    asked = lattice, crossings, planes, footprint, queries
+    _check_rows(asked, (lattice, solids, facets), tiles, _make_search(), first, end)
+
+
+@njit(cache=True, **UNCOUNTED)
+def _check_rows(asked, shapes, tiles, search, first, end):
+    """See `check_cells`."""
+    lattice, crossings, planes, footprint, queries = asked
+    run, tiles_x = search.run, (lattice.width + TILE - 1) // TILE
     for tile in range(first * tiles_x, end * tiles_x):
         window, num_asked = tile_window(lattice, tile), 0
         for row in range(window[0], window[1]):

@@ -241,6 +241,19 @@ def _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writi
         end[line] += count
 
 
+@njit(cache=True, **UNCOUNTED)
+def _settle_lines(hits, start, end, facets, spare):
+    """Turn the hits of some lines into crossings, see `settle`; returns how many were dropped.
+
+    `start`, of the whole columns, and `end`, of these hits, tell where each line's hits are.
+    """
+    dropped = 0
+    for line in range(end.shape[0]):
+        first = start[line] - start[0]
+        dropped += settle(hits, first, end[line], facets, spare, np.int64(0))
+    return dropped
+
+
 @njit(inline="always")
 def make_ray():
     """A ray; its point and direction are for who casts it."""
@@ -282,14 +295,11 @@ def cast_lines(
         here = slice(items.triangle_start[band], items.triangle_start[band + 1])
         listed, is_crossed = items.triangle_item[here], items.is_crossed[here]
         raster_triangles(facets, listed, is_crossed, lattice, rows, hits, place, writing)
-        num_dropped = 0
+        if writing:
+            dropped[band] = _settle_lines(hits, start[first:last], place, facets, middle)
+            continue
         for line in range(last - first):
-            if writing:
-                begin = start[first + line] - start[first]
-                num_dropped += settle(hits, begin, place[line], facets, middle, np.int64(0))
-            else:
-                start[first + line + 1] = place[line]
-        dropped[band] = num_dropped
+            start[first + line + 1] = place[line]
 
 
 @njit(inline="always")
@@ -300,7 +310,7 @@ def most_hits(tile, planes, tiles):
     return 2 * (solids + planes.geom.shape[0]) + triangles + 1
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def cast_line(x, y, tile, solids, facets, planes, tiles, heights, ray, hits):
     """Cross the line at (x, y) with all geometry near a tile.
 

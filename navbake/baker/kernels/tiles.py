@@ -12,6 +12,8 @@ import math
 import numpy as np
 from numba import njit
 
+from navbake.compiled import UNCOUNTED
+
 TILE = 8  # cells along a tile's edge; a tile's cells are the bits of an int64
 BAND = 8  # rows of cells in a band
 # How far beyond the centres of cells one looks, in cells, so that rounding loses none
@@ -119,8 +121,8 @@ def _bands_under(boxes, n, grow, lattice):
     return first // BAND, last // BAND, 0, 0
 
 
-@njit(cache=True, nogil=True)
-def list_boxes(boxes, grow, lattice, by_band, cursor, item, first, end):
+@njit(cache=True, nogil=True, **UNCOUNTED)
+def list_boxes(boxes, grow, lattice, by_band, under, cursor, item, first, end):
     """Count, or list, the (n, 6) boxes that reach into each tile; or into each band.
 
     The boxes fall into chunks of about the same size, of which it looks at ``range(first, end)``.
@@ -128,6 +130,8 @@ def list_boxes(boxes, grow, lattice, by_band, cursor, item, first, end):
     Args:
         grow: how much larger the boxes are taken to be, in the plane [m].
         by_band: whether bands are asked about, and boxes that hold a cell's centre there.
+        under: by box, (n, 4) int32: the first and last row of the tiles under it, and so with the
+            columns; is written while counting.
         cursor: by chunk and tile, (chunks, tiles) int64: where the chunk's next box over the tile
             goes; is advanced.
         item: receives the boxes, int32; they are only counted where it is empty.
@@ -137,11 +141,14 @@ def list_boxes(boxes, grow, lattice, by_band, cursor, item, first, end):
     for chunk in range(first, end):
         place = cursor[chunk]
         for n in range(num * chunk // num_chunks, num * (chunk + 1) // num_chunks):
-            under = _tiles_under(boxes, n, grow, lattice)
-            if by_band:
-                under = _bands_under(boxes, n, grow, lattice)
-            for row in range(under[0], under[1] + 1):
-                for tile in range(row * stride + under[2], row * stride + under[3] + 1):
+            if not writing:
+                if by_band:
+                    found = _bands_under(boxes, n, grow, lattice)
+                else:
+                    found = _tiles_under(boxes, n, grow, lattice)
+                under[n, 0], under[n, 1], under[n, 2], under[n, 3] = found
+            for row in range(under[n, 0], under[n, 1] + 1):
+                for tile in range(row * stride + under[n, 2], row * stride + under[n, 3] + 1):
                     if writing:
                         item[place[tile]] = n
                     place[tile] += 1

@@ -93,8 +93,9 @@ def _align(foot: Float, around: float) -> float:
         across = (across - across.min()) / LINE
         for phase in (0.0, 0.5):  # so that no wall falls between two lines
             count = np.bincount((across + phase).astype(np.int64))
-            sharp = np.square(np.convolve(count, (1, 1)).astype(np.float64)).sum()
-            sharpness[k] = max(sharpness[k], sharp)
+            # the squares of the sums of two lines next to each other; whole numbers, so exact
+            sharp = 2 * (count @ count + count[1:] @ count[:-1])
+            sharpness[k] = max(sharpness[k], float(sharp))
     is_axis = angles % 90.0 == 0.0
     if (sharpness[is_axis] >= AS_SHARP * sharpness.max()).any():
         return float(angles[is_axis][0])

@@ -65,9 +65,9 @@ def choose_geoms(
         rules[ground] = (True, "added by `scene.ground`")
     modes, unused = _mesh_modes(settings, names, model.geom_type)
     opened = []
-    for geom, mode in enumerate(modes):
-        # MuJoCo collides meshes by their hull, but not signed distance fields
-        if mode == "auto" and rules[geom][0] and collides[geom] and model.geom_type[geom] == MESH:
+    # MuJoCo collides meshes by their hull, but not signed distance fields
+    for geom in np.flatnonzero(collides & (model.geom_type == MESH)).tolist():
+        if modes[geom] == "auto" and rules[geom][0]:
             modes[geom] = "surface" if hides_room(geom) else "hull"
             opened += [names[geom].geom] if modes[geom] == "surface" else []
     taken: list[MeshMode] = [
@@ -137,11 +137,12 @@ def _find_excluded(
     """The reason each geom is excluded, empty where it isn't; and patterns that match nothing."""
     exclude = settings.exclude
     bodies = _excluded_bodies(model, settings)
-    reasons = []
-    for geom, name in enumerate(names):
-        pattern = _first_match(exclude.geoms, name.geom)
-        by_geom = f"excluded: matches {pattern!r}" if pattern else ""
-        reasons.append(by_geom or bodies[int(model.geom_bodyid[geom])])
+    reasons = [bodies[body] for body in model.geom_bodyid.tolist()]
+    if exclude.geoms:
+        for geom, name in enumerate(names):
+            pattern = _first_match(exclude.geoms, name.geom)
+            if pattern:
+                reasons[geom] = f"excluded: matches {pattern!r}"
     body_names = all_names(model).bodies[1:]
     notes = _unused("scene.exclude.bodies", exclude.bodies, body_names)
     return reasons, notes + _unused("scene.exclude.geoms", exclude.geoms, [n.geom for n in names])
@@ -149,17 +150,18 @@ def _find_excluded(
 
 def _excluded_bodies(model: Any, settings: SceneSettings) -> list[str]:
     """The reason each body is excluded, empty where it isn't; the world never is."""
+    exclude, parents = settings.exclude, model.body_parentid.tolist()
     free = {int(model.jnt_bodyid[j]) for j in np.flatnonzero(model.jnt_type == FREE)}
     reasons, names = [""] * model.nbody, all_names(model).bodies
     for body in range(1, model.nbody):  # parents come before their children
         name = names[body]
-        pattern = _first_match(settings.exclude.bodies, name)
+        pattern = _first_match(exclude.bodies, name) if exclude.bodies else None
         if pattern:
             reasons[body] = f"excluded: body {name!r} matches {pattern!r}"
-        elif settings.exclude.movable and body in free:
+        elif exclude.movable and body in free:
             reasons[body] = f"excluded: body {name!r} is movable (free joint)"
         else:
-            reasons[body] = reasons[int(model.body_parentid[body])]
+            reasons[body] = reasons[parents[body]]
     return reasons
 
 
@@ -167,14 +169,12 @@ def _mesh_modes(
     settings: SceneSettings, names: list[GeomNames], types: Any
 ) -> tuple[list[str], list[str]]:
     """The mesh mode that is set for each geom; and patterns that match no mesh."""
-    by_pattern: Mapping[str, str] = (
-        settings.meshes if isinstance(settings.meshes, dict) else {"*": settings.meshes}
-    )
+    if not isinstance(settings.meshes, dict):
+        return [settings.meshes] * len(names), []
+    by_pattern: Mapping[str, str] = settings.meshes
     modes = [
         next((by_pattern[p] for p in by_pattern if _matches(p, name)), "auto") for name in names
     ]
-    if by_pattern is not settings.meshes:
-        return modes, []
     of_meshes = [names[geom] for geom in np.flatnonzero(np.isin(types, (MESH, SDF)))]
     known = [text for name in of_meshes for text in name]
     return modes, _unused("scene.meshes", by_pattern, known, "no mesh")

@@ -57,7 +57,11 @@ def verify(
     ),
     as_json: AsJson = False,
     output: Path | None = Option(
-        None, "-o", "--output", metavar="PNG", help="Draw the disagreements; - for stdout."
+        None,
+        "-o",
+        "--output",
+        metavar="PNG|SVG",
+        help="Draw the disagreements; - for a PNG on stdout.",
     ),
     force: bool = Option(
         False, "--force", help="Compare with a scene that isn't the one that was baked."
@@ -70,7 +74,7 @@ def verify(
     if which.every and which.sample != SAMPLE:
         raise BadParameter("expected one of them", param_hint="--sample, --all")
     if output is not None:
-        check_output(output, ".png", inputs=[grid, *([scene] if scene else [])])
+        check_output(output, ".png", ".svg", inputs=[grid, *([scene] if scene else [])])
     from navbake.verifier.verify import verify as compare  # loads MuJoCo
 
     report = compare(
@@ -120,7 +124,7 @@ def audit(
     grid: GridFile,
     as_json: AsJson = False,
     output: Path | None = Option(
-        None, "-o", "--output", metavar="PNG", help="Draw the places; - for stdout."
+        None, "-o", "--output", metavar="PNG|SVG", help="Draw the places; - for a PNG on stdout."
     ),
 ) -> None:
     """Look at a grid of any program for what a person would notice, without its scene.
@@ -128,7 +132,7 @@ def audit(
     The exit status is 1 if there are errors, 0 if there are only remarks.
     """
     if output is not None:
-        check_output(output, ".png", inputs=[grid])
+        check_output(output, ".png", ".svg", inputs=[grid])
     from navbake.auditor.audit import audit as look_at  # loads numpy
     from navbake.auditor.report import count_of  # loads it too
 

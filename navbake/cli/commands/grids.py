@@ -1,16 +1,14 @@
-"""The commands that look at a grid: `navbake info`, `rooms`, `why` and `plot`."""
+"""The commands that look at a grid: `navbake info`, `rooms` and `why`."""
 
-from pathlib import Path
-
-from typer import BadParameter, Option
+from typer import Option
 
 import navbake
 from navbake.cli import printing
-from navbake.cli.options import STDOUT, AsJson, GridFile, check_output, write_stdout
+from navbake.cli.options import AsJson, GridFile
 from navbake.cli.places import PLACE, PLACE_HELP, parse_place
 from navbake.errors import QueryError
 
-# Functions import views when they run: --help loads no numpy, no matplotlib.
+# Functions import views when they run: --help loads no numpy.
 
 
 def info(grid: GridFile, as_json: AsJson = False) -> None:
@@ -71,34 +69,3 @@ def why(
         printing.print_json(cells)
     else:
         printing.print_tables(*map(printing.cell_table, cells))
-
-
-def plot(
-    grid: GridFile,
-    output: Path = Option(..., "-o", "--output", metavar="PNG", help="PNG to write; - for stdout."),
-    level: int | None = Option(
-        None, min=0, help="Draw only this level; 0 is the lowest.  [default: all]"
-    ),
-    layers: list[str] | None = Option(
-        None,
-        "--layer",
-        metavar="LAYER",
-        help="Draw occupancy, floor, rooms, clearance, island or weights. May be repeated.  "
-        "[default: occupancy and floor]",
-    ),
-) -> None:
-    """Draw a grid: a row for each level, a column for each layer."""
-    from navbake.views.layers import LAYERS
-    from navbake.views.plot import DEFAULT_LAYERS, plot_grid, render_png
-
-    for layer in layers or ():
-        if layer not in LAYERS:
-            raise BadParameter(
-                f"expected one of {', '.join(LAYERS)}, got {layer}", param_hint="--layer"
-            )
-    check_output(output, ".png", inputs=[grid])
-    content, chosen = navbake.load(grid), tuple(layers or DEFAULT_LAYERS)
-    if output == STDOUT:
-        write_stdout(render_png(content, level=level, layers=chosen))
-    else:
-        printing.say_unless_quiet(plot_grid(content, output, level=level, layers=chosen))

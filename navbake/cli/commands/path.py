@@ -34,7 +34,7 @@ def path(
     smooth: bool = Option(True, help="Straighten the path, or follow the cells' centres."),
     as_json: AsJson = False,
     output: Path | None = Option(
-        None, "-o", "--output", metavar="PNG", help="Draw the path; - for stdout."
+        None, "-o", "--output", metavar="PNG|SVG", help="Draw the path; - for a PNG on stdout."
     ),
 ) -> None:
     """Plan a path through a grid, or say why there is none.
@@ -42,7 +42,7 @@ def path(
     The exit status is 1 if there is none.
     """
     if output is not None:
-        check_output(output, ".png", inputs=[grid])
+        check_output(output, ".png", ".svg", inputs=[grid])
     is_named = any(goal.startswith(NAMED) for goal in goals)
     if len(goals) > 1 and is_named:
         raise BadParameter("several goals have to be positions", param_hint="--to")

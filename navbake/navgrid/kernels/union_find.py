@@ -8,8 +8,10 @@ that follow the roots depend on nothing else. Path halving alone keeps the trees
 
 from numba import njit
 
+from navbake.compiled import UNCOUNTED
 
-@njit(cache=True)
+
+@njit(cache=True, **UNCOUNTED)
 def find_root(parent, item):
     """The root of an item's set, its lowest member; of roots, `parent` has themselves."""
     while parent[item] != item:
@@ -18,7 +20,7 @@ def find_root(parent, item):
     return item
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def unite(parent, one, other):
     """Join the sets of two items."""
     one, other = find_root(parent, one), find_root(parent, other)

@@ -8,6 +8,7 @@ from numba import njit
 from navbake.baker.floors.kernels.sheets import count_planes_over, look_up, neighbour
 from navbake.baker.kernels.constants import CLOSED_SURFACE, SAME, SLACK
 from navbake.baker.kernels.tiles import cell_center
+from navbake.compiled import UNCOUNTED
 
 
 @njit(inline="always")
@@ -26,7 +27,7 @@ def _find_holder(crossings, i, last):
     return np.int32(-1)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def find_holders(lattice, crossings, planes, limits, holder, first_cell, end):
     """Find the surfaces that an agent could stand on if closed meshes held nothing inside.
 

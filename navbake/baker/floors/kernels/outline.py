@@ -11,6 +11,7 @@ from numba import njit
 
 from navbake.baker.floors.kernels.sheets import neighbour
 from navbake.baker.kernels.constants import SLACK
+from navbake.compiled import UNCOUNTED
 
 
 @njit(inline="always")
@@ -22,7 +23,7 @@ def _holds_sheet(standable, cell, sheet):
     return False
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def list_edges(standable, chosen):
     """List the edges of the chosen sheets, (sheets,) bool.
 
@@ -44,7 +45,7 @@ def list_edges(standable, chosen):
     return surface[:count].copy(), way_out[:count].copy()
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def look_out(standable, surface, way, step, cells, floors):
     """Look out from edges: the cells beyond each, and the floors more than a step below in them.
 

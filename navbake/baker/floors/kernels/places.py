@@ -13,7 +13,7 @@ from numba import njit
 MOVE_STAIR, MOVE_FLOOR, SKIP_STAIR, SKIP_FLOOR = 1, 10_000, 100, 10_000_000
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def place_on_levels(start, base, is_stair, num_levels, level):
     """Give each surface its level, so that no two of a column share one.
 

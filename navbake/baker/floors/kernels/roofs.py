@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def count_open_and_over(every, counts):
     """Count the surfaces of sheets that are open to the sky, and those over another sheet.
 

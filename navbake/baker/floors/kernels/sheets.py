@@ -6,16 +6,19 @@ apart, by union-find. Floors grow ring by ring, breadth first.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE, SAME, SLACK
 from navbake.baker.kernels.tiles import cell_center
+from navbake.compiled import UNCOUNTED
 from navbake.navgrid.kernels.union_find import find_root, unite
+from navbake.types import Bool, Float, Int32
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def count_planes_over(planes, x, y, z):
     """How many infinite planes have a point behind them."""
     count = 0
@@ -30,7 +33,7 @@ def count_planes_over(planes, x, y, z):
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def look_up(crossings, i, last):
     """How many solids of a column hold the i-th surface, and the height of the next one above.
 
@@ -54,7 +57,7 @@ def look_up(crossings, i, last):
     return surfaces, others, above
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable, count, cell0, end):
     """Tell which crossings are floor-like and which are standable, into two (n,) bool arrays.
 
@@ -88,6 +91,60 @@ def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable, cou
                 previous = z
 
 
+class Surfaces(NamedTuple):
+    """Standable surfaces, and the heights of floor-like ones, column by column.
+
+    Attributes:
+        z, cell, geom: of each standable one, float64 [m], int32, int32.
+        surface: which of the floor-like ones it is, int32.
+        is_top: whether nothing lies above it in its column, bool.
+        footing: heights of the floor-like ones, float64 [m].
+    """
+
+    z: Float
+    cell: Int32
+    surface: Int32
+    geom: Int32
+    is_top: Bool
+    footing: Float
+
+
+@njit(cache=True, nogil=True, **UNCOUNTED)
+def list_surfaces(crossings, marks, places, before, found, writing, first, end):
+    """List the surfaces that `mark_surfaces` marked; twice: to count, then to write.
+
+    Looks at the columns ``range(first, end)`` of the crossings.
+
+    Args:
+        marks: which crossings are floor-like, and which are standable, (n,) bool each.
+        places: by column, where its standable surfaces go, and where its floor-like ones do, int64;
+            of these, ``places[1][column + 1]`` receives the number in the first call.
+        before: how many cells, and how many floor-like surfaces, come before these columns.
+        found: receives the surfaces.
+    """
+    (floor_like, standable), (start, footing_start) = marks, places
+    z, geom = crossings.z, crossings.geom
+    for column in range(first, end):
+        begin, past = crossings.start[column], crossings.start[column + 1]
+        if not writing:
+            count = 0
+            for i in range(begin, past):
+                count += floor_like[i]
+            footing_start[column + 1] = count
+            continue
+        at, footing = start[column], footing_start[column]
+        for i in range(begin, past):
+            if standable[i]:
+                found.z[at], found.geom[at] = z[i], geom[i]
+                found.cell[at] = before[0] + column
+                found.surface[at] = before[1] + footing
+                found.is_top[at] = z[past - 1] - z[i] <= SLACK
+                at += 1
+            if floor_like[i]:
+                found.footing[footing] = z[i]
+                footing += 1
+
+
 @njit(cache=True)
 def neighbour(lattice, cell, way):
     """The next cell east (0), south (1), west (2) or north (3), or -1."""
@@ -101,7 +158,18 @@ def neighbour(lattice, cell, way):
     return cell - width
 
 
-@njit(cache=True)
+@njit(inline="always")
+def neighbours(lattice, cell):
+    """The next cells east, south, west and north, each -1 for none."""
+    width, num = lattice.width, lattice.width * lattice.height
+    col = cell % width
+    east = cell + 1 if col + 1 < width else -1
+    south = cell + width if cell + width < num else -1
+    west = cell - 1 if col > 0 else -1
+    return east, south, west, cell - width
+
+
+@njit(cache=True, nogil=True)
 def join_by_steps(lattice, start, z, group, step):
     """Label the connected parts of standable surfaces: of one group, neighbours a step apart.
 
@@ -183,7 +251,7 @@ def join_by_slopes(lattice, start, z, normal, step):
     return pairs
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def group_members(part, size):
     """List the members of each part, given the part of each surface, int32, and the parts' sizes.
 
@@ -200,7 +268,7 @@ def group_members(part, size):
     return start, member
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def find_links(lattice, start, z, level, step):
     """Pairs of surfaces in neighbouring cells, a step apart, on different levels.
 
@@ -234,7 +302,7 @@ def find_links(lattice, start, z, level, step):
     return pairs
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def count_options(footing, candidate, floor, lowest, highest, count, cell0, end):
     """Count the heights at which a level's floor may go on in each cell, into (cells,) int64.
 
@@ -249,7 +317,7 @@ def count_options(footing, candidate, floor, lowest, highest, count, cell0, end)
                     count[cell] += 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def list_options(footing, candidate, lowest, highest, start, height, cell0, end):
     """Write the heights that `count_options` counts, (options,) float64 [m].
 
@@ -265,7 +333,7 @@ def list_options(footing, candidate, lowest, highest, start, height, cell0, end)
                 place += 1
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def grow_floor(lattice, start, height, floor, step):
     """Let a level's floor go on under things, ring by ring, in place.
 
@@ -276,10 +344,15 @@ def grow_floor(lattice, start, height, floor, step):
     all over the lattice, read little memory.
     """
     num = floor.shape[0]
-    queue, queued = np.empty(num, np.int64), np.zeros(num, np.bool_)
-    following, value = np.empty(num, np.int64), np.empty(num, np.float64)
-    beside = np.empty(4, np.float64)
-    end = 0
+    rings = np.empty(num, np.int64), np.empty(num, np.int64), np.zeros(num, np.bool_)
+    _grow(lattice, start, height, floor, step, (*rings, np.empty(num), np.empty(4)))
+
+
+@njit(cache=True, **UNCOUNTED)
+def _grow(lattice, start, height, floor, step, room):
+    """See `grow_floor`; `room`: two rings, marks by cell, a ring's heights, and neighbours'."""
+    queue, following, queued, value, beside = room
+    num, end = floor.shape[0], 0
     for cell in range(num):
         if start[cell] < start[cell + 1] and _list_beside(lattice, cell, floor, beside) > 0:
             queued[cell] = True
@@ -298,8 +371,7 @@ def grow_floor(lattice, start, height, floor, step):
         for q in range(end):
             if math.isnan(value[q]):
                 continue
-            for way in range(4):
-                other = neighbour(lattice, queue[q], way)
+            for other in neighbours(lattice, queue[q]):
                 if other < 0 or queued[other] or start[other] == start[other + 1]:
                     continue
                 if math.isnan(floor[other]):
@@ -314,8 +386,7 @@ def grow_floor(lattice, start, height, floor, step):
 def _list_beside(lattice, cell, floor, beside):
     """Write the floors of a cell's neighbours that have one; returns how many they are."""
     count = 0
-    for way in range(4):
-        other = neighbour(lattice, cell, way)
+    for other in neighbours(lattice, cell):
         if other >= 0 and not math.isnan(floor[other]):
             beside[count] = floor[other]
             count += 1

@@ -7,6 +7,8 @@ only until enough have survived, that is cheaper than a transform of the whole l
 import numpy as np
 from numba import njit
 
+from navbake.compiled import UNCOUNTED
+
 
 def near_offsets(limit: float, shorter: int) -> np.ndarray:
     """Steps to the cells that are nearer than a limit [cells], the farthest first, (n, 2) int64.
@@ -36,7 +38,7 @@ def east_rim(offsets: np.ndarray) -> np.ndarray:
     return np.array(rim, dtype=np.int64).reshape(-1, 2)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def mark_inner(cells, offsets, rim, width, height, needed, mask, counted, inner):
     """Mark the cells of a set whose neighbours at all offsets belong to it, until enough are found.
 

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from navbake.compiled import UNCOUNTED
 from navbake.navgrid.kernels.union_find import find_root
 from navbake.types import Bool, Int, Int32
 
@@ -121,16 +122,13 @@ def mark_bridges(low, wall, shift, bridge):
     low, wall = np.ascontiguousarray(low.T), np.ascontiguousarray(wall.T)
     held = np.zeros((cols, rows), dtype=np.uint8)  # by a wall at the way's first end
     for col in range(1, cols):
-        here, walls, walls_before, known = low[col], wall[col], wall[col - 1], held[col - 1]
-        for row in range(rows):
-            before = row + shift[col - 1] - shift[col]
-            held[col, row] = _hold(here, walls, row, before, walls_before, known)
+        to_before = shift[col - 1] - shift[col]
+        _hold_column(low[col], wall[col], to_before, wall[col - 1], held[col - 1], held[col])
     ends = np.zeros((cols, rows), dtype=np.uint8)
     for col in range(cols - 2, -1, -1):
-        here, walls, walls_after, known = low[col], wall[col], wall[col + 1], ends[col + 1]
+        to_after = shift[col + 1] - shift[col]
+        _hold_column(low[col], wall[col], to_after, wall[col + 1], ends[col + 1], ends[col])
         for row in range(rows):
-            after = row + shift[col + 1] - shift[col]
-            ends[col, row] = _hold(here, walls, row, after, walls_after, known)
             both = held[col, row] & ends[col, row]
             if both == 0:
                 continue
@@ -139,6 +137,13 @@ def mark_bridges(low, wall, shift, bridge):
                     bridge[row + side - 1, col] = True
             if both & EXACT:
                 bridge[row, col] = True
+
+
+@njit(cache=True, **UNCOUNTED)
+def _hold_column(low, wall, to_next, next_wall, held, found):
+    """`_hold` for each row of a column; the line's next cell is `to_next` rows further down."""
+    for row in range(low.shape[0]):
+        found[row] = _hold(low, wall, row, row + to_next, next_wall, held)
 
 
 @njit(inline="always")
@@ -153,10 +158,12 @@ def _hold(low, wall, row, next_row, next_wall, held):
     if next_row < 0 or next_row >= rows:
         return np.uint8(0)
     first, last = max(row - 1, 0), min(row + 1, rows - 1)
-    if not (low[row] or low[first] or low[last]):  # most cells
+    there = held[next_row]
+    if there == 0 and not next_wall[next_row]:  # most cells: nothing there holds anything
+        return np.uint8(0)
+    if not (low[row] or low[first] or low[last]):
         return np.uint8(0)
     found = 0
-    there = held[next_row]
     if low[row] and (next_wall[next_row] or there & EXACT):
         found = EXACT
     for other in range(first, last + 1):

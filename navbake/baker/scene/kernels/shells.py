@@ -10,6 +10,7 @@ a harder question, see `navbake.baker.kernels.parts`.
 import numpy as np
 from numba import njit
 
+from navbake.compiled import UNCOUNTED
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 MINUS_ZERO = np.uint64(1 << 63)  # its bits
@@ -158,12 +159,18 @@ def pair_halves(faces, end_of, half, is_shell, low0, low_end):
         is_shell: (m,) bool, receives False for the first triangle at each edge that is met by other
             than two triangles, in either direction once.
     """
-    keys = np.empty(16, np.int64)
+    most, first = 0, end_of[low0 - 1] if low0 > 0 else 0
+    for low in range(low0, low_end):
+        most, first = max(most, end_of[low] - first), end_of[low]
+    _pair_halves(faces, end_of, half, is_shell, np.empty(most, np.int64), low0, low_end)
+
+
+@njit(cache=True, **UNCOUNTED)
+def _pair_halves(faces, end_of, half, is_shell, keys, low0, low_end):
+    """See `pair_halves`; `keys` has room for those of a point."""
     for low in range(low0, low_end):
         first = end_of[low - 1] if low > 0 else 0
         count = end_of[low] - first
-        if count > keys.shape[0]:
-            keys = np.empty(2 * count, np.int64)
         for i in range(count):
             f, k = half[first + i] // 3, half[first + i] % 3
             high = max(faces[f, k], faces[f, (k + 1) % 3])

@@ -26,7 +26,7 @@ def _length(x, y, z):
     return math.sqrt(x * x + y * y + z * z)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def take_corners(vertices, faces, corners, first, end):
     """Write the corners of the triangles ``range(first, end)`` into (m, 3, 3) float64."""
     for f in range(first, end):
@@ -35,7 +35,7 @@ def take_corners(vertices, faces, corners, first, end):
                 corners[f, corner, k] = vertices[faces[f, corner], k]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def measure_boxes(corners, bounds, first, end):
     """Write the boxes round the triangles ``range(first, end)``: lower corner, upper corner [m].
 
@@ -129,7 +129,7 @@ def measure_areas(vertices, faces):
     return area
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def sum_by_facing(vertices, faces, cosine):
     """Twice the area of the triangles that face along y, and of those that face along z [m²].
 
@@ -162,6 +162,13 @@ def measure_parts(vertices, faces, turned, part, num):
     best, largest = np.full(num, -1.0), np.zeros(num, np.int64)
     box = np.empty((num, 6))
     box[:, :3], box[:, 3:] = math.inf, -math.inf
+    _sum_parts(vertices, faces, turned, part, volume, area, box, best, largest)
+    return volume, area, box, largest
+
+
+@njit(cache=True, **UNCOUNTED)
+def _sum_parts(vertices, faces, turned, part, volume, area, box, best, largest):
+    """See `measure_parts`; `best` is twice the area of the largest triangle so far."""
     origin = vertices[faces[0, 0]]
     for f in range(faces.shape[0]):
         p = part[f]
@@ -178,4 +185,3 @@ def measure_parts(vertices, faces, turned, part, num):
         for k in range(3):
             box[p, k] = min(box[p, k], a[k], b[k], c[k])
             box[p, 3 + k] = max(box[p, 3 + k], a[k], b[k], c[k])
-    return volume, area, box, largest
