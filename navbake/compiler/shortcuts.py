@@ -3,12 +3,12 @@
 They leave out work whose result nobody uses, so that the code that comes out does the same:
 
 - Machine code is made of what Python calls, and not of what is only linked into that.
-- What is inlined into a kernel's source is not copied first, twice: it was made for this call.
-- Which variables a statement has, and which options a function, is found out with fewer calls.
+- LLVM's passes over functions are made ready once for a module.
+- Some of numba's functions are done with less work, see `navbake.compiler.replaced`.
 - Python looks for garbage seldom: a compiler makes much, and little of it are circles.
 
-Source: `CPUCodeLibrary`, `InlineWorker`, `Inst` and `TargetConfig` of numba 0.68. With other
-versions, kernels are compiled as numba does it, which is slower.
+Source: `CPUCodeLibrary` of numba 0.68. With other versions, kernels are compiled as numba does it,
+which is slower.
 """
 
 # numba has few types
@@ -19,25 +19,26 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
-from types import SimpleNamespace
 from typing import Any
 
-from numba.core import environment, inline_closurecall, ir
+from numba.core import environment
 from numba.core.codegen import JITCodeLibrary
-from numba.core.inline_closurecall import InlineWorker
-from numba.core.targetconfig import TargetConfig
 
 from navbake.compiler.garbage import BETWEEN_COLLECTIONS
-
-NO_COPIES = SimpleNamespace(deepcopy=lambda block: block)
-HOLDERS = (ir.Var, ir.Inst, list, tuple, dict)  # in the order in which numba asks
 
 
 class LeanLibrary(JITCodeLibrary):
     """Code of a function and of all that it calls; machine code is made when Python calls it."""
 
     _is_generated = False
+
+    def _optimize_functions(self, module: Any) -> None:
+        # with one manager of passes, and not one for each function that is only declared, too
+        module.data_layout = self._codegen._data_layout
+        passes, builder = self._codegen._function_pass_manager()
+        for function in module.functions:
+            if not function.is_declaration:
+                passes.run(function, builder)
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
@@ -91,59 +92,6 @@ class NoMachineCode:
         """Do nothing: whoever makes the machine code does it."""
 
 
-def _inline_function(
-    worker: Any, caller: Any, block: Any, i: int, function: Any, types: Any = None
-) -> Any:
-    """`InlineWorker.inline_function` without copies."""
-    callee = worker.run_untyped_passes(function)
-    copy = inline_closurecall.copy
-    inline_closurecall.copy = NO_COPIES  # type: ignore[assignment]
-    try:
-        free = function.__code__.co_freevars
-        return worker.inline_ir(caller, block, i, callee, free, arg_typs=types)
-    finally:
-        inline_closurecall.copy = copy
-
-
-@cache
-def _defaults(config: type[TargetConfig]) -> dict[str, Any]:
-    return {name: option.default for name, option in config.options.items()}
-
-
-def _values(config: TargetConfig) -> dict[str, Any]:
-    """`TargetConfig.values`, which compares options thousands of times."""
-    return {**_defaults(type(config)), **config._values}
-
-
-@cache
-def _kind_of(cls: type) -> type | None:
-    """What a field of a statement is that may hold variables; None for what can't."""
-    return next((kind for kind in HOLDERS if issubclass(cls, kind)), None)
-
-
-def _list_vars(statement: ir.Inst, value: Any) -> list[ir.Var]:
-    """`Inst._rec_list_vars`: the variables in a field of a statement."""
-    kind = _kind_of(type(value))  # type: ignore[arg-type]
-    if kind is None:
-        return []
-    if kind is ir.Var:
-        return [value]
-    if kind is ir.Inst:
-        return list(value.list_vars())
-    found: list[ir.Var] = []
-    for each in value.values() if kind is dict else value:
-        found += _list_vars(statement, each)
-    return found
-
-
-# What is put in place of what while navbake's kernels are compiled
-REPLACED: tuple[tuple[Any, str, Any], ...] = (
-    (InlineWorker, "inline_function", _inline_function),
-    (TargetConfig, "values", _values),
-    (ir.Inst, "_rec_list_vars", _list_vars),
-)
-
-
 @contextmanager
 def library_class(codegen: Any, cls: type[JITCodeLibrary]) -> Iterator[None]:
     """Make libraries of a class of one's own inside; numba's lock is held."""
@@ -168,6 +116,8 @@ def shortcuts(codegen: Any) -> Iterator[None]:
     if "_library_class" in vars(codegen):  # a kernel that the kernel calls
         yield
         return
+    from navbake.compiler.replaced import REPLACED  # more of numba, which loading doesn't need
+
     threshold = gc.get_threshold()
     before = [getattr(owner, name) for owner, name, _ in REPLACED]
     if threshold[0] > 0:  # else Python never looks

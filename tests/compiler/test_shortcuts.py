@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import os
 import pickle
 import subprocess
 import sys
 from contextlib import suppress
 
+import numpy as np
 import pytest
-from numba.core import inline_closurecall
+from llvmlite import ir as llvm
+from numba.core import event, inline_closurecall, types
 from numba.core.compiler import DEFAULT_FLAGS, run_frontend
+from numba.core.postproc import PostProcessor
 from numba.core.registry import cpu_target
 
 from navbake import loading
+from navbake.compiler import replaced
 from navbake.compiler import shortcuts as module
 from navbake.navgrid.kernels import islands, union_find
 from project_paths import ROOT
 
 JOIN = vars(islands)["_join"]
 # numba's own functions, and what stands in their place
-OWN = {name: (getattr(owner, name), ours) for owner, name, ours in module.REPLACED}
+OWN = {name: (getattr(owner, name), ours) for owner, name, ours in replaced.REPLACED}
 
 pytestmark = pytest.mark.skipif(not loading.loads_light(), reason="made for another numba")
 
@@ -53,23 +58,91 @@ def test_options_are_those_that_numba_gives():
     assert list(ours(flags).items()) == list(numbas(flags).items())
 
 
+@pytest.mark.parametrize("function", [sample, JOIN.py_func, union_find.unite.py_func])
+@pytest.mark.parametrize("emit_dels", [False, True])
+def test_lifetimes_of_variables_are_those_that_numba_finds(function, emit_dels):
+    found = []
+    for post_process in OWN["run"]:
+        function_ir = run_frontend(function)
+        post_process(PostProcessor(function_ir), emit_dels=emit_dels)
+        lifetime = function_ir.variable_lifetime
+        blocks = {at: [str(each) for each in b.body] for at, b in function_ir.blocks.items()}
+        found.append((blocks, lifetime.livemap, lifetime.deadmaps.combined))
+    assert found[0] == found[1]
+
+
+def test_variables_of_a_generator_are_those_that_numba_finds():
+    def squares(count):
+        for i in range(count):
+            yield i * i
+
+    states = []
+    for post_process in OWN["run"]:
+        function_ir = run_frontend(squares)
+        post_process(PostProcessor(function_ir))
+        states.append(function_ir.generator_info.state_vars)
+    assert states[0] == states[1] != []
+
+
+def test_sizes_of_types_are_those_that_numba_finds():
+    numbas, ours = OWN["get_abi_sizeof"]
+    context = cpu_target.target_context
+    pair = llvm.LiteralStructType([llvm.IntType(8), llvm.DoubleType()])
+    for of in (llvm.IntType(1), llvm.IntType(32), pair, llvm.ArrayType(pair, 3), pair):
+        assert ours(context, of) == numbas(context, of)
+
+
+def test_loops_of_ufuncs_are_those_that_numba_finds():
+    numbas, ours = OWN["ufunc_find_matching_loop"]
+    kinds = [types.int32, types.int64, types.float32, types.float64, types.boolean, types.none]
+    for ufunc in (np.add, np.less, np.floor_divide, np.bitwise_and):
+        for pair in itertools.product(kinds, repeat=2):
+            assert ours(ufunc, list(pair)) == numbas(ufunc, list(pair))
+
+
+def test_events_and_timers_are_for_others_as_numba_has_them():
+    codegen = cpu_target.target_context.codegen()
+    with event.install_recorder("numba:run_pass") as heard:
+        with module.shortcuts(codegen), event.trigger_event("numba:run_pass"):
+            assert not heard.buffer
+        with event.trigger_event("numba:run_pass"):
+            assert len(heard.buffer) == 1
+
+
+def test_what_a_kernel_may_not_do_is_told():
+    code = """
+import numpy as np
+from navbake.navgrid.kernels import islands
+islands.label_islands.compile(tuple([__import__("numba").types.unicode_type] * 6))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1 and "numba.core.errors.TypingError" in done.stderr
+    assert "islands.py" in done.stderr
+
+
 def test_numba_is_as_it_was_afterwards():
-    def replaced():
-        return [getattr(owner, name) for owner, name, _ in module.REPLACED]
+    def in_place():
+        return [getattr(owner, name) for owner, name, _ in replaced.REPLACED]
 
     def library():
         return getattr(codegen, "_library_class")  # noqa: B009 - numba's own name
 
     codegen = cpu_target.target_context.codegen()
-    before, library_before = replaced(), library()
+    before, library_before = in_place(), library()
     threshold, copy = gc.get_threshold(), inline_closurecall.copy
     with suppress(ValueError), module.shortcuts(codegen):
         with module.shortcuts(codegen):
             assert library() is module.LeanLibrary
         assert library() is module.LeanLibrary
-        assert replaced() == [ours for _, _, ours in module.REPLACED]
+        assert in_place() == [ours for _, _, ours in replaced.REPLACED]
         raise ValueError
-    assert replaced() == before and library() is library_before
+    assert in_place() == before and library() is library_before
     assert "_library_class" not in vars(codegen)
     assert (threshold, copy) == (gc.get_threshold(), inline_closurecall.copy)
 

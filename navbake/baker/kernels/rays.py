@@ -338,8 +338,10 @@ def _with_room(crossings, used, count):
     room = max(used + count, 2 * used)
     z, normal, geom = np.empty(room), np.empty((room, 3), np.float32), np.empty(room, np.int32)
     closed = np.empty(room, np.uint8)
-    z[:used], normal[:used] = crossings.z[:used], crossings.normal[:used]
-    geom[:used], closed[:used] = crossings.geom[:used], crossings.closed[:used]
+    for i in range(used):  # slices take a second to compile: their errors are text
+        z[i], geom[i], closed[i] = crossings.z[i], crossings.geom[i], crossings.closed[i]
+        for axis in range(3):
+            normal[i, axis] = crossings.normal[i, axis]
     return Crossings(crossings.start, z, normal, geom, closed)
 
 

@@ -177,7 +177,8 @@ def list_near(lattice, boxes, start, item, cells, reach):
                 continue
             if count == near.shape[0]:
                 grown = np.empty(2 * count, np.int32)
-                grown[:count] = near
+                for k in range(count):  # slices take a second to compile: their errors are text
+                    grown[k] = near[k]
                 near = grown
             near[count] = i
             count += 1

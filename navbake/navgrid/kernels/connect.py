@@ -44,5 +44,6 @@ def list_touching(cells, width):
                 one[count], other[count] = n, m
                 count += 1
     pairs = np.empty((2, count), np.int64)
-    pairs[0], pairs[1] = one[:count], other[:count]
+    for i in range(count):  # slices take a second to compile: their errors are text
+        pairs[0, i], pairs[1, i] = one[i], other[i]
     return pairs

@@ -40,7 +40,8 @@ def _goal_box(layout, goals):
     for level in range(layout.width.shape[0]):
         left, top = in_cells(layout, level, x0, y1)
         right, bottom = in_cells(layout, level, x1, y0)
-        box[level] = np.array((top, bottom, left, right)) - 0.5
+        box[level, 0], box[level, 1] = top - 0.5, bottom - 0.5
+        box[level, 2], box[level, 3] = left - 0.5, right - 0.5
     return box
 
 

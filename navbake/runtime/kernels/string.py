@@ -142,7 +142,8 @@ def lay_on_floor(line, layout, floors, tolerance):
         while here == 0 or here < profile.shape[0] - 1:
             if count + 3 > out.shape[0]:
                 out, on = np.concatenate((out, out)), np.concatenate((on, on))
-            out[count, :2] = points[i] + profile[here, 0] * way
+            for axis in range(2):
+                out[count, axis] = points[i, axis] + profile[here, 0] * way[axis]
             out[count, 2], on[count] = profile[here, 1], level
             count += 1
             here = _next_bend(profile, here, tolerance)
@@ -151,7 +152,9 @@ def lay_on_floor(line, layout, floors, tolerance):
             u, v = in_cells(layout, after, points[i + 1, 0], points[i + 1, 1])
             z = _height(_cell_of(u, v, rect_of(layout, after)), after, floors)
             if abs(z - out[count - 1, 2]) > layout.cell_size[level] * STEEP:
-                out[count : count + 2, :2] = (points[i] + points[i + 1]) / 2.0
+                for axis in range(2):
+                    middle = (points[i, axis] + points[i + 1, axis]) / 2.0
+                    out[count, axis], out[count + 1, axis] = middle, middle
                 out[count, 2], out[count + 1, 2] = out[count - 1, 2], z
                 on[count], on[count + 1] = level, after
                 count += 2

@@ -267,12 +267,12 @@ def _fill_crossings(label, gap, own, thickness, crossings, writing):
             if not gap[row, col] or label[row - 1, col] == 0:
                 row += 1
                 continue
-            last = row
+            last, mark = row, own[row, col]
             while last + 1 < rows and gap[last + 1, col]:
                 last += 1
+                mark = max(mark, own[last, col])
             if last + 1 < rows:
                 above, below = label[row - 1, col], label[last + 1, col]
-                mark = own[row : last + 1, col].max()
                 if below > 0 and below != above and mark > 0 and last - row < thickness:
                     if writing:
                         crossings.col[count] = col
