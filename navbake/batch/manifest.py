@@ -7,32 +7,38 @@ import glob
 import io
 import json
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator
-from pathlib import Path, PurePosixPath
+from pathlib import PurePath
 from typing import Any
 
 from navbake.batch.job import Job, check_id, check_unique
-from navbake.errors import ConfigError, MissingDependencyError
+from navbake.batch.settings import check_shared, nest
+from navbake.config.settings import BakeConfig
+from navbake.errors import ConfigError, FormatError
 from navbake.formats.source import read_bytes
 from navbake.types import Json
 
-LISTS = (".txt", ".csv", ".jsonl", ".parquet")
-SETTINGS = (".yaml", ".yml")
+LISTS = (".txt", ".csv", ".jsonl")
 MAX_BYTES = 1 << 30  # of a list
 SCENE_KEYS = ("scene", "config")  # of a row; one of them
+TEXTS = ("id", *SCENE_KEYS)  # of which `001` is text
+SECTIONS = tuple(BakeConfig.model_fields)
+
+Entry = tuple[str | None, str, Json, str]  # id if it is given, source, settings, place
 
 
 def list_jobs(sources: Iterable[str]) -> list[Job]:
     """List the scenes that some sources name, in their order.
 
     A source is a scene or settings (YAML); a pattern with ``*``, ``?`` or ``[``, whose files come
-    sorted; or a list: ``.txt`` with a source a line, ``.csv``, ``.jsonl`` or ``.parquet`` with a
-    row for each scene. A row has ``scene`` or ``config``, relative to the list; it may have ``id``,
-    and settings under their keys (``agent.radius``); in JSON lines also as ``settings: {agent:
-    {radius: 0.3}}``. An empty value is none.
+    sorted; or a list: ``.txt`` with a path a line, ``.csv`` or ``.jsonl`` with a row a scene. Paths
+    in a list are relative to it. A row has ``scene`` or ``config``; it may have ``id``, and
+    settings under their keys (``agent.radius``), in JSON lines also as ``"settings": {"agent":
+    {"radius": 0.3}}``. An empty value is none.
 
-    An id that isn't given is the scene's name without its ending; of names that several share,
-    with the folders that tell them apart.
+    An id that isn't given is the file's name without its ending; of names that several share,
+    with as many of the folders above as tell them apart.
 
     Raises:
         ConfigError: a source names nothing, a list is broken, or ids can't be told apart.
@@ -48,28 +54,29 @@ def list_jobs(sources: Iterable[str]) -> list[Job]:
     return jobs
 
 
-Entry = tuple[str | None, str, Json, str]  # id if it is given, source, settings, place
-
-
 def _expand(source: str) -> Iterator[Entry]:
     if source.lower().endswith(LISTS):
         yield from _read_list(source)
-    elif glob.has_magic(source):
+    elif glob.has_magic(source) and not os.path.exists(source):
         paths = sorted(glob.glob(source, recursive=True))
         if not paths:
             raise ConfigError(f"expected files that match {source}, got none")
         for path in paths:
             yield None, path, {}, path
+    elif os.path.isdir(source):
+        raise ConfigError(
+            f"expected a scene, settings, a list or a pattern, got the folder {source}: name what "
+            f"is in it, as '{os.path.join(source, '*.xml')}'"
+        )
     else:
         yield None, source, {}, source
 
 
 def _read_list(source: str) -> Iterator[Entry]:
     kind = source.lower().rpartition(".")[2]
-    folder = os.path.dirname(source)
-    rows = {"txt": _text_rows, "csv": _csv_rows, "jsonl": _json_rows, "parquet": _parquet_rows}
+    rows = {"txt": _text_rows, "csv": _csv_rows, "jsonl": _json_rows}
     for place, row in rows[kind](source):
-        yield _entry(row, folder, place)
+        yield _entry(row, os.path.dirname(source), place)
 
 
 def _entry(row: Json, folder: str, place: str) -> Entry:
@@ -77,20 +84,23 @@ def _entry(row: Json, folder: str, place: str) -> Entry:
     given = [key for key in SCENE_KEYS if key in row]
     if len(given) != 1 or not isinstance(row[given[0]], str):
         raise ConfigError(f"expected a path as `scene` or as `config` at {place}")
-    name = row.pop("id", None)
-    path = row.pop(given[0])
+    name, path = row.pop("id", None), row.pop(given[0])
     nested = row.pop("settings", {})
     if not isinstance(nested, dict):
         raise ConfigError(f"expected an object as `settings` at {place}, got {nested!r}")
-    return None if name is None else str(name), _join(folder, path), {**nested, **row}, place
-
-
-def _join(folder: str, path: str) -> str:
-    return path if "://" in path else os.path.join(folder, path)
+    settings = nest({**nested, **row}, folder)
+    check_shared(settings, place)
+    for key in settings:
+        if key not in SECTIONS:
+            raise ConfigError(
+                f"expected `id`, `scene`, `config` or a setting such as `agent.radius`, got "
+                f"`{key}` at {place}"
+            )
+    return None if name is None else str(name), os.path.join(folder, path), settings, place
 
 
 def _text_rows(source: str) -> Iterator[tuple[str, Json]]:
-    for number, line in enumerate(_text_of(source).splitlines(), 1):
+    for number, line in enumerate(_text_of(source).split("\n"), 1):
         if line.strip() and not line.startswith("#"):
             yield f"{source}, line {number}", {"scene": line.strip()}
 
@@ -102,7 +112,8 @@ def _csv_rows(source: str) -> Iterator[tuple[str, Json]]:
             place = f"{source}, line {reader.line_num}"
             if None in row:
                 raise ConfigError(f"expected as many values as columns at {place}")
-            yield place, {key: _plain(value) for key, value in row.items()}
+            named = {key: value for key, value in row.items() if key in TEXTS}
+            yield place, {key: _plain(value) for key, value in row.items()} | named
     except csv.Error as error:
         raise ConfigError(f"broken CSV in {source}, line {reader.line_num}: {error}") from error
 
@@ -116,7 +127,7 @@ def _plain(text: str | None) -> Any:
 
 
 def _json_rows(source: str) -> Iterator[tuple[str, Json]]:
-    for number, line in enumerate(_text_of(source).splitlines(), 1):
+    for number, line in enumerate(_text_of(source).split("\n"), 1):
         place = f"{source}, line {number}"
         if not line.strip():
             continue
@@ -129,23 +140,11 @@ def _json_rows(source: str) -> Iterator[tuple[str, Json]]:
         yield place, row
 
 
-def _parquet_rows(source: str) -> Iterator[tuple[str, Json]]:
-    try:
-        import pyarrow.parquet as parquet
-    except ImportError as error:
-        message = 'Parquet needs pyarrow: pip install "navbake[batch]"'
-        raise MissingDependencyError(message) from error
-    content, _ = read_bytes(source, limit=MAX_BYTES)
-    try:
-        rows = parquet.read_table(io.BytesIO(content)).to_pylist()
-    except Exception as error:  # pyarrow's errors have no common base
-        raise ConfigError(f"broken Parquet in {source}: {error}") from error
-    for number, row in enumerate(rows):
-        yield f"{source}, row {number}", row
-
-
 def _text_of(source: str) -> str:
-    content, name = read_bytes(source, limit=MAX_BYTES)
+    try:
+        content, name = read_bytes(source, limit=MAX_BYTES)
+    except FormatError as error:
+        raise ConfigError(str(error)) from error
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -154,20 +153,20 @@ def _text_of(source: str) -> str:
 
 def _name(found: list[Entry]) -> list[str]:
     """The id of each entry: its own, or the end of its path that no other has."""
-    paths = [PurePosixPath(Path(source).with_suffix("").as_posix()) for _, source, _, _ in found]
-    names = [given or path.name for (given, *_), path in zip(found, paths, strict=True)]
-    depth = 1
+    # absolute, so that ids hold no `..`
+    paths = [PurePath(os.path.abspath(source)).with_suffix("") for _, source, _, _ in found]
+    depths = [1] * len(found)
     while True:
-        count: dict[str, int] = {}
-        for name in names:
-            count[name.casefold()] = count.get(name.casefold(), 0) + 1
-        depth += 1
-        longer = [
-            "/".join(path.parts[-depth:])
-            if given is None and count[name.casefold()] > 1 and depth <= len(path.parts)
-            else name
-            for (given, *_), path, name in zip(found, paths, names, strict=True)
+        names = [
+            given or "/".join(path.parts[-depth:])
+            for (given, *_), path, depth in zip(found, paths, depths, strict=True)
         ]
-        if longer == names:
+        counts = Counter(name.casefold() for name in names)
+        # the first part is the root, which is no name
+        longer = [
+            depth + (given is None and counts[name.casefold()] > 1 and depth < len(path.parts) - 1)
+            for (given, *_), path, depth, name in zip(found, paths, depths, names, strict=True)
+        ]
+        if longer == depths:
             return names
-        names = longer
+        depths = longer

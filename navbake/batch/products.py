@@ -1,16 +1,32 @@
-"""What a batch makes of each scene."""
+"""What a batch makes of each scene besides its grid."""
 
 from __future__ import annotations
 
+import math
+import os
+import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
 from typing import NamedTuple
 
+from navbake.auditor.audit import audit
 from navbake.config.settings import BakeConfig
-from navbake.errors import ConfigError
+from navbake.errors import ConfigError, MissingDependencyError
+from navbake.files import remove_leftovers
+from navbake.formats.navgrid import write_navgrid
+from navbake.formats.suffixes import OCTREES, VOXELS
+from navbake.formats.voxels import write_voxels
 from navbake.navgrid.grid import NavGrid
+from navbake.views.layers import LAYERS
 
-GRID = "grid.json.gz"  # of every scene
-Maker = Callable[[NavGrid, BakeConfig, Sequence[str]], dict[str, bytes]]
+GRID = "grid.json.gz"  # of every scene, written last: where it is, all is there
+PICTURE_LAYERS = ("rooms", "floor")
+# all names that a product has ever had; other files in a scene's folder are the user's
+OWN = re.compile(
+    r"grid\.json\.gz|inflated-[\d.e+-]+\.json\.gz|voxels-[\d.e+-]+\.\w+|picture\.png|report\.html"
+)
 
 
 class Product(NamedTuple):
@@ -18,86 +34,133 @@ class Product(NamedTuple):
 
     Attributes:
         kind: one of `KINDS`.
-        values: what stands after its name, between colons.
+        values: what stands after its name, between colons; numbers in their shortest form.
     """
 
     kind: str
     values: tuple[str, ...]
 
-    @classmethod
-    def parse(cls, text: str) -> Product:
-        """Read ``KIND`` or ``KIND:VALUE:…``.
-
-        Raises:
-            ConfigError: there is no such kind, or its values are none.
-        """
-        kind, *values = text.split(":")
-        if kind not in KINDS:
-            raise ConfigError(f"expected one of {', '.join(KINDS)} to make, got {text!r}")
-        maker, least, most, usage = KINDS[kind]
-        if not least <= len(values) <= most:
-            raise ConfigError(f"expected {usage} to make, got {text!r}")
-        for value in values[:least]:
-            _number(value, usage, text)
-        return cls(kind, tuple(values))
-
-    def make(self, grid: NavGrid, config: BakeConfig) -> dict[str, bytes]:
-        """The files, by their names."""
-        return KINDS[self.kind][0](grid, config, self.values)
+    def make(self, grid: NavGrid, config: BakeConfig, folder: Path) -> str:
+        """Write it, whole or not at all, and return the file's name."""
+        return KINDS[self.kind].make(grid, config, self.values, folder)
 
     def __str__(self) -> str:
+        """As `parse_products` reads it."""
         return ":".join((self.kind, *self.values))
 
 
-def _number(value: str, usage: str, text: str) -> float:
-    try:
-        return float(value)
-    except ValueError:
-        raise ConfigError(f"expected {usage} to make, got {text!r}") from None
+def parse_products(texts: Sequence[str]) -> tuple[Product, ...]:
+    """Read ``KIND`` or ``KIND:VALUE:…``, each once.
+
+    Raises:
+        ConfigError: there is no such kind, or its values are wrong.
+        MissingDependencyError: what it needs is not installed.
+    """
+    products = []
+    for text in texts:
+        name, *values = text.split(":")
+        kind = KINDS.get(name)
+        if kind is None or not kind.least <= len(values) <= kind.most:
+            wanted = kind.usage if kind else f"one of {', '.join(k.usage for k in KINDS.values())}"
+            raise ConfigError(f"expected {wanted} to make, got {text!r}")
+        products.append(Product(name, kind.check(values, text)))
+    return tuple(dict.fromkeys(products))
 
 
-def _make_grid(grid: NavGrid, config: BakeConfig, values: Sequence[str]) -> dict[str, bytes]:
-    return {}  # it is made of every scene
+def remove_products(folder: Path) -> None:
+    """Remove what was made of a scene, and what a writer that was killed left; nothing else."""
+    with suppress(OSError), os.scandir(folder) as entries:
+        # the grid first: where it is, all is there
+        for name in sorted((entry.name for entry in entries), key=lambda name: name != GRID):
+            if OWN.fullmatch(name):
+                with suppress(OSError):
+                    os.unlink(folder / name)
+    remove_leftovers(folder)
 
 
-def _make_inflated(grid: NavGrid, config: BakeConfig, values: Sequence[str]) -> dict[str, bytes]:
-    from navbake.formats.navgrid import dumps_navgrid
-
-    radius, clearance = float(values[0]), float(values[1]) if len(values) > 1 else None
-    name = "-".join(("inflated", *values))
-    inflated = grid.inflate(radius, clearance)
-    return {f"{name}.json.gz": _gzip(dumps_navgrid(inflated))}
-
-
-def _make_voxels(grid: NavGrid, config: BakeConfig, values: Sequence[str]) -> dict[str, bytes]:
-    raise NotImplementedError
-
-
-def _make_picture(grid: NavGrid, config: BakeConfig, values: Sequence[str]) -> dict[str, bytes]:
-    from navbake.views.plot import render_png
-
-    return {"picture.png": render_png(grid, layers=tuple(values) or ("rooms", "floor"))}
+def _numbers(values: Sequence[str], text: str) -> tuple[str, ...]:
+    numbers = []
+    for value in values:
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not (math.isfinite(number) and number >= 0):
+            raise ConfigError(f"expected numbers >= 0 [m] after the colons, got {text!r} to make")
+        numbers.append(f"{number:.12g}")
+    return tuple(numbers)
 
 
-def _make_report(grid: NavGrid, config: BakeConfig, values: Sequence[str]) -> dict[str, bytes]:
-    from navbake.auditor.audit import audit
-    from navbake.views.report.report import render_report
-
-    return {"report.html": render_report(grid, audits=[audit(grid)])}
-
-
-def _gzip(data: bytes) -> bytes:
-    """Packed without a date, so that the same data give the same bytes."""
-    import gzip
-
-    return gzip.compress(data, mtime=0)
+def _check_voxels(values: Sequence[str], text: str) -> tuple[str, ...]:
+    edge = _numbers(values[:1], text)
+    if float(edge[0]) == 0:
+        raise ConfigError(f"expected an edge of voxels > 0 [m], got {text!r} to make")
+    ending = values[1] if len(values) > 1 else "binvox"
+    if f".{ending}" not in VOXELS:
+        known = ", ".join(suffix[1:] for suffix in VOXELS)
+        raise ConfigError(f"expected an ending of {known}, got {text!r} to make")
+    return (*edge, ending)
 
 
-# by name: what makes it, how many values it takes at least and at most, and how it is spelt
-KINDS: dict[str, tuple[Maker, int, int, str]] = {
-    "grid": (_make_grid, 0, 0, "grid"),
-    "inflated": (_make_inflated, 1, 2, "inflated:RADIUS or inflated:RADIUS:CLEARANCE"),
-    "voxels": (_make_voxels, 1, 2, "voxels:RES or voxels:RES:ENDING"),
-    "picture": (_make_picture, 0, 8, "picture or picture:LAYER:…"),
-    "report": (_make_report, 0, 0, "report"),
+def _check_picture(values: Sequence[str], text: str) -> tuple[str, ...]:
+    for layer in values:
+        if layer not in LAYERS:
+            raise ConfigError(f"expected layers of {', '.join(LAYERS)}, got {text!r} to make")
+    if find_spec("matplotlib") is None:
+        raise MissingDependencyError('pictures need matplotlib: pip install "navbake[plot]"')
+    return tuple(values)
+
+
+def _make_inflated(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> str:
+    name = f"inflated-{'-'.join(values)}.json.gz"
+    write_navgrid(grid.inflate(*map(float, values)), folder / name)
+    return name
+
+
+def _make_voxels(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> str:
+    from navbake.baker.voxelize.voxelizer import Voxelizer  # loads more of the baker than a bake
+
+    edge, ending = values
+    name = f"voxels-{edge}.{ending}"
+    voxels = Voxelizer(config).create(res=float(edge), align=f".{ending}" in OCTREES)
+    write_voxels(voxels, folder / name)
+    return name
+
+
+def _make_picture(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> str:
+    from navbake.views.plot import plot_grid  # loads Pillow
+
+    plot_grid(grid, folder / "picture.png", layers=tuple(values) or PICTURE_LAYERS)
+    return "picture.png"
+
+
+def _make_report(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> str:
+    from navbake.views.report.report import write_report  # only who wants a report loads it
+
+    write_report(grid, folder / "report.html", audits=[audit(grid)])
+    return "report.html"
+
+
+class Kind(NamedTuple):
+    """A kind of product.
+
+    Attributes:
+        make: writes it and returns its name.
+        check: checks the values and gives them their shortest form.
+        least, most: how many values it takes.
+        usage: how it is asked for.
+    """
+
+    make: Callable[[NavGrid, BakeConfig, Sequence[str], Path], str]
+    check: Callable[[Sequence[str], str], tuple[str, ...]]
+    least: int
+    most: int
+    usage: str
+
+
+KINDS: dict[str, Kind] = {
+    "inflated": Kind(_make_inflated, _numbers, 1, 2, "inflated:RADIUS[:CLEARANCE]"),
+    "voxels": Kind(_make_voxels, _check_voxels, 1, 2, "voxels:EDGE[:ENDING]"),
+    "picture": Kind(_make_picture, _check_picture, 0, len(LAYERS), "picture[:LAYER…]"),
+    "report": Kind(_make_report, lambda values, text: (), 0, 0, "report"),
 }

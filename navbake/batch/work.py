@@ -1,29 +1,33 @@
-"""Makes what is asked for of one scene: what a worker does, on this machine or on a cluster."""
+"""Makes what is asked for of one scene: what a worker does."""
 
 from __future__ import annotations
 
 import time
 import traceback
 import warnings
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from navbake import samples
 from navbake._version import __version__
-from navbake.batch.inputs import describe_inputs, find_inputs
+from navbake.auditor.audit import audit
+from navbake.baker.pipeline import run_bake
+from navbake.batch.file_states import describe_files, path_from
+from navbake.batch.inputs import find_inputs
 from navbake.batch.job import Job
-from navbake.batch.products import GRID, Product
-from navbake.config.settings import BakeConfig, parse_config, settings_digest
-from navbake.config.yaml_text import read_yaml
+from navbake.batch.products import GRID, Product, remove_products
+from navbake.batch.settings import digest_settings, settings_of
+from navbake.config.settings import BakeConfig, load_config
 from navbake.errors import NavbakeError, printable
-from navbake.files import write_whole
+from navbake.formats.navgrid import write_navgrid
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
 
-SETTINGS = (".yaml", ".yml")
-OK, FAILED = "ok", "failed"
+OK, FAILED, LEFT = "ok", "failed", "left"
+ERROR = "error"  # how a scene fails where its process goes on
+DIGITS = 4  # of seconds
 
 
 class Order(NamedTuple):
@@ -31,138 +35,107 @@ class Order(NamedTuple):
 
     Attributes:
         job: the scene.
-        settings: those of the whole batch, as a YAML file has them.
+        settings: those that all scenes share, by section.
         overrides: ``a.b=value``, which replace those of the batch and of the scene.
-        products: what to make, see `products.Product.parse`.
-        folder: of the batch's output.
+        products: what to make besides the grid.
+        folder: where the folders of the scenes are.
     """
 
     job: Job
     settings: Json
     overrides: tuple[str, ...]
-    products: tuple[str, ...]
-    folder: str
+    products: tuple[Product, ...]
+    folder: Path
+
+    @property
+    def place(self) -> Path:
+        """The scene's folder."""
+        return self.folder / self.job.id
 
 
-def settings_of(order: Order) -> BakeConfig:
-    """The settings of a scene: the batch's, replaced by its own, replaced by the overrides.
-
-    Raises:
-        ConfigError: they are wrong.
-    """
-    source = Path(order.job.source)
-    own: Mapping[str, Any] = {}
-    folder = Path()
-    if source.suffix.lower() in SETTINGS:
-        own, folder = read_yaml(source), source.parent
-    else:
-        own = {"scene": {"path": str(source)}}
-    settings = merge(merge(order.settings, own), nest(order.job.settings))
-    scene = settings.get("scene")
-    if isinstance(scene, dict) and "id" not in scene:
-        settings = merge(settings, {"scene": {"id": order.job.id}})
-    return parse_config(settings, order.job.place, order.overrides, folder=folder)
+def key_of(order: Order, config: BakeConfig) -> str:
+    """What the result depends on besides the scene's files, hashed."""
+    return digest_settings(config, [str(product) for product in order.products])
 
 
-def merge(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings laid over others, section by section."""
-    merged = dict(below)
-    for key, value in above.items():
-        under = merged.get(key)
-        is_section = isinstance(value, Mapping) and isinstance(under, Mapping)
-        merged[key] = merge(under, value) if is_section else value
-    return merged
+def prepare() -> None:
+    """Bake a sample, so that no scene pays for loading what each bake needs."""
+    run_bake(load_config(samples.path("apartment"), ["grid.cell_size=0.5"]), threads=1)
 
 
-def nest(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings by section, from keys such as ``agent.radius``."""
-    nested: dict[str, Any] = {}
-    for key, value in settings.items():
-        *sections, last = str(key).split(".")
-        part: dict[str, Any] = {last: nest(value) if isinstance(value, Mapping) else value}
-        for section in reversed(sections):
-            part = {section: part}
-        nested = merge(nested, part)
-    return nested
+def row_of(order: Order, status: str) -> Json:
+    """How a scene's row in the index begins."""
+    source = path_from(order.job.source, order.folder)
+    return {"id": order.job.id, "status": status, "source": source}
 
 
 def do_order(order: Order) -> Json:
-    """Bake a scene and write all that is asked for; returns its row of the index, never raises.
+    """Bake a scene and write all that is asked for; returns its row of the index.
 
-    Files appear whole, the grid last, so that where there is a grid, all is there.
+    Files appear whole, the grid last: where there is a grid, all is there. Of a scene that fails,
+    nothing is there. What is wrong with it is in its row; a MemoryError alone is raised, because
+    nobody knows what state it leaves the process in.
     """
     begin = time.perf_counter()
-    row: Json = {"id": order.job.id, "source": order.job.source, "status": FAILED}
     try:
-        row |= _make(order)
+        row = _make(order)
+    except MemoryError:
+        raise
     except NavbakeError as error:
-        row["error"] = str(error)
-    except MemoryError as error:
-        row["error"] = f"it took more memory than it may: {printable(str(error))}"
+        row = fail(order, ERROR, str(error))
+    except OSError as error:
+        row = fail(order, ERROR, printable(str(error)))
     except Exception as error:
         line = traceback.format_exception_only(error)[-1].strip()
-        row["error"] = printable(f"{line} (this is a fault of navbake)")
-    row["seconds"] = round(time.perf_counter() - begin, 4)
-    return row
+        row = fail(order, ERROR, printable(f"{line} (navbake should have said what is wrong)"))
+    return row | {"seconds": round(time.perf_counter() - begin, DIGITS)}
+
+
+def fail(order: Order, how: str, why: str) -> Json:
+    """The row of a scene that failed, of which nothing stays."""
+    remove_products(order.place)
+    return {**row_of(order, FAILED), "how": how, "error": why}
 
 
 def _make(order: Order) -> Json:
-    from navbake.baker.pipeline import run_bake
-    from navbake.formats.navgrid import write_navgrid
-
-    config = settings_of(order)
-    scene = Path(config.scene.path)
-    folder = Path(order.folder, order.job.id)
-    inputs = [path for named in config.inputs for path in find_inputs(named)]
+    config = settings_of(order.job, order.settings, order.overrides)
+    # before the bake: what changes meanwhile is noticed by the next run
+    named = [Path(path) for path in config.inputs]
+    inputs = [path for name in named for path in find_inputs(name) if path.is_file()]
+    stated = describe_files(inputs, order.folder)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the grid keeps them
+        warnings.simplefilter("ignore")  # the row has those that matter
         result = run_bake(config, threads=1)
     grid = result.grid
-    grid.timings = {}  # so that the same scene gives the same bytes
-    products = [Product.parse(text) for text in order.products]
-    folder.mkdir(parents=True, exist_ok=True)
-    for product in products:
-        for name, content in product.make(grid, config).items():
-            write_whole(content, folder / name)
-    write_navgrid(grid, folder / GRID)
+    grid.timings = {}  # the same scene, the same bytes
+    order.place.mkdir(parents=True, exist_ok=True)
+    remove_products(order.place)
+    made = [product.make(grid, config, order.place) for product in order.products]
+    write_navgrid(grid, order.place / GRID)
     return {
-        "status": OK,
+        **row_of(order, OK),
         "version": __version__,
-        "key": settings_digest(config),
-        "products": list(order.products),
-        "inputs": describe_inputs(list(dict.fromkeys(inputs)), Path(order.folder)),
+        "key": key_of(order, config),
         "scene_digest": grid.navbake.get("sceneDigest"),
+        "settings_digest": grid.navbake.get("settingsDigest"),
         **_measure(grid),
-        "warnings": len(grid.warnings),
-        "stages": {name: round(seconds, 4) for name, seconds in result.timings.items()},
-        "scene": str(scene),
+        "warnings": list(grid.warnings),
+        "audit": [str(remark) for remark in audit(grid).remarks],
+        "inputs": stated,
+        "named": [path_from(path, order.folder) for path in named],
+        "files": describe_files([order.place / name for name in (GRID, *made)], order.place),
+        "stages": {name: round(seconds, DIGITS) for name, seconds in result.timings.items()},
     }
 
 
 def _measure(grid: NavGrid) -> Json:
-    """What the index says of a grid."""
-    from navbake.auditor.audit import audit
-
-    report = audit(grid)
-    area = sum(
-        float(np.count_nonzero(level.free)) * level.lattice.cell_size**2 for level in grid.levels
-    )
+    """What the index says of a grid; areas in m²."""
+    cell = (grid.cell_size * grid.unit) ** 2
+    free = sum(int(np.count_nonzero(level.free)) for level in grid.levels)
     return {
         "levels": len(grid.levels),
         "cells": sum(level.width * level.height for level in grid.levels),
+        "free_area": round(free * cell, 6),
         "rooms": len(grid.rooms),
         "doors": len(grid.doors),
-        "free_area": round(area, 6),
-        "audit_errors": len(report.errors),
-        "audit_remarks": len(report.remarks) - len(report.errors),
     }
-
-
-def prepare() -> None:
-    """What a worker does before its first scene: load what each bake needs."""
-    import navbake.auditor.audit
-    import navbake.baker.pipeline
-    import navbake.formats.navgrid  # noqa: F401
-
-
-do_order.prepare = prepare  # type: ignore[attr-defined]

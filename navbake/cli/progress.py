@@ -1,9 +1,10 @@
 """Progress bars on the terminal."""
 
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 from navbake import dispatch
 from navbake.errors import printable
@@ -47,3 +48,48 @@ def stage_progress(title: str, hidden: bool = False) -> Iterator[Callable[[str, 
             yield show
         finally:
             dispatch.watch = None
+
+
+class Count(NamedTuple):
+    """How far a batch is.
+
+    Attributes:
+        done: scenes that ended, failed ones included.
+        failed: scenes that failed.
+        total: scenes that there are to do.
+    """
+
+    done: int
+    failed: int
+    total: int
+
+
+@contextmanager
+def batch_progress(hidden: bool = False) -> Iterator[Callable[[Count], None]]:
+    """A bar for a batch on the terminal's stderr: rate, failures, time left; else nothing.
+
+    What is printed on stderr meanwhile stands above it.
+    """
+    if hidden or sys.stderr is None or not sys.stderr.isatty():
+        yield lambda count: None
+        return
+    screen = console.Console(stderr=True, markup=False, highlight=False, emoji=False)
+    bars = progress.Progress(
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        progress.TextColumn("{task.description}", markup=False),
+        progress.TimeRemainingColumn(),
+        console=screen,
+        transient=True,
+        redirect_stdout=False,  # that may be a pipe
+    )
+    task: Any = bars.add_task("", total=None)
+    begin = time.monotonic()
+
+    def show(count: Count) -> None:
+        rate = count.done / max(time.monotonic() - begin, 1e-3)
+        said = f"{rate:.3g}/s, {count.failed} failed, time left"
+        bars.update(task, completed=count.done, total=count.total, description=said)
+
+    with bars:
+        yield show
