@@ -17,7 +17,7 @@ import tempfile
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 from typing import Any, NamedTuple
@@ -144,7 +144,7 @@ def do_jobs(
     limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
     retries: int = 0,
     prepare: Callable[[], None] | None = None,
-) -> Iterator[Ended]:
+) -> Generator[Ended, None, None]:
     """Do jobs in worker processes, and yield how each ended, in the order in which they end.
 
     A job is blamed for a crash, or for taking too much memory, only where its worker had done none

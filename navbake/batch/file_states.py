@@ -15,15 +15,19 @@ CHUNK = 1 << 20
 RECENT = 2_000_000_000  # age below which a file may change again without a new time of change [ns]
 
 
-def describe_files(paths: Iterable[Path], folder: Path) -> dict[str, Json]:
+def describe_files(
+    paths: Iterable[Path], folder: Path, *, may_change: bool = True
+) -> dict[str, Json]:
     """Size, time of change [ns] and sha256 of files, by their path from a folder.
 
-    The time of change is 0 where it is too recent to prove that the content is the same later.
+    Args:
+        may_change: whether others may be writing them now. Then the time of change is given as 0
+            where it is too recent to prove that the content is the same later.
 
     Raises:
         OSError: one can't be read.
     """
-    return {path_from(path, folder): _describe(path) for path in paths}
+    return {path_from(path, folder): _describe(path, may_change) for path in paths}
 
 
 def are_unchanged(stated: Mapping[str, Json], folder: Path) -> bool:
@@ -51,12 +55,12 @@ def _is_unchanged(known: Json, path: Path) -> bool:
     # who reads a pipe may wait for ever
     if not stat.S_ISREG(now.st_mode) or now.st_size != known["size"]:
         return False
-    return now.st_mtime_ns == known["modified"] or _digest(path) == known["sha256"]
+    return bool(now.st_mtime_ns == known["modified"] or _digest(path) == known["sha256"])
 
 
-def _describe(path: Path) -> Json:
+def _describe(path: Path, may_change: bool) -> Json:
     status = os.stat(path)
-    is_recent = time.time_ns() - status.st_mtime_ns < RECENT
+    is_recent = may_change and time.time_ns() - status.st_mtime_ns < RECENT
     return {
         "size": status.st_size,
         "modified": 0 if is_recent else status.st_mtime_ns,

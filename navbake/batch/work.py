@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 import traceback
 import warnings
@@ -20,6 +21,7 @@ from navbake.batch.job import Job
 from navbake.batch.products import GRID, Product, remove_products
 from navbake.batch.settings import digest_settings, settings_of
 from navbake.config.settings import BakeConfig, load_config
+from navbake.dispatch import IS_HELPER
 from navbake.errors import NavbakeError, printable
 from navbake.formats.navgrid import write_navgrid
 from navbake.navgrid.grid import NavGrid
@@ -60,6 +62,7 @@ def key_of(order: Order, config: BakeConfig) -> str:
 
 def prepare() -> None:
     """Bake a sample, so that no scene pays for loading what each bake needs."""
+    os.environ[IS_HELPER] = "1"  # all cores have a worker already
     run_bake(load_config(samples.path("apartment"), ["grid.cell_size=0.5"]), threads=1)
 
 
@@ -123,7 +126,9 @@ def _make(order: Order) -> Json:
         "audit": [str(remark) for remark in audit(grid).remarks],
         "inputs": stated,
         "named": [path_from(path, order.folder) for path in named],
-        "files": describe_files([order.place / name for name in (GRID, *made)], order.place),
+        "files": describe_files(
+            [order.place / name for name in (GRID, *made)], order.place, may_change=False
+        ),
         "stages": {name: round(seconds, DIGITS) for name, seconds in result.timings.items()},
     }
 
