@@ -113,8 +113,8 @@ def _check_picture(values: Sequence[str], text: str) -> tuple[str, ...]:
 
 def _make_inflated(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> str:
     name = f"inflated-{'-'.join(values)}.json.gz"
-    options = {"clearance": float(values[1])} if len(values) > 1 else {}
-    write_navgrid(grid.inflate(float(values[0]), **options), folder / name)
+    clearance = float(values[1]) if len(values) > 1 else None
+    write_navgrid(grid.inflate(float(values[0]), clearance), folder / name)
     return name
 
 
