@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -176,7 +177,7 @@ def _is_done(order: Order, row: Json | None) -> bool:
     if row is None or row.get("status") != OK:
         return False
     try:
-        if not Path(order.job.source).is_file():  # who reads a pipe may wait for ever
+        if not os.path.isfile(order.job.source):  # who reads a pipe may wait for ever
             return False
         config = settings_of(order.job, order.settings, order.overrides)
         return bool(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
@@ -41,7 +42,7 @@ def _meshes_of_urdf(scene: Path) -> set[Path]:
 def _named_files(scene: Path) -> Iterator[Path]:
     names: dict[str, None] = {}
     folders = {scene.parent: None}
-    left, seen = [scene], {scene}
+    left, seen = [scene], {os.path.realpath(scene)}
     while left:
         file = left.pop()
         root = _root(file)
@@ -55,15 +56,16 @@ def _named_files(scene: Path) -> Iterator[Path]:
                 continue
             names[name] = None
             for path in (scene.parent / name, file.parent / name):
-                if path.suffix.lower() in XML_SUFFIXES and path not in seen and path.is_file():
-                    seen.add(path)
+                is_xml = path.suffix.lower() in XML_SUFFIXES and os.path.isfile(path)
+                if is_xml and os.path.realpath(path) not in seen:
+                    seen.add(os.path.realpath(path))
                     folders[path.parent] = None
                     left.append(path)
     for name in names:
         for folder in folders:
             # `strippath` of a compiler leaves out the folders of names
             for path in (folder / name, folder / Path(name).name):
-                if path.is_file():
+                if os.path.isfile(path):
                     yield path
 
 

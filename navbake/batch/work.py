@@ -104,7 +104,7 @@ def _make(order: Order) -> Json:
     config = settings_of(order.job, order.settings, order.overrides)
     # before the bake: what changes meanwhile is noticed by the next run
     named = [Path(path) for path in config.inputs]
-    inputs = [path for name in named for path in find_inputs(name) if path.is_file()]
+    inputs = [path for name in named for path in find_inputs(name) if os.path.isfile(path)]
     stated = describe_files(inputs, order.folder)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the row has those that matter

@@ -110,7 +110,7 @@ def test_ids_may_have_letters_of_all_languages():
     ("one", "other"), [("a", "A"), ("Stra\u00dfe", "STRASSE"), ("é", "e\u0301")]
 )
 def test_ids_that_some_file_system_takes_for_one_are_refused(one, other):
-    with pytest.raises(ConfigError, match="expected unique ids, got .* at 1 and .* at 2"):
+    with pytest.raises(ConfigError, match=r"expected unique ids, got .* at 1 and .* at 2"):
         check_unique([Job(one, "", {}, "1"), Job(other, "", {}, "2")])
 
 
@@ -127,10 +127,10 @@ def test_a_scene_has_the_settings_of_the_batch_its_own_and_those_of_its_row(fold
         "scene: {path: hall.xml}\nagent: {radius: 0.2}\ngrid:\noutput: a.grid.json\n"
     )
     job = Job("own", "a/own.yaml", nest({"agent.traversable_floor_height": 0.1}, ""), "here")
-    config = settings_of(job, read_shared("all.yaml"), ["rooms.from=none"])
+    config = settings_of(job, read_shared("all.yaml"), ["agent.max_slope=30"])
     assert str(config.scene.path) == "a/hall.xml" and config.scene.id == "own"
     assert config.agent.model_dump() == {
-        **{"height": 2.0, "radius": 0.2, "traversable_floor_height": 0.1, "max_slope": 45.0}
+        **{"height": 2.0, "radius": 0.2, "traversable_floor_height": 0.1, "max_slope": 30.0}
     }
     assert config.grid.cell_size == 0.3 and not config.names.enabled
     (folder / "a" / "own.yaml").write_text("- 1\n")

@@ -28,10 +28,7 @@ if TYPE_CHECKING:
 
 # Functions import the baker and the settings when they run: --help loads neither MuJoCo nor numpy.
 
-# where kernels are that any bake may use
-OF_BAKES = ("navbake.baker.", "navbake.navgrid.")
 INDEX = "index.jsonl"
-BESIDES = ("navbake.baker.live.", "navbake.baker.voxelize.")
 
 
 class PerScene(NamedTuple):
@@ -143,12 +140,14 @@ class _Teller:
 
 
 def _warm_up() -> None:
-    """Compile the kernels, unless all that bakes use are compiled: workers find them on disk."""
+    """Compile the kernels, unless all that any bake calls are: workers find them on disk."""
     from navbake.dispatch import REMEDY, can_keep
+    from navbake.kernel_list import PREFIX, read_list
 
     load_kernels()
-    cold = (name for name in cold_kernels() if name.startswith(OF_BAKES))
-    if all(name.startswith(BESIDES) for name in cold):
+    known = read_list()
+    common = {PREFIX + entry.name for entry in known.entries[: known.num_common]}
+    if common.isdisjoint(cold_kernels()):
         return
     if not can_keep():
         why = f"no folder for compiled code can be written: each worker compiles its own: {REMEDY}"
