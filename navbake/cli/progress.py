@@ -4,7 +4,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import Any
 
 from navbake import dispatch
 from navbake.errors import printable
@@ -50,28 +50,14 @@ def stage_progress(title: str, hidden: bool = False) -> Iterator[Callable[[str, 
             dispatch.watch = None
 
 
-class Count(NamedTuple):
-    """How far a batch is.
-
-    Attributes:
-        done: scenes that ended, failed ones included.
-        failed: scenes that failed.
-        total: scenes that there are to do.
-    """
-
-    done: int
-    failed: int
-    total: int
-
-
 @contextmanager
-def batch_progress(hidden: bool = False) -> Iterator[Callable[[Count], None]]:
+def batch_progress(hidden: bool = False) -> Iterator[Callable[[int, int, int], None]]:
     """A bar for a batch on the terminal's stderr: rate, failures, time left; else nothing.
 
-    What is printed on stderr meanwhile stands above it.
+    It is told how many scenes ended, how many of these failed, and how many there are to do. What is printed on stderr meanwhile stands above it.
     """
     if hidden or sys.stderr is None or not sys.stderr.isatty():
-        yield lambda count: None
+        yield lambda done, failed, total: None
         return
     screen = console.Console(stderr=True, markup=False, highlight=False, emoji=False)
     bars = progress.Progress(
@@ -86,10 +72,10 @@ def batch_progress(hidden: bool = False) -> Iterator[Callable[[Count], None]]:
     task: Any = bars.add_task("", total=None)
     begin = time.monotonic()
 
-    def show(count: Count) -> None:
-        rate = count.done / max(time.monotonic() - begin, 1e-3)
-        said = f"{rate:.3g}/s, {count.failed} failed, time left"
-        bars.update(task, completed=count.done, total=count.total, description=said)
+    def show(done: int, failed: int, total: int) -> None:
+        rate = done / max(time.monotonic() - begin, 1e-3)
+        said = f"{rate:.3g}/s, {failed} failed, time left"
+        bars.update(task, completed=done, total=total, description=said)
 
     with bars:
         yield show

@@ -103,7 +103,7 @@ def test_a_worker_that_dies_while_idle_is_replaced():
 
 @pytest.mark.parametrize(
     ("prepare", "why"),
-    [(crew_jobs.refuse, "RuntimeError: no library"), (crew_jobs.end, "exit status 5")],
+    [(crew_jobs.refuse, "RuntimeError: no library"), (crew_jobs.end, "ended by SIGKILL")],
 )
 def test_workers_that_do_not_start_are_one_error(prepare, why, capfd):
     with pytest.raises(NavbakeError, match=f"cannot start a worker process: .*{why}"):

@@ -20,7 +20,6 @@ from navbake.cli.printing import (
     print_warnings,
     say_unless_quiet,
 )
-from navbake.cli.progress import Count, batch_progress, stage_progress
 
 if TYPE_CHECKING:
     from navbake.batch.batch import BatchResult
@@ -113,26 +112,28 @@ class _Teller:
 
     def __init__(self, stack: ExitStack, as_json: bool) -> None:
         self._stack, self._as_json = stack, as_json
-        self._count = Count(0, 0, 0)
-        self._show: Callable[[Count], None] = lambda count: None
+        self._done, self._failed, self._total = 0, 0, 0
+        self._show: Callable[[int, int, int], None]
 
     def begin(self, total: int, skipped: int) -> None:
         """Compile what all workers need, once, and begin the bar."""
+        from navbake.cli.progress import batch_progress
+
         _warm_up()
-        self._count = Count(0, 0, total - skipped)
+        self._total = total - skipped
         if self._as_json:
             print_json_line({"event": "begin", "scenes": total, "skipped": skipped})
         # on a terminal, lines and a bar would run into each other
         hidden = VOLUME.quiet or (self._as_json and sys.stdout.isatty())
         self._show = self._stack.enter_context(batch_progress(hidden))
-        self._show(self._count)
+        self._show(0, 0, self._total)
 
     def end_scene(self, row: Json) -> None:
         """Print what became of a scene, if it failed or if all are asked for."""
         is_failed = row["status"] == "failed"
-        done, failed, total = self._count
-        self._count = Count(done + 1, failed + is_failed, total)
-        self._show(self._count)
+        self._done += 1
+        self._failed += is_failed
+        self._show(self._done, self._failed, self._total)
         if self._as_json:
             print_json_line({"event": "scene", **row})
         elif is_failed:
@@ -141,6 +142,7 @@ class _Teller:
 
 def _warm_up() -> None:
     """Compile the kernels, unless all that any bake calls are: workers find them on disk."""
+    from navbake.cli.progress import stage_progress
     from navbake.dispatch import REMEDY, can_keep
     from navbake.kernel_list import PREFIX, read_list
 
