@@ -54,7 +54,8 @@ def stage_progress(title: str, hidden: bool = False) -> Iterator[Callable[[str, 
 def batch_progress(hidden: bool = False) -> Iterator[Callable[[int, int, int], None]]:
     """A bar for a batch on the terminal's stderr: rate, failures, time left; else nothing.
 
-    It is told how many scenes ended, how many of these failed, and how many there are to do. What is printed on stderr meanwhile stands above it.
+    It is told how many scenes ended, how many of these failed, and how many there are to do. What
+    is printed on stderr meanwhile stands above it.
     """
     if hidden or sys.stderr is None or not sys.stderr.isatty():
         yield lambda done, failed, total: None

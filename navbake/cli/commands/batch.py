@@ -63,7 +63,7 @@ def batch(
     wholly: Wholly,
     sources: list[str] = Argument(
         ...,
-        metavar="SOURCE...",
+        metavar="SOURCE",
         help="Scenes or settings (YAML), patterns in quotes, or lists: .txt, .csv or .jsonl.",
     ),
     output: Path = Option(
