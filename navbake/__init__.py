@@ -29,12 +29,16 @@ if TYPE_CHECKING:
     from navbake.baker.pipeline import bake
     from navbake.baker.voxelize.voxelizer import Voxelizer, create_voxel_grid
     from navbake.config.settings import BakeConfig
+    from navbake.formats.maps.grid_npz import read_grid_npz as from_npz
+    from navbake.formats.maps.nav2 import read_nav2 as from_nav2
+    from navbake.formats.maps.procthor import read_procthor as from_procthor
     from navbake.formats.navgrid import read_navgrid as load
     from navbake.formats.voxels import read_voxels as load_voxels
     from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
     from navbake.runtime.path_finder import PathFinder
     from navbake.verifier.verify import verify
     from navbake.views.report.report import write_report as report
+    from navbake.views.viewer.view import view
     from navbake.voxels.grid import VoxelGrid
 
 __all__ = [
@@ -57,12 +61,16 @@ __all__ = [
     "audit",
     "bake",
     "create_voxel_grid",
+    "from_nav2",
+    "from_npz",
+    "from_procthor",
     "load",
     "load_voxels",
     "report",
     "samples",
     "tensors",
     "verify",
+    "view",
 ]
 
 # where each public name is that loads dependencies
@@ -78,10 +86,14 @@ _LAZY = {
     "VoxelGrid": "navbake.voxels.grid:VoxelGrid",
     "Voxelizer": "navbake.baker.voxelize.voxelizer:Voxelizer",
     "create_voxel_grid": "navbake.baker.voxelize.voxelizer:create_voxel_grid",
+    "from_nav2": "navbake.formats.maps.nav2:read_nav2",
+    "from_npz": "navbake.formats.maps.grid_npz:read_grid_npz",
+    "from_procthor": "navbake.formats.maps.procthor:read_procthor",
     "load": "navbake.formats.navgrid:read_navgrid",
     "load_voxels": "navbake.formats.voxels:read_voxels",
     "report": "navbake.views.report.report:write_report",
     "verify": "navbake.verifier.verify:verify",
+    "view": "navbake.views.viewer.view:view",
 }
 
 _MODULES = ("samples", "tensors")  # of navbake, loaded when they are first asked for
@@ -92,11 +104,16 @@ OPERATIONS |= {
     "grid._repr_png_": "navbake.views.notebook:draw_png",
     "grid.at": "navbake.runtime.places.place:place_at",
     "grid.block": "navbake.runtime.blocks.block:block",
+    "grid.convert": "navbake.formats.convert:write_as",
     "grid.describe_cell": "navbake.views.why:describe_cell",
     "grid.inflate": "navbake.runtime.inflation.inflate:inflate",
     "grid.inflate_footprint": "navbake.runtime.inflation.footprint:inflate_footprint",
     "grid.save": "navbake.formats.navgrid:write_navgrid",
     "grid.tensors": "navbake.tensors.build:make_tensors",
+    "grid.to_geojson": "navbake.formats.shapes.geojson:to_geojson",
+    "grid.to_graph": "navbake.formats.shapes.graph:make_graph",
+    "grid.to_mesh": "navbake.formats.shapes.floor_mesh:make_floor_mesh",
+    "grid.to_polygons": "navbake.formats.shapes.shape:find_shapes",
     "grid.values_at": "navbake.runtime.places.place:values_at",
     "voxels.save": "navbake.formats.voxels:write_voxels",
 }

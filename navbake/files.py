@@ -7,8 +7,8 @@ import re
 import stat
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from os import PathLike
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -65,31 +65,64 @@ def write_whole(
         OSError: the path can't be written, or was written by another process; a file that was
             there is unchanged.
     """
+    with _beside(data, path, unless_changed) as put:
+        put()
+
+
+def write_together(contents: Mapping[Path, bytes | Iterable[bytes]]) -> None:
+    """Write several files, each as `write_whole` does; all or, as far as the system allows, none.
+
+    All are written beside their places before the first is renamed, in the order given: a file
+    that names others comes after them.
+
+    Raises:
+        OSError: a path can't be written. No file has changed, unless it was a renaming that failed.
+    """
+    with ExitStack() as stack:
+        puts = [stack.enter_context(_beside(data, path)) for path, data in contents.items()]
+        for put in puts:
+            put()
+
+
+@contextmanager
+def _beside(
+    data: bytes | Iterable[bytes],
+    path: str | PathLike[str],
+    unless_changed: FileState | None = None,
+) -> Iterator[Callable[[], None]]:
+    """Write a file under another name; what it gives puts it into its place."""
     pieces = [data] if isinstance(data, bytes) else data
     if not _is_replaceable(path):
-        with open(path, "wb") as device:
-            device.writelines(pieces)
-        LOG.debug("wrote %s", path)
+        yield lambda: _write_device(pieces, path)
         return
     target = Path(os.path.realpath(path))
     if target.parent not in _swept:
         _swept.add(target.parent)
         remove_leftovers(target.parent)
     file, temporary = _create_temporary(target.parent)
+
+    def put() -> None:
+        if fcntl is None:  # Windows renames no file that is open
+            file.close()
+        _replace(temporary, target, unless_changed)
+
     try:
-        with file:
+        with file:  # as long as it is open it is locked, and nobody takes it for a leftover
             file.writelines(pieces)
             file.flush()
             size = file.tell()
             os.fsync(file.fileno())
-            if fcntl is not None:  # under the lock: nobody takes it for a leftover
-                _replace(temporary, target, unless_changed)
-        if fcntl is None:  # Windows renames no file that is open
-            _replace(temporary, target, unless_changed)
+            yield put
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
     LOG.debug("wrote %s, %d bytes", path, size)
+
+
+def _write_device(pieces: Iterable[bytes], path: str | PathLike[str]) -> None:
+    with open(path, "wb") as device:
+        device.writelines(pieces)
+    LOG.debug("wrote %s", path)
 
 
 def _replace(temporary: Path, target: Path, unless_changed: FileState | None) -> None:

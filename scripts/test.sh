@@ -11,7 +11,7 @@ from shutil import which
 
 packages = ("dm_control", "gymnasium_robotics", "jax", "labmaze", "matplotlib", "octomap", "ogbench", "torch")
 missing = [name for name in packages if find_spec(name) is None]
-missing += [name for name in ("binvox2bt",) if which(name) is None]
+missing += [name for name in ("binvox2bt", "chromedriver") if which(name) is None]
 print(", ".join(missing))
 EOF
 )

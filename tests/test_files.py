@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from navbake import files
-from navbake.files import check_writable, write_whole
+from navbake.files import check_writable, write_together, write_whole
 
 
 def test_replaces_the_file(tmp_path):
@@ -186,3 +186,33 @@ def test_tries_again_where_a_reader_is_in_the_way(tmp_path, monkeypatch):
     monkeypatch.setattr("navbake.files.os.replace", replace)
     write_whole(b"new", target)
     assert target.read_bytes() == b"new" and failures == []
+
+
+# ---------------------------------------------------------------- several files together
+
+
+def test_files_are_put_in_order_and_after_all_are_written(tmp_path, monkeypatch):
+    seen, replace = [], os.replace
+
+    def watch(source, target):
+        seen.append((os.path.basename(target), len(temporary_files(tmp_path))))
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", watch)
+    write_together({tmp_path / "b.pgm": b"image", tmp_path / "a.yaml": [b"image: ", b"b.pgm"]})
+    assert seen == [("b.pgm", 2), ("a.yaml", 1)]
+    assert (tmp_path / "a.yaml").read_bytes() == b"image: b.pgm"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.yaml", "b.pgm"]
+
+
+def test_where_one_file_fails_none_is_written(tmp_path):
+    (tmp_path / "a").write_bytes(b"before")
+
+    def fail():
+        yield b"x"
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(OSError, match="No space left"):
+        write_together({tmp_path / "a": b"now", tmp_path / "b": fail()})
+    assert (tmp_path / "a").read_bytes() == b"before"
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]

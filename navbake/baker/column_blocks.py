@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -25,10 +25,13 @@ from navbake.baker.cracks import (
 from navbake.baker.lattice import Window
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
+from navbake.threads import run_beside
 from navbake.types import Int, Int32
 
 # Columns of at most so many cells are kept: they take about 100 bytes each
 KEPT_CELLS = 1 << 22
+# Blocks that there are at a time: the one that is looked at, and the next one
+ALIVE = 2
 
 
 class ColumnBlocks:
@@ -56,14 +59,28 @@ class ColumnBlocks:
                 self._kept, self.moved = find_columns(tiled, agent, crack)
 
     def blocks(self) -> Iterator[Columns]:
-        """The columns of all rows, by bands of them, in their order."""
+        """The columns of all rows, by bands of them, in their order.
+
+        The next ones are found on another thread while the caller looks at those before them.
+        The clock has only the time that the caller waits.
+        """
         if self._kept is not None:
             yield self._kept
             return
-        for rows in split_rows(self.lattice):
-            with self._clock.part("columns"):
-                columns = self._find(rows)
-            yield columns
+        bands = self._bands()
+        coming = run_beside(self._find, bands[0])
+        for rows in [*bands[1:], None]:
+            found = [self._wait(coming)]
+            if rows is not None:
+                coming = run_beside(self._find, rows)
+            yield found.pop()  # nothing here holds it while the caller waits for the next one
+
+    def _bands(self) -> list[Rows]:
+        return split_rows(self.lattice, ALIVE)
+
+    def _wait(self, found: Callable[[], Columns]) -> Columns:
+        with self._clock.part("columns"):
+            return found()
 
     def at(self, cells: Int | Int32) -> Columns:
         """Columns in which those of some cells are known, whatever the order of their ids."""
@@ -101,7 +118,7 @@ class ColumnBlocks:
 
     def _all_moved(self) -> Moved:
         """All lines that were moved."""
-        for rows in split_rows(self.lattice):
+        for rows in self._bands():
             if rows not in self._moved:
                 self._find(rows)
         cells, offsets = zip(*(self._moved[rows] for rows in sorted(self._moved)), strict=True)

@@ -42,9 +42,12 @@ class Rows(NamedTuple):
         return Rows(max(self.first - by, 0), min(self.end + by, lattice.height))
 
 
-def split_rows(lattice: Lattice) -> list[Rows]:
-    """Split a lattice into blocks of rows of about `BLOCK_CELLS` cells, of whole `BAND`s."""
-    count = max(BLOCK_CELLS // (lattice.width * BAND), 1) * BAND
+def split_rows(lattice: Lattice, alive: int = 1) -> list[Rows]:
+    """Split a lattice into blocks of rows, of whole `BAND`s, and about `BLOCK_CELLS` cells.
+
+    Where several are `alive` at a time, they have so many cells together.
+    """
+    count = max(BLOCK_CELLS // (alive * lattice.width * BAND), 1) * BAND
     firsts = range(0, lattice.height, count)
     return [Rows(first, min(first + count, lattice.height)) for first in firsts]
 
@@ -178,7 +181,7 @@ class GatheredColumns:
     def __init__(self, lattice: Lattice) -> None:
         self._lattice = lattice
         self._start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
-        self._arrays = Gathered(*_empty_crossings(self._start, 0)[1:])
+        self._arrays = Gathered(*empty_crossings(self._start, 0)[1:])
 
     def add(self, columns: Columns, rows: Rows) -> None:
         """Add the columns of some of the rows that a part knows, which follow on the last ones."""
@@ -188,7 +191,8 @@ class GatheredColumns:
         np.add(columns.start[first + 1 : end + 1], len(self._arrays) - begin, out=ends)
         _, z, normal, geom, closed = columns.crossings
         part = slice(begin, stop)
-        self._arrays.add(z[part], normal[part], geom[part], closed[part])
+        share = end / (len(self._start) - 1)
+        self._arrays.add(z[part], normal[part], geom[part], closed[part], share=share)
 
     def join(self) -> Columns:
         """The columns of all rows; nothing is added after that."""
@@ -224,10 +228,10 @@ def cast_columns(tiled: TiledShapes, rows: Rows | None = None) -> Columns:
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
     dropped = np.zeros(-(-lattice.height // BAND), dtype=np.int64)
     # without room for them, the crossings are only counted
-    run_in_bands(*work, *geometry, _empty_crossings(start, 0), dropped, begin=bands.first)
+    run_in_bands(*work, *geometry, empty_crossings(start, 0), dropped, begin=bands.first)
     known = start[first : end + 1]
     np.cumsum(known, out=known)
-    crossings = _empty_crossings(start, int(known[-1]))
+    crossings = empty_crossings(start, int(known[-1]))
     if len(crossings.z):
         run_in_bands(*work, *geometry, crossings, dropped, begin=bands.first)
     if dropped.any():
@@ -262,14 +266,15 @@ def _join_crossings(parts: list[Crossings]) -> Crossings:
         return parts[0]
     ends = np.cumsum([0, *(part.start[-1] for part in parts)])
     starts = [part.start[1:] + end for part, end in zip(parts, ends, strict=False)]
-    empty = _empty_crossings(np.zeros(1, dtype=np.int64), 0)
+    empty = empty_crossings(np.zeros(1, dtype=np.int64), 0)
     layers = zip(empty[1:], *(part[1:] for part in parts), strict=True)
     return Crossings(
         np.concatenate([empty.start, *starts]), *(np.concatenate(layer) for layer in layers)
     )
 
 
-def _empty_crossings(start: Int, count: int) -> Crossings:
+def empty_crossings(start: Int, count: int) -> Crossings:
+    """Room for so many crossings of columns that start at known places."""
     z, normal = np.empty(count), np.empty((count, 3), dtype=np.float32)
     geom, closed = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.uint8)
     return Crossings(start, z, normal, geom, closed)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.columns import (
     Columns,
@@ -16,6 +15,7 @@ from navbake.baker.columns import (
     TiledShapes,
     cast_columns,
     cast_points,
+    empty_crossings,
     split_rows,
 )
 from navbake.baker.floors.sheets import agent_limits
@@ -31,11 +31,12 @@ from navbake.baker.kernels.cracks import (
     GapRoom,
     find_gaps,
     probe_lines,
+    splice_columns,
 )
 from navbake.baker.kernels.tiles import list_near
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
-from navbake.threads import run_beside, run_in_bands
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int
 
 # Ways in which a gap's width is measured, over half a turn: the widths of a gap that runs between
@@ -296,7 +297,8 @@ def only_near(columns: Columns, cells: Int, reach: int) -> Columns:
         is_near[row, np.clip(col + k, 0, lattice.width - 1)] = True
     near = first + np.flatnonzero(is_near)
     counts = columns.start[near + 1] - columns.start[near]
-    start = np.zeros_like(columns.start)
+    # `zeros_like` would write them all, for each block again
+    start = np.zeros(len(columns.start), dtype=np.int64)
     start[near + 1] = counts
     np.cumsum(start[first : end + 1], out=start[first : end + 1])
     total = int(start[end])
@@ -471,16 +473,6 @@ def _replace_lines(columns: Columns, tiled: TiledShapes, cells: Int, offset: Flo
     counts[cells - first] = np.diff(new.start)
     start = np.zeros(len(old.start), dtype=np.int64)
     np.cumsum(counts, out=start[first + 1 : end + 1])
-    # what stays lies between the replaced columns: few pieces, copied as they are
-    ends = zip([0, *old.start[cells + 1]], [*old.start[cells], old.start[end]], strict=True)
-    stays = [slice(int(a), int(b)) for a, b in ends]
-    comes = [slice(int(n), int(m)) for n, m in itertools.pairwise(new.start)] + [slice(0, 0)]
-
-    def splice(was: NDArray[Any], now: NDArray[Any]) -> NDArray[Any]:
-        pieces = [part for s, c in zip(stays, comes, strict=True) for part in (was[s], now[c])]
-        return np.concatenate(pieces)
-
-    normal = run_beside(splice, old.normal, new.normal)  # as large as all others together
-    z, geom = splice(old.z, new.z), splice(old.geom, new.geom)
-    closed = splice(old.closed, new.closed)
-    return replace(columns, crossings=Crossings(start, z, normal(), geom, closed))
+    replaced = empty_crossings(start, int(start[end]))
+    run_in_bands(splice_columns, end - first, old, new, cells, replaced, begin=first)
+    return replace(columns, crossings=replaced)

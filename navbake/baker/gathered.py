@@ -5,6 +5,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+# Room is made for this much more than the blocks so far let expect: what isn't used takes no memory
+SPARE = 1.1
+
 
 class Gathered:
     """Arrays that grow at their ends, in place: there is never room for twice as much.
@@ -15,18 +18,31 @@ class Gathered:
 
     def __init__(self, *empty: NDArray[Any]) -> None:
         self._arrays = [np.empty(array.shape, array.dtype) for array in empty]
+        self._count = 0
 
     def __len__(self) -> int:
-        return len(self._arrays[0])
+        return self._count
 
-    def add(self, *parts: NDArray[Any]) -> None:
-        """Add a part to each, all of one length."""
-        for whole, part in zip(self._arrays, parts, strict=True):
-            count = len(whole)
-            # nothing else refers to it yet
-            whole.resize((count + len(part), *whole.shape[1:]), refcheck=False)
-            whole[count:] = part
+    def add(self, *parts: NDArray[Any], share: float = 1.0) -> None:
+        """Add a part to each, all of one length.
+
+        Args:
+            share: how much of the whole is known with this part, > 0 to 1: so much room is made at
+                once that most parts only fill it. The system gives new arrays larger pages than
+                those that grow.
+        """
+        begin, self._count = self._count, self._count + len(parts[0])
+        room = self._count
+        if room and share < 1.0:
+            room = max(room, int(SPARE * room / share))
+        for number, (array, part) in enumerate(zip(self._arrays, parts, strict=True)):
+            shape = (room, *array.shape[1:])
+            if begin == 0:
+                self._arrays[number] = np.empty(shape, array.dtype)
+            elif self._count > len(array):
+                array.resize(shape, refcheck=False)  # nothing else refers to it yet
+            self._arrays[number][begin : self._count] = part
 
     def take(self) -> list[NDArray[Any]]:
         """The arrays; nothing is added after that."""
-        return self._arrays
+        return [array[: self._count] for array in self._arrays]

@@ -2,8 +2,11 @@
 
 import math
 from bisect import bisect_left
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
@@ -16,6 +19,20 @@ Window = tuple[slice, slice]
 
 # Where the two cells of each edge are in an array: left and right, upper and lower
 EDGES = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))
+
+
+def list_differing(values: NDArray[Any]) -> Iterator[tuple[Int, Int]]:
+    """The cells beside each other whose values differ, ids of both; edge by edge of `EDGES`.
+
+    Args:
+        values: shape (height, width).
+    """
+    width = values.shape[1]
+    offsets = iter((1, width))  # of the next cell in a row, and in a column
+    for one, other in EDGES:
+        row, col = np.nonzero(values[one] != values[other])
+        cell = row * width + col
+        yield cell, cell + next(offsets)
 
 
 def lay_lattice(scene: Scene, config: BakeConfig) -> Lattice:

@@ -17,6 +17,7 @@ from navbake._version import __version__
 from navbake.cli.commands.bake import bake
 from navbake.cli.commands.batch import batch
 from navbake.cli.commands.checks import audit, verify
+from navbake.cli.commands.convert import convert, extrude
 from navbake.cli.commands.grids import info, rooms, why
 from navbake.cli.commands.inflate import inflate
 from navbake.cli.commands.map_descriptor import mdf
@@ -24,6 +25,7 @@ from navbake.cli.commands.path import path
 from navbake.cli.commands.plot import plot
 from navbake.cli.commands.report import report
 from navbake.cli.commands.scenes import geoms, init, samples
+from navbake.cli.commands.view import view
 from navbake.cli.commands.voxelize import voxelize
 from navbake.cli.commands.warm_up import warm_up
 from navbake.cli.options import prepared
@@ -45,8 +47,8 @@ app = Typer(
 )
 COMMANDS = (
     *(samples, init, geoms, bake, batch),
-    *(info, rooms, why, plot, inflate, path, voxelize, mdf, warm_up),
-    *(verify, audit, report),
+    *(info, rooms, why, plot, inflate, path, voxelize, mdf, convert, extrude, warm_up),
+    *(verify, audit, report, view),
 )
 for command in COMMANDS:
     app.command()(prepared(command))

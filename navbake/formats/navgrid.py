@@ -9,6 +9,7 @@ import io
 import math
 import os
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from navbake.errors import FormatError
 from navbake.files import FileState
 from navbake.formats.arrays import Allowance, decode_array, encode_array
 from navbake.formats.json_path import MISSING, JsonPath
-from navbake.formats.source import Source, check_path, read_source, write_bytes
+from navbake.formats.source import Files, Source, check_path, read_source, write_bytes
 from navbake.formats.user_data import encode_user_data, parse_file, read_user_data
 from navbake.formats.values import json_object, number, plain, vector, whole_number
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
@@ -88,11 +89,17 @@ def write_navgrid(
     Raises:
         FormatError: the grid holds what the format can't, or the path can't be written.
     """
-    name = check_path(path)
+    write_bytes(_encode_for(grid, check_path(path)), path, unless_changed=unless_changed)
+
+
+def encode_files(grid: NavGrid, path: Path) -> Files:
+    """The file that `write_navgrid` writes, as `navbake.formats.convert` takes it."""
+    return {path: _encode_for(grid, path.name)}
+
+
+def _encode_for(grid: NavGrid, name: str) -> Iterator[bytes]:
     pieces = _encode_navgrid(grid)
-    if name.lower().endswith(".gz"):
-        pieces = _gzip(pieces)
-    write_bytes(pieces, path, unless_changed=unless_changed)
+    return _gzip(pieces) if name.lower().endswith(".gz") else pieces
 
 
 def dumps_navgrid(grid: NavGrid) -> bytes:

@@ -20,6 +20,7 @@ VERSION = 1
 ZIP = b"PK"
 REQUIRED = ("values", "origin", "res")
 OPTIONAL = ("ids", "names", "known")
+GRID = "grid"  # the array that only archives of navigation grids have
 GRIDS = ("values", "known")  # of all voxels
 MAX_IDS = 1 << 20  # entries of the table of IDs
 
@@ -69,6 +70,8 @@ def read_npz(path: str | PathLike[str] | bytes, *, max_voxels: int | None = None
         raise FormatError(f"expected a .npz of voxels, {source} can't be read: {why}") from error
     for name in REQUIRED:
         if name not in arrays:
+            if GRID in packed_names(data):
+                raise FormatError(f"{source} holds a grid, no voxels: navbake.from_npz reads it")
             raise FormatError(f"expected voxels in {source}, it has no array `{name}`")
     try:
         return VoxelGrid(
@@ -83,6 +86,15 @@ def read_npz(path: str | PathLike[str] | bytes, *, max_voxels: int | None = None
         raise FormatError(f"{source}: {error}") from error
 
 
+def packed_names(data: bytes) -> set[str]:
+    """The names of the arrays in an archive; none if it can't be read."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return {name.removesuffix(".npy") for name in archive.namelist()}
+    except Exception:  # a broken archive raises whatever zipfile raises
+        return set()
+
+
 def _read_arrays(archive: zipfile.ZipFile, allowance: VoxelAllowance) -> dict[str, NDArray[Any]]:
     """The arrays that voxels have; what else is in the archive is not read."""
     members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
@@ -90,7 +102,7 @@ def _read_arrays(archive: zipfile.ZipFile, allowance: VoxelAllowance) -> dict[st
     for name in (*REQUIRED, *OPTIONAL):
         if name not in members:
             continue
-        shape, dtype = _read_array_header(archive, members[name])
+        shape, dtype = read_array_header(archive, members[name])
         if name in GRIDS:
             allowance.take_voxels(shape, dtype.itemsize)
         elif math.prod(shape) > MAX_IDS:
@@ -102,7 +114,7 @@ def _read_arrays(archive: zipfile.ZipFile, allowance: VoxelAllowance) -> dict[st
     return arrays
 
 
-def _read_array_header(
+def read_array_header(
     archive: zipfile.ZipFile, member: zipfile.ZipInfo
 ) -> tuple[tuple[int, ...], np.dtype[Any]]:
     """Shape and dtype of an array; a ValueError if the archive has less than they need."""

@@ -6,16 +6,19 @@ import logging
 import os
 import stat
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import BinaryIO, TypeAlias
 
 from navbake.errors import FormatError
-from navbake.files import FileState, write_whole
+from navbake.files import FileState, write_together, write_whole
 from navbake.formats.json_path import JsonPath, shown
 
 Source: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO
 """A path, a file's content, or a file opened in binary mode."""
+Files: TypeAlias = dict[Path, bytes | Iterable[bytes]]
+"""Files to be written, in this order: content, or pieces of it, by path."""
 
 LOG = logging.getLogger("navbake")
 MAX_BYTES = 4 << 30  # of JSON
@@ -156,7 +159,7 @@ def _bytes_left(stream: BinaryIO | gzip.GzipFile) -> int:
 def read_bytes(
     source: str | os.PathLike[str] | bytes,
     *,
-    begins: bytes = b"",
+    begins: bytes | tuple[bytes, ...] = b"",
     expected: str = "",
     limit: int = MAX_BYTES,
 ) -> tuple[bytes, str]:
@@ -164,8 +167,8 @@ def read_bytes(
 
     Args:
         source: a path, or a file's content.
-        begins: how such a file begins. Nothing else of it is read if it doesn't: what is no such
-            file may be a device that never ends.
+        begins: how such a file begins, or in which ways. Nothing else of it is read if it doesn't:
+            what is no such file may be a device that never ends.
         expected: what was expected then, for the message.
         limit: most bytes that such a file may have.
 
@@ -199,6 +202,28 @@ def write_bytes(
         if isinstance(error, FileNotFoundError):
             why = f"there is no folder {path_name(os.path.dirname(os.path.realpath(path)))}"
         raise FormatError(f"cannot write {path_name(path)}: {why}") from error
+
+
+def write_files(files: Mapping[Path, bytes | Iterable[bytes]]) -> list[Path]:
+    """Write several files that belong together: all, or none where one can't be written.
+
+    Returns:
+        Their paths.
+
+    Raises:
+        FormatError: the system refuses one of them.
+    """
+    try:
+        write_together(files)
+    except (OSError, ValueError) as error:
+        names = " and ".join(path_name(path) for path in files)
+        why = os_message(error)
+        if isinstance(error, FileNotFoundError):
+            folders = {os.path.dirname(os.path.realpath(path)) for path in files}
+            missing = sorted(folder for folder in folders if not os.path.isdir(folder))
+            why = f"there is no folder {path_name(missing[0])}" if missing else why
+        raise FormatError(f"cannot write {names}: {why}") from error
+    return list(files)
 
 
 def read_header(data: bytes, source: str) -> tuple[dict[str, list[str]], int]:

@@ -17,6 +17,7 @@ from navbake.navgrid.cells import Cell, Cells
 from navbake.navgrid.doors import Door, parse_doors
 from navbake.navgrid.lattice import FARTHEST
 from navbake.navgrid.links import Link, parse_links
+from navbake.navgrid.methods.exports import Exports
 from navbake.navgrid.operations import operation
 from navbake.navgrid.rooms import Room, measure_rooms, parse_rooms
 from navbake.types import Bool, Int, Int32, Json
@@ -33,7 +34,7 @@ Table = TypeVar("Table")
 
 
 @dataclass(eq=False, kw_only=True)
-class GridBase:
+class GridBase(Exports):
     """What grids of one level and of several have in common.
 
     Attributes:

@@ -26,6 +26,10 @@ SceneSource = BakeConfig | str | PathLike[str] | Mapping[str, Any] | Any
 """Settings, the path of a YAML or of a scene file, the YAML as a mapping, or a scene in memory."""
 
 
+class NoSceneError(QueryError):
+    """The grid names no scene, or the scene that it names isn't where it is looked for."""
+
+
 class Source(NamedTuple):
     """The scene that a grid is compared with.
 
@@ -128,7 +132,7 @@ def _find_file(grid: GridBase, stated: Json, grid_path: Path | None) -> Path:
     scene = stated.get("scene")
     name = scene.get("path") if isinstance(scene, dict) else None
     if not isinstance(name, str) or not name:
-        raise QueryError(
+        raise NoSceneError(
             f"{grid.scene_id or 'the grid'} doesn't say which scene it was baked from: give the "
             "scene, or the settings of its bake"
         )
@@ -137,7 +141,7 @@ def _find_file(grid: GridBase, stated: Json, grid_path: Path | None) -> Path:
         if (folder / Path(name).name).is_file():
             return folder / Path(name).name
     names = [str(folder) if str(folder) != "." else "the current folder" for folder in folders]
-    raise QueryError(
+    raise NoSceneError(
         f"the scene {Path(name).name} that {grid.scene_id or 'the grid'} was baked from isn't in "
         f"{' or '.join(names)}: give its path, or the settings of its bake"
     )

@@ -31,10 +31,10 @@ from navbake.baker.scene.mesh_scene import read_mesh_parts
 from navbake.config.settings import load_config
 from navbake.errors import NavbakeError
 from navbake.formats.binvox import encode_binvox, read_binvox
-from navbake.formats.geojson import read_room_outlines
 from navbake.formats.navgrid import dumps_navgrid
 from navbake.formats.npz import encode_npz
 from navbake.formats.octomap import encode_octomap
+from navbake.formats.shapes.geojson import read_room_outlines
 from navbake.formats.voxels import names_path, read_voxels
 from navbake.views.info import describe
 from navbake.views.why import describe_column

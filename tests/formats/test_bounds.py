@@ -11,9 +11,9 @@ import navbake
 from navbake.errors import FormatError
 from navbake.formats import source, voxel_allowance
 from navbake.formats.binvox import read_binvox
-from navbake.formats.geojson import read_room_outlines
 from navbake.formats.npz import encode_npz, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
+from navbake.formats.shapes.geojson import read_room_outlines
 from navbake.formats.voxel_allowance import BYTES_PER_BYTE, FREE_BYTES, MAX_VOXELS
 from navbake.formats.voxels import read_voxels
 from navbake.voxels.grid import VoxelGrid

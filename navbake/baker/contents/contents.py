@@ -97,7 +97,7 @@ class Contents:
         listed = self.levels[level]
         chosen = self._is_wall(listed) & listed.stands & listed.blocks
         cells = np.zeros(len(listed.start) - 1, dtype=np.bool_)
-        cells[listed.cell[chosen]] = True
+        kernels.mark_cells(listed.start, chosen, cells)
         return cells.reshape(listed.lattice.shape)
 
     def low_cells(self, level: int) -> Bool:
@@ -301,7 +301,7 @@ class _LevelLister:
             inside = first + np.searchsorted(start, unproved, side="right") - 1
             flags[unproved[occupied.ravel()[inside]]] |= BLOCKS
         self._start[first + 1 : end + 1] = start[1:] + len(self._listed)
-        self._listed.add(geom[kept], flags)
+        self._listed.add(geom[kept], flags, share=end / len(floor))
         part = slice(first, end)
         support = FloorSupport(self._carrier[part], self.gap[part])
         crossings = columns.crossings._replace(start=columns.start[first : end + 1])

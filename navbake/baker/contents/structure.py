@@ -9,7 +9,7 @@ from navbake.baker.connect import connect
 from navbake.baker.floors.levels import Floors
 from navbake.baker.kernels.constants import SAME, SLACK
 from navbake.baker.kernels.contents import count_supports
-from navbake.baker.lattice import EDGES
+from navbake.baker.lattice import list_differing
 from navbake.baker.scene.extents import Extents
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
@@ -113,13 +113,12 @@ def _steps(floors: Floors, carrier: Int32, lattice: Lattice) -> tuple[Int, Int, 
     `carrier` is the geom that carries each floor, shape (levels, cells), -1 for none.
     """
     floor = np.concatenate([level.floor.ravel() for level in floors.levels])
-    # cells of all levels are numbered on
-    place = np.arange(carrier.size).reshape(-1, *lattice.shape)
     pairs = [floors.links[:, [0, 2]] * carrier.shape[1] + floors.links[:, [1, 3]]]
-    for cell, geom in zip(place, carrier.reshape(place.shape), strict=True):
-        for one, other in EDGES:
-            meet = (geom[one] != geom[other]) & (geom[one] >= 0) & (geom[other] >= 0)
-            pairs.append(np.stack([cell[one][meet], cell[other][meet]], axis=1))
+    for number, geom in enumerate(carrier.reshape(-1, *lattice.shape)):
+        for one, other in list_differing(geom):
+            meet = (carrier[number][one] >= 0) & (carrier[number][other] >= 0)
+            # cells of all levels are numbered on
+            pairs.append(np.stack([one[meet], other[meet]], axis=1) + number * geom.size)
     cells = np.concatenate(pairs)
     rise = floor[cells[:, 1]] - floor[cells[:, 0]]
     geoms = carrier.ravel()[cells].astype(np.int64)

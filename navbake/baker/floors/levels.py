@@ -29,7 +29,7 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
-from navbake.threads import run_in_bands
+from navbake.threads import run_beside, run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
 # A dropped roof is told of when it is this many times as large as the largest floor that is left:
@@ -156,13 +156,14 @@ def find_floors(
     candidate = _mark_candidates(placed.standable, large_or_start, footing, agent)
     if notes is not None and judged is not None:
         notes.append(Judged(*judged, placed.standable, candidate, holds_floor))
+    links = run_beside(_cell_links, placed, agent)
     levels = [
         LevelFloor(label, ground, *_level_floor(k, placed, footing, candidate, agent))
         for k, (label, ground) in enumerate(zip(placed.labels, placed.grounds, strict=True))
     ]
     return Floors(
         levels,
-        _cell_links(placed, agent),
+        links(),
         tops=tops,
         roofs=roofs,
         small_starts=small_starts,
@@ -291,7 +292,8 @@ def _level_floor(
     standable, level = placed.standable, placed.level
     lattice, cells, z = standable.lattice, standable.cell, standable.z
     floor = np.full(lattice.width * lattice.height, np.nan)
-    floor[cells[level == k]] = z[level == k]
+    here = level == k
+    floor[cells[here]] = z[here]
     is_standable = ~np.isnan(floor)
     lowest, highest = np.full(floor.shape, -np.inf), np.full(floor.shape, np.inf)
     below, above = np.flatnonzero(level < k), np.flatnonzero(level > k)[::-1]

@@ -60,6 +60,8 @@ class Standable(NamedTuple):
 
     def members(self, sheets: Int | Int32) -> Iterator[tuple[int, Int]]:
         """Of some sheets, each one's number and the indices of its surfaces."""
+        if not len(sheets):
+            return
         start, member = group_members(self.sheet, self.sheet_size)
         for sheet in sheets:
             yield sheet, member[start[sheet] : start[sheet + 1]]
@@ -154,10 +156,12 @@ class StandableFinder:
         np.cumsum(footing_start, out=footing_start)
         found = _make_surfaces(int(start[-1]), int(footing_start[-1]))
         run_in_bands(list_surfaces, len(start) - 1, *listed, found, True)
-        self._surfaces.add(found.z, found.cell, found.surface, found.geom, found.is_top)
+        share = known[1] / (len(self._start) - 1)
+        parts = found.z, found.cell, found.surface, found.geom, found.is_top
+        self._surfaces.add(*parts, share=share)
         if _slopes_may_join(self._lattice, self._agent):
-            self._normals.add(columns.normal[is_standable])
-        self._footing.add(found.footing)
+            self._normals.add(columns.normal[is_standable], share=share)
+        self._footing.add(found.footing, share=share)
 
     def found(self) -> tuple[Standable, Footing]:
         """The standable surfaces and their sheets, and all that a floor may go on at."""

@@ -49,6 +49,8 @@ class TileCells(NamedTuple):
         length: how many geoms a cell's list has, int64; -1 where nothing is asked.
         by_line: whether the cell is occupied, and its line alone proves it, bool.
         known: flags of all its candidates, int64.
+        span: the lowest floor and the highest ceiling of the cells that are asked about, (2,)
+            float64 [m].
         flags: those of the geom whose triangles are looked at, int64.
         wanted: the flags that are asked about it, int64; 0 where it is no candidate.
         still: for STANDS, BLOCKS and PROBED, the cells where that is asked and not known yet, a
@@ -60,6 +62,7 @@ class TileCells(NamedTuple):
     length: Int
     by_line: Bool
     known: Int
+    span: Float
     flags: Int
     wanted: Int
     still: Int
@@ -85,6 +88,7 @@ def _make_tile_cells():
         np.empty(square, np.int64),
         np.empty(square, np.bool_),
         np.empty(square, np.int64),
+        np.empty(2, np.float64),
         np.empty(square, np.int64),
         np.empty(square, np.int64),
         np.empty(3, np.int64),
@@ -173,6 +177,7 @@ def _add(cells, cell, count, geom, flags):
 def _begin(asked, planes, cells, here):
     """Note what is known of a tile's cells, and list the planes in them."""
     lattice, window, crossings, footprint, _ = asked
+    here.span[0], here.span[1] = math.inf, -math.inf
     for row in range(window[0], window[1]):
         for col in range(window[2], window[3]):
             r, c, cell = row - window[0], col - window[2], row * lattice.width + col
@@ -181,6 +186,8 @@ def _begin(asked, planes, cells, here):
                 here.length[r, c] = -1
                 continue
             column = _column(lattice, row, col, cells, _reach(lattice, footprint))
+            here.span[0] = min(here.span[0], column.low)
+            here.span[1] = max(here.span[1], column.high)
             volumes = _volumes(asked, column)
             is_taken, by_line, known = cells.occupied[cell], False, 0
             if is_taken and num_candidates == 1:
@@ -265,6 +272,8 @@ def _list_geom(asked, shapes, tiles, groups, is_solid, n, cells, here):
         box, boxes, items = groups.box, facets.bounds, tiles.triangle_item
         first, last, i = groups.first[n], groups.first[n + 1], n
         geom = facets.geom[items[first]]
+    if box[i, 2] >= here.span[1] or box[i, 5] <= here.span[0]:
+        return
     reach = _reach(lattice, asked.footprint)
     window = cells_near(lattice, asked.window, box, i, reach)
     _ask_lines(asked, window, box, i, geom, cells, here)
@@ -371,6 +380,14 @@ def count_supports(support, standable, limit, covering, counts):
         counts.over[geom] += 1 if support.gap[i] <= limit[geom] else 0
         counts.near[geom] += 1 if support.gap[i] <= covering else 0
         counts.stood_on[geom] |= standable[i]
+
+
+@njit(cache=True, **UNCOUNTED)
+def mark_cells(start, chosen, marked):
+    """Mark the cells with a chosen entry in their lists; see `LevelContents` for `start`."""
+    for cell in range(marked.shape[0]):
+        for i in range(start[cell], start[cell + 1]):
+            marked[cell] |= chosen[i]
 
 
 @njit(cache=True, **UNCOUNTED)

@@ -285,6 +285,43 @@ def count_gaps(lattice, crossings, limits, reach, room, cells, counts):
         )
 
 
+@njit(inline="always")
+def _copy_crossings(source, first, last, into, place):
+    """Copy crossings from the first to before the last to a place of others."""
+    for i in range(last - first):  # array by array, as memory is copied fastest
+        into.z[place + i] = source.z[first + i]
+    for i in range(last - first):
+        into.geom[place + i] = source.geom[first + i]
+    for i in range(last - first):
+        into.closed[place + i] = source.closed[first + i]
+    for i in range(last - first):
+        for axis in range(3):
+            into.normal[place + i, axis] = source.normal[first + i, axis]
+
+
+@njit(cache=True, nogil=True, **UNCOUNTED)
+def splice_columns(old, new, cells, replaced, first, end):
+    """Write columns of which some are replaced; of the cells ``range(first, end)``.
+
+    Args:
+        old: the columns of all cells, and
+        new: one for each of some `cells`, (n,) int64 ascending; all are `Crossings`.
+        replaced: has its `start`, and receives the others.
+    """
+    k, cell = np.int64(0), first
+    while k < cells.shape[0] and cells[k] < first:
+        k += 1
+    while cell < end:
+        stop = end
+        if k < cells.shape[0] and cells[k] < end:
+            stop = cells[k]
+            place = replaced.start[stop]
+            _copy_crossings(new, new.start[k], new.start[k + 1], replaced, place)
+            k += 1
+        _copy_crossings(old, old.start[cell], old.start[stop], replaced, replaced.start[cell])
+        cell = stop + 1
+
+
 class Asked(NamedTuple):
     """Lines beside the centres of cells with gaps.
 

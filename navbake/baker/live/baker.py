@@ -222,6 +222,9 @@ def _compare(old: NavGrid, new: NavGrid) -> tuple[list[Int], bool]:
         for name, layer in other.attributes.items():
             before = one.attributes[name]
             if name != "occupancy" and not np.may_share_memory(before, layer):
-                differs |= (before != layer) & ~((before != before) & (layer != layer))
+                changed = before != layer
+                if layer.dtype.kind == "f":
+                    changed &= ~(np.isnan(before) & np.isnan(layer))
+                differs |= changed
         cells.append(np.flatnonzero(differs))
     return cells, False

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.baker.columns import Columns, TiledShapes, cast_points, tile_shapes
 from navbake.baker.cracks import Gaps, Moved, crack_cells, crack_reach, measure_cracks
@@ -18,19 +19,23 @@ from navbake.baker.kernels.hits import RIM
 from navbake.baker.kernels.tiles import TILE, tile_of
 from navbake.baker.live.kernels import pool as kernels
 from navbake.baker.live.kernels.cracks import list_gaps_in
-from navbake.baker.live.kernels.pool import Pool
+from navbake.baker.live.kernels.pool import FLOOR_LIKE, STANDABLE, Pool
 from navbake.baker.live.kernels.regions import cells_of_boxes, grow_cells, join_cells, near_tiles
+from navbake.baker.live.kernels.sheets import mark_region
 from navbake.baker.live.not_local import NotLocal
 from navbake.baker.rooms.overhead import Overhead, keep_holes
-from navbake.baker.scene.shapes import Shapes, Solids, Triangles
+from navbake.baker.scene.shapes import Planes, Shapes, Solids, Triangles
 from navbake.config.settings import AgentSettings, BakeConfig
 from navbake.navgrid.lattice import Lattice
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
 # A line this far beyond a box [cells], more than rounding can be, does not meet what is in it
 SPARE = 1e-3
 # A pool has so much room more than it needs at first
 ROOM = 1.25
+# So many cells are worth a call on another thread
+LEAST_CELLS = 4096
 
 
 class Scratch:
@@ -97,18 +102,27 @@ class Boxed(NamedTuple):
 
 
 class LiveColumns:
-    """The columns of all cells, of which some can be replaced."""
+    """The columns of all cells, of which some can be replaced.
 
-    def __init__(self, config: BakeConfig, columns: Columns, moved: Moved) -> None:
+    Args:
+        columns: of all cells.
+        moved: the cells whose line was moved, see `close_cracks`.
+        planes: the endless planes of the scene.
+    """
+
+    def __init__(self, config: BakeConfig, columns: Columns, moved: Moved, planes: Planes) -> None:
         self.lattice, self.scratch = columns.lattice, Scratch(columns.lattice)
         self._crack = config.floors.crack
         self._limits = agent_limits(config.agent)
         self._known: Boxed | None = None
         self._is_cracked = np.zeros(len(columns.start) - 1, dtype=np.bool_)
         self._is_cracked[moved.cells] = True
-        self._fill(columns.crossings)
+        places = np.arange(len(columns.z))
+        every = Region(np.arange(len(self._is_cracked)), columns.crossings, places)
+        no_sheet = np.full(len(places), -1, dtype=np.int32)
+        self._fill(columns.crossings, self._marks(every, planes), no_sheet)
 
-    def _fill(self, crossings: Crossings, sheet: Int32 | None = None) -> None:
+    def _fill(self, crossings: Crossings, marks: NDArray[np.uint8], sheet: Int32) -> None:
         count = np.diff(crossings.start).astype(np.int32)
         self.used = len(crossings.z)
         room = int(self.used * ROOM) + 10_000
@@ -119,10 +133,18 @@ class LiveColumns:
             return wide
 
         _, z, normal, geom, closed = crossings
-        none = np.full(self.used, -1, dtype=np.int32)
-        layers = widen(z), widen(normal), widen(geom), widen(closed)
-        sheets = widen(none if sheet is None else sheet)
-        self.pool = Pool(crossings.start[:-1].copy(), count, *layers, sheets)
+        layers = widen(z), widen(normal), widen(geom), widen(closed), widen(marks), widen(sheet)
+        self.pool = Pool(crossings.start[:-1].copy(), count, *layers)
+
+    def _marks(self, region: Region, planes: Planes) -> NDArray[np.uint8]:
+        """Tell of each surface of a region whether it is FLOOR_LIKE and STANDABLE."""
+        floor_like, standable = np.zeros((2, len(region.columns.z)), dtype=np.bool_)
+        known = region.cells, region.by_id(self.scratch), planes, self._limits
+        work = mark_region, len(region.cells), self.lattice
+        run_in_bands(*work, *known, (floor_like, standable), self.scratch.count, least=LEAST_CELLS)
+        marks: NDArray[np.uint8] = floor_like * np.uint8(FLOOR_LIKE)
+        marks |= standable * np.uint8(STANDABLE)
+        return marks
 
     def gather(self, cells: Int) -> Region:
         """The columns of some cells, ascending."""
@@ -231,13 +253,14 @@ class LiveColumns:
         if not np.array_equal(cast(old), cast(new)):
             raise NotLocal("lines cross a plane at another height, by rounding")
 
-    def put(self, region: Region, sheet: Int32) -> None:
-        """Replace columns, with the sheet of each surface, -1 for none."""
-        if self.used + len(sheet) > len(self.pool.z):
+    def put(self, region: Region, planes: Planes) -> None:
+        """Replace columns; their surfaces belong to no sheet yet."""
+        marks = self._marks(region, planes)
+        if self.used + len(marks) > len(self.pool.z):
             kept, place = kernels.gather(self.pool, np.arange(len(self.pool.first)))
-            self._fill(kept, self.pool.sheet[place])
-        kernels.put(self.pool, region.cells, region.columns, sheet, self.used)
-        self.used += len(sheet)
+            self._fill(kept, self.pool.marks[place], self.pool.sheet[place])
+        kernels.put(self.pool, region.cells, region.columns, marks, self.used)
+        self.used += len(marks)
 
     def _region_of_cracks(self, boxes: Float) -> Int:
         """The cells in which cracks may be others, with all that decide together with them."""
@@ -260,11 +283,10 @@ class LiveColumns:
         self, asked: Asked, fresh: Crossings, tiled: TiledShapes, is_cracked: Bool
     ) -> Region:
         """`close_cracks` in a region; marks the cells that get another line."""
-        lattice, reach, (again, region, every) = self.lattice, self._crack_cells, asked
+        lattice, reach, (again, region, _) = self.lattice, self._crack_cells, asked
         around = grow_cells(lattice.width, lattice.height, region, reach, self.scratch.flag)
         around = join_cells(around, again)
-        was = self.gather(around)
-        raw = kernels.replace_columns(was.columns, was.number(again), fresh)
+        raw = kernels.gather_replaced(self.pool, around, again, fresh)
         whole = Region(around, raw, np.empty(0, np.int64))
         gaps = self._list_gaps(whole, region)
         if len(gaps.cell):
@@ -272,7 +294,7 @@ class LiveColumns:
             if len(cells):
                 is_cracked[np.searchsorted(region, cells)] = True
                 whole = self._replace_by_best(whole, tiled, cells, candidates)
-        return whole.only(every)
+        return whole
 
     def _list_gaps(self, whole: Region, asked: Int) -> Gaps:
         asks = self._asks_of_gaps(whole, self.scratch.floor)

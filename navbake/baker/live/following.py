@@ -11,7 +11,7 @@ from navbake.baker.kernels.constants import MESH
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.hidden_room import HiddenRoom
 from navbake.baker.scene.model import OpenScene
-from navbake.baker.scene.scene import DigestedNames, Scene, digest_scene, load_scene
+from navbake.baker.scene.scene import DigestedNames, Scene, load_scene, start_digest
 from navbake.baker.scene.shapes import Shapes, Solids, Triangles
 from navbake.config.settings import BakeConfig
 from navbake.types import Bool, Float, Int
@@ -87,6 +87,7 @@ class FollowedScene:
         )
         if not choices_hold or self._may_count_otherwise(moved, data):
             return self._load(data)
+        digest = start_digest(model, data, was.parts, self._names)
         counted = np.array([geom for geom in moved.tolist() if was.choices[geom].counted], np.int64)
         parts = was.parts
         shapes, boxes, owner = was.shapes, np.empty((0, 6)), np.empty(0, dtype=np.int64)
@@ -101,7 +102,7 @@ class FollowedScene:
             was,
             shapes=shapes,
             bounds=shapes.bounds() if len(counted) else was.bounds,
-            digest=digest_scene(model, data, parts, self._names),
+            digest=digest(),
             data=data,
         )
         every = np.zeros(model.ngeom, dtype=np.bool_)

@@ -30,11 +30,10 @@ from navbake.baker.live.floors import LiveFloors
 from navbake.baker.live.following import Moved
 from navbake.baker.live.kernels.regions import cells_of_boxes, join_cells
 from navbake.baker.live.not_local import NotLocal
-from navbake.baker.live.rooms import RoomMarks, rooms_hold
+from navbake.baker.live.rooms import LiveRooms, Seen
 from navbake.baker.occupancy.occupancy import check_footprints
 from navbake.baker.rooms.outdoors import find_ends
-from navbake.baker.rooms.rooms import Blocked, Rooms, find_rooms
-from navbake.baker.rooms.segmentation import SpaceFinder
+from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.stages import Stages
 from navbake.types import Bool, Float, Int
 
@@ -45,9 +44,8 @@ class Parts(NamedTuple):
     columns: LiveColumns
     floors: LiveFloors
     contents: LiveContents | None
-    marks: RoomMarks
+    rooms: LiveRooms
     doors: LiveDoors
-    spaces: SpaceFinder
 
 
 class LiveStages:
@@ -80,19 +78,17 @@ class LiveStages:
             moved = stages.whole.columns.moved
             if moved is None:
                 raise NotLocal("the grid has too many cells for their columns to be kept")
-            columns = LiveColumns(stages.config, stages.columns, moved)
-            known = floors, notes[0], stages.columns, columns, stages.doorless.shapes
-            live_floors = LiveFloors(stages.config, *known)
+            columns = LiveColumns(stages.config, stages.columns, moved, planes)
+            live_floors = LiveFloors(stages.config, floors, notes[0], stages.columns, columns)
         except NotLocal as why:
             self.reason = str(why)
         else:
             if found is not None:
                 known_scene = stages.config, stages.doorless, found
                 self.contents = LiveContents(*known_scene, floors, stages.columns, columns)
-            marks = RoomMarks(stages.config, stages.scene)
+            rooms = LiveRooms(stages.config, stages.scene, columns)
             live_doors = LiveDoors(stages.scene, stages.candidates, stages.lattice, columns.scratch)
-            kept = columns, live_floors, self.contents, marks, live_doors
-            self._parts = Parts(*kept, SpaceFinder())
+            self._parts = Parts(columns, live_floors, self.contents, rooms, live_doors)
         shapes = stages.doorless.shapes
         self._heights = height_range(shapes, stages.lattice)
         self._cropped = find_cropped(stages.lattice, shapes.bounds())
@@ -126,14 +122,17 @@ class LiveStages:
             stages.__dict__["boxes"] = was.boxes
         stages.__dict__["contents"] = None
         self._check_box(was, stages)
-        touched, rooms_same = np.empty(0, dtype=np.int64), True
+        touched: Int = np.empty(0, dtype=np.int64)
+        rooms: Rooms | None = was.rooms
         if len(boxes):
-            touched, rooms_same = self._follow_cells(parts, stages, boxes, own, moved.every)
-        elif parts.marks.have_moved(scene, moved.every):
-            rooms_same = False
-        parts.marks.keep(scene)
-        if not rooms_same:
-            stages.__dict__["rooms"] = self._find_rooms(parts, stages)
+            touched, rooms = self._follow_cells(parts, stages, boxes, own)
+        if parts.rooms.marks.have_moved(scene, moved.every):
+            rooms = None
+        parts.rooms.marks.keep(scene)
+        rooms_same = rooms is not None
+        if rooms is None:
+            rooms = parts.rooms.find(stages.doorless, stages.floors, parts.contents)
+        stages.__dict__["rooms"] = rooms
         around = Surroundings(
             stages.floors.levels, stages.occupancy, stages.rooms, stages.footprints
         )
@@ -176,14 +175,14 @@ class LiveStages:
         now.__dict__.pop("boxes", None)
 
     def _follow_cells(
-        self, parts: Parts, stages: Stages, boxes: Float, own: Bool, moved: Bool
-    ) -> tuple[Int, bool]:
+        self, parts: Parts, stages: Stages, boxes: Float, own: Bool
+    ) -> tuple[Int, Rooms | None]:
         """Bring columns, floors, occupancy and contents up to date near what moved.
 
         Returns:
-            All cells near it, and whether rooms are as they were.
+            All cells near it, and the rooms, None where they are to be found again.
         """
-        columns, floors, contents, marks = parts[:4]
+        columns, floors, contents = parts[:3]
         doorless, lattice = stages.doorless, columns.lattice
         shapes, scratch = doorless.shapes, columns.scratch
         if own[shapes.planes.geom].any():
@@ -214,21 +213,10 @@ class LiveStages:
         if len(changes.heights):
             stages.__dict__.pop("boxes", None)
             self._floor_layer = None
-        if walls or len(changes.heights) or marks.have_moved(stages.scene, moved):
-            return touched, False
-        asked_rooms = stages.rooms, old, found, floors.level, marks
-        return touched, rooms_hold(*asked_rooms, stages.config.agent.height, lattice)
-
-    def _find_rooms(self, parts: Parts, stages: Stages) -> Rooms:
-        config, floors, contents = stages.config, stages.floors, parts.contents
-        none = np.zeros(stages.lattice.shape, dtype=np.bool_)
-        blocked = Blocked(none, none)
-        if contents is not None:
-            shape = stages.lattice.shape
-            blocked = Blocked(contents.wall.reshape(shape), contents.low.reshape(shape))
-        overhead = parts.columns.overhead(floors.levels[0], config.agent)
-        settings = config.rooms, config.agent, parts.spaces
-        return find_rooms(stages.doorless, overhead, floors, [blocked], *settings)
+        if walls:
+            return touched, None
+        seen = Seen(old, found, changes.heights, changes.before)
+        return touched, parts.rooms.follow(stages.rooms, stages.floors, seen)
 
 
 def _check_cells(stages: Stages, region: Region, near: TiledShapes, scratch: Scratch) -> None:

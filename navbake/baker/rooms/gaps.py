@@ -6,8 +6,9 @@ from numpy.typing import NDArray
 from navbake.baker.rooms.directions import Direction, find_directions, turned
 from navbake.baker.rooms.kernels import gaps as kernels
 from navbake.baker.rooms.kernels.gaps import Crossings, Gaps, Scan
-from navbake.baker.rooms.kernels.labels import label_parts
+from navbake.baker.rooms.kernels.labels import count_cells, label_parts
 from navbake.baker.rooms.spaces import CloseCall, GapsOfDirection, Spaces
+from navbake.threads import run_beside
 from navbake.types import Bool, Int32
 
 Marks = NDArray[np.uint8]
@@ -36,12 +37,23 @@ def _find_gap_cells(open_cells: Bool, directions: list[Direction], cell_size: fl
     marks = [np.zeros(turned(open_cells, d).shape, dtype=np.uint8) for d in directions]
     for widest, both in ((WIDE, True), (PASSAGE, False)):
         is_open = open_cells & ~_join_marks(marks, directions, open_cells)
-        for direction, mark in zip(directions, marks, strict=True):
-            run = kernels.measure_runs(turned(is_open, direction), direction.shift)
-            step = direction.stretch * cell_size
-            thickness = int(THICKNESS * direction.stretch / cell_size) + 2
-            kernels.mark_gaps(run, int(widest / step), GROWTH, RISE / step, thickness, both, mark)
+        waiting = [
+            run_beside(_mark_direction, direction, is_open, cell_size, widest, both, mark)
+            for direction, mark in zip(directions, marks, strict=True)
+        ]
+        for wait in waiting:
+            wait()
     return marks
+
+
+def _mark_direction(
+    direction: Direction, is_open: Bool, cell_size: float, widest: float, both: bool, mark: Marks
+) -> None:
+    """Mark the cells of the gaps of a direction, at most so wide [m], as it is scanned."""
+    run = kernels.measure_runs(turned(is_open, direction), direction.shift)
+    step = direction.stretch * cell_size
+    thickness = int(THICKNESS * direction.stretch / cell_size) + 2
+    kernels.mark_gaps(run, int(widest / step), GROWTH, RISE / step, thickness, both, mark)
 
 
 def _join_marks(marks: list[Marks], directions: list[Direction], like: Bool) -> Bool:
@@ -63,8 +75,13 @@ def part_at_gaps(open_cells: Bool, holes: Bool, cell_size: float) -> tuple[Int32
     marks = _find_gap_cells(space, directions, cell_size)
     marked = _join_marks(marks, directions, open_cells)
     label, count = label_parts(open_cells & ~marked)
-    marked |= open_cells & (np.bincount(label.ravel()) * cell_size**2 < ISLAND)[label]
-    label, count = label_parts(open_cells & ~marked)
+    cells = count_cells(label, count + 1)
+    keeps = cells * cell_size**2 >= ISLAND
+    keeps[0] = True
+    if not keeps.all():  # those that are left keep their order
+        marked |= open_cells & ~keeps[label]
+        number = np.where(keeps, np.cumsum(keeps) - 1, 0).astype(np.int32)
+        label, cells = number[label], np.bincount(number, cells).astype(np.int64)
     found = []
     for direction, own in zip(directions, marks, strict=True):
         label_there = turned(label, direction)
@@ -80,7 +97,7 @@ def part_at_gaps(open_cells: Bool, holes: Bool, cell_size: float) -> tuple[Int32
             leans.astype(np.int64),
         )
         found.append(GapsOfDirection(direction, scan, _list_gaps(crossings, direction)))
-    spaces = Spaces(found, np.bincount(label.ravel(), minlength=count + 1), cell_size)
+    spaces = Spaces(found, cells, cell_size)
     spaces.join_continued()
     spaces.join_narrower()
     return spaces.wholes()[label], spaces.close_calls()

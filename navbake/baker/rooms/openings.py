@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from navbake.baker.connect import connect, touching
 from navbake.baker.floors.levels import Floors
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.lattice import EDGES
+from navbake.baker.lattice import list_differing
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Float, Int
 
@@ -108,12 +108,10 @@ def _box(cells: Int, width: int) -> Int:
 
 def _find_steps(rooms: RoomIndex, floor: Float, slopes: Int, max_step: float) -> tuple[Int, Int]:
     """Pairs of rooms that meet, the lower one times PAIR plus the other, and both cells, (n, 2)."""
-    cell = np.arange(rooms.size).reshape(rooms.shape)
-    joined = [slopes]
-    for one, other in EDGES:
-        is_step = np.abs(floor[one] - floor[other]) <= max_step + SLACK
-        is_step &= rooms[one] != rooms[other]
-        joined.append(np.stack([cell[one][is_step], cell[other][is_step]], axis=1))
+    joined, height = [slopes], floor.ravel()
+    for one, other in list_differing(rooms):  # few: only their heights are compared
+        is_step = np.abs(height[one] - height[other]) <= max_step + SLACK
+        joined.append(np.stack([one[is_step], other[is_step]], axis=1))
     cells = np.concatenate(joined)
     a, b = rooms.ravel()[cells].astype(np.int64).T
     meet = (a != b) & (a > 0) & (b > 0)

@@ -11,6 +11,7 @@ import numpy as np
 
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.rooms import openings
+from navbake.baker.rooms.kernels import labels as kernels
 from navbake.baker.rooms.openings import Opening, RoomIndex, RoomKey
 from navbake.baker.rooms.outdoors import find_outdoors
 from navbake.baker.rooms.overhead import Overhead
@@ -153,13 +154,15 @@ class _Assignment:
         covered = marked.covered or marked.labels
         of_levels = zip(self._open, self._owner, self._under, marked.labels, covered, strict=True)
         for open_cells, owner, under, label, cover in of_levels:
-            fresh = np.where(open_cells & (owner == 0), label, 0)
-            number = np.zeros(len(marked.names) + 1, dtype=np.int32)
-            for k in np.flatnonzero(np.bincount(fresh.ravel())[1:]):
+            asked = open_cells, owner, label.astype(np.int32, copy=False)
+            used = np.zeros(len(marked.names) + 1, dtype=np.bool_)
+            kernels.mark_fresh(*asked, used)
+            number = np.zeros(len(used), dtype=np.int32)
+            for k in np.flatnonzero(used[1:]):
                 self._rooms.append(NamedRoom(marked.names[k], source, k + 1 in outdoors))
                 number[k + 1] = len(self._rooms)
-            owner += number[fresh]
-            under += np.where(under == 0, number[cover], 0)
+            kernels.give_fresh(*asked, number)
+            kernels.note_under(under, cover.astype(np.int32, copy=False), number)
 
     def segment(
         self,
@@ -188,7 +191,7 @@ class _Assignment:
             segment, outside, asked = find_outdoors(segment, level.floor, overhead, agent, scene)
             self.asked_sky |= asked
             outdoors.update(room + len(names) for room in outside)
-            labels.append(np.where(segment > 0, segment + len(names), 0))
+            labels.append(np.where(segment > 0, segment + len(names), 0) if names else segment)
             names += [None] * int(segment.max(initial=0))
         self.add(MarkedRooms(names, labels), "auto", outdoors)
 

@@ -85,19 +85,21 @@ def segment_rooms(
     regions.join_rough_passes()
     regions.join_junctions()
     if floor is not None:
-        steps = max(1, round(SLOPE_REACH / cell_size))
-        rise = STEEPNESS * 2 * steps * cell_size
-        slopes = labels.measure_slopes(label, floor[window], steps, rise, int(label.max()))
-        regions.join_stairs(*slopes)
+        regions.join_stairs(*_measure_slopes(label, floor[window], cell_size))
     regions.join_small(least)
     rooms[window] = renumber(regions.wholes(least)[label])
     return rooms
 
 
 class SpaceFinder:
-    """Finds spaces between gaps, and knows the last ones: most changes of a scene leave them."""
+    """Finds spaces between gaps, and knows the last ones: most changes of a scene leave them.
+
+    Attributes:
+        window: the part of the level in which they were found last; None before that.
+    """
 
     def __init__(self) -> None:
+        self.window: Window | None = None
         self._asked: tuple[Bool, Bool, float] | None = None
         self._found: tuple[Int32, list[CloseCall]] = np.zeros((0, 0), dtype=np.int32), []
 
@@ -110,6 +112,12 @@ class SpaceFinder:
             flood(label, open_cells, np.zeros(label.shape, dtype=np.int32), 0)
             self._asked, self._found = (open_cells.copy(), holes.copy(), cell_size), (label, close)
         return self._found
+
+    def have_stairs(self, floor: Float, cell_size: float) -> bool:
+        """Whether a space that was found last is a stair on a floor, of the whole level [m]."""
+        assert self.window is not None
+        label = self._found[0]
+        return _have_stairs(_measure_slopes(label, floor[self.window], cell_size), label)
 
     def _knows(self, open_cells: Bool, holes: Bool, cell_size: float) -> bool:
         if self._asked is None or self._asked[2] != cell_size:
@@ -166,7 +174,9 @@ def segment_by_gaps(
     window = _grow_window(bounding_window(open_cells), open_cells.shape)
     open_cells = np.ascontiguousarray(open_cells[window])
     seen = np.zeros_like(open_cells) if holes is None else holes[window]
-    label, close = (spaces or SpaceFinder()).find(open_cells, seen, cell_size)
+    spaces = spaces or SpaceFinder()
+    label, close = spaces.find(open_cells, seen, cell_size)
+    spaces.window = window
     label = _join_stairs_and_small(label, open_cells, cell_size, min_area, floor, window)
     rooms[window] = renumber(label)
     first_row, first_col = window[0].start, window[1].start
@@ -195,13 +205,11 @@ def _join_stairs_and_small(
 ) -> Int32:
     least = min_area / cell_size**2 - ROUNDING
     num = int(label.max(initial=0))
-    cells = np.bincount(label.ravel(), minlength=num + 1)
+    cells = labels.count_cells(label, num + 1)
     is_stair = False
     if floor is not None:
-        steps = max(1, round(SLOPE_REACH / cell_size))
-        rise = STEEPNESS * 2 * steps * cell_size
-        slopes = labels.measure_slopes(label, floor[window], steps, rise, num)
-        is_stair = bool((slopes[0] >= STAIR_SHARE * np.maximum(cells, 1)).any())
+        slopes = _measure_slopes(label, floor[window], cell_size)
+        is_stair = _have_stairs(slopes, label)
     if not is_stair and not ((cells[1:] > 0) & (cells[1:] < least)).any():
         return label
     # distances matter up to half the widest gap [half cells]
@@ -211,6 +219,20 @@ def _join_stairs_and_small(
         regions.join_stairs(*slopes)
     regions.join_small(least)
     return regions.wholes(least)[label]
+
+
+def _measure_slopes(label: Int32, floor: Float, cell_size: float) -> tuple[Int, Float]:
+    """See `measure_slopes`."""
+    steps = max(1, round(SLOPE_REACH / cell_size))
+    rise = STEEPNESS * 2 * steps * cell_size
+    num_steep, heights = labels.measure_slopes(label, floor, steps, rise, int(label.max(initial=0)))
+    return num_steep, heights
+
+
+def _have_stairs(slopes: tuple[Int, Float], label: Int32) -> bool:
+    """Whether a label is a stair by its slopes, see `join_stairs`."""
+    cells = np.bincount(label.ravel(), minlength=len(slopes[0]))
+    return bool((slopes[0] >= STAIR_SHARE * np.maximum(cells, 1)).any())
 
 
 def wall_nodes(open_cells: Bool) -> Bool:

@@ -1,7 +1,7 @@
 """A scene as the bake sees it: which geoms count, as what, and where."""
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,8 +22,12 @@ from navbake.baker.scene.shapes import Shapes
 from navbake.config.scene import SceneSettings, stem_of
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.errors import SceneError
+from navbake.navgrid.user_data import collector_off
 from navbake.threads import run_beside
 from navbake.types import Float
+
+# Arrays of more bytes than this are hashed where they are
+LARGE_ARRAY = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,7 @@ class Scene:
     meshes: MeshTriangles
 
 
+@collector_off()
 def load_scene(
     settings: SceneSettings,
     agent: AgentSettings | None = None,
@@ -247,12 +252,40 @@ def digest_scene(
     Args:
         names: the model's, where they are known.
     """
+    return _end_digest(*_begin_digest(model, data, parts, names))
+
+
+def start_digest(
+    model: Any, data: Any, parts: dict[int, MeshPart], names: DigestedNames
+) -> Callable[[], str]:
+    """Start `digest_scene` on another thread; gives what waits for the result."""
+    return run_beside(_end_digest, *_begin_digest(model, data, parts, names))
+
+
+def _begin_digest(
+    model: Any, data: Any, parts: dict[int, MeshPart], names: DigestedNames | None
+) -> tuple[Any, bytearray]:
+    """The digest of all but what is left, and that.
+
+    Small arrays become one, as a hash lets go of Python's lock for each that it is given: beside
+    other threads, to get that back takes longer than the hash.
+    """
     names = names or DigestedNames.of(model)
-    digest = names.geoms.copy()
+    digest, left = names.geoms.copy(), bytearray()
     for number, array in enumerate(_digest_arrays(model, data, parts, names)):
         array = np.ascontiguousarray(array)
-        digest.update(f"{number} {array.dtype.str} {array.shape}\n".encode())
-        digest.update(array.reshape(-1).view(np.uint8).data)
+        left += f"{number} {array.dtype.str} {array.shape}\n".encode()
+        if array.nbytes > LARGE_ARRAY:
+            digest.update(left)
+            digest.update(array.reshape(-1).view(np.uint8).data)
+            left = bytearray()
+        else:
+            left += array.reshape(-1).view(np.uint8).data
+    return digest, left
+
+
+def _end_digest(digest: Any, left: bytearray) -> str:
+    digest.update(left)
     return str(digest.hexdigest())
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from navbake.baker.kernels.constants import CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from navbake.baker.scene.kernels.triangles import find_box
 from navbake.lazy import lazy
 from navbake.types import Bool, Float, Int32
@@ -131,18 +131,28 @@ class Shapes:
 
 def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
     """Exact boxes of solids from the fields of `Solids`: lower and upper corners, (n, 6) [m]."""
-    rotation = mat.reshape(-1, 3, 3)
-    axis = np.abs(rotation[:, :, 2])
-    radius = size[:, :1]
-    by_kind = {
-        SPHERE: radius,
-        CAPSULE: radius + axis * size[:, 1:2],
-        ELLIPSOID: np.sqrt(np.square(rotation * size[:, None, :]).sum(axis=2)),
-        CYLINDER: axis * size[:, 1:2] + radius * np.sqrt(np.clip(1.0 - np.square(axis), 0.0, None)),
-        BOX: (np.abs(rotation) * size[:, None, :]).sum(axis=2),
-    }
-    half = np.select([(kind == number)[:, None] for number in by_kind], list(by_kind.values()))
+    half = np.zeros((len(kind), 3))
+    for number in np.unique(kind).tolist():
+        own = kind == number
+        half[own] = _half_sizes(number, mat[own].reshape(-1, 3, 3), size[own])
     return np.concatenate([pos - half, pos + half], axis=1)
+
+
+def _half_sizes(kind: int, rotation: Float, size: Float) -> Float:
+    """How far solids of one kind reach along x, y and z, shape (n, 3) [m]."""
+    axis, radius = np.abs(rotation[:, :, 2]), size[:, :1]
+    if kind == SPHERE:
+        half = np.broadcast_to(radius, axis.shape)
+    elif kind == CAPSULE:
+        half = radius + axis * size[:, 1:2]
+    elif kind == ELLIPSOID:
+        half = np.sqrt(np.square(rotation * size[:, None, :]).sum(axis=2))
+    elif kind == CYLINDER:
+        flat = np.sqrt(np.clip(1.0 - np.square(axis), 0.0, None))
+        half = axis * size[:, 1:2] + radius * flat
+    else:  # BOX
+        half = (np.abs(rotation) * size[:, None, :]).sum(axis=2)
+    return np.asarray(half)
 
 
 def plane_triangles(half: Float) -> Float:

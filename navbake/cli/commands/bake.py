@@ -89,6 +89,8 @@ def bake(
     """Bake scenes into navigation grids.
 
     Of several CONFIGs, each is baked even if another one fails.
+
+    Example: navbake bake house.yaml --set grid.cell_size=0.05
     """
     is_file = output is not None and not is_folder(output)
     if len(configs) > 1 and is_file:

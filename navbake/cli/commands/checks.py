@@ -70,6 +70,8 @@ def verify(
     """Compare a grid with its scene by MuJoCo and FCL.
 
     The exit status is 1 if they disagree.
+
+    Example: navbake verify house.grid.json --all
     """
     if which.every and which.sample != SAMPLE:
         raise BadParameter("expected one of them", param_hint="--sample, --all")
@@ -130,6 +132,8 @@ def audit(
     """Look at a grid of any program for what a person would notice, without its scene.
 
     The exit status is 1 if there are errors, 0 if there are only remarks.
+
+    Example: navbake audit house.grid.json -o remarks.png
     """
     if output is not None:
         check_output(output, ".png", ".svg", inputs=[grid])

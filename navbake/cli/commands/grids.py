@@ -12,7 +12,10 @@ from navbake.errors import QueryError
 
 
 def info(grid: GridFile, as_json: AsJson = False) -> None:
-    """Print a summary of a grid: levels, areas, doors, versions."""
+    """Print a summary of a grid: levels, areas, doors, versions.
+
+    Example: navbake info house.grid.json
+    """
     from navbake.views.info import describe
 
     content = navbake.load(grid)
@@ -28,7 +31,10 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
 
 
 def rooms(grid: GridFile, as_json: AsJson = False) -> None:
-    """List the rooms of a grid, what each opens to, and the doors."""
+    """List the rooms of a grid, what each opens to, and the doors.
+
+    Example: navbake rooms house.grid.json
+    """
     content = navbake.load(grid)
     found, doors = content.rooms, content.doors
     if as_json:
@@ -51,6 +57,8 @@ def why(
 
     Of X,Y alone, each level that spans the position is printed; of X,Y,Z, the one whose floor is
     the nearest below it.
+
+    Example: navbake why house.grid.json --at 1.5,0.2,L0
     """
     from navbake.views.why import describe_column
 

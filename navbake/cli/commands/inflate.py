@@ -48,7 +48,10 @@ def inflate(
         help="avoid (no drop of more than a step within the radius) or ignore.  [default: avoid]",
     ),
 ) -> None:
-    """Inflate the obstacles of a grid for an agent of another radius."""
+    """Inflate the obstacles of a grid for an agent of another radius.
+
+    Example: navbake inflate house.grid.json --radius 0.3 -o wide.grid.json
+    """
     from navbake.formats.navgrid import dumps_navgrid  # loads numpy
     from navbake.runtime.inflation.inflate import SCALING, check_arguments  # loads numpy
 

@@ -56,7 +56,10 @@ def mdf(
     ),
     as_json: AsJson = False,
 ) -> None:
-    """Write a level as a map descriptor (two hex strings) and draw it."""
+    """Write a level as a map descriptor (two hex strings) and draw it.
+
+    Example: navbake mdf house.grid.json --square 0.2
+    """
     if (grid is None) == (decode is None):
         raise BadParameter("expected a GRID, or --decode P1 P2", param_hint="GRID")
     if (squares.rows is None) != (squares.cols is None):

@@ -40,6 +40,8 @@ def path(
     """Plan a path through a grid, or say why there is none.
 
     The exit status is 1 if there is none.
+
+    Example: navbake path house.grid.json --from 0,-4.8 --to -2.2,-3.2,L1
     """
     if output is not None:
         check_output(output, ".png", ".svg", inputs=[grid])

@@ -28,7 +28,10 @@ def init(
     ),
     force: bool = Option(False, "--force", help="Overwrite FILE if it exists."),
 ) -> None:
-    """Write a YAML file with all settings, commented, for a scene."""
+    """Write a YAML file with all settings, commented, for a scene.
+
+    Example: navbake init house.xml -o house.yaml
+    """
     from navbake.config.template import template_for, write_template
 
     refuse_unused(("--force", force, output != STDOUT, "files"))
@@ -53,7 +56,10 @@ def samples(
         help="Where to copy them to.  [default: the current folder]",
     ),
 ) -> None:
-    """Copy sample scenes and their settings here, to try navbake with."""
+    """Copy sample scenes and their settings here, to try navbake with.
+
+    Example: navbake samples house -o try
+    """
     from navbake import samples as known  # --help does without it
 
     if not names:
@@ -69,7 +75,10 @@ def samples(
 
 
 def geoms(config: SceneOrConfig, as_json: AsJson = False, overrides: Overrides = None) -> None:
-    """List the geoms of a scene: which count, as what, and why."""
+    """List the geoms of a scene: which count, as what, and why.
+
+    Example: navbake geoms house.xml
+    """
     from navbake.baker.scene.scene import load_scene
     from navbake.config.settings import load_config
 

@@ -69,7 +69,10 @@ def voxelize(
     ),
     overrides: Overrides = None,
 ) -> None:
-    """Voxelize a scene: write which voxels are occupied."""
+    """Voxelize a scene: write which voxels are occupied.
+
+    Example: navbake voxelize house.yaml --res 0.1 -o house.binvox
+    """
     if STDOUT in outputs:
         raise BadParameter("expected a name: its ending says which format", param_hint="-o")
     for output in outputs:

@@ -105,6 +105,8 @@ def warm_up() -> None:
     """Compile all kernels for this machine, once.
 
     It takes some minutes. Without it, the first bake and the first query compile what they use.
+
+    Example: navbake warm-up
     """
     from navbake.cli.progress import stage_progress  # loads rich
     from navbake.dispatch import REMEDY, can_keep  # loads numba

@@ -168,6 +168,40 @@ def test_a_finder_moves_to_the_new_grid():
     assert finder.find_path([1.0, 2.0, 0.0], [3.5, 2.0, 0.0]) is not None
 
 
+def test_rugs_may_cover_so_much_that_the_ground_is_higher():
+    rugs = "".join(
+        f'<body name="rug_{k}" pos="{x} {y} 0.5" quat="1 1 0 0"><freejoint/>'
+        '<geom type="box" size="0.5 0.5 0.02"/></body>'
+        for k, (x, y) in enumerate((x, y) for x in (0.9, 2, 3.1) for y in (0.9, 2, 3.1))
+    )
+    xml = OPEN_ROOM.replace("</worldbody>", f"{rugs}</worldbody>")
+    settings = {"grid": {"bounds": [0, 0, 4, 4]}}
+    baker = navbake.Baker(mujoco.MjModel.from_xml_string(xml), **settings)
+    reasons = []
+    for k in range(9):
+        x, y = 0.9 + 1.1 * (k // 3), 0.9 + 1.1 * (k % 3)
+        changes = baker.update(bodies={f"rug_{k}": [x, y, 0.02, 1, 0, 0, 0]})
+        assert first_difference(changes.grid, fresh(baker, **settings)) is None
+        reasons.append(changes.reason)
+    assert "" in reasons
+
+
+def test_a_wall_of_boxes_cuts_off_a_part_and_gives_it_back():
+    boxes = "".join(
+        f'<body name="box_{k}" pos="{0.2 + 0.4 * k} 30 0.5"><freejoint/>'
+        '<geom type="box" size="0.2 0.2 0.5"/></body>'
+        for k in range(10)
+    )
+    xml = OPEN_ROOM.replace("</worldbody>", f"{boxes}</worldbody>")
+    settings = {"grid": {"bounds": [0, 0, 4, 4]}}
+    baker = navbake.Baker(mujoco.MjModel.from_xml_string(xml), **settings)
+    for rows in ((3.6, 30), (2.6, 1.4), (3.2, 3.5)):
+        for y in rows:
+            places = {f"box_{k}": [0.2 + 0.4 * k, y, 0.5] for k in range(10)}
+            changes = baker.update(bodies=places)
+            assert first_difference(changes.grid, fresh(baker, **settings)) is None
+
+
 BAD = {
     "no body 'chiar'.*did you mean 'chair'": {"bodies": {"chiar": [0, 0, 0]}},
     "pose of body 'chair', got NaN": {"bodies": {"chair": [0, np.nan, 0]}},

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from navbake.baker.contents.contents import LevelContents
 from navbake.baker.kernels.flags import BLOCKS, STANDS
-from navbake.baker.live.contents import Entries
+from navbake.baker.live.entries import Entries
 from navbake.baker.live.kernels.contents import count_taken
 from navbake.baker.live.kernels.regions import are_in, cells_of_boxes, grow_cells
 from navbake.baker.live.kernels.sheets import group_parts

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from navbake.baker.rooms.kernels import labels as kernels
 from navbake.baker.rooms.kernels.labels import (
     cells_of_nodes,
     find_passes,
@@ -60,3 +61,26 @@ def test_slopes():
 def test_first_cells():
     label = np.array([[0, 2, 2], [3, 0, 2]], dtype=np.int32)
     assert first_cells(label, 5).tolist() == [0, 6, 1, 3, 6]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_fresh_cells_get_owners(seed):
+    """Labels of open cells without an owner count; an owner that is there stays."""
+    rng = np.random.default_rng(seed)
+    shape = tuple(rng.integers(1, 12, 2))
+    open_cells, label = rng.random(shape) < 0.7, rng.integers(0, 6, shape, dtype=np.int32)
+    owner, under = (rng.integers(0, 2, shape, dtype=np.int32) * 9 for _ in range(2))
+    fresh = np.where(open_cells & (owner == 0), label, 0)
+    used = np.zeros(6, dtype=np.bool_)
+    kernels.mark_fresh(open_cells, owner, label, used)
+    is_used = np.bincount(fresh.ravel(), minlength=6) > 0
+    np.testing.assert_array_equal(used[1:], is_used[1:])
+    number = np.append(0, rng.permutation(5) + 20).astype(np.int32)
+    expected = owner + number[fresh], under + np.where(under == 0, number[label], 0)
+    kernels.give_fresh(open_cells, owner, label, number)
+    kernels.note_under(under, label, number)
+    np.testing.assert_array_equal(owner, expected[0])
+    np.testing.assert_array_equal(under, expected[1])
+    np.testing.assert_array_equal(
+        kernels.count_cells(label, 7), np.bincount(label.ravel(), None, 7)
+    )

@@ -15,7 +15,7 @@ from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE, SAME, 
 from navbake.baker.kernels.tiles import cell_center
 from navbake.compiled import UNCOUNTED
 from navbake.navgrid.kernels.union_find import find_root, unite
-from navbake.types import Bool, Float, Int32
+from navbake.types import Bool, Float, Int, Int32
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -69,7 +69,6 @@ def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable, cou
     one height the lowest counts. Looks at the cells ``range(cell0, end)``.
     """
     for cell in range(cell0, end):
-        x, y = cell_center(lattice, cell)
         first, last = crossings.start[cell], crossings.start[cell + 1]
         previous, gentle = -math.inf, -math.inf
         count[cell] = 0
@@ -84,8 +83,10 @@ def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable, cou
             if z - previous <= SAME:
                 continue
             surfaces, others, above = look_up(crossings, i, last)
-            inside = surfaces + others + count_planes_over(planes, x, y, z)
-            if inside <= 0 and above - z >= limits.headroom - SLACK:
+            if above - z < limits.headroom - SLACK:
+                continue
+            x, y = cell_center(lattice, cell)
+            if surfaces + others + count_planes_over(planes, x, y, z) <= 0:
                 standable[i] = True
                 count[cell] += 1
                 previous = z
@@ -337,41 +338,81 @@ def list_options(footing, candidate, lowest, highest, start, height, cell0, end)
 def grow_floor(lattice, start, height, floor, step):
     """Let a level's floor go on under things, ring by ring, in place.
 
+    Patches of cells that don't touch grow one after the other, as each then stays in fast memory.
     A cell without a floor (NaN) takes that of its heights that is nearest to the floor of a
     neighbour (the lower one if two are equally near), when they differ by at most a step. All
     cells of a ring are decided before any is written, so their order decides nothing. The
-    heights are listed by cell, see `list_options`; they are few, so that rings, which visit cells
-    all over the lattice, read little memory.
+    heights are listed by cell, see `list_options`.
     """
-    num = floor.shape[0]
-    rings = np.empty(num, np.int64), np.empty(num, np.int64), np.zeros(num, np.bool_)
-    _grow(lattice, start, height, floor, step, (*rings, np.empty(num), np.empty(4)))
+    num = np.int64(0)
+    for cell in range(floor.shape[0]):
+        num += 1 if start[cell] < start[cell + 1] else 0
+    ring, following = np.empty(num, np.int64), np.empty(num, np.int64)
+    queued, seen = np.zeros(floor.shape[0], np.bool_), np.zeros(floor.shape[0], np.bool_)
+    value, beside = np.empty(num, np.float64), np.empty(4, np.float64)
+    rings = Rings(ring, following, queued, value, beside, seen)
+    _grow(lattice, start, height, floor, step, rings)
+
+
+class Rings(NamedTuple):
+    """Room for the rings that a floor grows by.
+
+    Attributes:
+        ring, following: the cells of a ring and of the next one, int64.
+        queued: whether a cell is in one of them, bool by cell.
+        value: the floors of the ring's cells [m].
+        beside: (4,) float64, floors beside a cell [m].
+        seen: whether a cell's patch is known, bool by cell.
+    """
+
+    ring: Int
+    following: Int
+    queued: Bool
+    value: Float
+    beside: Float
+    seen: Bool
 
 
 @njit(cache=True, **UNCOUNTED)
-def _grow(lattice, start, height, floor, step, room):
-    """See `grow_floor`; `room`: two rings, marks by cell, a ring's heights, and neighbours'."""
-    queue, following, queued, value, beside = room
-    num, end = floor.shape[0], 0
-    for cell in range(num):
-        if start[cell] < start[cell + 1] and _list_beside(lattice, cell, floor, beside) > 0:
+def _grow(lattice, start, height, floor, step, rings):
+    """See `grow_floor`; one patch of cells after the other."""
+    for cell in range(floor.shape[0]):
+        if start[cell] < start[cell + 1] and not rings.seen[cell]:
+            _grow_patch(lattice, start, height, floor, step, rings, cell)
+
+
+@njit(inline="always")
+def _grow_patch(lattice, start, height, floor, step, rings, cell):
+    """Let a floor go on in the cells with heights that hang together with one of them."""
+    ring, following, queued, value, beside, seen = rings
+    following[0], seen[cell] = cell, True
+    end, known, count = 0, 0, 1
+    while known < count:
+        cell = following[known]
+        known += 1
+        if _list_beside(lattice, cell, floor, beside) > 0:
             queued[cell] = True
-            queue[end] = cell
+            ring[end] = cell
             end += 1
+        for other in _around(lattice, cell):
+            if other >= 0 and not seen[other] and start[other] < start[other + 1]:
+                seen[other] = True
+                following[count] = other
+                count += 1
     while end > 0:
         for q in range(end):
-            cell = queue[q]
-            known = _list_beside(lattice, cell, floor, beside)
+            cell = ring[q]
+            found = _list_beside(lattice, cell, floor, beside)
             heights = height[start[cell] : start[cell + 1]]
-            value[q] = nearest_height(heights, beside[:known], step)
+            value[q] = nearest_height(heights, beside[:found], step)
         for q in range(end):
-            queued[queue[q]] = False
-            floor[queue[q]] = value[q]
+            queued[ring[q]] = False
+            floor[ring[q]] = value[q]
         count = 0
         for q in range(end):
             if math.isnan(value[q]):
                 continue
-            for other in neighbours(lattice, queue[q]):
+            for other in _around(lattice, ring[q]):
                 if other < 0 or queued[other] or start[other] == start[other + 1]:
                     continue
                 if math.isnan(floor[other]):
@@ -379,14 +420,24 @@ def _grow(lattice, start, height, floor, step, room):
                     following[count] = other
                     count += 1
         end = count
-        queue, following = following, queue
+        ring, following = following, ring
+
+
+@njit(inline="always")
+def _around(lattice, cell):
+    """The next cells east, south, west and north, less than 0 for none; see `neighbour`."""
+    width, col = lattice.width, cell % lattice.width
+    east = cell + 1 if col + 1 < width else np.int64(-1)
+    south = cell + width if cell + width < width * lattice.height else np.int64(-1)
+    west = cell - 1 if col > 0 else np.int64(-1)
+    return east, south, west, cell - width
 
 
 @njit(inline="always")
 def _list_beside(lattice, cell, floor, beside):
     """Write the floors of a cell's neighbours that have one; returns how many they are."""
     count = 0
-    for other in neighbours(lattice, cell):
+    for other in _around(lattice, cell):
         if other >= 0 and not math.isnan(floor[other]):
             beside[count] = floor[other]
             count += 1

@@ -7,23 +7,25 @@ from navbake.baker.kernels.contents import count_candidates, list_geoms
 from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS
 
 
-@njit(cache=True)
-def count_in_tiles(lattice, solids, planes, tiles, groups, footprint, cells, listed):
-    """`count_candidates` for the listed tiles."""
-    for tile in listed:
+@njit(cache=True, nogil=True)
+def count_in_tiles(lattice, solids, planes, lists, footprint, cells, listed, begin, end):
+    """`count_candidates` for the tiles ``listed[begin:end]``; `lists` are tiles and groups."""
+    tiles, groups = lists
+    for tile in listed[begin:end]:
         count_candidates(lattice, solids, planes, tiles, groups, footprint, cells, tile, tile + 1)
 
 
-@njit(cache=True)
-def list_in_tiles(lattice, crossings, shapes, tiles, groups, footprint, probe, cells, listed):
-    """`list_geoms` for the listed tiles."""
-    for tile in listed:
+@njit(cache=True, nogil=True)
+def list_in_tiles(lattice, crossings, shapes, lists, footprint, probe, cells, listed, begin, end):
+    """`list_geoms` for the tiles ``listed[begin:end]``; `lists` are tiles and groups."""
+    tiles, groups = lists
+    for tile in listed[begin:end]:
         list_geoms(
             lattice, crossings, shapes, tiles, groups, footprint, probe, cells, tile, tile + 1
         )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def replace_entries(old, cells, start, geom, flags, marked):
     """Replace the entries of some cells of a band.
 

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from navbake.baker.floors.kernels.sheets import nearest_height, neighbour
+from navbake.baker.live.kernels.pool import FLOOR_LIKE
 
 
 @njit(inline="always")
@@ -42,22 +43,6 @@ def list_heights(start, z, taken):
                 at += 1
         begin[n + 1] = at
     return begin, height[:at].copy()
-
-
-@njit(cache=True)
-def find_standing(start, z, place, sheet, main, taken, value, ring):
-    """Find where one can stand: floors of the main sheet, into `value` and `ring` of `regrow`.
-
-    `place` tells where in `sheet` each surface is. Marks in `taken` are taken off there: no other
-    floor goes on.
-    """
-    for n in range(start.shape[0] - 1):
-        value[n], ring[n] = math.nan, -1
-        for i in range(start[n], start[n + 1]):
-            if sheet[place[i]] == main:
-                value[n], ring[n] = z[i], 0
-        if ring[n] == 0:
-            taken[start[n] : start[n + 1]] = False
 
 
 @njit(cache=True)
@@ -152,3 +137,42 @@ def regrow(lattice, cells, start, height, step, value, ring, floor, rings, local
         now += 1
     for cell in cells:
         local[cell] = -1
+
+
+@njit(cache=True, nogil=True)
+def grow_parts(lattice, pool, main, step, parts, before, local, answers, begin, end):
+    """Let the floor go on in parts of a region that do not touch, see `regrow`.
+
+    Args:
+        main: the sheet that is the floor.
+        parts: the region's cells, ascending; and their numbers, grouped by part, as `group_parts`
+            gives them.
+        before: floor and rings of all cells, as they were.
+        local: (all cells,) int32, -1 everywhere, and so again afterwards.
+        answers: floor, NaN for none, and ring of each of the region's cells; receive the answers.
+        begin, end: the range of parts.
+    """
+    cells, order, bounds = parts
+    first, length, marks, sheet, height = pool.first, pool.length, pool.marks, pool.sheet, pool.z
+    for k in range(begin, end):
+        own = cells[order[bounds[k] : bounds[k + 1]]]
+        most = 0
+        for cell in own:
+            most += length[cell]
+        start, candidate, at = np.zeros(own.shape[0] + 1, np.int64), np.empty(most), 0
+        value, ring = np.full(own.shape[0], math.nan), np.full(own.shape[0], np.int32(-1))
+        for n in range(own.shape[0]):
+            surfaces = range(first[own[n]], first[own[n]] + length[own[n]])
+            for j in surfaces:
+                if sheet[j] == main:
+                    value[n], ring[n] = height[j], 0
+            if ring[n] < 0:  # where one can stand, no other floor goes on
+                for j in surfaces:
+                    if marks[j] & FLOOR_LIKE:
+                        candidate[at] = height[j]
+                        at += 1
+            start[n + 1] = at
+        regrow(lattice, own, start, candidate, step, value, ring, before[0], before[1], local)
+        for n in range(own.shape[0]):
+            number = order[bounds[k] + n]
+            answers[0][number], answers[1][number] = value[n], ring[n]

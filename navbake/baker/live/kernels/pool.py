@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from navbake.baker.kernels.arrays import Crossings
 from navbake.types import Int, Int32
 
+# What a surface is: one that floors may go on at, one that an agent can stand on
+FLOOR_LIKE, STANDABLE = 1, 2
+
 
 class Pool(NamedTuple):
     """The columns of all cells; cell i holds ``[first[i], first[i] + length[i])``.
@@ -23,6 +26,7 @@ class Pool(NamedTuple):
         first: (cells,) int64.
         length: (cells,) int32.
         z, normal, geom, closed: as in `Crossings`, with room at the end.
+        marks: FLOOR_LIKE and STANDABLE, see `mark_surfaces`, (n,) uint8.
         sheet: the sheet of each surface that an agent can stand on, -1 for the others, (n,) int32.
     """
 
@@ -32,6 +36,7 @@ class Pool(NamedTuple):
     normal: NDArray[np.float32]
     geom: Int32
     closed: NDArray[np.uint8]
+    marks: NDArray[np.uint8]
     sheet: Int32
 
 
@@ -55,6 +60,28 @@ def gather(pool, cells):
             for axis in range(3):
                 normal[i, axis] = pool.normal[j, axis]
     return Crossings(start, z, normal, geom, closed), place
+
+
+@njit(cache=True)
+def gather_standable(pool, cells):
+    """The surfaces of some cells that an agent can stand on.
+
+    Returns where those of each cell begin, (cells + 1,) int64, as `cells` are numbered; and of each
+    surface its height [m] and its place in the pool, int64.
+    """
+    length, first, marks = pool.length, pool.first, pool.marks
+    most = 0
+    for cell in cells:
+        most += length[cell]
+    start, z = np.zeros(cells.shape[0] + 1, np.int64), np.empty(most)
+    place, at = np.empty(most, np.int64), 0
+    for n in range(cells.shape[0]):
+        for j in range(first[cells[n]], first[cells[n]] + length[cells[n]]):
+            if marks[j] & STANDABLE:
+                z[at], place[at] = pool.z[j], j
+                at += 1
+        start[n + 1] = at
+    return start, z[:at].copy(), place[:at].copy()
 
 
 @njit(cache=True)
@@ -90,15 +117,18 @@ def differs(pool, cells, new, result):
 
 
 @njit(cache=True)
-def put(pool, cells, new, sheet, used):
-    """Write new columns of some cells, numbered as `cells` are, behind the `used` part."""
+def put(pool, cells, new, marks, used):
+    """Write new columns of some cells, numbered as `cells` are, behind the `used` part.
+
+    Their surfaces belong to no sheet yet.
+    """
     for n in range(cells.shape[0]):
         begin = used + new.start[n]
         pool.first[cells[n]], pool.length[cells[n]] = begin, new.start[n + 1] - new.start[n]
         for i in range(new.start[n], new.start[n + 1]):
             j = used + i
             pool.z[j], pool.geom[j], pool.closed[j] = new.z[i], new.geom[i], new.closed[i]
-            pool.sheet[j] = sheet[i]
+            pool.marks[j], pool.sheet[j] = marks[i], -1
             for axis in range(3):
                 pool.normal[j, axis] = new.normal[i, axis]
 
@@ -133,6 +163,38 @@ def take_columns(columns, cells, some):
             for axis in range(3):
                 normal[i, axis] = columns.normal[j, axis]
             j += 1
+    return Crossings(start, z, normal, geom, closed)
+
+
+@njit(cache=True)
+def gather_replaced(pool, cells, some, new):
+    """The columns of some cells, of which some are replaced by new ones; all ascending."""
+    start, k = np.zeros(cells.shape[0] + 1, np.int64), 0
+    for n in range(cells.shape[0]):
+        count = np.int64(pool.length[cells[n]])
+        if k < some.shape[0] and some[k] == cells[n]:
+            count = new.start[k + 1] - new.start[k]
+            k += 1
+        start[n + 1] = start[n] + count
+    total = start[cells.shape[0]]
+    z, normal, geom = np.empty(total), np.empty((total, 3), np.float32), np.empty(total, np.int32)
+    closed, k = np.empty(total, np.uint8), 0
+    for n in range(cells.shape[0]):
+        if k < some.shape[0] and some[k] == cells[n]:
+            j = new.start[k]
+            k += 1
+            for i in range(start[n], start[n + 1]):
+                z[i], geom[i], closed[i] = new.z[j], new.geom[j], new.closed[j]
+                for axis in range(3):
+                    normal[i, axis] = new.normal[j, axis]
+                j += 1
+        else:
+            j = pool.first[cells[n]]
+            for i in range(start[n], start[n + 1]):
+                z[i], geom[i], closed[i] = pool.z[j], pool.geom[j], pool.closed[j]
+                for axis in range(3):
+                    normal[i, axis] = pool.normal[j, axis]
+                j += 1
     return Crossings(start, z, normal, geom, closed)
 
 

@@ -67,8 +67,8 @@ def group_parts(part, num):
 
 
 @njit(cache=True)
-def label_region(lattice, cells, start, z, standable, step, local):
-    """The connected part of each standable surface of a region, (n,) int64, -1 for the others.
+def label_region(lattice, cells, start, z, step, local):
+    """The connected part of each surface of a region, (n,) int64.
 
     Neighbours hang together that are at most a step apart. `start` is by number of the region's
     cells; `local`, (all cells,) int32, is -1 everywhere, and so again afterwards. Returns also how
@@ -85,12 +85,10 @@ def label_region(lattice, cells, start, z, standable, step, local):
             m = local[other]
             for a in range(start[n], start[n + 1]):
                 for b in range(start[m], start[m + 1]):
-                    if standable[a] and standable[b] and abs(z[a] - z[b]) <= step + SLACK:
+                    if abs(z[a] - z[b]) <= step + SLACK:
                         unite(parent, a, b)
-    part, num = np.full(z.shape[0], -1), 0
+    part, num = np.empty(z.shape[0], np.int64), 0
     for i in range(z.shape[0]):
-        if not standable[i]:
-            continue
         root = find_root(parent, i)
         if root == i:
             part[i] = num
@@ -109,21 +107,19 @@ def explore(lattice, pool, step, cells, places, sheet, mark, most):
     Args:
         cells, places: the cells of the surfaces to begin with, and their places in the pool.
         sheet: only surfaces of it are gone to.
-        mark: by place in the pool, int32; what is 0 is free, and gets the first surface's mark.
-            Where another mark is met, that ends the search.
+        mark: by place in the pool, bool, False everywhere, and so again afterwards.
         most: how many surfaces are visited at most.
 
     Returns:
-        The mark that was met, 0 for none, or -1 where there are more surfaces than `most`; and
-        cells and places of the visited surfaces.
+        Whether these are all; and cells and places of the visited surfaces.
     """
-    own = mark[places[0]]
     room = max(4 * places.shape[0], 1024)
     queue_cell, queue_place = np.empty(room, np.int64), np.empty(room, np.int64)
-    end = places.shape[0]
+    begin, end = 0, places.shape[0]
     queue_cell[:end], queue_place[:end] = cells, places
-    begin, met = 0, 0
-    while begin < end and met == 0:
+    for place in places:
+        mark[place] = True
+    while begin < end <= most:
         cell, z = queue_cell[begin], pool.z[queue_place[begin]]
         begin += 1
         for way in range(4):
@@ -131,23 +127,14 @@ def explore(lattice, pool, step, cells, places, sheet, mark, most):
             if other < 0:
                 continue
             for j in range(pool.first[other], pool.first[other] + pool.length[other]):
-                if pool.sheet[j] != sheet or abs(pool.z[j] - z) > step + SLACK:
+                if pool.sheet[j] != sheet or mark[j] or abs(pool.z[j] - z) > step + SLACK:
                     continue
-                if mark[j] == own:
-                    continue
-                if mark[j] != 0:
-                    met = mark[j]
-                    break
                 if end == queue_cell.shape[0]:
-                    larger_cell, larger_place = (
-                        np.empty(2 * end, np.int64),
-                        np.empty(2 * end, np.int64),
-                    )
-                    larger_cell[:end], larger_place[:end] = queue_cell, queue_place
-                    queue_cell, queue_place = larger_cell, larger_place
-                mark[j] = own
+                    queue_cell = np.concatenate((queue_cell, np.empty_like(queue_cell)))
+                    queue_place = np.concatenate((queue_place, np.empty_like(queue_place)))
+                mark[j] = True
                 queue_cell[end], queue_place[end] = other, j
                 end += 1
-        if end > most and met == 0:
-            met = -1
-    return met, queue_cell[:end].copy(), queue_place[:end].copy()
+    for place in queue_place[:end]:
+        mark[place] = False
+    return begin == end, queue_cell[:end].copy(), queue_place[:end].copy()

@@ -80,7 +80,7 @@ class Scan(NamedTuple):
     leans: Int
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def measure_runs(is_open, shift):
     """The number of open cells in a row along a line through each cell, 0 for closed ones.
 
@@ -196,7 +196,7 @@ def drop_thick(mark, most):
             row += 1
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def mark_gaps(run, widest, growth, rise, thickness, both, gap):
     """Mark the cells of gaps: runs of at most `widest` cells next to much longer ones.
 

@@ -8,6 +8,7 @@ of each run's part.
 import numpy as np
 from numba import njit
 
+from navbake.compiled import UNCOUNTED
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 
@@ -84,6 +85,45 @@ def cells_of_nodes(label):
                         found = max(found, label[i, j])
             cells[row, col] = found
     return cells
+
+
+@njit(cache=True)
+def count_cells(label, count):
+    """Count the cells of each label from 0 to ``count - 1``, int64."""
+    cells = np.zeros(count, dtype=np.int64)
+    for number in label.ravel():
+        cells[number] += 1
+    return cells
+
+
+@njit(cache=True, **UNCOUNTED)
+def mark_fresh(open_cells, owner, label, used):
+    """Mark the labels, of (rows, cols) int32, of open cells that have no owner yet.
+
+    `used`, bool by label, receives the marks.
+    """
+    for row in range(label.shape[0]):
+        for col in range(label.shape[1]):
+            if open_cells[row, col] and owner[row, col] == 0:
+                used[label[row, col]] = True
+
+
+@njit(cache=True, **UNCOUNTED)
+def give_fresh(open_cells, owner, label, number):
+    """Give the cells that `mark_fresh` looks at to the owner with their label's number, int32."""
+    for row in range(label.shape[0]):
+        for col in range(label.shape[1]):
+            if open_cells[row, col] and owner[row, col] == 0:
+                owner[row, col] = number[label[row, col]]
+
+
+@njit(cache=True, **UNCOUNTED)
+def note_under(under, label, number):
+    """Write the numbers of labels where there are none yet; arrays as for `give_fresh`."""
+    for row in range(label.shape[0]):
+        for col in range(label.shape[1]):
+            if under[row, col] == 0:
+                under[row, col] = number[label[row, col]]
 
 
 @njit(cache=True)

@@ -71,7 +71,7 @@ class Buckets(NamedTuple):
 
     Attributes:
         head: by height, the first cell, -1 for none, int32.
-        after: by cell, the next one, -1 for none, int32.
+        after: by cell in a list, the next one, -1 for none, int32.
         waiting: by cell, whether it may be filled and is in no list yet, bool.
     """
 
@@ -99,7 +99,7 @@ def flood(label, fillable, height, highest):
     source = np.arange(rows * cols, dtype=np.int32)  # the cell of the seed that each one is from
     buckets = Buckets(
         np.full(highest + 1, -1, dtype=np.int32),
-        np.full(rows * cols, -1, dtype=np.int32),
+        np.empty(rows * cols, dtype=np.int32),
         fillable.ravel() & (labels == 0),
     )
     near = np.empty(4, dtype=np.int32)

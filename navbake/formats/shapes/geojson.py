@@ -1,7 +1,11 @@
-"""GeoJSON (RFC 7946), as far as it holds rooms: polygons with a name and a level, in metres."""
+"""GeoJSON (RFC 7946) of a grid's rooms, walkable areas and doors, and rooms of other files.
+
+Coordinates are the world's x, y in metres, not the longitude and latitude that RFC 7946 is about.
+"""
 
 import math
 import os
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +13,11 @@ import orjson
 
 from navbake.errors import FormatError
 from navbake.formats.json_path import shown
-from navbake.formats.source import path_name, read_bytes
+from navbake.formats.shapes.shape import KINDS, ROOM, Shape, find_shapes
+from navbake.formats.source import Files, path_name, read_bytes
+from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.polygon import find_fault
-from navbake.types import Json
+from navbake.types import Float, Json
 
 MAX_BYTES = 64 << 20
 MAX_CORNERS = 100_000  # of all outlines; checking each takes the square of its corners
@@ -19,12 +25,59 @@ MAX_CORNERS = 100_000  # of all outlines; checking each takes the square of its 
 Ring = list[list[float]]
 
 
+def to_geojson(grid: NavGrid, kinds: Collection[str] = KINDS) -> Json:
+    """Describe the rooms, walkable areas and doors of a grid as a FeatureCollection.
+
+    Each is a feature: a room or a walkable area is a Polygon or MultiPolygon along the cells'
+    edges, a door a LineString; see `navbake.formats.shapes.shape.find_shapes`. Coordinates are
+    world x, y [m]. Properties are ``kind``, ``level``, ``levelName``, ``height`` (of the level's
+    ground [m]), ``id``, ``name`` and ``area`` [m²]; ``outdoors`` of rooms, ``state`` and ``rooms``
+    of doors.
+
+    Args:
+        grid: a grid of one or several levels.
+        kinds: which features: ``room``, ``walkable``, ``door``.
+
+    Raises:
+        QueryError: a kind is unknown.
+    """
+    features = [_feature(shape) for shape in find_shapes(grid, kinds)]
+    about = {
+        "sceneId": grid.scene_id,
+        "frame": "world x, y in metres",
+        "cellSize": grid.levels[0].lattice.cell_size,
+    }
+    return {"type": "FeatureCollection", "navbake": about, "features": features}
+
+
+def encode_geojson(grid: NavGrid, path: Path) -> Files:
+    """Make a GeoJSON file of all that `to_geojson` describes."""
+    return {path: orjson.dumps(to_geojson(grid), option=orjson.OPT_APPEND_NEWLINE)}
+
+
+def _feature(shape: Shape) -> Json:
+    if shape.line is not None:
+        geometry: Json = {"type": "LineString", "coordinates": shape.line.tolist()}
+    else:
+        parts = [[_closed(ring) for ring in rings] for rings in shape.parts]
+        is_one = len(parts) == 1
+        kind = "Polygon" if is_one else "MultiPolygon"
+        geometry = {"type": kind, "coordinates": parts[0] if is_one else parts}
+    return {"type": "Feature", "geometry": geometry, "properties": shape.properties}
+
+
+def _closed(ring: Float) -> Ring:
+    points: Ring = ring.tolist()
+    return [*points, points[0]]
+
+
 def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
     """Read the polygons of a GeoJSON file: a FeatureCollection, or a single Feature.
 
     Coordinates are world x, y in metres; a third one is left out. Of the properties, ``name``
-    (text) and ``level`` (a number from 0, or a name; 0 if missing) count. A MultiPolygon is one
-    room. Rings may be closed or not. Errors name the feature.
+    (text) and ``level`` (a number from 0, or a name; 0 if missing) count. A feature whose ``kind``
+    is another than ``room`` (as `to_geojson` writes for doors and walkable areas) is left out. A
+    MultiPolygon is one room. Rings may be closed or not. Errors name the feature.
 
     Returns:
         ``name``, ``level``, ``points`` (the first outline) and ``rings`` (holes and further
@@ -40,6 +93,8 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
     outlines = []
     num_corners = 0
     for number, feature in enumerate(features):
+        if _is_no_room(feature):
+            continue
         outline = _read_feature(feature, number, path)
         num_corners += sum(len(ring) for ring in (outline["points"], *outline["rings"]))
         if num_corners > MAX_CORNERS:
@@ -56,6 +111,13 @@ def _parse(path: Path) -> Any:
         return orjson.loads(content)
     except orjson.JSONDecodeError as error:
         raise FormatError(f"{path} is no JSON: {error}") from error
+
+
+def _is_no_room(feature: Any) -> bool:
+    """Whether a feature says that it is something else."""
+    properties = feature.get("properties") if isinstance(feature, dict) else None
+    kind = properties.get("kind") if isinstance(properties, dict) else None
+    return kind in KINDS and kind != ROOM
 
 
 def _read_feature(feature: Any, number: int, path: str | os.PathLike[str]) -> Json:

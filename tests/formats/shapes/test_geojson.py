@@ -1,11 +1,16 @@
-"""GeoJSON that holds rooms, and files that don't."""
+"""GeoJSON that holds rooms, files that don't, and what grids are written as."""
 
 import json
 
+import numpy as np
 import pytest
+import shapely
 
+import navbake
+from grid_maps import level_from
 from navbake.errors import FormatError
-from navbake.formats.geojson import read_room_outlines
+from navbake.formats.shapes.geojson import read_room_outlines
+from project_paths import GOLDEN
 
 SQUARE = [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]]
 HOLE = [[1, 1], [2, 1], [2, 2], [1, 2], [1, 1]]
@@ -86,3 +91,61 @@ def test_refuses_what_is_not_there(tmp_path):
         read_room_outlines(tmp_path / "none.geojson")
     with pytest.raises(FormatError, match="cannot read"):
         read_room_outlines(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["apartment", "clutter", "house", "terrain", "warehouse"])
+def test_shapely_reads_what_is_written(tmp_path, name):
+    grid = navbake.load(GOLDEN / f"{name}.grid.json.gz")
+    (path,) = grid.convert(tmp_path / "plan.geojson")
+    written = json.loads(path.read_bytes())
+    assert written["navbake"]["cellSize"] == grid.cell_size
+    shapes = grid.to_polygons()
+    for entry, shape in zip(written["features"], shapes, strict=True):
+        read = shapely.from_geojson(json.dumps(entry["geometry"]))
+        assert read.is_valid and shapely.equals_exact(read, shape.geometry, tolerance=0)
+        assert entry["properties"] == shape.properties
+    outlines = read_room_outlines(path)
+    assert [(o["name"], o["level"]) for o in outlines] == [(r.name, r.level) for r in grid.rooms]
+
+
+@pytest.mark.parametrize("name", ["apartment", "clutter"])
+def test_rooms_that_were_written_divide_a_bake_alike(tmp_path, name):
+    """All that is not in a wall gets the room that it had."""
+    grid = navbake.load(GOLDEN / f"{name}.grid.json.gz")
+    grid.convert(tmp_path / "rooms.geojson")
+    settings = navbake.samples.path(name)
+    rooms = {"from": ["polygons"], "polygons": str(tmp_path / "rooms.geojson")}
+    again = navbake.bake(settings, rooms=rooms)
+    assert {room.source for room in again.rooms} == {"polygons"}
+    for one, other in zip(grid.levels, again.levels, strict=True):
+        np.testing.assert_array_equal(one.room_index, other.room_index)
+
+
+def test_names_with_odd_letters_come_back(tmp_path):
+    level = level_from("..")
+    level.attributes["roomIndex"] = np.array([[1, 2]], dtype=np.uint16)
+    names = ['a "b"\\<c>&\n', "客厅\x01"]
+    level.metadata["navbake"] = {
+        "rooms": [
+            {"index": k, "id": name, "name": name, "level": 0, "area": 0.01,
+             "centroid": [0, 0, 0], "neighbours": []}
+            for k, name in enumerate(names, 1)
+        ]
+    }  # fmt: skip
+    level.convert(tmp_path / "plan.geojson")
+    assert [r["name"] for r in read_room_outlines(tmp_path / "plan.geojson")] == names
+
+
+def test_a_grid_without_shapes_is_an_empty_collection(tmp_path):
+    level_from("#").convert(tmp_path / "plan.geojson")
+    assert json.loads((tmp_path / "plan.geojson").read_text())["features"] == []
+    assert read_room_outlines(tmp_path / "plan.geojson") == []
+
+
+def test_what_is_no_room_is_left_out(tmp_path):
+    line = {"type": "LineString", "coordinates": [[0, 0], [1, 0]]}
+    door = {"type": "Feature", "properties": {"kind": "door"}, "geometry": line}
+    other = feature([SQUARE], name="hall")
+    other["properties"]["kind"] = "kitchen"  # not a kind of ours
+    rooms = read(tmp_path, {"type": "FeatureCollection", "features": [door, other]})
+    assert [room["name"] for room in rooms] == ["hall"]

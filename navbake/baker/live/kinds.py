@@ -1,0 +1,217 @@
+"""What the geoms of a scene are, furniture or walls, kept up to date where things move.
+
+That depends on how large they are, on the cells that they stand in, and on which of them carry
+floors. All geoms are told apart again only where something that decides this has changed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from navbake.baker.contents.contents import Contents, classify_geoms, measure_over_floors
+from navbake.baker.contents.structure import Carriers, FloorSupport, find_carriers
+from navbake.baker.contents.walls import (
+    NEAR_FLOOR,
+    GeomsOverFloors,
+    candidates_of,
+    is_static,
+    is_surface,
+)
+from navbake.baker.floors.levels import Floors, LevelFloor
+from navbake.baker.floors.sheets import agent_limits
+from navbake.baker.kernels.arrays import Crossings
+from navbake.baker.kernels.constants import TOUCH
+from navbake.baker.kernels.contents import describe_floors
+from navbake.baker.live.columns import LiveColumns, Region
+from navbake.baker.live.entries import EntryBands
+from navbake.baker.live.following import boxes_of
+from navbake.baker.live.growth import FloorChanges
+from navbake.baker.live.kernels.regions import cells_of_boxes
+from navbake.baker.occupancy.occupancy import Footprint
+from navbake.baker.scene.extents import Extents, measure_geoms
+from navbake.baker.scene.scene import Scene
+from navbake.config.settings import BakeConfig
+from navbake.types import Bool, Float, Int
+
+
+class LiveKinds:
+    """What each geom is, see `Contents.kinds`, and what decides it.
+
+    Attributes:
+        kinds: shape (ngeom,), uint8.
+        warnings: of telling the geoms apart.
+        candidates: the geoms that may be walls, see `candidates_of`.
+        support: what carries the floor in each cell; where that changes, `geom` is a new array.
+    """
+
+    def __init__(
+        self,
+        config: BakeConfig,
+        scene: Scene,
+        contents: Contents,
+        floors: Floors,
+        crossings: Crossings,
+        live: LiveColumns,
+    ) -> None:
+        """Take over what a bake found; the scene is without doors."""
+        self._config, self._live = config, live
+        self.kinds, self.warnings = contents.kinds, contents.warnings
+        self.support, num = self._describe(floors.levels[0], crossings), len(scene.geoms)
+        self._extents = measure_geoms(scene.shapes, num)
+        self._is_static = is_static(scene)
+        self._is_surface = is_surface(scene)
+        self.candidates = candidates_of(self._is_static, self._is_surface, self._extents)
+        over = measure_over_floors(contents.levels, floors, self._extents)
+        cells = live.lattice.cell_size**2
+        area, upper_area = (
+            np.rint(area / cells).astype(np.int64) for area in (over.area, over.upper_area)
+        )
+        self._measured: tuple[Float, Float, Int, Int] = over.base, over.rise, area, upper_area
+        self._carriers = self._find_carriers(floors)
+        self._stood_on = self._count_stood_on(floors.levels[0])
+        self._roots = np.asarray(scene.model.body_rootid)[scene.model.geom_bodyid]
+
+    def measure_moved(self, scene: Scene, moved: Bool) -> None:
+        """Measure the geoms that moved."""
+        new = measure_geoms(scene.shapes.only(moved), len(moved))
+        extents = Extents(*(array.copy() for array in self._extents))
+        for old, now in zip(extents, new, strict=True):
+            old[moved] = now[moved]
+        self._extents = extents
+        self.candidates = candidates_of(self._is_static, self._is_surface, extents)
+
+    def follow(
+        self,
+        scene: Scene,
+        moved: Bool,
+        marked: Bool,
+        bands: EntryBands,
+        touched: Region,
+        floors: Floors,
+        changes: FloorChanges,
+    ) -> bool:
+        """Bring all up to date, after the entries are.
+
+        Args:
+            moved, touched, changes: see `LiveContents.follow`.
+            marked: the geoms that moved, or whose entries or floors changed.
+
+        Returns:
+            Whether all geoms are what they were.
+        """
+        level = floors.levels[0]
+        carried = self._follow_support(touched, level, changes, moved)
+        decided = (self._is_static | self._is_surface) & marked
+        was = self._decisive(decided)
+        self._measure_marked(scene, marked, level, bands)
+        now = self._decisive(decided)
+        as_before = all(np.array_equal(one, other) for one, other in zip(was, now, strict=True))
+        if not carried:
+            was_carried, self._carriers = self._carriers, self._find_carriers(floors)
+            carried = _decide_the_same(was_carried, self._carriers, self._is_static)
+        if carried and as_before and not self._may_be_others(moved):
+            return True
+        return self._classify(scene)
+
+    def _decisive(self, geoms: Bool) -> list[Float | Int]:
+        """What was measured of some geoms, as far as it can decide what they are.
+
+        How deep a geom reaches under a floor does not: all that begins so low may be a wall, and
+        none of it is a ceiling.
+        """
+        base, *others = (array[geoms] for array in self._measured)
+        low = min(NEAR_FLOOR, self._config.agent.height / 2)
+        return [np.maximum(base, low), *others]
+
+    def _measure_marked(
+        self, scene: Scene, marked: Bool, level: LevelFloor, bands: EntryBands
+    ) -> None:
+        """Measure geoms again over all cells that they may be in."""
+        lattice, agent = self._live.lattice, self._config.agent
+        for array, nothing in zip(self._measured, (np.inf, -np.inf, 0, 0), strict=True):
+            array[marked] = nothing
+        footprint = Footprint.of(agent, lattice.cell_size)
+        reach = max(lattice.cell_size / 2, footprint.reach) + 2 * TOUCH
+        boxes, _ = boxes_of(scene.shapes.only(marked))
+        cells = cells_of_boxes(lattice, boxes, reach, 1.0, self._live.scratch.flag)
+        sizes = self._extents.low, self._extents.high
+        bands.measure(cells, level.floor.reshape(-1), sizes, marked, self._measured)
+
+    def _follow_support(
+        self, touched: Region, level: LevelFloor, changes: FloorChanges, moved: Bool
+    ) -> bool:
+        """Find what carries floors again; whether all that carriers rest on is as it was."""
+        cells = touched.cells
+        support = FloorSupport(np.empty(len(cells), dtype=np.int32), np.empty(len(cells)))
+        floor = level.floor.reshape(-1)[cells]
+        min_up = agent_limits(self._config.agent).min_up
+        describe_floors(floor, touched.columns, min_up, support)
+        differs = support.geom != self.support.geom[cells]
+        differs |= support.gap != self.support.gap[cells]
+        holds = not differs.any() and not len(changes.heights)
+        holds &= not self._stood_on[moved].any() and not self._carries[moved].any()
+        if differs.any():
+            geom, gap = self.support.geom.copy(), self.support.gap  # no grid has the gaps
+            geom[cells], gap[cells] = support.geom, support.gap
+            self.support = FloorSupport(geom, gap)
+        if not holds:
+            self._stood_on = self._count_stood_on(level)
+            return False
+        was = self._stood_on > 0
+        geom, stands = self.support.geom, level.standable.reshape(-1)
+        shifted = changes.standable[geom[changes.standable] >= 0]
+        np.add.at(self._stood_on, geom[shifted], np.where(stands[shifted], 1, -1))
+        return bool(((self._stood_on > 0) == was).all())
+
+    def _describe(self, level: LevelFloor, crossings: Crossings) -> FloorSupport:
+        floor = level.floor.ravel()
+        support = FloorSupport(np.empty(len(floor), dtype=np.int32), np.empty(len(floor)))
+        describe_floors(floor, crossings, agent_limits(self._config.agent).min_up, support)
+        return support
+
+    def _count_stood_on(self, level: LevelFloor) -> Int:
+        """In how many cells each geom carries a floor that one can stand on."""
+        geom = self.support.geom
+        carried = geom[geom >= 0]
+        self._carries = np.bincount(carried, minlength=len(self._is_static)) > 0
+        stood_on = geom[(geom >= 0) & level.standable.reshape(-1)]
+        return np.bincount(stood_on, minlength=len(self._is_static))
+
+    def _find_carriers(self, floors: Floors) -> Carriers:
+        step = self._config.agent.traversable_floor_height
+        return find_carriers(floors, [self.support], self._extents, step, self._live.lattice)
+
+    def _may_be_others(self, moved: Bool) -> bool:
+        """Whether geoms may be walls now, or none any more, by what moved.
+
+        What a joint moves is a wall only where a mesh holds a whole building, or the settings name
+        it. But a static panel is furniture, not a wall, by the size of the body that it is a part
+        of, moving parts included.
+        """
+        if (moved & (self._is_static | self._is_surface)).any():
+            return True
+        roots = np.unique(self._roots[moved])
+        return bool((self._is_static & np.isin(self._roots, roots[roots > 0])).any())
+
+    def _classify(self, scene: Scene) -> bool:
+        """Tell what each geom is; whether that is the same as before."""
+        base, rise, area, upper_area = self._measured
+        size = self._live.lattice.cell_size**2
+        areas: list[Float] = [np.asarray(cells * size) for cells in (area, upper_area)]
+        over = GeomsOverFloors(base, rise, *areas)
+        agent, names = self._config.agent, self._config.names
+        was = self.kinds
+        self.kinds, self.warnings = classify_geoms(
+            scene, self._extents, over, self._carriers, agent, names
+        )
+        return bool((self.kinds == was).all())
+
+
+def _decide_the_same(one: Carriers, other: Carriers, static: Bool) -> bool:
+    """Whether walls and structure are the same with other carriers, see `classify_geoms`.
+
+    What only lies on floors, and what one can stand on, is asked of static geoms alone.
+    """
+    differs = one.building != other.building
+    differs |= static & ((one.things != other.things) | (one.stood_on != other.stood_on))
+    return not differs.any()

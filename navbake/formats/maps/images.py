@@ -1,0 +1,93 @@
+"""Images of maps: grey values and transparency of PGM, PNG and BMP, read and written by Pillow."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from os import PathLike
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, PngImagePlugin
+
+from navbake.errors import FormatError
+from navbake.formats.source import path_name, read_bytes
+
+MAX_BYTES = 1 << 30  # of an image file
+MAX_PIXELS = 80_000_000  # below the number from which Pillow warns of a decompression bomb
+FREE_PIXELS = 32_000_000  # that any file may unpack to
+PIXELS_PER_BYTE = 256  # and this much more for each of its bytes
+BEGINNINGS = {"PPM": (b"P2", b"P5", b"P3", b"P6"), "PNG": (b"\x89PNG",), "BMP": (b"BM",)}
+
+
+class Pixels(NamedTuple):
+    """The pixels of an image, row 0 at the top.
+
+    Attributes:
+        light: sum of red, green and blue, shape (height, width), uint16 or uint32.
+        white: what each of them is at most, 255 or 65535.
+        opacity: 0 to 255, shape (height, width), uint8; None where the image has none.
+    """
+
+    light: NDArray[Any]
+    white: int
+    opacity: NDArray[np.uint8] | None
+
+
+def open_image(source: str | PathLike[str], kinds: tuple[str, ...] = tuple(BEGINNINGS)) -> Any:
+    """Open an image file and load its pixels, unless there are more than such a file may have.
+
+    Args:
+        kinds: what it may be, out of ``PPM`` (PGM is one), ``PNG`` and ``BMP``.
+
+    Raises:
+        FormatError: it is no such image, broken, or too large.
+    """
+    begins = tuple(start for kind in kinds for start in BEGINNINGS[kind])
+    names = " or ".join("PGM" if kind == "PPM" else kind for kind in kinds)
+    data, name = read_bytes(source, begins=begins, expected=f"a {names} image", limit=MAX_BYTES)
+    try:
+        image = Image.open(io.BytesIO(data), formats=kinds)
+        num_pixels = image.width * image.height
+        if num_pixels <= min(MAX_PIXELS, FREE_PIXELS + PIXELS_PER_BYTE * len(data)):
+            image.load()
+            return image
+    except Exception as error:  # a broken image raises whatever Pillow and zlib raise
+        why = " ".join(str(error).split())[:200] or type(error).__name__
+        raise FormatError(f"{path_name(name)} is no image that can be read: {why}") from error
+    size = f"{image.width} × {image.height}"
+    raise FormatError(f"too many pixels in {path_name(name)}: {size} in {len(data):,} bytes")
+
+
+def read_pixels(source: str | PathLike[str]) -> Pixels:
+    """Read the pixels of a PGM, PNG or BMP of any depth; raises as `open_image` does."""
+    image = open_image(source)
+    if image.mode in ("I", "I;16", "I;16B", "I;16L"):
+        return Pixels(3 * np.asarray(image).astype(np.uint32), 65535, None)
+    has_opacity = "A" in image.getbands() or "transparency" in image.info
+    if not has_opacity and image.mode in ("1", "L"):
+        return Pixels(3 * np.asarray(image.convert("L")).astype(np.uint16), 255, None)
+    channels = np.asarray(image.convert("RGBA" if has_opacity else "RGB"))
+    light = channels[..., :3].sum(axis=2, dtype=np.uint16)
+    return Pixels(light, 255, channels[..., 3] if has_opacity else None)
+
+
+def encode_pgm(grey: NDArray[np.uint8]) -> bytes:
+    """A binary PGM of grey values, shape (height, width), row 0 at the top."""
+    height, width = grey.shape
+    return b"P5\n%d %d\n255\n" % (width, height) + grey.tobytes()
+
+
+def encode_png(pixels: NDArray[np.uint8], texts: Mapping[str, str] | None = None) -> bytes:
+    """A PNG of pixels, shape (height, width) for grey or (height, width, 3 or 4) for colours.
+
+    Args:
+        texts: what goes into its text chunks, by keyword.
+    """
+    notes = PngImagePlugin.PngInfo()
+    for keyword, text in (texts or {}).items():
+        notes.add_text(keyword, text)
+    file = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(pixels)).save(file, "PNG", pnginfo=notes)
+    return file.getvalue()

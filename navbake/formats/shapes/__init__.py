@@ -1,0 +1,1 @@
+"""Shapes of a grid for programs that take no cells: meshes, polygons and graphs."""

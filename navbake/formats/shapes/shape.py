@@ -1,0 +1,213 @@
+"""The shapes of a grid: rooms and walkable areas as polygons, doors as lines."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from navbake.errors import MissingDependencyError, QueryError
+from navbake.formats.shapes.outlines import place_corners, trace_outlines
+from navbake.navgrid.doors import Door
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.types import Float, Int, Json
+
+if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
+
+ROOM, WALKABLE, DOOR = "room", "walkable", "door"
+KINDS = (ROOM, WALKABLE, DOOR)
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A room, the walkable area of a level, or a door, from above.
+
+    Attributes:
+        kind: ``room``, ``walkable`` or ``door``.
+        level: its level, 0 is the lowest.
+        level_name: the level's name.
+        height: world z of the level's ground [m].
+        id: of a room or door, unique among those of the grid, None for none.
+        name: of a room, None for none.
+        area: of the cells [m²]; 0 of a door.
+        parts: of a polygon: for each part its rings, the outer one first, then the holes; each of
+            shape (n, 2), float64, world x, y [m], the first corner not repeated. Outer rings run
+            anticlockwise, holes clockwise.
+        line: of a door: both ends, shape (2, 2), float64, world x, y [m]; None of others.
+        more: further properties: ``outdoors`` of a room; ``state`` and ``rooms`` of a door.
+    """
+
+    kind: str
+    level: int
+    level_name: str
+    height: float
+    id: str | None
+    name: str | None
+    area: float
+    parts: list[list[Float]]
+    line: Float | None
+    more: Json
+
+    @property
+    def geometry(self) -> BaseGeometry:
+        """The shape for shapely: a Polygon, a MultiPolygon or a LineString, valid, in metres.
+
+        Raises:
+            MissingDependencyError: shapely is not installed.
+        """
+        shapely = import_shapely()
+        if self.line is not None:
+            line: BaseGeometry = shapely.LineString(self.line)
+            return line
+        polygons = [shapely.Polygon(rings[0], rings[1:]) for rings in self.parts]
+        joined: BaseGeometry = polygons[0] if len(polygons) == 1 else shapely.MultiPolygon(polygons)
+        return joined
+
+    @property
+    def properties(self) -> Json:
+        """All but the geometry, in values that JSON can hold."""
+        return {
+            "kind": self.kind,
+            "level": self.level,
+            "levelName": self.level_name,
+            "height": self.height,
+            "id": self.id,
+            "name": self.name,
+            "area": self.area,
+            **self.more,
+        }
+
+
+def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
+    """The rooms, walkable areas and doors of a grid as shapes.
+
+    Polygons run exactly along the cells' edges: of a room, round all of its cells, also those that
+    something stands in; of what is walkable, round the free cells of a level. A cell's centre lies
+    in a polygon if and only if the polygon has the cell. Cells that only touch at a corner are
+    parts of their own, so polygons are valid.
+
+    A door is a line through the middle of the cells that it blocks when closed (else, as it is
+    now), along their longer extent.
+
+    Args:
+        grid: a grid of one or several levels.
+        kinds: which shapes: ``room``, ``walkable``, ``door``.
+
+    Returns:
+        For each level, lowest first, its rooms by index, its walkable area (none where no cell is
+        free), and its doors. A door of two levels is on both.
+
+    Raises:
+        QueryError: a kind is unknown.
+    """
+    unknown = sorted(set(kinds) - set(KINDS))
+    if isinstance(kinds, str) or unknown:
+        raise QueryError(f"expected some of {', '.join(KINDS)} as kinds, got {kinds!r}")
+    shapes = []
+    for number, level in enumerate(grid.levels):
+        place = (number, grid.level_names[number], _rounded(level.ground))
+        if ROOM in kinds:
+            shapes += _find_rooms(grid, place, level)
+        if WALKABLE in kinds and level.free.any():
+            parts = _polygons(level, level.free)[1]
+            area = _area(level, int(np.count_nonzero(level.free)))
+            shapes.append(Shape(WALKABLE, *place, None, None, area, parts, None, {}))
+        if DOOR in kinds:
+            shapes += _find_doors(grid, place, level)
+    return shapes
+
+
+def door_line(grid: NavGrid, door: Door, level: int) -> Float | None:
+    """Where a door is on a level, as a line: both ends, shape (2, 2), world x, y [m].
+
+    It runs through the middle of the cells that the door blocks when closed (in a grid with a layer
+    ``solid``, of those that it meets; where it can't be closed, as it is now), along the axis in
+    which they extend the farthest, from their first edge to their last. None where there are none.
+    """
+    part, cells = grid.levels[level], _door_cells(grid, door, level)
+    if not len(cells):
+        return None
+    points = part.lattice.positions(*np.divmod(cells, part.width))
+    middle = points.mean(axis=0)
+    # the principal axis: the eigenvector of the largest eigenvalue
+    axis = np.linalg.eigh((points - middle).T @ (points - middle))[1][:, 1]
+    axis = axis if tuple(axis) > (0.0, 0.0) else -axis
+    half = part.lattice.cell_size / 2
+    if np.ptp((points - middle) @ axis) * np.abs(axis).min() < half:
+        axis = np.round(
+            axis
+        )  # over its length it leaves the row of cells by less than the cells tell
+    along = (points - middle) @ axis
+    # from edge to edge of the outermost cells
+    pad = half / np.abs(axis).max()
+    ends = np.array([[along.min() - pad], [along.max() + pad]])
+    line: Float = np.round(middle + ends * axis, 6) + 0.0
+    return line
+
+
+def _door_cells(grid: NavGrid, door: Door, level: int) -> Int:
+    """The cells of a level that tell where a door is, ascending ids."""
+    for state in ("closed", door.state, *door.states):
+        for cells in (door.solid_in, door.cells_in):
+            found = cells(state, len(grid.levels))[level]
+            if len(found):
+                return found
+    return np.zeros(0, dtype=np.int64)
+
+
+def _find_rooms(grid: NavGrid, place: tuple[int, str, float], level: SceneGrid2D) -> list[Shape]:
+    parts = _polygons(level, level.room_index)
+    known = {room.index: room for room in grid.rooms if room.level == place[0]}
+    count = np.bincount(level.room_index.ravel())
+    found = []
+    for index, rings in parts.items():
+        room = known.get(index)
+        name, area = (room and room.name) or None, _area(level, int(count[index]))
+        room_id = room.id if room else f"{place[0]}:{index}"
+        more = {"outdoors": True} if room and room.outdoors else {}
+        found.append(Shape(ROOM, *place, room_id, name, area, rings, None, more))
+    return found
+
+
+def _find_doors(grid: NavGrid, place: tuple[int, str, float], level: SceneGrid2D) -> list[Shape]:
+    found = []
+    for door in grid.doors:
+        line = door_line(grid, door, place[0])
+        if line is not None:
+            more = {"state": door.state, "rooms": list(door.rooms)}
+            found.append(Shape(DOOR, *place, door.id, None, 0.0, [], line, more))
+    return found
+
+
+def _polygons(level: SceneGrid2D, labels: Any) -> dict[int, list[list[Float]]]:
+    """The parts of labelled cells, each a list of rings, by label."""
+    outlines = trace_outlines(labels)
+    points = place_corners(outlines.corners, level.lattice)
+    rings = np.split(points, outlines.ring_start[1:-1])
+    bounds = outlines.part_start.tolist()
+    parts: dict[int, list[list[Float]]] = {}
+    for label, first, last in zip(outlines.label.tolist(), bounds, bounds[1:], strict=False):
+        parts.setdefault(label, []).append(rings[first:last])
+    return parts
+
+
+def _area(level: SceneGrid2D, count: int) -> float:
+    return _rounded(count * level.lattice.cell_size**2)
+
+
+def _rounded(value: float) -> float:
+    """To a micrometre, and without -0.0."""
+    return round(float(value), 6) + 0.0
+
+
+def import_shapely() -> Any:
+    """Load shapely, or say how to install it."""
+    try:
+        import shapely  # of the extra [convert]
+    except ImportError as error:
+        message = 'polygons for shapely, and WKT, need shapely: pip install "navbake[convert]"'
+        raise MissingDependencyError(message) from error
+    return shapely

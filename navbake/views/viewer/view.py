@@ -1,0 +1,199 @@
+"""`navbake.view`: a grid in its scene, in the browser."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import webbrowser
+from collections.abc import Callable, Iterable
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from navbake.errors import NavbakeError
+from navbake.formats.navgrid import read_navgrid
+from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.grid_base import GridBase
+from navbake.views.viewer import texts
+from navbake.views.viewer.exhibit import Exhibit
+from navbake.views.viewer.page import Page
+from navbake.views.viewer.server import HOST, PORT, close_server, open_server, url_of
+from navbake.views.viewer.watch import PERIOD, Watch, find_files
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+
+class Reading(NamedTuple):
+    """Where an exhibit comes from, so that it can be read again.
+
+    Attributes:
+        read: reads or bakes it.
+        files: from which files.
+    """
+
+    read: Callable[[], Exhibit]
+    files: Callable[[], Iterable[Path]]
+
+
+class Viewer:
+    """A page that shows a grid, until it is closed; also as a context manager.
+
+    Attributes:
+        url: where the page is.
+    """
+
+    def __init__(
+        self,
+        exhibit: Exhibit,
+        *,
+        host: str = HOST,
+        port: int = PORT,
+        reading: Reading | None = None,
+    ) -> None:
+        self._server = open_server(host, port)
+        self.url = url_of(self._server)
+        self._closed = threading.Event()
+        self.page = Page(self._server, exhibit)
+        self._watcher: threading.Thread | None = None
+        if reading is not None:
+            watch = Watch(reading.files)
+            self._watcher = threading.Thread(
+                target=self._watch, args=(reading, watch), name="watch", daemon=True
+            )
+            self._watcher.start()
+
+    def show(
+        self, grid: NavGrid | str | PathLike[str], scene: Any = None, *, data: Any = None
+    ) -> None:
+        """Show another grid on the page; takes what `view` takes."""
+        self.page.exhibit_other(make_exhibit(grid, scene, data=data))
+
+    def open(self) -> None:
+        """Open the page in this machine's browser, where it has one with windows."""
+        windows = ("DISPLAY", "WAYLAND_DISPLAY")
+        # without windows, Python would start a browser in the terminal
+        if not sys.platform.startswith("linux") or any(map(os.environ.get, windows)):
+            webbrowser.open(self.url)
+
+    def wait(self) -> None:
+        """Wait until the page is closed; Ctrl-C closes it."""
+        try:
+            while not self._closed.wait(PERIOD):
+                pass
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Take the page away, and free its port."""
+        if self._closed.is_set():
+            return
+        self._closed.set()
+        self.page.close()
+        close_server(self._server)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _watch(self, reading: Reading, watch: Watch) -> None:
+        """Read again whatever has changed; what can't be read is told, and the last stays."""
+        while not self._closed.wait(PERIOD):
+            if not watch.look():
+                continue
+            self.page.say(texts.CHANGED)
+            try:
+                exhibit = reading.read()
+            except NavbakeError as error:
+                self.page.say(texts.say_error(error))
+            else:
+                self.page.exhibit_other(exhibit)
+
+
+def view(
+    grid: NavGrid | str | PathLike[str],
+    scene: Any = None,
+    *,
+    data: Any = None,
+    host: str = HOST,
+    port: int = PORT,
+    open_page: bool = True,
+    force: bool = False,
+) -> Viewer:
+    """Show a grid in its scene, in the browser.
+
+    The page has the levels, layers, doors, paths between clicks, and what blocks a cell; see
+    ``docs/viewer.md``. It is served on this machine alone unless `host` says otherwise, and asks
+    for nothing from anywhere else.
+
+    Args:
+        grid: a grid of one or several levels, or the path of its file.
+        scene: what it was baked from: a mujoco.MjModel or MjSpec, a trimesh.Scene or Trimesh,
+            settings, or the path of a scene or YAML; None for the file that the grid names, beside
+            the grid or in the current folder. Where there is none, the grid is shown alone.
+        data: the mujoco.MjData with the pose of a model or spec.
+        host: address of this machine to listen at.
+        port: where to listen; 0 for any free port.
+        open_page: open the page in the browser.
+        force: show the grid in a scene that it was not baked from.
+
+    Returns:
+        What closes the page: call its `close`, or its `wait` to wait for Ctrl-C. Its `show` puts
+        another grid on the page, and its `url` says where that is.
+
+    Raises:
+        MissingDependencyError: viser is not installed.
+        QueryError: the scene isn't the one that the grid was baked from.
+        SceneError, ConfigError, FormatError: scene, settings or grid can't be read.
+        NavbakeError: the port is in use.
+
+    Example:
+        >>> import navbake
+        >>> grid = navbake.bake("my_scene.xml")
+        >>> navbake.view(grid, scene="my_scene.xml").wait()
+    """
+    viewer = Viewer(make_exhibit(grid, scene, data=data, force=force), host=host, port=port)
+    if open_page:
+        viewer.open()
+    return viewer
+
+
+def make_exhibit(
+    grid: NavGrid | str | PathLike[str],
+    scene: Any = None,
+    *,
+    data: Any = None,
+    force: bool = False,
+) -> Exhibit:
+    """What is shown of a grid and its scene; takes and raises what `view` does."""
+    # loads MuJoCo, which a page without a scene could do without
+    from navbake.verifier.source import NoSceneError, find_source
+
+    path = None if isinstance(grid, GridBase) else Path(grid)
+    content: Any = grid if path is None else read_navgrid(path)
+    try:
+        source = find_source(content, scene, path, force=force, data=data)
+    except NoSceneError as error:
+        if scene is not None:
+            raise
+        return Exhibit(content, note=f"Without its scene: {error}")
+    notes = source.notes if content.navbake else []
+    config = source.config if source.are_known else None
+    return Exhibit(content, source.scene, config, note="; ".join(notes))
+
+
+def read_again(
+    grid: str | PathLike[str], scene: str | PathLike[str] | None, *, force: bool = False
+) -> Reading:
+    """Where the exhibit of a grid's file comes from, read again when grid or scene change."""
+    named = [Path(path) for path in (grid, scene) if path is not None]
+    return Reading(lambda: make_exhibit(grid, scene, force=force), lambda: find_files(named))

@@ -1,0 +1,174 @@
+"""What is shown follows from what is chosen, without a browser."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import navbake
+from navbake.errors import QueryError
+from navbake.views.layers import DISAGREEMENTS
+from navbake.views.panel import Panel
+from navbake.views.viewer import texts
+from navbake.views.viewer.choices import INSPECT, ROUTE, first_choices, keep_choices
+from navbake.views.viewer.exhibit import Exhibit
+from navbake.views.viewer.picking import Pick
+from navbake.views.viewer.view import make_exhibit
+from viewer_scenes import ROOM, room_exhibit
+
+
+@pytest.fixture(scope="module")
+def room():
+    return room_exhibit()
+
+
+@pytest.fixture(scope="module")
+def chosen(room):
+    return first_choices(room.grid)
+
+
+def at(exhibit, x, y, level=0, geom=None):
+    cell = exhibit.grid.cell_at((x, y), level)
+    return Pick(cell, (x, y, 0.0), geom)
+
+
+def test_the_radius_frees_what_inflate_frees(room, chosen):
+    for radius in (0.0, 0.2, 0.35):
+        now = replace(chosen, inflation=(radius, 0.1))
+        expected = room.grid.inflate(radius, 0.1)
+        counts = room.count(now)
+        assert counts.free == np.count_nonzero(expected.free)
+        assert counts.area == pytest.approx(counts.free * 0.01)
+        text = texts.say_counts(counts, room.count(chosen))
+        assert f"{counts.free:,} free cells" in text
+        np.testing.assert_array_equal(room.shown_grid(now).weights, expected.weights)
+
+
+def test_a_path_follows_two_clicks(room, chosen):
+    now = replace(chosen, click=ROUTE)
+    assert texts.say_route(now, room.route(now)) == texts.HINT_START
+    now = now.with_click(at(room, -1.5, -1.0))
+    assert texts.say_route(now, room.route(now)) == texts.HINT_GOAL
+    now = now.with_click(at(room, 1.5, -1.0))
+    route = room.route(now)
+    expected = navbake.PathFinder(room.grid).find_path((-1.5, -1.0), (1.5, -1.0))
+    np.testing.assert_array_equal(route.path.positions, expected.positions)
+    assert f"{expected.length:.2f}".replace(".", "\\.") in texts.say_route(now, route)
+    # too wide for the opening: the reason is the finder's
+    wide = replace(now, inflation=(0.9, 0.0))
+    assert room.route(wide).path is None
+    assert "No path" in texts.say_route(wide, room.route(wide))
+    # the third click begins again
+    again = now.with_click(at(room, 0.5, 1.3))
+    assert again.goal is None and again.start.position[0] == 0.5
+
+
+def test_a_cell_tells_what_blocks_it_and_that_is_lit(room, chosen):
+    told = room.tell(replace(chosen, inspected=at(room, 1.02, 0.52, geom=4)))
+    assert told.facts == room.grid.describe_cell(1.02, 0.52, 0)
+    assert told.clicked == "table"
+    text = texts.say_cell(told, None)
+    assert "**blocked** by `table`" in text
+    corners = told.lit.reshape(-1, 3)
+    np.testing.assert_allclose(corners.min(axis=0), [0.7, 0.2, 0], atol=0.02)
+    np.testing.assert_allclose(corners.max(axis=0), [1.3, 0.8, 0.7], atol=0.02)
+    free = room.tell(replace(chosen, inspected=at(room, -1.5, 1.0)))
+    assert "**free**" in texts.say_cell(free, None) and not len(free.lit)
+    near = replace(chosen, inspected=at(room, 0.15, -0.5), inflation=(0.3, 0.0))
+    assert "nearer to something than the radius" in texts.say_cell(room.tell(near), (0.3, 0.0))
+    assert texts.say_cell(room.tell(chosen), None) == texts.HINT_INSPECT
+
+
+def test_layers_levels_and_cut_change_what_is_drawn(room, chosen):
+    assert set(room.layers) == {*room.layers} and DISAGREEMENTS in room.layers
+    drawn = {name: room.overlay(replace(chosen, layer=name), 0) for name in room.layers}
+    assert drawn["occupancy"] != drawn["floor"] != drawn["rooms"]
+    assert room.overlay(chosen, 0) is room.overlay(chosen, 0)
+    assert room.overlay(replace(chosen, opacity=0.5), 0) != drawn["occupancy"]
+    whole, low = (room.surfaces(replace(chosen, cut=cut)) for cut in (None, 0.5))
+    assert max(one.vertices[:, 2].max() for one in whole) == pytest.approx(2.0)
+    assert max(one.vertices[:, 2].max() for one in low) == pytest.approx(0.5)
+    assert room.surfaces(replace(chosen, with_scene=False)) == ()
+
+
+def test_a_verification_fills_its_layer(room, chosen):
+    exhibit = Exhibit(room.grid, room.scene, room.config)
+    exhibit.verify()
+    assert exhibit.report.ok
+    assert "agree" in texts.say_report(exhibit.report)
+    assert exhibit.panel(replace(chosen, layer=DISAGREEMENTS), 0).rgb.shape[2] == 3
+    with pytest.raises(QueryError, match="no scene"):
+        Exhibit(room.grid).verify()
+
+
+@pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
+def test_a_level_is_looked_into_from_over_its_ground():
+    grid = navbake.bake(navbake.samples.path("house"))
+    chosen = first_choices(grid)
+    assert chosen.levels == (0, 1)
+    one = chosen.with_level(grid, 0)
+    assert one.levels == (0,) and one.cut < grid.levels[1].ground < chosen.cut
+    assert one.with_level(grid, None) == chosen
+
+
+@pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
+def test_doors_move_in_grid_and_scene():
+    apartment = navbake.samples.path("apartment")
+    exhibit = make_exhibit(navbake.bake(apartment), apartment)
+    chosen, door = first_choices(exhibit.grid), exhibit.grid.doors[0]
+    closed = chosen.with_door(exhibit.grid, [door.id], "closed")
+    gone = chosen.with_door(exhibit.grid, [door.id], "removed")
+    expected = exhibit.grid.with_doors({door.id: "closed"})
+    for level, other in zip(exhibit.shown_grid(closed).levels, expected.levels, strict=True):
+        np.testing.assert_array_equal(level.weights, other.weights)
+    before, after, without = (exhibit.drawing(one) for one in (chosen, closed, gone))
+
+    def places(drawing):
+        geoms = [g for g, name in enumerate(drawing.names) if name == door.id]
+        found = [one.vertices[one.faces[np.isin(one.geom, geoms)]] for one in drawing.surfaces]
+        return np.concatenate(found)
+
+    assert len(places(before)) and len(places(after)) and not len(places(without))
+    if door.like != "closed":
+        assert not np.allclose(places(before), places(after))
+    assert closed.with_door(exhibit.grid, [door.id], door.state) == chosen
+
+
+@pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
+def test_choices_outlive_another_bake_as_far_as_it_has_them(room, chosen):
+    now = replace(
+        chosen, levels=(0, 3), doors=(("gone", "open"),), layer="rooms",
+        inspected=at(room, 1.0, 1.0, geom=4), start=at(room, -1.5, 1),
+        click=INSPECT,
+    )  # fmt: skip
+    kept = keep_choices(now, room.grid)
+    assert kept.levels == (0,) and kept.doors == () and kept.layer == "rooms"
+    assert kept.inspected.cell == now.inspected.cell and kept.inspected.geom is None
+    apartment = navbake.samples.path("apartment")
+    small = navbake.bake(apartment, grid={"cell_size": 0.5})
+    far = replace(now, inspected=Pick(now.inspected.cell, (99.0, 99.0, 0.0), None))
+    assert keep_choices(far, small).inspected is None
+
+
+def test_a_grid_of_another_scene_is_refused(room):
+    import mujoco
+
+    other = mujoco.MjModel.from_xml_string(ROOM.replace('size=".05 1.1 1"', 'size=".05 1 1"'))
+    with pytest.raises(QueryError, match="isn't the scene that the grid was baked from"):
+        make_exhibit(room.grid, other)
+    assert "digests differ" in make_exhibit(room.grid, other, force=True).note
+
+
+def test_a_grid_without_its_scene_is_shown_alone(room, tmp_path):
+    room.grid.save(tmp_path / "room.grid.json")
+    alone = make_exhibit(tmp_path / "room.grid.json")
+    assert alone.scene is None and "Without its scene" in alone.note
+    assert alone.surfaces(first_choices(alone.grid)) == ()
+    assert DISAGREEMENTS not in alone.layers
+
+
+def test_names_from_files_are_text_on_the_page():
+    assert texts.plain("a_b *c* <img src=x>") == r"a\_b \*c\* \<img src=x\>"
+    panel = Panel("room", np.zeros((1, 1, 3), np.uint8), legend=(("<b>bold</b>", "#ffffff"),))
+    legend = texts.write_legend([panel])
+    assert "<b>" not in legend

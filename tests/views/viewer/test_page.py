@@ -1,0 +1,122 @@
+"""The page in a real browser: it loads, and does what its reader asks for."""
+
+import os
+import re
+import time
+
+import numpy as np
+import pytest
+
+import navbake
+from browser import errors_of, needs_browser, open_browser, requests_of, strangers_of
+from navbake.views.viewer.texts import HINT_GOAL
+from viewer_page import ViewerPage, run_view
+from viewer_scenes import write_room
+
+pytestmark = needs_browser
+pytest.importorskip("viser")
+
+PATIENCE = 120.0  # a busy machine draws slowly [s]
+
+
+def free_cells(radius=None, **settings):
+    """What the panel says of the room's free cells, by a bake of its own."""
+    grid = navbake.bake(settings.pop("path"), **settings)
+    grid = grid if radius is None else grid.inflate(radius)
+    return f"{sum(np.count_nonzero(level.free) for level in grid.levels):,} free cells"
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    """The room's page in a browser, its settings, and the process behind it."""
+    path = write_room(tmp_path_factory.mktemp("room"))
+    with run_view(str(path)) as (process, url), open_browser(900, 640) as driver:
+        driver.set_page_load_timeout(PATIENCE)
+        yield ViewerPage(driver, url), path, process
+
+
+def picture_of(page):
+    """The page's picture of the scene, as PNG."""
+    return page.driver.find_elements("tag name", "canvas")[-1].screenshot_as_png
+
+
+def wait_for_other(page, before):
+    end = time.monotonic() + PATIENCE
+    while picture_of(page) == before:
+        assert time.monotonic() < end, "the picture stays as it is"
+        time.sleep(0.2)
+
+
+def test_the_page_shows_the_grid(shown):
+    page, path, _ = shown
+    page.wait_for(free_cells(path=path), PATIENCE)
+    assert "room — one level, cells of 0.1 m" in page.text
+
+
+def test_layers_switch(shown):
+    page, *_ = shown
+    before = picture_of(page)
+    page.choose("Layer", "floor")
+    page.wait_for("z [m]", PATIENCE)
+    wait_for_other(page, before)
+    page.choose("Layer", "occupancy")
+
+
+def test_the_radius_slider_frees_what_inflate_frees(shown):
+    page, path, _ = shown
+    page.set_number("Radius [m]", 0.25)
+    page.wait_for(free_cells(path=path, radius=0.25), PATIENCE)
+    page.press("As baked")
+    page.wait_for(free_cells(path=path), PATIENCE)
+
+
+def test_two_clicks_make_a_path(shown):
+    page, *_ = shown
+    page.choose("A click", "sets start, then goal")
+    page.wait_for("Click where the path starts.", PATIENCE)
+    page.click_at(0.3, 0.4)
+    page.wait_for(HINT_GOAL, PATIENCE)
+    page.click_at(0.75, 0.7)
+    text = page.wait_for("cost", PATIENCE)
+    length = float(re.search(r"([\d.]+) m, cost", text).group(1))
+    assert 0.5 < length < 6
+    page.press("Clear")
+    page.wait_for("Click where the path starts.", PATIENCE)
+
+
+def test_a_click_tells_why(shown):
+    page, *_ = shown
+    page.choose("A click", "tells about the cell")
+    page.wait_for("Click a cell or a thing", PATIENCE)
+    page.click_at(0.3, 0.4)
+    assert "free" in page.wait_for("Verdict", PATIENCE)
+
+
+def rewrite(path, text):
+    """Write a file as a later second would."""
+    path.write_text(text)
+    state = path.stat()
+    os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns + 2_000_000_000))
+
+
+def test_changed_settings_and_scenes_are_baked_again(shown):
+    page, path, _ = shown
+    text = path.read_text()
+    rewrite(path, text.replace("0.1", "0.2"))
+    page.wait_for("cells of 0.2 m", PATIENCE)
+    page.wait_for(free_cells(path=path), PATIENCE)
+    # broken settings are told, and the last grid stays
+    rewrite(path, text + "agnt: {}\n")
+    told = page.wait_for("Error", PATIENCE)
+    assert "agnt" in told and "cells of 0.2 m" in told
+    rewrite(path, text)
+    page.wait_for("cells of 0.1 m", PATIENCE)
+    scene = path.parent / "room.xml"
+    rewrite(scene, scene.read_text().replace('size=".3 .35"', 'size=".5 .35"'))
+    page.wait_for(free_cells(path=path), PATIENCE)
+
+
+def test_nothing_leaves_the_machine_and_nothing_fails(shown):
+    page, *_ = shown
+    assert errors_of(page.driver) == []
+    assert strangers_of(requests_of(page.driver)) == []

@@ -1,0 +1,64 @@
+"""Files that a scene names are watched, and a change counts once they rest."""
+
+import os
+
+from navbake.views.viewer.watch import Watch, find_files
+
+
+def write(path, text):
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(text)
+    return path
+
+
+def test_includes_meshes_and_textures_are_found(tmp_path):
+    scene = write(
+        tmp_path / "scene.xml",
+        '<mujoco><compiler meshdir="meshes" texturedir="pictures"/><include file="more.xml"/>'
+        '<asset><mesh file="a.obj"/><texture file="b.png"/><texture fileright="c.png"/></asset>'
+        "</mujoco>",
+    )
+    more = write(
+        tmp_path / "more.xml",
+        '<mujocoinclude><include file="scene.xml"/><asset><mesh file="d.stl"/></asset>'
+        "</mujocoinclude>",
+    )
+    found = find_files([scene])
+    expected = {"meshes/a.obj", "pictures/b.png", "pictures/c.png", "meshes/d.stl"}
+    assert {scene, more, *(tmp_path / name for name in expected)} <= {*found}
+
+
+def test_a_broken_or_missing_file_names_none(tmp_path):
+    broken = write(tmp_path / "scene.xml", "<mujoco><include file=")
+    assert find_files([broken, tmp_path / "none.xml", tmp_path / "a.yaml"]) == [
+        broken, tmp_path / "none.xml", tmp_path / "a.yaml",
+    ]  # fmt: skip
+
+
+def touch(path, text):
+    path.write_text(text)
+    state = path.stat()
+    os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns + 1_000_000))
+
+
+def test_a_change_counts_once_when_it_rests(tmp_path):
+    path = write(tmp_path / "a.yaml", "a")
+    watch = Watch(lambda: [path])
+    assert not watch.look()
+    touch(path, "ab")
+    assert not watch.look()  # may be written still
+    touch(path, "abc")
+    assert not watch.look()
+    assert watch.look()
+    assert not watch.look()
+    path.unlink()
+    assert not watch.look() and watch.look()
+
+
+def test_files_that_a_change_adds_are_watched_then(tmp_path):
+    path, other = write(tmp_path / "a.yaml", "a"), write(tmp_path / "b", "b")
+    watch = Watch(lambda: [path, other] if "b" in path.read_text() else [path])
+    touch(path, "b")
+    assert [watch.look(), watch.look()] == [False, True]
+    touch(other, "changed")
+    assert [watch.look(), watch.look()] == [False, True]
