@@ -16,6 +16,7 @@ from navbake.config.settings import BakeConfig
 from navbake.errors import ConfigError, MissingDependencyError
 from navbake.files import remove_leftovers
 from navbake.formats.navgrid import write_navgrid
+from navbake.formats.source import write_bytes
 from navbake.formats.suffixes import OCTREES, VOXELS
 from navbake.formats.voxels import write_voxels
 from navbake.navgrid.grid import NavGrid
@@ -25,7 +26,8 @@ GRID = "grid.json.gz"  # of every scene, written last: where it is, all is there
 PICTURE_LAYERS = ("rooms", "floor")
 # all names that a product has ever had; other files in a scene's folder are the user's
 OWN = re.compile(
-    r"grid\.json\.gz|inflated-[\d.e+-]+\.json\.gz|voxels-[\d.e+-]+\.\w+|picture\.png|report\.html"
+    r"grid\.json\.gz|inflated-[\d.e+-]+\.json\.gz|nav2[\d._e+-]*\.(?:yaml|pgm)"
+    r"|voxels-[\d.e+-]+\.\w+|picture\.png|report\.html"
 )
 
 
@@ -40,8 +42,8 @@ class Product(NamedTuple):
     kind: str
     values: tuple[str, ...]
 
-    def make(self, grid: NavGrid, config: BakeConfig, folder: Path) -> str:
-        """Write it, whole or not at all, and return the file's name."""
+    def make(self, grid: NavGrid, config: BakeConfig, folder: Path) -> list[str]:
+        """Write its files, each whole or not at all, and return their names."""
         return KINDS[self.kind].make(grid, config, self.values, folder)
 
     def __str__(self) -> str:
@@ -111,48 +113,66 @@ def _check_picture(values: Sequence[str], text: str) -> tuple[str, ...]:
     return tuple(values)
 
 
-def _make_inflated(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> str:
+def _make_inflated(
+    grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path
+) -> list[str]:
     name = f"inflated-{'-'.join(values)}.json.gz"
     clearance = float(values[1]) if len(values) > 1 else None
     write_navgrid(grid.inflate(float(values[0]), clearance), folder / name)
-    return name
+    return [name]
 
 
-def _make_voxels(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> str:
+def _make_nav2(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> list[str]:
+    from navbake.formats.maps.nav2 import encode_nav2  # only who wants maps loads it
+
+    path = folder / f"{'-'.join(('nav2', *values))}.yaml"
+    files = encode_nav2(grid, path, radius=float(values[0]) if values else None)
+    for file, content in files.items():
+        write_bytes(content, file)
+    return [file.name for file in files]
+
+
+def _make_voxels(
+    grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path
+) -> list[str]:
     from navbake.baker.voxelize.voxelizer import Voxelizer  # loads more of the baker than a bake
 
     edge, ending = values
     name = f"voxels-{edge}.{ending}"
     voxels = Voxelizer(config).create(res=float(edge), align=f".{ending}" in OCTREES)
     write_voxels(voxels, folder / name)
-    return name
+    return [name]
 
 
-def _make_picture(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> str:
+def _make_picture(
+    grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path
+) -> list[str]:
     from navbake.views.plot import plot_grid  # loads Pillow
 
     plot_grid(grid, folder / "picture.png", layers=tuple(values) or PICTURE_LAYERS)
-    return "picture.png"
+    return ["picture.png"]
 
 
-def _make_report(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> str:
+def _make_report(
+    grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path
+) -> list[str]:
     from navbake.views.report.report import write_report  # only who wants a report loads it
 
     write_report(grid, folder / "report.html", audits=[audit(grid)])
-    return "report.html"
+    return ["report.html"]
 
 
 class Kind(NamedTuple):
     """A kind of product.
 
     Attributes:
-        make: writes it and returns its name.
+        make: writes it and returns the names of its files.
         check: checks the values and gives them their shortest form.
         least, most: how many values it takes.
         usage: how it is asked for.
     """
 
-    make: Callable[[NavGrid, BakeConfig, Sequence[str], Path], str]
+    make: Callable[[NavGrid, BakeConfig, Sequence[str], Path], list[str]]
     check: Callable[[Sequence[str], str], tuple[str, ...]]
     least: int
     most: int
@@ -161,6 +181,7 @@ class Kind(NamedTuple):
 
 KINDS: dict[str, Kind] = {
     "inflated": Kind(_make_inflated, _numbers, 1, 2, "inflated:RADIUS[:CLEARANCE]"),
+    "nav2": Kind(_make_nav2, _numbers, 0, 1, "nav2[:RADIUS]"),
     "voxels": Kind(_make_voxels, _check_voxels, 1, 2, "voxels:EDGE[:ENDING]"),
     "picture": Kind(_make_picture, _check_picture, 0, len(LAYERS), "picture[:LAYER…]"),
     "report": Kind(_make_report, lambda values, text: (), 0, 0, "report"),

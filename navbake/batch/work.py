@@ -113,7 +113,7 @@ def _make(order: Order) -> Json:
     grid.timings = {}  # the same scene, the same bytes
     order.place.mkdir(parents=True, exist_ok=True)
     remove_products(order.place)
-    made = [product.make(grid, config, order.place) for product in order.products]
+    made = [name for product in order.products for name in product.make(grid, config, order.place)]
     write_navgrid(grid, order.place / GRID)
     return {
         **row_of(order, OK),

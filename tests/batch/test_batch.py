@@ -182,9 +182,12 @@ def test_products_are_made_missed_and_removed(scenes, here):
         "voxels:0.5:npz",
         "picture",
         "report",
+        "nav2",
+        "nav2:0.2",
     ]
     names = {
         *("grid.json.gz", "inflated-0.3.json.gz", "inflated-0.2-0.1.json.gz", "picture.png"),
+        *("nav2.yaml", "nav2.pgm", "nav2-0.2.yaml", "nav2-0.2.pgm"),
         *("report.html", "voxels-0.5.binvox", "voxels-0.5.npz"),
     }
     run("scenes/first.xml", products=make)

@@ -77,6 +77,7 @@ def batch(
         "--make",
         metavar="WHAT",
         help="What to make of each scene besides its grid: inflated:RADIUS[:CLEARANCE], "
+        "nav2[:RADIUS], "
         "voxels:EDGE[:ENDING], picture[:LAYER...], report. May be repeated.",
     ),
     overrides: Overrides = None,
