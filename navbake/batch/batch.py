@@ -115,12 +115,8 @@ def run_batch(batch: Batch, means: Means, watch: Watch) -> BatchResult:
         Order(job, batch.settings, tuple(batch.overrides), products, batch.folder)
         for job in batch.jobs
     ]
-    try:
-        batch.folder.mkdir(parents=True, exist_ok=True)
-        with only_batch(batch.folder), closing(Index(batch.folder)) as index:
-            return _run(orders, index, means, watch)
-    except OSError as error:
-        raise NavbakeError(f"cannot write into {batch.folder}: {error.strerror}") from error
+    with only_batch(batch.folder), closing(Index(batch.folder)) as index:
+        return _run(orders, index, means, watch)
 
 
 def _check_settings(batch: Batch) -> None:

@@ -222,12 +222,13 @@ class _Crew:
             waiting.appendleft(task)
 
     def _start(self) -> None:
-        worker = _Worker(self._work, self._limits)
-        self._workers.append(worker)  # before it starts: then `end` knows of it
         try:
+            worker = _Worker(self._work, self._limits)
+            self._workers.append(worker)  # before it starts: then `end` knows of it
             worker.start()
         except OSError as error:
-            self._remove(worker)
+            if self._workers and self._workers[-1].process.pid is None:
+                self._remove(self._workers[-1])
             self._count_failed_start(str(error.strerror))
 
     def _remove(self, worker: _Worker) -> None:

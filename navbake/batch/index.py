@@ -26,10 +26,11 @@ def only_batch(folder: Path) -> Iterator[None]:
     """Be the only batch that writes into a folder; the system ends that with the process.
 
     Raises:
-        NavbakeError: another one does.
-        OSError: the folder can't be written.
+        NavbakeError: another one does, or the folder can't be made or written.
     """
-    descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+    with _naming(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
     try:
         if fcntl is not None:
             try:
@@ -59,22 +60,26 @@ def read_index(folder: Path) -> dict[str, Json]:
 class Index:
     """The index of a folder, to which one batch adds lines.
 
+    All that it does raises a NavbakeError where the folder can't be written.
+
     Attributes:
         known: the rows that were there before, by id.
     """
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / NAME
-        self._file = os.open(self._path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666)
-        content = self._path.read_bytes()
-        self.known = _parse(content)
-        if content and not content.endswith(b"\n"):
-            os.write(self._file, b"\n")  # ends a line that was cut off
-        self._begin = os.fstat(self._file).st_size
+        with _naming(folder):
+            self._file = os.open(self._path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666)
+            content = self._path.read_bytes()
+            self.known = _parse(content)
+            if content and not content.endswith(b"\n"):
+                os.write(self._file, b"\n")  # ends a line that was cut off
+            self._begin = os.fstat(self._file).st_size
 
     def add(self, row: Json) -> None:
         """Add a scene's line, in one write."""
-        os.write(self._file, _line(row))
+        with _naming(self._path.parent):
+            os.write(self._file, _line(row))
 
     def finish(
         self, ids: Iterable[str], skipped: Collection[str], left: Callable[[str], Json]
@@ -93,13 +98,23 @@ class Index:
         added = _parse(self._path.read_bytes()[self._begin :])
         own = {id: added.get(id) or (self.known[id] if id in skipped else left(id)) for id in ids}
         others = [row for id, row in self.known.items() if id not in own]
-        write_whole(b"".join(map(_line, [*own.values(), *others])), self._path)
+        with _naming(self._path.parent):
+            write_whole(b"".join(map(_line, [*own.values(), *others])), self._path)
         return [*own.values()]
 
     def close(self) -> None:
         """Give the file back; its lines stay."""
         with suppress(OSError):
             os.close(self._file)
+
+
+@contextmanager
+def _naming(folder: Path) -> Iterator[None]:
+    """Turn what the system refuses into an error that names the folder."""
+    try:
+        yield
+    except OSError as error:
+        raise NavbakeError(f"cannot write into {folder}: {error.strerror}") from error
 
 
 def _parse(content: bytes) -> dict[str, Json]:
