@@ -48,7 +48,7 @@ class RoomMarks:
         self.keep(scene)
 
     def keep(self, scene: Scene) -> None:
-        """Take the sites' poses for those that the next ones are compared with."""
+        """Take the sites' poses and sizes for those that the next ones are compared with."""
         self._poses = self._poses_of(scene)
 
     def have_moved(self, scene: Scene, moved: Bool) -> bool:
@@ -58,7 +58,9 @@ class RoomMarks:
 
     def _poses_of(self, scene: Scene) -> Float:
         data = scene.data
-        return np.hstack([data.site_xpos[self._sites], data.site_xmat[self._sites]])
+        placed = data.site_xpos, data.site_xmat, scene.model.site_size
+        shape = scene.model.site_type[self._sites, None]
+        return np.hstack([*(array[self._sites] for array in placed), shape])
 
 
 class Seen(NamedTuple):

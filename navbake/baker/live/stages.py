@@ -163,7 +163,11 @@ class LiveStages:
         cropped = find_cropped(now.lattice, bounds)
         if not np.array_equal(cropped, self._cropped):
             raise NotLocal("the scene goes on beyond the grid at another side")
-        if old is None or new is None or np.array_equal(old, new):
+        if old is None and new is None:
+            return
+        if old is None or new is None:
+            raise NotLocal("the scene has become endless, or is no longer")
+        if np.array_equal(old, new):
             return
         lattice = lay_lattice(now.scene, config)
         if lattice != was.lattice or lay_whole(lattice, new, config.grid.max_cells) != was.judged:

@@ -187,4 +187,6 @@ def test_settings_that_changed_are_listed(doors):
     grid, _, _ = doors
     other = grid.inflate(0.3)
     assert list_settings(grid, grid) == []
-    assert {row["what"] for row in list_settings(grid, other)} == {"inflation"}
+    changed = {row["what"]: row["second"] for row in list_settings(grid, other)}
+    assert changed["inflation.0.radius"] == "0.3"
+    assert all(key.startswith("inflation.0.") for key in changed)
