@@ -39,7 +39,7 @@ def describe_cells(grid: NavGrid, number: int) -> Json:
     floor, floor_from = to_steps(level.floor[shown], MILLIMETRE)
     free = level.free[shown]
     weight, weights = number_distinct(np.where(free, level.weights[shown], np.inf))
-    away, _ = to_steps(clearance(level)[shown].astype(np.float64), MILLIMETRE)
+    away, _ = to_steps(clearance(level)[shown].astype(np.float64), MILLIMETRE, 0.0)
     names, name_lists = _number_names(level)
     return {
         "every": every,
