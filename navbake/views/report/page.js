@@ -5,6 +5,7 @@ const find = (id) => document.getElementById(id);
 const canvas = find("canvas"), pen = canvas.getContext("2d");
 const GOLDEN = 137.5; // degrees of hue between the colours of kinds of marks
 const NEAR = 9; // how near the pointer is to a mark that it points at [pixels]
+const ABOVE = 14; // by which the name of a point stands over it [pixels]
 const BAR = 110; // longest bar of the scale [pixels]
 
 const state = { sheet: 0, level: 0, layer: "", hidden: new Set(), pointed: null };
@@ -134,6 +135,7 @@ const toWorld = (px, py) => [view.x + (px - canvas.clientWidth / 2) / view.scale
 const shownMarks = () => (level().marks || []).filter((mark) => !state.hidden.has(mark.kind));
 
 function draw() {
+  if (!level()) return; // two grids may have no level in common
   const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
   if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
     canvas.width = Math.round(width * ratio);
@@ -187,13 +189,15 @@ function drawPointer(x, y) {
 }
 
 // Names of rooms: those that fit into their rooms, in full or as their number; none over another.
+// A name without a width is that of a point, and stands over it.
 function drawLabels(drawn) {
   pen.font = "600 13px system-ui, sans-serif";
   pen.textAlign = "center";
   pen.textBaseline = "middle";
   const taken = [];
   for (const label of [...drawn.labels].sort((a, b) => b.width - a.width)) {
-    const [px, py] = toPixels(label.x, label.y), room = label.width * view.scale;
+    const [px, middle] = toPixels(label.x, label.y), py = label.width ? middle : middle - ABOVE;
+    const room = label.width ? label.width * view.scale : Infinity;
     const text = [label.text, label.fallback].find((each) => pen.measureText(each).width < room);
     if (!text) continue;
     const half = pen.measureText(text).width / 2 + 2;
@@ -252,7 +256,7 @@ function buttons(box, entries, isOn, choose) {
 function showSheet() {
   const own = sheet();
   buttons("grids", content.sheets.length > 1 ? content.sheets.map((each, i) => [i, each.name]) : [], (i) => i === state.sheet, (i) => {
-    Object.assign(state, { sheet: i, level: Math.min(state.level, content.sheets[i].levels.length - 1), pointed: null });
+    Object.assign(state, { sheet: i, level: Math.max(0, Math.min(state.level, content.sheets[i].levels.length - 1)), pointed: null });
     showSheet();
   });
   find("facts").replaceChildren(...own.facts.map(([name, value]) => {
