@@ -106,6 +106,27 @@ def draw_voxels() -> bytes:
     return content.getvalue()
 
 
+def draw_viewer() -> bytes:
+    """The page of `navbake view`."""
+    return _of_page("take_viewer")
+
+
+def draw_report() -> bytes:
+    """A page that `navbake report` writes."""
+    return _of_page("take_report")
+
+
+def _of_page(name: str) -> bytes:
+    # imports the tests' browser, which the other pictures do without
+    import page_pictures
+
+    missing = page_pictures.why_no_browser()
+    if missing:
+        raise SystemExit(f"cannot take the picture of a page: {missing}")
+    taken: bytes = getattr(page_pictures, name)()
+    return taken
+
+
 PICTURE_MAKERS: dict[str, Callable[[], bytes]] = {
     "house": draw_house,
     "apartment": draw_apartment,
@@ -118,6 +139,8 @@ PICTURE_MAKERS: dict[str, Callable[[], bytes]] = {
     "path": draw_path,
     "rooms": draw_rooms,
     "voxels": draw_voxels,
+    "viewer": draw_viewer,
+    "report": draw_report,
 }
 
 

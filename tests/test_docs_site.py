@@ -1,0 +1,44 @@
+"""docs/ become a site: every link and anchor leads somewhere, and no page loads from elsewhere."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+
+import pytest
+
+from project_paths import ROOT
+
+pytest.importorskip("material", reason="mkdocs-material is not installed")
+LOADED = re.compile(r"<(?:script|link|img|iframe)\b[^>]*\b(?:src|href)=[\"']?([^\"' >]+)")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-d", str(folder)]
+    # strict: what mkdocs warns of, such as a link to a page that isn't there, is an error
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_every_page_of_docs_is_on_the_site(site):
+    pages = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"README"}
+    pages |= {"index", "readme", "contributing", "examples", "404"}
+    assert {path.stem for path in site.glob("*.html")} == pages
+
+
+def test_nothing_is_loaded_from_elsewhere(site):
+    for page in site.glob("*.html"):
+        loaded = LOADED.findall(page.read_text(encoding="utf-8"))
+        assert loaded, page
+        assert [url for url in loaded if "//" in url] == [], page
+
+
+def test_links_to_files_of_the_project_lead_to_pages(site):
+    text = (site / "index.html").read_text(encoding="utf-8")
+    for target in ("readme.html", "contributing.html", "examples.html"):
+        assert target in text
+    assert "../README.md" not in text
