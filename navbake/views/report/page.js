@@ -74,7 +74,7 @@ function describe(shown, x, y) {
   if (!arrays) return lines[0];
   const at = Math.floor(row / cells.every) * arrays.cols + Math.floor(col / cells.every);
   const floor = arrays.floor[at], weight = cells.weights[arrays.weight[at]], free = weight !== null;
-  const height = floor < 0 ? "no floor" : `floor ${fixed(cells.floorFrom + floor / 1000, 3)} m`;
+  const height = floor < 0 ? "no floor" : `floor ${fixed(cells.floorFrom + floor * cells.floorStep, 3)} m`;
   lines[0] += `: ${height}, ${free ? "free" : "blocked"}`;
   const facts = [];
   if (free && weight !== 1) facts.push(`weight ${weight}`);
