@@ -19,7 +19,7 @@ from navbake.navgrid.doors import Door, Runs, to_runs
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.user_data import UserData
-from navbake.types import Int, Json
+from navbake.types import Bool, Float, Int, Json
 
 
 class Standing(NamedTuple):
@@ -30,11 +30,14 @@ class Standing(NamedTuple):
         user_data: gives the names of a level's cells in a window; None where none are wanted.
         floors: the floor of each level as it is written, shape (height, width) of the whole
             lattice, float32; None where that is to be made.
+        weigh: gives the weights of a level's cells, which may know those of the last grid; None
+            where all are to be made.
     """
 
     notes: ContentNotes | None
     user_data: Callable[[int, Window], UserData] | None
     floors: list[NDArray[np.float32]] | None = None
+    weigh: Callable[[Bool], Float] | None = None
 
     @classmethod
     def of(cls, stages: Stages) -> Standing:
@@ -107,11 +110,16 @@ def _level_grid(
         cell_size=part.cell_size,
         min_yup=(part.x_min, written_ground(level), 0.0 - part.y_max),
         bbox_yup=box,
-        weights=np.where(occupied, np.inf, 1.0),
+        weights=(standing.weigh or weigh)(occupied),
         attributes=attributes,
         user_data=user_data,
         metadata=metadata,
     )
+
+
+def weigh(occupied: Bool) -> Float:
+    """The weights of a level's cells: infinite where they are occupied."""
+    return np.where(occupied, np.inf, 1.0)
 
 
 def _metadata(

@@ -36,6 +36,7 @@ from navbake.baker.occupancy.occupancy import (
 )
 from navbake.baker.rooms.overhead import Overhead, OverheadFinder
 from navbake.baker.rooms.rooms import Blocked, Rooms, find_rooms
+from navbake.baker.rooms.segmentation import SpaceFinder
 from navbake.baker.scene.guard.isolated import CompileLimits
 from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.scene import Scene, load_scene
@@ -262,7 +263,13 @@ class Stages:
                     Blocked(contents.wall_cells(number), contents.low_cells(number))
                     for number in range(len(floors.levels))
                 ]
-            return find_rooms(self.doorless, overhead, floors, blocked, config.rooms, config.agent)
+            settings = config.rooms, config.agent, self.spaces
+            return find_rooms(self.doorless, overhead, floors, blocked, *settings)
+
+    @cached_property
+    def spaces(self) -> SpaceFinder | None:
+        """Keeps the spaces between gaps that `rooms` finds; None where nobody asks again."""
+        return None
 
     @cached_property
     def _cells(self) -> _Cells:

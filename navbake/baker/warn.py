@@ -21,6 +21,7 @@ from navbake.config.settings import BakeConfig
 from navbake.errors import printable
 from navbake.types import Int
 
+SPARSE = 64  # a first look at floors reads one row of so many
 MAX_MOVABLE = 3  # bodies with a free joint that a warning names at most
 
 
@@ -175,7 +176,7 @@ def warn_movable(scene: Scene, taken: Int, cell_area: float) -> list[str]:
     bodies = np.flatnonzero(taken)
     if not len(bodies):
         return []
-    first = bodies[np.lexsort((bodies, -taken[bodies]))][:MAX_MOVABLE].tolist()
+    first = bodies[np.argsort(-taken[bodies], kind="stable")][:MAX_MOVABLE].tolist()
     named = [
         f"{body_name(scene.model, body)!r} ({int(taken[body]) * cell_area:.2f} m²)"
         for body in first
@@ -205,9 +206,13 @@ def _warn_hidden_ground(scene: Scene, floors: Floors, config: BakeConfig) -> lis
     """Warn of an infinite level plane that lies lower than all floors of the grid."""
     if config.grid.bounds is not None or config.grid.margin > 0:
         return []
-    planes = scene.shapes.planes
+    planes, step = scene.shapes.planes, config.agent.traversable_floor_height
+    # most planes aren't lower than the floor of some cells
+    rows = [level.floor[::SPARSE] for level in floors.levels]
+    some = min(float(np.fmin.reduce(row, axis=None, initial=np.inf)) for row in rows)
+    if not (planes.pos[:, 2] < some - step).any():
+        return []
     lowest = min(float(np.nanmin(level.floor)) for level in floors.levels)
-    step = config.agent.traversable_floor_height
     for geom, point, normal in zip(planes.geom, planes.pos, planes.normal, strict=True):
         if normal[2] >= 1.0 - 1e-9 and point[2] < lowest - step:
             return [

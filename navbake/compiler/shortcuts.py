@@ -120,11 +120,11 @@ def shortcuts(codegen: Any) -> Iterator[None]:
 
     threshold = gc.get_threshold()
     before = [getattr(owner, name) for owner, name, _ in REPLACED]
-    if threshold[0] > 0:  # else Python never looks
-        gc.set_threshold(max(threshold[0], BETWEEN_COLLECTIONS), *threshold[1:])
-    for owner, name, function in REPLACED:
-        setattr(owner, name, function)
     try:
+        if threshold[0] > 0:  # else Python never looks
+            gc.set_threshold(max(threshold[0], BETWEEN_COLLECTIONS), *threshold[1:])
+        for owner, name, function in REPLACED:
+            setattr(owner, name, function)
         with library_class(codegen, LeanLibrary):
             yield
     finally:

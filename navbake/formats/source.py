@@ -126,7 +126,10 @@ def _check_head(head: bytes, top: JsonPath) -> None:
     if not head:
         top.fail("expected a NavGrid JSON object, got nothing")
     if text and not text.startswith(b"{"):
-        top.fail(f"expected a NavGrid JSON object, got {shown(text[:8])[1:]}…")
+        top.fail(
+            f"expected a NavGrid JSON object, got {shown(text[:8])[1:]}…; navbake convert makes "
+            "one of a map or an archive, navbake bake of a scene"
+        )
 
 
 def _read_rest(head: bytes, stream: BinaryIO | gzip.GzipFile, limit: int, top: JsonPath) -> bytes:

@@ -22,6 +22,7 @@ from navbake.errors import ConfigError, QueryError
 from navbake.navgrid.grid_base import GridBase
 from navbake.types import Json
 
+SCENES = "scenes"  # the folder beside settings in which scenes often are, as those of the samples
 SceneSource = BakeConfig | str | PathLike[str] | Mapping[str, Any] | Any
 """Settings, the path of a YAML or of a scene file, the YAML as a mapping, or a scene in memory."""
 
@@ -138,12 +139,14 @@ def _find_file(grid: GridBase, stated: Json, grid_path: Path | None) -> Path:
         )
     folders = list(dict.fromkeys([grid_path.parent if grid_path else Path(), Path()]))
     for folder in folders:
-        if (folder / Path(name).name).is_file():
-            return folder / Path(name).name
+        # beside the grid, or where samples have it
+        for place in (folder / Path(name).name, folder / SCENES / Path(name).name):
+            if place.is_file():
+                return place
     names = [str(folder) if str(folder) != "." else "the current folder" for folder in folders]
     raise NoSceneError(
         f"the scene {Path(name).name} that {grid.scene_id or 'the grid'} was baked from isn't in "
-        f"{' or '.join(names)}: give its path, or the settings of its bake"
+        f"{' or '.join(names)}: give its path, or the settings of its bake (--scene)"
     )
 
 

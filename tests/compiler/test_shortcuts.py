@@ -147,6 +147,31 @@ def test_numba_is_as_it_was_afterwards():
     assert (threshold, copy) == (gc.get_threshold(), inline_closurecall.copy)
 
 
+class Stubborn:
+    """Something of numba's that cannot be replaced: the attempt ends in an error."""
+
+    own = "numba's"
+
+    def __setattr__(self, name, value):
+        if value != self.own:
+            raise KeyboardInterrupt
+
+
+def test_numba_is_as_it_was_where_replacing_ends_half_way(monkeypatch):
+    owners = [(owner, name) for owner, name, _ in replaced.REPLACED]
+    before = [getattr(owner, name) for owner, name in owners]
+    half = (*replaced.REPLACED[:3], (Stubborn(), "own", "ours"), *replaced.REPLACED[3:])
+    monkeypatch.setattr(replaced, "REPLACED", half)
+    threshold = gc.get_threshold()
+    with (
+        pytest.raises(KeyboardInterrupt),
+        module.shortcuts(cpu_target.target_context.codegen()),
+    ):
+        pass
+    assert [getattr(owner, name) for owner, name in owners] == before
+    assert gc.get_threshold() == threshold
+
+
 @pytest.mark.parametrize(("own", "expected"), [(700, 200_000), (10**6, 10**6), (0, 0)])
 def test_garbage_is_looked_for_seldom_or_never(own, expected):
     threshold = gc.get_threshold()

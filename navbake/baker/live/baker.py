@@ -40,8 +40,9 @@ class Changes(NamedTuple):
 
     Attributes:
         grid: the grid as it is now, `Baker.grid`.
-        cells: for each level, the ids of the cells whose floor, room, occupancy or weight is
-            another one, ascending, int64; id = col + row * width.
+        cells: for each level, the ids of the cells of which any layer is another one (floor, room,
+            occupancy with weight, and those of `attributes`), ascending, int64;
+            id = col + row * width.
         is_new: whether the grid's levels or their rectangles are others: then all cells are
             listed.
         reason: why the whole scene was baked again; empty where only what is near to what moved
@@ -102,9 +103,9 @@ class Baker:
             first = take_first_look(config, StageClock(), opened=opened)
             self._scene = FollowedScene(config, opened, first.scene)
             self._poses = Poses(opened.model, first.scene.data, str(config.scene.path))
-            self._passes: list[LiveStages] | None = None
-            self._bake(first)
-            self._grid = self._build()
+            # None while they are brought up to date, and after that has failed
+            self._passes: list[LiveStages] | None = self._bake(first)
+            self._grid = self._build(self._passes[-1])
         for warning in self._grid.warnings:
             warnings.warn(warning, BakeWarning, stacklevel=2)
 
@@ -155,16 +156,20 @@ class Baker:
         with self._lock, limit_threads(self._threads):
             pose = self._poses.take(data, bodies, joints)
             moved = self._scene.pose(pose)
-            reason = self._follow(moved)
+            # an error, or an interruption, anywhere below: the next update bakes all again
+            known, self._passes = self._passes, None
+            passes, reason = self._follow(known, moved)
+            old, grid = self._grid, self._build(passes[-1])
+            cells, is_new = _compare(old, grid)
             self._poses.keep()
             self._scene.keep(moved.scene, np.flatnonzero(moved.every))
-            old, self._grid = self._grid, self._build()
-            cells, is_new = _compare(old, self._grid)
-            return Changes(self._grid, cells, is_new, reason, time.perf_counter() - begin)
+            self._grid, self._passes = grid, passes
+            return Changes(grid, cells, is_new, reason, time.perf_counter() - begin)
 
-    def _follow(self, moved: Moved) -> str:
-        """Bring the stages up to date, or find them anew; returns why."""
-        passes, self._passes = self._passes, None
+    def _follow(
+        self, passes: list[LiveStages] | None, moved: Moved
+    ) -> tuple[list[LiveStages], str]:
+        """Bring the stages up to date, or find them anew; with why."""
         try:
             if passes is None:
                 raise NotLocal("the last update failed")
@@ -174,15 +179,13 @@ class Baker:
                 one.follow(moved, differ)
                 if rejected != {candidate.id for candidate in one.stages.doors.rejected}:
                     raise NotLocal("another body is a door, or none any more")
-            self._passes = passes
         except NotLocal as why:
             LOG.debug("all is baked again: %s", why)
             opened = self._opened._replace(data=moved.scene.data)
-            self._bake(take_first_look(self._config, StageClock(), opened=opened))
-            return str(why)
-        return ""
+            return self._bake(take_first_look(self._config, StageClock(), opened=opened)), str(why)
+        return passes, ""
 
-    def _bake(self, first: Stages) -> None:
+    def _bake(self, first: Stages) -> list[LiveStages]:
         """Find all stages; see `settle_doors`."""
         self._search = CandidateSearch(self._config, first.scene, first.candidates)
         passes = [LiveStages(first)]
@@ -190,11 +193,9 @@ class Baker:
             last = passes[-1].stages
             kept = [candidate for candidate in last.candidates if candidate not in rejected]
             passes.append(LiveStages(replace(last, candidates=kept)))
-        self._passes = passes
+        return passes
 
-    def _build(self) -> NavGrid:
-        assert self._passes is not None
-        live = self._passes[-1]
+    def _build(self, live: LiveStages) -> NavGrid:
         standing = None
         if live.contents is not None:
             contents = live.contents
@@ -204,7 +205,7 @@ class Baker:
                 def named(level: int, window: Any) -> Any:
                     return contents.user_data(window)
 
-            standing = Standing(contents.notes(), named, live.floor_layers)
+            standing = Standing(contents.notes(), named, live.floor_layers, live.weigh)
         return build_grid(live.stages, standing)
 
 

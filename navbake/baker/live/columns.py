@@ -120,12 +120,15 @@ class LiveColumns:
         places = np.arange(len(columns.z))
         every = Region(np.arange(len(self._is_cracked)), columns.crossings, places)
         no_sheet = np.full(len(places), -1, dtype=np.int32)
-        self._fill(columns.crossings, self._marks(every, planes), no_sheet)
+        self._fill(columns.crossings, self._marks(every, planes), no_sheet, 0)
 
-    def _fill(self, crossings: Crossings, marks: NDArray[np.uint8], sheet: Int32) -> None:
+    def _fill(
+        self, crossings: Crossings, marks: NDArray[np.uint8], sheet: Int32, more: int
+    ) -> None:
+        """Make the pool of columns, with room for `more` crossings at least."""
         count = np.diff(crossings.start).astype(np.int32)
         self.used = len(crossings.z)
-        room = int(self.used * ROOM) + 10_000
+        room = int((self.used + more) * ROOM) + 10_000
 
         def widen(array: Any) -> Any:
             wide = np.empty((room, *array.shape[1:]), dtype=array.dtype)
@@ -258,7 +261,7 @@ class LiveColumns:
         marks = self._marks(region, planes)
         if self.used + len(marks) > len(self.pool.z):
             kept, place = kernels.gather(self.pool, np.arange(len(self.pool.first)))
-            self._fill(kept, self.pool.marks[place], self.pool.sheet[place])
+            self._fill(kept, self.pool.marks[place], self.pool.sheet[place], len(marks))
         kernels.put(self.pool, region.cells, region.columns, marks, self.used)
         self.used += len(marks)
 

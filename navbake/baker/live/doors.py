@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,11 +46,14 @@ class CandidateSearch:
         for candidate in candidates:
             self._geoms[candidate.geoms] = True
         self._qpos = scene.data.qpos[self._joints].copy()
+        self._limits = _joint_limits(model)
 
     def follow(self, scene: Scene, moved: Bool) -> dict[str, DoorCandidate]:
         """The candidates that differ now, by their ids; NotLocal where they are not the same."""
-        qpos = scene.data.qpos[self._joints]
-        if not (moved & self._geoms).any() and np.array_equal(qpos, self._qpos):
+        qpos, limits = scene.data.qpos[self._joints], _joint_limits(scene.model)
+        turns_alike = np.array_equal(limits, self._limits)
+        is_same = np.array_equal(qpos, self._qpos) and turns_alike
+        if is_same and not (moved & self._geoms).any():
             return {}
         found, _ = find_candidates(scene, self._config.doors)
         pairs = zip(self.candidates, found, strict=False)
@@ -59,10 +62,10 @@ class CandidateSearch:
         differ = {
             new.id: new
             for old, new in zip(self.candidates, found, strict=True)
-            if old.positions != new.positions or moved[old.geoms].any()
+            if old.positions != new.positions or moved[old.geoms].any() or not turns_alike
         }
         self.candidates = [differ.get(old.id, old) for old in self.candidates]
-        self._qpos = qpos.copy()
+        self._qpos, self._limits = qpos.copy(), limits
         return differ
 
 
@@ -103,10 +106,11 @@ class LiveDoors:
             around: what they stand in now.
             state: that is wanted of all.
         """
+        reach = max(SIGHT, around.footprints.whole.reach)
         again = [
             candidate
             for candidate in candidates
-            if candidate.id in differ or self._is_near(candidate.id, touched)
+            if candidate.id in differ or self._is_near(candidate.id, touched, reach)
         ]
         if not again:
             return doors
@@ -130,12 +134,12 @@ class LiveDoors:
         out = [candidate for candidate in candidates if candidate.id in rejected]
         return replace(doors, placed=now, rejected=out, warnings=warnings)
 
-    def _is_near(self, door: str, touched: Int | None) -> bool:
+    def _is_near(self, door: str, touched: Int | None, reach: float) -> bool:
         if touched is None:
             return True
         cell = self._lattice.cell_size
         box = self._reach[door].box[None]
-        near = cells_of_boxes(self._lattice, box, SIGHT + 2 * cell, 1.0, self._scratch.flag)
+        near = cells_of_boxes(self._lattice, box, reach + 2 * cell, 1.0, self._scratch.flag)
         place = np.searchsorted(touched, near)
         return bool((np.append(touched, -1)[place] == near).any())
 
@@ -167,6 +171,13 @@ class LiveDoors:
                 box[:3] = np.minimum(box[:3], known.box[:3])
                 box[3:] = np.maximum(box[3:], known.box[3:])
             self._reach[name] = Reach(box, name in wide)
+
+
+def _joint_limits(model: Any) -> Float:
+    """How joints turn and how far, shape (njnt, 9); users write there."""
+    limited = np.asarray(model.jnt_limited, dtype=np.float64)
+    states = model.jnt_range, limited[:, None], model.jnt_axis, model.jnt_pos
+    return np.hstack(states)
 
 
 def _are_alike(one: DoorCandidate, other: DoorCandidate) -> bool:

@@ -59,12 +59,11 @@ class FollowedScene:
     def keep(self, scene: Scene, moved: Int) -> None:
         """Take a scene for the one that the next pose is compared with; `moved` are geoms' ids."""
         model = scene.model
-        self.scene = scene
-        self._chosen = [np.array(getattr(model, name)) for name in CHOOSING]
-        self._poses = _poses_of(scene.data)
         room = self._room(scene.data)
         for geom in moved[model.geom_type[moved] == MESH].tolist():
             self._is_large[geom] = room.is_large(geom)
+        chosen = [np.array(getattr(model, name)) for name in CHOOSING]
+        self.scene, self._chosen, self._poses = scene, chosen, _poses_of(scene.data)
 
     def _room(self, data: Any) -> HiddenRoom:
         scene, config = self._first, self._config

@@ -59,7 +59,7 @@ class LiveKinds:
         self.support, num = self._describe(floors.levels[0], crossings), len(scene.geoms)
         self._extents = measure_geoms(scene.shapes, num)
         self._is_static = is_static(scene)
-        self._is_surface = is_surface(scene)
+        self._reports, self._is_surface = scene.geoms, is_surface(scene)
         self.candidates = candidates_of(self._is_static, self._is_surface, self._extents)
         over = measure_over_floors(contents.levels, floors, self._extents)
         cells = live.lattice.cell_size**2
@@ -78,6 +78,8 @@ class LiveKinds:
         for old, now in zip(extents, new, strict=True):
             old[moved] = now[moved]
         self._extents = extents
+        if scene.geoms is not self._reports:  # others count, or as something else
+            self._reports, self._is_surface = scene.geoms, is_surface(scene)
         self.candidates = candidates_of(self._is_static, self._is_surface, extents)
 
     def follow(

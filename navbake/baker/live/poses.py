@@ -23,6 +23,7 @@ class Poses:
     def __init__(self, model: Any, data: Any, name: str) -> None:
         self._model, self._name = model, name
         self._now, self._next = data, data_with_joints(model, data, {})
+        self._kept = _pose_of(data)
         self._bodies = {body_name(model, body): body for body in range(model.nbody - 1, 0, -1)}
         self._joints = {joint_name(model, joint): joint for joint in range(model.njnt - 1, -1, -1)}
 
@@ -53,11 +54,13 @@ class Poses:
 
     def copy(self) -> tuple[Float, Float, Float]:
         """The joint positions of now, the mocap bodies' positions, and their quaternions."""
-        now = self._now
-        return now.qpos.copy(), now.mocap_pos.copy(), now.mocap_quat.copy()
+        qpos, position, quaternion = self._kept
+        return qpos.copy(), position.copy(), quaternion.copy()
 
     def keep(self) -> None:
         """Let the next pose be the one of now."""
+        # whoever reads the pose on another thread has the last one, or this one
+        self._kept = _pose_of(self._next)
         self._now, self._next = self._next, self._now
 
     def _place_body(self, pose: Any, name: str, placed: ArrayLike) -> None:
@@ -108,6 +111,10 @@ class Poses:
             body = int(self._model.jnt_bodyid[joint])
             what = f"body {body_name(self._model, body)!r}"
         raise QueryError(f"expected numbers as the pose of {what}, got NaN or infinity")
+
+
+def _pose_of(data: Any) -> tuple[Float, Float, Float]:
+    return data.qpos.copy(), data.mocap_pos.copy(), data.mocap_quat.copy()
 
 
 def _numbers(given: ArrayLike, what: str) -> Float:

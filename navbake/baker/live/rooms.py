@@ -48,7 +48,7 @@ class RoomMarks:
         self.keep(scene)
 
     def keep(self, scene: Scene) -> None:
-        """Take the sites' poses for those that the next ones are compared with."""
+        """Take the sites' poses and sizes for those that the next ones are compared with."""
         self._poses = self._poses_of(scene)
 
     def have_moved(self, scene: Scene, moved: Bool) -> bool:
@@ -58,7 +58,9 @@ class RoomMarks:
 
     def _poses_of(self, scene: Scene) -> Float:
         data = scene.data
-        return np.hstack([data.site_xpos[self._sites], data.site_xmat[self._sites]])
+        placed = data.site_xpos, data.site_xmat, scene.model.site_size
+        shape = scene.model.site_type[self._sites, None]
+        return np.hstack([*(array[self._sites] for array in placed), shape])
 
 
 class Seen(NamedTuple):
@@ -78,13 +80,25 @@ class Seen(NamedTuple):
 
 
 class LiveRooms:
-    """The rooms of the one level of a scene, where floors and walls are known."""
+    """The rooms of the one level of a scene, where floors and walls are known.
 
-    def __init__(self, config: BakeConfig, scene: Scene, columns: LiveColumns) -> None:
+    Args:
+        spaces: knows those that the rooms were made of.
+        floors: in which they were found.
+    """
+
+    def __init__(
+        self,
+        config: BakeConfig,
+        scene: Scene,
+        columns: LiveColumns,
+        spaces: SpaceFinder,
+        floors: Floors,
+    ) -> None:
         self._config, self._columns = config, columns
         self.marks = RoomMarks(config, scene)
-        self._spaces = SpaceFinder()
-        self._have_stairs = True  # as far as is known
+        self._spaces = spaces
+        self._have_stairs = self._find_stairs(floors.levels[0])
 
     def find(self, scene: Scene, floors: Floors, contents: LiveContents | None) -> Rooms:
         """Find all rooms again; the scene is without doors."""

@@ -27,6 +27,8 @@ from navbake.types import Bool, Float, Int
 SMALL, MAIN, OTHER = 0, 1, 2
 # How many surfaces are visited at most to measure a small sheet, and to give all of it to another
 MEASURED, UNITED = 20_000, 2_000_000
+# Sheets are numbered anew when there are so many more numbers than were in use the last time
+SPARE_NUMBERS = 4096
 # So many blocks are worth a call on another thread
 LEAST_BLOCKS = 8
 
@@ -79,9 +81,8 @@ class LiveSheets:
         num = len(size)
         kind = np.where(judged.large.sheet_size > 0, OTHER, SMALL).astype(np.uint8)
         kind[self.main] = MAIN
-        room = num + 1024
-        self._kind, self._size = np.zeros(room, dtype=np.uint8), np.zeros(room, dtype=np.int64)
-        self._kind[:num], self._size[:num], self._num = kind, size, num
+        self._kind, self._size, self._num = kind, size.copy(), num
+        self._in_use = num  # numbers, when they were given the last time
         # of a small sheet at most so many cells are left when it is shrunk
         self._inner = self._size.copy()
         for sheet, members in every.members(np.flatnonzero((size >= self.needed) & (kind == 0))):
@@ -120,6 +121,8 @@ class LiveSheets:
             These cells, and all others where surfaces joined or left the floor, ascending.
         """
         self._joined, self._grown = [changed], []
+        if self._num > 2 * self._in_use + SPARE_NUMBERS:
+            self._number_anew()
         self._label(changed)
         self._cut_off_parts()
         return np.unique(np.concatenate(self._joined))
@@ -166,13 +169,25 @@ class LiveSheets:
     def _make_room(self, count: int) -> int:
         """Make room for some more sheets; gives the number of the first."""
         first, self._num = self._num, self._num + count
-        more = self._num - len(self._kind)
-        if more > 0:
-            wide = np.zeros(more + len(self._kind), dtype=np.int64)
+        if self._num > len(self._kind):  # twice as much, as copies take time
+            wide = np.zeros(self._num, dtype=np.int64)
             self._kind = np.concatenate([self._kind, wide.astype(np.uint8)])
             self._size = np.concatenate([self._size, wide])
             self._inner = np.concatenate([self._inner, wide])
         return first
+
+    def _number_anew(self) -> None:
+        """Number the sheets that are left; else their arrays would grow with each update."""
+        pool = self._live.pool
+        _, _, place = gather_standable(pool, np.arange(len(pool.first)))
+        sheet = pool.sheet[place]
+        is_left = np.zeros(self._num, dtype=np.bool_)
+        is_left[sheet[sheet >= 0]] = is_left[self.main] = True
+        number = np.cumsum(is_left, dtype=np.int32) - 1
+        pool.sheet[place[sheet >= 0]] = number[sheet[sheet >= 0]]
+        self.main, left = int(number[self.main]), np.flatnonzero(is_left)
+        self._kind, self._size = self._kind[left], self._size[left]
+        self._inner, self._num, self._in_use = self._inner[left], len(left), len(left)
 
     def _join(self, cells: Int, places: Int) -> None:
         """Give the new surfaces of a part the sheet of the others."""
@@ -184,7 +199,9 @@ class LiveSheets:
             raise NotLocal("another floor, a top or a roof grows")
         to = self.main if self.main in known else int(known[np.argmax(self._size[known])])
         if to != self.main:
-            self._inner[to] = self._inner[known].sum()
+            # of several, cells at their seam may be left together, also far from what is new
+            most = self._inner if len(known) == 1 else self._size
+            self._inner[to] = most[known].sum()
             self._grown.append((to, cells[is_new], places[is_new]))
         pool.sheet[places[is_new]] = to
         self._size[to] += np.count_nonzero(is_new)
@@ -195,8 +212,9 @@ class LiveSheets:
     def _check_grown(self) -> None:
         """Make sure that small sheets that have grown, or become one, are too small for a floor.
 
-        What is left of one when it is shrunk is at most what was left of its parts, and what is
-        left near the new surfaces, if all small sheets there were one.
+        What is left of one when it is shrunk is at most what was left of it before, and what is
+        left near the new surfaces, if all small sheets there were one. Where several become one,
+        all of them may be left.
         """
         for to, cells, places in self._grown:
             size = int(self._size[to])

@@ -53,6 +53,7 @@ def samples(
         "-o",
         "--output",
         metavar="FOLDER",
+        show_default=False,
         help="Where to copy them to.  [default: the current folder]",
     ),
 ) -> None:

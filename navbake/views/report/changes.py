@@ -141,10 +141,14 @@ def _areas(first: NavGrid, second: NavGrid) -> str:
 
 
 def _warnings(first: NavGrid, second: NavGrid) -> list[str]:
+    lines = []
+    if first.scene_id != second.scene_id:
+        lines.append(f"the scenes are two: {first.scene_id!r} and {second.scene_id!r}")
     sizes = [grid.levels[0].lattice.cell_size for grid in (first, second)]
     if abs(sizes[0] - sizes[1]) <= 1e-9:
-        return []
+        return lines
     return [
+        *lines,
         f"cells of {sizes[0]:g} m are compared with the cells of {sizes[1]:g} m "
-        "in which their centres lie"
+        "in which their centres lie",
     ]

@@ -15,6 +15,8 @@ from navbake.views.report.cells import describe_cells
 from navbake.views.report.pictures import draw_layers
 from navbake.views.report.tables import flatten, table
 
+WAYS = {"link": "steps"}  # as `navbake rooms` has it
+
 if TYPE_CHECKING:
     from navbake.auditor.report import AuditReport
 
@@ -116,7 +118,7 @@ def _rooms_table(grid: NavGrid) -> Json:
     rows = []
     for room in grid.rooms:
         opens_to = [
-            f"{names.get(near.room, near.room)} ({near.door or near.kind})"
+            f"{names.get(near.room, near.room)} ({near.door or WAYS.get(near.kind, near.kind)})"
             for near in room.neighbours
         ]
         where = ", ".join(f"{value:.2f}" for value in room.centroid)

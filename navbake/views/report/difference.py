@@ -235,5 +235,5 @@ def _settings_of(grid: NavGrid) -> Json:
     own: Json = {
         key: grid.navbake[key] for key in ("settings", "sceneDigest") if key in grid.navbake
     }
-    facts = {"cellSize": grid.cell_size * grid.unit, "agentRadius": grid.agent_radius}
+    facts = {"cell size": f"{grid.cell_size * grid.unit:g} m", "radius": f"{grid.agent_radius:g} m"}
     return {**own, **facts, "inflation": grid.metadata.get("inflation")}

@@ -8,6 +8,7 @@ const NEAR = 9; // how near the pointer is to a mark that it points at [pixels]
 const ABOVE = 14; // by which the name of a point stands over it [pixels]
 const BAR = 110; // longest bar of the scale [pixels]
 
+const HINT = "Point at a cell to read what the grid knows of it. Drag to move, scroll to zoom.";
 const state = { sheet: 0, level: 0, layer: "", hidden: new Set(), pointed: null };
 const view = { x: 0, y: 0, scale: 1 }; // world x, y [m] of the canvas' middle, pixels a metre
 const pictures = new Map(), unpacked = new Map();
@@ -89,6 +90,11 @@ function describe(shown, x, y) {
   if (!free && blockers.length) lines.push(`blocked by ${blockers.join(", ")}`);
   else if (standing.length) lines.push(standing.join("; "));
   return lines.join("\n");
+}
+
+function forget() {
+  state.pointed = null;
+  find("pointed").textContent = HINT;
 }
 
 function tell(x, y) {
@@ -256,7 +262,8 @@ function buttons(box, entries, isOn, choose) {
 function showSheet() {
   const own = sheet();
   buttons("grids", content.sheets.length > 1 ? content.sheets.map((each, i) => [i, each.name]) : [], (i) => i === state.sheet, (i) => {
-    Object.assign(state, { sheet: i, level: Math.max(0, Math.min(state.level, content.sheets[i].levels.length - 1)), pointed: null });
+    Object.assign(state, { sheet: i, level: Math.max(0, Math.min(state.level, content.sheets[i].levels.length - 1)) });
+    forget();
     showSheet();
   });
   find("facts").replaceChildren(...own.facts.map(([name, value]) => {
@@ -276,7 +283,8 @@ function showSheet() {
 function showLevel() {
   const own = sheet(), shown = level();
   buttons("levels", own.levels.length > 1 ? own.levels.map((each, i) => [i, each.name]) : [], (i) => i === state.level, (i) => {
-    Object.assign(state, { level: i, pointed: null });
+    state.level = i;
+    forget();
     showLevel();
     draw();
   });
@@ -404,6 +412,7 @@ canvas.addEventListener("keydown", (event) => {
 });
 
 find("title").textContent = content.title;
+forget();
 buttons("zoom", [["in", "+"], ["out", "\u2212"], ["fit", "all"]], () => false, (what) => {
   if (what === "fit") { fit(); draw(); } else zoom(what === "in" ? 1.5 : 1 / 1.5);
 });

@@ -58,7 +58,8 @@ def render_report(
         verifications: what `VerifyReport.to_json` gave of each, None for none.
 
     Raises:
-        QueryError: there is no grid, or another number of names, audits or verifications.
+        QueryError: there is no grid, or another number of names, audits or verifications, or a
+            verification is of another grid, as far as its scene's name and the cells tell.
     """
     grids = [grids] if not isinstance(grids, Sequence) else list(grids)
     if not grids:
@@ -66,6 +67,8 @@ def render_report(
     for what, given in (("names", names), ("audits", audits), ("verifications", verifications)):
         if given is not None and len(given) != len(grids):
             raise QueryError(f"expected as many {what} as grids, {len(grids)}, got {len(given)}")
+    for grid, verification in zip(grids, verifications or (), strict=bool(verifications)):
+        _check_is_of(grid, verification)
     shown = _tell_apart(names or [grid.scene_id or "grid" for grid in grids])
     sheets = [
         describe_grid(grid, name, audit, verification)
@@ -80,6 +83,18 @@ def render_report(
     if len(grids) == 2:
         sheets.append(describe_changes(grids[0], grids[1], shown))
     return make_page({"title": ", ".join(shown), "sheets": sheets})
+
+
+def _check_is_of(grid: NavGrid, verification: Json | None) -> None:
+    if verification is None:
+        return
+    cells = sum(level.width * level.height for level in grid.levels)
+    stated = verification.get("sceneId"), verification["cells"]
+    if stated != (grid.scene_id, cells):
+        raise QueryError(
+            f"expected the verification of {grid.scene_id!r}, {cells} cells, got one of "
+            f"{stated[0]!r}, {stated[1]} cells: give them in the order of the grids"
+        )
 
 
 def _tell_apart(names: Sequence[str]) -> list[str]:

@@ -27,9 +27,11 @@ def table(
 
 
 def flatten(value: Any, path: str = "") -> list[tuple[str, str]]:
-    """The values in nested objects, each with its path."""
+    """The values in nested objects, each with its path; lists of objects count from 0."""
 
     def walk(part: Any, path: str) -> Iterator[tuple[str, str]]:
+        if isinstance(part, list) and any(isinstance(inner, dict) for inner in part):
+            part = dict(enumerate(part))
         if isinstance(part, dict):
             for key, inner in part.items():
                 yield from walk(inner, f"{path}.{key}" if path else str(key))

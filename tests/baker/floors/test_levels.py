@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from navbake.baker.pipeline import run_bake
+from navbake.baker.warn import SPARSE
 from navbake.config.settings import parse_config
 from navbake.errors import SceneError
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
@@ -437,4 +438,18 @@ def test_tells_of_an_endless_ground_that_the_grid_hides(tmp_path):
     assert "'ground' is endless" in warning and "the ground at 0.00 m" in warning
     result = run_bake(parse_config({**settings, "grid": {"margin": 2.0}}))
     assert result.grid.levels[0].ground == 0.0
+    assert not any("endless" in warning for warning in result.warnings)
+
+
+def test_a_pit_as_deep_as_the_endless_ground_shows_it(tmp_path):
+    """Its floor is found in rows that the first look at floors leaves out."""
+    path = tmp_path / "pit.xml"
+    plane = '<geom name="ground" type="plane" size="0 0 1"/>'
+    parts = (-4, 4, -4, -2), (-4, 4, 2, 4), (-4, -2, -2, 2), (2, 4, -2, 2)
+    plinth = "".join(box(*part, 0, 0.3) for part in parts)
+    path.write_text(f"<mujoco><worldbody>{plane}{plinth}</worldbody></mujoco>")
+    result = run_bake(parse_config({"scene": {"path": str(path)}}))
+    floors = [level.floor for level in result.grid.levels]
+    assert min(np.nanmin(floor) for floor in floors) == 0.0
+    assert min(np.nanmin(floor[::SPARSE]) for floor in floors) > 0.25
     assert not any("endless" in warning for warning in result.warnings)

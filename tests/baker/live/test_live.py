@@ -14,6 +14,8 @@ import pytest
 import navbake
 from differences import first_difference
 from navbake.baker.live.floors import LiveFloors
+from navbake.baker.live.rooms import LiveRooms
+from navbake.baker.rooms import segmentation
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "scripts"))
 
@@ -248,3 +250,25 @@ def test_after_a_pose_without_a_floor_all_is_baked_again():
     changes = baker.update(bodies={"floor": [0, 0, 0, 1, 0, 0, 0]})
     assert changes.reason
     assert first_difference(changes.grid, fresh(baker)) is None
+
+
+def test_rooms_are_made_of_the_spaces_of_the_bake(monkeypatch):
+    """Walls are parted at gaps once, when the Baker is made."""
+    baker = open_room()
+    parted = []
+    monkeypatch.setattr(LiveRooms, "follow", lambda *given: None)  # all rooms are found again
+    with monkeypatch.context() as patch:
+        patch.setattr(segmentation, "part_at_gaps", lambda *given: parted.append(given))
+        changes = baker.update(bodies={"chair": [1.5, 1.2, 0.45]})
+    assert changes.reason == "" and not parted
+    assert first_difference(changes.grid, fresh(baker)) is None
+
+
+def test_who_writes_to_a_grids_weights_changes_no_other_grid():
+    baker = open_room()
+    baker.grid.weights[:] = -1.0
+    for x in (1.5, 1.8, 1.5):
+        changes = baker.update(bodies={"chair": [x, 1.2, 0.45]})
+        assert changes.reason == ""
+        assert first_difference(changes.grid, fresh(baker)) is None
+        changes.grid.weights[:] = -1.0

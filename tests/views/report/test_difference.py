@@ -187,7 +187,9 @@ def test_settings_that_changed_are_listed(doors):
     grid, _, _ = doors
     other = grid.inflate(0.3)
     assert list_settings(grid, grid) == []
-    assert {row["what"] for row in list_settings(grid, other)} == {"inflation"}
+    changed = {row["what"]: row["second"] for row in list_settings(grid, other)}
+    assert changed["inflation.0.radius"] == "0.3"
+    assert all(key.startswith("inflation.0.") for key in changed)
 
 
 def test_levels_that_no_map_can_show_together_are_no_pair():

@@ -76,6 +76,7 @@ def test_a_reader_looks_at_two_grids(page, house, width, dark):
         assert len(set(colors.values())) == 3
         press(driver, "grids", "difference")
         press(driver, "levels", house.level_names[0])
+        assert driver.find_element("id", "pointed").text.startswith("Point at a cell")
         wait_until(lambda: driver.execute_script("return level().changes?.length > 0"), "changes")
         x, y = at_changed(house)
         words = told(driver, x, y)

@@ -156,7 +156,11 @@ def test_audits_and_verifications_are_marked(tmp_path):
         "text": "touches a lamp",
     }
     file = tmp_path / "verify.json"
-    file.write_text(json.dumps({"ok": False, "checked": 3, "cells": 13, "findings": [finding]}))
+    file.write_text(
+        json.dumps(
+            {"ok": False, "sceneId": "house", "checked": 3, "cells": 13, "findings": [finding]}
+        )
+    )
     read = read_verification(file)
     [sheet] = content_of(render_report(grid, audits=[report], verifications=[read]))["sheets"]
     marks = sheet["levels"][1]["marks"]
@@ -178,6 +182,10 @@ def test_audits_and_verifications_are_marked(tmp_path):
     assert sum(mark["kind"].startswith("audit") for mark in sheet["levels"][0]["marks"]) == len(
         placed
     )
+    with pytest.raises(QueryError, match="of 'house', 13 cells, got one of 'barn', 13 cells"):
+        render_report(grid, verifications=[{**read, "sceneId": "barn"}])
+    with pytest.raises(QueryError, match="of 'house', 13 cells, got one of 'house', 12 cells"):
+        render_report(grid, verifications=[{**read, "cells": 12}])
     read["findings"][0]["level"] = 2
     with pytest.raises(FormatError, match="levels below 2 in the verification, got 2"):
         render_report(grid, verifications=[read])

@@ -5,6 +5,7 @@ from numba import njit
 
 from navbake.baker.kernels.contents import count_candidates, list_geoms
 from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS
+from navbake.compiled import UNCOUNTED
 
 
 @njit(cache=True, nogil=True)
@@ -72,7 +73,7 @@ def replace_entries(old, cells, start, geom, flags, marked):
     return new_start, new_geom, new_flags, changed
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def count_taken(band, cells, body_of, taken, by):
     """`count_taken_cells` for some cells of a band, counted from its first."""
     for cell in cells:
@@ -93,7 +94,7 @@ def count_taken(band, cells, body_of, taken, by):
                 taken[body] += by
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def measure_entries(band, first, cells, floor, low, high, asked, measured):
     """Add what some cells of a band tell of geoms, see `measure_over_floors`.
 

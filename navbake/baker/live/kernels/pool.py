@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from navbake.baker.kernels.arrays import Crossings
+from navbake.compiled import UNCOUNTED
 from navbake.types import Int, Int32
 
 # What a surface is: one that floors may go on at, one that an agent can stand on
@@ -84,7 +85,7 @@ def gather_standable(pool, cells):
     return start, z[:at].copy(), place[:at].copy()
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def find_tops(pool, top, up):
     """The height of each cell's highest surface [m], and the z of its normal: see `Overhead`."""
     for cell in range(pool.first.shape[0]):
@@ -99,7 +100,7 @@ def _are_equal(one, other):
     return one == other and (one != 0.0 or math.copysign(1.0, one) == math.copysign(1.0, other))
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def differs(pool, cells, new, result):
     """Whether the column of each cell differs in any bit from a new one, into (n,) bool."""
     for n in range(cells.shape[0]):
@@ -116,7 +117,7 @@ def differs(pool, cells, new, result):
             result[n] = not same
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def put(pool, cells, new, marks, used):
     """Write new columns of some cells, numbered as `cells` are, behind the `used` part.
 
@@ -133,7 +134,7 @@ def put(pool, cells, new, marks, used):
                 pool.normal[j, axis] = new.normal[i, axis]
 
 
-@njit(cache=True)
+@njit(cache=True, **UNCOUNTED)
 def point_at(cells, local_start, start):
     """Let the sparse `start`, (all cells + 1,), hold the columns of some cells, ascending.
 
@@ -211,15 +212,28 @@ def replace_columns(old, numbers, new):
         start[n + 1] = start[n] + count
     total = start[num]
     z, normal, geom = np.empty(total), np.empty((total, 3), np.float32), np.empty(total, np.int32)
-    closed, k = np.empty(total, np.uint8), 0
-    for n in range(num):
-        source, j = old, old.start[n]
+    columns = Crossings(start, z, normal, geom, np.empty(total, np.uint8))
+    _copy_replaced(old, numbers, new, columns)
+    return columns
+
+
+@njit(inline="always")
+def _copy_column(source, j, into, first, last):
+    """Copy crossings, from the j-th on, to ``[first, last)`` of others."""
+    for i in range(first, last):
+        into.z[i], into.geom[i], into.closed[i] = source.z[j], source.geom[j], source.closed[j]
+        for axis in range(3):
+            into.normal[i, axis] = source.normal[j, axis]
+        j += 1
+
+
+@njit(cache=True, **UNCOUNTED)
+def _copy_replaced(old, numbers, new, into):
+    """Write the columns of `replace_columns`, whose `start` is known."""
+    start, k = into.start, 0
+    for n in range(start.shape[0] - 1):
         if k < numbers.shape[0] and numbers[k] == n:
-            source, j = new, new.start[k]
+            _copy_column(new, new.start[k], into, start[n], start[n + 1])
             k += 1
-        for i in range(start[n], start[n + 1]):
-            z[i], geom[i], closed[i] = source.z[j], source.geom[j], source.closed[j]
-            for axis in range(3):
-                normal[i, axis] = source.normal[j, axis]
-            j += 1
-    return Crossings(start, z, normal, geom, closed)
+        else:
+            _copy_column(old, old.start[n], into, start[n], start[n + 1])

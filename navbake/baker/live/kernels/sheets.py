@@ -9,6 +9,7 @@ from numba import njit
 from navbake.baker.floors.kernels.enclosed import find_holders
 from navbake.baker.floors.kernels.sheets import mark_surfaces, neighbour
 from navbake.baker.kernels.constants import SLACK
+from navbake.compiled import UNCOUNTED
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 
@@ -21,7 +22,7 @@ def _end_of_run(cells, n, end):
     return m
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def mark_region(lattice, cells, crossings, planes, limits, marks, count, first, end):
     """`mark_surfaces` for some cells alone, ``cells[first:end]``, run by run.
 

@@ -1,0 +1,96 @@
+"""Floors go on under things ring by ring, in a region as they do on the whole lattice."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from navbake.baker.floors.kernels.sheets import grow_floor
+from navbake.baker.kernels.constants import SLACK
+from navbake.baker.live.kernels.grow import regrow
+from navbake.baker.live.kernels.regions import grow_cells
+from navbake.navgrid.lattice import Lattice
+
+LATTICE = Lattice(0.0, 2.0, 0.1, 13, 11)
+CELLS = LATTICE.width * LATTICE.height
+STEP = 0.2
+# multiples of a quarter: a step is met to the last bit, and some are equally near to two
+HEIGHTS = np.arange(8) * 0.0625
+seeds = st.integers(0, 2**32 - 1)
+
+
+def draw(rng):
+    """Floors where one can stand, and in the other cells the heights at which they may go on."""
+    floor = rng.choice(HEIGHTS, CELLS)
+    floor[rng.random(CELLS) < rng.uniform(0.3, 1.0)] = np.nan
+    options = [
+        np.sort(rng.choice(HEIGHTS, rng.integers(0, 3))) if np.isnan(z) else np.empty(0)
+        for z in floor
+    ]
+    return floor, options
+
+
+def ragged(options):
+    start = np.concatenate([[0], np.cumsum([len(heights) for heights in options])])
+    return start.astype(np.int64), np.concatenate([np.empty(0), *options])
+
+
+def neighbours(cell):
+    row, col = divmod(cell, LATTICE.width)
+    for r, c in ((row, col + 1), (row + 1, col), (row, col - 1), (row - 1, col)):
+        if 0 <= r < LATTICE.height and 0 <= c < LATTICE.width:
+            yield r * LATTICE.width + c
+
+
+def grow_plainly(floor, options):
+    """Each ring looks at all cells; the floors, and the ring in which each cell got its own."""
+    floor, ring, number = floor.copy(), np.where(np.isnan(floor), -1, 0), 0
+    while True:
+        number += 1
+        new = {}
+        for cell in np.flatnonzero(np.isnan(floor)).tolist():
+            beside = [floor[other] for other in neighbours(cell) if not np.isnan(floor[other])]
+            gaps = [(abs(z - near), z) for near in beside for z in options[cell]]
+            gaps = [pair for pair in gaps if pair[0] <= STEP + SLACK]
+            if gaps:
+                new[cell] = min(gaps)[1]
+        if not new:
+            return floor, ring.astype(np.int32)
+        for cell, z in new.items():
+            floor[cell], ring[cell] = z, number
+
+
+@settings(deadline=None)  # its kernels may be compiled first
+@given(seeds)
+def test_floors_grow_patch_by_patch_as_they_do_all_at_once(seed):
+    floor, options = draw(np.random.default_rng(seed))
+    expected, _ = grow_plainly(floor, options)
+    grow_floor(LATTICE, *ragged(options), floor, STEP)
+    assert np.array_equal(floor, expected, equal_nan=True)
+
+
+@settings(deadline=None)
+@given(seeds, st.integers(1, 6))
+def test_a_region_is_decided_by_the_rings_around_it(seed, by):
+    """Where its outermost cells come out as they were, what is outside stays; else it may not."""
+    rng = np.random.default_rng(seed)
+    known, options = draw(rng)
+    floor, rings = grow_plainly(known, options)
+    changed = np.unique(rng.integers(0, CELLS, int(rng.integers(1, 4))))
+    flag, local = np.zeros(CELLS, dtype=np.bool_), np.full(CELLS, -1, dtype=np.int32)
+    for cell in changed.tolist():
+        known[cell] = rng.choice([np.nan, *HEIGHTS])
+        options[cell] = rng.choice(HEIGHTS, int(np.isnan(known[cell])))
+    expected, expected_rings = grow_plainly(known, options)
+    region = grow_cells(LATTICE.width, LATTICE.height, changed, by, flag)
+    start, height = ragged([options[cell] for cell in region])
+    value = known[region]
+    ring = np.where(np.isnan(value), -1, 0).astype(np.int32)
+    regrow(LATTICE, region, start, height, STEP, value, ring, floor, rings, local)
+    assert (local == -1).all()
+    inner = np.isin(region, grow_cells(LATTICE.width, LATTICE.height, changed, by - 1, flag))
+    outer = region[~inner]
+    is_same = np.array_equal(value[~inner], floor[outer], equal_nan=True)
+    if is_same and np.array_equal(ring[~inner], rings[outer]):
+        floor[region], rings[region] = value, ring
+        assert np.array_equal(floor, expected, equal_nan=True)
+        assert np.array_equal(rings, expected_rings)

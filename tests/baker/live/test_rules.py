@@ -1,0 +1,204 @@
+"""What updates rest on, each by a scene in which it would not hold if a rule were forgotten."""
+
+from __future__ import annotations
+
+import warnings
+
+import mujoco
+import numpy as np
+import pytest
+
+import navbake
+from differences import first_difference
+from navbake.baker.live import baker as module
+from navbake.baker.live import sheets
+
+pytestmark = pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
+
+FLOOR = '<geom name="floor" type="box" pos="3 3 -0.1" size="3 3 0.1"/>'
+# the highest thing, so that nothing that moves is
+MAST = '<geom name="mast" type="box" pos="0.1 0.1 1.6" size="0.1 0.1 1.6"/>'
+
+
+def make(bodies: str, assets: str = "") -> mujoco.MjModel:
+    """A floor of 6 x 6 m with some bodies."""
+    return mujoco.MjModel.from_xml_string(
+        f"<mujoco><asset>{assets}</asset><worldbody>{FLOOR}{MAST}{bodies}</worldbody></mujoco>"
+    )
+
+
+def fresh(baker: navbake.Baker, settings: dict) -> navbake.SceneGrid2D:
+    data = mujoco.MjData(baker.model)
+    data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = baker.pose
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return navbake.bake(baker.model, data, **settings)
+
+
+def check(baker: navbake.Baker, settings: dict, **moves) -> str:
+    """Update, and hold the grid against a fresh bake; gives why all was baked again."""
+    changes = baker.update(**moves)
+    assert first_difference(changes.grid, fresh(baker, settings)) is None
+    return changes.reason
+
+
+def test_more_surfaces_appear_than_there_was_room_for():
+    plates = "".join(
+        f'<geom type="box" size="0.4 0.4 0.005" pos="{x} {y} {0.1 + 0.02 * k}"/>'
+        for x in (1.5, 3.0, 4.5)
+        for y in (1.5, 3.0, 4.5)
+        for k in range(60)
+    )
+    model = make(f'<body name="racks">{plates}</body>')
+    own = model.geom_bodyid == model.body("racks").id
+    model.geom_contype[own] = model.geom_conaffinity[own] = 0
+    settings = {"names": {"enabled": False}, "rooms": {"sources": []}}
+    baker = navbake.Baker(model, **settings)
+    model.geom_contype[own] = 1
+    assert check(baker, settings) == ""
+
+
+def test_tables_that_become_one_may_be_a_floor():
+    """Shrunk together, two tops side by side leave what is at their seam, too."""
+    tables = "".join(
+        f'<geom name="table_{k}" type="box" pos="{x} 3 {top / 2}" size="0.45 1.6 {top / 2}"/>'
+        for k, (x, top) in enumerate(((2.55, 0.7), (3.45, 1.0)))
+    )
+    step = '<body name="step" pos="5 5 0.05"><freejoint/><geom type="box" size="0.1 0.1 0.05"/>'
+    settings = {
+        "floors": {"min_area": 2.5, "tops": True},
+        "agent": {"traversable_floor_height": 0.2},
+    }
+    baker = navbake.Baker(make(f"{tables}{step}</body>"), **settings)
+    floor = baker.grid.floor_height.copy()
+    check(baker, settings, bodies={"step": [2.9, 4.5, 0.8]})
+    assert (baker.grid.floor_height != floor).sum() > 500
+    check(baker, settings, bodies={"step": [5.0, 5.0, 0.05]})
+
+
+def test_a_door_sees_as_far_as_its_agent_is_wide():
+    door = '<body name="door" pos="3 2.5 1"><joint name="hinge" axis="0 0 1" range="0 1.5"/>'
+    door += '<geom type="box" pos="0 0.5 0" size="0.02 0.5 1"/></body>'
+    box = '<body name="box" pos="5.5 5.5 0.3"><freejoint/><geom type="box" size="0.05 0.05 0.3"/>'
+    settings = {"agent": {"radius": 1.2}, "doors": {"patterns": ["door"]}}
+    baker = navbake.Baker(make(f"{door}{box}</body>"), **settings)
+    assert [found.id for found in baker.grid.doors] == ["door"]
+    for x in (5.3, 5.25, 5.2, 5.5):
+        check(baker, settings, bodies={"box": [x, 3.0, 0.3]})
+
+
+def test_how_a_door_turns_is_written_into_the_model():
+    door = '<body name="door" pos="3 2.5 1"><joint name="hinge" axis="0 0 1" range="0 1.5"/>'
+    door += '<geom type="box" pos="0 0.5 0" size="0.02 0.5 1"/></body>'
+    settings = {"doors": {"patterns": ["door"]}}
+    baker = navbake.Baker(make(door), **settings)
+    before = baker.grid.doors
+    baker.model.jnt_range[0] = -1.5, 0.0
+    check(baker, settings)
+    assert baker.grid.doors != before
+    baker.model.jnt_axis[0] = 0, 0, -1
+    baker.model.jnt_pos[0] = 0, 1.0, 0
+    check(baker, settings)
+
+
+def test_a_marker_that_grows_makes_its_room_larger():
+    site = '<site name="room_a" type="box" pos="1.5 3 1" size="1 1 1"/>'
+    settings = {"rooms": {"sites": ["room_*"], "sources": ["sites", "auto"]}}
+    baker = navbake.Baker(make(site), **settings)
+    rooms = baker.grid.room_index.copy()
+    baker.model.site_size[0, 0] = 1.4
+    check(baker, settings)
+    assert (baker.grid.room_index != rooms).any()
+
+
+SHELL = (
+    '<mesh name="house" vertex="0 0 0 3 0 0 3 3 0 0 3 0 0 0 2.4 3 0 2.4 3 3 2.4 0 3 2.4" '
+    'face="0 1 5 0 5 4 1 2 6 1 6 5 2 3 7 2 7 6 3 0 4 3 4 7"/>'
+)
+
+
+def test_a_building_that_appears_is_one():
+    house = '<geom name="house" type="mesh" mesh="house" pos="2 2 0" contype="0" conaffinity="0"/>'
+    settings = {"scene": {"meshes": "shell"}, "grid": {"bounds": [0, 0, 6, 6]}}
+    box = '<body name="box" pos="1 5 0.3"><freejoint/><geom type="box" size="0.2 0.2 0.3"/></body>'
+    baker = navbake.Baker(make(house + box, SHELL), **settings)
+    geom = baker.model.geom("house").id
+    for shown in (1, 0, 1):
+        baker.model.geom_contype[geom] = shown
+        check(baker, settings)
+        check(baker, settings, bodies={"box": [1.0 + shown, 5.0, 0.3]})
+
+
+def test_a_scene_may_become_endless():
+    strip = '<geom name="strip" type="plane" pos="3 3 0" size="0 3 1"/>'
+    box = '<body name="box" pos="3 3 0.3"><freejoint/><geom type="box" size="0.3 0.3 0.3"/></body>'
+    settings = {"grid": {"bounds": [0, 0, 6, 6]}}
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{strip}{box}</worldbody></mujoco>")
+    baker = navbake.Baker(model, **settings)
+    geom = int(model.body_geomadr[model.body("box").id])
+    for shown in (0, 1):
+        model.geom_contype[geom] = model.geom_conaffinity[geom] = shown
+        check(baker, settings)
+        check(baker, settings, bodies={"box": [2.0 + shown, 3.0, 0.3]})
+
+
+CHAIR = '<body name="chair" pos="1 1 0.4"><freejoint/><geom type="box" size="0.2 0.2 0.4"/></body>'
+
+
+@pytest.mark.parametrize("where", ["build_grid", "_compare"])
+@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
+def test_an_update_that_ends_early_leaves_the_grid(monkeypatch, where, error):
+    baker = navbake.Baker(make(CHAIR))
+    grid, pose = baker.grid, baker.pose
+
+    def fail(*args):
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module, where, fail)
+        with pytest.raises(error):
+            baker.update(bodies={"chair": [3.0, 3.0, 0.4]})
+    assert baker.grid is grid
+    assert all(np.array_equal(*pair) for pair in zip(baker.pose, pose, strict=True))
+    # where it was for a moment nothing is left of it
+    assert check(baker, {}, bodies={"chair": [1.0, 1.5, 0.4]}) == "the last update failed"
+    assert check(baker, {}, bodies={"chair": [1.0, 2.0, 0.4]}) == ""
+
+
+def test_a_pose_that_nobody_can_bake_leaves_the_grid():
+    baker = navbake.Baker(make(CHAIR))
+    grid = baker.grid
+    with pytest.raises(navbake.NavbakeError):  # a grid of too many cells
+        baker.update(bodies={"chair": [1e12, 1.0, 0.4]})
+    with pytest.raises(navbake.QueryError):
+        baker.update(bodies={"chair": [np.nan, 1.0, 0.4]})
+    assert baker.grid is grid
+    check(baker, {}, bodies={"chair": [2.0, 1.0, 0.4]})
+
+
+def test_two_updates_that_undo_each_other_leave_the_first_grid():
+    baker = navbake.Baker(make(CHAIR))
+    first = baker.grid
+    for place in ([2.0, 2.0, 0.4], [1.0, 1.0, 0.4]):
+        baker.update(bodies={"chair": place})
+    assert first_difference(baker.grid, first) is None
+
+
+def test_sheets_are_numbered_anew_in_long_runs(monkeypatch):
+    """The tops of two boxes are new sheets each time; their numbers must not become ever more."""
+    monkeypatch.setattr(sheets, "SPARE_NUMBERS", 5)
+    boxes = "".join(CHAIR.replace("chair", f"chair_{k}") for k in range(2))
+    baker = navbake.Baker(make(boxes))
+    numbers, follow = [], sheets.LiveSheets.follow
+
+    def spy(self, changed):
+        found = follow(self, changed)
+        numbers.append(len(vars(self)["_kind"]))
+        return found
+
+    monkeypatch.setattr(sheets.LiveSheets, "follow", spy)
+    for k in range(40):
+        places = {f"chair_{n}": [1.0 + k % 3, 1.5 + 2 * n, 0.4] for n in range(2)}
+        assert baker.update(bodies=places).reason == ""
+    assert max(numbers) < 40
+    check(baker, {}, bodies={"chair_0": [2.0, 2.0, 0.4]})
