@@ -31,8 +31,9 @@ DOORS = {
     "typer": ("cli",),
     "rich": ("cli",),
 }
-# what may import the baker; a bake starts at `navbake.bake`, which is looked up when it is called
-BAKER_USERS = ("baker", "cli")
+# what may import the baker; a bake starts at `navbake.bake`, which is looked up when it is called.
+# A batch drives bakes as the command line does: it needs their settings, stages and inputs.
+BAKER_USERS = ("baker", "batch", "cli")
 # a verification loads the scene as the bake does, and shares nothing else with it: from these it
 # takes the compiled model, its pose, its names, its tree of bodies, and which geoms count as what
 VERIFIER_SHARES = ("navbake.baker.scene.scene", "navbake.baker.scene.names")

@@ -15,6 +15,7 @@ from typer import Exit, Option, Typer
 
 from navbake._version import __version__
 from navbake.cli.commands.bake import bake
+from navbake.cli.commands.batch import batch
 from navbake.cli.commands.checks import audit, verify
 from navbake.cli.commands.convert import convert, extrude
 from navbake.cli.commands.grids import info, rooms, why
@@ -45,7 +46,7 @@ app = Typer(
     rich_markup_mode=None,
 )
 COMMANDS = (
-    *(samples, init, geoms, bake),
+    *(samples, init, geoms, bake, batch),
     *(info, rooms, why, plot, inflate, path, voxelize, mdf, convert, extrude, warm_up),
     *(verify, audit, report, view),
 )

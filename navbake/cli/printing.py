@@ -95,6 +95,11 @@ def _is_for_the_terminal(record: logging.LogRecord) -> bool:
     return record.levelno < logging.WARNING
 
 
+def print_json_line(value: Any) -> None:
+    """Print a value as one line of JSON, at once: others may read along."""
+    print(json.dumps(value, separators=(",", ":"), allow_nan=False), flush=True)
+
+
 def print_json(value: Any) -> None:
     """Print a value as JSON; NaN and infinity are refused, as JSON has neither."""
     text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)

@@ -1,6 +1,7 @@
 """Progress bars on the terminal."""
 
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -47,3 +48,35 @@ def stage_progress(title: str, hidden: bool = False) -> Iterator[Callable[[str, 
             yield show
         finally:
             dispatch.watch = None
+
+
+@contextmanager
+def batch_progress(hidden: bool = False) -> Iterator[Callable[[int, int, int], None]]:
+    """A bar for a batch on the terminal's stderr: rate, failures, time left; else nothing.
+
+    It is told how many scenes ended, how many of these failed, and how many there are to do. What
+    is printed on stderr meanwhile stands above it.
+    """
+    if hidden or sys.stderr is None or not sys.stderr.isatty():
+        yield lambda done, failed, total: None
+        return
+    screen = console.Console(stderr=True, markup=False, highlight=False, emoji=False)
+    bars = progress.Progress(
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        progress.TextColumn("{task.description}", markup=False),
+        progress.TimeRemainingColumn(),
+        console=screen,
+        transient=True,
+        redirect_stdout=False,  # that may be a pipe
+    )
+    task: Any = bars.add_task("", total=None)
+    begin = time.monotonic()
+
+    def show(done: int, failed: int, total: int) -> None:
+        rate = done / max(time.monotonic() - begin, 1e-3)
+        said = f"{rate:.3g}/s, {failed} failed, time left"
+        bars.update(task, completed=done, total=total, description=said)
+
+    with bars:
+        yield show

@@ -1,0 +1,399 @@
+"""Worker processes that do jobs, each of which may hang, crash or take too much memory.
+
+The parent gives each worker one job at a time and watches it. A worker that takes too long is
+killed, one that died is replaced, so a job costs at most itself. Workers stay for many jobs:
+starting one takes as long as many bakes.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import multiprocessing
+import os
+import pickle
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection, wait
+from typing import Any, NamedTuple
+
+from navbake.errors import NavbakeError, printable
+
+GIB = 1 << 30  # bytes
+END_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
+START_SECONDS = 300.0  # what a worker may take until it is ready; machines are busy
+MOST_FAILED_STARTS = 3  # in a row, before the crew gives up
+PAUSE = 0.5  # after which this process hears of a SIGTERM that its whole group was sent [s]
+MOST_TEXT = 200  # of what a worker wrote on stderr, characters
+READY, DONE, CRASHED, TOO_LONG, TOO_LARGE = "ready", "done", "crashed", "too long", "too large"
+
+
+class JobLimits(NamedTuple):
+    """What one job may take.
+
+    Attributes:
+        seconds: time [s]; None for no limit.
+        memory: what its process may reserve beyond what it starts with [GiB]; None for no limit.
+            Kept on Linux only.
+    """
+
+    seconds: float | None = None
+    memory: float | None = None
+
+
+class Ended(NamedTuple):
+    """How a job ended.
+
+    Attributes:
+        number: the job's place among the jobs.
+        how: ``done``, ``crashed``, ``too long`` or ``too large``.
+        value: what the work returned, if it is done; else why it isn't.
+        seconds: how long it took, at the last try.
+    """
+
+    number: int
+    how: str
+    value: Any
+    seconds: float
+
+
+class _Task:
+    """A job, and how often it was tried."""
+
+    def __init__(self, number: int, job: Any) -> None:
+        self.number, self.job, self.tries = number, job, 0
+
+
+class _Worker:
+    """A worker process, seen from the parent."""
+
+    def __init__(self, work: bytes, limits: JobLimits) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.connection, self._theirs = context.Pipe()
+        self._stderr, self._stderr_path = tempfile.mkstemp(prefix="navbake-")
+        given = (self._theirs, work, limits.memory, os.getpid(), self._stderr_path)
+        self.process = context.Process(target=_serve, args=given, daemon=True)
+        self.is_ready = False
+        self.is_used = False  # whether it has done a job
+        self.task: _Task | None = None
+        self.begun = time.monotonic()
+
+    def start(self) -> None:
+        with _signals_wait():
+            self.process.start()
+        self._theirs.close()
+
+    def give(self, task: _Task) -> None:
+        self.task, self.begun = task, time.monotonic()
+        self.connection.send(task.job)
+
+    @property
+    def age(self) -> float:
+        """How long it is at its task, or at starting [s]."""
+        return time.monotonic() - self.begun
+
+    def kill(self) -> None:
+        """End the process, whatever state it is in."""
+        if self.process.pid is not None:
+            self.process.kill()
+            self.process.join()
+        self.connection.close()
+        self._theirs.close()
+        with suppress(OSError):
+            os.close(self._stderr)
+        self.forget_stderr()
+
+    def forget_stderr(self) -> None:
+        """Remove the name of the file, which both have open, so that nothing can leave it behind.
+
+        Windows removes it when the worker is gone.
+        """
+        with suppress(OSError):
+            os.unlink(self._stderr_path)
+
+    def how_it_ended(self) -> str:
+        """Why its process is gone."""
+        self.process.join(PAUSE)
+        status = self.process.exitcode
+        if status is None:
+            return "it closed its connection"
+        if status == -signal.SIGTERM:
+            time.sleep(PAUSE)  # if this process was sent one, too, that ends the batch here
+        text = self._last_line()
+        return f"its process ended {_described(status)}{f': {text}' if text else ''}"
+
+    def _last_line(self) -> str:
+        """The last line that it wrote on stderr during its task, where libraries say why."""
+        size = os.fstat(self._stderr).st_size
+        os.lseek(self._stderr, max(0, size - 16 * MOST_TEXT), os.SEEK_SET)
+        text = os.read(self._stderr, 16 * MOST_TEXT).decode(errors="replace")
+        lines = [line.strip() for line in text.splitlines() if line.strip()]
+        return printable(lines[-1][:MOST_TEXT]) if lines else ""
+
+
+def do_jobs(
+    jobs: Sequence[Any],
+    work: Callable[[Any], Any],
+    count: int,
+    *,
+    limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
+    retries: int = 0,
+    prepare: Callable[[], None] | None = None,
+) -> Generator[Ended, None, None]:
+    """Do jobs in worker processes, and yield how each ended, in the order in which they end.
+
+    A job is blamed for a crash, or for taking too much memory, only where its worker had done none
+    before it: else it is given to a new worker, as what another job left behind may be the cause.
+
+    Args:
+        jobs: what `work` is called with; can be pickled.
+        work: a function of a module, which returns what can be pickled.
+        count: how many workers, >= 1.
+        limits: of each job.
+        retries: how often a job that crashed, or took too long or too much, is tried again.
+        prepare: a function of a module that each worker calls before its first job.
+
+    Raises:
+        NavbakeError: no worker starts.
+
+    The workers are gone when the iterator is closed, or at the end.
+    """
+    crew = _Crew(jobs, pickle.dumps((work, prepare)), count, limits, retries)
+    try:
+        yield from crew.run()
+    finally:
+        crew.end()
+
+
+class _Crew:
+    """The workers, and the tasks that are left."""
+
+    def __init__(
+        self, jobs: Sequence[Any], work: bytes, count: int, limits: JobLimits, retries: int
+    ) -> None:
+        self._work, self._count, self._limits, self._retries = work, count, limits, retries
+        self._left = deque(_Task(number, job) for number, job in enumerate(jobs))
+        self._again: deque[_Task] = deque()  # of workers that are gone
+        self._workers: list[_Worker] = []
+        self._failed_starts = 0
+
+    def run(self) -> Iterator[Ended]:
+        while self._hand_out():
+            for worker in self._heard():
+                yield from self._hear(worker)
+            for worker in [*self._workers]:
+                if worker.age > self._allowed(worker):
+                    why = f"it took more than {self._allowed(worker):g} s"
+                    yield from self._lose(worker, TOO_LONG, why)
+
+    def end(self) -> None:
+        for worker in self._workers:
+            worker.kill()
+
+    def _hand_out(self) -> bool:
+        """Give tasks to workers that have none, and start workers; False if all is done."""
+        for worker in [*self._workers]:
+            if worker.is_ready and worker.task is None:
+                self._give(worker)
+        waiting = len(self._left) + len(self._again)
+        starting = sum(not worker.is_ready for worker in self._workers)
+        while len(self._workers) < self._count and starting < waiting:
+            self._start()
+            starting += 1
+        return waiting > 0 or any(worker.task is not None for worker in self._workers)
+
+    def _give(self, worker: _Worker) -> None:
+        """Give a worker the next task; a used one makes room for a new one if that is needed."""
+        waiting = self._again if self._again and not worker.is_used else self._left
+        if not waiting:
+            if self._again:
+                self._remove(worker)
+            return
+        task = waiting.popleft()
+        try:
+            worker.give(task)
+        except OSError:  # it died meanwhile
+            self._remove(worker)
+            waiting.appendleft(task)
+
+    def _start(self) -> None:
+        try:
+            worker = _Worker(self._work, self._limits)
+            self._workers.append(worker)  # before it starts: then `end` knows of it
+            worker.start()
+        except OSError as error:
+            if self._workers and self._workers[-1].process.pid is None:
+                self._remove(self._workers[-1])
+            self._count_failed_start(str(error.strerror))
+
+    def _remove(self, worker: _Worker) -> None:
+        self._workers.remove(worker)
+        worker.kill()
+
+    def _heard(self) -> list[_Worker]:
+        """The workers that have something to say; [] when one's time is up."""
+        by_connection: dict[Any, _Worker] = {w.connection: w for w in self._workers}
+        left = [self._allowed(worker) - worker.age for worker in self._workers]
+        timeout = max(0.0, min(left, default=PAUSE))
+        if not by_connection:
+            time.sleep(timeout)
+        ready = wait(list(by_connection), None if timeout == float("inf") else timeout)
+        return [by_connection[connection] for connection in ready]
+
+    def _allowed(self, worker: _Worker) -> float:
+        """How long a worker may take for what it does now [s]."""
+        if not worker.is_ready:
+            return START_SECONDS
+        if worker.task is None or self._limits.seconds is None:
+            return float("inf")
+        return self._limits.seconds
+
+    def _hear(self, worker: _Worker) -> Iterator[Ended]:
+        try:
+            how, value = worker.connection.recv()
+        except (EOFError, OSError):
+            yield from self._lose(worker, CRASHED, worker.how_it_ended())
+            return
+        if how == READY:
+            worker.is_ready = True
+            worker.forget_stderr()
+        elif how == DONE and worker.task is not None:
+            ended = Ended(worker.task.number, DONE, value, worker.age)
+            worker.task, worker.is_used, self._failed_starts = None, True, 0
+            yield ended
+        else:
+            yield from self._lose(worker, how, value)
+
+    def _lose(self, worker: _Worker, how: str, why: str) -> Iterator[Ended]:
+        """Replace a worker, and see what becomes of its task."""
+        task, seconds = worker.task, worker.age
+        self._remove(worker)
+        if task is None:
+            if not worker.is_used:
+                self._count_failed_start(why)
+            return
+        self._failed_starts = 0
+        if worker.is_used and how != TOO_LONG:
+            self._again.append(task)
+            return
+        task.tries += 1
+        if task.tries <= self._retries:
+            self._again.append(task)
+        else:
+            yield Ended(task.number, how, why, seconds)
+
+    def _count_failed_start(self, why: str) -> None:
+        self._failed_starts += 1
+        if self._failed_starts >= MOST_FAILED_STARTS:
+            raise NavbakeError(f"cannot start a worker process: {why}")
+
+
+@contextmanager
+def _signals_wait() -> Iterator[None]:
+    """Let signals wait: a process that starts inside hears of none until it is ready for them.
+
+    Without it, Ctrl-C prints the traceback of each worker that is still importing modules.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    from multiprocessing import resource_tracker  # Windows has none
+
+    resource_tracker.ensure_running()  # its start would let the signals through
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _described(status: int) -> str:
+    if status >= 0:
+        return f"with exit status {status}"
+    try:
+        return f"by {signal.Signals(-status).name}"
+    except ValueError:  # a number without a name
+        return f"by signal {-status}"
+
+
+# ---------------------------------------------------------------- in the worker
+
+
+def _serve(
+    connection: Connection, work: bytes, memory: float | None, parent: int, stderr: str
+) -> None:
+    """What a worker does: jobs, one after another, until the parent is gone."""
+    _settle(parent, stderr)
+    try:
+        do, prepare = pickle.loads(work)
+        if prepare is not None:
+            prepare()
+        unlimited = _limit_memory(memory)
+    except BaseException as error:
+        connection.send((CRASHED, _last_line(error)))
+        return
+    connection.send((READY, None))
+    while True:
+        try:
+            job = connection.recv()
+        except EOFError:
+            return
+        os.ftruncate(2, 0)
+        try:
+            answer = DONE, do(job)
+        except MemoryError as error:
+            unlimited()  # or there may be no memory to say so
+            most = "there is" if memory is None else f"{memory:g} GiB"
+            answer = TOO_LARGE, f"it took more memory than {most}{_in_brackets(error)}"
+        except Exception as error:
+            answer = CRASHED, _last_line(error)
+        connection.send(answer)
+        if answer[0] != DONE:
+            return  # who knows in which state this process is
+
+
+def _settle(parent: int, stderr: str) -> None:
+    """Leave Ctrl-C, the terminal and the end of the parent to the parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears of it and ends its workers
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(END_WITH_PARENT, signal.SIGKILL)
+        if os.getppid() != parent:  # it ended before that
+            os._exit(1)
+    nothing = os.open(os.devnull, os.O_RDWR)
+    os.dup2(nothing, 0)
+    os.dup2(nothing, 1)
+    os.dup2(os.open(stderr, os.O_WRONLY | os.O_APPEND), 2)
+
+
+def _limit_memory(gib: float | None) -> Callable[[], None]:
+    """Let this process reserve only so much more than it has now; returns what ends the limit."""
+    if sys.platform != "linux":
+        return lambda: None
+    import resource  # there is none on Windows
+
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if gib is None:
+        return lambda: None
+    with open("/proc/self/statm", "rb") as file:
+        reserved = int(file.read().split()[0]) * resource.getpagesize()
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    most, hard = reserved + int(gib * GIB), before[1]
+    if hard == resource.RLIM_INFINITY or most < hard:
+        resource.setrlimit(resource.RLIMIT_AS, (most, hard))
+    return lambda: resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def _last_line(error: BaseException) -> str:
+    return printable(traceback.format_exception_only(error)[-1].strip())
+
+
+def _in_brackets(error: BaseException) -> str:
+    return f" ({printable(str(error))})" if str(error) else ""

@@ -1,0 +1,76 @@
+"""What files held when they were last looked at, and whether they still do."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import stat
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from navbake.types import Json
+
+CHUNK = 1 << 20
+RECENT = 2_000_000_000  # age below which a file may change again without a new time of change [ns]
+
+
+def describe_files(
+    paths: Iterable[Path], folder: Path, *, may_change: bool = True
+) -> dict[str, Json]:
+    """Size, time of change [ns] and sha256 of files, by their path from a folder.
+
+    Args:
+        may_change: whether others may be writing them now. Then the time of change is given as 0
+            where it is too recent to prove that the content is the same later.
+
+    Raises:
+        OSError: one can't be read.
+    """
+    return {path_from(path, folder): _describe(path, may_change) for path in paths}
+
+
+def are_unchanged(stated: Mapping[str, Json], folder: Path) -> bool:
+    """Whether files have the content that `describe_files` stated.
+
+    A file of the same size and time of change is taken for the same; of another one of that size,
+    the content is read.
+    """
+    try:
+        return all(_is_unchanged(known, folder / name) for name, known in stated.items())
+    except OSError:  # it isn't there
+        return False
+
+
+def path_from(path: str | os.PathLike[str], folder: Path) -> str:
+    """A path relative to a folder, with slashes; absolute where there is no such path."""
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:  # another drive on Windows
+        return Path(path).absolute().as_posix()
+
+
+def _is_unchanged(known: Json, path: Path) -> bool:
+    now = os.stat(path)
+    # who reads a pipe may wait for ever
+    if not stat.S_ISREG(now.st_mode) or now.st_size != known["size"]:
+        return False
+    return bool(now.st_mtime_ns == known["modified"] or _digest(path) == known["sha256"])
+
+
+def _describe(path: Path, may_change: bool) -> Json:
+    status = os.stat(path)
+    is_recent = may_change and time.time_ns() - status.st_mtime_ns < RECENT
+    return {
+        "size": status.st_size,
+        "modified": 0 if is_recent else status.st_mtime_ns,
+        "sha256": _digest(path),
+    }
+
+
+def _digest(path: Path) -> str:
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        while chunk := file.read(CHUNK):
+            digest.update(chunk)
+    return digest.hexdigest()

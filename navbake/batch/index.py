@@ -1,0 +1,133 @@
+"""What became of each scene of a batch: a line of JSON each, written as it goes."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from navbake.errors import NavbakeError
+from navbake.files import write_whole
+from navbake.types import Json
+
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks: there, two batches in one folder are not noticed
+    fcntl = None  # type: ignore[assignment]
+
+NAME = "index.jsonl"
+LOCK = ".navbake-batch.lock"
+
+
+@contextmanager
+def only_batch(folder: Path) -> Iterator[None]:
+    """Be the only batch that writes into a folder; the system ends that with the process.
+
+    Raises:
+        NavbakeError: another one does, or the folder can't be made or written.
+    """
+    with _naming(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        if fcntl is not None:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise NavbakeError(
+                    f"another batch writes into {folder}: wait for it, or choose another folder"
+                ) from None
+            except OSError:  # a file system without locks
+                pass
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def read_index(folder: Path) -> dict[str, Json]:
+    """The last line of each scene, by its id; {} where there is no index.
+
+    A line that was cut off, as when a batch was killed, counts as none.
+    """
+    try:
+        return _parse((folder / NAME).read_bytes())
+    except FileNotFoundError:
+        return {}
+
+
+class Index:
+    """The index of a folder, to which one batch adds lines.
+
+    All that it does raises a NavbakeError where the folder can't be written.
+
+    Attributes:
+        known: the rows that were there before, by id.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / NAME
+        with _naming(folder):
+            self._file = os.open(self._path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666)
+            content = self._path.read_bytes()
+            self.known = _parse(content)
+            if content and not content.endswith(b"\n"):
+                os.write(self._file, b"\n")  # ends a line that was cut off
+            self._begin = os.fstat(self._file).st_size
+
+    def add(self, row: Json) -> None:
+        """Add a scene's line, in one write."""
+        with _naming(self._path.parent):
+            os.write(self._file, _line(row))
+
+    def finish(
+        self, ids: Iterable[str], skipped: Collection[str], left: Callable[[str], Json]
+    ) -> list[Json]:
+        """Replace the lines by one for each scene in the batch's order, then those of other scenes.
+
+        Args:
+            ids: of the batch's scenes.
+            skipped: those whose rows stay as they were.
+            left: makes the row of one that neither was skipped nor got a line.
+
+        Returns:
+            The rows of the batch's scenes.
+        """
+        # from the file: Ctrl-C may come between any two statements of Python
+        added = _parse(self._path.read_bytes()[self._begin :])
+        own = {id: added.get(id) or (self.known[id] if id in skipped else left(id)) for id in ids}
+        others = [row for id, row in self.known.items() if id not in own]
+        with _naming(self._path.parent):
+            write_whole(b"".join(map(_line, [*own.values(), *others])), self._path)
+        return [*own.values()]
+
+    def close(self) -> None:
+        """Give the file back; its lines stay."""
+        with suppress(OSError):
+            os.close(self._file)
+
+
+@contextmanager
+def _naming(folder: Path) -> Iterator[None]:
+    """Turn what the system refuses into an error that names the folder."""
+    try:
+        yield
+    except OSError as error:
+        raise NavbakeError(f"cannot write into {folder}: {error.strerror}") from error
+
+
+def _parse(content: bytes) -> dict[str, Json]:
+    rows: dict[str, Json] = {}
+    for line in content.split(b"\n"):
+        try:
+            row = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(row, dict) and isinstance(row.get("id"), str):
+            rows[row["id"]] = row
+    return rows
+
+
+def _line(row: Json) -> bytes:
+    return json.dumps(row, separators=(",", ":"), allow_nan=False).encode() + b"\n"

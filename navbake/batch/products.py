@@ -1,0 +1,188 @@
+"""What a batch makes of each scene besides its grid."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NamedTuple
+
+from navbake.auditor.audit import audit
+from navbake.config.settings import BakeConfig
+from navbake.errors import ConfigError, MissingDependencyError
+from navbake.files import remove_leftovers
+from navbake.formats.navgrid import write_navgrid
+from navbake.formats.source import write_bytes
+from navbake.formats.suffixes import OCTREES, VOXELS
+from navbake.formats.voxels import write_voxels
+from navbake.navgrid.grid import NavGrid
+from navbake.views.layers import LAYERS
+
+GRID = "grid.json.gz"  # of every scene, written last: where it is, all is there
+PICTURE_LAYERS = ("rooms", "floor")
+# all names that a product has ever had; other files in a scene's folder are the user's
+OWN = re.compile(
+    r"grid\.json\.gz|inflated-[\d.e+-]+\.json\.gz|nav2[\d._e+-]*\.(?:yaml|pgm)"
+    r"|voxels-[\d.e+-]+\.\w+|picture\.png|report\.html"
+)
+
+
+class Product(NamedTuple):
+    """One thing to make of each scene, as ``inflated:0.3`` asks for it.
+
+    Attributes:
+        kind: one of `KINDS`.
+        values: what stands after its name, between colons; numbers in their shortest form.
+    """
+
+    kind: str
+    values: tuple[str, ...]
+
+    def make(self, grid: NavGrid, config: BakeConfig, folder: Path) -> list[str]:
+        """Write its files, each whole or not at all, and return their names."""
+        return KINDS[self.kind].make(grid, config, self.values, folder)
+
+    def __str__(self) -> str:
+        """As `parse_products` reads it."""
+        return ":".join((self.kind, *self.values))
+
+
+def parse_products(texts: Sequence[str]) -> tuple[Product, ...]:
+    """Read ``KIND`` or ``KIND:VALUE:…``, each once.
+
+    Raises:
+        ConfigError: there is no such kind, or its values are wrong.
+        MissingDependencyError: what it needs is not installed.
+    """
+    products = []
+    for text in texts:
+        name, *values = text.split(":")
+        kind = KINDS.get(name)
+        if kind is None or not kind.least <= len(values) <= kind.most:
+            wanted = kind.usage if kind else f"one of {', '.join(k.usage for k in KINDS.values())}"
+            raise ConfigError(f"expected {wanted} to make, got {text!r}")
+        products.append(Product(name, kind.check(values, text)))
+    return tuple(dict.fromkeys(products))
+
+
+def remove_products(folder: Path) -> None:
+    """Remove what was made of a scene, and what a writer that was killed left; nothing else."""
+    with suppress(OSError), os.scandir(folder) as entries:
+        # the grid first: where it is, all is there
+        for name in sorted((entry.name for entry in entries), key=lambda name: name != GRID):
+            if OWN.fullmatch(name):
+                with suppress(OSError):
+                    os.unlink(folder / name)
+    remove_leftovers(folder)
+
+
+def _numbers(values: Sequence[str], text: str) -> tuple[str, ...]:
+    numbers = []
+    for value in values:
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not (math.isfinite(number) and number >= 0):
+            raise ConfigError(f"expected numbers >= 0 [m] after the colons, got {text!r} to make")
+        numbers.append(f"{number:.12g}")
+    return tuple(numbers)
+
+
+def _check_voxels(values: Sequence[str], text: str) -> tuple[str, ...]:
+    edge = _numbers(values[:1], text)
+    if float(edge[0]) == 0:
+        raise ConfigError(f"expected an edge of voxels > 0 [m], got {text!r} to make")
+    ending = values[1] if len(values) > 1 else "binvox"
+    if f".{ending}" not in VOXELS:
+        known = ", ".join(suffix[1:] for suffix in VOXELS)
+        raise ConfigError(f"expected an ending of {known}, got {text!r} to make")
+    return (*edge, ending)
+
+
+def _check_picture(values: Sequence[str], text: str) -> tuple[str, ...]:
+    for layer in values:
+        if layer not in LAYERS:
+            raise ConfigError(f"expected layers of {', '.join(LAYERS)}, got {text!r} to make")
+    if find_spec("matplotlib") is None:
+        raise MissingDependencyError('pictures need matplotlib: pip install "navbake[plot]"')
+    return tuple(values)
+
+
+def _make_inflated(
+    grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path
+) -> list[str]:
+    name = f"inflated-{'-'.join(values)}.json.gz"
+    clearance = float(values[1]) if len(values) > 1 else None
+    write_navgrid(grid.inflate(float(values[0]), clearance), folder / name)
+    return [name]
+
+
+def _make_nav2(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> list[str]:
+    from navbake.formats.maps.nav2 import encode_nav2  # only who wants maps loads it
+
+    path = folder / f"{'-'.join(('nav2', *values))}.yaml"
+    files = encode_nav2(grid, path, radius=float(values[0]) if values else None)
+    for file, content in files.items():
+        write_bytes(content, file)
+    return [file.name for file in files]
+
+
+def _make_voxels(
+    grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path
+) -> list[str]:
+    from navbake.baker.voxelize.voxelizer import Voxelizer  # loads more of the baker than a bake
+
+    edge, ending = values
+    name = f"voxels-{edge}.{ending}"
+    voxels = Voxelizer(config).create(res=float(edge), align=f".{ending}" in OCTREES)
+    write_voxels(voxels, folder / name)
+    return [name]
+
+
+def _make_picture(
+    grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path
+) -> list[str]:
+    from navbake.views.plot import plot_grid  # loads Pillow
+
+    plot_grid(grid, folder / "picture.png", layers=tuple(values) or PICTURE_LAYERS)
+    return ["picture.png"]
+
+
+def _make_report(
+    grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path
+) -> list[str]:
+    from navbake.views.report.report import write_report  # only who wants a report loads it
+
+    write_report(grid, folder / "report.html", audits=[audit(grid)])
+    return ["report.html"]
+
+
+class Kind(NamedTuple):
+    """A kind of product.
+
+    Attributes:
+        make: writes it and returns the names of its files.
+        check: checks the values and gives them their shortest form.
+        least, most: how many values it takes.
+        usage: how it is asked for.
+    """
+
+    make: Callable[[NavGrid, BakeConfig, Sequence[str], Path], list[str]]
+    check: Callable[[Sequence[str], str], tuple[str, ...]]
+    least: int
+    most: int
+    usage: str
+
+
+KINDS: dict[str, Kind] = {
+    "inflated": Kind(_make_inflated, _numbers, 1, 2, "inflated:RADIUS[:CLEARANCE]"),
+    "nav2": Kind(_make_nav2, _numbers, 0, 1, "nav2[:RADIUS]"),
+    "voxels": Kind(_make_voxels, _check_voxels, 1, 2, "voxels:EDGE[:ENDING]"),
+    "picture": Kind(_make_picture, _check_picture, 0, len(LAYERS), "picture[:LAYER…]"),
+    "report": Kind(_make_report, lambda values, text: (), 0, 0, "report"),
+}

@@ -1,0 +1,146 @@
+"""Makes what is asked for of one scene: what a worker does."""
+
+from __future__ import annotations
+
+import os
+import time
+import traceback
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from navbake import samples
+from navbake._version import __version__
+from navbake.auditor.audit import audit
+from navbake.baker.pipeline import run_bake
+from navbake.batch.file_states import describe_files, path_from
+from navbake.batch.inputs import find_inputs
+from navbake.batch.job import Job
+from navbake.batch.products import GRID, Product, remove_products
+from navbake.batch.settings import digest_settings, settings_of
+from navbake.config.settings import BakeConfig, load_config
+from navbake.dispatch import IS_HELPER
+from navbake.errors import NavbakeError, printable
+from navbake.formats.navgrid import write_navgrid
+from navbake.navgrid.grid import NavGrid
+from navbake.types import Json
+
+OK, FAILED, LEFT = "ok", "failed", "left"
+ERROR = "error"  # how a scene fails where its process goes on
+DIGITS = 4  # of seconds
+
+
+class Order(NamedTuple):
+    """What a worker is asked to do.
+
+    Attributes:
+        job: the scene.
+        settings: those that all scenes share, by section.
+        overrides: ``a.b=value``, which replace those of the batch and of the scene.
+        products: what to make besides the grid.
+        folder: where the folders of the scenes are.
+    """
+
+    job: Job
+    settings: Json
+    overrides: tuple[str, ...]
+    products: tuple[Product, ...]
+    folder: Path
+
+    @property
+    def place(self) -> Path:
+        """The scene's folder."""
+        return self.folder / self.job.id
+
+
+def key_of(order: Order, config: BakeConfig) -> str:
+    """What the result depends on besides the scene's files, hashed."""
+    return digest_settings(config, [str(product) for product in order.products])
+
+
+def prepare() -> None:
+    """Bake a sample, so that no scene pays for loading what each bake needs."""
+    os.environ[IS_HELPER] = "1"  # all cores have a worker already
+    run_bake(load_config(samples.path("apartment"), ["grid.cell_size=0.5"]), threads=1)
+
+
+def row_of(order: Order, status: str) -> Json:
+    """How a scene's row in the index begins."""
+    source = path_from(order.job.source, order.folder)
+    return {"id": order.job.id, "status": status, "source": source}
+
+
+def do_order(order: Order) -> Json:
+    """Bake a scene and write all that is asked for; returns its row of the index.
+
+    Files appear whole, the grid last: where there is a grid, all is there. Of a scene that fails,
+    nothing is there. What is wrong with it is in its row; a MemoryError alone is raised, because
+    nobody knows what state it leaves the process in.
+    """
+    begin = time.perf_counter()
+    try:
+        row = _make(order)
+    except MemoryError:
+        raise
+    except NavbakeError as error:
+        row = fail(order, ERROR, str(error))
+    except OSError as error:
+        row = fail(order, ERROR, printable(str(error)))
+    except Exception as error:
+        line = traceback.format_exception_only(error)[-1].strip()
+        row = fail(order, ERROR, printable(f"{line} (navbake should have said what is wrong)"))
+    return row | {"seconds": round(time.perf_counter() - begin, DIGITS)}
+
+
+def fail(order: Order, how: str, why: str) -> Json:
+    """The row of a scene that failed, of which nothing stays."""
+    remove_products(order.place)
+    return {**row_of(order, FAILED), "how": how, "error": why}
+
+
+def _make(order: Order) -> Json:
+    config = settings_of(order.job, order.settings, order.overrides)
+    # before the bake: what changes meanwhile is noticed by the next run
+    named = [Path(path) for path in config.inputs]
+    inputs = [path for name in named for path in find_inputs(name) if os.path.isfile(path)]
+    stated = describe_files(inputs, order.folder)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the row has those that matter
+        result = run_bake(config, threads=1)
+    grid = result.grid
+    grid.timings = {}  # the same scene, the same bytes
+    order.place.mkdir(parents=True, exist_ok=True)
+    remove_products(order.place)
+    made = [name for product in order.products for name in product.make(grid, config, order.place)]
+    write_navgrid(grid, order.place / GRID)
+    return {
+        **row_of(order, OK),
+        "version": __version__,
+        "key": key_of(order, config),
+        "scene_digest": grid.navbake.get("sceneDigest"),
+        "settings_digest": grid.navbake.get("settingsDigest"),
+        **_measure(grid),
+        "warnings": list(grid.warnings),
+        "audit": [str(remark) for remark in audit(grid).remarks],
+        "inputs": stated,
+        "named": [path_from(path, order.folder) for path in named],
+        "files": describe_files(
+            [order.place / name for name in (GRID, *made)], order.place, may_change=False
+        ),
+        "stages": {name: round(seconds, DIGITS) for name, seconds in result.timings.items()},
+    }
+
+
+def _measure(grid: NavGrid) -> Json:
+    """What the index says of a grid; areas in m²."""
+    cell = (grid.cell_size * grid.unit) ** 2
+    free = sum(int(np.count_nonzero(level.free)) for level in grid.levels)
+    return {
+        "levels": len(grid.levels),
+        "cells": sum(level.width * level.height for level in grid.levels),
+        "free_area": round(free * cell, 6),
+        "rooms": len(grid.rooms),
+        "doors": len(grid.doors),
+    }

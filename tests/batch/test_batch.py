@@ -1,0 +1,332 @@
+"""Batches: what is baked, what is skipped, what becomes of scenes that fail."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+import navbake
+from batch_scenes import draw_room, write_scenes, wrong_rows
+from navbake.batch import batch as module
+from navbake.batch.batch import Batch, Means, run_batch
+from navbake.batch.crew import DONE, Ended, JobLimits
+from navbake.batch.index import NAME, only_batch, read_index
+from navbake.batch.manifest import list_jobs
+from navbake.errors import ConfigError, MissingDependencyError, NavbakeError
+
+SETTINGS = {"grid": {"cell_size": 0.2}}
+ONE = Means()
+MESHED = """<mujoco>
+<asset>
+  <mesh name="chest" file="chest.obj"/>
+  <texture name="wood" type="2d" file="wood.png"/><material name="wood" texture="wood"/>
+</asset>
+<worldbody>
+  <include file="floor.xml"/><geom type="mesh" mesh="chest" material="wood"/>
+</worldbody></mujoco>"""
+CHEST = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 {height}\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+FLOOR = '<mujoco><geom type="box" size="{half} 2 .1" pos="0 0 -.1"/></mujoco>'
+
+
+class Told:
+    """Notes what a batch tells."""
+
+    def __init__(self):
+        self.begun, self.rows = None, []
+
+    def begin(self, total, skipped):
+        self.begun = total, skipped
+
+    def end_scene(self, row):
+        self.rows.append(row)
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """Jobs are done in this process, one after another."""
+
+    def do_jobs(jobs, work, count, **options):
+        for number, job in enumerate(jobs):
+            yield Ended(number, DONE, work(job), 0.0)
+
+    monkeypatch.setattr(module, "do_jobs", do_jobs)
+
+
+@pytest.fixture
+def scenes(tmp_path, monkeypatch):
+    """The current folder, with three scenes in `scenes`; `meshed` has files of its own."""
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "scenes"
+    folder.mkdir()
+    for number, name in enumerate(("first", "second")):
+        (folder / f"{name}.xml").write_text(draw_room(number))
+    (folder / "meshed.mjcf.xml").write_text(MESHED)
+    (folder / "chest.obj").write_text(CHEST.format(height=1))
+    (folder / "floor.xml").write_text(FLOOR.format(half=2))
+    write_texture(folder, 0)
+    return folder
+
+
+def write_texture(folder, shade):
+    from PIL import Image
+
+    Image.new("RGB", (2, 2), (shade,) * 3).save(folder / "wood.png")
+
+
+def run(*sources, out="out", means=ONE, settings=SETTINGS, **options):
+    """Run a batch; what it baked, and its result."""
+    told = Told()
+    todo = Batch(list_jobs(sources), Path(out), settings, **options)
+    result = run_batch(todo, means, told)
+    return [row["id"] for row in told.rows], result
+
+
+def digests(folder):
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in Path(folder).rglob("*")
+        if path.is_file() and path.name != NAME
+    }
+
+
+ALL = ("scenes/first.xml", "scenes/second.xml", "scenes/meshed.mjcf.xml")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="pipes, and limits of memory")
+def test_scenes_that_fail_hang_or_crash_cost_themselves_alone(tmp_path):
+    expected = write_scenes(tmp_path / "scenes", 6, broken=10, endings=True)
+    source = str(tmp_path / "scenes" / "list.jsonl")
+    means = Means(workers=2, limits=JobLimits(seconds=6.0, memory=0.7))
+    _, result = run(source, out=tmp_path / "out", means=means)
+    assert wrong_rows(result.rows, expected) == []
+    assert [row["id"] for row in result.rows] == [job.id for job in list_jobs([source])]
+    assert list(read_index(tmp_path / "out").values()) == result.rows
+    assert (result.count("ok"), result.count("failed"), result.count("left")) == (6, 13, 0)
+    good = sorted(name for name, how in expected.items() if how.how == "ok")
+    assert sorted(path.parent.name for path in (tmp_path / "out").glob("*/*")) == good
+    grid = navbake.bake(tmp_path / "scenes" / "good-0003.xml", grid=SETTINGS["grid"])
+    grid.timings = {}
+    grid.save(tmp_path / "one.json.gz")
+    made = tmp_path / "out" / "good-0003" / "grid.json.gz"
+    assert made.read_bytes() == (tmp_path / "one.json.gz").read_bytes()
+
+
+def test_what_is_done_is_skipped_and_what_failed_is_tried_again(scenes, here):
+    (scenes / "bad.xml").write_text("<mujoco>")
+    names, first = run(*ALL, "scenes/bad.xml")
+    assert names == ["first", "second", "meshed.mjcf", "bad"]
+    before = digests("out")
+    names, again = run(*ALL, "scenes/bad.xml")
+    assert names == ["bad"] and again.skipped == 3
+    assert digests("out") == before
+    assert again.rows[:3] == first.rows[:3]
+    row = again.rows[0]
+    assert row["source"] == "../scenes/first.xml" and row["levels"] == 1
+    assert row["cells"] == 400 and 12 < row["free_area"] < 16 and row["warnings"] == []
+    assert set(again.rows[2]["inputs"]) == {
+        f"../scenes/{name}" for name in ("meshed.mjcf.xml", "chest.obj", "floor.xml")
+    }
+
+
+def test_a_changed_file_of_a_scene_is_noticed_and_a_texture_is_not(scenes, here):
+    run(*ALL)
+    write_texture(scenes, 200)
+    assert run(*ALL)[0] == []
+    for name, content in (
+        ("chest.obj", CHEST.format(height=2)),
+        ("floor.xml", FLOOR.format(half=3)),
+        ("first.xml", draw_room(7)),
+    ):
+        (scenes / name).write_text(content)  # of the same size, and within the same second
+        assert run(*ALL)[0] == ["first" if name == "first.xml" else "meshed.mjcf"], name
+    os.utime(scenes / "second.xml", (1, 1))  # the content is the same
+    assert run(*ALL)[0] == []
+    (scenes / "second.xml").unlink()
+    assert run(*ALL)[1].rows[1]["error"].startswith("no scene file")
+    assert not Path("out/second/grid.json.gz").exists()
+
+
+def test_changed_settings_and_another_file_of_the_same_name_are_noticed(scenes, here):
+    run("scenes/first.xml")
+    assert run("scenes/first.xml", overrides=["agent.radius=0.1"])[0] == ["first"]
+    assert run("scenes/first.xml", settings={})[0] == ["first"]
+    assert run("scenes/first.xml", settings={})[0] == []
+    assert run("scenes/first.xml", settings={"verify": {"sample": 3}})[0] == ["first"]
+    (scenes / "else").mkdir()
+    (scenes / "else" / "first.xml").write_text(draw_room(9))
+    assert run("scenes/else/first.xml", settings={})[0] == ["first"]
+
+
+def test_a_resume_may_run_in_another_folder(scenes, here, monkeypatch):
+    run(*ALL)
+    index = Path("out", NAME).read_bytes()
+    monkeypatch.chdir(scenes)
+    assert run(*(Path(name).name for name in ALL), out="../out")[0] == []
+    assert Path("../out", NAME).read_bytes() == index
+    shutil.move(scenes.parent, scenes.parent.with_name("moved"))  # with their folder
+    monkeypatch.chdir(scenes.parent.with_name("moved"))
+    assert run(*ALL)[0] == []
+
+
+def test_products_are_made_missed_and_removed(scenes, here):
+    make = [
+        "inflated:0.30",
+        "inflated:0.2:0.1",
+        "voxels:0.5",
+        "voxels:0.5:npz",
+        "picture",
+        "report",
+        "nav2",
+        "nav2:0.2",
+    ]
+    names = {
+        *("grid.json.gz", "inflated-0.3.json.gz", "inflated-0.2-0.1.json.gz", "picture.png"),
+        *("nav2.yaml", "nav2.pgm", "nav2-0.2.yaml", "nav2-0.2.pgm"),
+        *("report.html", "voxels-0.5.binvox", "voxels-0.5.npz"),
+    }
+    run("scenes/first.xml", products=make)
+    assert {path.name for path in Path("out/first").iterdir()} == names
+    inflated = navbake.load("out/first/grid.json.gz").inflate(0.3)
+    inflated.save("inflated.json.gz")
+    assert (
+        Path("inflated.json.gz").read_bytes() == Path("out/first/inflated-0.3.json.gz").read_bytes()
+    )
+    before = digests("out")
+    assert run("scenes/first.xml", products=make)[0] == []
+    Path("out/first/picture.png").unlink()
+    assert run("scenes/first.xml", products=make)[0] == ["first"]
+    Path("out/first/report.html").write_text("changed")
+    assert run("scenes/first.xml", products=make)[0] == ["first"]
+    assert digests("out") == before
+    Path("out/first/notes.txt").write_text("mine")
+    assert run("scenes/first.xml", products=["report", "report"])[0] == ["first"]
+    left = {path.name for path in Path("out/first").iterdir()}
+    assert left == {"grid.json.gz", "report.html", "notes.txt"}
+
+
+@pytest.mark.parametrize(
+    ("product", "message"),
+    [
+        ("grids", "expected one of inflated:RADIUS"),
+        ("inflated", "expected inflated:RADIUS"),
+        ("inflated:wide", "expected numbers >= 0"),
+        ("inflated:nan", "expected numbers >= 0"),
+        ("voxels:0", "expected an edge of voxels > 0"),
+        ("voxels:0.1:obj", "expected an ending of binvox, bt, ot, npz"),
+        ("picture:colours", "expected layers of occupancy"),
+        ("report:1", "expected report"),
+    ],
+)
+def test_a_wrong_product_is_refused_before_anything_is_baked(scenes, product, message):
+    with pytest.raises(ConfigError, match=message):
+        run(*ALL, products=[product])
+    assert not Path("out").exists()
+
+
+def test_pictures_without_matplotlib_are_refused_before_anything_is_baked(scenes, monkeypatch):
+    monkeypatch.setattr("navbake.batch.products.find_spec", lambda name: None)
+    with pytest.raises(MissingDependencyError, match=r"navbake\[plot\]"):
+        run(*ALL, products=["picture"])
+
+
+@pytest.mark.parametrize(
+    ("settings", "overrides", "message"),
+    [
+        ({"grid": {"cell_size": -1}}, [], "grid.cell_size"),
+        ({}, ["agent.radios=1"], "agent.radius"),
+        ({}, ["scene.path=a.xml"], "sources name the scenes"),
+        ({}, ["scene.id=a"], "sources name the scenes"),
+    ],
+)
+def test_wrong_settings_of_all_are_one_error(scenes, settings, overrides, message):
+    with pytest.raises(ConfigError, match=message):
+        run(*ALL, settings=settings, overrides=overrides)
+    assert not Path("out").exists()
+
+
+def test_a_fault_of_a_bake_is_a_row(scenes, here, monkeypatch):
+    def bake(config, threads):
+        raise ZeroDivisionError("by zero")
+
+    monkeypatch.setattr("navbake.batch.work.run_bake", bake)
+    rows = run(*ALL)[1].rows
+    assert {row["how"] for row in rows} == {"error"}
+    assert rows[0]["error"].startswith("ZeroDivisionError: by zero")
+
+
+def test_a_batch_ends_after_too_many_failures(scenes, here):
+    for name in ("bad-1", "bad-2"):
+        (scenes / f"{name}.xml").write_text("<mujoco>")
+    sources = ["scenes/bad-1.xml", ALL[0], "scenes/bad-2.xml", ALL[1]]
+    names, result = run(*sources, means=Means(max_failures=1))
+    assert names == ["bad-1", "first", "bad-2"]
+    assert result.stopped == "more than 1 scenes failed"
+    assert [row["status"] for row in result.rows] == ["failed", "ok", "failed", "left"]
+    assert list(read_index(Path("out")).values()) == result.rows
+    assert run(*sources)[0] == ["bad-1", "bad-2", "second"]
+
+
+def test_an_index_that_was_cut_off_is_mended(scenes, here):
+    run(*ALL)
+    index = Path("out", NAME)
+    lines = index.read_bytes().splitlines(keepends=True)
+    index.write_bytes(lines[0] + lines[1][:100] + b"\n[1]\nnull\n" + lines[2][:50])
+    assert run(*ALL)[0] == ["second", "meshed.mjcf"]
+    assert [json.loads(line)["id"] for line in index.read_text().splitlines()] == [
+        *("first", "second", "meshed.mjcf")
+    ]
+    row = json.loads(lines[0])
+    index.write_text(json.dumps({**row, "inputs": 3}) + "\n")  # by whom ever
+    assert run(ALL[0])[0] == ["first"]
+
+
+def test_scenes_of_another_batch_stay_in_the_index(scenes, here):
+    run(ALL[0])
+    run(ALL[1])
+    assert list(read_index(Path("out"))) == ["second", "first"]
+    assert run(*ALL[:2])[0] == []
+    assert list(read_index(Path("out"))) == ["first", "second"]
+
+
+def test_an_interrupted_batch_leaves_a_true_index(scenes, monkeypatch):
+    def do_jobs(jobs, work, count, **options):
+        yield Ended(0, DONE, work(jobs[0]), 0.0)
+        leftover = jobs[1].place
+        leftover.mkdir()
+        (leftover / ".navbake-0123456789abcdef.tmp").write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    with pytest.raises(KeyboardInterrupt):
+        run(*ALL)
+    status = {name: row["status"] for name, row in read_index(Path("out")).items()}
+    assert status == {"first": "ok", "second": "left", "meshed.mjcf": "left"}
+    assert list(Path("out/second").iterdir()) == []
+
+
+def test_two_batches_never_write_into_one_folder(scenes, here):
+    Path("out").mkdir()
+    with (
+        only_batch(Path("out")),
+        pytest.raises(NavbakeError, match="another batch writes into out"),
+    ):
+        run(*ALL)
+    assert len(run(*ALL)[0]) == 3
+
+
+def test_a_folder_that_cannot_be_written_is_one_error(scenes, here):
+    Path("out").write_text("a file")
+    with pytest.raises(NavbakeError, match="cannot write into out"):
+        run(*ALL)
+
+
+def test_the_warnings_of_a_bake_are_in_its_row(scenes, here):
+    (scenes / "low.xml").write_text(draw_room(0))
+    row = run("scenes/low.xml", settings={"scene": {"exclude": {"bodies": ["nobody"]}}})[1].rows[0]
+    assert row["warnings"] == list(navbake.load("out/low/grid.json.gz").warnings) != []

@@ -1,0 +1,143 @@
+"""Workers: a job that hangs, crashes or takes too much costs itself alone."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+import crew_jobs
+from navbake.batch.crew import CRASHED, DONE, TOO_LARGE, TOO_LONG, JobLimits, do_jobs
+from navbake.errors import NavbakeError
+from project_paths import ROOT
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="how Linux ends and limits processes")
+
+
+def run(jobs, count=1, **options):
+    """How each job ended, in the jobs' order."""
+    ended = sorted(do_jobs(jobs, crew_jobs.work, count, **options))
+    assert [end.number for end in ended] == list(range(len(jobs)))
+    return [(end.how, end.value) for end in ended]
+
+
+def is_there(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_all_jobs_are_done_by_as_many_workers_as_asked_for():
+    assert run([("double", k) for k in range(20)], 3) == [(DONE, 2 * k) for k in range(20)]
+    pids = {value for _, value in run([("sleep", 0.3)] * 4, 2)}
+    assert len(pids) == 2 and os.getpid() not in pids
+    assert run([]) == []
+
+
+@linux
+def test_what_ends_a_worker_costs_its_job_alone():
+    jobs = [
+        ("double", 1),
+        ("kill", signal.SIGSEGV),
+        ("double", 2),
+        ("exit", 7),
+        ("raise", "bad value"),
+        ("sleep", 60),
+        ("double", 3),
+        ("print", None),
+    ]
+    ended = run(jobs, 2, limits=JobLimits(seconds=1.5))
+    assert [ended[k] for k in (0, 2, 6)] == [(DONE, 2), (DONE, 4), (DONE, 6)]
+    assert ended[1] == (CRASHED, "its process ended by SIGSEGV")
+    assert ended[3] == (
+        CRASHED,
+        "its process ended with exit status 7: no such thing: qh6154",
+    )
+    assert ended[4] == (CRASHED, "ValueError: bad value")
+    assert ended[5] == (TOO_LONG, "it took more than 1.5 s")
+    assert ended[7][0] == DONE  # there is nothing to read
+
+
+@linux
+def test_memory_is_limited_beyond_what_a_worker_starts_with(capfd):
+    jobs = [("take", 1 << 20), ("take", 1 << 30), ("take", 1 << 21), ("print", None)]
+    ended = run(jobs, limits=JobLimits(memory=0.25))
+    assert ended[0] == (DONE, 1 << 20) and ended[2] == (DONE, 1 << 21)
+    assert ended[1] == (TOO_LARGE, "it took more memory than 0.25 GiB")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_job_is_blamed_only_where_its_worker_had_done_no_other():
+    ended = run([("double", 1), ("if alone", None), ("double", 2)])
+    assert [how for how, _ in ended] == [DONE, DONE, DONE]
+
+
+def test_a_job_is_tried_again_as_often_as_asked(tmp_path):
+    job = ("once", str(tmp_path / "tried"))
+    assert run([job])[0][0] == CRASHED
+    (tmp_path / "tried").unlink()
+    assert run([job], retries=1)[0][0] == DONE
+    begin = time.monotonic()
+    assert run([("sleep", 60)], limits=JobLimits(seconds=0.3), retries=2)[0][0] == TOO_LONG
+    assert time.monotonic() - begin > 0.9
+
+
+def test_a_limit_shorter_than_the_start_of_a_worker_is_one_of_the_job():
+    assert run([("double", 1)], limits=JobLimits(seconds=0.2))[0] == (DONE, 2)
+
+
+def test_a_worker_that_dies_while_idle_is_replaced():
+    jobs = list(range(3))
+    ended = []
+    for end in do_jobs(jobs, crew_jobs.die_when_idle, 1):
+        ended.append(end.value)
+        time.sleep(0.2)  # it dies meanwhile
+    assert ended == jobs
+
+
+@pytest.mark.parametrize(
+    ("prepare", "why"),
+    [(crew_jobs.refuse, "RuntimeError: no library"), (crew_jobs.end, "ended by SIGKILL")],
+)
+def test_workers_that_do_not_start_are_one_error(prepare, why, capfd):
+    with pytest.raises(NavbakeError, match=f"cannot start a worker process: .*{why}"):
+        list(do_jobs([("double", 1)], crew_jobs.work, 2, prepare=prepare))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_workers_are_gone_when_the_jobs_are_left():
+    ended = do_jobs([("sleep", 0), ("sleep", 60)], crew_jobs.work, 1)
+    pid = next(ended).value
+    assert is_there(pid)
+    ended.close()
+    assert not is_there(pid)
+
+
+@linux
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
+def test_workers_are_gone_when_the_parent_is(number, tmp_path):
+    script = tmp_path / "parent.py"
+    script.write_text(
+        "import sys\n"
+        f"sys.path[:0] = [{str(ROOT)!r}, {str(ROOT / 'tests')!r}]\n"
+        "import crew_jobs\n"
+        "from navbake.batch.crew import do_jobs\n"
+        "if __name__ == '__main__':\n"
+        "    for end in do_jobs([('sleep', 0), ('sleep', 60)], crew_jobs.work, 1):\n"
+        "        print(end.value, flush=True)\n"
+    )
+    with subprocess.Popen([sys.executable, script], stdout=-1, stderr=-1, text=True) as parent:
+        assert parent.stdout is not None
+        pid = int(parent.stdout.readline())
+        parent.send_signal(number)
+        parent.wait(20)
+    end = time.monotonic() + 5.0
+    while is_there(pid) and time.monotonic() < end:
+        time.sleep(0.02)
+    assert not is_there(pid)

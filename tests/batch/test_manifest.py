@@ -1,0 +1,151 @@
+"""Lists of scenes: patterns, files of rows, ids, settings."""
+
+from __future__ import annotations
+
+import pytest
+
+from navbake.batch.job import Job, check_unique
+from navbake.batch.manifest import list_jobs
+from navbake.batch.settings import merge, nest, read_shared, settings_of
+from navbake.errors import ConfigError
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The current folder, with scenes in `a` and `b`."""
+    for name in ("a/kitchen.xml", "a/hall.xml", "b/kitchen.xml", "b/cellar[1].xml"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("<mujoco/>")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def ids(*sources):
+    return [job.id for job in list_jobs(sources)]
+
+
+def test_patterns_come_sorted_and_names_are_as_long_as_needed(folder):
+    assert ids("a/*.xml") == ["hall", "kitchen"]
+    assert ids("*/*.xml") == ["hall", "a/kitchen", "cellar[1]", "b/kitchen"]
+    assert ids("**/kitchen.xml", "a/../b/cellar[1].xml")[0] == "a/kitchen"
+    (folder / "a" / "b").mkdir()
+    (folder / "a" / "b" / "kitchen.xml").write_text("<mujoco/>")
+    assert ids("a/b/kitchen.xml", "b/kitchen.xml") == ["a/b/kitchen", f"{folder.name}/b/kitchen"]
+
+
+def test_lists_name_scenes_beside_themselves(folder):
+    (folder / "a" / "list.txt").write_text("# mine\nhall.xml\n\n../b/kitchen.xml\n")
+    assert [job.source for job in list_jobs(["a/list.txt"])] == ["a/hall.xml", "a/../b/kitchen.xml"]
+    (folder / "list.csv").write_text(
+        "id,scene,agent.radius,scene.geoms,rooms.polygons\n"
+        '001,a/hall.xml,0.2,all,\n1e3,a/kitchen.xml,,,plan.geojson\n"K, 2",b/kitchen.xml,1,,\n'
+    )
+    jobs = list_jobs(["list.csv"])
+    assert [job.id for job in jobs] == ["001", "1e3", "K, 2"]
+    assert jobs[0].settings == {"agent": {"radius": 0.2}, "scene": {"geoms": "all"}}
+    assert jobs[1].settings == {"rooms": {"polygons": str(folder / "plan.geojson")}}
+    assert jobs[2].settings == {"agent": {"radius": 1}}
+    (folder / "list.jsonl").write_text(
+        '{"scene": "a/hall.xml", "id": "big\u2028"}\n'.replace("\u2028", "")
+        + '\n{"config": "b/kitchen.yaml", "settings": {"agent": {"radius": 0.3}}, "id": 7,'
+        ' "agent.height": 2, "grid": null}\r\n'
+    )
+    jobs = list_jobs(["list.jsonl"])
+    assert [job.id for job in jobs] == ["big", "7"]
+    assert jobs[1].settings == {"agent": {"radius": 0.3, "height": 2}}
+    assert jobs[1].place == "list.jsonl, line 3"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.txt", "", "at least one scene"),
+        ("a.csv", "scene,id\na.xml\n,b\n", "expected a path as `scene` or as `config` at a.csv, l"),
+        ("a.csv", "scene\na.xml,b\n", "as many values as columns at a.csv, line 2"),
+        ("a.csv", "scene,config\na.xml,b.yaml\n", "expected a path as `scene` or as `config`"),
+        ("a.csv", "scene,split\na.xml,train\n", "got `split` at a.csv, line 2"),
+        ("a.csv", "scene,scene.path\na.xml,b.xml\n", "expected no `scene.path` in a.csv, line 2"),
+        ("a.jsonl", '{"scene": "a.xml"}\n{"scene"\n', "broken JSON at a.jsonl, line 2"),
+        ("a.jsonl", "[1]\n", "expected an object at a.jsonl, line 1"),
+        ("a.jsonl", '{"scene": 3}\n', "expected a path"),
+        ("a.jsonl", '{"scene": "a.xml", "settings": 3}', "expected an object as `settings`"),
+        ("a.csv", "scene\n\xff\n", "expected UTF-8 in a.csv"),
+    ],
+)
+def test_broken_lists_name_the_line(folder, name, text, message):
+    (folder / name).write_bytes(text.encode("latin-1"))
+    with pytest.raises(ConfigError, match=message):
+        list_jobs([name])
+
+
+def test_sources_that_name_nothing_are_refused(folder):
+    with pytest.raises(ConfigError, match=r"files that match c/\*.xml, got none"):
+        list_jobs(["c/*.xml"])
+    with pytest.raises(ConfigError, match="got the folder a: name what is in it"):
+        list_jobs(["a"])
+    with pytest.raises(ConfigError, match=r"no\.jsonl"):
+        list_jobs(["no.jsonl"])
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("..", "../a", "/a", "a//b", "a/", ".a", "a.", " a", "a ", "a\\b", "C:a", "a\nb", "*"),
+        *("NUL", "nul.txt", "index.jsonl", "a" * 201, "ä" * 101, "a\u202eb"),
+    ],
+)
+def test_ids_cannot_leave_the_folder(folder, name):
+    import json
+
+    (folder / "list.jsonl").write_text(json.dumps({"scene": "a/hall.xml", "id": name}))
+    with pytest.raises(ConfigError, match=r"expected an id .* at list.jsonl, line 1"):
+        list_jobs(["list.jsonl"])
+
+
+def test_ids_may_have_letters_of_all_languages():
+    check_unique([Job(name, "", {}, "") for name in ("Küche", "台所", "a/b", "a", "a+b (2), c")])
+
+
+@pytest.mark.parametrize(
+    ("one", "other"), [("a", "A"), ("Stra\u00dfe", "STRASSE"), ("é", "e\u0301")]
+)
+def test_ids_that_some_file_system_takes_for_one_are_refused(one, other):
+    with pytest.raises(ConfigError, match=r"expected unique ids, got .* at 1 and .* at 2"):
+        check_unique([Job(one, "", {}, "1"), Job(other, "", {}, "2")])
+
+
+def test_one_file_twice_is_refused(folder):
+    with pytest.raises(ConfigError, match="expected unique ids"):
+        list_jobs(["a/hall.xml", "a/hall.xml"])
+
+
+def test_a_scene_has_the_settings_of_the_batch_its_own_and_those_of_its_row(folder):
+    (folder / "all.yaml").write_text(
+        "agent: {height: 2.0, radius: 0.1}\ngrid: {cell_size: 0.3}\nnames: false\n"
+    )
+    (folder / "a" / "own.yaml").write_text(
+        "scene: {path: hall.xml}\nagent: {radius: 0.2}\ngrid:\noutput: a.grid.json\n"
+    )
+    job = Job("own", "a/own.yaml", nest({"agent.traversable_floor_height": 0.1}, ""), "here")
+    config = settings_of(job, read_shared("all.yaml"), ["agent.max_slope=30"])
+    assert str(config.scene.path) == "a/hall.xml" and config.scene.id == "own"
+    assert config.agent.model_dump() == {
+        **{"height": 2.0, "radius": 0.2, "traversable_floor_height": 0.1, "max_slope": 30.0}
+    }
+    assert config.grid.cell_size == 0.3 and not config.names.enabled
+    (folder / "a" / "own.yaml").write_text("- 1\n")
+    with pytest.raises(ConfigError, match=r"expected a mapping of settings in a/own.yaml"):
+        settings_of(job, {}, [])
+    (folder / "all.yaml").write_text("scene: {id: a}\n")
+    with pytest.raises(ConfigError, match=r"expected no `scene.id` in all.yaml"):
+        read_shared("all.yaml")
+
+
+def test_settings_are_laid_over_each_other_section_by_section():
+    below = {"a": {"b": 1, "c": 2}, "d": 3}
+    assert merge(below, {"a": {"b": 5}, "d": {"e": 1}}) == {"a": {"b": 5, "c": 2}, "d": {"e": 1}}
+    assert merge(below, {"a": None, "d": None}) == {"a": {"b": 1, "c": 2}, "d": None}
+    assert nest({"scene.joints.door.hinge": 1, "a": {"b": 2}, "a.c": 3}, "") == {
+        "scene": {"joints": {"door.hinge": 1}},
+        "a": {"b": 2, "c": 3},
+    }

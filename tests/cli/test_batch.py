@@ -1,0 +1,244 @@
+"""`navbake batch`: what it prints, its exit status, and what is left after it was ended."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from batch_scenes import write_scenes
+from navbake.batch import batch as module
+from navbake.batch.crew import DONE, Ended
+from navbake.cli.commands import batch as command
+from navbake.files import TEMPORARY
+from navbake.formats.navgrid import read_navgrid
+from navbake.kernel_list import read_list
+from project_paths import ROOT
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="how Linux ends processes")
+COUNT = 12
+COMMON = "navbake." + read_list().entries[0].name  # of the kernels that any bake calls
+COARSE = ("--set", "grid.cell_size=0.1")
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """Jobs are done in this process, one after another."""
+
+    def do_jobs(jobs, work, count, **options):
+        for number, job in enumerate(jobs):
+            yield Ended(number, DONE, work(job), 0.0)
+
+    monkeypatch.setattr(module, "do_jobs", do_jobs)
+
+
+def test_a_batch_prints_a_summary_and_what_failed(folder, run, here):
+    (folder / "bad.xml").write_text("<mujoco>")
+    status, out, err = run("batch", "*.xml", "-o", "out", *COARSE)
+    assert status == 1
+    assert out.startswith("1 baked, 1 failed, 1 with warnings in ") and out.endswith(
+        f"{Path('out/index.jsonl')}\n"
+    )
+    assert err.startswith("navbake: bad: error: broken XML in bad.xml") and err.count("\n") == 1
+    status, out, err = run("batch", "room.xml", "-o", "out", *COARSE)
+    assert (status, err) == (0, "") and out.startswith("1 skipped, 1 with warnings in ")
+    assert run("batch", "room.xml", "-o", "out", "-q", *COARSE) == (0, "", "")
+    status, out, err = run("batch", "bad.xml", "room.xml", "-o", "2", "--max-failures", "0")
+    assert status == 1 and out.startswith("1 failed, 1 left in ")
+    assert "navbake: stopped: more than 0 scenes failed" in err
+
+
+def test_lines_of_json_tell_of_each_scene(folder, run, here):
+    (folder / "bad.xml").write_text("<mujoco>")
+    status, out, err = run("batch", "room.xml", "room.yaml", "-o", "out", *COARSE)
+    assert (status, out) == (1, "") and "unique ids" in err
+    status, out, err = run("batch", "*.xml", "-o", "out", "--json", *COARSE)
+    assert (status, err) == (1, "")
+    begin, bad, room, end = map(json.loads, out.splitlines())
+    assert begin == {"event": "begin", "scenes": 2, "skipped": 0}
+    assert (bad["event"], bad["status"], bad["how"]) == ("scene", "failed", "error")
+    assert room["id"] == "room" and room["status"] == "ok"
+    del end["seconds"]
+    counts = {"baked": 1, "skipped": 0, "failed": 1, "left": 0}
+    assert end == {"event": "end", **counts, "stopped": None}
+
+
+def test_settings_and_products_reach_the_scenes(folder, run, here):
+    (folder / "all.yaml").write_text("grid: {cell_size: 0.25}\n")
+    given = ("--config", "all.yaml", "--make", "inflated:0.3", "--set", "agent.radius=0.1")
+    assert run("batch", "room.xml", "-o", "out", *given)[0] == 0
+    grid = read_navgrid(Path("out/room/grid.json.gz"))
+    assert grid.cell_size == 0.25 and grid.agent_radius == 0.1
+    assert Path("out/room/inflated-0.3.json.gz").is_file()
+
+
+def test_wrong_uses_are_one_line(folder, run):
+    for arguments, message in (
+        (("no/*.xml", "-o", "out"), "expected files that match"),
+        (("room.xml", "-o", "out", "--make", "grid"), "expected one of inflated:RADIUS"),
+        (("room.xml", "-o", "out", "--set", "a.b=1"), "unknown key"),
+        (("room.xml", "-o", "room.xml/out"), "cannot write into"),
+    ):
+        status, out, err = run("batch", *arguments)
+        assert (status, out, err.count("\n")) == (1, "", 1) and message in err, arguments
+
+
+def test_what_is_cold_is_compiled_once_before_workers_start(folder, run, here, monkeypatch):
+    compiled = []
+    monkeypatch.setattr(command, "compile_all", lambda show: compiled.append(1))
+    monkeypatch.setattr(command, "cold_kernels", lambda: ["navbake.runtime.kernels.a.b"])
+    run("batch", "room.xml", "-o", "out", *COARSE)
+    assert not compiled
+    monkeypatch.setattr(command, "cold_kernels", lambda: [COMMON])
+    run("batch", "room.xml", "-o", "out", *COARSE)
+    assert not compiled  # there was nothing to bake
+    run("batch", "room.xml", "-o", "else", *COARSE)
+    assert compiled
+    monkeypatch.setattr("navbake.dispatch.can_keep", lambda: False)
+    assert "each worker compiles its own" in run("batch", "room.xml", "-o", "third", *COARSE)[2]
+
+
+@linux
+def test_on_a_terminal_a_line_tells_how_far_it_is(folder):
+    import pty
+
+    reading, writing = pty.openpty()
+    arguments = ["batch", "room.xml", "-o", "out", *COARSE]
+    with start(*arguments, stdout=subprocess.PIPE, stderr=writing) as process:
+        os.close(writing)
+        seen = b""
+        with contextlib.suppress(OSError):
+            while chunk := os.read(reading, 4096):
+                seen += chunk
+        assert process.stdout is not None
+        assert process.stdout.read().startswith(b"1 baked, ")
+    os.close(reading)
+    assert b"0/1" in seen and b"0 failed" in seen
+
+
+# ---------------------------------------------------------------- ended from outside
+
+
+def start(*arguments, **options):
+    """A process group of `navbake`."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "navbake", *arguments]
+    return subprocess.Popen(command, env=environment, start_new_session=True, **options)
+
+
+def digests(folder):
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(Path(folder).glob("*/*"))
+    }
+
+
+def group_members(group):
+    """Processes of a group that are no zombies."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, of_group = path.read_text().rpartition(")")[2].split()[:3]
+            if int(of_group) == group and state != "Z":
+                found.append(path)
+    return found
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory):
+    """A folder with scenes and their list, and what an undisturbed batch makes of them."""
+    folder = tmp_path_factory.mktemp("scenes")
+    write_scenes(folder / "scenes", COUNT)
+    options = ("scenes/list.jsonl", "-o", "whole", "--jobs", "2", *COARSE)
+    with start("batch", *options, cwd=folder, stdout=subprocess.DEVNULL) as process:
+        assert process.wait(120) == 0
+    return folder, digests(folder / "whole")
+
+
+def wait_for(path, count=1, seconds=60.0):
+    """Wait until there are so many grids."""
+    end = time.monotonic() + seconds
+    while len([*path.glob("*/grid.json.gz")]) < count:
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+@linux
+@pytest.mark.parametrize(
+    ("number", "whole_group", "status"),
+    [(signal.SIGINT, True, 130), (signal.SIGTERM, True, 143), (signal.SIGTERM, False, 143)],
+)
+def test_a_signal_ends_workers_and_leaves_a_true_index(
+    scenes, tmp_path, number, whole_group, status
+):
+    folder, expected = scenes
+    options = ("scenes/list.jsonl", "-o", tmp_path, "--jobs", "2", *COARSE)
+    with start("batch", *options, cwd=folder, stdout=-1, stderr=-1) as process:
+        wait_for(tmp_path)
+        os.killpg(process.pid, number) if whole_group else process.send_signal(number)
+        _, err = process.communicate(timeout=30)
+        assert process.returncode in (0, status)
+        assert b"Traceback" not in err
+    end = time.monotonic() + 5.0  # the process that cleans up after multiprocessing hears late
+    while group_members(process.pid) and time.monotonic() < end:
+        time.sleep(0.02)
+    assert group_members(process.pid) == []
+    assert not [path for path in tmp_path.rglob("*") if TEMPORARY.fullmatch(path.name)]
+    rows = [json.loads(line) for line in (tmp_path / "index.jsonl").read_text().splitlines()]
+    listed = (folder / "scenes" / "list.jsonl").read_text().splitlines()
+    assert [f"{row['id']}.xml" for row in rows] == [json.loads(line)["scene"] for line in listed]
+    assert {row["status"] for row in rows} <= {"ok", "left"}
+    made = digests(tmp_path)
+    for row in rows:
+        name = f"{row['id']}/grid.json.gz"
+        assert row["status"] == "left" or made[name] == expected[name]
+
+
+@linux
+def test_killed_at_random_and_started_again_it_makes_the_same(scenes, tmp_path):
+    folder, expected = scenes
+    broken, ended = [], threading.Event()
+    out = tmp_path / "out"
+
+    def watch():
+        """Read whatever there is, all the time."""
+        while not ended.is_set():
+            for path in out.glob("*/grid.json.gz"):
+                with contextlib.suppress(FileNotFoundError):
+                    name = path.relative_to(out).as_posix()
+                    if hashlib.sha256(path.read_bytes()).hexdigest() != expected[name]:
+                        broken.append(path)
+            time.sleep(0.001)
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    random_ = random.Random(0)
+    options = ("batch", "scenes/list.jsonl", "-o", out, "--jobs", "2", "-q", *COARSE)
+    kills = 0
+    try:
+        for count in (1, 6):
+            with start(*options, cwd=folder) as process:
+                wait_for(out, count)
+                time.sleep(random_.uniform(0.0, 0.05))
+                kills += process.poll() is None
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+        with start(*options, cwd=folder) as process:
+            assert process.wait(60) == 0
+    finally:
+        ended.set()
+        watcher.join()
+    assert kills and not broken
+    assert digests(out) == expected
+    rows = map(json.loads, (out / "index.jsonl").read_text().splitlines())
+    assert {row["status"] for row in rows} == {"ok"}

@@ -1,0 +1,58 @@
+"""What workers do in the tests of batches: jobs that work, and jobs that end them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from typing import Any
+
+done: list[Any] = []  # in this process
+
+
+def work(job: tuple[str, Any]) -> Any:
+    """Do what a job says."""
+    what, value = job
+    done.append(job)
+    if what == "double":
+        return 2 * value
+    if what == "sleep":
+        time.sleep(value)
+    elif what == "kill":
+        os.kill(os.getpid(), value)
+    elif what == "exit":
+        os.write(2, b"first line\nno such thing: qh6154\n\n")
+        raise SystemExit(value)
+    elif what == "raise":
+        raise ValueError(value)
+    elif what == "take":
+        return len(bytearray(value))
+    elif what == "if alone":  # crashes where another job was done before
+        if len(done) > 1:
+            os.kill(os.getpid(), signal.SIGSEGV)
+    elif what == "once":  # crashes the first time
+        if not os.path.exists(value):
+            with open(value, "x"):
+                raise SystemExit(3)
+    elif what == "print":
+        print("hello")
+        os.write(1, b"hello")
+        sys.stdin.read()
+    return os.getpid()
+
+
+def die_when_idle(job: Any) -> Any:
+    """Answer, and end a moment later."""
+    signal.setitimer(signal.ITIMER_REAL, 0.05)
+    return job
+
+
+def refuse() -> None:
+    """Get no worker ready."""
+    raise RuntimeError("no library")
+
+
+def end() -> None:
+    """End the worker before it is ready."""
+    os.kill(os.getpid(), signal.SIGKILL)
