@@ -64,12 +64,14 @@ def run_beside(task: Callable[..., Result], *args: Any) -> Callable[[], Result]:
 
     Kernels that it starts may take as many threads as those of this thread.
 
-    Returns what waits for the result, and gives it or raises what the function raised.
+    Returns what waits for the result, and gives it or raises what the function raised. If no other
+    thread has begun by then, because all are busy, the one that asks runs it.
     """
     count = num_threads()
     if count == 1:
         return partial(task, *args)
-    return _get_pool().submit(_run_limited, count, task, args).result
+    future = _get_pool().submit(_run_limited, count, task, args)
+    return lambda: _run_limited(count, task, args) if future.cancel() else future.result()
 
 
 def _run_limited(count: int, task: Callable[..., Result], args: tuple[Any, ...]) -> Result:

@@ -1,5 +1,6 @@
 """How many threads a bake may be told to run on."""
 
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 
@@ -82,3 +83,15 @@ def test_what_runs_beside_has_the_limit_too(monkeypatch):
     with limit_threads(2):
         assert run_beside(num_threads)() == 2
     assert run_beside(num_threads)() == 5
+
+
+def test_what_no_thread_has_begun_is_run_by_the_one_that_asks():
+    """Else it would wait for threads that are at work for others, perhaps for itself."""
+    go_on = threading.Event()
+    busy = [run_beside(go_on.wait) for _ in range(num_threads())]
+    try:
+        assert run_beside(threading.get_ident)() == threading.get_ident()
+    finally:
+        go_on.set()
+    for wait in busy:
+        assert wait()

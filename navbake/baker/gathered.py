@@ -18,6 +18,7 @@ class Gathered:
 
     def __init__(self, *empty: NDArray[Any]) -> None:
         self._arrays = [np.empty(array.shape, array.dtype) for array in empty]
+        self._are_others = False  # whether the arrays are those of the part that was added
         self._count = 0
 
     def __len__(self) -> int:
@@ -29,9 +30,16 @@ class Gathered:
         Args:
             share: how much of the whole is known with this part, > 0 to 1: so much room is made at
                 once that most parts only fill it. The system gives new arrays larger pages than
-                those that grow.
+                those that grow. A first part that is all of it is kept as it is, without a copy:
+                nobody changes it afterwards.
         """
         begin, self._count = self._count, self._count + len(parts[0])
+        known = zip(parts, self._arrays, strict=True)
+        if begin == 0 and share >= 1.0 and all(part.dtype == own.dtype for part, own in known):
+            self._arrays, self._are_others = list(parts), True
+            return
+        if self._are_others:  # what belongs to others can't grow
+            self._arrays, self._are_others = [array.copy() for array in self._arrays], False
         room = self._count
         if room and share < 1.0:
             room = max(room, int(SPARE * room / share))

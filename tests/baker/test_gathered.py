@@ -26,3 +26,13 @@ def test_parts_become_one(sizes, even, data):
     np.testing.assert_array_equal(z, number)
     np.testing.assert_array_equal(xyz, np.repeat(number, 3).reshape(-1, 3))
     assert z.dtype == np.float64 and xyz.dtype == np.float32
+
+
+def test_a_part_that_is_all_is_not_copied():
+    """One block of columns is most scenes: its surfaces are there already."""
+    gathered, part = Gathered(np.empty(0)), np.arange(5.0)
+    gathered.add(part, share=1.0)
+    assert gathered.take()[0].base is part
+    gathered.add(part, share=1.0)  # though more was said not to come
+    np.testing.assert_array_equal(gathered.take()[0], [*part, *part])
+    np.testing.assert_array_equal(part, np.arange(5.0))

@@ -25,7 +25,7 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
-from navbake.threads import run_in_bands
+from navbake.threads import run_beside, run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
 
@@ -74,14 +74,19 @@ class Standable(NamedTuple):
         """The surfaces that are kept, shape (n,)."""
         if kept.all():
             return self
-        number, chosen = np.zeros(len(kept) + 1, dtype=np.int64), np.flatnonzero(kept)
-        np.cumsum(kept, out=number[1:])  # of those before each
-        start, sheet = number[self.start], self.sheet[chosen]
+        renumbered, chosen = run_beside(self._renumber, kept), np.flatnonzero(kept)
+        sheet = self.sheet[chosen]
         size = np.bincount(sheet, minlength=len(self.sheet_size))
         arrays = self.z[chosen], self.cell[chosen], self.surface[chosen]
         told = self.geom[chosen], self.is_top[chosen]
-        slopes = number[self.slopes[kept[self.slopes].all(axis=1)]]
+        start, slopes = renumbered()
         return Standable(self.lattice, start, *arrays, *told, sheet, size, slopes)
+
+    def _renumber(self, kept: Bool) -> tuple[Int, Int]:
+        """`start` and `slopes` of the surfaces that are kept, see `only`."""
+        number = np.zeros(len(kept) + 1, dtype=np.int64)
+        np.cumsum(kept, out=number[1:])  # of those before each
+        return number[self.start], number[self.slopes[kept[self.slopes].all(axis=1)]]
 
     def sheets_at(self, cells: Int, heights: Float) -> Int32:
         """The sheets of the surfaces in some cells at heights at which there is one, shape (n,)."""

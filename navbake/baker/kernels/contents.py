@@ -35,7 +35,14 @@ from navbake.baker.kernels.overlap import (
     outside,
     plane_meets_prism,
 )
-from navbake.baker.kernels.tiles import TILE, cell_bit, cells_near, center_of, tile_window
+from navbake.baker.kernels.tiles import (
+    TILE,
+    cell_bit,
+    cell_bits,
+    cells_near,
+    center_of,
+    tile_window,
+)
 from navbake.compiled import UNCOUNTED
 from navbake.types import Bool, Float, Int
 
@@ -284,9 +291,12 @@ def _list_geom(asked, shapes, tiles, groups, is_solid, n, cells, here):
         still = _cells_open_between(here, boxes[t, 2], boxes[t, 5])
         if still == 0:
             continue
-        row0, row1, col0, col1 = cells_near(lattice, window, boxes, t, reach)
-        for row in range(row0, row1):
-            for col in range(col0, col1):
+        near = cells_near(lattice, window, boxes, t, reach)
+        still &= cell_bits(asked.window, near)
+        if still == 0:
+            continue
+        for row in range(near[0], near[1]):
+            for col in range(near[2], near[3]):
                 r, c = row - asked.window[0], col - asked.window[2]
                 if still & cell_bit(r, c) == 0:
                     continue

@@ -26,7 +26,14 @@ from navbake.baker.kernels.overlap import (
     plane_meets_prism,
 )
 from navbake.baker.kernels.solids import solid_meets
-from navbake.baker.kernels.tiles import TILE, cell_bit, cells_near, center_of, tile_window
+from navbake.baker.kernels.tiles import (
+    TILE,
+    cell_bit,
+    cell_bits,
+    cells_near,
+    center_of,
+    tile_window,
+)
 from navbake.compiled import UNCOUNTED
 from navbake.types import Int
 
@@ -127,11 +134,14 @@ def _check_shapes(tile, shapes, tiles, footprint, queries, search, still_open):
                 break
             if boxes[i, 2] >= high or boxes[i, 5] <= low:
                 continue
-            row0, row1, col0, col1 = cells_near(lattice, window, boxes, i, reach)
-            for row in range(row0, row1):
-                for col in range(col0, col1):
+            near = cells_near(lattice, window, boxes, i, reach)
+            asked = still & cell_bits(window, near)
+            if asked == 0:  # so it is for most triangles of a fine mesh
+                continue
+            for row in range(near[0], near[1]):
+                for col in range(near[2], near[3]):
                     bit = cell_bit(row - window[0], col - window[2])
-                    if still & bit == 0:
+                    if asked & bit == 0:
                         continue
                     n = search.first[row - window[0], col - window[2]]
                     still &= ~bit

@@ -18,6 +18,8 @@ TILE = 8  # cells along a tile's edge; a tile's cells are the bits of an int64
 BAND = 8  # rows of cells in a band
 # How far beyond the centres of cells one looks, in cells, so that rounding loses none
 HAIR = 1e-3
+# The first column of a tile, all rows of it, as bits
+ONE_COLUMN = np.int64(sum(1 << (row * TILE) for row in range(TILE)))
 
 
 @njit(cache=True)
@@ -39,6 +41,24 @@ def tile_window(lattice, tile):
 def cell_bit(row, col):
     """The bit of a cell by its row and column in a tile, in a number with a bit for each cell."""
     return np.int64(1) << (row * TILE + col)
+
+
+@njit(inline="always")
+def cell_bits(window, near):
+    """The bits of the cells of a window in the window of a tile that holds it; 0 for none.
+
+    Both are what `tile_window` returns, the tile's first.
+    """
+    row0, row1, col0, col1 = near
+    if row0 >= row1 or col0 >= col1:
+        return np.int64(0)
+    one_row = ((np.int64(1) << (col1 - col0)) - 1) << (col0 - window[2])
+    all_rows = one_row * ONE_COLUMN
+    # without the rows before the first, and those from past the last on
+    bits = all_rows & (np.int64(-1) << ((row0 - window[0]) * TILE))
+    if row1 - window[0] < TILE:
+        bits &= cell_bit(row1 - window[0], 0) - 1
+    return bits
 
 
 @njit(inline="always")

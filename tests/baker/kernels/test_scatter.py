@@ -18,7 +18,7 @@ from numpy.random import Generator
 
 from navbake.baker.contents.walls import WALL_BAND, wall_candidates
 from navbake.baker.kernels.constants import MEETS, SAME, TOUCH, UNDECIDED
-from navbake.baker.kernels.tiles import TILE, cells_near
+from navbake.baker.kernels.tiles import TILE, cell_bits, cells_near
 from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
 from navbake.baker.scene.extents import measure_geoms
 from navbake.baker.stages import Stages, bake_stages
@@ -176,9 +176,11 @@ def test_cells_near_a_box(seed):
     box = np.concatenate([low, high])[None]
     window = (row, row + TILE, col, col + TILE)
     near = cells_near(lattice, window, box, 0, reach)
+    bits = int(cell_bits(window, near))
     for r in range(row, row + TILE):
         for c in range(col, col + TILE):
             x, y = lattice.positions(r, c)
             beside = max(low[0] - x, x - high[0], low[1] - y, y - high[1]) - reach
             inside = near[0] <= r < near[1] and near[2] <= c < near[3]
             assert inside if beside < 1e-9 else not inside or beside < 0.01 * size
+            assert bits >> ((r - row) * TILE + c - col) & 1 == inside
