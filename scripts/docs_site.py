@@ -1,4 +1,4 @@
-"""Makes a site of docs/, see mkdocs.yml: the README, CONTRIBUTING and the examples are pages of it.
+"""Makes a site of docs/, see mkdocs.yml, with pages of the README and its like and the examples.
 
 mkdocs takes files of docs/ only. The links of those others lead from the project's root, and links
 of docs/ lead out to them; both are turned into links from page to page.
@@ -15,7 +15,12 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parents[1]
-OUTSIDE = {"README.md": "readme.md", "CONTRIBUTING.md": "contributing.md"}
+OUTSIDE = {
+    "README.md": "readme.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
+}
+FILES = ("CITATION.cff",)  # that pages link to, and that are no pages
 EXAMPLES = "examples.md"
 LINK = re.compile(r"\]\((?!\w+:|#)([^)#\s]+)(#[^)\s]*)?\)")
 
@@ -25,6 +30,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for name, page in OUTSIDE.items():
         text = (ROOT / name).read_text(encoding="utf-8")
         files.append(File.generated(config, page, content=text))
+    for name in FILES:
+        files.append(File.generated(config, name, abs_src_path=str(ROOT / name)))
     files.append(File.generated(config, EXAMPLES, content=_list_examples()))
     return files
 

@@ -17,16 +17,33 @@ LOADED = re.compile(r"<(?:script|link|img|iframe)\b[^>]*\b(?:src|href)=[\"']?([^
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-d", str(folder)]
-    # strict: what mkdocs warns of, such as a link to a page that isn't there, is an error
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    done = build(ROOT / "mkdocs.yml", folder)
     assert done.returncode == 0, done.stderr
     return folder
 
 
+def build(config, folder):
+    """Build the site; strict: what mkdocs warns of, such as a broken link, is an error.
+
+    Not quiet: mkdocs counts no warnings then.
+    """
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-f", str(config)]
+    command += ["-d", str(folder)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+
+
+def test_a_page_that_is_left_out_is_noticed(tmp_path):
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    text = text.replace("docs_dir: docs", f"docs_dir: {ROOT / 'docs'}").replace("limits.md, ", "")
+    text = text.replace("scripts/docs_site.py", str(ROOT / "scripts" / "docs_site.py"))
+    (tmp_path / "mkdocs.yml").write_text(text, encoding="utf-8")
+    done = build(tmp_path / "mkdocs.yml", tmp_path / "site")
+    assert done.returncode != 0 and "limits.md" in done.stderr
+
+
 def test_every_page_of_docs_is_on_the_site(site):
     pages = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"README"}
-    pages |= {"index", "readme", "contributing", "examples", "404"}
+    pages |= {"index", "readme", "contributing", "changelog", "examples", "404"}
     assert {path.stem for path in site.glob("*.html")} == pages
 
 

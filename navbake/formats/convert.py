@@ -32,6 +32,7 @@ class Format(NamedTuple):
         meaning: what it is, in one line.
         encode: the function that makes the files, None where it is only read.
         read: the function that reads one, None where it is only written.
+        parts: the function that lists further files which `read` reads, None where it reads one.
         write_options, read_options: names of the options that these functions take.
     """
 
@@ -42,6 +43,7 @@ class Format(NamedTuple):
     read: str | None = None
     write_options: tuple[str, ...] = ()
     read_options: tuple[str, ...] = ()
+    parts: str | None = None
 
 
 FORMATS = (
@@ -66,6 +68,7 @@ FORMATS = (
         encode="navbake.formats.maps.nav2:encode_nav2",
         read="navbake.formats.maps.nav2:read_nav2",
         write_options=("level", "radius", "mode", "image", "inflation", "scaling"),
+        parts="navbake.formats.maps.nav2:list_images",
     ),
     Format(
         name="nav2-keepout",
@@ -182,6 +185,11 @@ def read_as(path: str | os.PathLike[str], name: str | None = None, **options: An
     _check_options(form, form.read_options, options)
     grid: NavGrid = resolve(str(form.read))(path, **options)
     return grid
+
+
+def list_files(path: Path, form: Format) -> list[Path]:
+    """The files that the reader of a format reads; raises as it does."""
+    return [path, *(resolve(form.parts)(path) if form.parts is not None else ())]
 
 
 def encode_as(

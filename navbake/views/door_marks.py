@@ -11,6 +11,8 @@ from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.types import Bool, Float, Int
 
+DECIMALS = 6  # of ends: micrometres
+
 
 class DoorMark(NamedTuple):
     """A door on a level: the line that its leaf covers when it is closed."""
@@ -32,26 +34,11 @@ class DoorMark(NamedTuple):
 
 
 def find_door_marks(grid: NavGrid, number: int) -> tuple[DoorMark, ...]:
-    """The doors that block cells of a level when they are closed.
-
-    A grid with a layer ``solid`` knows the cells that the leaf itself covers: the mark runs along
-    the longer axis of these. In another grid the cells are as many as an agent can't stand in, as
-    deep as wide; there it runs to where the way is blocked at both ends, and is longer by the
-    agent's radius at each.
-    """
-    level, num_levels = grid.levels[number], len(grid.levels)
-    marks = []
-    for door in grid.doors:
-        state = doorway_state(door)
-        leaf, blocked = door.solid_in(state, num_levels), door.cells_in(state, num_levels)
-        if len(leaf[number]):
-            ends = _find_ends(level, leaf[number])
-        elif len(blocked[number]):
-            ends = _find_ends_between_walls(level, blocked[number], grid.agent_radius)
-        else:
-            continue
-        marks.append(DoorMark(door.id, door.like or door.state, *ends))
-    return tuple(marks)
+    """The doors of a level; see `find_ends`."""
+    ends = [(door, find_ends(grid, door, number)) for door in grid.doors]
+    return tuple(
+        DoorMark(door.id, door.like or door.state, *found) for door, found in ends if found
+    )
 
 
 def doorway_state(door: Door) -> str:
@@ -69,6 +56,32 @@ def doorway_cells(grid: NavGrid, number: int, *, blocked: bool) -> Bool:
 
 
 Ends = tuple[tuple[float, float], tuple[float, float]]
+"""Both ends of a line, world x, y [m]."""
+
+
+def find_ends(grid: NavGrid, door: Door, number: int) -> Ends | None:
+    """The ends of a door's leaf on a level when it is closed, or as it is where it can't be.
+
+    A grid with a layer ``solid`` knows the cells that the leaf itself covers: the line runs along
+    the longer axis of these, from edge to edge. In another grid the cells are those that an agent
+    can't stand in, which may be deeper than wide: there it runs along the axis that has something
+    in the way at both ends, else the longer one, and is longer by the agent's radius at each end.
+
+    Returns:
+        None where the door has no cells on the level.
+    """
+    level, num_levels = grid.levels[number], len(grid.levels)
+    for state in ("closed", door.state, *door.states):
+        leaf, blocked = (
+            cells(state, num_levels)[number] for cells in (door.solid_in, door.cells_in)
+        )
+        if len(leaf):
+            along, _ = _axes_of(level, leaf)
+            return _span(level, leaf, along, 0.0)
+        if len(blocked):
+            along = _axis_between_walls(level, blocked)
+            return _span(level, blocked, along, grid.agent_radius)
+    return None
 
 
 def _positions(level: SceneGrid2D, cells: Int) -> Float:
@@ -76,39 +89,50 @@ def _positions(level: SceneGrid2D, cells: Int) -> Float:
     return level.lattice.positions(rows, cols)
 
 
-def _find_ends(level: SceneGrid2D, cells: Int) -> Ends:
-    """The ends of some cells along their longer principal axis."""
+def _axes_of(level: SceneGrid2D, cells: Int) -> tuple[Float, Float]:
+    """The longer principal axis of some cells, and the other one."""
     at = _positions(level, cells)
-    if len(at) == 1:
-        return _span(at, np.array([1.0, 0.0]), level.lattice.cell_size)
-    _, axes = np.linalg.eigh(np.cov(at.T, bias=True))
-    return _span(at, axes[:, 1], level.lattice.cell_size)
+    from_middle = at - at.mean(axis=0)
+    # the eigenvector of the largest eigenvalue
+    axis = np.linalg.eigh(from_middle.T @ from_middle)[1][:, 1]
+    axis = axis if tuple(axis) > (0.0, 0.0) else -axis
+    if np.ptp(from_middle @ axis) * np.abs(axis).min() < level.lattice.cell_size / 2:
+        # over its length it leaves the row of cells by less than the cells tell
+        axis = np.round(axis) + 0.0
+    return axis, _across(axis)
 
 
-def _find_ends_between_walls(level: SceneGrid2D, cells: Int, radius: float) -> Ends:
-    """The ends along x or y, whichever has something in the way at both, else the longer."""
-    at, cell_size = _positions(level, cells), level.lattice.cell_size
-    rows, cols = np.divmod(cells, level.width)
-    row, col = int(np.median(rows)), int(np.median(cols))
-    beyond = (
-        [(row, cols.min() - 1), (row, cols.max() + 1)],
-        [(rows.min() - 1, col), (rows.max() + 1, col)],
-    )
-    free = np.pad(level.free, 1)  # beside the grid nothing is free
-    walls = [sum(not free[r + 1, c + 1] for r, c in ends) for ends in beyond]
-    extents = [int(np.ptp(cols)), int(np.ptp(rows))]
-    along_y = (walls[1], extents[1]) > (walls[0], extents[0])
-    axis = np.array([0.0, 1.0] if along_y else [1.0, 0.0])
-    return _span(at, axis, cell_size + 2 * radius)
-
-
-def _span(at: Float, axis: Float, extra: float) -> Ends:
-    """Both ends of positions along an axis through their middle, longer by `extra` in all."""
-    axis = axis if (axis[0], axis[1]) > (-axis[0], -axis[1]) else -axis
-    along = at @ axis
+def _across(axis: Float) -> Float:
+    """The axis at a right angle."""
     across = np.array([-axis[1], axis[0]])
-    aside = at @ across
-    middle = (aside.min() + aside.max()) / 2 * across
-    first = middle + (along.min() - extra / 2) * axis
-    last = middle + (along.max() + extra / 2) * axis
-    return (float(first[0]), float(first[1])), (float(last[0]), float(last[1]))
+    return across if tuple(across) > (0.0, 0.0) else 0.0 - across
+
+
+def _axis_between_walls(level: SceneGrid2D, cells: Int) -> Float:
+    """Of the principal axes, the one with something in the way at both ends, else the longer."""
+    at = _positions(level, cells)
+    # beside the grid nothing is free
+    free = np.pad(level.free, 1)
+
+    def walls(axis: Float) -> int:
+        along, aside = at @ axis, at @ _across(axis)
+        middle = np.median(aside) * _across(axis)
+        reach = level.lattice.cell_size
+        ends = np.array([[along.min() - reach], [along.max() + reach]]) * axis + middle
+        rows, cols = (v + 1 for v in level.lattice.rows_cols(ends))
+        rows, cols = rows.clip(0, free.shape[0] - 1), cols.clip(0, free.shape[1] - 1)
+        return int(np.count_nonzero(~free[rows, cols]))
+
+    return max(_axes_of(level, cells), key=walls)  # of two that are alike the longer, the first
+
+
+def _span(level: SceneGrid2D, cells: Int, axis: Float, more: float) -> Ends:
+    """Both ends of some cells along an axis through their middle, and so much more at each [m]."""
+    at = _positions(level, cells)
+    middle = at.mean(axis=0)
+    along = (at - middle) @ axis
+    # to the outermost edges
+    more += level.lattice.cell_size / 2 / np.abs(axis).max()
+    ends = middle + np.array([[along.min() - more], [along.max() + more]]) * axis
+    first, last = (np.round(ends, DECIMALS) + 0.0).tolist()
+    return (first[0], first[1]), (last[0], last[1])

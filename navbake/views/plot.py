@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image
 
-from navbake.errors import MissingDependencyError, NavbakeError, QueryError
-from navbake.files import write_whole
+from navbake.errors import MissingDependencyError, QueryError
+from navbake.formats.source import write_bytes
 from navbake.navgrid.cells import check_level
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.paths.path import Path as Route
@@ -77,10 +77,7 @@ def plot_grid(
     path = Path(path)
     form = "svg" if path.name.lower().endswith(".svg") else "png"
     content = _render(grid, form, level, layers, route, marks)
-    try:
-        write_whole(content, path)
-    except OSError as error:
-        raise NavbakeError(f"cannot write {path}: {error.strerror}") from error
+    write_bytes(content, path)
     return path
 
 

@@ -132,6 +132,9 @@ def test_an_image_is_never_written_over_an_input(run):
     run("house.json.gz", "plan.png", "--level", 1)
     status, _, err = run("plan.png", "plan.yaml", "--image", "png")
     assert status == 1 and "apart from the inputs" in err and not Path("plan.yaml").exists()
+    before = Path("map.png").read_bytes()
+    status, _, err = run("map.yaml", "map.png")
+    assert status == 1 and "apart from the inputs" in err and Path("map.png").read_bytes() == before
 
 
 def test_extrudes_any_map(run, tmp_path):

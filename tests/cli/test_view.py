@@ -2,6 +2,7 @@
 
 import signal
 import socket
+import sys
 import urllib.request
 
 import mujoco
@@ -75,7 +76,7 @@ def test_a_grid_of_another_scene_is_one_line(run, tmp_path):
 
 
 def test_without_the_extra_it_says_what_to_install(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("navbake.views.viewer.server.find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "viser", None)
     code, error = fails(run, write_room(tmp_path))
     assert code == 1
     assert error == 'navbake: the viewer needs viser: pip install "navbake[view]"\n'

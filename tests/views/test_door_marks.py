@@ -41,7 +41,7 @@ def test_a_slanted_leaf():
     [mark] = find_door_marks(level_with_door(["." * 12] * 12, solid, solid=solid), 0)
     (x0, y0), (x1, y1) = mark.start, mark.end
     assert (y1 - y0) / (x1 - x0) == pytest.approx(-1)  # rows run against y
-    assert mark.width == pytest.approx(0.6 * 2**0.5 + 0.1)
+    assert mark.width == pytest.approx(0.7 * 2**0.5)  # from corner to corner
 
 
 def test_without_the_leaf_it_runs_from_wall_to_wall():

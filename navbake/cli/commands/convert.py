@@ -10,7 +10,7 @@ from typer import Argument, BadParameter, Option
 from navbake.cli.options import STDOUT, check_output, write_stdout
 from navbake.cli.printing import say_unless_quiet
 from navbake.errors import FormatError
-from navbake.formats.convert import FORMATS, Format, encode_as, find_format, read_as
+from navbake.formats.convert import FORMATS, Format, encode_as, find_format, list_files, read_as
 from navbake.formats.source import write_files
 
 # Options of formats. A field is called as the option of the format's functions is, and None stands
@@ -126,6 +126,7 @@ def _convert(
     read_options, write_options = _share_out(options, reader, writer)
     inputs = [source, *(value for value in options.values() if isinstance(value, Path))]
     check_output(output, inputs=inputs)
+    inputs += list_files(source, reader)
     grid = read_as(source, reader.name, **read_options)
     target = Path(f"stdout{writer.endings[0]}") if output == STDOUT else output
     files = encode_as(grid, target, writer.name, **write_options)

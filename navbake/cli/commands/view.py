@@ -80,7 +80,7 @@ def _baked(path: Path, overrides: list[str]) -> Reading:
     from navbake.config.settings import load_config
     from navbake.errors import NavbakeError
     from navbake.views.viewer.view import Reading
-    from navbake.views.viewer.watch import find_files
+    from navbake.views.viewer.watch import Watch, find_files
 
     def find() -> list[Path]:
         try:
@@ -88,7 +88,7 @@ def _baked(path: Path, overrides: list[str]) -> Reading:
         except NavbakeError:  # broken for now: whoever mends it writes it
             return find_files([path])
 
-    return Reading(lambda: _bake(path, overrides), find)
+    return Reading(lambda: _bake(path, overrides), Watch(find))
 
 
 def _bake(path: Path, overrides: list[str]) -> Exhibit:

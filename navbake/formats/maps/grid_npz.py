@@ -25,7 +25,7 @@ from navbake.errors import FormatError
 from navbake.formats.arrays import Allowance
 from navbake.formats.json_path import MISSING, JsonPath
 from navbake.formats.npz import GRID, ZIP, packed_names, read_array_header
-from navbake.formats.source import Files, read_bytes
+from navbake.formats.source import UNPACKED_BYTES, UNPACKED_RATIO, Files, read_bytes
 from navbake.formats.user_data import UnreadPiece, encode_user_data, parse_json, read_user_data
 from navbake.formats.values import json_object, number, plain, vector, whole_number
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
@@ -33,7 +33,7 @@ from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
 from navbake.types import Json, Vector3
 
 VERSION = 1
-MAX_JSON = 256 << 20  # of what is no array [bytes]
+MAX_JSON = 256 << 20  # of what is no array, each [bytes]
 MAX_LEVELS = 10_000
 PLAIN_NAME = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 RESERVED = ("weights", "userData")
@@ -114,7 +114,8 @@ def read_grid_npz(source: str | PathLike[str] | bytes, *, max_cells: int | None 
         with zipfile.ZipFile(io.BytesIO(data)) as archive, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # numpy takes an array's header for Python, which warns
             members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-            return _read_grid(_Archive(archive, members, allowance), top)
+            most_text = max(UNPACKED_BYTES, UNPACKED_RATIO * len(data))
+            return _read_grid(_Archive(archive, members, allowance, most_text), top)
     except FormatError:
         raise
     except Exception as error:  # a broken archive raises whatever zipfile, zlib and numpy raise
@@ -126,15 +127,23 @@ class _Archive:
     """The arrays of an archive, read one by one within what it may fill."""
 
     def __init__(
-        self, archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], allowance: Allowance
+        self,
+        archive: zipfile.ZipFile,
+        members: dict[str, zipfile.ZipInfo],
+        allowance: Allowance,
+        most_text: int,
     ) -> None:
         self._archive, self._members, self.allowance = archive, members, allowance
+        self._text_left = most_text
 
     def text(self, name: str, place: JsonPath) -> bytes:
         """The text that an array of bytes holds."""
         shape, dtype = self._header(name, place)
         if dtype != np.uint8 or len(shape) != 1 or shape[0] > MAX_JSON:
             place.fail(f"expected text of at most {MAX_JSON:,} bytes, got {dtype} of {shape}")
+        self._text_left -= shape[0]
+        if self._text_left < 0:
+            place.fail("more text than a file of this size may unpack to")
         return self._read(name).tobytes()
 
     def layer(self, name: str, shape: tuple[int, int], place: JsonPath) -> NDArray[Any]:

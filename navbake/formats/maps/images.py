@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Mapping
 from os import PathLike
 from typing import Any, NamedTuple
@@ -48,7 +49,10 @@ def open_image(source: str | PathLike[str], kinds: tuple[str, ...] = tuple(BEGIN
     names = " or ".join("PGM" if kind == "PPM" else kind for kind in kinds)
     data, name = read_bytes(source, begins=begins, expected=f"a {names} image", limit=MAX_BYTES)
     try:
-        image = Image.open(io.BytesIO(data), formats=kinds)
+        with warnings.catch_warnings():
+            # of many pixels, which are counted here
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            image = Image.open(io.BytesIO(data), formats=kinds)
         num_pixels = image.width * image.height
         if num_pixels <= min(MAX_PIXELS, FREE_PIXELS + PIXELS_PER_BYTE * len(data)):
             image.load()

@@ -9,7 +9,8 @@ Source: nav2's documentation of its costmap filters and their masks.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
@@ -22,9 +23,9 @@ from navbake.formats.maps.occupancy import FREE, OCCUPIED, Values
 from navbake.formats.maps.paths import level_paths
 from navbake.formats.shapes.geojson import read_room_outlines
 from navbake.formats.source import Files
-from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.polygon import cover_cells
-from navbake.types import Bool, Json
+from navbake.types import Int, Json
 
 MAX_LISTED = 20  # names that an error lists
 
@@ -34,7 +35,7 @@ class Zone(NamedTuple):
 
     names: tuple[str, ...]  # that it can be called by
     level: int
-    cells: Bool
+    cells: Callable[[], Int]  # ids; found when asked for, as a level may have hundreds of rooms
     is_polygon: bool
 
 
@@ -112,7 +113,7 @@ def _encode(
         values: Values = np.full(grid.levels[number].shape, FREE, dtype=np.int8)
         for zone, value in chosen:
             if zone.level == number:
-                values[zone.cells] = value
+                values.flat[zone.cells()] = value
         files |= encode_map(grid.levels[number], values, yaml_path, "raw", image)
     return files
 
@@ -122,18 +123,22 @@ def _find_zones(grid: NavGrid, path: str | PathLike[str] | None) -> list[Zone]:
     found = []
     for room in grid.rooms:
         names = (str(room.index), room.id, *([room.name] if room.name else []))
-        cells = grid.levels[room.level].room_index == room.index
+        cells = partial(_room_cells, grid.levels[room.level], room.index)
         found.append(Zone(names, room.level, cells, False))
     outlines = [] if path is None else read_room_outlines(path)
     for number, outline in enumerate(outlines):
         name = outline["name"] or f"feature {number}"
         where = _level_of(grid, outline["level"], f"{name!r} in {path}")
         rings = [outline["points"], *outline["rings"]]
-        cells = cover_cells(rings, grid.levels[where].lattice)
-        if not cells.any():
+        covered = np.flatnonzero(cover_cells(rings, grid.levels[where].lattice))
+        if not len(covered):
             raise FormatError(f"{name!r} in {path} lies outside of level {where}: it holds no cell")
-        found.append(Zone((name,), where, cells, True))
+        found.append(Zone((name,), where, lambda covered=covered: covered, True))  # type: ignore[misc]
     return found
+
+
+def _room_cells(level: SceneGrid2D, index: int) -> Int:
+    return np.flatnonzero(level.room_index == index)
 
 
 def _level_of(grid: NavGrid, stated: Json, whose: str) -> int:

@@ -18,6 +18,7 @@ With the settings that are written beside it, the scene bakes to the cells that 
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -259,5 +260,5 @@ def _write_scene(
 
 
 def _plain(text: str) -> str:
-    """Text that an XML comment may hold."""
-    return "".join(c for c in text if c.isprintable()).replace("--", "- -")
+    """Text that an XML comment may hold: no two hyphens in a row."""
+    return re.sub("-(?=-)", "- ", "".join(c for c in text if c.isprintable()))

@@ -12,6 +12,7 @@ three modes, both thresholds, ``negate`` (which ``raw`` ignores), and transparen
 from __future__ import annotations
 
 import math
+import os
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -177,6 +178,11 @@ def read_nav2(path: str | PathLike[str]) -> SceneGrid2D:
     return level_from_values(values, rules.resolution, (*corner, rules.ground), metadata)
 
 
+def list_images(path: str | PathLike[str]) -> list[Path]:
+    """The files beside a map's YAML that `read_nav2` reads; raises as `read_rules` does."""
+    return [read_rules(path).image]
+
+
 def read_rules(path: str | PathLike[str]) -> MapRules:
     """Read a map's YAML.
 
@@ -278,7 +284,7 @@ def _check_choice(value: str, known: tuple[str, ...], name: str) -> None:
 
 
 def _existing(image: Path, path: str | PathLike[str]) -> Path:
-    if not image.exists():
+    if not os.path.exists(image):  # Path.exists raises for names that are too long
         raise FormatError(f"the image that `image` in {path} names isn't there: {image}")
     return image
 

@@ -108,7 +108,9 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
         pixels[..., 2].astype(np.uint16) if image.mode == "RGB" else np.zeros_like(free, np.uint16)
     )
     (free, rooms), lattice = _straighten((free, rooms), to_map, path)
-    z = float(to_world[2] @ [0.0, 0.0, 1.0])
+    z = float(to_world[2, 2])
+    if not abs(z) <= FARTHEST:
+        raise FormatError(f"expected a map within {FARTHEST:g} m of the origin, got {path}")
     level = SceneGrid2D(
         width=lattice.width,
         height=lattice.height,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import MissingDependencyError
 from navbake.formats.source import Files, write_files
@@ -111,7 +111,9 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
     search = Search(grid, cut_corners=cut_corners)
     flat, moves, weight = search.flat, search.graph.moves, search.flat.weight
     cells = np.flatnonzero(flat.free)
-    node = np.full(flat.num_cells, -1, dtype=np.int64)
+    # as scipy has its indices, which then takes them as they are
+    index = np.int32 if len(cells) * len(WAYS) <= np.iinfo(np.int32).max else np.int64
+    node: NDArray[Any] = np.full(flat.num_cells, -1, dtype=index)
     node[cells] = np.arange(len(cells))
     level, row, col = flat.split(cells)
     width, size = flat.layout.width[level], flat.layout.cell_size[level]
@@ -120,18 +122,17 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
     factor = np.array([np.sqrt(2.0) if down and right else 1.0 for down, right, _ in WAYS])
     target = (cells[:, None] + offset)[is_step]
     cost = (size[:, None] * factor)[is_step] * weight[target]
-    source = np.repeat(np.arange(len(cells)), np.count_nonzero(is_step, axis=1))
+    start = np.zeros(len(cells) + 1, dtype=index)
+    np.cumsum(np.count_nonzero(is_step, axis=1), out=start[1:])
     # the neighbours are in the matrix's order; links come beside them
-    matrix = sparse.csr_array(
-        (cost, (source, node[target])), shape=(len(cells), len(cells)), dtype=np.float64
-    )
+    matrix = sparse.csr_array((cost, node[target], start), shape=(len(cells), len(cells)))
     links = _link_steps(search, node)
     if links is not None:
         matrix = _joined(matrix, links)
     return CellGraph(matrix, level, row, col, row * width + col, flat.positions(cells), grid)
 
 
-def _link_steps(search: Search, node: Int) -> tuple[Float, Int, Int] | None:
+def _link_steps(search: Search, node: NDArray[Any]) -> tuple[Float, Int, Int] | None:
     """What the steps over links cost, and from where to where they lead; None without links."""
     flat = search.flat
     one, other = flat.link_ends()

@@ -12,7 +12,8 @@ from navbake.errors import MissingDependencyError, QueryError
 from navbake.formats.shapes.outlines import place_corners, trace_outlines
 from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.types import Float, Int, Json
+from navbake.types import Float, Json
+from navbake.views.door_marks import find_ends
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
@@ -89,8 +90,8 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
     in a polygon if and only if the polygon has the cell. Cells that only touch at a corner are
     parts of their own, so polygons are valid.
 
-    A door is a line through the middle of the cells that it blocks when closed (else, as it is
-    now), along their longer extent.
+    A door is a line from jamb to jamb, where its leaf is when it is closed (else, as it is now);
+    see `navbake.views.door_marks.find_ends`.
 
     Args:
         grid: a grid of one or several levels.
@@ -121,41 +122,12 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
 
 
 def door_line(grid: NavGrid, door: Door, level: int) -> Float | None:
-    """Where a door is on a level, as a line: both ends, shape (2, 2), world x, y [m].
+    """Where a door is on a level, as pictures draw it: both ends, shape (2, 2), world x, y [m].
 
-    It runs through the middle of the cells that the door blocks when closed (in a grid with a layer
-    ``solid``, of those that it meets; where it can't be closed, as it is now), along the axis in
-    which they extend the farthest, from their first edge to their last. None where there are none.
+    None where it has no cells there; see `navbake.views.door_marks.find_ends`.
     """
-    part, cells = grid.levels[level], _door_cells(grid, door, level)
-    if not len(cells):
-        return None
-    points = part.lattice.positions(*np.divmod(cells, part.width))
-    middle = points.mean(axis=0)
-    # the principal axis: the eigenvector of the largest eigenvalue
-    axis = np.linalg.eigh((points - middle).T @ (points - middle))[1][:, 1]
-    axis = axis if tuple(axis) > (0.0, 0.0) else -axis
-    half = part.lattice.cell_size / 2
-    if np.ptp((points - middle) @ axis) * np.abs(axis).min() < half:
-        axis = np.round(
-            axis
-        )  # over its length it leaves the row of cells by less than the cells tell
-    along = (points - middle) @ axis
-    # from edge to edge of the outermost cells
-    pad = half / np.abs(axis).max()
-    ends = np.array([[along.min() - pad], [along.max() + pad]])
-    line: Float = np.round(middle + ends * axis, 6) + 0.0
-    return line
-
-
-def _door_cells(grid: NavGrid, door: Door, level: int) -> Int:
-    """The cells of a level that tell where a door is, ascending ids."""
-    for state in ("closed", door.state, *door.states):
-        for cells in (door.solid_in, door.cells_in):
-            found = cells(state, len(grid.levels))[level]
-            if len(found):
-                return found
-    return np.zeros(0, dtype=np.int64)
+    ends = find_ends(grid, door, level)
+    return None if ends is None else np.array(ends)
 
 
 def _find_rooms(grid: NavGrid, place: tuple[int, str, float], level: SceneGrid2D) -> list[Shape]:

@@ -28,7 +28,8 @@ def encode_wkt(grid: NavGrid, path: Path) -> Files:
     """
     shapely = import_shapely()
     text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
+    # lines end as RFC 4180 has it; with other ends, csv leaves a name with such an end unquoted
+    table = csv.writer(text, lineterminator="\r\n")
     table.writerow(["WKT", *COLUMNS])
     for shape in find_shapes(grid):
         wkt = shapely.to_wkt(shape.geometry, rounding_precision=DECIMALS)

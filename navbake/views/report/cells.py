@@ -8,11 +8,12 @@ import orjson
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
 from navbake.navgrid.user_data import NAMES, Shared, UserData, collector_off, names_in
-from navbake.types import Int, Json
+from navbake.types import Float, Int, Json
 from navbake.views.report.packing import NONE, number_distinct, pack, to_steps, to_text
 
 KINDS = (*NAMES, "blockers")  # keys of a cell's user data that list names
 MILLIMETRE = 1e-3  # to which floors and clearances are rounded [m]
+MOST_STEPS = 2**31  # that a page counts of heights
 MAX_SHOWN = 4_000_000  # cells of a level that a page holds; of larger ones only every n-th
 
 
@@ -29,22 +30,25 @@ def describe_cells(grid: NavGrid, number: int) -> Json:
 
     Returns:
         ``every``, see `thinning`; ``floor`` and ``clearance`` in steps of a millimetre from
-        ``floorFrom`` and 0; ``room``, ``island``; ``weight`` and ``names`` as numbers into the
+        ``floorFrom`` and 0, floors that are far apart in larger ones, ``floorStep`` [m];
+        ``room``, ``island``; ``weight`` and ``names`` as numbers into the
         lists ``weights`` (None for infinite) and ``nameLists``, which is JSON, compressed. An entry
         of it holds the names of what stands in a cell, and of what blocks it, by `KINDS`.
     """
     level = grid.levels[number]
     every = thinning(level)
     shown = np.s_[::every, ::every]
-    floor, floor_from = to_steps(level.floor[shown], MILLIMETRE)
+    floor_step = max(MILLIMETRE, _span(level.floor[shown]) / MOST_STEPS)
+    floor, floor_from = to_steps(level.floor[shown], floor_step)
     free = level.free[shown]
     weight, weights = number_distinct(np.where(free, level.weights[shown], np.inf))
-    away, _ = to_steps(clearance(level)[shown].astype(np.float64), MILLIMETRE)
+    away, _ = to_steps(clearance(level)[shown].astype(np.float64), MILLIMETRE, 0.0)
     names, name_lists = _number_names(level)
     return {
         "every": every,
         "floor": pack(floor, smooth=True),
         "floorFrom": floor_from,
+        "floorStep": floor_step,
         "clearance": pack(np.where(free, away, 0), smooth=True),
         "room": pack(level.room_index[shown].astype(np.int64)),
         "island": pack(islands_of(grid)[number][shown].astype(np.int64)),
@@ -53,6 +57,12 @@ def describe_cells(grid: NavGrid, number: int) -> Json:
         "names": pack(names[shown]),
         "nameLists": to_text(orjson.dumps(name_lists)),
     }
+
+
+def _span(values: Float) -> float:
+    """From the least to the greatest finite value."""
+    finite = values[np.isfinite(values)]
+    return float(np.ptp(finite)) if finite.size else 0.0
 
 
 def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:

@@ -14,6 +14,8 @@ from navbake.types import Bool, Float, Int, Json
 from navbake.views.report.tables import flatten
 
 MOST_APART = 1.5  # of the grounds of two levels that are taken for the same storey [m]
+MOST_ADDED = 4  # times the cells of two levels that a lattice over both may have, and
+ALWAYS = 4_000_000  # as many cells at least
 SAME_FLOOR = 1e-3  # by how much floors differ that are taken for the same [m]
 
 # what became of a cell, in the order of what a reader wants to know first
@@ -52,7 +54,10 @@ class LevelDifference(NamedTuple):
 
 
 def match_levels(first: NavGrid, second: NavGrid) -> list[tuple[int, int]]:
-    """Pair the levels of two grids whose grounds are the nearest, at most `MOST_APART` apart."""
+    """Pair the levels of two grids whose grounds are the nearest, at most `MOST_APART` apart.
+
+    Levels that lie too far from each other to be drawn together are no pair; see `MOST_ADDED`.
+    """
     apart = [
         (abs(one.ground - other.ground), i, j)
         for i, one in enumerate(first.levels)
@@ -61,9 +66,16 @@ def match_levels(first: NavGrid, second: NavGrid) -> list[tuple[int, int]]:
     pairs: list[tuple[int, int]] = []
     for distance, i, j in sorted(apart):
         taken = any(i == a or j == b for a, b in pairs)
-        if distance <= MOST_APART and not taken:
+        if distance <= MOST_APART and not taken and _are_near(first.levels[i], second.levels[j]):
             pairs.append((i, j))
     return sorted(pairs)
+
+
+def _are_near(first: SceneGrid2D, second: SceneGrid2D) -> bool:
+    """Whether a lattice over both has not far more cells than they have."""
+    both = _cover_both(first.lattice, second.lattice)
+    own = first.weights.size + second.weights.size
+    return both.width * both.height <= max(ALWAYS, MOST_ADDED * own)
 
 
 def compare_levels(

@@ -48,14 +48,18 @@ def number_distinct(values: NDArray[Any]) -> tuple[Int, list[Any]]:
     return number.reshape(values.shape).astype(np.int64), distinct.tolist()
 
 
-def to_steps(values: Float, step: float) -> tuple[Int, float]:
-    """Round metres to whole steps above the lowest, with -1 where they are not finite.
+def to_steps(values: Float, step: float, lowest: float | None = None) -> tuple[Int, float]:
+    """Round metres to whole steps, with -1 where they are not finite.
+
+    Args:
+        lowest: from where the steps count [m], no more than any value; the least value if None.
 
     Returns:
-        The steps, int64, and the lowest value, from which they count [m].
+        The steps, int64, and from where they count [m].
     """
     finite = np.isfinite(values)
-    lowest = float(values[finite].min()) if finite.any() else 0.0
+    if lowest is None:
+        lowest = float(values[finite].min()) if finite.any() else 0.0
     steps = np.full(values.shape, NONE, dtype=np.int64)
     steps[finite] = np.round((values[finite] - lowest) / step)
     return steps, lowest

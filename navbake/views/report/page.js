@@ -5,6 +5,7 @@ const find = (id) => document.getElementById(id);
 const canvas = find("canvas"), pen = canvas.getContext("2d");
 const GOLDEN = 137.5; // degrees of hue between the colours of kinds of marks
 const NEAR = 9; // how near the pointer is to a mark that it points at [pixels]
+const ABOVE = 14; // by which the name of a point stands over it [pixels]
 const BAR = 110; // longest bar of the scale [pixels]
 
 const HINT = "Point at a cell to read what the grid knows of it. Drag to move, scroll to zoom.";
@@ -74,7 +75,7 @@ function describe(shown, x, y) {
   if (!arrays) return lines[0];
   const at = Math.floor(row / cells.every) * arrays.cols + Math.floor(col / cells.every);
   const floor = arrays.floor[at], weight = cells.weights[arrays.weight[at]], free = weight !== null;
-  const height = floor < 0 ? "no floor" : `floor ${fixed(cells.floorFrom + floor / 1000, 3)} m`;
+  const height = floor < 0 ? "no floor" : `floor ${fixed(cells.floorFrom + floor * cells.floorStep, 3)} m`;
   lines[0] += `: ${height}, ${free ? "free" : "blocked"}`;
   const facts = [];
   if (free && weight !== 1) facts.push(`weight ${weight}`);
@@ -140,6 +141,7 @@ const toWorld = (px, py) => [view.x + (px - canvas.clientWidth / 2) / view.scale
 const shownMarks = () => (level().marks || []).filter((mark) => !state.hidden.has(mark.kind));
 
 function draw() {
+  if (!level()) return; // two grids may have no level in common
   const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
   if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
     canvas.width = Math.round(width * ratio);
@@ -193,13 +195,15 @@ function drawPointer(x, y) {
 }
 
 // Names of rooms: those that fit into their rooms, in full or as their number; none over another.
+// A name without a width is that of a point, and stands over it.
 function drawLabels(drawn) {
   pen.font = "600 13px system-ui, sans-serif";
   pen.textAlign = "center";
   pen.textBaseline = "middle";
   const taken = [];
   for (const label of [...drawn.labels].sort((a, b) => b.width - a.width)) {
-    const [px, py] = toPixels(label.x, label.y), room = label.width * view.scale;
+    const [px, middle] = toPixels(label.x, label.y), py = label.width ? middle : middle - ABOVE;
+    const room = label.width ? label.width * view.scale : Infinity;
     const text = [label.text, label.fallback].find((each) => pen.measureText(each).width < room);
     if (!text) continue;
     const half = pen.measureText(text).width / 2 + 2;
@@ -258,7 +262,7 @@ function buttons(box, entries, isOn, choose) {
 function showSheet() {
   const own = sheet();
   buttons("grids", content.sheets.length > 1 ? content.sheets.map((each, i) => [i, each.name]) : [], (i) => i === state.sheet, (i) => {
-    Object.assign(state, { sheet: i, level: Math.min(state.level, content.sheets[i].levels.length - 1) });
+    Object.assign(state, { sheet: i, level: Math.max(0, Math.min(state.level, content.sheets[i].levels.length - 1)) });
     forget();
     showSheet();
   });

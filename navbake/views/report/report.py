@@ -7,8 +7,8 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from navbake.errors import NavbakeError, QueryError, printable
-from navbake.files import write_whole
+from navbake.errors import QueryError, printable
+from navbake.formats.source import write_bytes
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
 from navbake.views.report.changes import describe_changes
@@ -30,16 +30,12 @@ def write_report(
     """Write what `render_report` makes, whole or not at all, and return the path.
 
     Raises:
-        NavbakeError: it can't be written.
+        FormatError: it can't be written.
         QueryError: see `render_report`.
     """
     content = render_report(grids, names=names, audits=audits, verifications=verifications)
-    path = Path(path)
-    try:
-        write_whole(content, path)
-    except OSError as error:
-        raise NavbakeError(f"cannot write {path}: {error.strerror}") from error
-    return path
+    write_bytes(content, path)
+    return Path(path)
 
 
 def render_report(

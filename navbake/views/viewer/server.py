@@ -14,6 +14,7 @@ from navbake.errors import MissingDependencyError, NavbakeError
 if TYPE_CHECKING:
     import viser
 
+MISSING = 'the viewer needs viser: pip install "navbake[view]"'
 HOST, PORT = "127.0.0.1", 8080
 EVERYWHERE = ("0.0.0.0", "::", "")  # hosts that stand for all addresses of this machine
 
@@ -32,9 +33,10 @@ def open_server(host: str = HOST, port: int = PORT) -> viser.ViserServer:
     check_viser()
     # viser takes the next free port, without a word, and waits forever for an unknown host
     check_address(host, port)
-    # an extra, and slow to load
-    import viser
-
+    try:
+        import viser  # of the extra [view], and slow to load
+    except ImportError as error:
+        raise MissingDependencyError(f"{MISSING} ({error})") from error
     with redirect_stdout(io.StringIO()):  # viser prints its address in a box
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if port and server.get_port() != port:
@@ -60,8 +62,12 @@ def url_of(server: viser.ViserServer) -> str:
 
 def check_viser() -> None:
     """Raise where viser is not installed."""
-    if find_spec("viser") is None:
-        raise MissingDependencyError('the viewer needs viser: pip install "navbake[view]"')
+    try:
+        is_there = find_spec("viser") is not None
+    except (ImportError, ValueError):  # something keeps it from being found
+        is_there = False
+    if not is_there:
+        raise MissingDependencyError(MISSING)
 
 
 def check_address(host: str, port: int) -> None:

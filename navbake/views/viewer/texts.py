@@ -17,7 +17,7 @@ from navbake.views.viewer.exhibit import Counts, Route, Told
 if TYPE_CHECKING:
     from navbake.verifier.report import VerifyReport
 
-MARKED = re.compile(r"([\\`*_{}\[\]<>()#+!|~.-])")
+MARKED = re.compile(r"([\\`*_{}\[\]<>()#+!|~.&:@-])")
 HINT_INSPECT = "Click a cell or a thing to read about it."
 HINT_START, HINT_GOAL = "Click where the path starts.", "Click where it goes to."
 NAMES_SHOWN = 6
@@ -26,8 +26,12 @@ CHANGED = "Files have changed: baking again…"
 
 
 def plain(text: object) -> str:
-    """Text as it is, whatever Markdown would make of it."""
-    return MARKED.sub(r"\\\1", str(text))
+    """Text as it is, on one line, whatever Markdown and HTML would make of it.
+
+    The page takes HTML in Markdown as it stands, scripts included. A line's end would begin a new
+    block, in which other rules hold.
+    """
+    return MARKED.sub(r"\\\1", " ".join(str(text).split()))
 
 
 def say_counts(now: Counts, before: Counts) -> str:
@@ -73,7 +77,7 @@ def say_cell(told: Told | None, inflation: tuple[float, float] | None) -> str:
     facts = told.facts
     rows = [("Verdict", _verdict(facts, inflation))]
     if told.clicked is not None:
-        rows.append(("Clicked", f"`{_code(told.clicked)}`"))
+        rows.append(("Clicked", _code(told.clicked)))
     room, floor, weight = facts["room"], facts["floor"], facts["weight"]
     name = (room["name"] or room["id"]) if isinstance(room, dict) else room
     x, y = facts["center"]
@@ -106,13 +110,17 @@ def _verdict(facts: Json, inflation: tuple[float, float] | None) -> str:
 
 
 def _listed(names: list[str], between: str) -> str:
-    shown = between.join(f"`{_code(name)}`" for name in names[:NAMES_SHOWN])
+    shown = between.join(map(_code, names[:NAMES_SHOWN]))
     return f"{shown} and {len(names) - NAMES_SHOWN} more" if names[NAMES_SHOWN:] else shown
 
 
 def _code(name: str) -> str:
-    """A name between backquotes in a table."""
-    return name.replace("`", "'").replace("|", "\\|").replace("\n", " ")
+    """A name in the letters of code.
+
+    Not between backquotes: there a backslash guards nothing, so that a table's cell, and the code
+    with it, would end at a ``|`` in the name.
+    """
+    return f"<code>{plain(name)}</code>"
 
 
 def write_legend(panels: Sequence[Panel]) -> str:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 import threading
 import webbrowser
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
@@ -25,17 +26,19 @@ from navbake.views.viewer.watch import PERIOD, Watch, find_files
 if TYPE_CHECKING:
     from typing_extensions import Self
 
+LOG = logging.getLogger("navbake")
+
 
 class Reading(NamedTuple):
     """Where an exhibit comes from, so that it can be read again.
 
     Attributes:
         read: reads or bakes it.
-        files: from which files.
+        watch: its files; it is made before they are read, so that no change is missed meanwhile.
     """
 
     read: Callable[[], Exhibit]
-    files: Callable[[], Iterable[Path]]
+    watch: Watch
 
 
 class Viewer:
@@ -59,9 +62,8 @@ class Viewer:
         self.page = Page(self._server, exhibit)
         self._watcher: threading.Thread | None = None
         if reading is not None:
-            watch = Watch(reading.files)
             self._watcher = threading.Thread(
-                target=self._watch, args=(reading, watch), name="watch", daemon=True
+                target=self._watch, args=(reading,), name="watch", daemon=True
             )
             self._watcher.start()
 
@@ -105,18 +107,18 @@ class Viewer:
     ) -> None:
         self.close()
 
-    def _watch(self, reading: Reading, watch: Watch) -> None:
+    def _watch(self, reading: Reading) -> None:
         """Read again whatever has changed; what can't be read is told, and the last stays."""
         while not self._closed.wait(PERIOD):
-            if not watch.look():
-                continue
-            self.page.say(texts.CHANGED)
             try:
-                exhibit = reading.read()
+                if reading.watch.look():
+                    self.page.say(texts.CHANGED)
+                    self.page.exhibit_other(reading.read())
             except NavbakeError as error:
                 self.page.say(texts.say_error(error))
-            else:
-                self.page.exhibit_other(exhibit)
+            except Exception as error:  # whoever mends the file may mend this, too
+                LOG.exception("the viewer failed to read what has changed")
+                self.page.say(texts.say_error(error))
 
 
 def view(
@@ -196,4 +198,5 @@ def read_again(
 ) -> Reading:
     """Where the exhibit of a grid's file comes from, read again when grid or scene change."""
     named = [Path(path) for path in (grid, scene) if path is not None]
-    return Reading(lambda: make_exhibit(grid, scene, force=force), lambda: find_files(named))
+    watch = Watch(lambda: find_files(named))
+    return Reading(lambda: make_exhibit(grid, scene, force=force), watch)

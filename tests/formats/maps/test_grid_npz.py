@@ -185,6 +185,21 @@ def test_a_pickle_is_not_run():
             navbake.from_npz(bad.getvalue())
 
 
+def test_many_long_texts_in_a_short_file_are_refused(tmp_path):
+    house = house_from([small(ground=float(k)) for k in range(9)])
+    (content,) = encode_grid_npz(house, tmp_path / "a.npz").values()
+    blank = np.full(10 << 20, ord(" "), np.uint8)
+    blank[:2] = ord("{"), ord("}")
+    with np.load(io.BytesIO(content)) as archive:
+        arrays = dict(archive)
+    assert navbake.from_npz(content).levels[8].width == 5
+    changed = io.BytesIO()
+    texts = {f"{k}/userData": blank for k in range(9)}
+    np.savez_compressed(changed, **(arrays | texts))
+    with pytest.raises(FormatError, match="more text than a file of this size"):
+        navbake.from_npz(changed.getvalue())
+
+
 def test_a_short_file_of_many_zeros_is_refused_before_it_fills_memory():
     level = small()
     num = 9000

@@ -168,6 +168,8 @@ def test_names_are_escaped(tmp_path):
     level.to_mjcf(tmp_path / "x--y.xml")
     assert ET.parse(tmp_path / "x--y.xml").getroot().get("model") == 'a"<&>-->'
     assert navbake.bake(tmp_path / "x--y.yaml").free.sum() == level.free.sum()
+    level.to_mjcf(tmp_path / "x---y----z.xml")
+    assert ET.parse(tmp_path / "x---y----z.xml").getroot().tag == "mujoco"
 
 
 @pytest.mark.parametrize(

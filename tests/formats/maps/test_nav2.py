@@ -1,6 +1,7 @@
 """Maps of ROS: what is written is what nav2 reads, by its own formulas, written out here."""
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -393,6 +394,14 @@ def test_a_yaml_that_is_no_map_is_refused_in_a_line(tmp_path, changed, culprit):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("name", ["absent.pgm", "x" * 300, "a\0b", "no/such/folder.pgm"])
+def test_an_image_that_is_not_there_is_said_in_a_line(tmp_path, name):
+    path = write_map(tmp_path, [[0]])
+    path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"image": name}))
+    with pytest.raises(FormatError, match="isn't there"):
+        navbake.from_nav2(path)
+
+
 @pytest.mark.parametrize("text", ["", "[]", "a: [", "\xff", "image: &a [*a]"])
 def test_what_is_no_yaml_is_refused(tmp_path, text):
     (tmp_path / "map.yaml").write_bytes(text.encode("latin-1"))
@@ -409,6 +418,7 @@ def test_what_is_no_yaml_is_refused(tmp_path, text):
         b"GIF89a",
         b"P5\n3 2\n255\n\x00",
         b"P5\n999999 999999\n255\n\x00",
+        b"P5\n10000 10000\n255\n\x00",  # of which Pillow warns
         b"P5\n-3 2\n255\n\x00\x00\x00\x00\x00\x00",
         b"P2\n2 1\n255\nx y\n",
         b"\x89PNG\r\n\x1a\n\x00\x00",
@@ -417,9 +427,11 @@ def test_what_is_no_yaml_is_refused(tmp_path, text):
 def test_a_broken_image_is_refused_in_a_line(tmp_path, content):
     path = write_map(tmp_path, [[0]])
     (tmp_path / "map.pgm").write_bytes(content)
-    with pytest.raises(FormatError, match=r"map\.pgm") as caught:
-        navbake.from_nav2(path)
-    assert "\n" not in str(caught.value)
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        with pytest.raises(FormatError, match=r"map\.pgm") as caught:
+            navbake.from_nav2(path)
+    assert "\n" not in str(caught.value) and warned == []
 
 
 def test_an_image_that_unpacks_to_too_much_is_refused(tmp_path):

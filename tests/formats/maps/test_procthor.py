@@ -154,6 +154,7 @@ def test_more_rooms_than_a_byte_numbers_are_refused(tmp_path):
         ("world_to_map", "[[0, 0, 0, 0], [0, 0, 0, 0]]", "turns by no quarter"),
         ("world_to_map", "[[0, 1, 0, 1e30], [1, 0, 0, 0]]", "of the origin"),
         ("world_to_map", "[[0, 1e-30, 0, 0], [1e-30, 0, 0, 0]]", "of the origin"),
+        ("map_to_world", "[[0, 1, 0], [-1, 0, 0], [0, 0, 1e300]]", "of the origin"),
         ("map_to_world", None, "`map_to_world`"),
         ("room_ids_to_name", "[]", "names by number"),
     ],

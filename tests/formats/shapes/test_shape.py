@@ -57,6 +57,7 @@ def door_entry(state="closed", **cells):
 
 def grid_with_door(cells, width=8, height=6, **entry):
     level = level_of(*["0" * width] * height)
+    level.metadata["agentRadius"] = 0.0
     ids = sorted(row * width + col for row, col in cells)
     runs = [number for cell in ids for number in (cell, 1)]
     level.metadata["navbake"] = {"doors": [door_entry(closed=[[0, runs]], **entry)]}
@@ -78,6 +79,23 @@ def test_a_door_is_a_line_through_its_cells(cells, ends):
     grid = grid_with_door(cells)
     line = door_line(grid, grid.doors[0], 0)
     assert sorted(line.tolist()) == pytest.approx(np.array(ends))
+
+
+@pytest.mark.parametrize("is_turned", [False, True])
+def test_a_door_runs_from_wall_to_wall_however_deep_its_cells_are(is_turned):
+    # 2 cells wide and 4 deep, as a radius of 0.2 m leaves of a door of 0.6 m
+    cells = [(row, col) for row in range(1, 5) for col in (3, 4)]
+    walls = np.zeros((6, 8), dtype=bool)
+    walls[1:5] = True
+    walls[1:5, 3:5] = False
+    if is_turned:
+        cells, walls = [(col, row) for row, col in cells], walls.T
+    grid = grid_with_door(cells, *walls.shape[::-1])
+    grid.weights[walls] = np.inf
+    grid.metadata["agentRadius"] = 0.2
+    line = door_line(grid, grid.doors[0], 0)
+    along = [0.0, 0.6] if is_turned else [0.6, 0.0]
+    assert np.abs(line[1] - line[0]) == pytest.approx(np.array(along))
 
 
 def test_a_slanting_door_is_a_slanting_line():

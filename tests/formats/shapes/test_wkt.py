@@ -5,12 +5,14 @@ from __future__ import annotations
 import csv
 import sys
 
+import numpy as np
 import pytest
 import shapely
 
 import navbake
 from grid_maps import level_from
 from navbake.errors import MissingDependencyError
+from navbake.navgrid.rooms import measure_rooms
 from project_paths import GOLDEN
 
 
@@ -25,6 +27,18 @@ def test_shapely_reads_what_is_written(tmp_path, name):
         expected = {key: "" if v is None else str(v) for key, v in shape.properties.items()}
         assert row == {key: expected[key] for key in row}
         assert set(row) == {"kind", "level", "levelName", "height", "id", "name", "area"}
+
+
+@pytest.mark.parametrize("name", ["a\rb", "a\nb", 'a,"b"', "=1+1", " a "])
+def test_any_name_comes_back(tmp_path, name):
+    level = level_from("..")
+    level.attributes["roomIndex"] = np.array([[1, 1]], dtype=np.uint16)
+    table = [{**room.to_json(), "name": name} for room in measure_rooms(level, 0)]
+    level.metadata["navbake"] = {"rooms": table}
+    (path,) = level.convert(tmp_path / "plan.csv")
+    with open(path, newline="", encoding="utf-8") as file:
+        [room, walkable] = csv.DictReader(file)
+    assert (room["kind"], room["name"], walkable["kind"]) == ("room", name, "walkable")
 
 
 def test_without_shapely_it_says_what_to_install(tmp_path, monkeypatch):

@@ -190,3 +190,14 @@ def test_settings_that_changed_are_listed(doors):
     changed = {row["what"]: row["second"] for row in list_settings(grid, other)}
     assert changed["inflation.0.radius"] == "0.3"
     assert all(key.startswith("inflation.0.") for key in changed)
+
+
+def test_levels_that_no_map_can_show_together_are_no_pair():
+    near, beside = level_from("..\n.."), level_from("..\n..", x=5.0, y_max=-3.0)
+    assert match_levels(near, beside) == [(0, 0)]
+    far = level_from("..\n..", x=1e7, y_max=1e7)
+    assert match_levels(near, far) == match_levels(far, near) == []
+    # as many cells of the first as cover the second
+    coarse = level_from("..\n..", cell_size=1000.0)
+    assert match_levels(near, coarse) == []
+    assert match_levels(coarse, near) == [(0, 0)]

@@ -6,6 +6,7 @@ import pytest
 
 import navbake
 from browser import errors_of, needs_browser, open_browser, requests_of, strangers_of, wait_until
+from grid_maps import level_from
 from navbake.auditor.audit import audit
 from navbake.views.report.report import write_report
 from project_paths import ROOT
@@ -116,6 +117,36 @@ def test_names_in_the_page_are_text(tmp_path, house):
         assert driver.find_element("id", "title").text == "<img src=x onerror=alert(1)>"
         assert driver.find_elements("css selector", "img") == []
         assert errors_of(driver) == []
+
+
+@needs_browser
+def test_grids_without_a_common_level_have_an_empty_difference(tmp_path):
+    path = tmp_path / "report.html"
+    low, high = level_from("..\n.."), level_from("..\n..", ground=10.0)
+    write_report([low, high], path, names=["low", "high"])
+    with open_browser() as driver:
+        driver.get(path.as_uri())
+        find = lambda name: driver.find_element("xpath", f"//nav/button[.={name!r}]")  # noqa: E731
+        find("difference").click()
+        assert "Levels that only one has" in driver.find_element("id", "tables").text
+        find("high").click()
+        assert "outside" not in told(driver, 0.05, -0.05)
+        assert errors_of(driver) == []
+
+
+@needs_browser
+def test_doors_have_their_names_on_the_map(page, house):
+    with open_browser() as driver:
+        driver.get(page.as_uri())
+        press(driver, "layers", "doors")
+        drawn = driver.execute_script("""
+          const write = pen.fillText.bind(pen), texts = [];
+          pen.fillText = (text, x, y) => { texts.push(text); write(text, x, y); };
+          draw();
+          return texts;
+        """)
+        shown = {door.id for door in house.doors if 0 in door.levels}
+        assert any(text.startswith(name) for text in drawn for name in shown)
 
 
 def at_blocked(grid, number):

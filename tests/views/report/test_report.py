@@ -52,6 +52,22 @@ def test_cells_are_told_as_the_grid_has_them(house):
         assert np.count_nonzero(arrays["names"] >= 0) == len(level.user_data)
 
 
+def test_clearances_count_from_zero_where_no_cell_is_blocked():
+    level = level_from("....\n....\n....")
+    [sheet] = content_of(render_report(level))["sheets"]
+    away = unpack(sheet["levels"][0]["cells"]["clearance"], level.shape) / 1000
+    np.testing.assert_allclose(away, clearance(level), atol=0.5001e-3)
+
+
+def test_floors_that_are_worlds_apart_are_told():
+    level = level_from("..")
+    level.attributes["floorHeight"] = np.array([[-5e9, 5e9]], dtype=np.float32)
+    [sheet] = content_of(render_report(level))["sheets"]
+    packed = sheet["levels"][0]["cells"]
+    floor = packed["floorFrom"] + unpack(packed["floor"], (1, 2)) * packed["floorStep"]
+    np.testing.assert_allclose(floor, level.floor, atol=5)
+
+
 def test_pictures_are_those_of_the_layers(house):
     [sheet] = content_of(render_report(house))["sheets"]
     for number in range(len(house.levels)):

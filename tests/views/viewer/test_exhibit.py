@@ -68,7 +68,7 @@ def test_a_cell_tells_what_blocks_it_and_that_is_lit(room, chosen):
     assert told.facts == room.grid.describe_cell(1.02, 0.52, 0)
     assert told.clicked == "table"
     text = texts.say_cell(told, None)
-    assert "**blocked** by `table`" in text
+    assert "**blocked** by <code>table</code>" in text
     corners = told.lit.reshape(-1, 3)
     np.testing.assert_allclose(corners.min(axis=0), [0.7, 0.2, 0], atol=0.02)
     np.testing.assert_allclose(corners.max(axis=0), [1.3, 0.8, 0.7], atol=0.02)
@@ -169,6 +169,7 @@ def test_a_grid_without_its_scene_is_shown_alone(room, tmp_path):
 
 def test_names_from_files_are_text_on_the_page():
     assert texts.plain("a_b *c* <img src=x>") == r"a\_b \*c\* \<img src=x\>"
+    assert texts.plain("&lt; a\r\n\r b") == r"\&lt; a b"
     panel = Panel("room", np.zeros((1, 1, 3), np.uint8), legend=(("<b>bold</b>", "#ffffff"),))
     legend = texts.write_legend([panel])
     assert "<b>" not in legend

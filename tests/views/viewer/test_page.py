@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 
 import navbake
-from browser import errors_of, needs_browser, open_browser, requests_of, strangers_of
+from browser import (
+    errors_of,
+    needs_browser,
+    open_browser,
+    requests_of,
+    strangers_of,
+    wait_until,
+)
+from navbake.views.viewer import texts
+from navbake.views.viewer.exhibit import Told
+from navbake.views.viewer.server import close_server, open_server, url_of
 from navbake.views.viewer.texts import HINT_GOAL
 from viewer_page import ViewerPage, run_view
 from viewer_scenes import write_room
@@ -120,3 +130,28 @@ def test_nothing_leaves_the_machine_and_nothing_fails(shown):
     page, *_ = shown
     assert errors_of(page.driver) == []
     assert strangers_of(requests_of(page.driver)) == []
+
+
+# what ends a table's cell, a paragraph or code in Markdown, and HTML that would run then
+IMAGE = "<img src=x onerror=alert(1)>"
+NASTY = (f"a\\|{IMAGE}", f"b\r\r{IMAGE}", f"c`` {IMAGE}", f"d\n\n{IMAGE}", f"e|{IMAGE}", "f&lt;g")
+
+
+def test_names_from_files_do_not_run():
+    facts = dict.fromkeys(("floor", "weight", "island", "level", "row", "col"), 0)
+    facts |= {"free": False, "occupied": True, "center": (0.0, 0.0), "room": NASTY[0]}
+    facts |= {"blockers": list(NASTY), "objects": list(NASTY), "walls": [], "doors": []}
+    told = Told(facts, NASTY[0], np.empty((0, 3, 3), np.float32))
+    server = open_server(port=0)
+    try:
+        server.gui.add_markdown(texts.say_cell(told, None))
+        server.gui.add_markdown(f"**{texts.plain(NASTY[1])}** shown")
+        with open_browser(900, 640) as driver:
+            driver.get(url_of(server))
+            text = lambda: driver.execute_script("return document.body.innerText")  # noqa: E731
+            wait_until(lambda: "shown" in text(), "the panel", PATIENCE)
+            assert driver.find_elements("css selector", "img[src=x]") == []
+            for name in NASTY:
+                assert " ".join(name.split()) in text()
+    finally:
+        close_server(server)

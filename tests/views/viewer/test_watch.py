@@ -2,6 +2,12 @@
 
 import os
 
+import pytest
+
+from browser import wait_until
+from grid_maps import level_from
+from navbake.views.viewer.exhibit import Exhibit
+from navbake.views.viewer.view import Reading, Viewer, read_again
 from navbake.views.viewer.watch import Watch, find_files
 
 
@@ -62,3 +68,27 @@ def test_files_that_a_change_adds_are_watched_then(tmp_path):
     assert [watch.look(), watch.look()] == [False, True]
     touch(other, "changed")
     assert [watch.look(), watch.look()] == [False, True]
+
+
+def test_what_changes_while_it_is_read_first_is_read_again(tmp_path):
+    level_from("..").save(tmp_path / "a.grid.json")
+    reading = read_again(tmp_path / "a.grid.json", None)
+    level_from("..\n..").save(tmp_path / "a.grid.json")
+    assert not reading.watch.look() and reading.watch.look()
+    assert reading.read().grid.levels[0].shape == (2, 2)
+
+
+def test_the_watch_goes_on_after_any_error(tmp_path, caplog):
+    pytest.importorskip("viser")
+    path, asked = write(tmp_path / "a.yaml", "a"), []
+
+    def read():
+        asked.append(path.read_text())
+        raise MemoryError("no space")
+
+    reading = Reading(read, Watch(lambda: [path]))
+    with Viewer(Exhibit(level_from("..")), port=0, reading=reading):
+        for text in ("ab", "abc"):
+            touch(path, text)
+            wait_until(lambda text=text: asked[-1:] == [text], "another look")
+    assert "failed to read" in caplog.text
