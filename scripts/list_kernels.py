@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import tempfile
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -38,18 +39,17 @@ def record() -> Any:
 
     entries: list[Entry] = []
     tuples: dict[str, list[Any]] = {}
-    depth, compile_one = 0, Kernel.compile
+    own, compile_one = threading.local(), Kernel.compile  # some compile on threads beside others
 
     def compile_and_note(kernel: Kernel, sig: Any) -> Any:
-        nonlocal depth
-        depth, begin = depth + 1, time.process_time()
+        own.depth, begin = getattr(own, "depth", 0) + 1, time.thread_time()
         try:
             return compile_one(kernel, sig)
         finally:
-            depth -= 1
-            if depth == 0:  # a kernel that calls this one compiles it, too
+            own.depth -= 1
+            if own.depth == 0:  # a kernel that calls this one compiles it, too
                 types = [encode(t, tuples) for t in (sig if isinstance(sig, tuple) else sig.args)]
-                seconds = round(time.process_time() - begin, 2)
+                seconds = round(time.thread_time() - begin, 2)
                 entries.append(Entry(kernel.full_name, seconds, types))
 
     Kernel.compile = compile_and_note

@@ -67,17 +67,18 @@ def test_a_list_that_cannot_be_read_is_empty(monkeypatch, tmp_path):
 
 USE = """
 import json
+import threading
 import navbake
 from navbake.dispatch import Kernel
 from navbake.kernel_list import encode
-called, depth, compile_one = [], [0], Kernel.compile
+called, own, compile_one = [], threading.local(), Kernel.compile
 def note(kernel, sig):
-    depth[0] += 1
+    own.depth = getattr(own, "depth", 0) + 1
     try:
         return compile_one(kernel, sig)
     finally:
-        depth[0] -= 1
-        if not depth[0]:
+        own.depth -= 1
+        if not own.depth:
             called.append([kernel.full_name, [encode(t, {}) for t in sig]])
 Kernel.compile = note
 navbake.bake("configs/apartment.yaml")

@@ -31,10 +31,8 @@ def plot(
 ) -> None:
     """Draw a grid: a row for each level, a column for each layer; up is the world's +y.
 
-    \b
-    Example:
-      navbake plot house.grid.json -o house.png --layer rooms --layer floor
-    """  # noqa: D301 - \b is what keeps the example's line as it is
+    Example: navbake plot house.grid.json -o house.png --layer rooms --layer floor
+    """
     from navbake.views.layers import LAYERS
     from navbake.views.plot import DEFAULT_LAYERS, plot_grid, render_png
 

@@ -63,8 +63,8 @@ FACES = [
     *((0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)),
     *((2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)),
 ]
-# A room with a crack in its floor, a door, and boxes that are moved: one near the crack, one onto
-# the other, one out of the scene
+# A room with a crack in its floor, a door, a niche, and boxes that are moved: near the crack, onto
+# each other, in front of the niche, out of the scene
 MOVING = """<mujoco model="moving">
 <asset>
   <mesh name="wedge" vertex="0 0 0 .4 0 0 0 .4 0 0 0 .6" face="0 2 1 0 1 3 1 2 3 0 3 2"/>
@@ -78,6 +78,10 @@ MOVING = """<mujoco model="moving">
     <joint name="hinge" type="hinge" axis="0 0 1" range="0 90"/>
     <geom type="box" size=".02 .3 1" pos="0 .35 0"/>
   </body>
+  <geom type="box" size=".05 .35 .6" pos="-2.3 1 .6"/>
+  <geom type="box" size=".05 .35 .6" pos="-1.8 1 .6"/>
+  <geom type="box" size=".3 .05 .6" pos="-2.05 1.3 .6"/>
+  <body name="loose" pos="-.5 -1 .1"><freejoint/><geom type="box" size=".1 .1 .1"/></body>
   <body name="one" mocap="true" pos="-1 0 .2"><geom type="box" size=".2 .2 .2"/></body>
   <body name="two" mocap="true" pos="-2 -.8 .05"><geom type="box" size=".6 .6 .05"/></body>
 </worldbody></mujoco>"""
@@ -200,6 +204,8 @@ def _use_baker(baker: navbake.Baker) -> None:
     for place in ((-0.1, 0.0, 0.2), (-2.0, -0.8, 0.3), (1.0, 0.5, 0.02), (9.0, 9.0, 0.2)):
         baker.update(bodies={"one": place})
     baker.update(bodies={"two": (0.1, 0.6, -0.06), "one": (0.0, -0.6, 0.2)})
+    for place in ((-2.05, 0.7, 0.2), (-1.0, -0.5, 0.2)):  # the niche is closed, and opened
+        baker.update(bodies={"one": place})
 
 
 def _draw_hollow() -> str:
@@ -217,7 +223,8 @@ def _draw_hollow() -> str:
 def _draw_soup() -> bytes:
     """Write a box that lacks a triangle, with a low block in it, as a binary PLY."""
     block = [(0.3 * x, 0.3 * y, 0.4 * z - 1.6) for x, y, z in CORNERS]
-    corners = [*([2.0 * v for v in corner] for corner in CORNERS), *block]
+    # narrow, so that it is asked whether it lies on its side
+    corners = [*((2.0 * x, 1.8 * y, 2.0 * z) for x, y, z in CORNERS), *block]
     faces = [*FACES[:-1], *((a + 8, b + 8, c + 8) for a, b, c in FACES)]
     header = (
         f"ply\nformat binary_little_endian 1.0\nelement vertex {len(corners)}\n"
