@@ -109,7 +109,8 @@ def extrude(
 ) -> None:
     """Make a MuJoCo scene of walls and floors from a map.
 
-    Baked with the settings that are written beside it, it gives the map again, cell for cell.
+    Baked with the settings that are written beside it, a level gives its map again, cell for cell;
+    docs/convert.md says what does not come back of several levels in one scene.
 
     Example: navbake extrude map.yaml -o scene.xml
     """

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from navbake.baker.pipeline import run_bake
 from navbake.baker.rooms.volumes import vertical_chords
-from navbake.baker.scene.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, Solids
+from navbake.baker.scene.shapes import Solids
 from navbake.config.settings import parse_config
 from navbake.errors import ConfigError
 
