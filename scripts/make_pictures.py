@@ -118,12 +118,12 @@ def draw_report() -> bytes:
 
 def _of_page(name: str) -> bytes:
     # imports the tests' browser, which the other pictures do without
-    import page_pictures
+    from docs_pages import pictures
 
-    missing = page_pictures.why_no_browser()
+    missing = pictures.why_no_browser()
     if missing:
         raise SystemExit(f"cannot take the picture of a page: {missing}")
-    taken: bytes = getattr(page_pictures, name)()
+    taken: bytes = getattr(pictures, name)()
     return taken
 
 

@@ -35,7 +35,7 @@ def build(config, folder):
 def test_a_page_that_is_left_out_is_noticed(tmp_path):
     text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     text = text.replace("docs_dir: docs", f"docs_dir: {ROOT / 'docs'}").replace("limits.md, ", "")
-    text = text.replace("scripts/docs_site.py", str(ROOT / "scripts" / "docs_site.py"))
+    text = text.replace("scripts/docs_pages", str(ROOT / "scripts" / "docs_pages"))
     (tmp_path / "mkdocs.yml").write_text(text, encoding="utf-8")
     done = build(tmp_path / "mkdocs.yml", tmp_path / "site")
     assert done.returncode != 0 and "limits.md" in done.stderr

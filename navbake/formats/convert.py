@@ -212,14 +212,14 @@ def encode_as(
 
 
 def write_as(
-    grid: NavGrid, path: str | os.PathLike[str], name: str | None = None, **options: Any
+    grid: NavGrid, path: str | os.PathLike[str], to: str | None = None, **options: Any
 ) -> list[Path]:
     """Write a grid in any format that is written, all its files or none; see `encode_as`.
 
     Returns:
         The files that were written.
     """
-    return write_files(encode_as(grid, check_path(path), name, **options))
+    return write_files(encode_as(grid, check_path(path), to, **options))
 
 
 def _check_options(form: Format, known: tuple[str, ...], options: Mapping[str, Any]) -> None:

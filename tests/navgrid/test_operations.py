@@ -30,22 +30,28 @@ def test_a_registered_function_takes_what_the_method_takes(name):
 def test_methods_call_what_is_registered(monkeypatch):
     """No method is left without its function, and none calls another's."""
     called = []
-    monkeypatch.setattr(
-        navbake.navgrid.grid_base,
-        "operation",
-        lambda name: lambda *_, **__: called.append(name) or {"blockers": []},
-    )
+    for module in (navbake.navgrid.grid_base, navbake.navgrid.methods.exports):
+        monkeypatch.setattr(
+            module,
+            "operation",
+            lambda name: lambda *_, **__: called.append(name) or {"blockers": []},
+        )
     grid = SceneGrid2D.__new__(SceneGrid2D)
     arguments = {
         "_repr_html_": (),
         "_repr_png_": (),
         "at": ((0, 0),),
         "block": (),
+        "convert": ("a.npz",),
         "describe_cell": (0, 0),
         "inflate": (0.1,),
         "inflate_footprint": ((),),
         "save": ("a",),
         "tensors": (),
+        "to_geojson": (),
+        "to_graph": (),
+        "to_mesh": (),
+        "to_polygons": (),
         "values_at": ("floor", (0, 0)),
     }
     for method, given in arguments.items():

@@ -1,0 +1,1 @@
+"""What the pages of docs/ are made with: the site, and pictures of navbake's own pages."""
