@@ -7,12 +7,10 @@ starting one takes as long as many bakes.
 
 from __future__ import annotations
 
-import ctypes
 import multiprocessing
 import os
 import pickle
 import signal
-import sys
 import tempfile
 import time
 import traceback
@@ -22,10 +20,9 @@ from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 from typing import Any, NamedTuple
 
+from navbake.baker.scene.guard.child import end_with_parent, ending_of, limit_memory
 from navbake.errors import NavbakeError, printable
 
-GIB = 1 << 30  # bytes
-END_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
 START_SECONDS = 300.0  # what a worker may take until it is ready; machines are busy
 MOST_FAILED_STARTS = 3  # in a row, before the crew gives up
 PAUSE = 0.5  # after which this process hears of a SIGTERM that its whole group was sent [s]
@@ -125,7 +122,8 @@ class _Worker:
         if status == -signal.SIGTERM:
             time.sleep(PAUSE)  # if this process was sent one, too, that ends the batch here
         text = self._last_line()
-        return f"its process ended {_described(status)}{f': {text}' if text else ''}"
+        how = f"{'with' if status >= 0 else 'by'} {ending_of(status)}"
+        return f"its process ended {how}{f': {text}' if text else ''}"
 
     def _last_line(self) -> str:
         """The last line that it wrote on stderr during its task, where libraries say why."""
@@ -312,15 +310,6 @@ def _signals_wait() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _described(status: int) -> str:
-    if status >= 0:
-        return f"with exit status {status}"
-    try:
-        return f"by {signal.Signals(-status).name}"
-    except ValueError:  # a number without a name
-        return f"by signal {-status}"
-
-
 # ---------------------------------------------------------------- in the worker
 
 
@@ -333,7 +322,7 @@ def _serve(
         do, prepare = pickle.loads(work)
         if prepare is not None:
             prepare()
-        unlimited = _limit_memory(memory)
+        unlimited = limit_memory(memory)
     except BaseException as error:
         connection.send((CRASHED, _last_line(error)))
         return
@@ -363,32 +352,11 @@ def _settle(parent: int, stderr: str) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(END_WITH_PARENT, signal.SIGKILL)
-        if os.getppid() != parent:  # it ended before that
-            os._exit(1)
+    end_with_parent(parent)
     nothing = os.open(os.devnull, os.O_RDWR)
     os.dup2(nothing, 0)
     os.dup2(nothing, 1)
     os.dup2(os.open(stderr, os.O_WRONLY | os.O_APPEND), 2)
-
-
-def _limit_memory(gib: float | None) -> Callable[[], None]:
-    """Let this process reserve only so much more than it has now; returns what ends the limit."""
-    if sys.platform != "linux":
-        return lambda: None
-    import resource  # there is none on Windows
-
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    if gib is None:
-        return lambda: None
-    with open("/proc/self/statm", "rb") as file:
-        reserved = int(file.read().split()[0]) * resource.getpagesize()
-    before = resource.getrlimit(resource.RLIMIT_AS)
-    most, hard = reserved + int(gib * GIB), before[1]
-    if hard == resource.RLIM_INFINITY or most < hard:
-        resource.setrlimit(resource.RLIMIT_AS, (most, hard))
-    return lambda: resource.setrlimit(resource.RLIMIT_AS, before)
 
 
 def _last_line(error: BaseException) -> str:

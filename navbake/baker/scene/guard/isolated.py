@@ -7,10 +7,8 @@ a file (MJB), which holds every bit of it.
 
 from __future__ import annotations
 
-import ctypes
 import os
 import pickle
-import signal
 import subprocess
 import sys
 import tempfile
@@ -20,18 +18,13 @@ from typing import Any, NamedTuple
 
 import mujoco
 
+from navbake.baker.scene.guard.child import end_with_parent, ending_of, limit_memory
 from navbake.baker.scene.guard.oversized import refuse_oversized
 from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart, read_mesh_parts
 from navbake.baker.scene.model import XML_SUFFIXES, catch_warnings, load_model
 from navbake.config.scene import SceneSettings
 from navbake.errors import NavbakeError, SceneError
 
-try:
-    import resource
-except ImportError:  # Windows limits no process that way
-    resource = None  # type: ignore[assignment]
-
-GIB = 1 << 30  # bytes
 # The child finds modules where this process did: with -c, Python would look in the current folder
 # first, which is as little to be trusted as the scene. So the path is set before anything else.
 CHILD = (
@@ -39,7 +32,6 @@ CHILD = (
     "from navbake.baker.scene.guard.isolated import compile_job; compile_job(sys.argv[1])"
 )
 IMPORT_SECONDS = 120.0  # what the child may take before it begins to compile; machines are busy
-END_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
 JOB, MODEL, RESULT = "job.pickle", "model.mjb", "result.pickle"
 STARTED = "started"  # what the child writes when it begins to compile
 
@@ -102,12 +94,12 @@ def _run_child(place: Path, scene: Path, limits: CompileLimits) -> None:
             child.kill()
     if not (place / STARTED).exists():
         raise NavbakeError(
-            f"cannot start a process to compile {scene} in ({_how_it_ended(status)}): does "
+            f"cannot start a process to compile {scene} in ({ending_of(status)}): does "
             f"{sys.executable!r} find navbake?"
         )
     if not (place / RESULT).exists():
         raise SceneError(
-            f"MuJoCo crashed as it compiled {scene} ({_how_it_ended(status)}): the scene asks for "
+            f"MuJoCo crashed as it compiled {scene} ({ending_of(status)}): the scene asks for "
             f"too much, or for more than {limits.memory:g} GiB of memory, or is broken"
         )
 
@@ -125,21 +117,12 @@ def _wait_for_start(child: subprocess.Popen[bytes], started: Path) -> int | None
     return child.poll()
 
 
-def _how_it_ended(status: int) -> str:
-    if status >= 0:
-        return f"exit status {status}"
-    try:
-        return signal.Signals(-status).name
-    except ValueError:  # a number without a name
-        return f"signal {-status}"
-
-
 def compile_job(folder: str) -> None:
     """What the child does: compile the scene of a job, and leave the model or the error."""
     place = Path(folder)
     settings, memory = pickle.loads((place / JOB).read_bytes())
-    _limit_memory(memory)
-    _end_with_parent()
+    limit_memory(memory)
+    end_with_parent()
     (place / STARTED).touch()
     failed: NavbakeError | None = None
     with catch_warnings() as warned:
@@ -151,22 +134,3 @@ def compile_job(folder: str) -> None:
         except MemoryError:
             failed = SceneError(f"{settings.path} needs more than {memory:g} GiB of memory")
     (place / RESULT).write_bytes(pickle.dumps((warned, failed)))
-
-
-def _end_with_parent() -> None:
-    """Ask the system to end this process when its parent ends, however that happens."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(END_WITH_PARENT, signal.SIGKILL)
-
-
-def _limit_memory(gib: float) -> None:
-    """Limit what this process may reserve from now on, and let it leave no core dump."""
-    if resource is None:
-        return
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    try:
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
-    except OSError:  # no Linux: such limits are not kept there
-        return
-    most = pages * resource.getpagesize() + int(gib * GIB)
-    resource.setrlimit(resource.RLIMIT_AS, (most, most))
