@@ -28,6 +28,7 @@ MOST_FAILED_STARTS = 3  # in a row, before the crew gives up
 PAUSE = 0.5  # after which this process hears of a SIGTERM that its whole group was sent [s]
 MOST_TEXT = 200  # of what a worker wrote on stderr, characters
 READY, DONE, CRASHED, TOO_LONG, TOO_LARGE = "ready", "done", "crashed", "too long", "too large"
+BEGUN, AGAIN, LOST = "begun", "again", "lost"  # what happens besides, see `Event`
 
 
 class JobLimits(NamedTuple):
@@ -59,6 +60,31 @@ class Ended(NamedTuple):
     seconds: float
 
 
+class Event(NamedTuple):
+    """What happens to workers and jobs, besides that jobs end.
+
+    Attributes:
+        what: ``ready``, a worker waits for its first job; ``begun``, it was given a job; ``lost``,
+            it is gone; or ``again``, the job that it had will be given to another.
+        worker: which one, from 1; one that replaces another has a number of its own.
+        number: the job's place among the jobs; None where the worker has none.
+        how: as `Ended` has it, of a worker that is gone.
+        why: in words, likewise.
+        seconds: how long the worker took to start, or was at the job that it lost.
+    """
+
+    what: str
+    worker: int
+    number: int | None = None
+    how: str = ""
+    why: str = ""
+    seconds: float = 0.0
+
+
+def _ignore(event: Event) -> None:
+    """What hears of events where nobody wants to."""
+
+
 class _Task:
     """A job, and how often it was tried."""
 
@@ -69,7 +95,8 @@ class _Task:
 class _Worker:
     """A worker process, seen from the parent."""
 
-    def __init__(self, work: bytes, limits: JobLimits) -> None:
+    def __init__(self, number: int, work: bytes, limits: JobLimits) -> None:
+        self.number = number
         context = multiprocessing.get_context("spawn")
         self.connection, self._theirs = context.Pipe()
         self._stderr, self._stderr_path = tempfile.mkstemp(prefix="navbake-")
@@ -142,6 +169,7 @@ def do_jobs(
     limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
     retries: int = 0,
     prepare: Callable[[], None] | None = None,
+    on_event: Callable[[Event], None] = _ignore,
 ) -> Generator[Ended, None, None]:
     """Do jobs in worker processes, and yield how each ended, in the order in which they end.
 
@@ -155,13 +183,14 @@ def do_jobs(
         limits: of each job.
         retries: how often a job that crashed, or took too long or too much, is tried again.
         prepare: a function of a module that each worker calls before its first job.
+        on_event: is called in this process with what happens meanwhile.
 
     Raises:
         NavbakeError: no worker starts.
 
     The workers are gone when the iterator is closed, or at the end.
     """
-    crew = _Crew(jobs, pickle.dumps((work, prepare)), count, limits, retries)
+    crew = _Crew(jobs, pickle.dumps((work, prepare)), count, limits, retries, on_event)
     try:
         yield from crew.run()
     finally:
@@ -172,9 +201,17 @@ class _Crew:
     """The workers, and the tasks that are left."""
 
     def __init__(
-        self, jobs: Sequence[Any], work: bytes, count: int, limits: JobLimits, retries: int
+        self,
+        jobs: Sequence[Any],
+        work: bytes,
+        count: int,
+        limits: JobLimits,
+        retries: int,
+        on_event: Callable[[Event], None],
     ) -> None:
         self._work, self._count, self._limits, self._retries = work, count, limits, retries
+        self._on_event = on_event
+        self._num_started = 0
         self._left = deque(_Task(number, job) for number, job in enumerate(jobs))
         self._again: deque[_Task] = deque()  # of workers that are gone
         self._workers: list[_Worker] = []
@@ -218,10 +255,13 @@ class _Crew:
         except OSError:  # it died meanwhile
             self._remove(worker)
             waiting.appendleft(task)
+            return
+        self._on_event(Event(BEGUN, worker.number, task.number))
 
     def _start(self) -> None:
         try:
-            worker = _Worker(self._work, self._limits)
+            self._num_started += 1
+            worker = _Worker(self._num_started, self._work, self._limits)
             self._workers.append(worker)  # before it starts: then `end` knows of it
             worker.start()
         except OSError as error:
@@ -260,6 +300,7 @@ class _Crew:
         if how == READY:
             worker.is_ready = True
             worker.forget_stderr()
+            self._on_event(Event(READY, worker.number, seconds=worker.age))
         elif how == DONE and worker.task is not None:
             ended = Ended(worker.task.number, DONE, value, worker.age)
             worker.task, worker.is_used, self._failed_starts = None, True, 0
@@ -271,6 +312,9 @@ class _Crew:
         """Replace a worker, and see what becomes of its task."""
         task, seconds = worker.task, worker.age
         self._remove(worker)
+        number = None if task is None else task.number
+        lost = Event(LOST, worker.number, number, how, why, seconds)
+        self._on_event(lost)
         if task is None:
             if not worker.is_used:
                 self._count_failed_start(why)
@@ -278,10 +322,12 @@ class _Crew:
         self._failed_starts = 0
         if worker.is_used and how != TOO_LONG:
             self._again.append(task)
+            self._on_event(lost._replace(what=AGAIN))
             return
         task.tries += 1
         if task.tries <= self._retries:
             self._again.append(task)
+            self._on_event(lost._replace(what=AGAIN))
         else:
             yield Ended(task.number, how, why, seconds)
 
