@@ -20,6 +20,12 @@ def content_of(page):
     return json.loads(found)
 
 
+def content_of_batch(path):
+    """What the page of a batch shows."""
+    with open(path, "rb") as file:
+        return json.loads(text_of(content_of(file.read())["packed"]))
+
+
 def text_of(packed):
     """Undo `packing.to_text`."""
     return zlib.decompress(b64decode(packed))

@@ -9,10 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from navbake.batch.crew import DONE, Ended, JobLimits, do_jobs
+from navbake.batch.crew import DONE, Ended, Event, JobLimits, do_jobs
 from navbake.batch.file_states import are_unchanged, path_from
 from navbake.batch.index import Index, only_batch
 from navbake.batch.job import Job
+from navbake.batch.journal import stamp
 from navbake.batch.products import parse_products
 from navbake.batch.settings import check_overrides, settings_of
 from navbake.batch.work import (
@@ -41,6 +42,7 @@ class Batch(NamedTuple):
         settings: what all scenes share, see `settings.read_shared`.
         overrides: ``a.b=value``, for all scenes.
         products: what to make of each besides its grid, see `products.KINDS`.
+        thumbnails: whether to make small pictures for the batch's page, of scenes that are baked.
     """
 
     jobs: Sequence[Job]
@@ -48,6 +50,7 @@ class Batch(NamedTuple):
     settings: Json
     overrides: Sequence[str] = ()
     products: Sequence[str] = ()
+    thumbnails: bool = False
 
 
 class Means(NamedTuple):
@@ -71,6 +74,9 @@ class Watch(Protocol):
 
     def begin(self, total: int, skipped: int) -> None:
         """Before the first scene is baked; not where there is none to bake."""
+
+    def hear(self, event: Event, scene: str | None) -> None:
+        """Of workers, and of scenes that begin or are tried again; `scene` is the id of one."""
 
     def end_scene(self, row: Json) -> None:
         """After each scene, with its row."""
@@ -112,7 +118,14 @@ def run_batch(batch: Batch, means: Means, watch: Watch) -> BatchResult:
     check_overrides(batch.overrides)
     _check_settings(batch)
     orders = [
-        Order(job, batch.settings, tuple(batch.overrides), products, batch.folder)
+        Order(
+            job,
+            batch.settings,
+            tuple(batch.overrides),
+            products,
+            batch.folder,
+            batch.thumbnails,
+        )
         for job in batch.jobs
     ]
     with only_batch(batch.folder), closing(Index(batch.folder)) as index:
@@ -140,6 +153,7 @@ def _run(orders: Sequence[Order], index: Index, means: Means, watch: Watch) -> B
             limits=means.limits,
             retries=means.retries,
             prepare=prepare,
+            on_event=lambda event: watch.hear(event, _id_of(event, waiting)),
         )
         with closing(ended):
             for end in ended:
@@ -160,12 +174,16 @@ def _run(orders: Sequence[Order], index: Index, means: Means, watch: Watch) -> B
     return result
 
 
+def _id_of(event: Event, orders: Sequence[Order]) -> str | None:
+    return None if event.number is None else orders[event.number].job.id
+
+
 def _row(order: Order, end: Ended) -> Json:
     """The row of a scene that ended."""
     if end.how == DONE:
-        row: Json = end.value
-        return row
-    return {**fail(order, end.how, end.value), "seconds": round(end.seconds, DIGITS)}
+        return {**end.value, "ended": stamp()}
+    seconds = round(end.seconds, DIGITS)
+    return {**fail(order, end.how, end.value), "seconds": seconds, "ended": stamp()}
 
 
 def _is_done(order: Order, row: Json | None) -> bool:

@@ -18,7 +18,7 @@ from navbake.baker.pipeline import run_bake
 from navbake.batch.file_states import describe_files, path_from
 from navbake.batch.inputs import find_inputs
 from navbake.batch.job import Job
-from navbake.batch.products import GRID, Product, remove_products
+from navbake.batch.products import GRID, Product, remove_products, write_thumbnail
 from navbake.batch.settings import digest_settings, settings_of
 from navbake.config.settings import BakeConfig, load_config
 from navbake.dispatch import IS_HELPER
@@ -41,6 +41,7 @@ class Order(NamedTuple):
         overrides: ``a.b=value``, which replace those of the batch and of the scene.
         products: what to make besides the grid.
         folder: where the folders of the scenes are.
+        thumbnail: whether to make a small picture for the batch's page.
     """
 
     job: Job
@@ -48,6 +49,7 @@ class Order(NamedTuple):
     overrides: tuple[str, ...]
     products: tuple[Product, ...]
     folder: Path
+    thumbnail: bool = False
 
     @property
     def place(self) -> Path:
@@ -114,6 +116,8 @@ def _make(order: Order) -> Json:
     order.place.mkdir(parents=True, exist_ok=True)
     remove_products(order.place)
     made = [name for product in order.products for name in product.make(grid, config, order.place)]
+    if order.thumbnail:
+        write_thumbnail(grid, order.place)
     write_navgrid(grid, order.place / GRID)
     return {
         **row_of(order, OK),
