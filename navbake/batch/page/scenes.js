@@ -202,7 +202,7 @@ function listenToScene() {
   box.addEventListener("click", (event) => { if (event.target === box) box.close(); }); // beside it
   box.addEventListener("close", () => { state.scene = null; remember(); });
   box.addEventListener("keydown", (event) => {
-    const by = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+    const by = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
     if (by === undefined || event.ctrlKey || event.metaKey || event.altKey) return;
     step(by);
     event.preventDefault();

@@ -132,9 +132,21 @@ def test_thumbnails_are_drawn_where_grids_are_and_nowhere_else(folder):
     assert {made["id"][i] for i, has in enumerate(made["thumbnail"]) if has} == drawn
 
 
+def test_no_thumbnail_is_drawn_outside_of_the_folder(tmp_path):
+    for name in ("batch", "outside"):
+        (tmp_path / name).mkdir()
+    level_from("..").save(tmp_path / "outside" / GRID)
+    row = {"id": "../outside", "status": "ok", "files": {GRID: {}}}
+    (tmp_path / "batch" / INDEX).write_text(json.dumps(row) + "\n")
+    assert draw_thumbnails(tmp_path / "batch", lambda share: None) == 0
+    assert [path.name for path in (tmp_path / "outside").iterdir()] == [GRID]
+
+
 @needs_browser
 @pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True)])
 def test_a_reader_filters_sorts_and_opens_scenes(folder, width, dark):
+    from selenium.webdriver.common.keys import Keys
+
     with open_browser(width, 900, dark=dark) as driver:
         url = (folder / "index.html").as_uri()
         open_page(driver, url)
@@ -168,6 +180,8 @@ def test_a_reader_filters_sorts_and_opens_scenes(folder, width, dark):
         box = driver.find_element("id", "scene")
         assert driver.find_element("id", "scene-name").text == "scene-030" and "30 m²" in box.text
         driver.find_element("id", "after").click()
+        assert driver.find_element("id", "scene-name").text == "scene-031"
+        box.send_keys(Keys.ARROW_RIGHT, Keys.ARROW_LEFT)
         assert driver.find_element("id", "scene-name").text == "scene-031"
         links = [each.get_attribute("href") for each in box.find_elements("css selector", "a")]
         assert links == [f"{folder.as_uri()}/scene-031/{name}" for name in ("report.html", GRID)]
