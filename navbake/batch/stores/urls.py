@@ -12,7 +12,8 @@ from navbake.errors import ConfigError
 Folder: TypeAlias = Path | str
 """A folder: a Path of this machine, or the URL of one on a store."""
 
-URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://(.*)", re.DOTALL)  # `C://` is none
+# `C://` is none; `simplecache::s3://` is one, to be refused
+URL = re.compile(r"((?:[A-Za-z0-9+.-]+::)*[A-Za-z][A-Za-z0-9+.-]+)://(.*)", re.DOTALL)
 HERE = ("file", "local")  # schemes of this machine's own files
 WEB = ("http", "https")  # a query (`?…`) may follow the path, and nothing can be written
 
@@ -82,7 +83,7 @@ def split_url(url: str) -> Parts:
     if scheme in WEB:
         rest, mark, query = rest.partition("?")
     authority, _, path = rest.partition("/")
-    names = tuple(path.strip("/").split("/")) if path.strip("/") else ()
+    names = tuple(path.rstrip("/").split("/")) if path.rstrip("/") else ()
     for name in names:
         if name in ("", ".", "..") or "\0" in name or (os.name == "nt" and "\\" in name):
             raise ConfigError(f"expected names between the slashes of {shown(url)}, got {name!r}")
