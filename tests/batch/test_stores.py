@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import sys
 import time
 from pathlib import Path
 
 import pytest
-
-fsspec = pytest.importorskip("fsspec")
 
 from batch_scenes import draw_room
 from navbake.batch import batch as module
@@ -29,6 +28,7 @@ from navbake.batch.stores.store import Listing, list_tree, read_file, write_file
 from navbake.batch.stores.urls import as_folder, is_url, join, plain_path, shown, split_url
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, SceneError
 
+fsspec = pytest.importorskip("fsspec")
 SETTINGS = {"grid": {"cell_size": 0.25}}
 CHEST = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 {height}\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
 FLOOR = '<mujoco><geom type="box" size="2 2 .1" pos="0 0 -.1"/></mujoco>'
@@ -139,7 +139,10 @@ def rooms(tmp_path, memory):
     return names
 
 
-def run(*sources, out="out", means=Means(), settings=SETTINGS, **options):
+ONE = Means()
+
+
+def run(*sources, out="out", means=ONE, settings=SETTINGS, **options):
     """Run a batch; what it baked, and its result."""
     told = Told()
     result = run_batch(Batch(list_jobs(sources), as_folder(out), settings, **options), means, told)
@@ -197,7 +200,7 @@ def test_lists_patterns_and_settings_may_be_on_a_store(rooms, memory):
     assert names == ["a", "b", "plain"] and near.count("ok") == 3, near.rows
     shared = {**read_shared("memory://s/rooms/all.yaml"), **SETTINGS}
     assert shared["rooms"] == {"polygons": "memory://s/rooms/plan.geojson"}
-    names, result = run("memory://s/rooms/list.jsonl", out="far", settings=shared)
+    names, _result = run("memory://s/rooms/list.jsonl", out="far", settings=shared)
     assert names == ["a", "b", "plain"] and grids("far") == grids("out")
     assert run("memory://s/rooms/list.jsonl", out="far", settings=shared)[0] == []
     sources = [job.source for job in list_jobs(["memory://s/rooms/**/*.xml"])]
@@ -206,14 +209,16 @@ def test_lists_patterns_and_settings_may_be_on_a_store(rooms, memory):
         list_jobs(["memory://s/rooms/no/*.xml"])
     with pytest.raises(ConfigError, match="got the folder memory://s/rooms: name what is in it"):
         list_jobs(["memory://s/rooms/"])
-    with pytest.raises(NavbakeError, match="cannot read memory://s/rooms/no.csv: there is no such"):
+    with pytest.raises(
+        NavbakeError, match=r"cannot read memory://s/rooms/no\.csv: there is no such"
+    ):
         list_jobs(["memory://s/rooms/no.csv"])
 
 
 def test_outlines_may_be_named_by_an_override(rooms):
     override = "rooms.polygons=memory://s/rooms/plan.geojson"
-    _, near = run("rooms/plain.xml", overrides=["rooms.polygons=rooms/plan.geojson"])
-    names, result = run("rooms/plain.xml", out="far", overrides=[override])
+    _, _near = run("rooms/plain.xml", overrides=["rooms.polygons=rooms/plan.geojson"])
+    _names, result = run("rooms/plain.xml", out="far", overrides=[override])
     assert result.count("ok") == 1 and grids("far") == grids("out"), result.rows
     assert run("rooms/plain.xml", out="far", overrides=[override])[0] == []
 
@@ -296,7 +301,11 @@ def test_ten_thousand_scenes_are_asked_for_in_few_calls(memory, monkeypatch):
 
 
 def test_a_scene_that_fails_leaves_nothing_and_is_told_by_its_url(rooms, memory, monkeypatch):
-    sources = ["memory://s/rooms/mjcf/room.xml", "memory://s/rooms/bad.xml", "memory://s/rooms/no.xml"]
+    sources = [
+        "memory://s/rooms/mjcf/room.xml",
+        "memory://s/rooms/bad.xml",
+        "memory://s/rooms/no.xml",
+    ]
     memory.pipe_file("/s/rooms/bad.xml", draw_room(5).encode())
     memory.pipe_file("/out/bad/mine.txt", b"mine")
     assert run(*sources[:2], out="memory://out")[1].count("ok") == 2
@@ -363,9 +372,9 @@ def test_chains_of_file_systems_are_refused(url):
 
 def test_what_is_missing_is_one_line(memory, monkeypatch):
     assert "memory" in fsspec.available_protocols()
-    with pytest.raises(NavbakeError, match="cannot read nothing://a/b.csv: Protocol not known"):
+    with pytest.raises(NavbakeError, match=r"cannot read nothing://a/b\.csv: Protocol not known"):
         list_jobs(["nothing://a/b.csv"])
-    monkeypatch.setitem(__import__("sys").modules, "fsspec.core", None)
+    monkeypatch.setitem(sys.modules, "fsspec.core", None)
     message = r'paths such as s3:// need fsspec: pip install "navbake\[batch\]"'
     with pytest.raises(MissingDependencyError, match=message):
         list_jobs(["s3://a/b.csv"])

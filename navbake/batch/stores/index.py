@@ -19,6 +19,8 @@ from navbake.batch.index import LOCK, NAME, join_rows, order_rows, parse_rows
 from navbake.batch.stores.store import (
     list_folder,
     read_file,
+    read_files,
+    remove_all,
     remove_files,
     write_file,
     write_first,
@@ -29,10 +31,8 @@ from navbake.files import TEMPORARY
 from navbake.types import Json
 
 PARTS = ".navbake-index"
-INTERVAL = 10.0  # between two parts [s]
-# how long a batch must not have written its token to be taken for dead [s]; three intervals, as
-# a write may take a while
-PATIENCE = 3 * INTERVAL
+INTERVAL = 5.0  # between two parts [s]
+PATIENCE = 30.0  # how long a batch must not have written its token to be taken for dead [s]
 MAX_BYTES = 4 << 30  # of an index
 
 
@@ -107,7 +107,7 @@ class FarIndex:
         remove_files(f"{self._folder}/{name}" for name in names if TEMPORARY.fullmatch(name))
         content = read_file(f"{self._folder}/{NAME}", MAX_BYTES) if NAME in names else b""
         parts = sorted(list_folder(f"{self._folder}/{PARTS}"))
-        pieces = [read_file(f"{self._folder}/{PARTS}/{name}", MAX_BYTES) for name in parts]
+        pieces = read_files([f"{self._folder}/{PARTS}/{name}" for name in parts])
         known = parse_rows(b"\n".join([content, *pieces]))
         if parts:
             write_file(f"{self._folder}/{NAME}", join_rows(known.values()))
@@ -116,7 +116,7 @@ class FarIndex:
 
     def _remove_parts(self) -> None:
         folder = f"{self._folder}/{PARTS}"
-        remove_files(f"{folder}/{name}" for name in list_folder(folder))
+        remove_all([f"{folder}/{name}" for name in list_folder(folder)])
 
     # ---------------------------------------------------------------- the token
 

@@ -10,12 +10,12 @@ import os
 import re
 import time
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from navbake.batch.stores.urls import WEB, parent, secrets_of, shown, split_url
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, printable
@@ -34,6 +34,7 @@ MANY = 16  # folders in a folder that are asked for, from which on that one is l
 AT_ONCE = 16  # calls
 CHUNK = 1 << 20
 MAGIC = re.compile(r"[*?\[]")
+Value = TypeVar("Value")
 
 
 class Entry(NamedTuple):
@@ -57,6 +58,11 @@ def read_file(url: str, limit: int) -> bytes:
     if len(content) > limit:
         raise ConfigError(f"{shown(url)} is too large: expected {limit:,} bytes at most")
     return content
+
+
+def read_files(urls: Sequence[str]) -> list[bytes]:
+    """The contents of small files of one store, read several at once where the store can."""
+    return _do_at_once("read", urls, lambda system, path: bytes(system.cat_file(path)))
 
 
 def digest_file(url: str) -> str:
@@ -134,9 +140,17 @@ def remove_files(urls: Iterable[str]) -> None:
     """Remove files, one after another; one that isn't there is removed already."""
     for url in urls:
         with _telling("remove", url):
-            system, path = _open(url)
-            with suppress(FileNotFoundError):
-                system.rm_file(path)
+            _remove(*_open(url))
+
+
+def remove_all(urls: Sequence[str]) -> None:
+    """Remove files of one store, in any order, several at once where the store can."""
+    _do_at_once("remove", urls, _remove)
+
+
+def _remove(system: Any, path: str) -> None:
+    with suppress(FileNotFoundError):
+        system.rm_file(path)
 
 
 def match_files(pattern: str) -> list[str]:
@@ -223,12 +237,9 @@ class Listing:
         for url in sorted(trees):
             self._trees[url] = list_tree(url)
         left = [url for url in folders if not trees & {*_folders_above(url)}]
-        with _telling("list", left[0] if left else ""):
-            systems = [self._open(url) for url in left]
-            is_async = all(getattr(system, "async_impl", False) for system, _ in systems)
-            with ThreadPoolExecutor(AT_ONCE if is_async else 1) as pool:
-                found = pool.map(lambda opened: _list_folder(*opened), systems)
-                self._folders |= dict(zip(left, found, strict=True))
+        for url in left:
+            self._open(url)
+        self._folders |= dict(zip(left, _do_at_once("list", left, _list_folder), strict=True))
 
     def _info(self, url: str) -> Entry | None:
         with _telling("read", url):
@@ -305,6 +316,17 @@ def _text(error: Exception, url: str) -> str:
         return "no permission"
     text = " ".join(str(error).split()) or type(error).__name__
     return printable(hide_secrets(text, [url])[:400])
+
+
+def _do_at_once(doing: str, urls: Sequence[str], do: Callable[[Any, str], Value]) -> list[Value]:
+    """Do something with each of some files or folders, in threads where the store can."""
+    if not urls:
+        return []
+    with _telling(doing, urls[0]):
+        opened = [_open(url) for url in urls]
+        is_async = all(getattr(system, "async_impl", False) for system, _ in opened)
+        with ThreadPoolExecutor(AT_ONCE if is_async else 1) as pool:
+            return [*pool.map(lambda each: do(*each), opened)]
 
 
 def _list_folder(system: Any, path: str, is_own: bool = False) -> dict[str, Entry]:
