@@ -205,6 +205,13 @@ def test_lists_patterns_and_settings_may_be_on_a_store(rooms, memory):
     assert run("memory://s/rooms/list.jsonl", out="far", settings=shared)[0] == []
     sources = [job.source for job in list_jobs(["memory://s/rooms/**/*.xml"])]
     assert sources == ["memory://s/rooms/mjcf/room.xml", "memory://s/rooms/plain.xml"]
+    memory.pipe_file("/s/rooms/.hidden/a.xml", b"")
+    for pattern in ("*.xml", "**/*.xml", "m*/*.xml", "mjcf/*.[xy]ml", "?????.xml", "**", "*/*.*"):
+        local = [
+            job.source for job in list_jobs([f"rooms/{pattern}"]) if Path(job.source).is_file()
+        ]
+        found = [job.source for job in list_jobs([f"memory://s/rooms/{pattern}"])]
+        assert found == [f"memory://s/{path}" for path in local] != [], pattern
     with pytest.raises(ConfigError, match=r"files that match memory://s/rooms/no/\*.xml, got none"):
         list_jobs(["memory://s/rooms/no/*.xml"])
     with pytest.raises(ConfigError, match="got the folder memory://s/rooms: name what is in it"):

@@ -156,18 +156,22 @@ def _remove(system: Any, path: str) -> None:
 def match_files(pattern: str) -> list[str]:
     """The URLs of the files that a pattern with ``*``, ``?`` or ``[`` matches, sorted.
 
-    ``**`` between slashes stands for any number of folders.
+    ``**`` between slashes stands for any number of folders. What begins with a dot is hidden.
+    All that is below the pattern's fixed part is listed at once: fsspec's own search asks for
+    each folder by itself.
     """
     parts = split_url(pattern)
     fixed = next(n for n, name in enumerate(parts.path) if MAGIC.search(name))
     base = parts._replace(path=parts.path[:fixed]).text
+    wanted = parts.path[fixed:]
+    is_flat = len(wanted) == 1 and wanted[0] != "**"
+    names = list_folder(base) if is_flat else list_tree(base)
     with _telling("list", pattern):
-        system, path = _open(pattern)
-        system.invalidate_cache()
-        found = system.glob(path, detail=True)
-        start = _open(base)[1]
-        names = sorted(name for name, info in found.items() if info["type"] == "file")
-        return [f"{base}/{_below(start, name)}" for name in names]
+        from fsspec.utils import glob_translate  # the extra `batch`
+
+        matches = re.compile(glob_translate("/".join(wanted))).match
+    is_hidden = re.compile(r"(^|/)\.").search
+    return [f"{base}/{name}" for name in sorted(names) if matches(name) and not is_hidden(name)]
 
 
 def is_pattern(url: str) -> bool:
