@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import pickle
@@ -24,7 +25,16 @@ from navbake.batch.stores import scratch, store
 from navbake.batch.stores.index import PARTS, FarIndex
 from navbake.batch.stores.mirror import Mirror
 from navbake.batch.stores.scratch import PREFIX, remove_abandoned, scratch_folder
-from navbake.batch.stores.store import Listing, list_tree, read_file, write_file, write_first
+from navbake.batch.stores.store import (
+    Entry,
+    Listing,
+    is_unchanged,
+    list_tree,
+    read_file,
+    state_of,
+    write_file,
+    write_first,
+)
 from navbake.batch.stores.urls import as_folder, is_url, join, plain_path, shown, split_url
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, SceneError
 
@@ -360,6 +370,24 @@ def test_a_scene_on_a_store_reads_no_file_of_this_machine(memory, tmp_path, text
     fsspec.filesystem("local").rm(str(tmp_path / "tmp" / "in"), recursive=True)
 
 
+def test_a_scene_on_a_store_whose_names_nobody_knows_is_refused(memory, tmp_path):
+    (tmp_path / "m.obj").write_text(CHEST.format(height=1))
+    asset = f'<asset><mesh file="{tmp_path}/m.obj"/></asset>'
+    # MuJoCo's parser takes the comment, Python's doesn't
+    memory.pipe_file("/a/b.xml", f"<mujoco><!-- a -- b -->{asset}</mujoco>".encode())
+    error = run("memory://a/b.xml")[1].rows[0]["error"]
+    assert error.startswith("broken XML in memory://a/b.xml: not well-formed")
+
+
+def test_the_grid_is_the_last_file_of_a_scene(memory, monkeypatch):
+    written = []
+    real = far.upload
+    monkeypatch.setattr(far, "upload", lambda files, to: written.extend(files) or real(files, to))
+    memory.pipe_file("/a/b.xml", draw_room(1).encode())
+    assert run("memory://a/b.xml", out="memory://out", products=["nav2"])[1].count("ok") == 1
+    assert written == ["nav2.pgm", "nav2.yaml", "grid.json.gz"]
+
+
 @pytest.mark.parametrize("name", ["/etc/hosts", "file:///etc/hosts", "s3://a/b", "../../x", "C:/x"])
 def test_settings_and_lists_on_a_store_name_nothing_elsewhere(memory, name):
     memory.pipe_file("/a/s.yaml", f"scene: {{path: '{name}'}}".encode())
@@ -470,6 +498,10 @@ def test_a_recent_time_proves_nothing_and_content_decides(memory, monkeypatch):
     memory.pipe_file("/b/a.xml", b"1")
     assert Listing().entry("memory://b/a.xml").tag is None
     assert list_tree("memory://b", is_own=True)["a.xml"].tag is not None
+    known = state_of(Entry(1, None), {"size": 1, "sha256": hashlib.sha256(b"1").hexdigest()})
+    assert is_unchanged(known, Entry(1, None), "memory://b/a.xml")
+    memory.pipe_file("/b/a.xml", b"2")
+    assert not is_unchanged(known, Entry(1, None), "memory://b/a.xml")
     later = time.time() + 100
     monkeypatch.setattr(time, "time", lambda: later)
     assert Listing().entry("memory://b/a.xml").tag is not None
