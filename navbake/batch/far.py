@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -70,7 +71,7 @@ def make_far(order: Order, make: Callable[[Order], Json]) -> Json:
     On a store, files appear whole as well, the grid last. Errors and the row name what is on a
     store by its URL.
     """
-    remove_abandoned()  # of a worker that was killed
+    _remove_abandoned_once()
     with scratch_folder() as scratch:
         mirror = Mirror(scratch / "in")
         try:
@@ -95,6 +96,12 @@ def make_far(order: Order, make: Callable[[Order], Json]) -> Json:
                 name: state_of(entries[name], state) for name, state in row["files"].items()
             }
     return row
+
+
+@cache
+def _remove_abandoned_once() -> None:
+    """Remove the temporary folder of the worker before this one, if it was killed."""
+    remove_abandoned()
 
 
 def remove_products_at(place: str) -> None:

@@ -26,8 +26,11 @@ INSTALL = 'pip install "navbake[batch]"'
 # another name and moved: on an object store, that would be a second upload.
 OBJECT_STORES = ("s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "oci", "obs", "memory")
 # What proves that a file has not changed: a digest or a version that the store keeps, else a time
-TAGS = ("etag", "md5hash", "md5", "content_md5", "generation")
-TIMES = ("lastmodified", "last_modified", "mtime", "modified", "updated", "modify", "created")
+TAGS = ("etag", "md5hash", "md5", "content_md5", "content-md5", "digest", "generation")
+TIMES = (
+    *("lastmodified", "last_modified", "last-modified"),
+    *("mtime", "modified", "updated", "modify", "created"),
+)
 RECENT = 60.0  # age below which a time proves nothing: it may be coarse, and clocks differ [s]
 FEW = 3  # files of a folder that are asked for one by one, before the folder is listed
 MANY = 16  # folders in a folder that are asked for, from which on that one is listed with all in it
@@ -234,7 +237,11 @@ class Listing:
         return self._single[url]
 
     def load(self, folders: Collection[str]) -> None:
-        """List folders, several at once; one in which many are is listed with all in it."""
+        """List folders, several at once; one in which many are is listed with all in it.
+
+        Folders of the web have no listings.
+        """
+        folders = [url for url in folders if split_url(url).scheme not in WEB]
         inside = Counter(parent(url) for url in folders if split_url(url).path)
         trees = {url for url, count in inside.items() if count >= MANY}
         trees = {url for url in trees if not trees & {*_folders_above(parent(url))} - {url}}
