@@ -9,9 +9,12 @@ import pickle
 import platform
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from batch_scenes import draw_room
 from navbake.batch import batch as module
@@ -37,6 +40,7 @@ from navbake.batch.stores.store import (
     write_first,
 )
 from navbake.batch.stores.urls import as_folder, is_url, join, plain_path, shown, split_url
+from navbake.cli.main import main
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, SceneError
 
 fsspec = pytest.importorskip("fsspec")
@@ -249,6 +253,15 @@ def test_a_file_url_is_a_path_of_this_machine(rooms, tmp_path):
     assert run("rooms/a.txt")[0] == []
 
 
+def test_the_command_names_the_index_on_a_store(rooms, capsys):
+    sources = ("memory://s/rooms/plain.xml", "memory://s/rooms/no.xml")
+    with pytest.raises(SystemExit):
+        main(["batch", *sources, "-o", "memory://out/", "--set", "grid.cell_size=0.25"])
+    out, err = capsys.readouterr()
+    assert out.startswith("1 baked, 1 failed") and out.endswith(": memory://out/index.jsonl\n")
+    assert err == "navbake: no: error: cannot read memory://s/rooms/no.xml: there is no such file\n"
+
+
 # ---------------------------------------------------------------- what is done already
 
 
@@ -442,6 +455,17 @@ def test_names_are_found_from_the_folder_of_what_names_them():
     assert join("s3://a/b", "s3://e/f", "") == "s3://e/f"
     assert join(Path("a"), "s3://e/f", "") == "s3://e/f"
     assert join(Path(), "a/../b", "") == "a/../b"
+
+
+@given(st.text(alphabet="ab./\\:@%~", max_size=12), st.sampled_from(["s3://b", "s3://b/c/d"]))
+def test_no_name_leads_out_of_a_store(name, folder):
+    try:
+        url = join(folder, name, "here")
+    except ConfigError:
+        return
+    assert url.startswith("s3://b") and url[6:7] in ("", "/")
+    with suppress(ConfigError):  # a folder, or what is no name
+        assert ".." not in split_url(url).path
 
 
 def test_passwords_and_queries_are_shown_nowhere(memory, monkeypatch):
