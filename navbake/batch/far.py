@@ -121,8 +121,8 @@ def remove_far_products(order: Order) -> None:
 def find_done(orders: Sequence[Order], known: Mapping[str, Json]) -> set[str]:
     """The ids of scenes on stores that the index knows to be done; see `batch.run_batch`.
 
-    Folders are listed, of this many files as few as possible; a file is read only where size and
-    tag don't prove that it is the same.
+    The stores are asked for listings of folders, see `Listing.load`; a file is read only where its
+    size and tag don't prove that it is the same.
     """
     rows = {order.job.id: _row_of(order, known) for order in orders}
     todo = [order for order in orders if rows[order.job.id]]

@@ -49,7 +49,7 @@ def read_table(content: bytes, name: str) -> Iterator[tuple[str, Json]]:
             for row in batch.to_pylist():
                 number += 1
                 yield f"{name}, row {number}", _without_nulls(row)
-    except (pyarrow.ArrowException, OSError, ValueError) as error:
+    except (pyarrow.ArrowException, ArithmeticError, OSError, ValueError) as error:
         reason = " ".join(str(error).split())[:200]
         raise ConfigError(f"broken Parquet in {name}: {reason}") from error
 
