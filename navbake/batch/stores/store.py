@@ -6,6 +6,7 @@ Only this module loads fsspec. All that a store refuses is a NavbakeError that n
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import re
 import time
@@ -36,6 +37,7 @@ FEW = 3  # files of a folder that are asked for one by one, before the folder is
 MANY = 16  # folders in a folder that are asked for, from which on that one is listed with all in it
 AT_ONCE = 16  # calls
 CHUNK = 1 << 20
+LOG = logging.getLogger("navbake")
 MAGIC = re.compile(r"[*?\[]")
 Value = TypeVar("Value")
 
@@ -127,14 +129,14 @@ def write_first(url: str, content: bytes) -> bool:
         system, path = _open(url)
         if system.exists(path):
             return False
-        try:
-            if split_url(url).scheme in OBJECT_STORES:
+        if split_url(url).scheme in OBJECT_STORES:
+            try:
                 system.pipe_file(path, content, mode="create")
                 return True
-        except FileExistsError:
-            return False
-        except (NotImplementedError, TypeError, ValueError):  # no such upload
-            pass
+            except FileExistsError:
+                return False
+            except Exception as error:  # a store without such uploads says so in its own way
+                LOG.debug("%s takes no exclusive upload: %s", shown(url), _text(error, url))
     write_file(url, content)
     return True
 
@@ -195,7 +197,6 @@ def list_tree(url: str, *, is_own: bool = False) -> dict[str, Entry]:
     """
     with _telling("list", url):
         system, path = _open(url)
-        system.invalidate_cache()
         try:
             found = system.find(path, detail=True)
         except FileNotFoundError:
@@ -207,7 +208,6 @@ def list_folder(url: str, *, is_own: bool = False) -> dict[str, Entry]:
     """The files in a folder by their names; {} if it isn't there. See `list_tree`."""
     with _telling("list", url):
         system, path = _open(url)
-        system.invalidate_cache()
         return _list_folder(system, path, is_own)
 
 
@@ -219,7 +219,6 @@ class Listing:
         self._trees: dict[str, dict[str, Entry]] = {}
         self._single: dict[str, Entry | None] = {}
         self._asked: Counter[str] = Counter()
-        self._fresh: set[int] = set()
 
     def entry(self, url: str) -> Entry | None:
         """What there is to say of a file; None where there is none."""
@@ -248,25 +247,16 @@ class Listing:
         for url in sorted(trees):
             self._trees[url] = list_tree(url)
         left = [url for url in folders if not trees & {*_folders_above(url)}]
-        for url in left:
-            self._open(url)
         self._folders |= dict(zip(left, _do_at_once("list", left, _list_folder), strict=True))
 
     def _info(self, url: str) -> Entry | None:
         with _telling("read", url):
-            system, path = self._open(url)
+            system, path = _open(url)
             try:
                 info = system.info(path)
             except FileNotFoundError:
                 return None
             return _entry(info) if info.get("type", "file") == "file" else None
-
-    def _open(self, url: str) -> tuple[Any, str]:
-        system, path = _open(url)
-        if id(system) not in self._fresh:  # it may remember what was there long ago
-            self._fresh.add(id(system))
-            system.invalidate_cache()
-        return system, path
 
 
 def state_of(entry: Entry, content: Json) -> Json:
@@ -304,6 +294,7 @@ def _open(url: str) -> tuple[Any, str]:
             f"paths such as {parts.scheme}:// need fsspec: {INSTALL}"
         ) from (error)
     system, path = url_to_fs(parts.text + parts.query)
+    system.invalidate_cache()  # fsspec keeps listings, and others may have written since
     return system, str(path)
 
 
