@@ -23,7 +23,12 @@ def content_of(page):
 def content_of_batch(path):
     """What the page of a batch shows."""
     with open(path, "rb") as file:
-        return json.loads(text_of(content_of(file.read())["packed"]))
+        return content_of_page(file.read())
+
+
+def content_of_page(page):
+    """What the page of a batch shows, from its content."""
+    return json.loads(text_of(content_of(page)["packed"]))
 
 
 def text_of(packed):

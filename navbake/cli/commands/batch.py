@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from navbake.batch.batch import BatchResult
     from navbake.batch.crew import Event
     from navbake.batch.page.page import LivePage
+    from navbake.batch.stores.urls import Folder
     from navbake.types import Json
 
 # Functions import the baker and the settings when they run: --help loads neither MuJoCo nor numpy.
@@ -69,6 +71,7 @@ class Wholly(NamedTuple):
         "--page",
         help="Write FOLDER/index.html, a page that shows all scenes, their failures and times.",
     )
+    parquet: bool = Option(False, "--parquet", help="Write the index as index.parquet as well.")
 
 
 def batch(
@@ -77,12 +80,13 @@ def batch(
     sources: list[str] = Argument(
         ...,
         metavar="SOURCE",
-        help="Scenes or settings (YAML), patterns in quotes, or lists: .txt, .csv or .jsonl.",
+        help="Scenes or settings (YAML), patterns in quotes, or lists: .txt, .csv, .jsonl or "
+        ".parquet; paths or URLs such as s3://.",
     ),
-    output: Path = Option(
+    output: str = Option(
         ..., "-o", "--output", metavar="FOLDER", help="Folder to write into, a folder a scene."
     ),
-    config: Path | None = Option(
+    config: str | None = Option(
         None, "--config", metavar="YAML", help="Settings that all scenes share."
     ),
     make: list[str] | None = Option(
@@ -106,14 +110,16 @@ def batch(
     from navbake.batch.crew import JobLimits
     from navbake.batch.manifest import list_jobs
     from navbake.batch.settings import read_shared
+    from navbake.batch.stores.urls import as_folder
 
     jobs = list_jobs(sources)
     settings = {} if config is None else read_shared(config)
     limits = JobLimits(per_scene.time_limit, per_scene.memory_limit)
     means = Means(wholly.jobs, limits, per_scene.retries, wholly.max_failures)
-    todo = Batch(jobs, output, settings, overrides or [], make or [], wholly.page)
+    folder = as_folder(output)
+    todo = Batch(jobs, folder, settings, overrides or [], make or [], wholly.parquet, wholly.page)
     with ExitStack() as stack:
-        teller = _Teller(stack, wholly, output)
+        teller = _Teller(stack, wholly, folder)
         try:
             result = run_batch(todo, means, teller)
         except BaseException as error:
@@ -127,7 +133,7 @@ def batch(
 class _Teller:
     """Tells how a batch goes on: lines of JSON, or a bar and what failed; and its page."""
 
-    def __init__(self, stack: ExitStack, wholly: Wholly, folder: Path) -> None:
+    def __init__(self, stack: ExitStack, wholly: Wholly, folder: Folder) -> None:
         from navbake.batch.journal import Journal, LogFile
 
         self._stack, self._as_json, self._folder = stack, wholly.as_json, folder
@@ -194,6 +200,7 @@ class _Teller:
     def end(self, result: BatchResult) -> None:
         """Print what the batch came to."""
         from navbake.batch.page.page import write_page  # not every batch has a page
+        from navbake.batch.stores.urls import shown
 
         skipped = result.skipped
         counts = {
@@ -214,11 +221,12 @@ class _Teller:
         told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
         warned = sum(bool(row.get("warnings")) for row in result.rows)
         notes = f", {warned} with warnings" if warned else ""
-        files = f"{self._folder / INDEX}{f', {self._folder / PAGE}' if self._has_page else ''}"
+        names = (INDEX, PAGE) if self._has_page else (INDEX,)
+        files = ", ".join(shown(os.path.join(self._folder, name)) for name in names)
         say_unless_quiet(f"{told}{notes} in {seconds:.1f} s: {files}")
 
 
-def draw_missing_thumbnails(folder: Path) -> None:
+def draw_missing_thumbnails(folder: Folder) -> None:
     """Draw the thumbnails that a batch's page lacks, as of scenes that were baked without one."""
     from navbake.batch.page.page import draw_thumbnails
     from navbake.cli.progress import stage_progress
