@@ -57,5 +57,5 @@ def test_a_store_has_thumbnails_and_the_page(tmp_path, monkeypatch):
     LivePage(FOLDER, 2).refresh(1)
     assert "index.html" not in list_tree(FOLDER)
     # what is baked anew without a page has no old thumbnail
-    run_batch(batch._replace(settings={}, thumbnails=False), Means(), Silent())
+    run_batch(Batch(jobs, FOLDER, {}), Means(), Silent())
     assert not any(Path(name).name == "thumbnail.png" for name in list_tree(FOLDER))
