@@ -29,7 +29,7 @@ def find_inputs(scene: Path) -> list[Path]:
     root = _root(scene)
     if root is not None and root.tag == "robot":
         return [scene, *sorted(_meshes_of_urdf(scene))]
-    return [scene, *sorted(set(_named_files(scene)) - {scene})]
+    return [scene, *sorted(set(_named_files(scene, root)) - {scene})]
 
 
 def _meshes_of_urdf(scene: Path) -> set[Path]:
@@ -39,13 +39,12 @@ def _meshes_of_urdf(scene: Path) -> set[Path]:
         return set()
 
 
-def _named_files(scene: Path) -> Iterator[Path]:
+def _named_files(scene: Path, root: ElementTree.Element | None) -> Iterator[Path]:
     names: dict[str, None] = {}
     folders = {scene.parent: None}
-    left, seen = [scene], {os.path.realpath(scene)}
+    left, seen = [(scene, root)], {os.path.realpath(scene)}
     while left:
-        file = left.pop()
-        root = _root(file)
+        file, root = left.pop()
         for element in () if root is None else root.iter():
             for key in FOLDERS:
                 if key in element.attrib:
@@ -60,7 +59,7 @@ def _named_files(scene: Path) -> Iterator[Path]:
                 if is_xml and os.path.realpath(path) not in seen:
                     seen.add(os.path.realpath(path))
                     folders[path.parent] = None
-                    left.append(path)
+                    left.append((path, _root(path)))
     for name in names:
         for folder in folders:
             # `strippath` of a compiler leaves out the folders of names
