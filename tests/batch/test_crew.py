@@ -125,13 +125,12 @@ def test_a_large_job_waits_where_its_worker_might_not_read_it():
 
 
 def test_a_job_that_was_done_while_nobody_looked_is_done():
-    ended = do_jobs(
-        [("sleep", 0), ("sleep", 0.5)], crew_jobs.work, 2, limits=JobLimits(seconds=2.0)
-    )
+    jobs = [("sleep", 0.5), ("sleep", 0.7)]
+    ended = do_jobs(jobs, crew_jobs.work, 2, limits=JobLimits(seconds=1.5))
     found = []
     for end in ended:
         found.append((end.number, end.how))
-        time.sleep(2.5 if len(found) == 1 else 0.0)
+        time.sleep(1.5 if len(found) == 1 else 0.0)
     assert sorted(found) == [(0, DONE), (1, DONE)]
 
 
