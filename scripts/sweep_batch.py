@@ -36,7 +36,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 from batch_scenes import write_scenes, wrong_rows  # noqa: E402 (of the tests)
 from navbake.baker.pipeline import run_bake  # noqa: E402
-from navbake.batch.index import read_index  # noqa: E402
+from navbake.batch.index import NAME, read_index  # noqa: E402
 from navbake.batch.work import prepare  # noqa: E402
 from navbake.config.settings import as_config  # noqa: E402
 from navbake.files import without_waiting  # noqa: E402
@@ -45,7 +45,8 @@ from navbake.formats.navgrid import write_navgrid  # noqa: E402
 PARTS = ("faults", "kills", "speed")
 LIMITS = ("--time-limit", "30", "--memory-limit", "4")
 WARM = 4  # scenes of each worker that don't count
-AFTER = (0.0, 5.0)  # when a batch is killed; its first scene is done after about 2 s [s]
+WHILE_STARTING = 0.2  # share of the kills that don't wait until a scene is done
+AFTER = (0.0, 2.0)  # how long after its start, or a scene, a batch is killed [s]
 
 
 def start(folder: Path, out: Path, *options: str) -> subprocess.Popen[bytes]:
@@ -87,6 +88,56 @@ def show_faults(folder: Path, args: argparse.Namespace) -> bool:
     return is_fine and status == 1
 
 
+class Watcher(threading.Thread):
+    """Reads a folder's grids again and again, each as it changes.
+
+    Attributes:
+        looks: how many files it read.
+        torn: those that were not as expected.
+    """
+
+    def __init__(self, out: Path, expected: dict[str, str]) -> None:
+        super().__init__()
+        self._out, self._expected = out, expected
+        self._ended = threading.Event()
+        self._known: dict[str, tuple[int, int, int]] = {}
+        self.looks, self.torn = 0, set[str]()
+
+    def run(self) -> None:
+        while not self._ended.wait(0.002):
+            for path in self._out.glob("*/*.json.gz"):
+                with contextlib.suppress(FileNotFoundError):
+                    self._look(path, str(path.relative_to(self._out)))
+
+    def _look(self, path: Path, name: str) -> None:
+        status = os.stat(path)
+        state = status.st_ino, status.st_size, status.st_mtime_ns
+        if self._known.get(name) != state:
+            digest = hashlib.sha256(path.read_bytes()).hexdigest()
+            self._known[name] = state
+            self.looks += 1
+            if digest != self._expected[name]:
+                self.torn.add(name)
+
+    def end(self) -> None:
+        self._ended.set()
+        self.join()
+
+
+def wait_for_moment(process: subprocess.Popen[bytes], out: Path, random_: random.Random) -> None:
+    """Wait until a batch is to be killed: as it starts, or after it has done another scene."""
+
+    def size() -> int:
+        return index.stat().st_size if index.exists() else 0
+
+    index = out / NAME
+    before, starts = size(), random_.random() < WHILE_STARTING
+    while not starts and process.poll() is None and size() <= before:
+        time.sleep(0.01)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(random_.uniform(*AFTER))
+
+
 def show_kills(folder: Path, args: argparse.Namespace) -> bool:
     """Kill a batch again and again."""
     scenes, random_ = folder / "scenes", random.Random(args.seed)
@@ -94,43 +145,36 @@ def show_kills(folder: Path, args: argparse.Namespace) -> bool:
     options = ("--jobs", "2", "-q", "--make", "inflated:0.3", "--set", "grid.cell_size=0.03")
     run(scenes, folder / "whole", *options)
     expected = digests(folder / "whole")
-    out, kills, starts, looks = folder / "out", 0, 0, 0
-    torn: set[str] = set()
-    ended = threading.Event()
-
-    def watch() -> None:
-        nonlocal looks
-        while not ended.is_set():
-            found = digests(out)
-            torn.update(name for name, digest in found.items() if expected[name] != digest)
-            looks += len(found)
-            time.sleep(0.005)
-
-    watcher = threading.Thread(target=watch)
+    out, kills, rounds, done = folder / "out", 0, 0, []
+    watcher = Watcher(out, expected)
     watcher.start()
     is_done = False
     while not is_done or kills < args.kills:
         if is_done:  # begin anew
-            for path in out.rglob("*.*"):
-                path.unlink()
-        starts += 1
+            rounds += 1
+            for path in [*out.rglob("*.*"), out / NAME]:
+                path.unlink(missing_ok=True)
         with start(scenes, out, *options) as process:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(random_.uniform(*AFTER) if kills < args.kills else None)
+            if kills < args.kills:
+                wait_for_moment(process, out, random_)
+            else:
+                process.wait()
             is_done = process.poll() is not None
             kills += not is_done
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
-    ended.set()
-    watcher.join()
+        done.append(len(digests(out)))
+    watcher.end()
     rows = read_index(out).values()
     is_same = digests(out) == expected and all(row["status"] == "ok" for row in rows)
+    leftovers = [*out.rglob("*.tmp")]
     print(
-        f"{kills} kills, {starts} starts, {len(expected)} files at the end "
-        f"{'as undisturbed' if is_same else 'THAT DIFFER'}; a watcher read {looks:,} files, "
-        f"{len(torn)} of them broken; load {os.getloadavg()[0]:.1f}"
+        f"{kills} kills in {len(done)} starts, files after each: {done}; {len(expected)} at the "
+        f"end {'as undisturbed' if is_same else 'THAT DIFFER'}, {len(leftovers)} leftovers; a "
+        f"watcher read {watcher.looks:,} files, {len(watcher.torn)} of them broken; "
+        f"{rounds} times begun anew; load {os.getloadavg()[0]:.1f}"
     )
-    return is_same and not torn
+    return is_same and not watcher.torn and not leftovers
 
 
 def events(folder: Path, out: Path, *options: str) -> Iterator[tuple[dict[str, Any], int]]:
