@@ -37,7 +37,8 @@ def east_rim(offsets: np.ndarray) -> np.ndarray:
     known = np.zeros((2 * reach + 1, 2 * reach + 2), dtype=np.bool_)
     known[offsets[:, 0] + reach, offsets[:, 1] + reach] = True
     known[reach, reach] = True
-    return offsets[~known[offsets[:, 0] + reach, offsets[:, 1] + reach + 1]]
+    rim: np.ndarray = offsets[~known[offsets[:, 0] + reach, offsets[:, 1] + reach + 1]]
+    return rim
 
 
 @njit(cache=True, nogil=True, **UNCOUNTED)
