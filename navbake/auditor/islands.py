@@ -50,21 +50,17 @@ def _gaps(facts: Facts, number: int, island: Int32) -> dict[tuple[int, int], set
 
     The floors on both sides are within a step of each other, as they would be on one walk.
     """
-    floor = facts.floors[number].ravel()
-    ids = np.arange(island.size).reshape(island.shape)
+    floor, own, width = facts.floors[number].ravel(), island.ravel(), island.shape[1]
     gaps: dict[tuple[int, int], set[int]] = {}
-    slices = (
-        (np.s_[:, :-2], np.s_[:, 1:-1], np.s_[:, 2:]),
-        (np.s_[:-2], np.s_[1:-1], np.s_[2:]),
-    )
-    for before, here, after in slices:
-        differ = island[before] != island[after]  # few do, so that the rest is asked of few
-        one, cell, other = (ids[side][differ] for side in (before, here, after))
+    ways = (1, island[:, :-2] != island[:, 2:]), (width, island[:-2] != island[2:])
+    for step, differ in ways:
+        rows, cols = np.nonzero(differ)  # few do, so that the rest is asked of few
+        one = rows * width + cols
+        one = one[(own[one] > 0) & (own[one + step] == 0) & (own[one + 2 * step] > 0)]
+        cell, other = one + step, one + 2 * step
         with np.errstate(invalid="ignore"):
-            is_near = ~(np.abs(floor[one] - floor[other]) > facts.step_limit)
-        is_gap = is_near & ~np.isnan(floor[cell])
-        own = island.ravel()
-        is_gap &= (own[cell] == 0) & (own[one] > 0) & (own[other] > 0)
+            is_gap = ~(np.abs(floor[one] - floor[other]) > facts.step_limit)
+        is_gap &= ~np.isnan(floor[cell])
         pairs = np.sort(np.stack([own[one][is_gap], own[other][is_gap]], axis=1), axis=1)
         for (a, b), blocked in zip(pairs.tolist(), cell[is_gap].tolist(), strict=True):
             gaps.setdefault((a, b), set()).add(blocked)

@@ -109,14 +109,16 @@ def check_rooms_without_door(facts: Facts) -> Iterator[Remark]:
 def _neighbours_across(facts: Facts, number: int) -> Iterator[tuple[Indices, Indices]]:
     """The rooms of passable neighbours of a level that are in two, with a step between at most."""
     index, passable = facts.levels[number].room_index, facts.passable[number].ravel()
-    floor, ids = facts.floors[number].ravel(), np.arange(index.size).reshape(index.shape)
-    for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        differ = index[here] != index[there]  # few do, so that the rest is asked of few
-        one, other = ids[here][differ], ids[there][differ]
+    floor, room, width = facts.floors[number].ravel(), index.ravel(), index.shape[1]
+    ways = (1, index[:, :-1] != index[:, 1:]), (width, index[:-1] != index[1:])
+    for step, differ in ways:
+        rows, cols = np.nonzero(differ)  # few do, so that the rest is asked of few
+        one = rows * width + cols
+        other = one + step
         with np.errstate(invalid="ignore"):
             too_high = np.abs(floor[one] - floor[other]) > facts.step_limit
         joined = passable[one] & passable[other] & ~too_high
-        yield index.ravel()[one[joined]], index.ravel()[other[joined]]
+        yield room[one[joined]], room[other[joined]]
 
 
 def check_doors(facts: Facts) -> Iterator[Remark]:
