@@ -34,7 +34,7 @@ def check_room_table(facts: Facts) -> Iterator[Remark]:
     known = {(room.level, room.index): room for room in stated}
     for number, level in enumerate(facts.levels):
         count = np.bincount(level.room_index.ravel())
-        middles = _find_middles(level)
+        middles = find_middles(level)
         for index in np.flatnonzero(count).tolist():
             if index and (number, index) not in known:
                 text = f"{count[index]} cells are in room {index}, which no entry describes"
@@ -59,7 +59,7 @@ def check_room_table(facts: Facts) -> Iterator[Remark]:
                 yield Remark("room table", ERROR, number, middles[index], text)
 
 
-def _find_middles(level: SceneGrid2D) -> dict[int, Vector3]:
+def find_middles(level: SceneGrid2D) -> dict[int, Vector3]:
     """The mean of the cells of each room, by its index; to a micrometre, as the table states it.
 
     Summed by runs of cells in a row, which are few.
