@@ -16,9 +16,9 @@ from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS, UNPROVED
 from navbake.baker.kernels.tiles import tile_of
 from navbake.baker.lattice import Window
 from navbake.baker.live.columns import LiveColumns, Region
-from navbake.baker.live.entries import Entries, EntryBands
+from navbake.baker.live.entries import LiveEntries
 from navbake.baker.live.growth import FloorChanges
-from navbake.baker.live.kernels.contents import count_in_tiles, list_in_tiles
+from navbake.baker.live.kernels.contents import Entries, count_in_tiles, list_in_tiles
 from navbake.baker.live.kernels.pool import point_at
 from navbake.baker.live.kinds import LiveKinds
 from navbake.baker.occupancy.occupancy import Footprint
@@ -60,7 +60,7 @@ class LiveContents:
         """Take over the contents of a bake; the scene is without doors."""
         self._config, self._live, self.names = config, live, contents.names
         free_body, num = find_free_bodies(scene.model), int(scene.model.nbody)
-        self._bands = EntryBands(contents.levels[0], live.lattice, free_body, num)
+        self._entries = LiveEntries(contents.levels[0], live.lattice, free_body, num)
         known = config, scene, contents, floors, columns.crossings
         self._kinds = LiveKinds(*known, live)
         self.wall, self.low = contents.wall_cells(0).ravel(), contents.low_cells(0).ravel()
@@ -89,9 +89,9 @@ class LiveContents:
         self._kinds.measure_moved(scene, moved)
         entries = self._list(scene, near, touched, occupied, floors.levels[0])
         marked = moved.copy()
-        cells = self._bands.replace(touched.cells, entries, marked)
-        self._bands.mark_geoms(changes.heights, marked)
-        asked = scene, moved, marked, self._bands, touched, floors, changes
+        cells = self._entries.replace(touched.cells, entries, marked)
+        self._entries.mark_geoms(changes.heights, marked)
+        asked = scene, moved, marked, self._entries, touched, floors, changes
         return self._mark_walls(cells, self._kinds.follow(*asked))
 
     def _list(
@@ -105,7 +105,7 @@ class LiveContents:
         scratch.floor[cells] = floor
         scratch.ceiling[cells] = np.maximum(top, floor + agent.height) - TOUCH
         groups = group_triangles(near)
-        tiles = np.unique(tile_of(lattice, cells))
+        tiles = np.flatnonzero(np.bincount(tile_of(lattice, cells)))
         footprint = Footprint.of(agent, lattice.cell_size)
         nothing = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint8)
         storey = StoreyCells(
@@ -155,15 +155,15 @@ class LiveContents:
 
     def _contents_of(self, cells: Int | None) -> Contents:
         """The contents of some cells, in one row, or of all."""
-        kinds, bands = self._kinds, self._bands
-        listed = bands.all(kinds.support) if cells is None else bands.of(cells, kinds.support)
-        return Contents([listed], kinds.kinds, self.names, kinds.warnings)
+        kinds, listed = self._kinds, self._entries
+        level = listed.all(kinds.support) if cells is None else listed.of(cells, kinds.support)
+        return Contents([level], kinds.kinds, self.names, kinds.warnings)
 
     def user_data(self, window: Window) -> UserData:
         """See `Contents.user_data`: made when someone looks at it, of what there is now."""
         kinds = self._kinds
-        return self._bands.user_data(kinds.support, kinds.kinds, self.names, window)
+        return self._entries.user_data(kinds.support, kinds.kinds, self.names, window)
 
     def notes(self) -> ContentNotes:
         """What is to be told of the contents."""
-        return ContentNotes(self._bands.taken, self._kinds.warnings)
+        return ContentNotes(self._entries.taken, self._kinds.warnings)
