@@ -6,6 +6,8 @@ floors. All geoms are told apart again only where something that decides this ha
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from navbake.baker.contents.contents import Contents, classify_geoms, measure_over_floors
@@ -32,6 +34,24 @@ from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
 from navbake.types import Bool, Float, Int, Int32
+
+
+class NearMoved(NamedTuple):
+    """What moved, and what is near.
+
+    Attributes:
+        scene: as it is now, without doors.
+        moved: the geoms whose geometry differs, shape (ngeom,), bool.
+        region: all cells near what moved, and all others whose column or floor changed.
+        floors: up to date.
+        changes: of the floors.
+    """
+
+    scene: Scene
+    moved: Bool
+    region: Region
+    floors: Floors
+    changes: FloorChanges
 
 
 class LiveKinds:
@@ -86,38 +106,28 @@ class LiveKinds:
             self._reports, self._is_surface = scene.geoms, is_surface(scene)
         self.candidates = candidates_of(self._is_static, self._is_surface, extents)
 
-    def follow(
-        self,
-        scene: Scene,
-        moved: Bool,
-        marked: Bool,
-        listed: LiveEntries,
-        touched: Region,
-        floors: Floors,
-        changes: FloorChanges,
-    ) -> bool:
-        """Bring all up to date, after the entries are.
+    def follow(self, near: NearMoved, marked: Bool, listed: LiveEntries) -> bool:
+        """Bring all up to date.
 
         Args:
-            moved, touched, changes: see `LiveContents.follow`.
             marked: the geoms that moved, or whose entries or floors changed.
+            listed: up to date.
 
         Returns:
             Whether all geoms are what they were.
         """
-        level = floors.levels[0]
-        carried = self._follow_support(touched, level, changes, moved)
+        carried = self._follow_support(near)
         decided = (self._is_static | self._is_surface) & marked
         was = self._decisive(decided)
-        self._measure_marked(scene, marked, level, listed)
+        self._measure_marked(near.scene, marked, near.floors.levels[0], listed)
         now = self._decisive(decided)
         as_before = all(np.array_equal(one, other) for one, other in zip(was, now, strict=True))
         if not carried:
-            was_carried, self._carriers = self._carriers, self._find_carriers(floors)
+            was_carried, self._carriers = self._carriers, self._find_carriers(near.floors)
             carried = _decide_the_same(was_carried, self._carriers, self._is_static)
-        if carried and as_before and not self._may_be_others(moved):
+        if carried and as_before and not self._may_be_others(near.moved):
             return True
-        return self._classify(scene)
+        return self._classify(near.scene)
 
     def _decisive(self, geoms: Bool) -> list[Float | Int]:
         """What was measured of some geoms, as far as it can decide what they are.
@@ -143,20 +153,18 @@ class LiveKinds:
         sizes = self._extents.low, self._extents.high
         listed.measure(cells, level.floor.reshape(-1), sizes, marked, self._measured)
 
-    def _follow_support(
-        self, touched: Region, level: LevelFloor, changes: FloorChanges, moved: Bool
-    ) -> bool:
+    def _follow_support(self, near: NearMoved) -> bool:
         """Find what carries floors again; whether all that carriers rest on is as it was."""
-        cells = touched.cells
+        cells, changes, level = near.region.cells, near.changes, near.floors.levels[0]
         support = FloorSupport(np.empty(len(cells), dtype=np.int32), np.empty(len(cells)))
         floor = level.floor.reshape(-1)[cells]
         min_up = agent_limits(self._config.agent).min_up
-        describe_floors(floor, touched.columns, min_up, support)
+        describe_floors(floor, near.region.columns, min_up, support)
         was = self.support.geom[cells]
         differs = support.geom != was
         is_other = differs | (support.gap != self.support.gap[cells])
         holds = not is_other.any() and not len(changes.heights)
-        holds &= not self._stood_on[moved].any() and not self._carried[moved].any()
+        holds &= not (self._stood_on[near.moved].any() or self._carried[near.moved].any())
         others, stood_on = cells[differs], self._stood_on > 0
         self._carried += self._count_by_geom(support.geom[differs])
         self._carried -= self._count_by_geom(was[differs])

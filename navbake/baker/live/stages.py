@@ -30,6 +30,7 @@ from navbake.baker.live.doors import LiveDoors
 from navbake.baker.live.floors import LiveFloors
 from navbake.baker.live.following import Moved
 from navbake.baker.live.kernels.regions import cells_of_boxes, join_cells
+from navbake.baker.live.kinds import NearMoved
 from navbake.baker.live.not_local import NotLocal
 from navbake.baker.live.rooms import LiveRooms, Seen
 from navbake.baker.occupancy.occupancy import check_footprints
@@ -263,9 +264,8 @@ class LiveStages:
         rooms, walls = run_beside(follow_rooms), False
         try:
             if contents is not None:
-                occupied, found_floors = stages.occupancy.levels[0], stages.floors
-                asks = near, region, occupied, found_floors, changes
-                walls = any(contents.follow(doorless, own, *asks))
+                moved = NearMoved(doorless, own, region, stages.floors, changes)
+                walls = any(contents.follow(moved, near, stages.occupancy.levels[0]))
         finally:  # nothing goes on after an error here
             found_rooms = rooms()
         if len(changes.heights):

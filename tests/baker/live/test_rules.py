@@ -42,7 +42,8 @@ def check(baker: navbake.Baker, settings: dict, **moves) -> str:
     return changes.reason
 
 
-def test_more_surfaces_appear_than_there_was_room_for():
+@pytest.mark.parametrize("named", [False, True])
+def test_more_appears_than_there_was_room_for(named):
     plates = "".join(
         f'<geom type="box" size="0.4 0.4 0.005" pos="{x} {y} {0.1 + 0.02 * k}"/>'
         for x in (1.5, 3.0, 4.5)
@@ -52,10 +53,42 @@ def test_more_surfaces_appear_than_there_was_room_for():
     model = make(f'<body name="racks">{plates}</body>')
     own = model.geom_bodyid == model.body("racks").id
     model.geom_contype[own] = model.geom_conaffinity[own] = 0
-    settings = {"names": {"enabled": False}, "rooms": {"sources": []}}
+    settings = {"names": {"enabled": named}} | ({} if named else {"rooms": {"sources": []}})
     baker = navbake.Baker(model, **settings)
+    before, names = baker.grid, dict(navbake.Baker(model, **settings).grid.user_data)
     model.geom_contype[own] = 1
     assert check(baker, settings) == ""
+    assert dict(before.user_data) == names  # read only now
+
+
+def test_what_comes_back_takes_no_more_room():
+    model = make(
+        '<body name="box" pos="2 2 0.4"><freejoint/><geom type="box" size=".3 .3 .4"/></body>'
+    )
+    baker = navbake.Baker(model)
+    used = []
+    for x in (4.0, 2.0, 4.0, 2.0):
+        assert not baker.update(bodies={"box": [x, 2.0, 0.4]}).reason
+        used.append(baker._passes[-1]._parts.columns.used)
+    assert used[1] == used[3]
+
+
+def test_carried_cells_are_counted_as_for_the_whole_level():
+    bodies = "".join(
+        f'<body name="box_{k}" pos="{1 + k} 2 0.1"><freejoint/>'
+        f'<geom type="box" size="0.5 0.4 {0.05 + 0.05 * k}"/></body>'
+        for k in range(4)
+    )
+    baker, rng = navbake.Baker(make(bodies)), np.random.default_rng(0)
+    for _ in range(12):
+        place = [*rng.uniform(0.5, 5.5, 2), rng.choice([0.05, 0.1, 0.3])]
+        if check(baker, {}, bodies={f"box_{rng.integers(4)}": place}):
+            continue  # all is new
+        live = baker._passes[-1]
+        kinds, level = live.contents._kinds, live.stages.floors.levels[0]
+        geom, stands = kinds.support.geom, level.standable.ravel()
+        for counts, carriers in ((kinds._carried, geom), (kinds._stood_on, geom[stands])):
+            assert np.array_equal(counts, kinds._count_by_geom(carriers))
 
 
 def test_tables_that_become_one_may_be_a_floor():
