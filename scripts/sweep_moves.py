@@ -121,6 +121,7 @@ class Mover:
         self._mocap = [model.body(b).name for b in range(model.nbody) if model.body_mocapid[b] >= 0]
         turns = np.isin(model.jnt_type, (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE))
         self._joints = [model.joint(int(j)).name for j in np.flatnonzero(turns)]
+        self._outside: set[str] = set()  # these come back with the next bodies that move
         self._at = {name: data.xpos[body].copy() for name, body in self._free.items()}
         inside = np.abs(data.geom_xpos).max(axis=1) < 1e3
         self._low, self._high = (
@@ -143,9 +144,8 @@ class Mover:
             place = [rng.uniform(a, b) for a, b in zip(self._low, self._high, strict=True)]
             return {"bodies": {rng.choice(self._mocap): place}}
         count = 1 if rng.random() < 0.8 else rng.randint(2, min(6, len(self._free)))
-        return {
-            "bodies": {name: self._place(name) for name in rng.sample(sorted(self._free), count)}
-        }
+        names = {*rng.sample(sorted(self._free), count), *self._outside}
+        return {"bodies": {name: self._place(name) for name in sorted(names)}}
 
     def _place(self, name: str) -> list[float]:
         rng, was = self._rng, self._at[name]
@@ -167,10 +167,10 @@ class Mover:
             place = self._high + np.array([rng.uniform(0, 30), 3.0, 0.0])
         elif kind < 0.55:
             place = was.copy()  # turned only
-        if not (self._low - 1 <= place).all() or not (place <= self._high + 1).all():
-            self._at[name] = np.array([*((self._low + self._high) / 2)[:2], was[2]])
-        else:
-            self._at[name] = place
+        is_inside = (self._low - 1 <= place).all() and (place <= self._high + 1).all()
+        middle = np.array([*((self._low + self._high) / 2)[:2], was[2]])
+        self._at[name] = place if is_inside else middle
+        (self._outside.discard if is_inside else self._outside.add)(name)
         angle = rng.uniform(-np.pi, np.pi)
         turn = [np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)]
         if rng.random() < 0.15:
