@@ -62,6 +62,8 @@ class LiveKinds:
         warnings: of telling the geoms apart.
         candidates: the geoms that may be walls, see `candidates_of`.
         support: what carries the floor in each cell; where that changes, `geom` is a new array.
+        carried, stood_on: in how many cells each geom carries a floor, and one that can be stood
+            on, shape (ngeom,), int64.
     """
 
     def __init__(
@@ -91,8 +93,8 @@ class LiveKinds:
         self._measured: tuple[Float, Float, Int, Int] = over.base, over.rise, area, upper_area
         self._carriers = self._find_carriers(floors)
         geom, stands = self.support.geom, floors.levels[0].standable.ravel()
-        self._carried = self._count_by_geom(geom)
-        self._stood_on = self._count_by_geom(geom[stands])
+        self.carried = self._count_by_geom(geom)
+        self.stood_on = self._count_by_geom(geom[stands])
         self._roots = np.asarray(scene.model.body_rootid)[scene.model.geom_bodyid]
 
     def measure_moved(self, scene: Scene, moved: Bool) -> None:
@@ -164,10 +166,10 @@ class LiveKinds:
         differs = support.geom != was
         is_other = differs | (support.gap != self.support.gap[cells])
         holds = not is_other.any() and not len(changes.heights)
-        holds &= not (self._stood_on[near.moved].any() or self._carried[near.moved].any())
-        others, stood_on = cells[differs], self._stood_on > 0
-        self._carried += self._count_by_geom(support.geom[differs])
-        self._carried -= self._count_by_geom(was[differs])
+        holds &= not (self.stood_on[near.moved].any() or self.carried[near.moved].any())
+        others, stood_on = cells[differs], self.stood_on > 0
+        self.carried += self._count_by_geom(support.geom[differs])
+        self.carried -= self._count_by_geom(was[differs])
         shifted = join_cells(others, changes.standable)
         before = self.support.geom[shifted]
         if is_other.any():
@@ -175,10 +177,10 @@ class LiveKinds:
             geom[cells], gap[cells] = support.geom, support.gap
             self.support = FloorSupport(geom, gap)
         stands = level.standable.reshape(-1)[shifted]
-        self._stood_on += self._count_by_geom(self.support.geom[shifted][stands])
+        self.stood_on += self._count_by_geom(self.support.geom[shifted][stands])
         stands ^= are_in(shifted, changes.standable)  # as it was
-        self._stood_on -= self._count_by_geom(before[stands])
-        return holds and bool(((self._stood_on > 0) == stood_on).all())
+        self.stood_on -= self._count_by_geom(before[stands])
+        return holds and bool(((self.stood_on > 0) == stood_on).all())
 
     def _count_by_geom(self, carrier: Int32) -> Int:
         """How often each geom is the carrier, -1 for none; shape (ngeom,)."""
