@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from navbake.batch.crew import DONE, Ended, JobLimits, do_jobs
 from navbake.batch.file_states import are_unchanged, path_from
@@ -50,6 +50,22 @@ class Batch(NamedTuple):
     products: Sequence[str] = ()
 
 
+class Executor(Protocol):
+    """Does jobs as `crew.do_jobs` does, wherever its worker processes are."""
+
+    def __call__(
+        self,
+        jobs: Sequence[Any],
+        work: Callable[[Any], Any],
+        count: int,
+        *,
+        limits: JobLimits,
+        retries: int,
+        prepare: Callable[[], None] | None,
+    ) -> Generator[Ended, None, None]:
+        """Yields how each job ended; the workers are gone when it is closed, or at the end."""
+
+
 class Means(NamedTuple):
     """What a batch may use.
 
@@ -58,12 +74,14 @@ class Means(NamedTuple):
         limits: of each scene.
         retries: how often a scene that crashed its worker or exceeded a limit is tried again.
         max_failures: the batch ends when more scenes failed than this; None for never.
+        executor: where the worker processes are; None for this machine.
     """
 
     workers: int = 1
     limits: JobLimits = JobLimits()
     retries: int = 0
     max_failures: int | None = None
+    executor: Executor | None = None
 
 
 class Watch(Protocol):
@@ -133,7 +151,8 @@ def _run(orders: Sequence[Order], index: Index, means: Means, watch: Watch) -> B
     try:
         if waiting:
             watch.begin(len(orders), len(skipped))
-        ended = do_jobs(
+        execute = means.executor or do_jobs
+        ended = execute(
             waiting,
             do_order,
             means.workers,

@@ -7,12 +7,18 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from typer import Argument, Exit, Option
 
-from navbake.cli.commands.warm_up import cold_kernels, compile_all, load_kernels
-from navbake.cli.options import Overrides
+from navbake.cli.commands.warm_up import (
+    bakes_compile,
+    compile_all,
+    load_kernels,
+    pack_code,
+    take_code,
+)
+from navbake.cli.options import Overrides, refuse_unused
 from navbake.cli.printing import (
     VOLUME,
     print_error,
@@ -23,6 +29,7 @@ from navbake.cli.printing import (
 
 if TYPE_CHECKING:
     from navbake.batch.batch import BatchResult
+    from navbake.batch.cluster.executor import RayExecutor
     from navbake.types import Json
 
 # Functions import the baker and the settings when they run: --help loads neither MuJoCo nor numpy.
@@ -51,16 +58,38 @@ class PerScene(NamedTuple):
 class Wholly(NamedTuple):
     """What concerns the whole batch."""
 
-    jobs: int = Option(1, "-j", "--jobs", min=1, help="Number of worker processes.")
+    jobs: int | None = Option(
+        None,
+        "-j",
+        "--jobs",
+        metavar="N",
+        min=1,
+        help="Number of worker processes: 1 unless given, on a cluster one for each CPU.",
+    )
     max_failures: int | None = Option(
         None, "--max-failures", metavar="N", min=0, help="Stop when more than N scenes failed."
     )
     as_json: bool = Option(False, "--json", help="Print a line of JSON for each scene as it ends.")
 
 
+class Machines(NamedTuple):
+    """Where the worker processes are."""
+
+    executor: Literal["embedded", "ray"] = Option(
+        "embedded", help="Where workers run: embedded, on this machine; ray, on a Ray cluster."
+    )
+    ray_address: str | None = Option(
+        None,
+        "--ray-address",
+        metavar="ADDRESS",
+        help="Of the Ray cluster; local starts one here. RAY_ADDRESS, else local, unless given.",
+    )
+
+
 def batch(
     per_scene: PerScene,
     wholly: Wholly,
+    machines: Machines,
     sources: list[str] = Argument(
         ...,
         metavar="SOURCE",
@@ -90,14 +119,21 @@ def batch(
     Example: navbake batch "scenes/*.xml" -o grids --jobs 8 --time-limit 300
     """
     from navbake.batch.batch import Batch, Means, run_batch
+    from navbake.batch.cluster.executor import ALL
     from navbake.batch.crew import JobLimits
     from navbake.batch.manifest import list_jobs
     from navbake.batch.settings import read_shared
 
+    is_ray = machines.executor == "ray"
+    refuse_unused(
+        ("--ray-address", machines.ray_address is not None, is_ray, "--executor ray"),
+    )
     jobs = list_jobs(sources)
     settings = {} if config is None else read_shared(config)
     limits = JobLimits(per_scene.time_limit, per_scene.memory_limit)
-    means = Means(wholly.jobs, limits, per_scene.retries, wholly.max_failures)
+    executor = _on_ray(machines.ray_address, output) if is_ray else None
+    count = wholly.jobs or (ALL if is_ray else 1)
+    means = Means(count, limits, per_scene.retries, wholly.max_failures, executor)
     begin = time.perf_counter()
     with ExitStack() as stack:
         teller = _Teller(stack, wholly.as_json)
@@ -106,6 +142,15 @@ def batch(
     _summarise(result, time.perf_counter() - begin, wholly.as_json, output)
     if result.count("failed") or result.stopped:
         raise Exit(1)
+
+
+def _on_ray(address: str | None, folder: Path) -> RayExecutor:
+    """What bakes on a Ray cluster whose nodes see the output folder."""
+    from navbake.batch.cluster.executor import CodeHandover, RayExecutor
+    from navbake.batch.index import LOCK
+
+    code = CodeHandover(pack_code, take_code)
+    return RayExecutor(address, lambda line: print_warnings([line]), code, folder / LOCK)
 
 
 class _Teller:
@@ -145,12 +190,9 @@ def _warm_up() -> None:
     """Compile the kernels, unless all that any bake calls are: workers find them on disk."""
     from navbake.cli.progress import stage_progress
     from navbake.dispatch import REMEDY, can_keep
-    from navbake.kernel_list import PREFIX, read_list
 
     load_kernels()
-    known = read_list()
-    common = {PREFIX + entry.name for entry in known.entries[: known.num_common]}
-    if common.isdisjoint(cold_kernels()):
+    if not bakes_compile():
         return
     if not can_keep():
         why = f"no folder for compiled code can be written: each worker compiles its own: {REMEDY}"
