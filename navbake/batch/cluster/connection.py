@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import socket
 import sys
 import tempfile
 import threading
@@ -18,6 +19,8 @@ from navbake.errors import MissingDependencyError, NavbakeError
 ADDRESS = "RAY_ADDRESS"  # the variable that names a cluster
 LOCAL = "local"  # the address that stands for a cluster of one's own
 MISSING = 'batches on a Ray cluster need ray: pip install "navbake[ray]"'
+PRINT = "print_to_stdstream"  # Ray's function that prints what comes from nodes
+ANSWER = 10.0  # within which a cluster takes a connection [s]
 STORE = 80 << 20  # of memory for what slots are handed, in a cluster of one's own [bytes]
 # Read by Ray as it is imported. With the first, which is meant for other systems, its processes
 # listen on the loopback device only. Usage is told to nobody.
@@ -53,15 +56,30 @@ def connected(address: str | None, num_slots: int) -> Iterator[tuple[Any, bool]]
     if ray.is_initialized():
         yield ray, False
         return
+    _check_reachable(address)
     folder = _make_folder() if is_own else None
     try:
-        _connect(ray, address, {} if folder is None else _own_options(folder, num_slots))
-        yield ray, is_own
+        with _silent():
+            _connect(ray, address, {} if folder is None else _own_options(folder, num_slots))
+            yield ray, is_own
     finally:
         with suppress(Exception):
             ray.shutdown()
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
+
+
+def _check_reachable(address: str) -> None:
+    """Find out at once that nobody listens at an address, which takes Ray minutes."""
+    host, _, port = address.rpartition(":")
+    if "/" in address or not port.isdigit():
+        return  # one that Ray looks up, as "auto"
+    try:
+        with socket.create_connection((host.strip("[]"), int(port)), ANSWER):
+            pass
+    except (OSError, OverflowError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        raise NavbakeError(f"cannot connect to a Ray cluster at {address}: {why}") from error
 
 
 def _connect(ray: Any, address: str, options: dict[str, Any]) -> None:
@@ -77,6 +95,18 @@ def _connect(ray: Any, address: str, options: dict[str, Any]) -> None:
     finally:
         if handler is not None:
             signal.signal(signal.SIGTERM, handler)
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Keep the errors of nodes from stdout inside, where Ray prints them whatever it is told."""
+    module: Any = sys.modules["ray._private.worker"]
+    before = getattr(module, PRINT, None)
+    setattr(module, PRINT, lambda *arguments, **options: None)
+    try:
+        yield
+    finally:
+        setattr(module, PRINT, before)
 
 
 def _own_options(folder: str, num_slots: int) -> dict[str, Any]:
