@@ -47,26 +47,37 @@ def connected(address: str | None, num_slots: int) -> Iterator[tuple[Any, bool]]
     """
     address = address or os.environ.get(ADDRESS) or LOCAL
     is_own = address == LOCAL
-    for name, value in {**QUIET, **(PRIVATE if is_own else {})}.items():
-        os.environ.setdefault(name, value)
+    with _variables({**QUIET, **(PRIVATE if is_own else {})}):
+        try:
+            import ray  # an extra
+        except ImportError as error:
+            raise MissingDependencyError(f"{MISSING} ({error})") from error
+        if ray.is_initialized():
+            yield ray, False
+            return
+        _check_reachable(address)
+        folder = _make_folder() if is_own else None
+        try:
+            with _silent():
+                _connect(ray, address, {} if folder is None else _own_options(folder, num_slots))
+                yield ray, is_own
+        finally:
+            with suppress(Exception):
+                ray.shutdown()
+            if folder is not None:
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _variables(wanted: dict[str, str]) -> Iterator[None]:
+    """Have variables in the environment inside, unless the user has set them."""
+    new = {name: value for name, value in wanted.items() if name not in os.environ}
+    os.environ.update(new)
     try:
-        import ray  # an extra
-    except ImportError as error:
-        raise MissingDependencyError(f"{MISSING} ({error})") from error
-    if ray.is_initialized():
-        yield ray, False
-        return
-    _check_reachable(address)
-    folder = _make_folder() if is_own else None
-    try:
-        with _silent():
-            _connect(ray, address, {} if folder is None else _own_options(folder, num_slots))
-            yield ray, is_own
+        yield
     finally:
-        with suppress(Exception):
-            ray.shutdown()
-        if folder is not None:
-            shutil.rmtree(folder, ignore_errors=True)
+        for name in new:
+            os.environ.pop(name, None)
 
 
 def _check_reachable(address: str) -> None:

@@ -195,7 +195,7 @@ class _Fleet:
         is_late = time.monotonic() - self._begun > PATIENCE
         if is_late and not self._is_told and all(a.state == SETTLING for a in self._actors):
             self._is_told = True
-            self._tell(f"none of the Ray cluster's {num_cpus} CPUs is free: waiting for one")
+            self._tell(f"waiting until one of the Ray cluster's CPUs ({num_cpus}) is free")
 
     def _grow(self) -> None:
         """Start actors, but none in the place of those that could not start."""
