@@ -317,6 +317,7 @@ def _num_cores() -> int:
 
 
 def _reason(error: BaseException) -> str:
-    """One line of what Ray says of an actor that it lost: its last line tells most."""
+    """What Ray says of an actor that it lost: the first sentence of the last line tells most."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return printable((lines[-1] if lines else type(error).__name__)[:MOST_TEXT])
+    last = lines[-1] if lines else type(error).__name__
+    return printable(last.partition(". ")[0][:MOST_TEXT])
