@@ -70,7 +70,7 @@ class Means(NamedTuple):
     """What a batch may use.
 
     Attributes:
-        workers: how many processes, >= 1.
+        workers: how many processes, >= 1; `cluster.executor.ALL` for each CPU of a cluster.
         limits: of each scene.
         retries: how often a scene that crashed its worker or exceeded a limit is tried again.
         max_failures: the batch ends when more scenes failed than this; None for never.

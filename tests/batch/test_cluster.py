@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 from concurrent.futures import Future
 from contextlib import contextmanager
 from types import SimpleNamespace
@@ -195,6 +196,37 @@ def test_where_no_node_will_do_it_is_one_error(run):
 
     with pytest.raises(NavbakeError, match="no worker starts: ModuleNotFoundError: No module"):
         run(lose, [*range(9)], count=3)
+
+
+def test_what_passes_ends_no_batch(run, monkeypatch):
+    monkeypatch.setattr(executor, "LOOK", 0.01)
+    asked = []
+
+    def answer(actor, method, *arguments):
+        asked.append(method)
+        if method == "do" and 3 <= asked.count("do") <= 5:
+            return "cannot start a worker process: no memory"
+        return behave(actor, method, *arguments)
+
+    ended, _, told = run(answer, [*range(9)], cpus=2)
+    assert len(ended) == 9 and len(told) == 1
+
+
+def test_actors_without_jobs_are_ended_before_the_others_are_done(run):
+    killed = []
+
+    def finish(actor):
+        killed.extend(other.number for other in actor.ray.killed)
+        actor.waiting[0].set_result(Ended(1, DONE, None, 0.0))
+
+    def answer(actor, method, *arguments):
+        if method == "do" and arguments[1] == "long":
+            threading.Timer(0.1, finish, [actor]).start()
+            return ...
+        return behave(actor, method, *arguments)
+
+    ended, ray, _ = run(answer, [1, "long"])
+    assert len(ended) == 2 and killed == [0] and len(ray.actors) == 2
 
 
 def test_actors_are_started_on_nodes_that_join_and_it_is_told_that_none_is_free(run, monkeypatch):

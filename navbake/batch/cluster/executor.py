@@ -154,7 +154,10 @@ class _Fleet:
         self._events: SimpleQueue[tuple[_Actor, Any]] = SimpleQueue()
         self._num_cpus = 0  # of the cluster, when it was last looked at
         self._failed_starts = 0  # since then
-        self._begun, self._is_told = time.monotonic(), False
+        self._refusals = 0  # of actors that could not work, since a job ended
+        self._has_worked = False  # whether a job ever ended
+        self._begun = self._looked = time.monotonic()
+        self._is_told = False
 
     def run(self, jobs: Sequence[Any]) -> Iterator[Ended]:
         """Do jobs."""
@@ -162,15 +165,14 @@ class _Fleet:
         self._num_open = len(jobs)
         self._look_at_cluster()
         while self._num_open:
-            try:
+            with suppress(Empty):
                 # waits in Python: signals are heard at once
                 actor, future = self._events.get(timeout=LOOK)
-            except Empty:
+                if actor in self._actors:
+                    yield from self._hear(actor, future)
+                    self._hand_out()
+            if time.monotonic() - self._looked > LOOK:
                 self._look_at_cluster()
-                continue
-            if actor in self._actors:
-                yield from self._hear(actor, future)
-                self._hand_out()
 
     def end(self) -> None:
         """End the actors, which takes their workers with them, and wait until they are gone."""
@@ -188,11 +190,12 @@ class _Fleet:
 
     def _look_at_cluster(self) -> None:
         """Start as many actors as there should be now."""
+        self._looked = time.monotonic()
         num_cpus = int(self._ray.cluster_resources().get("CPU", 0))
-        if num_cpus != self._num_cpus:
+        if num_cpus != self._num_cpus or not self._actors:
             self._num_cpus, self._failed_starts = num_cpus, 0
         self._grow()
-        is_late = time.monotonic() - self._begun > PATIENCE
+        is_late = self._looked - self._begun > PATIENCE
         if is_late and not self._is_told and all(a.state == SETTLING for a in self._actors):
             self._is_told = True
             self._tell(f"waiting until one of the Ray cluster's CPUs ({num_cpus}) is free")
@@ -228,19 +231,26 @@ class _Fleet:
             self._warm.discard(actor.where.node)
 
     def _refuse(self, actor: _Actor, why: str) -> None:
-        """Do without an actor that can't work, and without others where all can't."""
+        """Do without an actor that can't work; end where there is none that can.
+
+        Raises:
+            NavbakeError: no actor is left, and none could work though enough were tried. Where jobs
+                have ended before, more are tried: it may pass.
+        """
         self._remove(actor)
         if actor.task is not None:
             self._left.appendleft(actor.task)
         self._failed_starts += 1
-        where = f" on node {actor.where.name}" if actor.where.name else ""
-        if not self._actors and self._failed_starts >= min(MOST_LOSSES, self._count_wanted()):
-            raise NavbakeError(f"no worker starts{where}: {why}")
-        if self._failed_starts == 1:
-            self._tell(f"no worker starts{where}: {why}")
-
-    def _count_wanted(self) -> int:
-        return max(1, min(self._num_cpus, self._count, self._num_open))
+        self._refusals += 1
+        line = (
+            f"no worker starts{f' on node {actor.where.name}' if actor.where.name else ''}: {why}"
+        )
+        wanted = max(1, min(self._num_cpus, self._count, self._num_open))
+        enough = MOST_LOSSES * wanted if self._has_worked else min(MOST_LOSSES, wanted)
+        if not self._actors and self._refusals >= enough:
+            raise NavbakeError(line)
+        if self._refusals == 1:
+            self._tell(line)
 
     # ------------------------------------------------------------ what they say
 
@@ -263,6 +273,7 @@ class _Fleet:
                 self._tell(f"node {actor.where.name}: {answer}")
         elif isinstance(answer, Ended):
             actor.state, actor.task = IDLE, None
+            self._refusals, self._has_worked = 0, True
             self._num_open -= 1
             yield answer
         else:
@@ -272,10 +283,7 @@ class _Fleet:
         """Replace an actor that is lost; its task isn't blamed unless that goes on."""
         task, seconds = actor.task, time.monotonic() - actor.begun
         if task is None:
-            if actor.state == SETTLING:
-                self._refuse(actor, why)
-            else:
-                self._remove(actor)
+            self._refuse(actor, why)
             return
         self._remove(actor)
         task.losses += 1
@@ -287,7 +295,7 @@ class _Fleet:
         yield Ended(task.number, CRASHED, reason, seconds)
 
     def _hand_out(self) -> None:
-        """Give code to nodes and tasks to actors, and replace actors that are gone."""
+        """Give code to nodes and tasks to actors, and see to their number."""
         self._grow()
         taking = {actor.where.node for actor in self._actors if actor.state == TAKING}
         for actor in [*self._actors]:
@@ -302,6 +310,8 @@ class _Fleet:
             if actor.state == IDLE and self._left:
                 actor.task = self._left.popleft()
                 self._ask(actor, WORKING, actor.handle.do, actor.task.number, actor.task.job)
+            elif actor.state == IDLE:
+                self._remove(actor)  # its CPU is for others now
 
     def _pack(self) -> Any:
         if self._packed is None and self._code is not None:
