@@ -28,7 +28,7 @@ pytestmark = pytest.mark.skipif(
     find_spec("ray") is None or sys.platform != "linux", reason="needs ray, and signals of Linux"
 )
 COUNT = 8
-OPTIONS = ("--time-limit", "3", "--memory-limit", "0.7", "--set", "grid.cell_size=0.1")
+OPTIONS = ("--time-limit", "5", "--memory-limit", "0.7", "--set", "grid.cell_size=0.1")
 
 
 class Silent:
