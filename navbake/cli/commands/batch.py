@@ -30,6 +30,7 @@ from navbake.cli.printing import (
 if TYPE_CHECKING:
     from navbake.batch.batch import BatchResult
     from navbake.batch.cluster.executor import RayExecutor
+    from navbake.batch.stores.urls import Folder
     from navbake.types import Json
 
 # Functions import the baker and the settings when they run: --help loads neither MuJoCo nor numpy.
@@ -70,6 +71,7 @@ class Wholly(NamedTuple):
         None, "--max-failures", metavar="N", min=0, help="Stop when more than N scenes failed."
     )
     as_json: bool = Option(False, "--json", help="Print a line of JSON for each scene as it ends.")
+    parquet: bool = Option(False, "--parquet", help="Write the index as index.parquet as well.")
 
 
 class Machines(NamedTuple):
@@ -93,12 +95,13 @@ def batch(
     sources: list[str] = Argument(
         ...,
         metavar="SOURCE",
-        help="Scenes or settings (YAML), patterns in quotes, or lists: .txt, .csv or .jsonl.",
+        help="Scenes or settings (YAML), patterns in quotes, or lists: .txt, .csv, .jsonl or "
+        ".parquet; paths or URLs such as s3://.",
     ),
-    output: Path = Option(
+    output: str = Option(
         ..., "-o", "--output", metavar="FOLDER", help="Folder to write into, a folder a scene."
     ),
-    config: Path | None = Option(
+    config: str | None = Option(
         None, "--config", metavar="YAML", help="Settings that all scenes share."
     ),
     make: list[str] | None = Option(
@@ -123,6 +126,7 @@ def batch(
     from navbake.batch.crew import JobLimits
     from navbake.batch.manifest import list_jobs
     from navbake.batch.settings import read_shared
+    from navbake.batch.stores.urls import as_folder, shown
 
     is_ray = machines.executor == "ray"
     refuse_unused(
@@ -131,26 +135,29 @@ def batch(
     jobs = list_jobs(sources)
     settings = {} if config is None else read_shared(config)
     limits = JobLimits(per_scene.time_limit, per_scene.memory_limit)
-    executor = _on_ray(machines.ray_address, output) if is_ray else None
+    folder = as_folder(output)
+    executor = _on_ray(machines.ray_address, folder) if is_ray else None
     count = wholly.jobs or (ALL if is_ray else 1)
     means = Means(count, limits, per_scene.retries, wholly.max_failures, executor)
     begin = time.perf_counter()
     with ExitStack() as stack:
         teller = _Teller(stack, wholly.as_json)
-        todo = Batch(jobs, output, settings, overrides or [], make or [])
+        todo = Batch(jobs, folder, settings, overrides or [], make or [], wholly.parquet)
         result = run_batch(todo, means, teller)
-    _summarise(result, time.perf_counter() - begin, wholly.as_json, output)
+    index = str(folder / INDEX) if isinstance(folder, Path) else f"{shown(folder)}/{INDEX}"
+    _summarise(result, time.perf_counter() - begin, wholly.as_json, index)
     if result.count("failed") or result.stopped:
         raise Exit(1)
 
 
-def _on_ray(address: str | None, folder: Path) -> RayExecutor:
-    """What bakes on a Ray cluster whose nodes see the output folder."""
+def _on_ray(address: str | None, folder: Folder) -> RayExecutor:
+    """What bakes on a Ray cluster; its nodes must see the output folder, unless it is on a store."""
     from navbake.batch.cluster.executor import CodeHandover, RayExecutor
     from navbake.batch.index import LOCK
 
     code = CodeHandover(pack_code, take_code)
-    return RayExecutor(address, lambda line: print_warnings([line]), code, folder / LOCK)
+    witness = folder / LOCK if isinstance(folder, Path) else None
+    return RayExecutor(address, lambda line: print_warnings([line]), code, witness)
 
 
 class _Teller:
@@ -202,7 +209,7 @@ def _warm_up() -> None:
         compile_all(show)
 
 
-def _summarise(result: BatchResult, seconds: float, as_json: bool, folder: Path) -> None:
+def _summarise(result: BatchResult, seconds: float, as_json: bool, index: str) -> None:
     skipped = result.skipped
     counts = {
         "baked": result.count("ok") - skipped,
@@ -219,4 +226,4 @@ def _summarise(result: BatchResult, seconds: float, as_json: bool, folder: Path)
     told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     warned = sum(bool(row.get("warnings")) for row in result.rows)
     notes = f", {warned} with warnings" if warned else ""
-    say_unless_quiet(f"{told}{notes} in {seconds:.1f} s: {folder / INDEX}")
+    say_unless_quiet(f"{told}{notes} in {seconds:.1f} s: {index}")
