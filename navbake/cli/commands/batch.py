@@ -151,7 +151,7 @@ def batch(
 
 
 def _on_ray(address: str | None, folder: Folder) -> RayExecutor:
-    """What bakes on a Ray cluster; its nodes must see the output folder, unless it is on a store."""
+    """What bakes on a Ray cluster, whose nodes must see an output folder that is on no store."""
     from navbake.batch.cluster.executor import CodeHandover, RayExecutor
     from navbake.batch.index import LOCK
 
