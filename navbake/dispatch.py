@@ -21,6 +21,7 @@ Source: numba's `Dispatcher.enable_caching` is what ``@njit(cache=True)`` calls 
 from __future__ import annotations
 
 import atexit
+import hashlib
 import json
 import logging
 import os
@@ -28,6 +29,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +89,11 @@ class Kernel(CPUDispatcher):
         """Its module and name, without the package's."""
         return f"{self.__module__.removeprefix(PREFIX)}.{self.__name__}"
 
+    @property
+    def folder(self) -> str:
+        """The folder of kernels that it is in, as a package's name."""
+        return _package_of(self.py_func)
+
     def is_cold(self) -> bool:
         """Whether it has never been compiled for this machine, as far as files tell."""
         if self.__name__ == PLACEHOLDER:
@@ -97,7 +104,20 @@ class Kernel(CPUDispatcher):
 
 
 class _OrReadOnly:
-    """A folder of the cache counts, too, where it can only be read and its code is fresh."""
+    """A folder of the cache counts, too, where it can only be read and its code is fresh.
+
+    Code is fresh where its source has the same content, as with numba 0.68. Older ones ask for the
+    same time of change, too, which no other installation has.
+    """
+
+    def get_source_stamp(self) -> Any:
+        """What of a source is kept beside its code."""
+        path = self._py_file
+        try:
+            status = os.stat(path)
+            return _digest_source(path, status.st_mtime_ns, status.st_size)
+        except OSError:  # Python is frozen into a program
+            return super().get_source_stamp()
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> Any:
@@ -110,6 +130,12 @@ class _OrReadOnly:
         package = _package_of(py_func)
         is_fresh = read_stamp(found.get_cache_path()) == digest_folder(package)
         return found if is_fresh else None
+
+
+@cache
+def _digest_source(path: str, modified_ns: int, size: int) -> bytes:
+    """Hash a file; its time and size tell whether that was done before."""
+    return hashlib.sha256(Path(path).read_bytes()).digest()
 
 
 class _UserProvided(_OrReadOnly, caching.UserProvidedCacheLocator):

@@ -1,12 +1,14 @@
 """Shows what a batch withstands, and how fast it is.
 
-    python scripts/sweep_batch.py [faults] [kills] [speed] [--kills 50] [--scenes 200]
-                                   [--seed 0] [--many 2000] [--few 24]
+    python scripts/sweep_batch.py [PART ...] [--kills 50] [--scenes 200] [--seed 0]
+                                   [--many 2000] [--few 24]
 
 faults  200 scenes, 20 broken in ten ways, one that hangs, one that takes 27 GiB, one that crashes
         its process: what became of each, held against what was to become of it.
 kills   a batch whose process group is killed by SIGKILL at random moments, and started again each
         time, while a thread reads the folder: at the end the grids of an undisturbed batch.
+ray     the scenes of faults on a Ray cluster of two nodes, of which one is killed half way: what
+        became of each, and the grids of a batch on one machine. Left out where ray isn't installed.
 speed   what a batch adds to a loop of bakes, for scenes of 10 ms and of 1 s, and two workers
         against one; figures count while all workers are at work. 10,000 scenes: --many 10000.
 """
@@ -28,6 +30,7 @@ import threading
 import time
 import warnings
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,8 +44,9 @@ from navbake.batch.work import prepare  # noqa: E402
 from navbake.config.settings import as_config  # noqa: E402
 from navbake.files import without_waiting  # noqa: E402
 from navbake.formats.navgrid import write_navgrid  # noqa: E402
+from ray_cluster import VARIABLES, two_nodes  # noqa: E402
 
-PARTS = ("faults", "kills", "speed")
+PARTS = ("faults", "kills", "speed", "ray")
 LIMITS = ("--time-limit", "30", "--memory-limit", "4")
 WARM = 4  # scenes of each worker that don't count
 WHILE_STARTING = 0.2  # share of the kills that don't wait until a scene is done
@@ -52,7 +56,7 @@ AFTER = (0.0, 2.0)  # how long after its start, or a scene, a batch is killed [s
 def start(folder: Path, out: Path, *options: str) -> subprocess.Popen[bytes]:
     """Start a batch of a folder's scenes, in a process group of its own."""
     command = [sys.executable, "-m", "navbake", "batch", "list.jsonl", "-o", str(out), *options]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, **VARIABLES, "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(command, cwd=folder, env=environment, start_new_session=True)
 
 
@@ -175,6 +179,39 @@ def show_kills(folder: Path, args: argparse.Namespace) -> bool:
         f"{rounds} times begun anew; load {os.getloadavg()[0]:.1f}"
     )
     return is_same and not watcher.torn and not leftovers
+
+
+def show_ray(folder: Path, args: argparse.Namespace) -> bool:
+    """Kill a node when half of the good scenes are done."""
+    if find_spec("ray") is None:
+        print("left out: ray isn't installed")
+        return True
+    scenes, out, cold = folder / "scenes", folder / "out", folder / "cold"
+    num_good = args.scenes - 23
+    expected = write_scenes(scenes, num_good, broken=20, endings=True)
+    _, embedded = run(scenes, folder / "one", "--jobs", "2", "-q", *LIMITS)
+    whole = digests(folder / "one")
+    # the second node has no compiled code of its own
+    with two_nodes(1, PYTHONPATH=str(ROOT), NUMBA_CACHE_DIR=str(cold)) as nodes:
+        options = ("--executor", "ray", "--ray-address", nodes.address, *LIMITS)
+        begin = time.perf_counter()
+        with start(scenes, out, *options) as process:
+            while process.poll() is None and len(digests(out)) < num_good // 2:
+                time.sleep(0.05)
+            killed, done = time.perf_counter() - begin, len(digests(out))
+            is_running = process.poll() is None
+            nodes.kill_second()
+            status = process.wait()
+        seconds = time.perf_counter() - begin
+    wrong = wrong_rows([*read_index(out).values()], expected)
+    is_same = digests(out) == whole
+    print(
+        f"a node killed after {killed:.1f} s with {done} grids; {len(digests(out))} grids at the "
+        f"end {'as on one machine' if is_same else 'THAT DIFFER'}, {seconds:.1f} s, on one machine "
+        f"{embedded:.1f} s; {len([*cold.rglob('*.nbc')])} files of compiled code handed on"
+    )
+    print("\n".join(wrong) or "each as expected")
+    return is_same and is_running and not wrong and status == 1 and len(whole) == num_good
 
 
 def events(folder: Path, out: Path, *options: str) -> Iterator[tuple[dict[str, Any], int]]:
@@ -301,7 +338,7 @@ def main() -> None:
     parser.add_argument("--many", type=int, default=2000, help="scenes of 10 ms")
     parser.add_argument("--few", type=int, default=24, help="scenes of 1 s")
     args = parser.parse_args()
-    shows = {"faults": show_faults, "kills": show_kills, "speed": show_speed}
+    shows = {"faults": show_faults, "kills": show_kills, "speed": show_speed, "ray": show_ray}
     failed = []
     for part in args.parts or PARTS:
         with tempfile.TemporaryDirectory() as folder:

@@ -35,6 +35,12 @@ def work(job: tuple[str, Any]) -> Any:
         if not os.path.exists(value):
             with open(value, "x"):
                 raise SystemExit(3)
+    elif what == "lose":  # ends whoever watches this process, each time or once
+        if value is None or not os.path.exists(value):
+            if value is not None:
+                open(value, "x").close()
+            os.kill(os.getppid(), signal.SIGKILL)
+            time.sleep(60)
     elif what == "touch":
         open(value, "x").close()
     elif what == "size":

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from navbake.batch.crew import DONE, Ended, Event, JobLimits, do_jobs
 from navbake.batch.done import find_done
@@ -49,20 +49,39 @@ class Batch(NamedTuple):
     thumbnails: bool = False
 
 
+class Executor(Protocol):
+    """Does jobs as `crew.do_jobs` does, wherever its worker processes are."""
+
+    def __call__(
+        self,
+        jobs: Sequence[Any],
+        work: Callable[[Any], Any],
+        count: int,
+        *,
+        limits: JobLimits,
+        retries: int,
+        prepare: Callable[[], None] | None,
+        on_event: Callable[[Event], None],
+    ) -> Generator[Ended, None, None]:
+        """Yields how each job ended; the workers are gone when it is closed, or at the end."""
+
+
 class Means(NamedTuple):
     """What a batch may use.
 
     Attributes:
-        workers: how many processes, >= 1.
+        workers: how many processes, >= 1; `cluster.executor.ALL` for each CPU of a cluster.
         limits: of each scene.
         retries: how often a scene that crashed its worker or exceeded a limit is tried again.
         max_failures: the batch ends when more scenes failed than this; None for never.
+        executor: where the worker processes are; None for this machine.
     """
 
     workers: int = 1
     limits: JobLimits = JobLimits()
     retries: int = 0
     max_failures: int | None = None
+    executor: Executor | None = None
 
 
 class Watch(Protocol):
@@ -165,7 +184,8 @@ def _run(
     try:
         if waiting:
             watch.begin(len(orders), len(skipped))
-        ended = do_jobs(
+        execute = means.executor or do_jobs
+        ended = execute(
             waiting,
             do_order,
             means.workers,

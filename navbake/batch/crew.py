@@ -221,6 +221,36 @@ def do_jobs(
         crew.end()
 
 
+class SingleWorker:
+    """One worker process, which does jobs that come one after another.
+
+    Limits, crashes and retries are those of `do_jobs`, whose arguments it takes.
+    """
+
+    def __init__(
+        self,
+        work: Callable[[Any], Any],
+        limits: JobLimits,
+        retries: int,
+        prepare: Callable[[], None] | None,
+    ) -> None:
+        self._crew = _Crew([], pickle.dumps((work, prepare)), 1, limits, retries, _ignore)
+
+    def do(self, number: int, job: Any) -> Ended:
+        """Do a job; the process is started if there is none.
+
+        Raises:
+            NavbakeError: no process starts.
+        """
+        self._crew.add(_Task(number, job))
+        (ended,) = self._crew.run()
+        return ended
+
+    def end(self) -> None:
+        """End the process."""
+        self._crew.end()
+
+
 class _Crew:
     """The workers, and the tasks that are left."""
 
@@ -240,6 +270,9 @@ class _Crew:
         self._again: deque[_Task] = deque()  # of workers that are gone
         self._workers: list[_Worker] = []
         self._failed_starts = 0
+
+    def add(self, task: _Task) -> None:
+        self._left.append(task)
 
     def run(self) -> Iterator[Ended]:
         while self._hand_out():

@@ -22,6 +22,7 @@ from batch_scenes import write_scenes
 from navbake.batch import batch as module
 from navbake.batch.crew import DONE, Ended
 from navbake.cli.commands import batch as command
+from navbake.cli.commands import warm_up
 from navbake.errors import NavbakeError
 from navbake.files import TEMPORARY
 from navbake.formats.navgrid import read_navgrid
@@ -176,13 +177,21 @@ def test_wrong_uses_are_one_line(folder, run):
         assert (status, out, err.count("\n")) == (1, "", 1) and message in err, arguments
 
 
+def test_a_cluster_is_asked_for_by_name(folder, run, monkeypatch):
+    assert run("batch", "room.xml", "-o", "out", "--ray-address", "a:1")[0] == 2
+    assert run("batch", "room.xml", "-o", "out", "--executor", "slurm")[0] == 2
+    monkeypatch.setitem(sys.modules, "ray", None)
+    status, _, err = run("batch", "room.xml", "-o", "out", "--executor", "ray", *COARSE)
+    assert status == 1 and 'pip install "navbake[ray]"' in err and err.count("\n") == 1
+
+
 def test_what_is_cold_is_compiled_once_before_workers_start(folder, run, here, monkeypatch):
     compiled = []
     monkeypatch.setattr(command, "compile_all", lambda show: compiled.append(1))
-    monkeypatch.setattr(command, "cold_kernels", lambda: ["navbake.runtime.kernels.a.b"])
+    monkeypatch.setattr(warm_up, "cold_kernels", lambda: ["navbake.runtime.kernels.a.b"])
     run("batch", "room.xml", "-o", "out", *COARSE)
     assert not compiled
-    monkeypatch.setattr(command, "cold_kernels", lambda: [COMMON])
+    monkeypatch.setattr(warm_up, "cold_kernels", lambda: [COMMON])
     run("batch", "room.xml", "-o", "out", *COARSE)
     assert not compiled  # there was nothing to bake
     run("batch", "room.xml", "-o", "else", *COARSE)

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 import navbake
-from navbake.cli.commands.warm_up import cold_kernels, compile_all
+from navbake.cli.commands import warm_up as command
+from navbake.cli.commands.warm_up import cold_kernels, compile_all, pack_code, take_code
 from navbake.cli.main import main
 
 
@@ -60,6 +61,44 @@ def test_the_command(capsys):
         main(["warm-up"])
     assert done.value.code == 0
     assert capsys.readouterr().out.startswith("compiled")
+
+
+def test_compiled_code_as_a_file(tmp_path, monkeypatch, capsys):
+    archive = tmp_path / "kernels.tar.gz"
+    monkeypatch.setattr("navbake.cli.commands.warm_up.compile_all", lambda progress: None)
+
+    def run(*arguments):
+        with pytest.raises(SystemExit) as done:
+            main(["warm-up", *map(str, arguments)])
+        return done.value.code, capsys.readouterr().err
+
+    assert run("--archive", archive) == (0, "") and archive.stat().st_size > 1e6
+    assert run("--unpack", archive) == (0, "")
+    machine = {"numba": "0", "Python": "0", "processor": "x"}
+    monkeypatch.setattr("navbake.compiler.archive.describe_machine", lambda: machine)
+    status, err = run("--unpack", archive)
+    assert status == 0 and err.startswith(
+        f"navbake: warning: nothing of {archive} is of use here: "
+    )
+    (tmp_path / "text.tar.gz").write_text("text")
+    status, err = run("--unpack", tmp_path / "text.tar.gz")
+    assert status == 1 and "expected an archive of navbake warm-up" in err
+    assert run("--archive", tmp_path / "kernels.zip")[0] == 2
+    assert run("--archive", tmp_path / "no" / "kernels.tar.gz")[0] == 1
+
+
+def test_a_node_takes_code_or_compiles_once(monkeypatch):
+    code = pack_code()
+    assert code is not None and take_code(code) is None and take_code(None) is None
+    compiled = []
+    monkeypatch.setattr(command, "bakes_compile", lambda: True)
+    monkeypatch.setattr(command, "compile_all", lambda show: compiled.append(1))
+    assert take_code(None) == "it has compiled code of its own, once"
+    monkeypatch.setattr("navbake.compiler.archive._differs", lambda machine: "it is for x")
+    assert take_code(code).endswith("once; of the batch's, it is for x") and len(compiled) == 2
+    monkeypatch.setattr("navbake.dispatch.can_keep", lambda: False)
+    assert "each worker compiles its own" in take_code(code) and len(compiled) == 2
+    assert pack_code() is None
 
 
 def test_commands_print_what_is_logged(monkeypatch, capsys):

@@ -8,12 +8,18 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from typer import Argument, Exit, Option
 
-from navbake.cli.commands.warm_up import cold_kernels, compile_all, load_kernels
-from navbake.cli.options import Overrides
+from navbake.cli.commands.warm_up import (
+    bakes_compile,
+    compile_all,
+    load_kernels,
+    pack_code,
+    take_code,
+)
+from navbake.cli.options import Overrides, refuse_unused
 from navbake.cli.printing import (
     VOLUME,
     print_error,
@@ -25,6 +31,7 @@ from navbake.errors import NavbakeError
 
 if TYPE_CHECKING:
     from navbake.batch.batch import BatchResult
+    from navbake.batch.cluster.executor import RayExecutor
     from navbake.batch.crew import Event
     from navbake.batch.page.page import LivePage
     from navbake.batch.stores.urls import Folder
@@ -56,7 +63,14 @@ class PerScene(NamedTuple):
 class Wholly(NamedTuple):
     """What concerns the whole batch."""
 
-    jobs: int = Option(1, "-j", "--jobs", min=1, help="Number of worker processes.")
+    jobs: int | None = Option(
+        None,
+        "-j",
+        "--jobs",
+        metavar="N",
+        min=1,
+        help="Number of worker processes: 1 unless given, on a cluster one for each CPU.",
+    )
     max_failures: int | None = Option(
         None, "--max-failures", metavar="N", min=0, help="Stop when more than N scenes failed."
     )
@@ -74,9 +88,24 @@ class Wholly(NamedTuple):
     parquet: bool = Option(False, "--parquet", help="Write the index as index.parquet as well.")
 
 
+class Machines(NamedTuple):
+    """Where the worker processes are."""
+
+    executor: Literal["embedded", "ray"] = Option(
+        "embedded", help="Where workers run: embedded, on this machine; ray, on a Ray cluster."
+    )
+    ray_address: str | None = Option(
+        None,
+        "--ray-address",
+        metavar="ADDRESS",
+        help="Of the Ray cluster; local starts one here. RAY_ADDRESS, else local, unless given.",
+    )
+
+
 def batch(
     per_scene: PerScene,
     wholly: Wholly,
+    machines: Machines,
     sources: list[str] = Argument(
         ...,
         metavar="SOURCE",
@@ -107,16 +136,23 @@ def batch(
     Example: navbake batch "scenes/*.xml" -o grids --jobs 8 --time-limit 300
     """
     from navbake.batch.batch import Batch, Means, run_batch
+    from navbake.batch.cluster.executor import ALL
     from navbake.batch.crew import JobLimits
     from navbake.batch.manifest import list_jobs
     from navbake.batch.settings import read_shared
     from navbake.batch.stores.urls import as_folder
 
+    is_ray = machines.executor == "ray"
+    refuse_unused(
+        ("--ray-address", machines.ray_address is not None, is_ray, "--executor ray"),
+    )
     jobs = list_jobs(sources)
     settings = {} if config is None else read_shared(config)
     limits = JobLimits(per_scene.time_limit, per_scene.memory_limit)
-    means = Means(wholly.jobs, limits, per_scene.retries, wholly.max_failures)
     folder = as_folder(output)
+    executor = _on_ray(machines.ray_address, folder) if is_ray else None
+    count = wholly.jobs or (ALL if is_ray else 1)
+    means = Means(count, limits, per_scene.retries, wholly.max_failures, executor)
     todo = Batch(jobs, folder, settings, overrides or [], make or [], wholly.parquet, wholly.page)
     with ExitStack() as stack:
         teller = _Teller(stack, wholly, folder)
@@ -128,6 +164,16 @@ def batch(
         teller.end(result)
     if result.count("failed") or result.stopped:
         raise Exit(1)
+
+
+def _on_ray(address: str | None, folder: Folder) -> RayExecutor:
+    """What bakes on a Ray cluster, whose nodes must see an output folder that is on no store."""
+    from navbake.batch.cluster.executor import CodeHandover, RayExecutor
+    from navbake.batch.index import LOCK
+
+    code = CodeHandover(pack_code, take_code)
+    witness = folder / LOCK if isinstance(folder, Path) else None
+    return RayExecutor(address, lambda line: print_warnings([line]), code, witness)
 
 
 class _Teller:
@@ -241,12 +287,9 @@ def _warm_up() -> None:
     """Compile the kernels, unless all that any bake calls are: workers find them on disk."""
     from navbake.cli.progress import stage_progress
     from navbake.dispatch import REMEDY, can_keep
-    from navbake.kernel_list import PREFIX, read_list
 
     load_kernels()
-    known = read_list()
-    common = {PREFIX + entry.name for entry in known.entries[: known.num_common]}
-    if common.isdisjoint(cold_kernels()):
+    if not bakes_compile():
         return
     if not can_keep():
         why = f"no folder for compiled code can be written: each worker compiles its own: {REMEDY}"

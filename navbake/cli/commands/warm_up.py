@@ -13,8 +13,12 @@ import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from typer import Option
+
 import navbake
+from navbake.cli.options import check_output
 from navbake.cli.printing import VOLUME, print_warnings, say_unless_quiet
+from navbake.errors import NavbakeError
 
 # Two storeys joined by stairs, with geoms of all kinds, a door, and a crack in the floor
 SCENE = """<mujoco model="warm-up">
@@ -105,21 +109,45 @@ FOREIGN = {
 }
 
 
-def warm_up() -> None:
+def warm_up(
+    archive: Path | None = Option(
+        None, "--archive", metavar="FILE", help="Pack the compiled code, too, into a .tar.gz."
+    ),
+    unpack: Path | None = Option(
+        None,
+        "--unpack",
+        metavar="FILE",
+        help="Take what such a file has first; it holds programs: trust whoever made it.",
+    ),
+) -> None:
     """Compile all kernels for this machine, once.
 
     It takes some minutes. Without it, the first bake and the first query compile what they use.
+    Other machines with the same processor, numba and navbake need not compile if they get the code
+    by --archive and --unpack.
 
-    Example: navbake warm-up
+    Example: navbake warm-up --archive kernels.tar.gz
     """
     from navbake.cli.progress import stage_progress  # loads rich
+    from navbake.compiler.archive import pack_kernels, unpack_kernels  # loads numba
     from navbake.dispatch import REMEDY, can_keep  # loads numba
+    from navbake.formats.source import read_bytes, write_bytes  # loads numpy
 
+    if archive is not None:
+        check_output(archive, ".tar.gz", inputs=[] if unpack is None else [unpack])
     load_kernels()
     if not can_keep():
         lost = f"no folder for compiled code can be written, so nothing can be kept: {REMEDY}"
+        if archive is not None:
+            raise NavbakeError(lost)
         print_warnings([lost])
         return
+    if unpack is not None:
+        expected = "an archive of navbake warm-up"
+        content, name = read_bytes(unpack, begins=b"\x1f\x8b", expected=expected)
+        found = unpack_kernels(content, name)
+        if found.why_not is not None:
+            print_warnings([f"nothing of {unpack} is of use here: {found.why_not}"])
     with stage_progress(title="compiling", hidden=VOLUME.quiet) as progress:
         compile_all(progress)
     cold = cold_kernels()
@@ -127,6 +155,48 @@ def warm_up() -> None:
         print_warnings([f"not compiled, or not kept: {', '.join(cold)}"])
     else:
         say_unless_quiet("compiled: bakes and queries start at once from now on")
+    if archive is not None:
+        write_bytes(pack_kernels(), archive)
+
+
+def pack_code() -> bytes | None:
+    """Pack the compiled code of this machine; None where none is kept."""
+    from navbake.compiler.archive import pack_kernels  # loads numba
+    from navbake.dispatch import can_keep  # loads numba
+
+    load_kernels()
+    return pack_kernels() if can_keep() else None
+
+
+def take_code(code: bytes | None) -> str | None:
+    """Take compiled code that another machine packed, or compile what all bakes need.
+
+    Returns:
+        What its owner should know, a line; None if the code did.
+    """
+    from navbake.compiler.archive import unpack_kernels  # loads numba
+    from navbake.dispatch import REMEDY, can_keep  # loads numba
+
+    load_kernels()
+    if not bakes_compile():
+        return None
+    if not can_keep():
+        return f"no folder for compiled code can be written: each worker compiles its own: {REMEDY}"
+    found = None if code is None else unpack_kernels(code, "the batch's compiled code")
+    if not bakes_compile():
+        return None
+    compile_all(lambda name, share: None)
+    why_not = "" if found is None or found.why_not is None else f"; of the batch's, {found.why_not}"
+    return f"it has compiled code of its own, once{why_not}"
+
+
+def bakes_compile() -> bool:
+    """Whether some of the kernels that all bakes call have never been compiled."""
+    from navbake.kernel_list import PREFIX, read_list  # loads a compiler's helpers
+
+    known = read_list()
+    common = {PREFIX + entry.name for entry in known.entries[: known.num_common]}
+    return not common.isdisjoint(cold_kernels())
 
 
 def load_kernels() -> None:
