@@ -11,6 +11,7 @@ IMPORT = re.compile(r"^from (navbake\.[\w.]*\bkernels\.\w+) import", re.MULTILIN
 TUPLE = re.compile(r"^class \w+\(NamedTuple\):\n(?:(?:    .*)?\n)*", re.MULTILINE)
 FIELD = re.compile(r"^    (\w+): ", re.MULTILINE)
 STAMP = "navbake-kernels.json"
+ABOVE = ("batch", "cli")  # what calls no kernels: no tuple of theirs gets into one
 
 
 def digest_folder(package: str) -> dict[str, str]:
@@ -38,9 +39,14 @@ def _own_digests() -> dict[str, str]:
 def digest_modules(package: Path) -> dict[str, str]:
     """Hash each module of kernels, by its dotted name, with all that its compiled code depends on.
 
-    That is the modules of kernels that it uses, and the fields of the package's named tuples.
+    That is the modules of kernels that it uses, and the fields of the package's named tuples, but
+    for those `ABOVE` what kernels are given.
     """
-    sources = {path: path.read_bytes() for path in sorted(package.rglob("*.py"))}
+    sources = {
+        path: path.read_bytes()
+        for path in sorted(package.rglob("*.py"))
+        if path.relative_to(package).parts[0] not in ABOVE
+    }
     texts = {
         ".".join(path.relative_to(package.parent).with_suffix("").parts): text
         for path, text in sources.items()

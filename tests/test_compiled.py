@@ -117,6 +117,9 @@ def test_digests_follow_the_fields_of_named_tuples(package):
     ball.write_text(text + "    mass: float\n    radius: float\n")
     after = digest_modules(package.parent)
     assert all(before[name] != after[name] for name in before)
+    (package.parent / "batch").mkdir()
+    (package.parent / "batch" / "job.py").write_text(text + "    radius: float\n")
+    assert digest_modules(package.parent) == after  # no kernel is given one of a batch's
 
 
 @pytest.fixture

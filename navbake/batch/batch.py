@@ -10,13 +10,13 @@ from typing import Any, NamedTuple, Protocol
 
 from navbake.batch.crew import DONE, Ended, Event, JobLimits, do_jobs
 from navbake.batch.done import find_done
-from navbake.batch.far import is_far
 from navbake.batch.index import Index, only_batch
 from navbake.batch.job import Job
 from navbake.batch.journal import stamp
 from navbake.batch.products import parse_products
+from navbake.batch.remote import is_remote
 from navbake.batch.settings import check_overrides, settings_of, without_urls
-from navbake.batch.stores.index import FarIndex
+from navbake.batch.stores.index import RemoteIndex
 from navbake.batch.stores.scratch import remove_abandoned
 from navbake.batch.stores.urls import Folder
 from navbake.batch.table import NAME as TABLE
@@ -150,7 +150,7 @@ def run_batch(batch: Batch, means: Means, watch: Watch) -> BatchResult:
         try:
             return _run(orders, index, means, watch)
         finally:
-            if any(map(is_far, orders)):
+            if any(map(is_remote, orders)):
                 remove_abandoned()  # of workers that were killed
             if batch.has_table and index.rows:
                 index.write(TABLE, encode_rows(index.rows))
@@ -164,18 +164,18 @@ def _check_settings(batch: Batch) -> None:
 
 
 @contextmanager
-def _index_of(folder: Folder) -> Iterator[Index | FarIndex]:
+def _index_of(folder: Folder) -> Iterator[Index | RemoteIndex]:
     """The index of an output folder, which no other batch may write into."""
     if isinstance(folder, Path):
         with only_batch(folder), closing(Index(folder)) as index:
             yield index
     else:
-        with closing(FarIndex(folder)) as far_index:
-            yield far_index
+        with closing(RemoteIndex(folder)) as remote_index:
+            yield remote_index
 
 
 def _run(
-    orders: Sequence[Order], index: Index | FarIndex, means: Means, watch: Watch
+    orders: Sequence[Order], index: Index | RemoteIndex, means: Means, watch: Watch
 ) -> BatchResult:
     skipped = find_done(orders, index.known)
     left = {o.job.id: o for o in orders if o.job.id not in skipped}

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from navbake.batch import far
+from navbake.batch import remote
 from navbake.batch.file_states import are_unchanged, path_from
 from navbake.batch.settings import settings_of
 from navbake.batch.work import OK, Order, key_of
@@ -21,12 +21,12 @@ def find_done(orders: Sequence[Order], known: Mapping[str, Json]) -> set[str]:
         orders: of the batch's scenes.
         known: the rows of the index, by id.
     """
-    distant = [order for order in orders if far.is_far(order)]
+    distant = [order for order in orders if remote.is_remote(order)]
     near = {order.job.id: order for order in orders}
     for order in distant:
         del near[order.job.id]
     done = {id for id, order in near.items() if _is_done(order, known.get(id))}
-    return done | far.find_done(distant, known)
+    return done | remote.find_done(distant, known)
 
 
 def _is_done(order: Order, row: Json | None) -> bool:

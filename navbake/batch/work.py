@@ -15,11 +15,11 @@ from navbake import samples
 from navbake._version import __version__
 from navbake.auditor.audit import audit
 from navbake.baker.pipeline import run_bake
-from navbake.batch.far import is_far, make_far, name_source, remove_far_products
 from navbake.batch.file_states import describe_files, path_from
 from navbake.batch.inputs import find_inputs
 from navbake.batch.job import Job
 from navbake.batch.products import GRID, Product, remove_products, write_thumbnail
+from navbake.batch.remote import is_remote, make_remote, name_source, remove_remote_products
 from navbake.batch.settings import digest_settings, settings_of
 from navbake.batch.stores.urls import Folder
 from navbake.config.settings import BakeConfig, load_config
@@ -57,7 +57,7 @@ class Order(NamedTuple):
     @property
     def place(self) -> Path:
         """The scene's folder, which is on this machine."""
-        assert isinstance(self.folder, Path), "far.py knows places on stores"
+        assert isinstance(self.folder, Path), "remote.py knows places on stores"
         return self.folder / self.job.id
 
 
@@ -86,7 +86,7 @@ def do_order(order: Order) -> Json:
     """
     begin = time.perf_counter()
     try:
-        row = make_far(order, _make) if is_far(order) else _make(order)
+        row = make_remote(order, _make) if is_remote(order) else _make(order)
     except MemoryError:
         raise
     except NavbakeError as error:
@@ -104,7 +104,7 @@ def fail(order: Order, how: str, why: str) -> Json:
     if isinstance(order.folder, Path):
         remove_products(order.place)
     else:
-        remove_far_products(order)
+        remove_remote_products(order)
     return {**row_of(order, FAILED), "how": how, "error": why}
 
 

@@ -18,15 +18,15 @@ from hypothesis import strategies as st
 
 from batch_scenes import draw_room
 from navbake.batch import batch as module
-from navbake.batch import far
+from navbake.batch import remote
 from navbake.batch.batch import Batch, Means, run_batch
 from navbake.batch.crew import DONE, Ended
 from navbake.batch.index import LOCK, NAME
 from navbake.batch.manifest import list_jobs
 from navbake.batch.settings import read_shared
-from navbake.batch.stores import index as far_index
+from navbake.batch.stores import index as remote_index
 from navbake.batch.stores import scratch, store
-from navbake.batch.stores.index import PARTS, FarIndex
+from navbake.batch.stores.index import PARTS, RemoteIndex
 from navbake.batch.stores.mirror import Mirror
 from navbake.batch.stores.scratch import PREFIX, remove_abandoned, scratch_folder
 from navbake.batch.stores.store import (
@@ -181,8 +181,8 @@ def test_scenes_on_a_store_give_the_bytes_of_local_ones(rooms):
     make = ["inflated:0.3", "nav2", "voxels:0.5"]
     _, near = run(*(f"rooms/{name}" for name in rooms), products=make)
     assert [row["status"] for row in near.rows] == ["ok"] * 4, near.rows
-    _, result = run(*(f"memory://s/rooms/{name}" for name in rooms), out="far", products=make)
-    assert grids("far") == grids("out") and len(grids("far")) == 20
+    _, result = run(*(f"memory://s/rooms/{name}" for name in rooms), out="remote", products=make)
+    assert grids("remote") == grids("out") and len(grids("remote")) == 20
     _, result = run(
         *(f"memory://s/rooms/{name}" for name in rooms), out="memory://b/c", products=make
     )
@@ -215,9 +215,9 @@ def test_lists_patterns_and_settings_may_be_on_a_store(rooms, memory):
     assert names == ["a", "b", "plain"] and near.count("ok") == 3, near.rows
     shared = {**read_shared("memory://s/rooms/all.yaml"), **SETTINGS}
     assert shared["rooms"] == {"polygons": "memory://s/rooms/plan.geojson"}
-    names, _result = run("memory://s/rooms/list.jsonl", out="far", settings=shared)
-    assert names == ["a", "b", "plain"] and grids("far") == grids("out")
-    assert run("memory://s/rooms/list.jsonl", out="far", settings=shared)[0] == []
+    names, _result = run("memory://s/rooms/list.jsonl", out="remote", settings=shared)
+    assert names == ["a", "b", "plain"] and grids("remote") == grids("out")
+    assert run("memory://s/rooms/list.jsonl", out="remote", settings=shared)[0] == []
     sources = [job.source for job in list_jobs(["memory://s/rooms/**/*.xml"])]
     assert sources == ["memory://s/rooms/mjcf/room.xml", "memory://s/rooms/plain.xml"]
     memory.pipe_file("/s/rooms/.hidden/a.xml", b"")
@@ -240,9 +240,9 @@ def test_lists_patterns_and_settings_may_be_on_a_store(rooms, memory):
 def test_outlines_may_be_named_by_an_override(rooms):
     override = "rooms.polygons=memory://s/rooms/plan.geojson"
     _, _near = run("rooms/plain.xml", overrides=["rooms.polygons=rooms/plan.geojson"])
-    _names, result = run("rooms/plain.xml", out="far", overrides=[override])
-    assert result.count("ok") == 1 and grids("far") == grids("out"), result.rows
-    assert run("rooms/plain.xml", out="far", overrides=[override])[0] == []
+    _names, result = run("rooms/plain.xml", out="remote", overrides=[override])
+    assert result.count("ok") == 1 and grids("remote") == grids("out"), result.rows
+    assert run("rooms/plain.xml", out="remote", overrides=[override])[0] == []
 
 
 def test_a_file_url_is_a_path_of_this_machine(rooms, tmp_path):
@@ -354,7 +354,7 @@ def test_a_scene_that_fails_leaves_nothing_and_is_told_by_its_url(rooms, memory,
     assert {n for n in list_tree("memory://out") if n.startswith("bad")} == {"bad/mine.txt"}
 
     written = []
-    real = far.upload
+    real = remote.upload
 
     def refuse(files, folder):
         """A store that fails before the grid."""
@@ -362,7 +362,7 @@ def test_a_scene_that_fails_leaves_nothing_and_is_told_by_its_url(rooms, memory,
         raise NavbakeError("the store is full")
 
     memory.pipe_file("/s/rooms/bad.xml", draw_room(5).encode())
-    monkeypatch.setattr(far, "upload", refuse)
+    monkeypatch.setattr(remote, "upload", refuse)
     _, result = run(*sources[:2], out="memory://out", products=["nav2"])
     assert written and result.count("failed") == 2
     assert {n for n in list_tree("memory://out") if "/" in n} == {"bad/mine.txt"}
@@ -401,8 +401,10 @@ def test_a_scene_on_a_store_whose_names_nobody_knows_is_refused(memory, tmp_path
 
 def test_the_grid_is_the_last_file_of_a_scene(memory, monkeypatch):
     written = []
-    real = far.upload
-    monkeypatch.setattr(far, "upload", lambda files, to: written.extend(files) or real(files, to))
+    real = remote.upload
+    monkeypatch.setattr(
+        remote, "upload", lambda files, to: written.extend(files) or real(files, to)
+    )
     memory.pipe_file("/a/b.xml", draw_room(1).encode())
     assert run("memory://a/b.xml", out="memory://out", products=["nav2"])[1].count("ok") == 1
     assert written == ["nav2.pgm", "nav2.yaml", "grid.json.gz"]
@@ -535,8 +537,8 @@ def test_a_recent_time_proves_nothing_and_content_decides(memory, monkeypatch):
 @pytest.fixture
 def quick(monkeypatch):
     """Intervals of a few milliseconds."""
-    monkeypatch.setattr(far_index, "INTERVAL", 0.02)
-    monkeypatch.setattr(far_index, "PATIENCE", 0.2)
+    monkeypatch.setattr(remote_index, "INTERVAL", 0.02)
+    monkeypatch.setattr(remote_index, "PATIENCE", 0.2)
 
 
 def wait_until(is_so):
@@ -547,13 +549,13 @@ def wait_until(is_so):
 
 
 def test_rows_are_in_parts_until_the_end(memory, quick):
-    index = FarIndex("memory://out")
+    index = RemoteIndex("memory://out")
     index.add({"id": "a", "n": 1})
     wait_until(lambda: len(list_tree(f"memory://out/{PARTS}")) == 1)
     index.add({"id": "b", "n": 1})
     wait_until(lambda: len(list_tree(f"memory://out/{PARTS}")) == 2)
     index.close()  # before it is finished
-    index = FarIndex("memory://out")
+    index = RemoteIndex("memory://out")
     assert [*index.known] == ["a", "b"] and not list_tree(f"memory://out/{PARTS}")
     assert read_file(f"memory://out/{NAME}", 99) == b'{"id":"a","n":1}\n{"id":"b","n":1}\n'
     index.add({"id": "b", "n": 2})
@@ -565,9 +567,9 @@ def test_rows_are_in_parts_until_the_end(memory, quick):
 
 
 def test_only_one_batch_writes_into_a_folder(memory, quick):
-    first = FarIndex("memory://out")
+    first = RemoteIndex("memory://out")
     with pytest.raises(NavbakeError, match="another batch writes into memory://out"):
-        FarIndex("memory://out")
+        RemoteIndex("memory://out")
     memory.pipe_file(f"/out/{LOCK}", b'{"token": "other"}')
     refused = []
 
@@ -584,7 +586,7 @@ def test_only_one_batch_writes_into_a_folder(memory, quick):
     first.close()
     assert list(list_tree("memory://out")) == [LOCK]  # which is the other's
     begin = time.monotonic()
-    second = FarIndex("memory://out")  # of which nothing is heard
+    second = RemoteIndex("memory://out")  # of which nothing is heard
     assert time.monotonic() - begin >= 0.2
     second.close()
     assert list(list_tree("memory://out")) == []
@@ -595,12 +597,12 @@ def test_the_folder_of_a_batch_that_died_here_is_free_at_once(memory):
     token = {"token": "a", "beat": 3, "host": platform.node(), "pid": 2**22 + 1}  # no such process
     memory.pipe_file(f"/out/{LOCK}", json.dumps(token).encode())
     begin = time.monotonic()
-    FarIndex("memory://out").close()
-    assert time.monotonic() - begin < far_index.PATIENCE / 2
+    RemoteIndex("memory://out").close()
+    assert time.monotonic() - begin < remote_index.PATIENCE / 2
 
 
 def test_what_a_store_refuses_once_is_written_later(memory, quick, monkeypatch):
-    index = FarIndex("memory://out")
+    index = RemoteIndex("memory://out")
     refused = []
 
     def refuse(url, content):
@@ -608,7 +610,7 @@ def test_what_a_store_refuses_once_is_written_later(memory, quick, monkeypatch):
         raise NavbakeError("no network")
 
     with monkeypatch.context() as patch:
-        patch.setattr(far_index, "write_file", refuse)
+        patch.setattr(remote_index, "write_file", refuse)
         index.add({"id": "a"})
         wait_until(lambda: len(refused) > 2)
     wait_until(lambda: list_tree(f"memory://out/{PARTS}"))

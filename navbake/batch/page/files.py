@@ -40,7 +40,7 @@ class BatchFiles(Protocol):
         """Write a file beside the index."""
 
 
-class NearFiles:
+class LocalFiles:
     """Those of a folder on this machine."""
 
     def __init__(self, folder: Path) -> None:
@@ -68,7 +68,7 @@ class NearFiles:
         write_bytes(content, self._folder / name)
 
 
-class FarFiles:
+class RemoteFiles:
     """Those of a folder on a store."""
 
     def __init__(self, folder: str) -> None:
@@ -101,4 +101,4 @@ class FarFiles:
 
 def files_of(folder: Folder) -> BatchFiles:
     """The files of a folder, wherever it is."""
-    return NearFiles(folder) if isinstance(folder, Path) else FarFiles(folder)
+    return LocalFiles(folder) if isinstance(folder, Path) else RemoteFiles(folder)

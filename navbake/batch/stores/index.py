@@ -2,7 +2,7 @@
 
 While the batch runs, what became of scenes is in parts: each a file in `.navbake-index`, written
 every few seconds. At the end they become `index.jsonl`, as on this machine. A file with a token of
-the batch, written anew as often, keeps others away; see `FarIndex`.
+the batch, written anew as often, keeps others away; see `RemoteIndex`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ PATIENCE = 30.0  # how long a batch must not have written its token to be taken 
 MAX_BYTES = 4 << 30  # of an index
 
 
-class FarIndex:
+class RemoteIndex:
     """The index of a folder on a store, to which one batch adds rows.
 
     Only one batch at a time may have it, as far as the store lets anybody know: a batch writes a

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 POLYGONS = ("rooms", "polygons")  # the one setting that names a file
 
 
-def is_far(order: Order) -> bool:
+def is_remote(order: Order) -> bool:
     """Whether a scene, its outlines of rooms, or the output folder is on a store."""
     return is_url(order.folder) or any(map(is_url, _named(order)))
 
@@ -65,7 +65,7 @@ def key_of_far(order: Order) -> str:
     return hashlib.sha256(canonical.encode()).hexdigest()
 
 
-def make_far(order: Order, make: Callable[[Order], Json]) -> Json:
+def make_remote(order: Order, make: Callable[[Order], Json]) -> Json:
     """Make what is asked for of a scene in a temporary folder; `make` does so of what is near.
 
     On a store, files appear whole as well, the grid last. Errors and the row name what is on a
@@ -114,7 +114,7 @@ def remove_products_at(place: str) -> None:
     remove_files(f"{place}/{name}" for name in sorted(names, key=lambda name: name != GRID))
 
 
-def remove_far_products(order: Order) -> None:
+def remove_remote_products(order: Order) -> None:
     """Remove what was made of a scene that failed, as far as the store lets."""
     with suppress(NavbakeError):
         remove_products_at(f"{order.folder}/{order.job.id}")
