@@ -154,7 +154,7 @@ def _text_of(source: str) -> str:
 def _name(found: list[Entry]) -> list[str]:
     """The id of each entry: its own, or the end of its path that no other has."""
     # absolute, so that ids hold no `..`
-    paths = [PurePath(os.path.abspath(source)).with_suffix("") for _, source, _, _ in found]
+    paths = [PurePath(os.path.splitext(os.path.abspath(source))[0]) for _, source, _, _ in found]
     depths = [1] * len(found)
     while True:
         names = [
