@@ -51,7 +51,7 @@ def bomb(edge: int, color: int) -> bytes:
 
 
 def mutate_png(data: bytes, rng: Random) -> bytes:
-    """A PNG with another size, depth or kind, chunks changed, doubled or swapped, or other bytes."""
+    """A PNG with another size, depth or kind, other chunks, or other bytes."""
     chance = rng.random()
     if chance < 0.002:
         return bomb(*rng.choice(((3000, 2), (5500, 0), (9000, 0), (9000, 6))))

@@ -20,7 +20,7 @@ from navbake.navgrid.polygon import find_fault
 from navbake.types import Float, Json
 
 MAX_BYTES = 64 << 20
-MAX_CORNERS = 100_000  # of all outlines; checking each takes the square of its corners
+MAX_CORNERS = 100_000  # of all outlines
 
 Ring = list[list[float]]
 
