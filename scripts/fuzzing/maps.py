@@ -18,6 +18,7 @@ from fuzzing.images import join_png, make_map_image, mutate_png, split_png
 from fuzzing.kind import Input
 from fuzzing.mutations import WORDS, cut, dump_tree, mutate_bytes, mutate_tree, odd_value
 from navbake.arena import map_descriptor
+from navbake.errors import FormatError
 from navbake.formats.maps.procthor import encode_procthor
 
 NAV2: dict[str, Any] = {
@@ -101,8 +102,11 @@ def make_descriptor(rng: Random) -> Input:
 
 
 def read_descriptor(path: Path) -> Sequence[Any]:
-    """Decode a descriptor."""
-    (part1, part2), shape = json.loads(path.read_bytes())
+    """Decode a descriptor; its parts and its shape are in a list."""
+    try:
+        (part1, part2), shape = json.loads(path.read_bytes())
+    except (ValueError, TypeError) as error:
+        raise FormatError("no list of two parts and a shape") from error
     return map_descriptor.decode(part1, part2, shape)
 
 
