@@ -1,8 +1,7 @@
 """Feeds a reader with inputs that Atheris finds by what they reach in the code; as long as asked.
 
-It begins with inputs of `scripts/fuzz.py`, changes them by bytes or asks that for new ones, and goes
-on with those that reach lines that none has reached. What goes wrong is judged as there. A finding
-is printed and kept, once for each place in the code, and the search goes on; what kills the process
+It begins with inputs of `scripts/fuzz.py`, changes their bytes or asks that for new ones, and goes
+on with those that reach new lines. What goes wrong is judged as there. A finding is printed and kept, once for each place in the code, and the search goes on; what kills the process
 is kept by libFuzzer. Needs `pip install atheris` (Linux, CPython 3.11 to 3.13).
 
     python scripts/fuzz_atheris.py yaml --seconds 600

@@ -8,6 +8,7 @@ import gzip
 import io
 import json
 import os
+import struct
 import zipfile
 
 import numpy as np
@@ -62,6 +63,11 @@ def signalling():
     return claimed_array("(1, 2)", "<f8", content)
 
 
+def stl(corner):
+    """A binary STL of one triangle, whose corners have this bit pattern thrice."""
+    return bytes(80) + struct.pack("<I3f9IH", 1, 0, 0, 1, *[corner] * 9, 0)
+
+
 # Inputs that were findings: (kind, input)
 FOUND = [
     ("yaml", Input(b"scene: {path: a}\na: !!bool maybe", ".yaml")),
@@ -98,6 +104,7 @@ FOUND = [
         level(tileAttributes={f"a{k}": {"encoding": "rle", "data": [1, 10**6]} for k in range(40)}),
         ".json")),
     ("grid-npz", Input(archive(**{"0/weights.npy": signalling()}), ".npz")),  # a warning of numpy
+    ("stl", Input(stl(0x7FA00000), ".stl")),  # a warning of numpy
     ("nav2", Input(MAP % (b"1" * 400, b"0", b"0.6", b"raw"), ".yaml", {"map.png": grey_png()})),
     ("manifest", Input(b'{"scene": "/"}', ".jsonl")),
     ("index", Input(b'{"id": "a", "x": ' + b"[" * 100_000, ".jsonl")),

@@ -71,6 +71,7 @@ def _named_files(scene: Path) -> Iterator[Path]:
 
 def _root(path: Path) -> ElementTree.Element | None:
     try:
-        return ElementTree.parse(path).getroot()
+        # who reads a pipe may wait for ever
+        return ElementTree.parse(path).getroot() if os.path.isfile(path) else None
     except (OSError, ElementTree.ParseError, ValueError, LookupError, RecursionError):
         return None

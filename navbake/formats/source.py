@@ -152,7 +152,7 @@ def _read_rest(head: bytes, stream: BinaryIO | gzip.GzipFile, limit: int, top: J
     pieces, size = [head] if head else [], len(head)  # one piece alone is not copied
     left = _bytes_left(stream)
     if left > limit:  # known before anything is read
-        top.fail(f"more than {limit >> 20} MiB of data")
+        top.fail(f"more than {_shown_limit(limit)} of data")
     step = max(CHUNK, left)  # all that is left of a file at once
     while chunk := stream.read(min(step, limit + 1)):  # not more at once, it would be reserved
         pieces.append(chunk)
@@ -160,8 +160,12 @@ def _read_rest(head: bytes, stream: BinaryIO | gzip.GzipFile, limit: int, top: J
         step = CHUNK
         if size > limit:
             remedy = "" if limit == MAX_BYTES else "unpack it first if that is meant"
-            top.fail(f"more than {limit >> 20} MiB of data", remedy)
+            top.fail(f"more than {_shown_limit(limit)} of data", remedy)
     return b"".join(pieces)
+
+
+def _shown_limit(limit: int) -> str:
+    return f"{limit >> 20} MiB" if limit >> 20 else f"{limit:,} bytes"
 
 
 def _bytes_left(stream: BinaryIO | gzip.GzipFile) -> int:
