@@ -39,7 +39,7 @@ from navbake.errors import NavbakeError
 from navbake.files import write_whole
 
 LOADING = 300.0  # in which a child is ready; kernels may have to be compiled [s]
-PATIENCE = 60.0  # in which an input is done, where others use the processor, too [s]
+PATIENCE = 300.0  # in which an input is done, where others use the processor, too [s]
 CHECK_SECONDS = 5.0  # of the processor, for what is done with what was read
 MOST_GIB = 4.0  # that a child may reserve beyond what it starts with
 CHUNK = 1000  # inputs of a kind before it is another one's turn, and the state is written

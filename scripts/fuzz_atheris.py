@@ -1,8 +1,9 @@
 """Feeds a reader with inputs that Atheris finds by what they reach in the code; as long as asked.
 
 It begins with inputs of `scripts/fuzz.py`, changes their bytes or asks that for new ones, and goes
-on with those that reach new lines. What goes wrong is judged as there. A finding is printed and kept, once for each place in the code, and the search goes on; what kills the process
-is kept by libFuzzer. Needs `pip install atheris` (Linux, CPython 3.11 to 3.13).
+on with those that reach new lines. What goes wrong is judged as there. A finding is printed and
+kept, once for each place in the code, and the search goes on; what kills the process is kept by
+libFuzzer. It needs `pip install atheris` (Linux).
 
     python scripts/fuzz_atheris.py yaml --seconds 600
     python scripts/fuzz_atheris.py navgrid --folder /tmp/found   # until Ctrl-C
@@ -20,15 +21,13 @@ from random import Random
 import atheris
 
 PACKAGE = Path(__file__).resolve().parents[1] / "navbake"
-READERS = ("arena", "batch", "config", "formats", "navgrid", "baker.scene", "views.report")
 # numba compiles these from their bytecode, which instruments change
 KERNELS = [
-    ".".join(folder.relative_to(PACKAGE.parent).parts) for folder in PACKAGE.rglob("kernels")
+    ".".join(file.relative_to(PACKAGE.parent).with_suffix("").parts)
+    for file in PACKAGE.rglob("kernels/*.py")
 ]
 
-with atheris.instrument_imports(
-    include=[f"navbake.{name}" for name in READERS], exclude=[*KERNELS, "navbake.kernel_list"]
-):
+with atheris.instrument_imports(include=["navbake"], exclude=KERNELS):
     import fuzz
     from fuzzing.kind import Input
     from fuzzing.kinds import KINDS

@@ -13,7 +13,8 @@ MAX_BYTES = 1_000_000  # of a YAML file; settings take a few thousand
 MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))  # their keys may hold dots
 
 
-MAX_DEPTH = 100  # of lists and mappings in each other
+MAX_DEPTH = 32  # of lists and mappings in each other; settings take 6
+MAX_NODES = 40_000  # values that stand in a file; PyYAML takes a second for them
 MAX_VALUES = 1_000_000  # of a YAML file, each alias counted as all that it stands for
 # What PyYAML raises for a value that an explicit tag, as in ``!!bool maybe``, does not fit
 UNFIT = (AttributeError, IndexError, KeyError, TypeError, ValueError)
@@ -28,12 +29,17 @@ class _Loader(yaml.SafeLoader):
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012
 
     depth = 0  # of the node that is composed
+    num_nodes = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         """Compose a node and those in it; PyYAML takes the square of the depth for it."""
         if self.depth >= MAX_DEPTH:
             raise RecursionError
         self.depth += 1
+        self.num_nodes += 1
+        if self.num_nodes > MAX_NODES:
+            why = f"more than {MAX_NODES:,} values (outlines of rooms may be a GeoJSON file)"
+            raise yaml.composer.ComposerError(None, None, why, self.peek_event().start_mark)
         node: yaml.Node | None = super().compose_node(parent, index)
         self.depth -= 1
         return node
