@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
-from contextlib import closing
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from navbake.batch.crew import DONE, Ended, JobLimits, do_jobs
-from navbake.batch.file_states import are_unchanged, path_from
+from navbake.batch.done import find_done
+from navbake.batch.far import is_far
 from navbake.batch.index import Index, only_batch
 from navbake.batch.job import Job
 from navbake.batch.products import parse_products
-from navbake.batch.settings import check_overrides, settings_of
-from navbake.batch.work import (
-    DIGITS,
-    FAILED,
-    LEFT,
-    OK,
-    Order,
-    do_order,
-    fail,
-    key_of,
-    prepare,
-    row_of,
-)
-from navbake.errors import NavbakeError
+from navbake.batch.settings import check_overrides, settings_of, without_urls
+from navbake.batch.stores.index import FarIndex
+from navbake.batch.stores.scratch import remove_abandoned
+from navbake.batch.stores.urls import Folder
+from navbake.batch.table import NAME as TABLE
+from navbake.batch.table import check_pyarrow, encode_rows
+from navbake.batch.work import DIGITS, FAILED, LEFT, Order, do_order, fail, prepare, row_of
 from navbake.files import remove_leftovers
 from navbake.types import Json
 
@@ -37,17 +30,20 @@ class Batch(NamedTuple):
 
     Attributes:
         jobs: the scenes, see `manifest.list_jobs`.
-        folder: where the scenes' folders and the index are written; made if it isn't there.
+        folder: where the scenes' folders and the index are written, a Path or a URL; made if it
+            isn't there.
         settings: what all scenes share, see `settings.read_shared`.
         overrides: ``a.b=value``, for all scenes.
         products: what to make of each besides its grid, see `products.KINDS`.
+        has_table: whether the index is written as Parquet as well.
     """
 
     jobs: Sequence[Job]
-    folder: Path
+    folder: Folder
     settings: Json
     overrides: Sequence[str] = ()
     products: Sequence[str] = ()
+    has_table: bool = False
 
 
 class Means(NamedTuple):
@@ -110,23 +106,46 @@ def run_batch(batch: Batch, means: Means, watch: Watch) -> BatchResult:
     """
     products = parse_products(batch.products)
     check_overrides(batch.overrides)
+    if batch.has_table:
+        check_pyarrow()
     _check_settings(batch)
     orders = [
         Order(job, batch.settings, tuple(batch.overrides), products, batch.folder)
         for job in batch.jobs
     ]
-    with only_batch(batch.folder), closing(Index(batch.folder)) as index:
-        return _run(orders, index, means, watch)
+    with _index_of(batch.folder) as index:
+        index.remove(TABLE)  # it would say less than the index as soon as a scene ends
+        try:
+            return _run(orders, index, means, watch)
+        finally:
+            if any(map(is_far, orders)):
+                remove_abandoned()  # of workers that were killed
+            if batch.has_table and index.rows:
+                index.write(TABLE, encode_rows(index.rows))
 
 
 def _check_settings(batch: Batch) -> None:
     """Find out what is wrong with the settings that all scenes share before any scene fails."""
     nobody = Job("scene", "scene.xml", {}, "the batch")
-    settings_of(nobody, batch.settings, batch.overrides)
+    settings, overrides = without_urls(batch.settings, batch.overrides)
+    settings_of(nobody, settings, overrides)
 
 
-def _run(orders: Sequence[Order], index: Index, means: Means, watch: Watch) -> BatchResult:
-    skipped = {o.job.id for o in orders if _is_done(o, index.known.get(o.job.id))}
+@contextmanager
+def _index_of(folder: Folder) -> Iterator[Index | FarIndex]:
+    """The index of an output folder, which no other batch may write into."""
+    if isinstance(folder, Path):
+        with only_batch(folder), closing(Index(folder)) as index:
+            yield index
+    else:
+        with closing(FarIndex(folder)) as far_index:
+            yield far_index
+
+
+def _run(
+    orders: Sequence[Order], index: Index | FarIndex, means: Means, watch: Watch
+) -> BatchResult:
+    skipped = find_done(orders, index.known)
     left = {o.job.id: o for o in orders if o.job.id not in skipped}
     result = BatchResult(skipped=len(skipped))
     waiting, num_failed = [*left.values()], 0
@@ -155,7 +174,8 @@ def _run(orders: Sequence[Order], index: Index, means: Means, watch: Watch) -> B
             [order.job.id for order in orders], skipped, lambda id: row_of(left[id], LEFT)
         )
         for row in result.rows:
-            if row["status"] == LEFT:  # its worker may have been killed as it wrote
+            # its worker may have been killed as it wrote; on a store, the next one removes that
+            if row["status"] == LEFT and isinstance(left[row["id"]].folder, Path):
                 remove_leftovers(left[row["id"]].place)
     return result
 
@@ -166,21 +186,3 @@ def _row(order: Order, end: Ended) -> Json:
         row: Json = end.value
         return row
     return {**fail(order, end.how, end.value), "seconds": round(end.seconds, DIGITS)}
-
-
-def _is_done(order: Order, row: Json | None) -> bool:
-    """Whether a row of the index is of the same files, settings, products and version."""
-    if row is None or row.get("status") != OK:
-        return False
-    try:
-        if not os.path.isfile(order.job.source):  # who reads a pipe may wait for ever
-            return False
-        config = settings_of(order.job, order.settings, order.overrides)
-        return bool(
-            row["key"] == key_of(order, config)
-            and row["named"] == [path_from(path, order.folder) for path in config.inputs]
-            and are_unchanged(row["inputs"], order.folder)
-            and are_unchanged(row["files"], order.place)
-        )
-    except (NavbakeError, KeyError, TypeError, AttributeError):  # or no row of a batch's
-        return False

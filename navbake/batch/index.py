@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -53,7 +53,7 @@ def read_index(folder: Path) -> dict[str, Json]:
     A line that was cut off, as when a batch was killed, counts as none.
     """
     try:
-        return _parse((folder / NAME).read_bytes())
+        return parse_rows((folder / NAME).read_bytes())
     except FileNotFoundError:
         return {}
 
@@ -65,14 +65,16 @@ class Index:
 
     Attributes:
         known: the rows that were there before, by id.
+        rows: all rows, once it is finished.
     """
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / NAME
+        self.rows: list[Json] = []
         with _naming(folder):
             self._file = os.open(self._path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666)
             content = self._path.read_bytes()
-            self.known = _parse(content)
+            self.known = parse_rows(content)
             if content and not content.endswith(b"\n"):
                 os.write(self._file, b"\n")  # ends a line that was cut off
             self._begin = os.fstat(self._file).st_size
@@ -80,7 +82,7 @@ class Index:
     def add(self, row: Json) -> None:
         """Add a scene's line, in one write."""
         with _naming(self._path.parent):
-            os.write(self._file, _line(row))
+            os.write(self._file, line_of(row))
 
     def finish(
         self, ids: Iterable[str], skipped: Collection[str], left: Callable[[str], Json]
@@ -96,12 +98,22 @@ class Index:
             The rows of the batch's scenes.
         """
         # from the file: Ctrl-C may come between any two statements of Python
-        added = _parse(self._path.read_bytes()[self._begin :])
-        own = {id: added.get(id) or (self.known[id] if id in skipped else left(id)) for id in ids}
-        others = [row for id, row in self.known.items() if id not in own]
+        added = parse_rows(self._path.read_bytes()[self._begin :])
+        own, others = order_rows(ids, self.known, added, skipped, left)
+        self.rows = [*own, *others]
         with _naming(self._path.parent):
-            write_whole(b"".join(map(_line, [*own.values(), *others])), self._path)
-        return [*own.values()]
+            write_whole(join_rows(self.rows), self._path)
+        return own
+
+    def write(self, name: str, content: bytes) -> None:
+        """Write a file beside the index."""
+        with _naming(self._path.parent):
+            write_whole(content, self._path.with_name(name))
+
+    def remove(self, name: str) -> None:
+        """Remove a file beside the index, if it is there."""
+        with _naming(self._path.parent):
+            self._path.with_name(name).unlink(missing_ok=True)
 
     def close(self) -> None:
         """Give the file back; its lines stay."""
@@ -118,7 +130,20 @@ def _naming(folder: Path) -> Iterator[None]:
         raise NavbakeError(f"cannot write into {folder}: {error.strerror}") from error
 
 
-def _parse(content: bytes) -> dict[str, Json]:
+def order_rows(
+    ids: Iterable[str],
+    known: Mapping[str, Json],
+    added: Mapping[str, Json],
+    skipped: Collection[str],
+    left: Callable[[str], Json],
+) -> tuple[list[Json], list[Json]]:
+    """The rows of a batch's scenes in its order, and those of other scenes; see `Index.finish`."""
+    own = {id: added.get(id) or (known[id] if id in skipped else left(id)) for id in ids}
+    return [*own.values()], [row for id, row in known.items() if id not in own]
+
+
+def parse_rows(content: bytes) -> dict[str, Json]:
+    """The last row of each scene in lines of JSON, by its id; what is no row counts as none."""
     rows: dict[str, Json] = {}
     for line in content.split(b"\n"):
         try:
@@ -140,5 +165,11 @@ def _finite(text: str) -> float:
     return number if math.isfinite(number) else _refuse(text)
 
 
-def _line(row: Json) -> bytes:
+def join_rows(rows: Iterable[Json]) -> bytes:
+    """Rows as `parse_rows` reads them."""
+    return b"".join(map(line_of, rows))
+
+
+def line_of(row: Json) -> bytes:
+    """A row as a line of JSON."""
     return json.dumps(row, separators=(",", ":"), allow_nan=False).encode() + b"\n"

@@ -2,74 +2,148 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any, Protocol
+from urllib.parse import unquote
 from xml.etree import ElementTree
 
 from navbake.baker.scene.urdf import read_urdf
 from navbake.errors import SceneError
 
 XML_SUFFIXES = (".xml", ".mjcf", ".urdf")
-FOLDERS = ("meshdir", "assetdir")  # attributes of a compiler that say where files are
+MODELS = ("include", "model", "attach")  # elements whose file is MJCF, whatever its name
 LOOKS = ("texture", "skin")  # what changes how a scene looks, and no cell
+# attributes of a compiler that say where files are; of looks as well
+FOLDERS = ("meshdir", "assetdir")
+LOOK_FOLDERS = (*FOLDERS, "texturedir")
+# attributes that name a file; of looks as well, of which a cube has one a side
+NAMES = ("file",)
+LOOK_NAMES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
 
 
-def find_inputs(scene: Path) -> list[Path]:
+class Files(Protocol):
+    """Where a scene's files are looked for."""
+
+    def has(self, path: Path) -> bool:
+        """Whether there is such a file."""
+
+    def bring(self, path: Path) -> None:
+        """Make ready for reading what `has` found."""
+
+
+class FilesHere:
+    """The files of this machine."""
+
+    def has(self, path: Path) -> bool:
+        """Whether there is such a file; a pipe or a folder is none."""
+        return os.path.isfile(path)
+
+    def bring(self, path: Path) -> None:
+        """Do nothing: it is there."""
+
+
+HERE = FilesHere()
+
+
+def find_inputs(scene: Path, files: Files = HERE, *, looks: bool = False) -> list[Path]:
     """The files that a scene is made of, as far as they are there: itself first, then sorted.
 
     In MJCF these are all that an element names as its ``file``, in included files and attached
     models as well, but for textures and skins. Which folder a name counts from depends on the
     compiler's settings and on MuJoCo's version, so it is looked for in all that come into question:
     one file too many costs a bake that was not needed, one too few a stale grid. XML that is broken
-    names nothing.
+    names nothing. Of URDF they are the meshes, of glTF the files of numbers beside it.
+
+    Args:
+        scene: its file.
+        files: where to look for the others.
+        looks: whether textures and skins are asked for as well.
     """
-    if scene.suffix.lower() not in XML_SUFFIXES:
-        return [scene]
-    root = _root(scene)
-    if root is not None and root.tag == "robot":
-        return [scene, *sorted(_meshes_of_urdf(scene))]
-    return [scene, *sorted(set(_named_files(scene)) - {scene})]
+    suffix = scene.suffix.lower()
+    root = _root(scene, files) if suffix in XML_SUFFIXES else None
+    if root is None:
+        found = {*_buffers((scene,), files)}
+    elif root.tag == "robot":
+        meshes = _meshes_of_urdf(scene, files)
+        found = {*meshes, *_buffers(meshes, files)}
+    else:
+        found = {*_named_files(scene, files, looks)}
+    return [scene, *sorted(found - {scene})]
 
 
-def _meshes_of_urdf(scene: Path) -> set[Path]:
+def _meshes_of_urdf(scene: Path, files: Files) -> set[Path]:
     try:
-        return {*read_urdf(scene)[1].values()}
+        return {*read_urdf(scene, files.has)[1].values()}
     except SceneError:
         return set()
 
 
-def _named_files(scene: Path) -> Iterator[Path]:
+def _buffers(meshes: Iterable[Path], files: Files) -> Iterator[Path]:
+    """The files that glTF files keep their numbers in."""
+    for mesh in meshes:
+        if mesh.suffix.lower() != ".gltf" or not files.has(mesh):
+            continue
+        files.bring(mesh)
+        try:
+            header = json.loads(mesh.read_bytes())
+            uris = [str(buffer["uri"]) for buffer in header["buffers"] if "uri" in buffer]
+        except (OSError, ValueError, RecursionError, LookupError, TypeError):
+            continue
+        for uri in uris:
+            for name in {} if uri.startswith("data:") else {uri, uri.strip(), unquote(uri)}:
+                if "\0" not in name and files.has(mesh.parent / name):
+                    yield mesh.parent / name
+
+
+def _named_files(scene: Path, files: Files, looks: bool) -> Iterator[Path]:
     names: dict[str, None] = {}
     folders = {scene.parent: None}
+    left_out = () if looks else LOOKS
     left, seen = [scene], {os.path.realpath(scene)}
     while left:
         file = left.pop()
-        root = _root(file)
+        root = _root(file, files)
         for element in () if root is None else root.iter():
-            for key in FOLDERS:
+            for key in LOOK_FOLDERS if looks else FOLDERS:
                 if key in element.attrib:
                     for home in (scene.parent, file.parent):
-                        folders[home / element.attrib[key]] = None
-            name = element.get("file")
-            if not name or element.tag in LOOKS:
+                        folders[home / _slashed(element.attrib[key])] = None
+            if element.tag in left_out:
                 continue
-            names[name] = None
-            for path in (scene.parent / name, file.parent / name):
-                is_xml = path.suffix.lower() in XML_SUFFIXES and os.path.isfile(path)
-                if is_xml and os.path.realpath(path) not in seen:
-                    seen.add(os.path.realpath(path))
-                    folders[path.parent] = None
-                    left.append(path)
+            for name in _names_of(element, looks):
+                names[name] = None
+                for path in (scene.parent / name, file.parent / name):
+                    is_xml = path.suffix.lower() in XML_SUFFIXES or element.tag in MODELS
+                    if is_xml and files.has(path) and os.path.realpath(path) not in seen:
+                        seen.add(os.path.realpath(path))
+                        folders[path.parent] = None
+                        left.append(path)
     for name in names:
         for folder in folders:
             # `strippath` of a compiler leaves out the folders of names
             for path in (folder / name, folder / Path(name).name):
-                if os.path.isfile(path):
+                if files.has(path):
                     yield path
 
 
-def _root(path: Path) -> ElementTree.Element | None:
+def _names_of(element: ElementTree.Element, looks: bool) -> list[str]:
+    names = (element.get(key) for key in (LOOK_NAMES if looks else NAMES))
+    return [_slashed(name) for name in names if name]
+
+
+def _slashed(name: str) -> str:
+    """A path as MuJoCo reads it on any system: a backslash stands between folders, too."""
+    return name.replace("\\", "/")
+
+
+def _root(path: Path, files: Files) -> Any:
+    """The root element of an XML file; None where it is broken or missing."""
+    if not files.has(path):
+        return None
+    files.bring(path)
     try:
         # who reads a pipe may wait for ever
         return ElementTree.parse(path).getroot() if os.path.isfile(path) else None

@@ -9,17 +9,20 @@ import json
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from pathlib import PurePath
+from pathlib import Path, PurePath, PurePosixPath
 from typing import Any
 
 from navbake.batch.job import Job, check_id, check_unique
 from navbake.batch.settings import check_shared, nest
+from navbake.batch.stores.store import is_pattern, match_files, read_file
+from navbake.batch.stores.urls import Folder, is_url, join, parent, plain_path, shown, split_url
+from navbake.batch.table import read_table
 from navbake.config.settings import BakeConfig
 from navbake.errors import ConfigError, FormatError
 from navbake.formats.source import read_bytes
 from navbake.types import Json
 
-LISTS = (".txt", ".csv", ".jsonl")
+LISTS = (".txt", ".csv", ".jsonl", ".parquet")
 MAX_BYTES = 1 << 30  # of a list
 SCENE_KEYS = ("scene", "config")  # of a row; one of them
 TEXTS = ("id", *SCENE_KEYS)  # of which `001` is text
@@ -32,16 +35,19 @@ def list_jobs(sources: Iterable[str]) -> list[Job]:
     """List the scenes that some sources name, in their order.
 
     A source is a scene or settings (YAML); a pattern with ``*``, ``?`` or ``[``, whose files come
-    sorted; or a list: ``.txt`` with a path a line, ``.csv`` or ``.jsonl`` with a row a scene. Paths
-    in a list are relative to it. A row has ``scene`` or ``config``; it may have ``id``, and
-    settings under their keys (``agent.radius``), in JSON lines also as ``"settings": {"agent":
-    {"radius": 0.3}}``. An empty value is none.
+    sorted; or a list: ``.txt`` with a path a line, ``.csv``, ``.jsonl`` or ``.parquet`` with a row
+    a scene. Each may be a URL that fsspec knows. Paths in a list are relative to it. A row has
+    ``scene`` or ``config``; it may have ``id``, and settings under their keys (``agent.radius``),
+    in JSON lines and Parquet also as ``"settings": {"agent": {"radius": 0.3}}``. An empty value is
+    none.
 
     An id that isn't given is the file's name without its ending; of names that several share,
     with as many of the folders above as tell them apart.
 
     Raises:
         ConfigError: a source names nothing, a list is broken, or ids can't be told apart.
+        NavbakeError: a store refuses a list or a pattern.
+        MissingDependencyError: what a URL or Parquet needs is not installed.
     """
     found = [entry for source in sources for entry in _expand(source)]
     if not found:
@@ -55,8 +61,11 @@ def list_jobs(sources: Iterable[str]) -> list[Job]:
 
 
 def _expand(source: str) -> Iterator[Entry]:
-    if source.lower().endswith(LISTS):
+    source = plain_path(source)
+    if _ending(source) in LISTS:
         yield from _read_list(source)
+    elif is_url(source):
+        yield from ((None, url, {}, shown(url)) for url in _expand_url(source))
     elif glob.has_magic(source) and not os.path.exists(source):
         paths = sorted(glob.glob(source, recursive=True))
         if not paths:
@@ -72,14 +81,35 @@ def _expand(source: str) -> Iterator[Entry]:
         yield None, source, {}, source
 
 
+def _expand_url(source: str) -> list[str]:
+    if not split_url(source).path or source.endswith("/"):
+        folder = shown(source).rstrip("/")
+        raise ConfigError(
+            f"expected a scene, settings, a list or a pattern, got the folder {folder}: name what "
+            f"is in it, as '{folder}/*.xml'"
+        )
+    if not is_pattern(source):
+        return [source]
+    found = match_files(source)
+    if not found:
+        raise ConfigError(f"expected files that match {shown(source)}, got none")
+    return found
+
+
+def _ending(source: str) -> str:
+    path = split_url(source).text if is_url(source) else source
+    return os.path.splitext(path)[1].lower()
+
+
 def _read_list(source: str) -> Iterator[Entry]:
-    kind = source.lower().rpartition(".")[2]
-    rows = {"txt": _text_rows, "csv": _csv_rows, "jsonl": _json_rows}
-    for place, row in rows[kind](source):
-        yield _entry(row, os.path.dirname(source), place)
+    rows = {".txt": _text_rows, ".csv": _csv_rows, ".jsonl": _json_rows, ".parquet": read_table}
+    folder = parent(source) if is_url(source) else Path(os.path.dirname(source))
+    content, name = _content_of(source)
+    for place, row in rows[_ending(source)](content, name):
+        yield _entry(row, folder, place)
 
 
-def _entry(row: Json, folder: str, place: str) -> Entry:
+def _entry(row: Json, folder: Folder, place: str) -> Entry:
     row = {key: value for key, value in row.items() if value not in (None, "")}
     given = [key for key in SCENE_KEYS if key in row]
     if len(given) != 1 or not isinstance(row[given[0]], str):
@@ -88,7 +118,9 @@ def _entry(row: Json, folder: str, place: str) -> Entry:
     nested = row.pop("settings", {})
     if not isinstance(nested, dict):
         raise ConfigError(f"expected an object as `settings` at {place}, got {nested!r}")
-    settings = nest({**nested, **row}, folder)
+    if isinstance(name, bool) or not isinstance(name, str | int | None):
+        raise ConfigError(f"expected text or a whole number as `id` at {place}, got {name!r}")
+    settings = nest({**nested, **row}, folder, place)
     check_shared(settings, place)
     for key in settings:
         if key not in SECTIONS:
@@ -96,17 +128,18 @@ def _entry(row: Json, folder: str, place: str) -> Entry:
                 f"expected `id`, `scene`, `config` or a setting such as `agent.radius`, got "
                 f"`{key}` at {place}"
             )
-    return None if name is None else str(name), os.path.join(folder, path), settings, place
+    return None if name is None else str(name), join(folder, path, place), settings, place
 
 
-def _text_rows(source: str) -> Iterator[tuple[str, Json]]:
-    for number, line in enumerate(_text_of(source).split("\n"), 1):
+def _text_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
+    for number, line in enumerate(_text_of(content, source).split("\n"), 1):
         if line.strip() and not line.startswith("#"):
             yield f"{source}, line {number}", {"scene": line.strip()}
 
 
-def _csv_rows(source: str) -> Iterator[tuple[str, Json]]:
-    reader = csv.DictReader(io.StringIO(_text_of(source), newline=""), strict=True)
+def _csv_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
+    text = io.StringIO(_text_of(content, source), newline="")
+    reader = csv.DictReader(text, strict=True)
     try:
         for row in reader:
             place = f"{source}, line {reader.line_num}"
@@ -126,8 +159,8 @@ def _plain(text: str | None) -> Any:
         return text
 
 
-def _json_rows(source: str) -> Iterator[tuple[str, Json]]:
-    for number, line in enumerate(_text_of(source).split("\n"), 1):
+def _json_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
+    for number, line in enumerate(_text_of(content, source).split("\n"), 1):
         place = f"{source}, line {number}"
         if not line.strip():
             continue
@@ -140,11 +173,17 @@ def _json_rows(source: str) -> Iterator[tuple[str, Json]]:
         yield place, row
 
 
-def _text_of(source: str) -> str:
+def _content_of(source: str) -> tuple[bytes, str]:
+    """A list's content, and its name for messages."""
+    if is_url(source):
+        return read_file(source, MAX_BYTES), shown(source)
     try:
-        content, name = read_bytes(source, limit=MAX_BYTES)
+        return read_bytes(source, limit=MAX_BYTES)
     except FormatError as error:
         raise ConfigError(str(error)) from error
+
+
+def _text_of(content: bytes, name: str) -> str:
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -153,8 +192,7 @@ def _text_of(source: str) -> str:
 
 def _name(found: list[Entry]) -> list[str]:
     """The id of each entry: its own, or the end of its path that no other has."""
-    # absolute, so that ids hold no `..`
-    paths = [PurePath(os.path.splitext(os.path.abspath(source))[0]) for _, source, _, _ in found]
+    paths = [_path_of(source) for _, source, _, _ in found]
     depths = [1] * len(found)
     while True:
         names = [
@@ -170,3 +208,13 @@ def _name(found: list[Entry]) -> list[str]:
         if longer == depths:
             return names
         depths = longer
+
+
+def _path_of(source: str) -> PurePath:
+    """The path whose parts can be an id: without an ending, and absolute, so that none is `..`."""
+    if not is_url(source):
+        return PurePath(os.path.splitext(os.path.abspath(source))[0])
+    parts = split_url(source)
+    host = parts.authority.rpartition("@")[2]
+    path = PurePosixPath("/", host, *parts.path)
+    return path.with_suffix("") if path.name else path

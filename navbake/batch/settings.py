@@ -11,8 +11,10 @@ from typing import Any
 
 from navbake._version import __version__
 from navbake.batch.job import Job
+from navbake.batch.stores.store import read_file
+from navbake.batch.stores.urls import Folder, is_url, join, parent, plain_path, shown
 from navbake.config.settings import YAML_SUFFIXES, BakeConfig, parse_config
-from navbake.config.yaml_text import override_key, read_yaml
+from navbake.config.yaml_text import MAX_BYTES, decode_yaml, override_key, read_yaml
 from navbake.errors import ConfigError
 from navbake.types import Json
 
@@ -20,14 +22,21 @@ OF_EACH = ("path", "id")  # keys of `scene` that no two scenes can share
 
 
 def read_shared(path: str | os.PathLike[str]) -> Json:
-    """Read the settings that all scenes share from a YAML file.
+    """Read the settings that all scenes share from a YAML file; its path may be a URL.
 
     Raises:
         ConfigError: no such file, no YAML, no mapping, or one that names a scene.
+        NavbakeError: a store refuses it.
     """
-    settings = _mapping(read_yaml(Path(path)), path)
-    settings = nest(settings, Path(path).parent)
-    check_shared(settings, str(path))
+    text = plain_path(os.fspath(path))
+    name = shown(text)
+    folder: Folder = parent(text) if is_url(text) else Path(text).parent
+    if is_url(text):
+        content = decode_yaml(read_file(text, MAX_BYTES), name)
+    else:
+        content = read_yaml(Path(text))
+    settings = nest(_mapping(content, name), folder, name)
+    check_shared(settings, name)
     return settings
 
 
@@ -49,6 +58,17 @@ def check_overrides(overrides: Sequence[str]) -> None:
             raise ConfigError(f"expected no --set {override}: the batch's sources name the scenes")
 
 
+def without_urls(
+    settings: Mapping[str, Any], overrides: Sequence[str]
+) -> tuple[dict[str, Any], list[str]]:
+    """Settings and overrides without outlines of rooms on a store, which no check should fetch."""
+    rooms = settings.get("rooms")
+    left = dict(settings)
+    if isinstance(rooms, Mapping) and is_url(rooms.get("polygons")):
+        left["rooms"] = {key: value for key, value in rooms.items() if key != "polygons"}
+    return left, [text for text in overrides if not is_url(text.partition("=")[2].strip())]
+
+
 def settings_of(job: Job, shared: Json, overrides: Sequence[str]) -> BakeConfig:
     """The settings of a scene: the batch's, replaced by its own, replaced by the overrides.
 
@@ -61,7 +81,15 @@ def settings_of(job: Job, shared: Json, overrides: Sequence[str]) -> BakeConfig:
     own: Mapping[str, Any] = {"scene": {"path": job.source}}
     if source.suffix.lower() in YAML_SUFFIXES:
         own, folder = _mapping(read_yaml(source), source), source.parent
-    settings = merge(merge({"scene": {"id": job.id}}, shared), merge(own, job.settings))
+        scene = own.get("scene")
+        if isinstance(scene, Mapping) and is_url(scene.get("path")):
+            raise ConfigError(
+                f"expected a path from the folder of {source} as `scene.path`, got "
+                f"{shown(scene['path'])}: name the scene in a list, with settings in its row"
+            )
+    # an id may have folders, which `scene.id` may not
+    base = {"scene": {"id": job.id.replace("/", "_")}}
+    settings = merge(merge(base, shared), merge(own, job.settings))
     return parse_config(settings, f"the settings of {job.place}", overrides, folder=folder)
 
 
@@ -93,8 +121,17 @@ def merge(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def nest(settings: Mapping[str, Any], folder: str | os.PathLike[str]) -> dict[str, Any]:
-    """Settings by section, from keys such as ``agent.radius``; files are relative to a folder."""
+def nest(settings: Mapping[str, Any], folder: Folder, place: str = "") -> dict[str, Any]:
+    """Settings by section, from keys such as ``agent.radius``; files are relative to a folder.
+
+    Args:
+        settings: what to nest.
+        folder: a Path, or the URL of a folder.
+        place: where the settings stand, for messages.
+
+    Raises:
+        ConfigError: settings on a store name a file elsewhere.
+    """
     nested: dict[str, Any] = {}
     for key, value in settings.items():
         *sections, last = override_key(f"{key}=")
@@ -104,8 +141,8 @@ def nest(settings: Mapping[str, Any], folder: str | os.PathLike[str]) -> dict[st
         nested = merge(nested, part)
     rooms = nested.get("rooms")
     if isinstance(rooms, Mapping) and isinstance(rooms.get("polygons"), str):
-        path = os.path.abspath(os.path.join(folder, rooms["polygons"]))
-        nested["rooms"] = {**rooms, "polygons": path}
+        path = join(folder, rooms["polygons"], place)
+        nested["rooms"] = {**rooms, "polygons": path if is_url(path) else os.path.abspath(path)}
     return nested
 
 

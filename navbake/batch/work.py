@@ -15,11 +15,13 @@ from navbake import samples
 from navbake._version import __version__
 from navbake.auditor.audit import audit
 from navbake.baker.pipeline import run_bake
+from navbake.batch.far import is_far, make_far, name_source, remove_far_products
 from navbake.batch.file_states import describe_files, path_from
 from navbake.batch.inputs import find_inputs
 from navbake.batch.job import Job
 from navbake.batch.products import GRID, Product, remove_products
 from navbake.batch.settings import digest_settings, settings_of
+from navbake.batch.stores.urls import Folder
 from navbake.config.settings import BakeConfig, load_config
 from navbake.dispatch import IS_HELPER
 from navbake.errors import NavbakeError, printable
@@ -40,18 +42,19 @@ class Order(NamedTuple):
         settings: those that all scenes share, by section.
         overrides: ``a.b=value``, which replace those of the batch and of the scene.
         products: what to make besides the grid.
-        folder: where the folders of the scenes are.
+        folder: where the folders of the scenes are; a URL if that is on a store.
     """
 
     job: Job
     settings: Json
     overrides: tuple[str, ...]
     products: tuple[Product, ...]
-    folder: Path
+    folder: Folder
 
     @property
     def place(self) -> Path:
-        """The scene's folder."""
+        """The scene's folder, which is on this machine."""
+        assert isinstance(self.folder, Path), "far.py knows places on stores"
         return self.folder / self.job.id
 
 
@@ -68,8 +71,7 @@ def prepare() -> None:
 
 def row_of(order: Order, status: str) -> Json:
     """How a scene's row in the index begins."""
-    source = path_from(order.job.source, order.folder)
-    return {"id": order.job.id, "status": status, "source": source}
+    return {"id": order.job.id, "status": status, "source": name_source(order)}
 
 
 def do_order(order: Order) -> Json:
@@ -81,7 +83,7 @@ def do_order(order: Order) -> Json:
     """
     begin = time.perf_counter()
     try:
-        row = _make(order)
+        row = make_far(order, _make) if is_far(order) else _make(order)
     except MemoryError:
         raise
     except NavbakeError as error:
@@ -96,7 +98,10 @@ def do_order(order: Order) -> Json:
 
 def fail(order: Order, how: str, why: str) -> Json:
     """The row of a scene that failed, of which nothing stays."""
-    remove_products(order.place)
+    if isinstance(order.folder, Path):
+        remove_products(order.place)
+    else:
+        remove_far_products(order)
     return {**row_of(order, FAILED), "how": how, "error": why}
 
 
@@ -105,6 +110,7 @@ def _make(order: Order) -> Json:
     # before the bake: what changes meanwhile is noticed by the next run
     named = [Path(path) for path in config.inputs]
     inputs = [path for name in named for path in find_inputs(name) if os.path.isfile(path)]
+    assert isinstance(order.folder, Path)
     stated = describe_files(inputs, order.folder)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the row has those that matter

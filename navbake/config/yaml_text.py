@@ -95,11 +95,16 @@ def read_yaml(path: Path) -> Any:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from error
     if len(content) > MAX_BYTES:
         raise ConfigError(f"{path} is no settings file: it is larger than {MAX_BYTES:,} bytes")
+    return decode_yaml(content, str(path))
+
+
+def decode_yaml(content: bytes, source: str) -> Any:
+    """Parse a YAML file's content; a ConfigError names the source."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path} is no YAML: byte {error.start} is not UTF-8") from error
-    return parse_yaml(text, str(path))
+        raise ConfigError(f"{source} is no YAML: byte {error.start} is not UTF-8") from error
+    return parse_yaml(text, source)
 
 
 def parse_yaml(text: str, source: str) -> Any:

@@ -22,7 +22,7 @@ from navbake.errors import ConfigError, QueryError
 from navbake.navgrid.grid_base import GridBase
 from navbake.types import Json
 
-SCENES = "scenes"  # the folder beside settings in which scenes often are, as those of the samples
+SCENES = "scenes"  # a folder in which scenes often are, as those of the samples
 SceneSource = BakeConfig | str | PathLike[str] | Mapping[str, Any] | Any
 """Settings, the path of a YAML or of a scene file, the YAML as a mapping, or a scene in memory."""
 
@@ -58,7 +58,8 @@ def find_source(
     """Load the scene of a grid: the one that is given, or the one that the grid names.
 
     The grid names the scene's file without its folder; it is looked for beside the grid, and in
-    the current folder. A scene file, and a scene in memory, gets the settings that the grid states.
+    the current folder, and in a folder ``scenes`` of each. A scene file, and a scene in
+    memory, gets the settings that the grid states.
 
     Args:
         data: the pose of a scene in memory; as the settings say if None.
@@ -139,14 +140,14 @@ def _find_file(grid: GridBase, stated: Json, grid_path: Path | None) -> Path:
         )
     folders = list(dict.fromkeys([grid_path.parent if grid_path else Path(), Path()]))
     for folder in folders:
-        # beside the grid, or where samples have it
         for place in (folder / Path(name).name, folder / SCENES / Path(name).name):
             if place.is_file():
                 return place
     names = [str(folder) if str(folder) != "." else "the current folder" for folder in folders]
     raise NoSceneError(
         f"the scene {Path(name).name} that {grid.scene_id or 'the grid'} was baked from isn't in "
-        f"{' or '.join(names)}: give its path, or the settings of its bake (--scene)"
+        f"{' or '.join(names)}, nor in {SCENES!r} there: give its path, or the settings of its "
+        "bake (--scene)"
     )
 
 

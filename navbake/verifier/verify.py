@@ -74,7 +74,7 @@ def verify(
         grid: a grid of one or several levels, or the path of its file.
         scene: settings, the path of a YAML or of a scene file, the YAML as a mapping, or a scene
             in memory (mujoco.MjModel, MjSpec, trimesh.Scene, Trimesh); None for the file that the
-            grid names, beside the grid or in the current folder.
+            grid names, beside the grid or in the current folder, or in ``scenes`` there.
         sample: how many cells to look at, >= 1, drawn from those of all levels; all if None.
         seed: of the sample and of the paths.
         radius: of the cylinder that stands on free cells [m], and runs along paths: that of the

@@ -15,7 +15,7 @@ from typing import Any
 from fuzzing import texts
 from fuzzing.kind import Input, attempt
 from fuzzing.mutations import WORDS, cut, dump_tree, mutate_bytes, mutate_tree, odd_value
-from navbake.batch.batch import _is_done
+from navbake.batch.done import _is_done
 from navbake.batch.index import Index, read_index
 from navbake.batch.job import Job
 from navbake.batch.manifest import list_jobs

@@ -163,6 +163,15 @@ def test_changed_settings_and_another_file_of_the_same_name_are_noticed(scenes, 
     assert run("scenes/else/first.xml", settings={})[0] == ["first"]
 
 
+def test_an_id_may_have_folders(scenes, here):
+    Path("list.txt").write_text("scenes/first.xml\nelse/first.xml\n")
+    Path("else").mkdir()
+    shutil.copy("scenes/first.xml", "else")
+    assert run("list.txt")[1].count("ok") == 2
+    assert navbake.load("out/else/first/grid.json.gz").metadata["sceneId"] == "else_first"
+    assert run("list.txt")[0] == []
+
+
 def test_a_resume_may_run_in_another_folder(scenes, here, monkeypatch):
     run(*ALL)
     index = Path("out", NAME).read_bytes()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 
@@ -44,6 +45,49 @@ def test_of_mjcf_they_are_meshes_fields_includes_and_models_but_no_textures(fold
     found = names(folder, "scene.xml")
     assert found[0] == "scene.xml"
     assert {os.path.normpath(name) for name in found[1:]} - {"scene.xml"} == expected
+
+
+def test_a_backslash_stands_between_folders_as_for_mujoco(folder):
+    (folder / "scene.xml").write_text(
+        '<mujoco><compiler meshdir="deep\\mesh"/><asset><mesh file="parts\\own\\c.obj"/>'
+        '<mesh file="e.obj"/></asset></mujoco>'
+    )
+    assert names(folder, "scene.xml") == ["scene.xml", "deep/mesh/e.obj", "parts/own/c.obj"]
+
+
+def test_what_is_included_is_mjcf_whatever_its_name(folder):
+    (folder / "scene.xml").write_text('<mujoco><include file="part.txt"/></mujoco>')
+    (folder / "part.txt").write_text('<mujoco><asset><mesh file="mesh/a.obj"/></asset></mujoco>')
+    assert names(folder, "scene.xml") == ["scene.xml", "mesh/a.obj", "part.txt"]
+
+
+def test_looks_are_found_where_they_are_asked_for(folder):
+    (folder / "scene.xml").write_text(
+        '<mujoco><compiler texturedir="looks"/><asset><texture fileup="up.png" filedown="no.png"/>'
+        '<texture file="wood.png"/><skin file="d.skn"/></asset></mujoco>'
+    )
+    (folder / "looks").mkdir()
+    (folder / "looks" / "up.png").write_text("")
+    assert names(folder, "scene.xml") == ["scene.xml"]
+    found = find_inputs(folder / "scene.xml", looks=True)
+    assert [path.relative_to(folder).as_posix() for path in found] == [
+        *("scene.xml", "d.skn", "looks/up.png", "wood.png")
+    ]
+
+
+def test_of_gltf_they_are_its_buffers(folder):
+    buffers = [{"uri": "mesh/a%20b.bin"}, {"uri": "data:;base64,AA"}, {"uri": "no.bin"}, {}]
+    (folder / "a.gltf").write_text(json.dumps({"buffers": buffers}))
+    (folder / "mesh" / "a b.bin").write_text("")
+    assert names(folder, "a.gltf") == ["a.gltf", "mesh/a b.bin"]
+    (folder / "a.urdf").write_text(
+        '<robot name="a"><link name="a"><visual><geometry><mesh filename="a.gltf"/></geometry>'
+        "</visual></link></robot>"
+    )
+    assert names(folder, "a.urdf") == ["a.urdf", "a.gltf", "mesh/a b.bin"]
+    for broken in ("", "[]", '{"buffers": 3}', '{"buffers": [{"uri": 3}]}', '{"buffers": [1]}'):
+        (folder / "a.gltf").write_text(broken)
+        assert names(folder, "a.gltf") == ["a.gltf"]
 
 
 def test_of_urdf_they_are_meshes_found_as_the_bake_finds_them(folder):

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import ast
 import logging
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
+import navbake
 from navbake.cli.commands.warm_up import cold_kernels, compile_all
 from navbake.cli.main import main
 
@@ -16,6 +21,38 @@ def test_warms_up_from_one_end_to_the_other():
     names = ["bake", "update", "run time", "voxels"]
     assert parts == [(name, share) for name in names for share in (0.0, 1.0)]
     assert cold_kernels() == []
+
+
+# names the kernels that were neither compiled nor read from the disk
+UNUSED = """
+from navbake.cli.commands.warm_up import compile_all, load_kernels
+load_kernels()
+compile_all(lambda name, share: None)
+from navbake.dispatch import KERNELS
+print(*(f"{k.__module__}.{k.__name__}" for k in KERNELS if not k.overloads))
+"""
+
+
+def test_every_kernel_that_python_calls_is_used():
+    """Where all are on disk already, as where tests ran before, nothing else would miss one."""
+    run = [sys.executable, "-c", UNUSED]
+    done = subprocess.run(run, capture_output=True, text=True, check=True)
+    unused = set(done.stdout.split())
+    assert any("._" in name for name in unused)  # those that only kernels call
+    assert sorted(unused & _called_from_python()) == []
+
+
+def _called_from_python() -> set[str]:
+    """The kernels that modules other than those of kernels import."""
+    home = Path(navbake.__file__).parent
+    return {
+        f"{node.module}.{alias.name}"
+        for path in home.rglob("*.py")
+        if "kernels" not in path.relative_to(home).parts
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and ".kernels." in str(node.module)
+        for alias in node.names
+    }
 
 
 def test_the_command(capsys):

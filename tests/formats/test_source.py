@@ -24,7 +24,9 @@ def voxels(**more):
 # ---------------------------------------------------------------- what is no file
 
 
-@pytest.mark.parametrize("wrong", [None, 3, 1.5, object(), ["a.json"], {}], ids=repr)
+@pytest.mark.parametrize(
+    "wrong", [None, 3, 1.5, object(), ["a.json"], {}], ids=lambda wrong: type(wrong).__name__
+)
 def test_what_is_no_path_is_refused(wrong):
     with pytest.raises(FormatError, match="expected a path, a file's content or a file opened"):
         navbake.load(wrong)

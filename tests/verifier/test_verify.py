@@ -186,8 +186,14 @@ def test_a_scene_is_needed(tmp_path, monkeypatch):
         QueryError, match=r"scene\.xml that scene was baked from isn't in the current folder"
     ):
         navbake.verify(grid)
+    (tmp_path / "scenes").mkdir()
+    (tmp_path / "scene.xml").rename(tmp_path / "scenes" / "scene.xml")
+    assert_true(tmp_path / "room.grid.json")  # or in a folder for scenes
+    (tmp_path / "scenes" / "scene.xml").rename(tmp_path / "scene.xml")
     (tmp_path / "scene.xml").rename(tmp_path / "moved.xml")
-    with pytest.raises(QueryError, match=r"isn't in .* or the current folder: give its path"):
+    with pytest.raises(
+        QueryError, match=r"isn't in .* or the current folder, nor in 'scenes' there: give its path"
+    ):
         navbake.verify(tmp_path / "room.grid.json")
     with pytest.raises(QueryError, match=r"no scene at .*scene\.xml: it may have moved"):
         navbake.verify(grid, tmp_path / "scene.xml")

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import Columns, ColumnSource
+from navbake.baker.columns import Columns
 from navbake.baker.connect import connect
 from navbake.baker.floors.kernels.sheets import (
     Surfaces,
@@ -187,20 +187,6 @@ def _make_surfaces(count: int, footings: int) -> Surfaces:
     z, footing = np.empty(count), np.empty(footings)
     cell, surface, geom = (np.empty(count, dtype=np.int32) for _ in range(3))
     return Surfaces(z, cell, surface, geom, np.empty(count, dtype=np.bool_), footing)
-
-
-def find_standable(
-    columns: ColumnSource, shapes: Shapes, agent: AgentSettings
-) -> tuple[Standable, Footing]:
-    """Find the standable surfaces and the sheets that steps make of them.
-
-    Returns:
-        The standable surfaces, and all that a floor may go on at, those among them.
-    """
-    finder = StandableFinder(columns.lattice, shapes, agent)
-    for block in columns.blocks():
-        finder.add(block)
-    return finder.found()
 
 
 def _slopes_may_join(lattice: Lattice, agent: AgentSettings) -> bool:

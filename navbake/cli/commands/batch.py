@@ -56,6 +56,7 @@ class Wholly(NamedTuple):
         None, "--max-failures", metavar="N", min=0, help="Stop when more than N scenes failed."
     )
     as_json: bool = Option(False, "--json", help="Print a line of JSON for each scene as it ends.")
+    parquet: bool = Option(False, "--parquet", help="Write the index as index.parquet as well.")
 
 
 def batch(
@@ -64,12 +65,13 @@ def batch(
     sources: list[str] = Argument(
         ...,
         metavar="SOURCE",
-        help="Scenes or settings (YAML), patterns in quotes, or lists: .txt, .csv or .jsonl.",
+        help="Scenes or settings (YAML), patterns in quotes, or lists: .txt, .csv, .jsonl or "
+        ".parquet; paths or URLs such as s3://.",
     ),
-    output: Path = Option(
+    output: str = Option(
         ..., "-o", "--output", metavar="FOLDER", help="Folder to write into, a folder a scene."
     ),
-    config: Path | None = Option(
+    config: str | None = Option(
         None, "--config", metavar="YAML", help="Settings that all scenes share."
     ),
     make: list[str] | None = Option(
@@ -93,6 +95,7 @@ def batch(
     from navbake.batch.crew import JobLimits
     from navbake.batch.manifest import list_jobs
     from navbake.batch.settings import read_shared
+    from navbake.batch.stores.urls import as_folder, shown
 
     jobs = list_jobs(sources)
     settings = {} if config is None else read_shared(config)
@@ -101,9 +104,11 @@ def batch(
     begin = time.perf_counter()
     with ExitStack() as stack:
         teller = _Teller(stack, wholly.as_json)
-        todo = Batch(jobs, output, settings, overrides or [], make or [])
+        folder = as_folder(output)
+        todo = Batch(jobs, folder, settings, overrides or [], make or [], wholly.parquet)
         result = run_batch(todo, means, teller)
-    _summarise(result, time.perf_counter() - begin, wholly.as_json, output)
+    index = str(folder / INDEX) if isinstance(folder, Path) else f"{shown(folder)}/{INDEX}"
+    _summarise(result, time.perf_counter() - begin, wholly.as_json, index)
     if result.count("failed") or result.stopped:
         raise Exit(1)
 
@@ -160,7 +165,7 @@ def _warm_up() -> None:
         compile_all(show)
 
 
-def _summarise(result: BatchResult, seconds: float, as_json: bool, folder: Path) -> None:
+def _summarise(result: BatchResult, seconds: float, as_json: bool, index: str) -> None:
     skipped = result.skipped
     counts = {
         "baked": result.count("ok") - skipped,
@@ -177,4 +182,4 @@ def _summarise(result: BatchResult, seconds: float, as_json: bool, folder: Path)
     told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     warned = sum(bool(row.get("warnings")) for row in result.rows)
     notes = f", {warned} with warnings" if warned else ""
-    say_unless_quiet(f"{told}{notes} in {seconds:.1f} s: {folder / INDEX}")
+    say_unless_quiet(f"{told}{notes} in {seconds:.1f} s: {index}")

@@ -42,7 +42,7 @@ def verify(
         None,
         metavar="SCENE|CONFIG",
         help="The scene, or the settings of the bake (YAML).  [default: the file that the grid "
-        "names, beside it or in the current folder]",
+        "names, beside it or in the current folder, or in `scenes` there]",
     ),
     radius: float | None = Option(
         None,

@@ -41,7 +41,7 @@ def view(
         None,
         metavar="SCENE|CONFIG",
         help="The scene of GRID, or the settings of its bake (YAML).  [default: the file that "
-        "GRID names, beside it or in the current folder]",
+        "GRID names, beside it or in the current folder, or in `scenes` there]",
     ),
     overrides: Overrides = None,
     force: bool = Option(False, "--force", help="Show GRID in a scene that it wasn't baked from."),

@@ -189,6 +189,9 @@ def compile_all(progress: Callable[[str, float], None]) -> None:
             file = folder / f"{number}.grid.json"
             grid.save(file)
             _use_run_time(navbake.load(file))
+            grid.to_mesh()
+            grid.to_geojson()
+            grid.to_mjcf(folder / f"{number}.walls.xml", flat=True)
         foreign = folder / "foreign.json"
         foreign.write_text(json.dumps(FOREIGN), encoding="utf-8")
         navbake.load(foreign).inflate(0.3)

@@ -8,6 +8,7 @@ import numpy as np
 
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
+from navbake.views.colors import rgb_of
 from navbake.views.report.cells import thinning
 from navbake.views.report.difference import (
     ALIKE,
@@ -84,7 +85,7 @@ def _show_level(first: NavGrid, second: NavGrid, level: LevelDifference) -> Json
     lattice = level.lattice
     every = max(thinning(first.levels[level.first]), thinning(second.levels[level.second]))
     change = level.change[::every, ::every]
-    colors = np.array([tuple(bytes.fromhex(color[1:])) for color in COLORS], dtype=np.uint8)
+    colors = np.array([rgb_of(color) for color in COLORS], dtype=np.uint8)
     legend = [
         (name, color)
         for number, (name, color) in enumerate(zip(CHANGES + ALIKE, COLORS, strict=True))
@@ -143,12 +144,11 @@ def _areas(first: NavGrid, second: NavGrid) -> str:
 def _warnings(first: NavGrid, second: NavGrid) -> list[str]:
     lines = []
     if first.scene_id != second.scene_id:
-        lines.append(f"the scenes are two: {first.scene_id!r} and {second.scene_id!r}")
-    sizes = [grid.levels[0].lattice.cell_size for grid in (first, second)]
-    if abs(sizes[0] - sizes[1]) <= 1e-9:
-        return lines
-    return [
-        *lines,
-        f"cells of {sizes[0]:g} m are compared with the cells of {sizes[1]:g} m "
-        "in which their centres lie",
-    ]
+        lines.append(f"the scenes differ: {first.scene_id!r} and {second.scene_id!r}")
+    ours, theirs = (grid.levels[0].lattice.cell_size for grid in (first, second))
+    if abs(ours - theirs) > 1e-9:
+        lines.append(
+            f"cells of {ours:g} m are compared with the cells of {theirs:g} m "
+            "in which their centres lie"
+        )
+    return lines

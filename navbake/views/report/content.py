@@ -15,10 +15,10 @@ from navbake.views.report.cells import describe_cells
 from navbake.views.report.pictures import draw_layers
 from navbake.views.report.tables import flatten, table
 
-WAYS = {"link": "steps"}  # as `navbake rooms` has it
-
 if TYPE_CHECKING:
     from navbake.auditor.report import AuditReport
+
+WAYS = {"link": "steps"}  # as `navbake rooms` has it
 
 
 def describe_grid(

@@ -295,7 +295,7 @@ function showLevel() {
     draw();
   });
   const every = shown.every || shown.cells.every;
-  find("note").textContent = every > 1 ? `Of so many cells, the map shows every ${every}th of a row and of a column.` : "";
+  find("note").textContent = every > 1 ? `There are many cells: the map shows one of ${every} rows and one of ${every} columns.` : "";
   showLegend();
   showMarks();
   for (const [, each] of describedLevels()) cellsOf(each).then(retell);

@@ -39,7 +39,6 @@ class Page:
         self._changes: list[Change] = []
         self._wake = threading.Condition()
         self._is_done = False
-        self._is_idle = False
         set_theme(server.gui, dark=False)
         self._stage = Stage(server)
         self._set_up(exhibit)
@@ -59,7 +58,6 @@ class Page:
         """Change what is chosen, soon; from any thread."""
         with self._wake:
             self._changes.append(change)
-            self._is_idle = False
             self._wake.notify_all()
 
     def exhibit_other(self, exhibit: Exhibit) -> None:
@@ -83,11 +81,6 @@ class Page:
             return chosen
 
         self.change(keep)
-
-    def wait_idle(self, seconds: float) -> bool:
-        """Wait until all is shown that has been asked for; False if that takes longer."""
-        with self._wake:
-            return self._wake.wait_for(lambda: self._is_idle, seconds)
 
     def close(self) -> None:
         """End the page's thread."""
@@ -113,8 +106,6 @@ class Page:
         while True:
             with self._wake:
                 if not self._changes:
-                    self._is_idle = True
-                    self._wake.notify_all()
                     self._wake.wait_for(lambda: self._is_done or bool(self._changes))
                 if self._is_done:
                     return

@@ -141,7 +141,8 @@ def view(
         grid: a grid of one or several levels, or the path of its file.
         scene: what it was baked from: a mujoco.MjModel or MjSpec, a trimesh.Scene or Trimesh,
             settings, or the path of a scene or YAML; None for the file that the grid names, beside
-            the grid or in the current folder. Where there is none, the grid is shown alone.
+            the grid or in the current folder, or in ``scenes`` there. Where there is none,
+            the grid is shown alone.
         data: the mujoco.MjData with the pose of a model or spec.
         host: address of this machine to listen at.
         port: where to listen; 0 for any free port.

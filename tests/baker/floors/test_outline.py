@@ -16,10 +16,11 @@ from navbake.baker.floors.outline import (
     find_edges,
     find_endings,
 )
-from navbake.baker.floors.sheets import drop_furniture, find_standable
+from navbake.baker.floors.sheets import drop_furniture
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
 from navbake.baker.stages import bake_stages
+from standable import standable_of
 
 GROUND = '<geom type="plane" size="4 4 .1"/>'
 # a block of 2 x 2 m, 0.6 m high, on the ground
@@ -50,8 +51,7 @@ def endings_at(tmp_path: Path):
             volume = narrow if band is None else narrow.between(band)
             return check_occupancy(columns, tiled, volume, cells, floors).occupied
 
-        every, _ = find_standable(columns, tiled.shapes, agent)
-        standable = drop_furniture(every, stages.config.floors)
+        standable = drop_furniture(standable_of(stages), stages.config.floors)
         chosen = np.zeros(len(standable.sheet_size), dtype=np.bool_)
         chosen[standable.sheet[np.isclose(standable.z, z)]] = True
         edges = find_edges(standable, chosen, agent.traversable_floor_height, 4)

@@ -11,11 +11,11 @@ import pytest
 import navbake
 from navbake.baker.assemble import build_grid
 from navbake.baker.floors.kernels.sheets import join_by_slopes
-from navbake.baker.floors.sheets import find_standable
 from navbake.baker.stages import bake_stages
 from navbake.navgrid.islands import find_islands
 from navbake.navgrid.lattice import Lattice
 from navbake.runtime.path_finder import PathFinder
+from standable import standable_of
 
 # a floor at 0, a ramp that rises 1 m over x 0 to RUN, and a floor at 1, each 4 m wide
 STEP = 0.02
@@ -62,8 +62,7 @@ def test_ramp_is_one_walk_when_it_rises_more_than_a_step_over_a_cell(bake, cell,
 @pytest.mark.parametrize("run", [3.7, 1.0])
 def test_ramp_is_one_sheet_at_any_cell_size(stages_of, cell, run):
     stages = stages_of(scene(run), cell)
-    standable, _ = find_standable(stages.columns, stages.tiled.shapes, stages.config.agent)
-    assert len(standable.sheet_size) == 1
+    assert len(standable_of(stages).sheet_size) == 1
 
 
 def test_ramp_steeper_than_the_slope_is_none(bake):

@@ -1,0 +1,47 @@
+"""Which scenes of a batch are done already."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from navbake.batch import far
+from navbake.batch.file_states import are_unchanged, path_from
+from navbake.batch.settings import settings_of
+from navbake.batch.work import OK, Order, key_of
+from navbake.errors import NavbakeError
+from navbake.types import Json
+
+
+def find_done(orders: Sequence[Order], known: Mapping[str, Json]) -> set[str]:
+    """The ids of scenes whose rows are of the same files, settings, products and version.
+
+    Args:
+        orders: of the batch's scenes.
+        known: the rows of the index, by id.
+    """
+    distant = [order for order in orders if far.is_far(order)]
+    near = {order.job.id: order for order in orders}
+    for order in distant:
+        del near[order.job.id]
+    done = {id for id, order in near.items() if _is_done(order, known.get(id))}
+    return done | far.find_done(distant, known)
+
+
+def _is_done(order: Order, row: Json | None) -> bool:
+    if row is None or row.get("status") != OK:
+        return False
+    try:
+        if not os.path.isfile(order.job.source):  # who reads a pipe may wait for ever
+            return False
+        config = settings_of(order.job, order.settings, order.overrides)
+        assert isinstance(order.folder, Path)
+        return bool(
+            row["key"] == key_of(order, config)
+            and row["named"] == [path_from(path, order.folder) for path in config.inputs]
+            and are_unchanged(row["inputs"], order.folder)
+            and are_unchanged(row["files"], order.place)
+        )
+    except (NavbakeError, KeyError, TypeError, AttributeError):  # or no row of a batch's
+        return False

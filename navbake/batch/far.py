@@ -1,0 +1,251 @@
+"""Scenes that come from stores, or whose grids go to one: brought near, baked, and taken there."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from navbake._version import __version__
+from navbake.batch.file_states import are_unchanged, path_from
+from navbake.batch.products import GRID, OWN
+from navbake.batch.stores.mirror import Mirror, upload
+from navbake.batch.stores.scratch import remove_abandoned, scratch_folder
+from navbake.batch.stores.store import (
+    Entry,
+    Listing,
+    is_unchanged,
+    list_folder,
+    list_tree,
+    remove_files,
+    state_of,
+)
+from navbake.batch.stores.urls import is_url, parent, shown, split_url
+from navbake.config.settings import YAML_SUFFIXES
+from navbake.config.yaml_text import override_key
+from navbake.errors import NavbakeError
+from navbake.files import TEMPORARY
+from navbake.types import Json
+
+if TYPE_CHECKING:
+    from navbake.batch.work import Order
+
+POLYGONS = ("rooms", "polygons")  # the one setting that names a file
+
+
+def is_far(order: Order) -> bool:
+    """Whether a scene, its outlines of rooms, or the output folder is on a store."""
+    return is_url(order.folder) or any(map(is_url, _named(order)))
+
+
+def name_source(order: Order) -> str:
+    """How the index calls a scene's source: from the output folder, if that is on this machine."""
+    return _name_path(order.job.source, order)
+
+
+def key_of_far(order: Order) -> str:
+    """What the result depends on besides the scene's files, hashed; settings (YAML) are one.
+
+    `work.key_of` hashes settings as they are validated, for which they have to be read. These are
+    hashed as they were given, so that 10,000 scenes are known to be done by listings alone.
+    """
+    stated = {
+        "id": order.job.id,
+        "source": name_source(order),
+        "settings": [order.settings, order.job.settings, order.overrides],
+        "products": [str(product) for product in order.products],
+        "version": __version__,
+    }
+    canonical = json.dumps(stated, sort_keys=True, separators=(",", ":"), default=str)
+    return hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def make_far(order: Order, make: Callable[[Order], Json]) -> Json:
+    """Make what is asked for of a scene in a temporary folder; `make` does so of what is near.
+
+    On a store, files appear whole as well, the grid last. Errors and the row name what is on a
+    store by its URL.
+    """
+    _remove_abandoned_once()
+    with scratch_folder() as scratch:
+        mirror = Mirror(scratch / "in")
+        try:
+            near = _bring(order, mirror)
+            if isinstance(order.folder, str):
+                near = near._replace(folder=scratch / "out")
+            row = make(near)
+        except (NavbakeError, OSError) as error:
+            raise NavbakeError(mirror.told(str(error))) from error
+        row |= {
+            "source": name_source(order),
+            "key": key_of_far(order),
+            "named": [],
+            "inputs": _inputs(order, near, row["inputs"], mirror),
+        }
+        if isinstance(order.folder, str):
+            place = f"{order.folder}/{order.job.id}"
+            remove_products_at(place)
+            names = [*(name for name in row["files"] if name != GRID), GRID]
+            entries = upload({name: near.place / name for name in names}, place)
+            row["files"] = {
+                name: state_of(entries[name], state) for name, state in row["files"].items()
+            }
+    return row
+
+
+@cache
+def _remove_abandoned_once() -> None:
+    """Remove the temporary folder of the worker before this one, if it was killed."""
+    remove_abandoned()
+
+
+def remove_products_at(place: str) -> None:
+    """Remove from a store what was made of a scene, and what a writer that was killed left."""
+    found = list_folder(place)
+    names = [name for name in found if OWN.fullmatch(name) or TEMPORARY.fullmatch(name)]
+    # the grid first: where it is, all is there
+    remove_files(f"{place}/{name}" for name in sorted(names, key=lambda name: name != GRID))
+
+
+def remove_far_products(order: Order) -> None:
+    """Remove what was made of a scene that failed, as far as the store lets."""
+    with suppress(NavbakeError):
+        remove_products_at(f"{order.folder}/{order.job.id}")
+
+
+def find_done(orders: Sequence[Order], known: Mapping[str, Json]) -> set[str]:
+    """The ids of scenes on stores that the index knows to be done; see `batch.run_batch`.
+
+    The stores are asked for listings of folders, see `Listing.load`; a file is read only where its
+    size and tag don't prove that it is the same.
+    """
+    rows = {order.job.id: _row_of(order, known) for order in orders}
+    todo = [order for order in orders if rows[order.job.id]]
+    if not todo:
+        return set()
+    listing = Listing()
+    with suppress(NavbakeError):  # what can't be listed is asked for by itself, and isn't done
+        listing.load({parent(url) for order in todo for url in _far_inputs(order, rows)})
+    folder = todo[0].folder
+    made = list_tree(folder, is_own=True) if isinstance(folder, str) else {}
+    return {o.job.id for o in todo if _is_done(o, rows[o.job.id], listing, made)}
+
+
+def _named(order: Order) -> list[str]:
+    """The paths that an order names, as far as they are in no file."""
+    outlines = [_outlines_of(order.settings), _outlines_of(order.job.settings)]
+    given = [text.partition("=")[2].strip() for text in order.overrides if _is_outlines(text)]
+    return [order.job.source, *(name for name in (*outlines, *given) if name is not None)]
+
+
+def _outlines_of(settings: Json) -> str | None:
+    """The file of room outlines that settings name; None where they name none."""
+    rooms = settings.get(POLYGONS[0])
+    name = rooms.get(POLYGONS[1]) if isinstance(rooms, Mapping) else None
+    return name if isinstance(name, str) else None
+
+
+def _is_outlines(override: str) -> bool:
+    return override_key(override) == POLYGONS
+
+
+def _bring(order: Order, mirror: Mirror) -> Order:
+    """The order with all that is on stores copied to this machine."""
+    source = order.job.source
+    if is_url(source):
+        is_settings = Path(split_url(source).text).suffix.lower() in YAML_SUFFIXES
+        path = mirror.fetch_settings(source) if is_settings else mirror.fetch_scene(source)
+        source = str(path)
+    overrides = []
+    for text in order.overrides:
+        name = text.partition("=")[2].strip()
+        if _is_outlines(text) and is_url(name):
+            text = f"{'.'.join(POLYGONS)}={json.dumps(str(mirror.fetch(name)))}"
+        overrides.append(text)
+    job = order.job._replace(source=source, settings=_bring_outlines(order.job.settings, mirror))
+    settings = _bring_outlines(order.settings, mirror)
+    return order._replace(job=job, settings=settings, overrides=tuple(overrides))
+
+
+def _bring_outlines(settings: Json, mirror: Mirror) -> Json:
+    name = _outlines_of(settings)
+    if name is None or not is_url(name):
+        return settings
+    rooms = {**settings[POLYGONS[0]], POLYGONS[1]: str(mirror.fetch(name))}
+    return {**settings, POLYGONS[0]: rooms}
+
+
+def _inputs(order: Order, near: Order, stated: Json, mirror: Mirror) -> Json:
+    """The states of a scene's files, by their URLs where they are on a store."""
+    inputs = {}
+    for name, state in stated.items():
+        path = os.path.normpath(os.path.join(near.folder, name))
+        url, entry = mirror.url_of(path), mirror.entry(path)
+        if url is None:
+            inputs[_name_path(path, order)] = state
+        else:
+            inputs[shown(url)] = state_of(entry or Entry(None, None), state)
+    # settings aren't read to find out whether a scene is done: they are a file like others
+    source = order.job.source
+    if is_url(source) and shown(source) not in inputs:
+        inputs[shown(source)] = mirror.state(source)
+    return inputs
+
+
+def _name_path(path: str, order: Order) -> str:
+    if is_url(path):
+        return shown(path)
+    if isinstance(order.folder, str):
+        return Path(path).absolute().as_posix()
+    return path_from(path, order.folder)
+
+
+def _row_of(order: Order, known: Mapping[str, Json]) -> Json:
+    """The row of a scene that is done as far as the index says; {} if it isn't."""
+    row = known.get(order.job.id, {})
+    is_same = row.get("status") == "ok" and row.get("key") == key_of_far(order)
+    has_files = all(isinstance(row.get(key), dict) and row[key] for key in ("inputs", "files"))
+    return row if is_same and has_files else {}
+
+
+def _far_inputs(order: Order, rows: Mapping[str, Json]) -> list[str]:
+    return [_real(name, order) for name in rows[order.job.id]["inputs"] if is_url(name)]
+
+
+def _real(name: str, order: Order) -> str:
+    """The URL that the index shows without its password or query."""
+    for url in filter(is_url, _named(order)):
+        root = split_url(url).root
+        if name == shown(url):
+            return url
+        if shown(root) != root and name.startswith(f"{shown(root)}/"):
+            return root + name[len(shown(root)) :]
+    return name
+
+
+def _is_done(order: Order, row: Json, listing: Listing, made: Mapping[str, Entry]) -> bool:
+    try:
+        here = {name: state for name, state in row["inputs"].items() if not is_url(name)}
+        if not are_unchanged(here, order.folder if isinstance(order.folder, Path) else Path()):
+            return False
+        for name in row["inputs"].keys() - here.keys():
+            url = _real(name, order)
+            if not is_unchanged(row["inputs"][name], listing.entry(url), url):
+                return False
+        if isinstance(order.folder, Path):
+            return are_unchanged(row["files"], order.place)
+        return all(
+            is_unchanged(
+                state,
+                made.get(f"{order.job.id}/{name}"),
+                f"{order.folder}/{order.job.id}/{name}",
+            )
+            for name, state in row["files"].items()
+        )
+    except (NavbakeError, KeyError, TypeError, AttributeError):  # or no row of a batch's
+        return False
