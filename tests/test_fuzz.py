@@ -78,6 +78,8 @@ FOUND = [
     ("yaml", Input(b'scene: {path: a}\nrooms: {polygons: "a\\nb"}', ".yaml")),  # two lines
     ("yaml", Input(b"scene: {path: a}\nscene: &a {path: *a}", ".yaml")),
     ("yaml", Input(b"scene: {path: a}\nrooms: {polygons: /dev/zero}", ".yaml")),  # 64 MiB
+    ("yaml", Input(b"scene: {path: a}\na: !!" + b"x" * 5000, ".yaml")),  # a long line
+    ("yaml", Input(b"scene: {path: a}\na: *" + b"x" * 5000, ".yaml")),
     ("geojson", Input(b'{"type": "Feature", "properties": [1]}', ".geojson")),
     ("geojson", Input(b'{"type": "\\n"}', ".geojson")),  # two lines
     ("names", Input(encode_binvox(VOXELS), ".binvox", {

@@ -13,6 +13,7 @@ MAX_BYTES = 1_000_000  # of a YAML file; settings take a few thousand
 MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))  # their keys may hold dots
 
 
+MOST_SHOWN = 200  # characters of what PyYAML says: it repeats tags and names, however long
 MAX_DEPTH = 32  # of lists and mappings in each other; settings take 6
 MAX_NODES = 40_000  # values that stand in a file; PyYAML takes a second for them
 MAX_VALUES = 1_000_000  # of a YAML file, each alias counted as all that it stands for
@@ -118,13 +119,13 @@ def parse_yaml(text: str, source: str) -> Any:
         return loader.construct_document(node)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
-        problem = error.problem or error.context
-        hint = "; text that begins with * needs quotes" if "alias" in str(problem) else ""
+        problem = str(error.problem or error.context)[:MOST_SHOWN]
+        hint = "; text that begins with * needs quotes" if "alias" in problem else ""
         raise ConfigError(f"{problem} in line {line} of {source}{hint}") from error
     except RecursionError as error:
         raise ConfigError(f"{source} is nested too deeply") from error
     except (yaml.YAMLError, *UNFIT) as error:
-        raise ConfigError(f"{source} is no YAML: {str(error).splitlines()[0]}") from error
+        raise ConfigError(f"{source} is no YAML: {str(error).splitlines()[0][:MOST_SHOWN]}") from error
 
 
 def _count_values(node: yaml.Node, known: dict[int, int], source: str) -> int:
