@@ -5,10 +5,12 @@ import logging
 import os
 import re
 import stat
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
 from os import PathLike
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -23,6 +25,7 @@ TEMPORARY = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp")
 RETRIES = 20  # how often Windows is asked within a second to replace a file that is being read
 OLD = 86400.0  # age at which a temporary file is a leftover where nothing can be locked [s]
 _swept: set[Path] = set()  # folders that this process has removed leftovers from
+_waits = ContextVar("_waits", default=True)  # whether a writer waits for the disk
 
 
 class FileState(NamedTuple):
@@ -69,6 +72,41 @@ def write_whole(
         put()
 
 
+@contextmanager
+def without_waiting() -> Iterator[None]:
+    """Let what is written inside reach the disk when the system likes; for many small files.
+
+    Each file is still there as a whole or not at all, however its writer ends. But a power cut may
+    cut off those of the last seconds, unless `wait_for_disk` was called after them.
+    """
+    before = _waits.set(False)
+    try:
+        yield
+    finally:
+        _waits.reset(before)
+
+
+def wait_for_disk(folder: Path) -> None:
+    """Wait until the disk that a folder is on has all that was written to it.
+
+    Raises:
+        OSError: it can't have it.
+    """
+    if sys.platform == "linux":
+        import ctypes  # readers of grids start without it
+
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            system = ctypes.CDLL(None, use_errno=True)
+            if system.syncfs(descriptor) != 0:  # which Python doesn't have
+                code = ctypes.get_errno()
+                raise OSError(code, os.strerror(code), str(folder))
+        finally:
+            os.close(descriptor)
+    elif hasattr(os, "sync"):
+        os.sync()
+
+
 def write_together(contents: Mapping[Path, bytes | Iterable[bytes]]) -> None:
     """Write several files, each as `write_whole` does; all or, as far as the system allows, none.
 
@@ -111,7 +149,8 @@ def _beside(
             file.writelines(pieces)
             file.flush()
             size = file.tell()
-            os.fsync(file.fileno())
+            if _waits.get():
+                os.fsync(file.fileno())
             yield put
     except BaseException:
         temporary.unlink(missing_ok=True)

@@ -1,12 +1,14 @@
 """Shows what a batch withstands, and how fast it is.
 
-    python scripts/sweep_batch.py [faults] [kills] [speed] [--kills 50] [--scenes 200] [--seed 0]
+    python scripts/sweep_batch.py [faults] [kills] [speed] [--kills 50] [--scenes 200]
+                                   [--seed 0] [--many 2000] [--few 24]
 
 faults  200 scenes, 20 broken in ten ways, one that hangs, one that takes 27 GiB, one that crashes
         its process: what became of each, held against what was to become of it.
 kills   a batch whose process group is killed by SIGKILL at random moments, and started again each
         time, while a thread reads the folder: at the end the grids of an undisturbed batch.
-speed   two workers against one, what a batch adds to scenes of a second, and scenes of 10 ms.
+speed   what a batch adds to a loop of bakes, for scenes of 10 ms and of 1 s, and two workers
+        against one; figures count while all workers are at work. 10,000 scenes: --many 10000.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import argparse
 import contextlib
 import hashlib
 import json
+import multiprocessing
 import os
 import random
 import signal
@@ -23,19 +26,27 @@ import sys
 import tempfile
 import threading
 import time
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 from batch_scenes import write_scenes, wrong_rows  # noqa: E402 (of the tests)
-from navbake.batch.index import read_index  # noqa: E402
+from navbake.baker.pipeline import run_bake  # noqa: E402
+from navbake.batch.index import NAME, read_index  # noqa: E402
+from navbake.batch.work import prepare  # noqa: E402
+from navbake.config.settings import as_config  # noqa: E402
+from navbake.files import without_waiting  # noqa: E402
+from navbake.formats.navgrid import write_navgrid  # noqa: E402
 
 PARTS = ("faults", "kills", "speed")
 LIMITS = ("--time-limit", "30", "--memory-limit", "4")
-AFTER = (0.0, 5.0)  # when a batch is killed; its first scene is done after about 2 s [s]
+WARM = 4  # scenes of each worker that don't count
+WHILE_STARTING = 0.2  # share of the kills that don't wait until a scene is done
+AFTER = (0.0, 2.0)  # how long after its start, or a scene, a batch is killed [s]
 
 
 def start(folder: Path, out: Path, *options: str) -> subprocess.Popen[bytes]:
@@ -77,6 +88,56 @@ def show_faults(folder: Path, args: argparse.Namespace) -> bool:
     return is_fine and status == 1
 
 
+class Watcher(threading.Thread):
+    """Reads a folder's grids again and again, each as it changes.
+
+    Attributes:
+        looks: how many files it read.
+        torn: those that were not as expected.
+    """
+
+    def __init__(self, out: Path, expected: dict[str, str]) -> None:
+        super().__init__()
+        self._out, self._expected = out, expected
+        self._ended = threading.Event()
+        self._known: dict[str, tuple[int, int, int]] = {}
+        self.looks, self.torn = 0, set[str]()
+
+    def run(self) -> None:
+        while not self._ended.wait(0.002):
+            for path in self._out.glob("*/*.json.gz"):
+                with contextlib.suppress(FileNotFoundError):
+                    self._look(path, str(path.relative_to(self._out)))
+
+    def _look(self, path: Path, name: str) -> None:
+        status = os.stat(path)
+        state = status.st_ino, status.st_size, status.st_mtime_ns
+        if self._known.get(name) != state:
+            digest = hashlib.sha256(path.read_bytes()).hexdigest()
+            self._known[name] = state
+            self.looks += 1
+            if digest != self._expected[name]:
+                self.torn.add(name)
+
+    def end(self) -> None:
+        self._ended.set()
+        self.join()
+
+
+def wait_for_moment(process: subprocess.Popen[bytes], out: Path, random_: random.Random) -> None:
+    """Wait until a batch is to be killed: as it starts, or after it has done another scene."""
+
+    def size() -> int:
+        return index.stat().st_size if index.exists() else 0
+
+    index = out / NAME
+    before, starts = size(), random_.random() < WHILE_STARTING
+    while not starts and process.poll() is None and size() <= before:
+        time.sleep(0.01)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(random_.uniform(*AFTER))
+
+
 def show_kills(folder: Path, args: argparse.Namespace) -> bool:
     """Kill a batch again and again."""
     scenes, random_ = folder / "scenes", random.Random(args.seed)
@@ -84,47 +145,40 @@ def show_kills(folder: Path, args: argparse.Namespace) -> bool:
     options = ("--jobs", "2", "-q", "--make", "inflated:0.3", "--set", "grid.cell_size=0.03")
     run(scenes, folder / "whole", *options)
     expected = digests(folder / "whole")
-    out, kills, starts, looks = folder / "out", 0, 0, 0
-    torn: set[str] = set()
-    ended = threading.Event()
-
-    def watch() -> None:
-        nonlocal looks
-        while not ended.is_set():
-            found = digests(out)
-            torn.update(name for name, digest in found.items() if expected[name] != digest)
-            looks += len(found)
-            time.sleep(0.005)
-
-    watcher = threading.Thread(target=watch)
+    out, kills, rounds, done = folder / "out", 0, 0, []
+    watcher = Watcher(out, expected)
     watcher.start()
     is_done = False
     while not is_done or kills < args.kills:
         if is_done:  # begin anew
-            for path in out.rglob("*.*"):
-                path.unlink()
-        starts += 1
+            rounds += 1
+            for path in [*out.rglob("*.*"), out / NAME]:
+                path.unlink(missing_ok=True)
         with start(scenes, out, *options) as process:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(random_.uniform(*AFTER) if kills < args.kills else None)
+            if kills < args.kills:
+                wait_for_moment(process, out, random_)
+            else:
+                process.wait()
             is_done = process.poll() is not None
             kills += not is_done
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
-    ended.set()
-    watcher.join()
+        done.append(len(digests(out)))
+    watcher.end()
     rows = read_index(out).values()
     is_same = digests(out) == expected and all(row["status"] == "ok" for row in rows)
+    leftovers = [*out.rglob("*.tmp")]
     print(
-        f"{kills} kills, {starts} starts, {len(expected)} files at the end "
-        f"{'as undisturbed' if is_same else 'THAT DIFFER'}; a watcher read {looks:,} files, "
-        f"{len(torn)} of them broken; load {os.getloadavg()[0]:.1f}"
+        f"{kills} kills in {len(done)} starts, files after each: {done}; {len(expected)} at the "
+        f"end {'as undisturbed' if is_same else 'THAT DIFFER'}, {len(leftovers)} leftovers; a "
+        f"watcher read {watcher.looks:,} files, {len(watcher.torn)} of them broken; "
+        f"{rounds} times begun anew; load {os.getloadavg()[0]:.1f}"
     )
-    return is_same and not torn
+    return is_same and not watcher.torn and not leftovers
 
 
-def events(folder: Path, out: Path, *options: str) -> Iterator[tuple[float, dict[str, Any]]]:
-    """The lines that a batch prints, with when they came [s]."""
+def events(folder: Path, out: Path, *options: str) -> Iterator[tuple[dict[str, Any], int]]:
+    """The lines that a batch prints, and its process."""
     command = [sys.executable, "-m", "navbake", "batch", "list.jsonl", "-o", str(out), "--json"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(
@@ -132,32 +186,105 @@ def events(folder: Path, out: Path, *options: str) -> Iterator[tuple[float, dict
     ) as process:
         assert process.stdout is not None
         for line in process.stdout:
-            yield time.perf_counter(), json.loads(line)
+            yield json.loads(line), process.pid
 
 
-def measure(folder: Path, name: str, *options: str) -> tuple[float, float]:
-    """Scenes a second once workers run, and the share of it that the bakes themselves take."""
-    lines = [*events(folder / "scenes", folder / name, *options)]
-    scenes = [(when, line) for when, line in lines if line["event"] == "scene"]
-    seconds = scenes[-1][0] - scenes[0][0]
-    baked = sum(sum(line["stages"].values()) for _, line in scenes[1:])
-    return (len(scenes) - 1) / seconds, baked / seconds
+class Pace(NamedTuple):
+    """What a scene takes: time on the wall and of processors [s]."""
+
+    wall: float
+    processor: float
+
+    @property
+    def rate(self) -> float:
+        """Scenes a second."""
+        return 1.0 / self.wall
+
+    def over(self, other: Pace) -> str:
+        """How much more it is than another one."""
+        wall, processor = 100 * (self.wall / other.wall - 1), self.processor / other.processor - 1
+        return f"{wall:+.1f} % ({100 * processor:+.1f} % of processor time)"
+
+
+def loop(paths: list[str], out: str, edge: float) -> Pace:
+    """The bake itself: what a loop over `run_bake` and `write_navgrid` takes, on one thread, warm.
+
+    Like a batch, it does not wait for the disk.
+    """
+    prepare()
+    begin = Pace(0.0, 0.0)
+    for number, path in enumerate(paths):
+        if number == WARM:  # the first ones load what is left to load
+            begin = Pace(time.perf_counter(), time.process_time())
+        with warnings.catch_warnings(), without_waiting():
+            warnings.simplefilter("ignore")
+            config = as_config({"scene": {"path": path}, "grid": {"cell_size": edge}})
+            grid = run_bake(config, threads=1).grid
+            grid.timings = {}
+            write_navgrid(grid, Path(out) / f"{number}.json.gz")
+    count = len(paths) - WARM
+    return Pace(
+        (time.perf_counter() - begin.wall) / count, (time.process_time() - begin.processor) / count
+    )
+
+
+def loop_in_its_own_process(scenes: Path, count: int, edge: float) -> Pace:
+    """See `loop`: of the first scenes of a folder."""
+    out = scenes.parent / "loop"
+    out.mkdir()
+    paths = [str(path) for path in sorted(scenes.glob("*.xml"))[:count]]
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        return pool.apply(loop, (paths, str(out), edge))
+
+
+def processor_time(process: int) -> float:
+    """What a process and those that it started have taken of processors, on Linux [s]."""
+    children = Path(f"/proc/{process}/task/{process}/children")
+    total = 0.0
+    for each in (process, *map(int, children.read_text().split())):
+        fields = Path(f"/proc/{each}/stat").read_text().rpartition(")")[2].split()
+        total += (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return total
+
+
+def measure(folder: Path, name: str, workers: int, edge: float) -> Pace:
+    """What a scene takes in a batch while all workers are at work, and whether the index grows."""
+    options = ("--jobs", str(workers), "--set", f"grid.cell_size={edge}")
+    count = len((folder / "scenes" / "list.jsonl").read_text().splitlines())
+    first, last = WARM * workers, count - workers
+    marks, done = [], 0
+    for line, process in events(folder / "scenes", folder / name, *options):
+        done += line["event"] == "scene"
+        if done in (first, last) and line["event"] == "scene":
+            marks.append(Pace(time.perf_counter(), processor_time(process)))
+        if done % 1000 == 500 and len(read_index(folder / name)) < done:
+            sys.exit(f"{done} scenes are done, but the index has not that many lines")
+    begin, end = marks
+    num = last - first
+    return Pace((end.wall - begin.wall) / num, (end.processor - begin.processor) / num)
 
 
 def show_speed(folder: Path, args: argparse.Namespace) -> bool:
     """Rates and overheads; judged by a person, as the machine may be busy with other things."""
-    for title, count, half, edge in (("10 ms", 600, 2.0, 0.2), ("1 s", 12, 4.0, 0.006)):
+    for title, count, half, edge in (
+        ("10 ms", args.many, 2.0, 0.2),
+        ("1 s", args.few, 4.0, 0.006),
+    ):
         place = folder / title.replace(" ", "-")
         write_scenes(place / "scenes", count, half=half)
-        cells = ("--set", f"grid.cell_size={edge}")
-        one, share = measure(place, "one", "--jobs", "1", *cells)
-        two, _ = measure(place, "two", "--jobs", "2", *cells)
-        rows = [*read_index(place / "one").values()]
-        bake = sum(sum(row["stages"].values()) for row in rows) / len(rows)
+        alone = loop_in_its_own_process(place / "scenes", min(count, 500), edge)
         print(
-            f"scenes of {1e3 * bake:.0f} ms: {one:.2f} a second by one worker, {two:.2f} by two, "
-            f"{two / one:.2f} x; {100 * (1 / share - 1):.1f} % over the bakes; "
-            f"load {os.getloadavg()[0]:.1f}"
+            f"{count} scenes of {1e3 * alone.wall:.1f} ms ({1e3 * alone.processor:.1f} ms of "
+            f"processor time), baked and written in a loop: {alone.rate:.2f} a second",
+            flush=True,
+        )
+        one = measure(place, "one", 1, edge)
+        print(f"a batch, one worker: {one.rate:.2f} a second, {one.over(alone)}", flush=True)
+        two = measure(place, "two", 2, edge)
+        print(
+            f"a batch, two workers: {two.rate:.2f} a second, {two.rate / one.rate:.2f} x; "
+            f"load {os.getloadavg()[0]:.1f}",
+            flush=True,
         )
     return True
 
@@ -171,6 +298,8 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--scenes", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--many", type=int, default=2000, help="scenes of 10 ms")
+    parser.add_argument("--few", type=int, default=24, help="scenes of 1 s")
     args = parser.parse_args()
     shows = {"faults": show_faults, "kills": show_kills, "speed": show_speed}
     failed = []

@@ -9,7 +9,13 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from navbake import files
-from navbake.files import check_writable, write_together, write_whole
+from navbake.files import (
+    check_writable,
+    wait_for_disk,
+    without_waiting,
+    write_together,
+    write_whole,
+)
 
 
 def test_replaces_the_file(tmp_path):
@@ -56,6 +62,25 @@ def test_a_device_is_written_to():
     write_whole(b"now", os.devnull)
     assert os.path.exists(os.devnull)
     assert not os.path.isfile(os.devnull)
+
+
+def test_a_writer_waits_for_the_disk_unless_told_otherwise(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr(os, "fsync", synced.append)
+    with without_waiting():
+        write_whole(b"now", tmp_path / "a")
+        write_together({tmp_path / "b": b"now"})
+    assert synced == []
+    wait_for_disk(tmp_path)
+    assert [(tmp_path / name).read_bytes() for name in "ab"] == [b"now"] * 2
+    write_whole(b"then", tmp_path / "a")
+    assert len(synced) == 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems know no folder's disk")
+def test_waiting_for_the_disk_of_no_folder_is_an_error(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        wait_for_disk(tmp_path / "none")
 
 
 def test_a_check_leaves_nothing(tmp_path):

@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from navbake.auditor.facts import Facts
 from navbake.auditor.inflation import find_reasons
 from navbake.auditor.report import ERROR, REMARK, Remark, remark_on_cells
-from navbake.types import Bool, Int
+from navbake.types import Bool, Int32
 
 MANY = 100  # cells that a grid has at least, if it is to say something that all are free
 FEW = 0.01  # share of a level's cells under which hardly any are free
@@ -54,7 +54,8 @@ def check_empty_levels(facts: Facts) -> Iterator[Remark]:
 def check_free_share(facts: Facts) -> Iterator[Remark]:
     """Hardly any cell is free: a map that is black but for a few specks."""
     for number, (free, floor) in enumerate(zip(facts.free, facts.floors, strict=True)):
-        num_free, num_floor = int(free.sum()), int(np.count_nonzero(free | ~np.isnan(floor)))
+        num_free = int(np.count_nonzero(free))
+        num_floor = int(np.count_nonzero(free | ~np.isnan(floor)))
         total = num_floor if facts.levels[number].uses_cell_floors else free.size
         if total >= MANY and 0 < num_free < FEW * total:
             text = f"only {num_free} of {total} cells are free"
@@ -112,7 +113,7 @@ def check_layers(facts: Facts) -> Iterator[Remark]:
             yield from remark_on_cells(facts, "layers", number, wrong, "a wrong `clearance`")
 
 
-def _otherwise_parted(stored: NDArray[Any], own: Int) -> Bool:
+def _otherwise_parted(stored: NDArray[Any], own: Int32) -> Bool:
     """The cells by which two arrays of numbers part a level differently.
 
     A part of one is the part of the other that most of its cells are in, where that holds the other

@@ -5,17 +5,16 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from navbake.auditor.inflation import Inflation, read_inflation
+from navbake.auditor.parts import Steps, find_steps, number_islands
 from navbake.errors import FormatError
 from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.grid_base import GridBase
 from navbake.navgrid.lattice import FARTHEST
 from navbake.navgrid.rooms import Room
-from navbake.types import Bool, Float, Int, Json, Vector3
+from navbake.types import Bool, Float, Int, Int32, Json, Vector3
 
 SLACK = 1e-6  # metres that a step may be over the highest one
 
@@ -107,19 +106,24 @@ class Facts:
         return [free | door for free, door in zip(self.free, self.door_cells, strict=True)]
 
     @cached_property
-    def islands(self) -> list[Int]:
+    def steps(self) -> list[Steps]:
+        """Where free cells of each level lie more than a step beside each other."""
+        layers = zip(self.free, self.floors, strict=True)
+        return [find_steps(mask, floor, self.step_limit) for mask, floor in layers]
+
+    @cached_property
+    def islands(self) -> list[Int32]:
         """The connected parts of the free cells, numbered from 1, the largest first; 0 for none."""
-        return self._label(self.free)
+        return number_islands(self.free, self.steps, self.links)
 
     @cached_property
-    def open_islands(self) -> list[Int]:
+    def open_islands(self) -> list[Int32]:
         """The same, if no door blocked anything."""
-        return self._label(self.passable)
-
-    @cached_property
-    def start(self) -> Int:
-        """The number of each level's first cell, of all levels in a row."""
-        return np.cumsum([0, *(level.width * level.height for level in self.levels)])
+        if not self.doors:
+            return self.islands
+        layers = zip(self.passable, self.floors, strict=True)
+        steps = [find_steps(mask, floor, self.step_limit) for mask, floor in layers]
+        return number_islands(self.passable, steps, self.links)
 
     def place(self, number: int, row: int, col: int) -> Vector3:
         """World x, y and z of a cell; its level's ground where its floor is at no height [m]."""
@@ -132,34 +136,3 @@ class Facts:
         """The place of the first marked cell of a level."""
         row, col = np.unravel_index(int(np.argmax(mask)), mask.shape)
         return self.place(number, int(row), int(col))
-
-    def joined(self, number: int, mask: Bool) -> tuple[Int, Int]:
-        """Neighbouring marked cells of a level with a step between them at most: two lists."""
-        floor, ids = self.floors[number], np.arange(mask.size).reshape(mask.shape)
-        one, other = [], []
-        for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-            with np.errstate(invalid="ignore"):
-                too_high = np.abs(floor[here] - floor[there]) > self.step_limit
-            both = mask[here] & mask[there] & ~too_high
-            one.append(ids[here][both])
-            other.append(ids[there][both])
-        return np.concatenate(one), np.concatenate(other)
-
-    def _label(self, masks: list[Bool]) -> list[Int]:
-        start = self.start
-        pairs = [self.joined(number, mask) for number, mask in enumerate(masks)]
-        flat = np.concatenate([mask.ravel() for mask in masks])
-        a = start[self.links[:, 0]] + self.links[:, 1]
-        b = start[self.links[:, 2]] + self.links[:, 3]
-        usable = flat[a] & flat[b]
-        one = np.concatenate([start[k] + pair[0] for k, pair in enumerate(pairs)] + [a[usable]])
-        other = np.concatenate([start[k] + pair[1] for k, pair in enumerate(pairs)] + [b[usable]])
-        graph = coo_array((np.ones(len(one), dtype=np.int8), (one, other)), shape=(len(flat),) * 2)
-        _, label = connected_components(graph, directed=False)
-        found, part, count = np.unique(label[flat], return_inverse=True, return_counts=True)
-        rank = np.empty(len(found), dtype=np.int64)
-        rank[np.lexsort((np.arange(len(found)), -count))] = np.arange(1, len(found) + 1)
-        result = np.zeros(len(flat), dtype=np.int64)
-        result[flat] = rank[part]
-        shapes = [level.shape for level in self.levels]
-        return [result[start[k] : start[k + 1]].reshape(s) for k, s in enumerate(shapes)]

@@ -9,7 +9,7 @@ import numpy as np
 
 from navbake.auditor.facts import Facts
 from navbake.auditor.report import ERROR, REMARK, Remark, count_of, remark_on_cells
-from navbake.types import Float, Int
+from navbake.types import Float, Int, Int32
 
 FARTHEST = 10_000.0  # floors beyond are a wrong unit [m]
 MIN_AREA = 1.0  # of a floor that no step leads to, unless the settings of a bake say another [m²]
@@ -26,7 +26,7 @@ def check_floors(facts: Facts) -> Iterator[Remark]:
             continue
         missing = free & np.isnan(floor)
         yield from remark_on_cells(facts, "floors", number, missing, "free without a floor")
-        far = np.abs(np.where(np.isnan(floor), 0.0, floor)) > FARTHEST
+        far = np.abs(floor) > FARTHEST  # NaN isn't
         text = f"farther than {FARTHEST:g} m from 0"
         yield from remark_on_cells(facts, "floors", number, far, text)
 
@@ -37,6 +37,8 @@ def check_jumps(facts: Facts) -> Iterator[Remark]:
     No step and no link leads there, so it is a spike, a pit, or the top of something. One that is
     too small for a floor can't be meant; of a larger one, a person would ask.
     """
+    if not any(len(cells) for steps in facts.steps for cells in steps):
+        return
     found = []
     outline = _measure_outlines(facts)
     area = outline.cells * facts.levels[0].lattice.cell_size ** 2
@@ -79,21 +81,35 @@ def _measure_outlines(facts: Facts) -> _Outlines:
     count = max((int(island.max(initial=0)) for island in islands), default=0) + 1
     cells, edges, drops, rises = (np.zeros(count, dtype=np.int64) for _ in range(4))
     dropped, risen = np.zeros(count), np.zeros(count)
-    for island, floor in zip(islands, facts.floors, strict=True):
+    for number, island in enumerate(islands):
         cells += np.bincount(island.ravel(), minlength=count)
-        wide, high = np.pad(island, 1), np.pad(floor, 1, constant_values=np.nan)
-        for beside in (np.s_[:-2, 1:-1], np.s_[2:, 1:-1], np.s_[1:-1, :-2], np.s_[1:-1, 2:]):
-            with np.errstate(invalid="ignore"):  # floors that are infinite are told as such
-                other, down = wide[beside], floor - high[beside]
-            is_outline = (island > 0) & (other != island)
-            edges += np.bincount(island[is_outline], minlength=count)
-            jumps = is_outline & (other > 0)
+        for rim in (island[0], island[-1], island[:, 0], island[:, -1]):
+            edges += np.bincount(rim, minlength=count)
+        for here, there in (np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:]):
+            differ = island[here] != island[there]
+            for side in (here, there):
+                edges += np.bincount(island[side][differ], minlength=count)
+        for own, down in _jumps(facts, number):
             for mask, num, total in ((down > 0, drops, dropped), (down < 0, rises, risen)):
-                own = island[jumps & mask]
-                num += np.bincount(own, minlength=count)
-                total += np.bincount(own, np.abs(down[jumps & mask]), minlength=count)
-    cells[0] = 0
+                num += np.bincount(own[mask], minlength=count)
+                total += np.bincount(own[mask], np.abs(down[mask]), minlength=count)
+    cells[0] = edges[0] = 0
     return _Outlines(cells, edges, (drops, dropped), (rises, risen))
+
+
+def _jumps(facts: Facts, number: int) -> Iterator[tuple[Int32, Float]]:
+    """Islands beside another one, and how far that lies below [m]: above, below, left and right.
+
+    Free neighbours are on two islands only where they lie more than a step apart.
+    """
+    island, floor = facts.islands[number].ravel(), facts.floors[number].ravel()
+    steps, width = facts.steps[number], facts.levels[number].width
+    for cells, beside in ((steps.down, steps.down + width), (steps.right, steps.right + 1)):
+        apart = island[cells] != island[beside]
+        one, other = cells[apart], beside[apart]
+        down = floor[one] - floor[other]
+        yield island[other], -down
+        yield island[one], down
 
 
 def _middle(facts: Facts, patch: int) -> tuple[int, tuple[float, float, float]]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from navbake.auditor.facts import Facts
 from navbake.auditor.report import REMARK, Remark
-from navbake.types import Int
+from navbake.types import Int32
 
 MIN_AREA = 1.0  # of both islands, if what lies between them is to matter [m²]
 MOST_CELLS = 3  # of a gap; what is longer is a thin wall
@@ -24,6 +24,8 @@ def check_cut_off(facts: Facts) -> Iterator[Remark]:
     """
     islands = facts.open_islands
     largest = max((int(island.max(initial=0)) for island in islands), default=0)
+    if largest < 2:
+        return
     count = np.zeros(largest + 1, dtype=np.int64)
     for island in islands:
         count += np.bincount(island.ravel(), minlength=largest + 1)
@@ -43,27 +45,25 @@ def check_cut_off(facts: Facts) -> Iterator[Remark]:
         yield Remark("cut off", REMARK, number, facts.place(number, row, col), text)
 
 
-def _gaps(facts: Facts, number: int, island: Int) -> dict[tuple[int, int], set[int]]:
+def _gaps(facts: Facts, number: int, island: Int32) -> dict[tuple[int, int], set[int]]:
     """The blocked cells with two islands on opposite sides, by the pair of islands.
 
     The floors on both sides are within a step of each other, as they would be on one walk.
     """
-    floor = facts.floors[number]
-    ids = np.arange(island.size).reshape(island.shape)
+    floor, own, width = facts.floors[number].ravel(), island.ravel(), island.shape[1]
     gaps: dict[tuple[int, int], set[int]] = {}
-    slices = (
-        (np.s_[:, :-2], np.s_[:, 1:-1], np.s_[:, 2:]),
-        (np.s_[:-2], np.s_[1:-1], np.s_[2:]),
-    )
-    for before, here, after in slices:
-        one, other = island[before], island[after]
-        between = (island[here] == 0) & (one > 0) & (other > 0) & (one != other)
+    ways = (1, island[:, :-2] != island[:, 2:]), (width, island[:-2] != island[2:])
+    for step, differ in ways:
+        rows, cols = np.nonzero(differ)  # few do, so that the rest is asked of few
+        one = rows * width + cols
+        one = one[(own[one] > 0) & (own[one + step] == 0) & (own[one + 2 * step] > 0)]
+        cell, other = one + step, one + 2 * step
         with np.errstate(invalid="ignore"):
-            between &= ~(np.abs(floor[before] - floor[after]) > facts.step_limit)
-        between &= ~np.isnan(floor[here])
-        pairs = np.sort(np.stack([one[between], other[between]], axis=1), axis=1)
-        for (a, b), cell in zip(pairs.tolist(), ids[here][between].tolist(), strict=True):
-            gaps.setdefault((a, b), set()).add(cell)
+            is_gap = ~(np.abs(floor[one] - floor[other]) > facts.step_limit)
+        is_gap &= ~np.isnan(floor[cell])
+        pairs = np.sort(np.stack([own[one][is_gap], own[other][is_gap]], axis=1), axis=1)
+        for (a, b), blocked in zip(pairs.tolist(), cell[is_gap].tolist(), strict=True):
+            gaps.setdefault((a, b), set()).add(blocked)
     return gaps
 
 

@@ -55,21 +55,22 @@ def check_order(facts: Facts) -> Iterator[Remark]:
 def check_boxes(facts: Facts) -> Iterator[Remark]:
     """A level's box leaves out free cells of its own, or another level's takes them."""
     boxes = [level.bbox_yup for level in facts.levels]
-    inside = [[_in_box(facts, number, box) for box in boxes] for number in range(len(boxes))]
-    for number, by_box in enumerate(inside):
+    for number, box in enumerate(boxes):
         free = facts.free[number]
-        if boxes[number] is None:
+        if box is None:
             continue
-        out = free & ~by_box[number] & ~_interleaves(facts, number)
+        out = free & ~_in_box(facts, number, box)
+        if out.any():
+            out &= ~_interleaves(facts, number)
         if out.any():
             text = f"{int(out.sum())} free cells lie outside of its box (`bbox`)"
             yield Remark("boxes", ERROR, number, facts.first(number, out), text)
         taken = np.zeros_like(free)
-        for other in range(number):
-            if boxes[other] is not None:
-                taken |= free & by_box[other]
+        for lower in boxes[:number]:
+            if lower is not None:
+                taken |= free & _in_box(facts, number, lower)
         # where levels interleave, some cells lie in two boxes, and no boxes are right for all
-        if taken.sum() > MOST_TAKEN * free.sum():
+        if number and taken.sum() > MOST_TAKEN * free.sum():
             text = f"{int(taken.sum())} free cells lie in the box of a lower level, too"
             yield Remark("boxes", REMARK, number, facts.first(number, taken), text)
 
@@ -85,17 +86,16 @@ def _interleaves(facts: Facts, number: int) -> Bool:
     return found
 
 
-def _in_box(facts: Facts, number: int, box: tuple[tuple[float, ...], ...] | None) -> Bool:
+def _in_box(facts: Facts, number: int, box: tuple[tuple[float, ...], ...]) -> Bool:
     """Which cells of a level have their centres in a box of the file (y up)."""
     level, floor = facts.levels[number], facts.floors[number]
-    if box is None:
-        return np.zeros(level.shape, dtype=np.bool_)
     (x0, y0, z0), (x1, y1, z1) = (np.array(corner) * level.unit for corner in box)
-    x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
+    x, y = level.lattice.center_x(), level.lattice.center_y()
     height = np.where(np.isnan(floor), level.ground, floor)
-    inside = (x >= x0 - BOX_SLACK) & (x <= x1 + BOX_SLACK)
-    inside &= (-y >= z0 - BOX_SLACK) & (-y <= z1 + BOX_SLACK)
-    return np.asarray(inside & (height >= y0 - 1e-6) & (height <= y1 + 1e-6))
+    inside = (height >= y0 - 1e-6) & (height <= y1 + 1e-6)
+    inside &= (x >= x0 - BOX_SLACK) & (x <= x1 + BOX_SLACK)
+    inside &= ((-y >= z0 - BOX_SLACK) & (-y <= z1 + BOX_SLACK))[:, None]
+    return np.asarray(inside)
 
 
 def check_links(facts: Facts) -> Iterator[Remark]:

@@ -93,13 +93,13 @@ def _level_grid(
     attributes: dict[str, NDArray[Any]] = {
         "floorHeight": floor,
         "roomIndex": np.ascontiguousarray(stages.rooms.index[number][window]),
-        "occupancy": occupied.astype(np.uint8),
+        "occupancy": occupied.view(np.uint8),
     }
     if stages.occupancy.solid is not None:
         solid = stages.occupancy.solid[number][window].copy()
         for door in doors:
             solid.ravel()[door.solid_in(door.state, num_levels)[number]] = True
-        attributes["solid"] = solid.astype(np.uint8)
+        attributes["solid"] = solid.view(np.uint8)
     user_data = UserData()
     if standing.user_data is not None:  # read on first use
         named = standing.user_data(number, window)

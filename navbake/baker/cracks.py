@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -354,19 +354,10 @@ def list_gaps(columns: Columns, limits: AgentLimits, crack: float) -> Gaps:
 
 def _find_open(probe: _Probe, crack: float, spacing: int) -> Bool:
     """Which gaps are open to one side: neighbouring ones of each so many ways lead to no floor."""
-    run, num = OPEN_WAYS // spacing + 1, 2 * AXES // spacing
-    misses = np.zeros((len(probe.gaps.cell), num), dtype=np.bool_)
-    is_open = np.zeros(len(misses), dtype=np.bool_)
-    # way by way, as those that are known to be open are asked no further
-    for number in range(num):
-        asked = np.flatnonzero(~is_open)
-        distance = np.full(len(asked), crack_reach(crack))
-        floors, _ = probe.floors(asked, np.full(len(asked), number * spacing), distance)
-        misses[asked, number] = np.isnan(floors)
-        # of the runs that this way is part of, those whose other ways are known are complete
-        for shift in range(run):
-            ways = np.arange(number - shift, number - shift + run) % num
-            is_open |= misses[:, ways].all(axis=1)
+    run, is_open = OPEN_WAYS // spacing + 1, np.empty(len(probe.gaps.cell), dtype=np.bool_)
+    offsets = WAYS[::spacing] * crack_reach(crack)
+    work = kernels.find_open, len(is_open), probe.gaps, probe.geometry, probe.limits, offsets
+    run_in_bands(*work, run, is_open)
     return is_open
 
 
@@ -436,17 +427,22 @@ class _Probe(NamedTuple):
     near: Tiles  # what lies near each gap's cell
     limits: AgentLimits
 
+    @property
+    def geometry(self) -> tuple[Any, ...]:
+        """What the kernels look at."""
+        tiled, shapes = self.tiled, self.tiled.shapes
+        solids, planes = shapes.solids, shapes.planes
+        return tiled.lattice, solids, tiled.facets, planes, self.near, tiled.heights
+
     def floors(self, gap: Int, way: Int, distance: Float) -> tuple[Float, Float]:
         """The floor that continues a gap's sides, some way from the centre, NaN for none [m].
 
         And the lowest such floor with room for an agent.
         """
-        tiled, shapes = self.tiled, self.tiled.shapes
         found = Found(np.empty(len(gap)), np.empty(len(gap)))
-        geometry = (shapes.solids, tiled.facets, shapes.planes, self.near, tiled.heights)
-        whole = (tiled.lattice, *geometry)
         asked = Asked(gap, WAYS[way] * distance[:, None])
-        run_in_bands(probe_lines, len(gap), self.gaps, whole, self.limits, asked, found, least=16)
+        known = self.gaps, self.geometry, self.limits
+        run_in_bands(probe_lines, len(gap), *known, asked, found, least=16)
         return found.floor, found.standable
 
 

@@ -124,7 +124,7 @@ def warn_nothing_free(stages: Stages) -> list[str]:
     full = [
         repr(level.name)
         for level, taken in zip(stages.floors.levels, stages.occupancy.levels, strict=True)
-        if not (~taken & level.standable).any()
+        if not (level.standable > taken).any()  # one pass: standable, and not taken
     ]
     if not full:
         return []

@@ -169,6 +169,8 @@ def _run(
                 if means.max_failures is not None and num_failed > means.max_failures:
                     result.stopped = f"more than {means.max_failures} scenes failed"
                     break
+        if waiting:
+            index.wait_for_disk()
     finally:
         result.rows = index.finish(
             [order.job.id for order in orders], skipped, lambda id: row_of(left[id], LEFT)

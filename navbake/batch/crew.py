@@ -1,8 +1,9 @@
 """Worker processes that do jobs, each of which may hang, crash or take too much memory.
 
-The parent gives each worker one job at a time and watches it. A worker that takes too long is
-killed, one that died is replaced, so a job costs at most itself. Workers stay for many jobs:
-starting one takes as long as many bakes.
+The parent gives each worker a job and watches it. A worker that takes too long is killed, one that
+died is replaced, so a job costs at most itself. Workers stay for many jobs: starting one takes as
+long as many bakes. Where jobs are short, a worker has the next one before it is done with its own,
+so that it need not wait for the parent.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import cached_property
 from multiprocessing.connection import Connection, wait
 from typing import Any, NamedTuple
 
@@ -26,6 +28,8 @@ from navbake.errors import NavbakeError, printable
 START_SECONDS = 300.0  # what a worker may take until it is ready; machines are busy
 MOST_FAILED_STARTS = 3  # in a row, before the crew gives up
 PAUSE = 0.5  # after which this process hears of a SIGTERM that its whole group was sent [s]
+SHORT = 0.25  # what a worker's last job took at most, if the next is given to it ahead [s]
+MOST_AHEAD = 4096  # bytes of such a job: what any system's pipe takes while nobody reads it
 MOST_TEXT = 200  # of what a worker wrote on stderr, characters
 READY, DONE, CRASHED, TOO_LONG, TOO_LARGE = "ready", "done", "crashed", "too long", "too large"
 
@@ -65,6 +69,11 @@ class _Task:
     def __init__(self, number: int, job: Any) -> None:
         self.number, self.job, self.tries = number, job, 0
 
+    @cached_property
+    def packed(self) -> bytes:
+        """The job, as it goes through a pipe."""
+        return pickle.dumps(self.job)
+
 
 class _Worker:
     """A worker process, seen from the parent."""
@@ -77,7 +86,8 @@ class _Worker:
         self.process = context.Process(target=_serve, args=given, daemon=True)
         self.is_ready = False
         self.is_used = False  # whether it has done a job
-        self.task: _Task | None = None
+        self.is_quick = False  # whether the last one was short
+        self.tasks: deque[_Task] = deque()  # it is at the first; another one was given ahead
         self.begun = time.monotonic()
 
     def start(self) -> None:
@@ -85,9 +95,23 @@ class _Worker:
             self.process.start()
         self._theirs.close()
 
+    @property
+    def task(self) -> _Task | None:
+        """What it does now."""
+        return self.tasks[0] if self.tasks else None
+
     def give(self, task: _Task) -> None:
-        self.task, self.begun = task, time.monotonic()
-        self.connection.send(task.job)
+        """Give it a task, which it begins when it is done with its own."""
+        if not self.tasks:
+            self.begun = time.monotonic()
+        self.tasks.append(task)
+        self.connection.send_bytes(task.packed)
+
+    def take_back(self) -> None:
+        """Note that it is done with its task."""
+        self.tasks.popleft()
+        self.is_used, self.is_quick = True, self.age < SHORT
+        self.begun = time.monotonic()
 
     @property
     def age(self) -> float:
@@ -185,7 +209,8 @@ class _Crew:
             for worker in self._heard():
                 yield from self._hear(worker)
             for worker in [*self._workers]:
-                if worker.age > self._allowed(worker):
+                # one that has said something meanwhile is heard first
+                if worker.age > self._allowed(worker) and not worker.connection.poll():
                     why = f"it took more than {self._allowed(worker):g} s"
                     yield from self._lose(worker, TOO_LONG, why)
 
@@ -198,6 +223,9 @@ class _Crew:
         for worker in [*self._workers]:
             if worker.is_ready and worker.task is None:
                 self._give(worker)
+        for worker in self._workers:
+            if len(worker.tasks) == 1 and worker.is_quick:
+                self._give_ahead(worker)
         waiting = len(self._left) + len(self._again)
         starting = sum(not worker.is_ready for worker in self._workers)
         while len(self._workers) < self._count and starting < waiting:
@@ -212,12 +240,23 @@ class _Crew:
             if self._again:
                 self._remove(worker)
             return
-        task = waiting.popleft()
         try:
-            worker.give(task)
+            worker.give(waiting[0])
         except OSError:  # it died meanwhile
             self._remove(worker)
-            waiting.appendleft(task)
+            return
+        waiting.popleft()
+
+    def _give_ahead(self, worker: _Worker) -> None:
+        """Give a worker that is at a task the next one, unless idle workers may soon want it."""
+        if len(self._left) <= self._count or len(self._left[0].packed) > MOST_AHEAD:
+            return
+        try:
+            worker.give(self._left[0])
+        except OSError:  # it died at its task, which is heard of later
+            worker.tasks.pop()
+            return
+        self._left.popleft()
 
     def _start(self) -> None:
         try:
@@ -262,15 +301,17 @@ class _Crew:
             worker.forget_stderr()
         elif how == DONE and worker.task is not None:
             ended = Ended(worker.task.number, DONE, value, worker.age)
-            worker.task, worker.is_used, self._failed_starts = None, True, 0
+            worker.take_back()
+            self._failed_starts = 0
             yield ended
         else:
             yield from self._lose(worker, how, value)
 
     def _lose(self, worker: _Worker, how: str, why: str) -> Iterator[Ended]:
-        """Replace a worker, and see what becomes of its task."""
-        task, seconds = worker.task, worker.age
+        """Replace a worker, and see what becomes of its task; one given ahead was not begun."""
+        seconds, (task, *ahead) = worker.age, worker.tasks or (None,)
         self._remove(worker)
+        self._left.extendleft(ahead)
         if task is None:
             if not worker.is_used:
                 self._count_failed_start(why)

@@ -45,7 +45,7 @@ def are_unchanged(stated: Mapping[str, Json], folder: Path) -> bool:
 def path_from(path: str | os.PathLike[str], folder: Path) -> str:
     """A path relative to a folder, with slashes; absolute where there is no such path."""
     try:
-        return Path(os.path.relpath(path, folder)).as_posix()
+        return os.path.relpath(path, folder).replace(os.sep, "/")
     except ValueError:  # another drive on Windows
         return Path(path).absolute().as_posix()
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from navbake.errors import NavbakeError
-from navbake.files import write_whole
+from navbake.files import wait_for_disk, write_whole
 from navbake.types import Json
 
 try:
@@ -114,6 +114,11 @@ class Index:
         """Remove a file beside the index, if it is there."""
         with _naming(self._path.parent):
             self._path.with_name(name).unlink(missing_ok=True)
+
+    def wait_for_disk(self) -> None:
+        """Wait until the folder's disk has all that was made: scenes don't wait for it."""
+        with _naming(self._path.parent):
+            wait_for_disk(self._path.parent)
 
     def close(self) -> None:
         """Give the file back; its lines stay."""

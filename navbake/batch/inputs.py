@@ -70,7 +70,7 @@ def find_inputs(scene: Path, files: Files = HERE, *, looks: bool = False) -> lis
         meshes = _meshes_of_urdf(scene, files)
         found = {*meshes, *_buffers(meshes, files)}
     else:
-        found = {*_named_files(scene, files, looks)}
+        found = {*_named_files(scene, root, files, looks)}
     return [scene, *sorted(found - {scene})]
 
 
@@ -98,14 +98,15 @@ def _buffers(meshes: Iterable[Path], files: Files) -> Iterator[Path]:
                     yield mesh.parent / name
 
 
-def _named_files(scene: Path, files: Files, looks: bool) -> Iterator[Path]:
+def _named_files(
+    scene: Path, root: ElementTree.Element | None, files: Files, looks: bool
+) -> Iterator[Path]:
     names: dict[str, None] = {}
     folders = {scene.parent: None}
     left_out = () if looks else LOOKS
-    left, seen = [scene], {os.path.realpath(scene)}
+    left, seen = [(scene, root)], {os.path.realpath(scene)}
     while left:
-        file = left.pop()
-        root = _root(file, files)
+        file, root = left.pop()
         for element in () if root is None else root.iter():
             for key in LOOK_FOLDERS if looks else FOLDERS:
                 if key in element.attrib:
@@ -120,7 +121,7 @@ def _named_files(scene: Path, files: Files, looks: bool) -> Iterator[Path]:
                     if is_xml and files.has(path) and os.path.realpath(path) not in seen:
                         seen.add(os.path.realpath(path))
                         folders[path.parent] = None
-                        left.append(path)
+                        left.append((path, _root(path, files)))
     for name in names:
         for folder in folders:
             # `strippath` of a compiler leaves out the folders of names

@@ -25,6 +25,7 @@ from navbake.batch.stores.urls import Folder
 from navbake.config.settings import BakeConfig, load_config
 from navbake.dispatch import IS_HELPER
 from navbake.errors import NavbakeError, printable
+from navbake.files import without_waiting
 from navbake.formats.navgrid import write_navgrid
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
@@ -119,8 +120,11 @@ def _make(order: Order) -> Json:
     grid.timings = {}  # the same scene, the same bytes
     order.place.mkdir(parents=True, exist_ok=True)
     remove_products(order.place)
-    made = [name for product in order.products for name in product.make(grid, config, order.place)]
-    write_navgrid(grid, order.place / GRID)
+    with without_waiting():  # the batch does, once, when all is done
+        made = [
+            name for product in order.products for name in product.make(grid, config, order.place)
+        ]
+        write_navgrid(grid, order.place / GRID)
     return {
         **row_of(order, OK),
         "version": __version__,

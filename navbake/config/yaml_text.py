@@ -125,7 +125,8 @@ def parse_yaml(text: str, source: str) -> Any:
     except RecursionError as error:
         raise ConfigError(f"{source} is nested too deeply") from error
     except (yaml.YAMLError, *UNFIT) as error:
-        raise ConfigError(f"{source} is no YAML: {str(error).splitlines()[0][:MOST_SHOWN]}") from error
+        problem = str(error).splitlines()[0][:MOST_SHOWN]
+        raise ConfigError(f"{source} is no YAML: {problem}") from error
 
 
 def _count_values(node: yaml.Node, known: dict[int, int], source: str) -> int:

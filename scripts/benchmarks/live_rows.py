@@ -64,7 +64,7 @@ class _Moves:
         self._rng = random.Random(0)
         self._places = {model.body(b).name: model.body_pos[b].copy() for b in range(1, model.nbody)}
         edge = float(np.stack(list(self._places.values()))[:, :2].max())
-        self._low, self._high = 0.8, edge - 0.3
+        self._low, self._high = 1.0, edge - 0.7  # nothing of one stands beyond the house
 
     def draw(self, count: int) -> dict[str, list[float]]:
         rng, moves = self._rng, {}

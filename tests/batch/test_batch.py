@@ -14,6 +14,7 @@ import pytest
 import navbake
 from batch_scenes import draw_room, write_scenes, wrong_rows
 from navbake.batch import batch as module
+from navbake.batch import index as index_module
 from navbake.batch.batch import Batch, Means, run_batch
 from navbake.batch.crew import DONE, Ended, JobLimits
 from navbake.batch.index import NAME, only_batch, read_index
@@ -115,6 +116,17 @@ def test_scenes_that_fail_hang_or_crash_cost_themselves_alone(tmp_path):
     grid.save(tmp_path / "one.json.gz")
     made = tmp_path / "out" / "good-0003" / "grid.json.gz"
     assert made.read_bytes() == (tmp_path / "one.json.gz").read_bytes()
+
+
+def test_the_disk_is_waited_for_once_before_the_index_is_put_in_order(scenes, here, monkeypatch):
+    calls = []
+    monkeypatch.setattr(os, "fsync", lambda number: calls.append("file"))
+    monkeypatch.setattr(index_module, "wait_for_disk", lambda folder: calls.append(str(folder)))
+    run(*ALL)
+    assert calls == ["out", "file"]  # the grids, and the index itself
+    calls.clear()
+    run(*ALL)
+    assert calls == ["file"]  # all is done
 
 
 def test_what_is_done_is_skipped_and_what_failed_is_tried_again(scenes, here):

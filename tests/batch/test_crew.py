@@ -92,6 +92,48 @@ def test_a_limit_shorter_than_the_start_of_a_worker_is_one_of_the_job():
     assert run([("double", 1)], limits=JobLimits(seconds=0.2))[0] == (DONE, 2)
 
 
+def test_after_a_short_job_the_next_but_one_does_not_wait_for_the_parent(tmp_path):
+    jobs = [("touch", str(tmp_path / f"{number}")) for number in range(6)]
+    ended = do_jobs(jobs, crew_jobs.work, 1)
+    assert [next(ended).number, next(ended).number] == [0, 1]
+    end = time.monotonic() + 10.0
+    while len(list(tmp_path.iterdir())) < 3 and time.monotonic() < end:
+        time.sleep(0.02)
+    assert {path.name for path in tmp_path.iterdir()} == {"0", "1", "2"}
+    assert [end.number for end in ended] == [2, 3, 4, 5]
+
+
+@linux
+@pytest.mark.parametrize(
+    ("fault", "how"), [(("sleep", 60), TOO_LONG), (("kill", signal.SIGSEGV), CRASHED)]
+)
+def test_a_job_given_ahead_pays_for_none_before_it(fault, how):
+    before = [("double", number) for number in range(3)]
+    jobs = [*before, fault, ("sleep", 0.6), *before, ("size", b"0" * 10_000_000), *before]
+    ended = run(jobs, limits=JobLimits(seconds=1.0))
+    assert [number for number, end in enumerate(ended) if end[0] != DONE] == [3]
+    assert ended[3][0] == how and ended[8] == (DONE, 10_000_000)
+
+
+@linux
+def test_a_large_job_waits_where_its_worker_might_not_read_it():
+    jobs = [("double", 1), ("double", 2), ("sleep", 60), ("size", b"0" * 10_000_000)]
+    begin = time.monotonic()
+    ended = run([*jobs, *jobs[:2]], limits=JobLimits(seconds=1.0))
+    assert [how for how, _ in ended] == [DONE, DONE, TOO_LONG, DONE, DONE, DONE]
+    assert time.monotonic() - begin < 30.0
+
+
+def test_a_job_that_was_done_while_nobody_looked_is_done():
+    jobs = [("sleep", 0.5), ("sleep", 0.7)]
+    ended = do_jobs(jobs, crew_jobs.work, 2, limits=JobLimits(seconds=1.5))
+    found = []
+    for end in ended:
+        found.append((end.number, end.how))
+        time.sleep(1.5 if len(found) == 1 else 0.0)
+    assert sorted(found) == [(0, DONE), (1, DONE)]
+
+
 def test_a_worker_that_dies_while_idle_is_replaced():
     jobs = list(range(3))
     ended = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -259,6 +260,13 @@ def mask_window(cells: Int | Int32, lattice: Lattice, margin: int) -> tuple[Bool
     return mask, row0, col0
 
 
+@lru_cache(maxsize=4)  # several tests of a scene ask for the same, and so do scenes of a batch
+def _list_near(limit: float, shorter: int) -> tuple[Int, Int]:
+    """See `near_offsets` and `east_rim`; nobody changes them."""
+    disc = near_offsets(limit, shorter)
+    return disc, east_rim(disc)
+
+
 class AreaTest:
     """Whether cells are enough for a floor: `min_area` after shrinking.
 
@@ -272,8 +280,7 @@ class AreaTest:
         self.needed = (settings.min_area - SLACK) / lattice.cell_size**2
         self._shape = lattice.width, lattice.height
         limit = (settings.shrink - SLACK) / lattice.cell_size + 0.5
-        self._disc = near_offsets(limit, min(self._shape))
-        self._rim = east_rim(self._disc)
+        self._disc, self._rim = _list_near(limit, min(self._shape))
         self._mask = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
         self._counted = self._mask.copy()
 

@@ -363,6 +363,25 @@ def _find_floor(crossings, low, high, limits, n, found):
             break
 
 
+@njit(inline="always")
+def _probe_line(gaps, geometry, limits, gap, offset, room, n, found):
+    """Find the floors on a line beside the centre of a gap's cell, and write them as the n-th.
+
+    Returns the room that the next line may use: a ray, hits and the start of columns.
+    """
+    lattice, solids, facets, planes, near, heights = geometry
+    ray, hits, start = room
+    x, y = cell_center(lattice, gaps.cell[gap])
+    most = most_hits(gap, planes, near)
+    if most > hits.z.shape[0]:
+        hits = make_hits(2 * most)
+    x, y = x + offset[0], y + offset[1]
+    start[1] = cast_line(x, y, gap, solids, facets, planes, near, heights, ray, hits)
+    column = Crossings(start, hits.z, hits.normal, hits.geom, hits.closed)
+    _find_floor(column, gaps.low[gap], gaps.high[gap], limits, n, found)
+    return ray, hits, start
+
+
 @njit(cache=True, nogil=True)
 def probe_lines(gaps, geometry, limits, asked, found, first, end):
     """Find the floors that continue the sides of gaps, on lines beside their cells' centres.
@@ -374,15 +393,33 @@ def probe_lines(gaps, geometry, limits, asked, found, first, end):
         asked: the lines, of which it looks at ``range(first, end)``.
         found: receives the floors.
     """
-    lattice, solids, facets, planes, near, heights = geometry
-    ray, hits, start = make_ray(), make_hits(64), np.zeros(2, np.int64)
+    room = make_ray(), make_hits(64), np.zeros(2, np.int64)
     for n in range(first, end):
-        gap = asked.gap[n]
-        x, y = cell_center(lattice, gaps.cell[gap])
-        x, y = x + asked.offset[n, 0], y + asked.offset[n, 1]
-        most = most_hits(gap, planes, near)
-        if most > hits.z.shape[0]:
-            hits = make_hits(2 * most)
-        start[1] = cast_line(x, y, gap, solids, facets, planes, near, heights, ray, hits)
-        column = Crossings(start, hits.z, hits.normal, hits.geom, hits.closed)
-        _find_floor(column, gaps.low[gap], gaps.high[gap], limits, n, found)
+        gap, offset = asked.gap[n], asked.offset[n]
+        room = _probe_line(gaps, geometry, limits, gap, offset, room, n, found)
+
+
+@njit(cache=True, nogil=True)
+def find_open(gaps, geometry, limits, offsets, run, is_open, first, end):
+    """Tell which gaps are open to a side: a number of neighbouring ways round lead to no floor.
+
+    Args:
+        gaps, geometry, limits: see `probe_lines`.
+        offsets: of a line on each way round from a gap's cell's centre, (ways, 2) [m].
+        run: so many ways.
+        is_open: (gaps,) bool; receives the answers of ``range(first, end)``.
+    """
+    room, num = (make_ray(), make_hits(64), np.zeros(2, np.int64)), offsets.shape[0]
+    found = Found(np.empty(1), np.empty(1))
+    for gap in range(first, end):
+        # the misses so far in a row, and those before the first hit: the row may go on there
+        count, at_first, way = 0, -1, 0
+        while way < num and count < run:
+            room = _probe_line(gaps, geometry, limits, gap, offsets[way], room, 0, found)
+            if np.isnan(found.floor[0]):
+                count += 1
+            else:
+                at_first = count if at_first < 0 else at_first
+                count = 0
+            way += 1
+        is_open[gap] = count + max(at_first, 0) >= run

@@ -159,6 +159,7 @@ class Baker:
             # an error, or an interruption, anywhere below: the next update bakes all again
             known, self._passes = self._passes, None
             passes, reason = self._follow(known, moved)
+            moved.scene.digest = moved.digest()  # found beside all of that
             old, grid = self._grid, self._build(passes[-1])
             cells, is_new = _compare(old, grid)
             self._poses.keep()

@@ -9,7 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import Columns, TiledShapes, cast_points, tile_shapes
+from navbake.baker.columns import (
+    Columns,
+    TiledShapes,
+    cast_points,
+    empty_crossings,
+    tile_shapes,
+)
 from navbake.baker.cracks import Gaps, Moved, crack_cells, crack_reach, measure_cracks
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.floors.sheets import agent_limits
@@ -18,9 +24,19 @@ from navbake.baker.kernels.cracks import GapRoom, count_gaps
 from navbake.baker.kernels.hits import RIM
 from navbake.baker.kernels.tiles import TILE, tile_of
 from navbake.baker.live.kernels import pool as kernels
-from navbake.baker.live.kernels.cracks import list_gaps_in
+from navbake.baker.live.kernels.cracks import (
+    count_gaps_in,
+    mark_region_standable,
+    write_gaps_in,
+)
 from navbake.baker.live.kernels.pool import FLOOR_LIKE, STANDABLE, Pool
-from navbake.baker.live.kernels.regions import cells_of_boxes, grow_cells, join_cells, near_tiles
+from navbake.baker.live.kernels.regions import (
+    are_in,
+    cells_of_boxes,
+    grow_cells,
+    join_cells,
+    near_tiles,
+)
 from navbake.baker.live.kernels.sheets import mark_region
 from navbake.baker.live.not_local import NotLocal
 from navbake.baker.rooms.overhead import Overhead, keep_holes
@@ -58,26 +74,58 @@ class Region(NamedTuple):
     Attributes:
         cells: ids, ascending, shape (n,), int64.
         columns: numbered as the cells are.
-        place: where in the pool each crossing is, int64; empty where they aren't from there.
     """
 
     cells: Int
     columns: Crossings
-    place: Int
 
     def number(self, cells: Int) -> Int:
-        """The numbers of some of the region's cells."""
-        return np.searchsorted(self.cells, cells)
+        """The numbers of some of the region's cells, ascending."""
+        return np.flatnonzero(are_in(self.cells, cells))
 
     def only(self, cells: Int) -> Region:
-        """A part of the region, with no places."""
-        columns = kernels.take_columns(self.columns, self.cells, cells)
-        return Region(cells, columns, np.empty(0, dtype=np.int64))
+        """A part of the region."""
+        start, number = self.columns.start, self.number(cells)
+        at = start[number]
+        return Region(cells, _copy_columns(start[number + 1] - at, Source(self.columns, at)))
+
+    def replace(self, cells: Int, new: Crossings) -> Region:
+        """The region with other columns in some of its cells."""
+        start = self.columns.start
+        asked = start[:-1], np.diff(start), self.number(cells), new
+        return Region(self.cells, _copy_replaced(self.columns, *asked))
 
     def by_id(self, scratch: Scratch) -> Crossings:
         """The columns by cell id; the last such is the only one that holds."""
         kernels.point_at(self.cells, self.columns.start, scratch.start)
         return self.columns._replace(start=scratch.start)
+
+
+class Source(NamedTuple):
+    """Where columns are copied from, and the place of each there, -1 for those that it has not."""
+
+    columns: Pool | Crossings
+    at: Int
+
+
+def _copy_columns(length: Int | Int32, *sources: Source) -> Crossings:
+    """Columns of some lengths, each from one of the sources."""
+    start = np.zeros(len(length) + 1, dtype=np.int64)
+    np.cumsum(length, out=start[1:])
+    columns = empty_crossings(start, int(start[-1]))
+    for source in sources:
+        work = kernels.copy_columns, len(length), *source, columns
+        run_in_bands(*work, least=LEAST_CELLS)
+    return columns
+
+
+def _copy_replaced(
+    old: Pool | Crossings, first: Int, length: Int | Int32, number: Int, new: Crossings
+) -> Crossings:
+    """Columns that begin somewhere in old ones, some of which, by number, are new ones."""
+    kept, length, added = first.copy(), length.astype(np.int64), np.full(len(first), -1)
+    kept[number], added[number], length[number] = -1, new.start[:-1], np.diff(new.start)
+    return _copy_columns(length, Source(old, kept), Source(new, added))
 
 
 class Asked(NamedTuple):
@@ -117,9 +165,8 @@ class LiveColumns:
         self._known: Boxed | None = None
         self._is_cracked = np.zeros(len(columns.start) - 1, dtype=np.bool_)
         self._is_cracked[moved.cells] = True
-        places = np.arange(len(columns.z))
-        every = Region(np.arange(len(self._is_cracked)), columns.crossings, places)
-        no_sheet = np.full(len(places), -1, dtype=np.int32)
+        every = Region(np.arange(len(self._is_cracked)), columns.crossings)
+        no_sheet = np.full(len(columns.z), -1, dtype=np.int32)
         self._fill(columns.crossings, self._marks(every, planes), no_sheet, 0)
 
     def _fill(
@@ -137,7 +184,7 @@ class LiveColumns:
 
         _, z, normal, geom, closed = crossings
         layers = widen(z), widen(normal), widen(geom), widen(closed), widen(marks), widen(sheet)
-        self.pool = Pool(crossings.start[:-1].copy(), count, *layers)
+        self.pool = Pool(crossings.start[:-1].copy(), count, count.copy(), *layers)
 
     def _marks(self, region: Region, planes: Planes) -> NDArray[np.uint8]:
         """Tell of each surface of a region whether it is FLOOR_LIKE and STANDABLE."""
@@ -151,7 +198,8 @@ class LiveColumns:
 
     def gather(self, cells: Int) -> Region:
         """The columns of some cells, ascending."""
-        return Region(cells, *kernels.gather(self.pool, cells))
+        pool = self.pool
+        return Region(cells, _copy_columns(pool.length[cells], Source(pool, pool.first[cells])))
 
     def all(self) -> Columns:
         """The columns of all cells."""
@@ -229,14 +277,14 @@ class LiveColumns:
             tiled: what there is now near `asked.every`.
         """
         centers = self.lattice.positions(*np.divmod(asked.cells, self.lattice.width))
-        fresh = cast_points(tiled, asked.cells, centers)
+        found = Region(asked.cells, cast_points(tiled, asked.cells, centers))
         is_cracked = np.zeros(len(asked.region), dtype=np.bool_)
-        found = Region(asked.cells, fresh, np.empty(0, np.int64))
         if self._crack > 0:
-            found = self._close_cracks(asked, fresh, tiled, is_cracked)
+            found = self._close_cracks(asked, found, tiled, is_cracked)
         self._is_cracked[asked.region] = is_cracked
         is_new = np.empty(len(found.cells), dtype=np.bool_)
-        kernels.differs(self.pool, found.cells, found.columns, is_new)
+        work = kernels.differs, len(is_new), self.pool, *found, is_new
+        run_in_bands(*work, least=LEAST_CELLS)
         return found.only(found.cells[is_new])
 
     def check_planes(self, shapes: Shapes, old: Band, new: Band) -> None:
@@ -260,10 +308,11 @@ class LiveColumns:
         """Replace columns; their surfaces belong to no sheet yet."""
         marks = self._marks(region, planes)
         if self.used + len(marks) > len(self.pool.z):
-            kept, place = kernels.gather(self.pool, np.arange(len(self.pool.first)))
+            kept = self.gather(np.arange(len(self.pool.first))).columns
+            shift = np.repeat(self.pool.first - kept.start[:-1], self.pool.length)
+            place = shift + np.arange(len(shift))
             self._fill(kept, self.pool.marks[place], self.pool.sheet[place], len(marks))
-        kernels.put(self.pool, region.cells, region.columns, marks, self.used)
-        self.used += len(marks)
+        self.used = kernels.put(self.pool, *region, marks, self.used)
 
     def _region_of_cracks(self, boxes: Float) -> Int:
         """The cells in which cracks may be others, with all that decide together with them."""
@@ -283,26 +332,43 @@ class LiveColumns:
         return crack_cells(self._crack, self.lattice)
 
     def _close_cracks(
-        self, asked: Asked, fresh: Crossings, tiled: TiledShapes, is_cracked: Bool
+        self, asked: Asked, fresh: Region, tiled: TiledShapes, is_cracked: Bool
     ) -> Region:
-        """`close_cracks` in a region; marks the cells that get another line."""
-        lattice, reach, (again, region, _) = self.lattice, self._crack_cells, asked
-        around = grow_cells(lattice.width, lattice.height, region, reach, self.scratch.flag)
+        """`close_cracks` in a region; marks the cells that get another line.
+
+        Returns the fresh columns, and those of the marked cells.
+        """
+        lattice, pool, (again, region, _) = self.lattice, self.pool, asked
+        reach, flag = self._crack_cells, self.scratch.flag
+        around = grow_cells(lattice.width, lattice.height, region, reach, flag)
         around = join_cells(around, again)
-        raw = kernels.gather_replaced(self.pool, around, again, fresh)
-        whole = Region(around, raw, np.empty(0, np.int64))
+        places = pool.first[around], pool.length[around], np.flatnonzero(are_in(around, again))
+        whole = Region(around, _copy_replaced(pool, *places, fresh.columns))
         gaps = self._list_gaps(whole, region)
-        if len(gaps.cell):
-            cells, candidates = measure_cracks(gaps, tiled, self._limits, self._crack)
-            if len(cells):
-                is_cracked[np.searchsorted(region, cells)] = True
-                whole = self._replace_by_best(whole, tiled, cells, candidates)
-        return whole
+        if not len(gaps.cell):
+            return fresh
+        cells, candidates = measure_cracks(gaps, tiled, self._limits, self._crack)
+        if not len(cells):
+            return fresh
+        is_cracked[np.searchsorted(region, cells)] = True
+        replaced = self._replace_by_best(whole, tiled, cells, candidates)
+        return replaced.only(join_cells(again, cells))
 
     def _list_gaps(self, whole: Region, asked: Int) -> Gaps:
-        asks = self._asks_of_gaps(whole, self.scratch.floor)
-        args = *asks, whole.cells, asked
-        return Gaps(*list_gaps_in(*args))
+        """The gaps of some cells; `whole` are all that are near them."""
+        few, only = {"least": LEAST_CELLS}, self.scratch.floor
+        lattice, crossings, limits, reach, room = self._asks_of_gaps(whole, only)
+        marks = crossings, limits, room, whole.cells
+        run_in_bands(mark_region_standable, len(whole.cells), *marks, **few)
+        known, counts = (lattice, crossings, limits, reach), np.empty(len(asked), dtype=np.int64)
+        run_in_bands(count_gaps_in, len(asked), *known, room, asked, counts, **few)
+        only[whole.cells] = np.nan
+        has_gaps = counts > 0
+        cells, counts = asked[has_gaps], counts[has_gaps]
+        start = np.concatenate([[0], np.cumsum(counts)])
+        room = room._replace(start=start, low=np.empty(start[-1]), high=np.empty(start[-1]))
+        run_in_bands(write_gaps_in, len(cells), *known, room, cells)
+        return Gaps(np.repeat(cells, counts), room.low, room.high)
 
     def _count_gaps(self, near: Region, cells: Int) -> Int:
         counts = np.empty(len(cells), dtype=np.int64)
@@ -325,9 +391,7 @@ class LiveColumns:
         centers = self.lattice.positions(*np.divmod(cells, self.lattice.width))
 
         def replaced(region: Region, offset: Float) -> Region:
-            new = cast_points(tiled, cells, centers + offset)
-            columns = kernels.replace_columns(region.columns, region.number(cells), new)
-            return region._replace(columns=columns)
+            return region.replace(cells, cast_points(tiled, cells, centers + offset))
 
         lattice, flag = self.lattice, self.scratch.flag
         near = whole.only(grow_cells(lattice.width, lattice.height, cells, self._crack_cells, flag))

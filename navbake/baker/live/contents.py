@@ -16,11 +16,10 @@ from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS, UNPROVED
 from navbake.baker.kernels.tiles import tile_of
 from navbake.baker.lattice import Window
 from navbake.baker.live.columns import LiveColumns, Region
-from navbake.baker.live.entries import Entries, EntryBands
-from navbake.baker.live.growth import FloorChanges
-from navbake.baker.live.kernels.contents import count_in_tiles, list_in_tiles
+from navbake.baker.live.entries import LiveEntries
+from navbake.baker.live.kernels.contents import Entries, count_in_tiles, list_in_tiles
 from navbake.baker.live.kernels.pool import point_at
-from navbake.baker.live.kinds import LiveKinds
+from navbake.baker.live.kinds import LiveKinds, NearMoved
 from navbake.baker.occupancy.occupancy import Footprint
 from navbake.baker.scene.bodies import find_free_bodies
 from navbake.baker.scene.scene import Scene
@@ -60,52 +59,38 @@ class LiveContents:
         """Take over the contents of a bake; the scene is without doors."""
         self._config, self._live, self.names = config, live, contents.names
         free_body, num = find_free_bodies(scene.model), int(scene.model.nbody)
-        self._bands = EntryBands(contents.levels[0], live.lattice, free_body, num)
+        self._entries = LiveEntries(contents.levels[0], live.lattice, free_body, num)
         known = config, scene, contents, floors, columns.crossings
         self._kinds = LiveKinds(*known, live)
         self.wall, self.low = contents.wall_cells(0).ravel(), contents.low_cells(0).ravel()
 
-    def follow(
-        self,
-        scene: Scene,
-        moved: Bool,
-        near: TiledShapes,
-        touched: Region,
-        occupied: Bool,
-        floors: Floors,
-        changes: FloorChanges,
-    ) -> WallChanges:
+    def follow(self, near: NearMoved, tiled: TiledShapes, occupied: Bool) -> WallChanges:
         """Bring the contents up to date.
 
         Args:
-            scene: as it is now, without doors.
-            moved: the geoms whose geometry differs, shape (ngeom,).
-            near: its geometry near the touched cells.
-            touched: all cells near what moved, and all others whose column or floor changed.
+            tiled: the geometry near the region.
             occupied: of all cells, up to date.
-            floors: up to date.
-            changes: of the floors.
         """
-        self._kinds.measure_moved(scene, moved)
-        entries = self._list(scene, near, touched, occupied, floors.levels[0])
-        marked = moved.copy()
-        cells = self._bands.replace(touched.cells, entries, marked)
-        self._bands.mark_geoms(changes.heights, marked)
-        asked = scene, moved, marked, self._bands, touched, floors, changes
-        return self._mark_walls(cells, self._kinds.follow(*asked))
+        self._kinds.measure_moved(near.scene, near.moved)
+        level = near.floors.levels[0]
+        entries = self._list(near.scene, tiled, near.region, occupied, level)
+        marked = near.moved.copy()
+        cells = self._entries.replace(near.region.cells, entries, marked)
+        self._entries.mark_geoms(near.changes.heights, marked)
+        return self._mark_walls(cells, self._kinds.follow(near, marked, self._entries))
 
     def _list(
-        self, scene: Scene, near: TiledShapes, touched: Region, occupied: Bool, level: LevelFloor
+        self, scene: Scene, tiled: TiledShapes, touched: Region, occupied: Bool, level: LevelFloor
     ) -> Entries:
-        """List the geoms of the touched cells; see `_list_level` of the contents of a bake."""
+        """List the geoms of touched cells; see `_list_level` of the contents of a bake."""
         live, scratch, agent = self._live, self._live.scratch, self._config.agent
-        lattice, cells, shapes = live.lattice, touched.cells, near.shapes
+        lattice, cells, shapes = live.lattice, touched.cells, tiled.shapes
         top = -np.inf if scene.bounds is None else float(scene.bounds[1, 2])
         floor = level.floor.reshape(-1)[cells]
         scratch.floor[cells] = floor
         scratch.ceiling[cells] = np.maximum(top, floor + agent.height) - TOUCH
-        groups = group_triangles(near)
-        tiles = np.unique(tile_of(lattice, cells))
+        groups = group_triangles(tiled)
+        tiles = np.flatnonzero(np.bincount(tile_of(lattice, cells)))
         footprint = Footprint.of(agent, lattice.cell_size)
         nothing = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint8)
         storey = StoreyCells(
@@ -113,7 +98,7 @@ class LiveContents:
         )
         few = {"least": LEAST_TILES}
         scratch.slot[cells + 1] = 0
-        lists = near.tiles, groups
+        lists = tiled.tiles, groups
         boxes = shapes.solids, shapes.planes, lists
         run_in_bands(count_in_tiles, len(tiles), lattice, *boxes, footprint, storey, tiles, **few)
         slot = np.concatenate([[0], np.cumsum(scratch.slot[cells + 1])])
@@ -121,7 +106,7 @@ class LiveContents:
         geom, flags = np.empty(slot[-1], dtype=np.int32), np.zeros(slot[-1], dtype=np.uint8)
         storey = storey._replace(geom=geom, flags=flags)
         probe = Probe(WALL_BAND[0] + TOUCH, WALL_BAND[1] - TOUCH, self._kinds.candidates)
-        geometry = (shapes.solids, near.facets, shapes.planes), lists
+        geometry = (shapes.solids, tiled.facets, shapes.planes), lists
         asked = lattice, touched.by_id(scratch), *geometry, footprint, probe, storey, tiles
         run_in_bands(list_in_tiles, len(tiles), *asked, **few)
         scratch.floor[cells] = np.nan
@@ -155,15 +140,15 @@ class LiveContents:
 
     def _contents_of(self, cells: Int | None) -> Contents:
         """The contents of some cells, in one row, or of all."""
-        kinds, bands = self._kinds, self._bands
-        listed = bands.all(kinds.support) if cells is None else bands.of(cells, kinds.support)
-        return Contents([listed], kinds.kinds, self.names, kinds.warnings)
+        kinds, listed = self._kinds, self._entries
+        level = listed.all(kinds.support) if cells is None else listed.of(cells, kinds.support)
+        return Contents([level], kinds.kinds, self.names, kinds.warnings)
 
     def user_data(self, window: Window) -> UserData:
         """See `Contents.user_data`: made when someone looks at it, of what there is now."""
         kinds = self._kinds
-        return self._bands.user_data(kinds.support, kinds.kinds, self.names, window)
+        return self._entries.user_data(kinds.support, kinds.kinds, self.names, window)
 
     def notes(self) -> ContentNotes:
         """What is to be told of the contents."""
-        return ContentNotes(self._bands.taken, self._kinds.warnings)
+        return ContentNotes(self._entries.taken, self._kinds.warnings)

@@ -1,7 +1,7 @@
-"""What stands in the cells of a level, by bands of rows.
+"""What stands in the cells of a level, of which some can be replaced.
 
-A band is never written to: one with a changed cell is replaced. So a grid that was handed out can
-still read the names of what stood in its cells then.
+What was there before is never written over. So a grid that was handed out can still read the names
+of what stood in its cells then: it keeps, for bands of rows, where the entries of each cell were.
 """
 
 from __future__ import annotations
@@ -17,29 +17,45 @@ from navbake.baker.contents.contents import LevelContents, name_contents
 from navbake.baker.contents.structure import FloorSupport
 from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS
 from navbake.baker.lattice import Window
-from navbake.baker.live.kernels.contents import count_taken, measure_entries, replace_entries
+from navbake.baker.live.kernels import contents as kernels
+from navbake.baker.live.kernels.contents import Entries, EntryPool
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import Shared, UserData
 from navbake.types import Bool, Float, Int, Int32
 
 ROWS = 8  # of cells in a band
+# A pool has so many times the room that it needs at first: what is replaced stays in it
+ROOM = 2
 
 
-class Entries(NamedTuple):
-    """The geoms of some cells, ragged as in `LevelContents`.
+class Places(NamedTuple):
+    """Where in a pool the entries of a band of cells are; never written to."""
+
+    first: Int
+    length: Int32
+
+
+class Snapshot(NamedTuple):
+    """The entries of all cells as they are at a time.
 
     Attributes:
-        start: shape (cells + 1,), int64.
-        geom: MuJoCo's geom ids, ascending in a cell, shape (n,), int32.
-        flags: STANDS, BLOCKS and PROBED, shape (n,), uint8.
+        bands: of the cells, in their order.
+        geom, flags: of the pool; what the bands point at is never written again.
     """
 
-    start: Int
+    bands: list[Places]
     geom: Int32
     flags: NDArray[np.uint8]
 
+    def all(self) -> Entries:
+        """The entries of all cells."""
+        first, length = map(np.concatenate, zip(*self.bands, strict=True))
+        pool = EntryPool(first, length, self.geom, self.flags)
+        entries: Entries = kernels.take_entries(pool, np.arange(len(first)))
+        return entries
 
-class EntryBands:
+
+class LiveEntries:
     """The entries of all cells of a level.
 
     Attributes:
@@ -56,39 +72,49 @@ class EntryBands:
             bodies: how many bodies there are.
         """
         self._lattice, self._per_band = lattice, ROWS * lattice.width
-        self._bands = _split(listed, self._per_band)
-        self._free_body = free_body
+        self._free_body, self._counts = free_body, bool((free_body >= 0).any())
         self.taken = np.zeros(bodies, dtype=np.int64)
-        if (free_body >= 0).any():
-            for band in self._bands:
-                count_taken(band, np.arange(len(band.start) - 1), free_body, self.taken, 1)
+        self._fill(_from_level(listed), 0)
+        self._count(np.arange(len(listed.start) - 1), 1)
+
+    def _fill(self, entries: Entries, more: int) -> None:
+        """Make the pool, with room for `more` entries at least."""
+        start, used = entries.start, len(entries.geom)
+        room = ROOM * (used + more) + 10_000
+        geom, flags = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.uint8)
+        geom[:used], flags[:used] = entries.geom, entries.flags
+        self._pool = EntryPool(start[:-1].copy(), np.diff(start).astype(np.int32), geom, flags)
+        self._used = used
+        firsts = range(0, len(start) - 1, self._per_band)
+        self._bands = [self._places_of(number) for number in range(len(firsts))]
+
+    def _places_of(self, band: int) -> Places:
+        own = slice(band * self._per_band, (band + 1) * self._per_band)
+        return Places(self._pool.first[own].copy(), self._pool.length[own].copy())
+
+    def _count(self, cells: Int, by: int) -> None:
+        if self._counts:
+            kernels.count_taken(self._pool, cells, self._free_body, self.taken, by)
 
     def replace(self, cells: Int, entries: Entries, marked: Bool) -> Int:
         """Put new entries of cells in place; marks their geoms, returns the cells that changed."""
-        counted = (self._free_body >= 0).any()
-        bands, changed = list(self._bands), []
-        for number, own in self._by_band(cells):
-            start = entries.start[own.start : own.stop + 1]
-            here = slice(int(start[0]), int(start[-1]))
-            new = start - start[0], entries.geom[here], entries.flags[here]
-            local = cells[own] - number * self._per_band
-            start, geom, flags, differs = replace_entries(bands[number], local, *new, marked)
-            if not differs.any():
-                continue
-            changed.append(cells[own][differs])
-            if counted:
-                count_taken(bands[number], local[differs], self._free_body, self.taken, -1)
-            bands[number] = Entries(start, geom, flags)
-            if counted:
-                count_taken(bands[number], local[differs], self._free_body, self.taken, 1)
-        self._bands = bands
-        return np.concatenate([np.empty(0, dtype=np.int64), *changed])
+        if self._used + len(entries.geom) > len(self._pool.geom):
+            self._fill(self._take_all(), len(entries.geom))
+        is_other = np.empty(len(cells), dtype=np.bool_)
+        kernels.compare_entries(self._pool, cells, entries, is_other, marked)
+        changed = cells[is_other]
+        self._count(changed, -1)
+        self._used = kernels.put_entries(self._pool, cells, entries, is_other, self._used)
+        self._count(changed, 1)
+        self._bands = list(self._bands)  # a snapshot has the last ones
+        bands = changed // self._per_band
+        for band in bands[np.flatnonzero(np.diff(bands, prepend=-1))].tolist():
+            self._bands[band] = self._places_of(band)
+        return changed
 
     def mark_geoms(self, cells: Int, marked: Bool) -> None:
         """Mark the geoms in some cells."""
-        for number, own in self._by_band(cells):
-            _, geom, _ = _take(self._bands[number], cells[own] - number * self._per_band)
-            marked[geom] = True
+        kernels.mark_geoms(self._pool, cells, marked)
 
     def measure(
         self,
@@ -104,23 +130,20 @@ class EntryBands:
             floor: of all cells [m].
             sizes: bottom and top of each geom [m].
         """
-        for number, own in self._by_band(cells):
-            first = number * self._per_band
-            asked = self._bands[number], first, cells[own] - first
-            measure_entries(*asked, floor, *sizes, marked, measured)
+        kernels.measure_entries(self._pool, cells, floor, *sizes, marked, measured)
 
     def of(self, cells: Int, support: FloorSupport) -> LevelContents:
         """The contents of some cells, as those of a level with one row of cells."""
-        taken = [
-            _take(self._bands[number], cells[own] - number * self._per_band)
-            for number, own in self._by_band(cells)
-        ]
         line = self._lattice._replace(width=len(cells), height=1)
-        return _to_level(_join(taken), line, support)
+        return _to_level(kernels.take_entries(self._pool, cells), line, support)
 
     def all(self, support: FloorSupport) -> LevelContents:
         """The contents of all cells."""
-        return _to_level(_join(self._bands), self._lattice, support)
+        return _to_level(self._take_all(), self._lattice, support)
+
+    def _take_all(self) -> Entries:
+        entries: Entries = kernels.take_entries(self._pool, np.arange(len(self._pool.first)))
+        return entries
 
     def user_data(
         self,
@@ -130,43 +153,14 @@ class EntryBands:
         window: Window,
     ) -> UserData:
         """See `Contents.user_data`: made when someone looks at it, of what there is now."""
-        known = self._bands, self._lattice, support, kinds, names
-        return UserData(partial(_name_bands, *known, window))
-
-    def _by_band(self, cells: Int) -> list[tuple[int, slice]]:
-        """Of ascending cells, each band's number and which of them are in it."""
-        number = cells // self._per_band
-        first = np.flatnonzero(np.diff(number, prepend=-1))
-        ends = np.append(first[1:], len(cells))[: len(first)]
-        pairs = zip(number[first].tolist(), first.tolist(), ends.tolist(), strict=True)
-        return [(band, slice(begin, end)) for band, begin, end in pairs]
+        now = Snapshot(self._bands, self._pool.geom, self._pool.flags)
+        return UserData(partial(_name_entries, now, self._lattice, support, kinds, names, window))
 
 
-def _split(listed: LevelContents, per_band: int) -> list[Entries]:
+def _from_level(listed: LevelContents) -> Entries:
     flags = np.where(listed.stands, STANDS, 0) | np.where(listed.blocks, BLOCKS, 0)
     flags = flags | np.where(listed.upper, PROBED, 0)
-    bits: NDArray[np.uint8] = flags.astype(np.uint8)
-    bands = []
-    for first in range(0, len(listed.start) - 1, per_band):
-        start = listed.start[first : first + per_band + 1]
-        here = slice(int(start[0]), int(start[-1]))
-        bands.append(Entries(start - start[0], listed.geom[here], bits[here]))
-    return bands
-
-
-def _take(band: Entries, cells: Int) -> Entries:
-    counts = np.diff(band.start)[cells]
-    start = np.concatenate([[0], np.cumsum(counts)])
-    taken = np.repeat(band.start[cells] - start[:-1], counts) + np.arange(start[-1])
-    return Entries(start, band.geom[taken], band.flags[taken])
-
-
-def _join(bands: Sequence[Entries]) -> Entries:
-    ends = np.cumsum([0, *(len(band.geom) for band in bands)])
-    starts = [band.start[:-1] + end for band, end in zip(bands, ends, strict=False)]
-    geom = np.concatenate([np.empty(0, dtype=np.int32), *(band.geom for band in bands)])
-    flags = np.concatenate([np.empty(0, dtype=np.uint8), *(band.flags for band in bands)])
-    return Entries(np.concatenate([*starts, ends[-1:]]), geom, flags)
+    return Entries(listed.start, listed.geom, flags.astype(np.uint8))
 
 
 def _to_level(entries: Entries, lattice: Lattice, support: FloorSupport) -> LevelContents:
@@ -174,12 +168,12 @@ def _to_level(entries: Entries, lattice: Lattice, support: FloorSupport) -> Leve
     return LevelContents(lattice, entries.start, entries.geom, stands, blocks, upper, support.geom)
 
 
-def _name_bands(
-    bands: Sequence[Entries],
+def _name_entries(
+    now: Snapshot,
     lattice: Lattice,
     support: FloorSupport,
     kinds: NDArray[np.uint8],
     names: Sequence[str],
     window: Window,
 ) -> Shared:
-    return name_contents(_to_level(_join(bands), lattice, support), kinds, names, window)
+    return name_contents(_to_level(now.all(), lattice, support), kinds, names, window)

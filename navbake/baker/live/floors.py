@@ -73,7 +73,7 @@ class LiveFloors:
             raise NotLocal("the floor lies over another surface to stand on")
 
     def follow(self, changed: Region, touched: Int, planes: Planes) -> FloorChanges:
-        """Bring columns, sheets and floors up to date.
+        """Bring columns, sheets and floors up to date; `check` tells whether they may be kept.
 
         Args:
             changed: the cells whose columns are others now, with these, as `LiveColumns.cast`
@@ -99,9 +99,11 @@ class LiveFloors:
         if is_over.any():
             raise NotLocal("the floor lies over another surface to stand on")
         self._budget.check(heights)
-        changes = self._growth.follow(cells)
+        return self._growth.follow(cells)
+
+    def check(self, changes: FloorChanges) -> None:
+        """NotLocal where the floor may be judged otherwise after changes; reads floors alone."""
         self._budget.spend(changes)
-        return changes
 
     def _check_enclosed(self, changed: Region, planes: Planes) -> None:
         """No closed mesh holds anything that one could stand on, see `find_enclosed`."""

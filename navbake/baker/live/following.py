@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -32,6 +33,7 @@ class Moved(NamedTuple):
         boxes: the boxes of the geometry that they had and have, shape (n, 6) [m].
         box_geom: the geom of each box, shape (n,).
         every: all geoms that moved, whether they count or not, shape (ngeom,), bool.
+        digest: gives the scene's digest, which it does not have yet.
     """
 
     scene: Scene
@@ -39,6 +41,7 @@ class Moved(NamedTuple):
     boxes: Float
     box_geom: Int
     every: Bool
+    digest: Callable[[], str]
 
 
 class FollowedScene:
@@ -101,12 +104,12 @@ class FollowedScene:
             was,
             shapes=shapes,
             bounds=shapes.bounds() if len(counted) else was.bounds,
-            digest=digest(),
+            digest="",
             data=data,
         )
         every = np.zeros(model.ngeom, dtype=np.bool_)
         every[moved] = True
-        return Moved(scene, counted, boxes, owner, every)
+        return Moved(scene, counted, boxes, owner, every, digest)
 
     def _may_count_otherwise(self, moved: Int, data: Any) -> bool:
         """Whether a mesh moved that is so large that its pose decides as what it counts."""
@@ -123,7 +126,7 @@ class FollowedScene:
         scene = load_scene(config.scene, config.agent, config.floors, opened=opened)
         every = np.ones(scene.model.ngeom, dtype=np.bool_)
         boxes = _join_boxes(was.shapes, scene.shapes)
-        return Moved(scene, np.flatnonzero(every), *boxes, every)
+        return Moved(scene, np.flatnonzero(every), *boxes, every, lambda: scene.digest)
 
 
 def _poses_of(data: Any) -> Float:

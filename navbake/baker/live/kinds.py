@@ -6,6 +6,8 @@ floors. All geoms are told apart again only where something that decides this ha
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from navbake.baker.contents.contents import Contents, classify_geoms, measure_over_floors
@@ -23,15 +25,33 @@ from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.kernels.contents import describe_floors
 from navbake.baker.live.columns import LiveColumns, Region
-from navbake.baker.live.entries import EntryBands
+from navbake.baker.live.entries import LiveEntries
 from navbake.baker.live.following import boxes_of
 from navbake.baker.live.growth import FloorChanges
-from navbake.baker.live.kernels.regions import cells_of_boxes
+from navbake.baker.live.kernels.regions import are_in, cells_of_boxes, join_cells
 from navbake.baker.occupancy.occupancy import Footprint
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Int32
+
+
+class NearMoved(NamedTuple):
+    """What moved, and what is near.
+
+    Attributes:
+        scene: as it is now, without doors.
+        moved: the geoms whose geometry differs, shape (ngeom,), bool.
+        region: all cells near what moved, and all others whose column or floor changed.
+        floors: up to date.
+        changes: of the floors.
+    """
+
+    scene: Scene
+    moved: Bool
+    region: Region
+    floors: Floors
+    changes: FloorChanges
 
 
 class LiveKinds:
@@ -42,6 +62,8 @@ class LiveKinds:
         warnings: of telling the geoms apart.
         candidates: the geoms that may be walls, see `candidates_of`.
         support: what carries the floor in each cell; where that changes, `geom` is a new array.
+        carried, stood_on: in how many cells each geom carries a floor, and one that can be stood
+            on, shape (ngeom,), int64.
     """
 
     def __init__(
@@ -55,6 +77,8 @@ class LiveKinds:
     ) -> None:
         """Take over what a bake found; the scene is without doors."""
         self._config, self._live = config, live
+        # its own, as rooms are found beside it
+        self._flag = np.zeros(len(live.pool.first), dtype=np.bool_)
         self.kinds, self.warnings = contents.kinds, contents.warnings
         self.support, num = self._describe(floors.levels[0], crossings), len(scene.geoms)
         self._extents = measure_geoms(scene.shapes, num)
@@ -68,7 +92,9 @@ class LiveKinds:
         )
         self._measured: tuple[Float, Float, Int, Int] = over.base, over.rise, area, upper_area
         self._carriers = self._find_carriers(floors)
-        self._stood_on = self._count_stood_on(floors.levels[0])
+        geom, stands = self.support.geom, floors.levels[0].standable.ravel()
+        self.carried = self._count_by_geom(geom)
+        self.stood_on = self._count_by_geom(geom[stands])
         self._roots = np.asarray(scene.model.body_rootid)[scene.model.geom_bodyid]
 
     def measure_moved(self, scene: Scene, moved: Bool) -> None:
@@ -82,38 +108,28 @@ class LiveKinds:
             self._reports, self._is_surface = scene.geoms, is_surface(scene)
         self.candidates = candidates_of(self._is_static, self._is_surface, extents)
 
-    def follow(
-        self,
-        scene: Scene,
-        moved: Bool,
-        marked: Bool,
-        bands: EntryBands,
-        touched: Region,
-        floors: Floors,
-        changes: FloorChanges,
-    ) -> bool:
-        """Bring all up to date, after the entries are.
+    def follow(self, near: NearMoved, marked: Bool, listed: LiveEntries) -> bool:
+        """Bring all up to date.
 
         Args:
-            moved, touched, changes: see `LiveContents.follow`.
             marked: the geoms that moved, or whose entries or floors changed.
+            listed: up to date.
 
         Returns:
             Whether all geoms are what they were.
         """
-        level = floors.levels[0]
-        carried = self._follow_support(touched, level, changes, moved)
+        carried = self._follow_support(near)
         decided = (self._is_static | self._is_surface) & marked
         was = self._decisive(decided)
-        self._measure_marked(scene, marked, level, bands)
+        self._measure_marked(near.scene, marked, near.floors.levels[0], listed)
         now = self._decisive(decided)
         as_before = all(np.array_equal(one, other) for one, other in zip(was, now, strict=True))
         if not carried:
-            was_carried, self._carriers = self._carriers, self._find_carriers(floors)
+            was_carried, self._carriers = self._carriers, self._find_carriers(near.floors)
             carried = _decide_the_same(was_carried, self._carriers, self._is_static)
-        if carried and as_before and not self._may_be_others(moved):
+        if carried and as_before and not self._may_be_others(near.moved):
             return True
-        return self._classify(scene)
+        return self._classify(near.scene)
 
     def _decisive(self, geoms: Bool) -> list[Float | Int]:
         """What was measured of some geoms, as far as it can decide what they are.
@@ -126,7 +142,7 @@ class LiveKinds:
         return [np.maximum(base, low), *others]
 
     def _measure_marked(
-        self, scene: Scene, marked: Bool, level: LevelFloor, bands: EntryBands
+        self, scene: Scene, marked: Bool, level: LevelFloor, listed: LiveEntries
     ) -> None:
         """Measure geoms again over all cells that they may be in."""
         lattice, agent = self._live.lattice, self._config.agent
@@ -135,49 +151,46 @@ class LiveKinds:
         footprint = Footprint.of(agent, lattice.cell_size)
         reach = max(lattice.cell_size / 2, footprint.reach) + 2 * TOUCH
         boxes, _ = boxes_of(scene.shapes.only(marked))
-        cells = cells_of_boxes(lattice, boxes, reach, 1.0, self._live.scratch.flag)
+        cells = cells_of_boxes(lattice, boxes, reach, 1.0, self._flag)
         sizes = self._extents.low, self._extents.high
-        bands.measure(cells, level.floor.reshape(-1), sizes, marked, self._measured)
+        listed.measure(cells, level.floor.reshape(-1), sizes, marked, self._measured)
 
-    def _follow_support(
-        self, touched: Region, level: LevelFloor, changes: FloorChanges, moved: Bool
-    ) -> bool:
+    def _follow_support(self, near: NearMoved) -> bool:
         """Find what carries floors again; whether all that carriers rest on is as it was."""
-        cells = touched.cells
+        cells, changes, level = near.region.cells, near.changes, near.floors.levels[0]
         support = FloorSupport(np.empty(len(cells), dtype=np.int32), np.empty(len(cells)))
         floor = level.floor.reshape(-1)[cells]
         min_up = agent_limits(self._config.agent).min_up
-        describe_floors(floor, touched.columns, min_up, support)
-        differs = support.geom != self.support.geom[cells]
-        differs |= support.gap != self.support.gap[cells]
-        holds = not differs.any() and not len(changes.heights)
-        holds &= not self._stood_on[moved].any() and not self._carries[moved].any()
-        if differs.any():
+        describe_floors(floor, near.region.columns, min_up, support)
+        was = self.support.geom[cells]
+        differs = support.geom != was
+        is_other = differs | (support.gap != self.support.gap[cells])
+        holds = not is_other.any() and not len(changes.heights)
+        holds &= not (self.stood_on[near.moved].any() or self.carried[near.moved].any())
+        others, stood_on = cells[differs], self.stood_on > 0
+        self.carried += self._count_by_geom(support.geom[differs])
+        self.carried -= self._count_by_geom(was[differs])
+        shifted = join_cells(others, changes.standable)
+        before = self.support.geom[shifted]
+        if is_other.any():
             geom, gap = self.support.geom.copy(), self.support.gap  # no grid has the gaps
             geom[cells], gap[cells] = support.geom, support.gap
             self.support = FloorSupport(geom, gap)
-        if not holds:
-            self._stood_on = self._count_stood_on(level)
-            return False
-        was = self._stood_on > 0
-        geom, stands = self.support.geom, level.standable.reshape(-1)
-        shifted = changes.standable[geom[changes.standable] >= 0]
-        np.add.at(self._stood_on, geom[shifted], np.where(stands[shifted], 1, -1))
-        return bool(((self._stood_on > 0) == was).all())
+        stands = level.standable.reshape(-1)[shifted]
+        self.stood_on += self._count_by_geom(self.support.geom[shifted][stands])
+        stands ^= are_in(shifted, changes.standable)  # as it was
+        self.stood_on -= self._count_by_geom(before[stands])
+        return holds and bool(((self.stood_on > 0) == stood_on).all())
+
+    def _count_by_geom(self, carrier: Int32) -> Int:
+        """How often each geom is the carrier, -1 for none; shape (ngeom,)."""
+        return np.bincount(carrier[carrier >= 0], minlength=len(self._is_static))
 
     def _describe(self, level: LevelFloor, crossings: Crossings) -> FloorSupport:
         floor = level.floor.ravel()
         support = FloorSupport(np.empty(len(floor), dtype=np.int32), np.empty(len(floor)))
         describe_floors(floor, crossings, agent_limits(self._config.agent).min_up, support)
         return support
-
-    def _count_stood_on(self, level: LevelFloor) -> Int:
-        """In how many cells each geom carries a floor that one can stand on."""
-        geom = self.support.geom
-        carried = geom[geom >= 0]
-        self._carries = np.bincount(carried, minlength=len(self._is_static)) > 0
-        stood_on = geom[(geom >= 0) & level.standable.reshape(-1)]
-        return np.bincount(stood_on, minlength=len(self._is_static))
 
     def _find_carriers(self, floors: Floors) -> Carriers:
         step = self._config.agent.traversable_floor_height

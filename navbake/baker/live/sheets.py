@@ -7,6 +7,8 @@ it touches another large sheet, or where a small one might become large.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from navbake.baker.columns import Columns
@@ -16,8 +18,13 @@ from navbake.baker.live.columns import LiveColumns
 from navbake.baker.live.kernels import blocks as kernels
 from navbake.baker.live.kernels.blocks import Blocks
 from navbake.baker.live.kernels.pool import STANDABLE, gather_standable
-from navbake.baker.live.kernels.regions import are_in, grow_cells
-from navbake.baker.live.kernels.sheets import explore, group_parts, label_region
+from navbake.baker.live.kernels.regions import are_in, grow_cells, join_cells
+from navbake.baker.live.kernels.sheets import (
+    explore,
+    group_parts,
+    label_region,
+    only_sheets,
+)
 from navbake.baker.live.not_local import NotLocal
 from navbake.config.settings import BakeConfig
 from navbake.threads import run_in_bands
@@ -31,6 +38,14 @@ MEASURED, UNITED = 20_000, 2_000_000
 SPARE_NUMBERS = 4096
 # So many blocks are worth a call on another thread
 LEAST_BLOCKS = 8
+
+
+class Grown(NamedTuple):
+    """A small sheet that has grown, and the cells and places of what it got."""
+
+    sheet: int
+    cells: Int
+    places: Int
 
 
 class LiveSheets:
@@ -65,9 +80,8 @@ class LiveSheets:
         stands = np.flatnonzero(live.pool.marks[: len(columns.z)] & STANDABLE)
         live.pool.sheet[stands] = judged.every.sheet
         self._mark = np.zeros(0, dtype=np.bool_)
-        self._joined: list[Int] = []  # the cells where surfaces joined or left the floor
-        # small sheets, and the cells and places of what they got
-        self._grown: list[tuple[int, Int, Int]] = []
+        self._joined: list[Int] = []  # the cells where old surfaces joined or left the floor
+        self._grown: list[Grown] = []
         self._note_sizes(judged)
         self._note_others(judged)
         lattice = live.lattice
@@ -120,12 +134,13 @@ class LiveSheets:
         Returns:
             These cells, and all others where surfaces joined or left the floor, ascending.
         """
-        self._joined, self._grown = [changed], []
+        self._joined, self._grown = [], []
         if self._num > 2 * self._in_use + SPARE_NUMBERS:
             self._number_anew()
         self._label(changed)
-        self._cut_off_parts()
-        return np.unique(np.concatenate(self._joined))
+        self._cut_off_parts(changed)
+        moved = [np.empty(0, dtype=np.int64), *self._joined]
+        return np.asarray(join_cells(changed, np.unique(np.concatenate(moved))))
 
     def _label(self, changed: Int) -> None:
         live, pool = self._live, self._live.pool
@@ -134,19 +149,28 @@ class LiveSheets:
         part, num = label_region(live.lattice, cells, start, z, self._step, live.scratch.local)
         cell = np.repeat(cells, np.diff(start))
         sheet = pool.sheet[place]
-        is_new, is_main = sheet < 0, sheet == self.main
-        has_new, has_main, has_other = (
-            np.bincount(part, marks, num) > 0 for marks in (is_new, is_main, ~is_new & ~is_main)
-        )
-        # most joins the floor alone, or nothing: all at once
-        joins = is_new & (has_main & ~has_other)[part]
-        pool.sheet[place[joins]] = self.main
-        self._size[self.main] += np.count_nonzero(joins)
-        alone = has_new & ~has_main & ~has_other
+        is_new, only = sheet < 0, only_sheets(part, sheet, num)
+        has_new = np.bincount(part, is_new, num) > 0
+        # most joins the floor alone, or one small sheet, or nothing: all at once
+        extends = has_new & (only >= 0)
+        if (self._kind[only[extends]] == OTHER).any():
+            raise NotLocal("another floor, a top or a roof grows")
+        joins = is_new & extends[part]
+        to = only[part[joins]]
+        pool.sheet[place[joins]] = to
+        np.add.at(self._size, to, 1)
+        alone = has_new & (only == -1)
         here = alone[part]
         self._add_sheets((np.cumsum(alone) - 1)[part[here]], cell[here], place[here])
         node, bounds = group_parts(part, num)
-        for k in np.flatnonzero(has_new & has_other).tolist():
+        grown = np.flatnonzero(extends & (only != self.main))
+        to, is_large = only[grown], self._size[only[grown]] >= self.needed
+        self._inner[to] = np.minimum(self._inner[to], self._size[to])
+        for k in grown[is_large].tolist():
+            members = node[bounds[k] : bounds[k + 1]]
+            members = members[is_new[members]]
+            self._grown.append(Grown(int(only[k]), cell[members], place[members]))
+        for k in np.flatnonzero(has_new & (only < -1)).tolist():
             members = node[bounds[k] : bounds[k + 1]]
             self._join(cell[members], place[members])
         self._check_grown()
@@ -202,7 +226,7 @@ class LiveSheets:
             # of several, cells at their seam may be left together, also far from what is new
             most = self._inner if len(known) == 1 else self._size
             self._inner[to] = most[known].sum()
-            self._grown.append((to, cells[is_new], places[is_new]))
+            self._grown.append(Grown(to, cells[is_new], places[is_new]))
         pool.sheet[places[is_new]] = to
         self._size[to] += np.count_nonzero(is_new)
         for gone in known[known != to].tolist():
@@ -216,26 +240,35 @@ class LiveSheets:
         left near the new surfaces, if all small sheets there were one. Where several become one,
         all of them may be left.
         """
-        for to, cells, places in self._grown:
-            size = int(self._size[to])
-            if size < self.needed:
-                self._inner[to] = min(int(self._inner[to]), size)
-                continue
-            near = self.around(cells, self.reach)
-            if self._inner[to] + len(near) >= self.needed:
-                self._inner[to] += self._count_left(self.around(cells, 2 * self.reach), near)
+        for one in self._grown:
+            self._inner[one.sheet] = min(self._inner[one.sheet], self._size[one.sheet])
+        grown = [one for one in self._grown if self._size[one.sheet] >= self.needed]
+        near = [self.around(one.cells, self.reach) for one in grown]
+        most = self._inner.copy()
+        for one, cells in zip(grown, near, strict=True):
+            most[one.sheet] += len(cells)
+        asked = [one.cells for one in grown if most[one.sheet] >= self.needed]
+        left = self._left_of_small(np.unique(np.concatenate(asked))) if asked else None
+        for one, cells in zip(grown, near, strict=True):
+            if left is None or most[one.sheet] < self.needed:
+                self._inner[one.sheet] += len(cells)
             else:
-                self._inner[to] += len(near)
-            if self._inner[to] >= self.needed:
-                self._measure(to, cells, places)
+                self._inner[one.sheet] += np.count_nonzero(are_in(cells, left))
+        for one in grown:
+            # what has joined another sheet since then is not measured with this one
+            own = self._live.pool.sheet[one.places] == one.sheet
+            if self._inner[one.sheet] >= self.needed and own.any():
+                self._measure(one.sheet, one.cells[own], one.places[own])
 
-    def _count_left(self, region: Int, near: Int) -> int:
-        """How many of the near cells are left when all small sheets of a region are shrunk."""
+    def _left_of_small(self, cells: Int) -> Int:
+        """The cells that are left when all small sheets are shrunk, right within reach of some."""
+        region = self.around(cells, 2 * self.reach)
         start, _, place = gather_standable(self._live.pool, region)
-        sheet = self._live.pool.sheet[place]
-        cell = np.repeat(region, np.diff(start))
-        small = np.unique(cell[self._kind[sheet] == SMALL])
-        return int(np.count_nonzero(are_in(small[self.test.inner(small)], near)))
+        is_small = self._kind[self._live.pool.sheet[place]] == SMALL
+        column = np.repeat(region, np.diff(start))[is_small]
+        small = column[np.flatnonzero(np.diff(column, prepend=-1))]
+        left: Int = small[self.test.inner(small)]
+        return left
 
     def _measure(self, sheet: int, cells: Int, places: Int) -> None:
         """Make sure that what hangs together with some surfaces of a sheet is too small."""
@@ -277,9 +310,9 @@ class LiveSheets:
 
     # ------------------------------------------------------------------ whether the floor is whole
 
-    def _cut_off_parts(self) -> None:
+    def _cut_off_parts(self, changed: Int) -> None:
         """Find what was cut off from the floor, and make sheets of their own of it."""
-        self._label_blocks(np.concatenate(self._joined))
+        self._label_blocks(np.concatenate([changed, *self._joined]))
         first, whole, size = kernels.join_parts(self._live.lattice, self._blocks)
         largest = int(size.argmax()) if len(size) else 0
         cut_off = []

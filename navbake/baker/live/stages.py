@@ -8,7 +8,7 @@ again as soon as anything that they read has changed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -24,12 +24,13 @@ from navbake.baker.floors.levels import Judged
 from navbake.baker.floors.outline import find_cropped
 from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.lattice import lay_lattice, lay_whole
-from navbake.baker.live.columns import LiveColumns, Region, Scratch
+from navbake.baker.live.columns import LEAST_CELLS, Asked, LiveColumns, Region, Scratch
 from navbake.baker.live.contents import LiveContents
 from navbake.baker.live.doors import LiveDoors
 from navbake.baker.live.floors import LiveFloors
 from navbake.baker.live.following import Moved
 from navbake.baker.live.kernels.regions import cells_of_boxes, join_cells
+from navbake.baker.live.kinds import NearMoved
 from navbake.baker.live.not_local import NotLocal
 from navbake.baker.live.rooms import LiveRooms, Seen
 from navbake.baker.occupancy.occupancy import check_footprints
@@ -37,6 +38,7 @@ from navbake.baker.rooms.outdoors import find_ends
 from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.rooms.segmentation import SpaceFinder
 from navbake.baker.stages import Stages
+from navbake.threads import limit_threads, run_beside
 from navbake.types import Bool, Float, Int
 
 
@@ -76,6 +78,7 @@ class LiveStages:
         self._parts: Parts | None = None
         self._floor_layer: NDArray[np.float32] | None = None
         self._weighed: Weighed | None = None
+        self._copied: Callable[[], Float] | None = None  # gives a copy of those weights
         found = stages.contents
         doors = stages.doors
         if not doors.rejected:
@@ -118,6 +121,8 @@ class LiveStages:
         if self._parts is None:
             raise NotLocal(self.reason)
         parts, was, scene = self._parts, self.stages, moved.scene
+        if self._weighed is not None:
+            self._copied = run_beside(self._weighed.weights.copy)
         candidates = [differ.get(one.id, one) for one in was.candidates]
         stages = replace(was, scene=scene, candidates=candidates)
         is_door = np.zeros(scene.model.ngeom, dtype=np.bool_)
@@ -170,17 +175,21 @@ class LiveStages:
     def weigh(self, occupied: Bool) -> Float:
         """The weights of the one level's cells, an array of their own.
 
-        To copy those of the last grid takes a quarter of the time that it takes to make them.
+        To copy those of the last grid takes a quarter of the time that it takes to make them, and
+        other work goes on beside it.
         """
-        known = self._weighed
+        known, copied = self._weighed, self._copied
+        self._copied = None
         if known is None or known.occupied.shape != occupied.shape:
             self._weighed = known = Weighed(occupied.copy(), weigh(occupied))
-        else:
-            changed = np.flatnonzero(occupied != known.occupied)
-            marks = occupied.reshape(-1)[changed]
-            known.occupied.reshape(-1)[changed] = marks
-            known.weights.reshape(-1)[changed] = weigh(marks)
-        return known.weights.copy()
+            return known.weights.copy()
+        changed = np.flatnonzero(occupied != known.occupied)
+        weights = known.weights.copy() if copied is None else copied()
+        marks = occupied.reshape(-1)[changed]
+        known.occupied.reshape(-1)[changed] = marks
+        for one in (known.weights, weights):
+            one.reshape(-1)[changed] = weigh(marks)
+        return weights
 
     def _check_box(self, was: Stages, now: Stages) -> None:
         """NotLocal where the box round the scene changes what depends on it."""
@@ -212,20 +221,30 @@ class LiveStages:
         Returns:
             All cells near it, and the rooms, None where they are to be found again.
         """
-        columns, floors, contents = parts[:3]
-        doorless, lattice = stages.doorless, columns.lattice
-        shapes, scratch = doorless.shapes, columns.scratch
+        columns, shapes = parts.columns, stages.doorless.shapes
+        lattice, flag = columns.lattice, columns.scratch.flag
         if own[shapes.planes.geom].any():
             raise NotLocal("a plane moves")
         heights = height_range(shapes, lattice)
         if heights != self._heights and len(shapes.planes.geom):
             columns.check_planes(shapes, self._heights, heights)
         self._heights = heights
-        footprint = stages.footprints.whole
-        reach = max(footprint.reach, crack_reach(stages.config.floors.crack))
-        near_by = max(footprint.reach, lattice.cell_size / 2) + 2 * TOUCH
-        touched = cells_of_boxes(lattice, boxes, near_by, 1.0, scratch.flag)
+        near_by = max(stages.footprints.whole.reach, lattice.cell_size / 2) + 2 * TOUCH
+        touched = cells_of_boxes(lattice, boxes, near_by, 1.0, flag)
         asked = columns.asked(boxes)
+        # of few cells, a share takes no longer than to give it to another thread
+        is_little = len(touched) + len(asked.every) < LEAST_CELLS
+        with limit_threads(1 if is_little else None):
+            return self._follow_near(parts, stages, own, touched, asked)
+
+    def _follow_near(
+        self, parts: Parts, stages: Stages, own: Bool, touched: Int, asked: Asked
+    ) -> tuple[Int, Rooms | None]:
+        """See `_follow_cells`; what moved may stand in the `touched` cells."""
+        columns, floors, contents = parts[:3]
+        doorless, scratch, heights = stages.doorless, columns.scratch, self._heights
+        shapes = doorless.shapes
+        reach = max(stages.footprints.whole.reach, crack_reach(stages.config.floors.crack))
         near = columns.near(shapes, join_cells(touched, asked.every), reach, heights)
         found = columns.cast(near, asked)
         old = columns.gather(found.cells)
@@ -235,18 +254,24 @@ class LiveStages:
             near = columns.near(shapes, touched, reach, heights)
         region = columns.gather(touched)
         _check_cells(stages, region, near, scratch)
-        walls = False
-        if contents is not None:
-            occupied, found_floors = stages.occupancy.levels[0], stages.floors
-            asks = near, region, occupied, found_floors, changes
-            walls = any(contents.follow(doorless, own, *asks))
+        seen = Seen(old, found, changes.heights, changes.before)
+
+        def follow_rooms() -> Rooms | None:
+            """What reads no contents; NotLocal where the floors are not what they were."""
+            floors.check(changes)
+            return parts.rooms.follow(stages.rooms, stages.floors, seen)
+
+        rooms, walls = run_beside(follow_rooms), False
+        try:
+            if contents is not None:
+                moved = NearMoved(doorless, own, region, stages.floors, changes)
+                walls = any(contents.follow(moved, near, stages.occupancy.levels[0]))
+        finally:  # nothing goes on after an error here
+            found_rooms = rooms()
         if len(changes.heights):
             stages.__dict__.pop("boxes", None)
             self._floor_layer = None
-        if walls:
-            return touched, None
-        seen = Seen(old, found, changes.heights, changes.before)
-        return touched, parts.rooms.follow(stages.rooms, stages.floors, seen)
+        return touched, None if walls else found_rooms
 
 
 def _check_cells(stages: Stages, region: Region, near: TiledShapes, scratch: Scratch) -> None:

@@ -181,6 +181,9 @@ def _check(
         return occupied[back], by_line[back], by_fcl
     shapes, known, cells = tiled.shapes, columns.known_rows, cells.astype(np.int64, copy=False)
     first, end = known.first // TILE, -(-known.end // TILE)
+    if len(cells):  # the kernel looks at each tile of these rows
+        rows = cells[[0, -1]] // columns.lattice.width // TILE
+        first, end = max(first, int(rows[0])), min(end, int(rows[1]) + 1)
     queries = Queries(cells, floors, np.zeros(len(cells), np.uint8), np.zeros(len(cells), np.bool_))
     asked = columns.lattice, columns.crossings, shapes.solids, tiled.facets, shapes.planes
     if len(cells):

@@ -73,6 +73,9 @@ class FarIndex:
         self._check_token()
         self._added.append(row)
 
+    def wait_for_disk(self) -> None:
+        """Nothing: a store has what it has taken."""
+
     def finish(
         self, ids: Iterable[str], skipped: Collection[str], left: Callable[[str], Json]
     ) -> list[Json]:

@@ -26,7 +26,7 @@ def make_pool(height):
     length = np.full(num, 2, dtype=np.int32)
     zeros = np.zeros(2 * num, dtype=np.uint8)
     normal, geom = np.zeros((2 * num, 3), dtype=np.float32), np.zeros(2 * num, dtype=np.int32)
-    return Pool(2 * cells, length, z, normal, geom, zeros, zeros, sheet)
+    return Pool(2 * cells, length, length, z, normal, geom, zeros, zeros, sheet)
 
 
 def find_wholes(height):

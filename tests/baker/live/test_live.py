@@ -48,7 +48,8 @@ def open_room(**settings) -> navbake.Baker:
 
 
 @pytest.mark.parametrize(
-    ("scene", "moves"), [("room", 25), ("bridge", 6), ("apartment", 4), ("house", 2)]
+    ("scene", "moves"),
+    [("room", 25), ("bridge", 6), ("apartment", 4), ("house", 2), ("random", 15)],
 )
 def test_updates_equal_fresh_bakes(scene, moves):
     found, reasons = sweep(scene, moves, seed=3)

@@ -6,8 +6,7 @@ from hypothesis import strategies as st
 
 from navbake.baker.contents.contents import LevelContents
 from navbake.baker.kernels.flags import BLOCKS, STANDS
-from navbake.baker.live.entries import Entries
-from navbake.baker.live.kernels.contents import count_taken
+from navbake.baker.live.kernels.contents import EntryPool, count_taken
 from navbake.baker.live.kernels.regions import are_in, cells_of_boxes, grow_cells
 from navbake.baker.live.kernels.sheets import group_parts
 from navbake.baker.rooms.segmentation import SpaceFinder, segment_by_gaps
@@ -90,7 +89,8 @@ def test_taken_cells_are_counted_as_for_a_whole_level(seed):
     taken, expected = np.zeros((2, 5), dtype=np.int64)
     line = Lattice(0.0, 0.0, 0.25, 1, 1)
     cells = np.flatnonzero(rng.random(12) < 0.7)
-    count_taken(Entries(start, geom, flags), cells, body_of, taken, -1)
+    pool = EntryPool(start[:-1].copy(), counts.astype(np.int32), geom, flags)
+    count_taken(pool, cells, body_of, taken, -1)
     for cell in cells:
         here = slice(start[cell], start[cell + 1])
         listed = np.array([0, counts[cell]])

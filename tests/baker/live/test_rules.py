@@ -12,6 +12,8 @@ import navbake
 from differences import first_difference
 from navbake.baker.live import baker as module
 from navbake.baker.live import sheets
+from navbake.baker.live.columns import LiveColumns
+from navbake.baker.live.kinds import LiveKinds
 
 pytestmark = pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
 
@@ -42,7 +44,8 @@ def check(baker: navbake.Baker, settings: dict, **moves) -> str:
     return changes.reason
 
 
-def test_more_surfaces_appear_than_there_was_room_for():
+@pytest.mark.parametrize("named", [False, True])
+def test_more_appears_than_there_was_room_for(named):
     plates = "".join(
         f'<geom type="box" size="0.4 0.4 0.005" pos="{x} {y} {0.1 + 0.02 * k}"/>'
         for x in (1.5, 3.0, 4.5)
@@ -52,10 +55,53 @@ def test_more_surfaces_appear_than_there_was_room_for():
     model = make(f'<body name="racks">{plates}</body>')
     own = model.geom_bodyid == model.body("racks").id
     model.geom_contype[own] = model.geom_conaffinity[own] = 0
-    settings = {"names": {"enabled": False}, "rooms": {"sources": []}}
+    settings = {"names": {"enabled": named}} | ({} if named else {"rooms": {"sources": []}})
     baker = navbake.Baker(model, **settings)
+    before, names = baker.grid, dict(navbake.Baker(model, **settings).grid.user_data)
     model.geom_contype[own] = 1
     assert check(baker, settings) == ""
+    assert dict(before.user_data) == names  # read only now
+
+
+def test_what_comes_back_takes_no_more_room(monkeypatch):
+    box = '<geom type="box" size="0.3 0.3 0.4"/>'
+    baker = navbake.Baker(make(f'<body name="box" pos="2 2 0.4"><freejoint/>{box}</body>'))
+    used, put = [], LiveColumns.put
+
+    def spy(self, region, planes):
+        put(self, region, planes)
+        used.append(self.used)
+
+    monkeypatch.setattr(LiveColumns, "put", spy)
+    for x in (4.0, 2.0, 4.0, 2.0):
+        assert baker.update(bodies={"box": [x, 2.0, 0.4]}).reason == ""
+    assert len(used) == 4
+    assert used[1] == used[3]
+
+
+def test_carried_cells_are_counted_as_for_the_whole_level(monkeypatch):
+    follow, asked = LiveKinds.follow, []
+
+    def spy(self, near, marked, listed):
+        result = follow(self, near, marked, listed)
+        geom, stands = self.support.geom, near.floors.levels[0].standable.ravel()
+        for counts, carriers in ((self.carried, geom), (self.stood_on, geom[stands])):
+            found = np.bincount(carriers[carriers >= 0], minlength=len(counts))
+            asked.append(np.array_equal(counts, found))
+        return result
+
+    monkeypatch.setattr(LiveKinds, "follow", spy)
+    bodies = "".join(
+        f'<body name="box_{k}" pos="{1 + k} 2 0.1"><freejoint/>'
+        f'<geom type="box" size="0.5 0.4 {0.05 + 0.05 * k}"/></body>'
+        for k in range(4)
+    )
+    baker, rng = navbake.Baker(make(bodies)), np.random.default_rng(0)
+    for _ in range(12):
+        place = [*rng.uniform(0.5, 5.5, 2), rng.choice([0.05, 0.1, 0.3])]
+        check(baker, {}, bodies={f"box_{rng.integers(4)}": place})
+    assert len(asked) >= 12
+    assert all(asked)
 
 
 def test_tables_that_become_one_may_be_a_floor():

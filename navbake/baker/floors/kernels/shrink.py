@@ -33,9 +33,12 @@ def east_rim(offsets: np.ndarray) -> np.ndarray:
 
     East of a cell all of whose neighbours belong to a set, only these are not known yet.
     """
-    known = {(0, 0), *map(tuple, offsets.tolist())}
-    rim = [(row, col) for row, col in offsets.tolist() if (row, col + 1) not in known]
-    return np.array(rim, dtype=np.int64).reshape(-1, 2)
+    reach = int(np.abs(offsets).max(initial=0))
+    known = np.zeros((2 * reach + 1, 2 * reach + 2), dtype=np.bool_)
+    known[offsets[:, 0] + reach, offsets[:, 1] + reach] = True
+    known[reach, reach] = True
+    rim: np.ndarray = offsets[~known[offsets[:, 0] + reach, offsets[:, 1] + reach + 1]]
+    return rim
 
 
 @njit(cache=True, nogil=True, **UNCOUNTED)

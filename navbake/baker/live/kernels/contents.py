@@ -1,11 +1,15 @@
-"""What stands in the cells of some tiles, by the kernels that list it for all."""
+"""What stands in some cells: found by the kernels that list it for all, compared, and kept."""
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from navbake.baker.kernels.contents import count_candidates, list_geoms
 from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS
 from navbake.compiled import UNCOUNTED
+from navbake.types import Int, Int32
 
 
 @njit(cache=True, nogil=True)
@@ -26,81 +30,126 @@ def list_in_tiles(lattice, crossings, shapes, lists, footprint, probe, cells, li
         )
 
 
-@njit(cache=True, nogil=True)
-def replace_entries(old, cells, start, geom, flags, marked):
-    """Replace the entries of some cells of a band.
+class Entries(NamedTuple):
+    """The geoms of some cells, ragged as in `LevelContents`.
+
+    Attributes:
+        start: shape (cells + 1,), int64.
+        geom: MuJoCo's geom ids, ascending in a cell, shape (n,), int32.
+        flags: STANDS, BLOCKS and PROBED, shape (n,), uint8.
+    """
+
+    start: Int
+    geom: Int32
+    flags: NDArray[np.uint8]
+
+
+class EntryPool(NamedTuple):
+    """The entries of all cells; cell i holds ``[first[i], first[i] + length[i])``.
+
+    What a cell held before stays where it is: new entries are written behind all others.
+
+    Attributes:
+        first: (cells,) int64.
+        length: (cells,) int32.
+        geom, flags: as in `Entries`, with room at the end.
+    """
+
+    first: Int
+    length: Int32
+    geom: Int32
+    flags: NDArray[np.uint8]
+
+
+@njit(cache=True, nogil=True, **UNCOUNTED)
+def compare_entries(pool, cells, new, changed, marked):
+    """Tell which cells have other entries now.
 
     Args:
-        old: the band: `start`, `geom` and `flags` of its cells, ragged.
-        cells: cells of the band, counted from its first, ascending.
-        start, geom, flags: the entries of these.
-        marked: by geom id, bool; receives True where an entry has changed.
-
-    Returns:
-        The new band's three arrays, and which of the cells have changed.
+        cells: ascending, and
+        new: `Entries` of them.
+        changed: receives whether they differ, (cells,) bool.
+        marked: by geom id, bool; receives True for all geoms in cells that differ.
     """
-    changed, total = np.zeros(cells.shape[0], np.bool_), old.geom.shape[0]
+    start, geom, flags = new
     for n in range(cells.shape[0]):
-        first, last = old.start[cells[n]], old.start[cells[n] + 1]
-        count = start[n + 1] - start[n]
-        changed[n] = last - first != count
+        first, count = pool.first[cells[n]], start[n + 1] - start[n]
+        changed[n] = pool.length[cells[n]] != count
         for k in range(count):
             if changed[n]:
                 break
             i, j = start[n] + k, first + k
-            changed[n] = geom[i] != old.geom[j] or flags[i] != old.flags[j]
+            changed[n] = geom[i] != pool.geom[j] or flags[i] != pool.flags[j]
         if changed[n]:
-            total += count - (last - first)
             for i in range(start[n], start[n + 1]):
                 marked[geom[i]] = True
-            for j in range(first, last):
-                marked[old.geom[j]] = True
-    new_start, new_geom = np.empty_like(old.start), np.empty(total, np.int32)
-    new_flags, n, at = np.empty(total, np.uint8), 0, 0
-    new_start[0] = 0
-    for cell in range(old.start.shape[0] - 1):
-        while n < cells.shape[0] and cells[n] < cell:
-            n += 1
-        if n < cells.shape[0] and cells[n] == cell and changed[n]:
-            for i in range(start[n], start[n + 1]):
-                new_geom[at], new_flags[at] = geom[i], flags[i]
-                at += 1
-        else:
-            for j in range(old.start[cell], old.start[cell + 1]):
-                new_geom[at], new_flags[at] = old.geom[j], old.flags[j]
-                at += 1
-        new_start[cell + 1] = at
-    return new_start, new_geom, new_flags, changed
+            for j in range(first, first + pool.length[cells[n]]):
+                marked[pool.geom[j]] = True
 
 
-@njit(cache=True, **UNCOUNTED)
-def count_taken(band, cells, body_of, taken, by):
-    """`count_taken_cells` for some cells of a band, counted from its first."""
+@njit(cache=True, nogil=True, **UNCOUNTED)
+def put_entries(pool, cells, new, changed, used):
+    """Write the entries of changed cells behind the `used` part; returns how much is used now."""
+    start, geom, flags = new
+    for n in range(cells.shape[0]):
+        if not changed[n]:
+            continue
+        pool.first[cells[n]], pool.length[cells[n]] = used, start[n + 1] - start[n]
+        for i in range(start[n], start[n + 1]):
+            pool.geom[used], pool.flags[used] = geom[i], flags[i]
+            used += 1
+    return used
+
+
+@njit(cache=True, nogil=True)
+def take_entries(pool, cells):
+    """The entries of some cells."""
+    start = np.zeros(cells.shape[0] + 1, np.int64)
+    for n in range(cells.shape[0]):
+        start[n + 1] = start[n] + pool.length[cells[n]]
+    geom, flags = np.empty(start[-1], np.int32), np.empty(start[-1], np.uint8)
+    for n in range(cells.shape[0]):
+        j = pool.first[cells[n]]
+        for i in range(start[n], start[n + 1]):
+            geom[i], flags[i] = pool.geom[j], pool.flags[j]
+            j += 1
+    return Entries(start, geom, flags)
+
+
+@njit(cache=True, nogil=True, **UNCOUNTED)
+def mark_geoms(pool, cells, marked):
+    """Mark the geoms in some cells, by geom id."""
     for cell in cells:
-        first, last = band.start[cell], band.start[cell + 1]
+        for i in range(pool.first[cell], pool.first[cell] + pool.length[cell]):
+            marked[pool.geom[i]] = True
+
+
+@njit(cache=True, nogil=True, **UNCOUNTED)
+def count_taken(pool, cells, body_of, taken, by):
+    """`count_taken_cells` for some cells."""
+    for cell in cells:
+        first, last = pool.first[cell], pool.first[cell] + pool.length[cell]
         is_free = True
         for i in range(first, last):
-            is_free = is_free and (not band.flags[i] & BLOCKS or body_of[band.geom[i]] >= 0)
+            is_free = is_free and (not pool.flags[i] & BLOCKS or body_of[pool.geom[i]] >= 0)
         if not is_free:
             continue
         for i in range(first, last):
-            if not band.flags[i] & BLOCKS:
+            if not pool.flags[i] & BLOCKS:
                 continue
-            body, is_new = body_of[band.geom[i]], True
+            body, is_new = body_of[pool.geom[i]], True
             for j in range(first, i):
-                is_known = band.flags[j] & BLOCKS and body_of[band.geom[j]] == body
+                is_known = pool.flags[j] & BLOCKS and body_of[pool.geom[j]] == body
                 is_new = is_new and not is_known
             if is_new:
                 taken[body] += by
 
 
-@njit(cache=True, **UNCOUNTED)
-def measure_entries(band, first, cells, floor, low, high, asked, measured):
-    """Add what some cells of a band tell of geoms, see `measure_over_floors`.
+@njit(cache=True, nogil=True, **UNCOUNTED)
+def measure_entries(pool, cells, floor, low, high, asked, measured):
+    """Add what some cells tell of geoms, see `measure_over_floors`.
 
     Args:
-        band: see above; `first` is its first cell.
-        cells: cells of the band, counted from its first.
         floor: of all cells [m].
         low, high: of geoms [m].
         asked: the geoms that count, by id, bool.
@@ -108,13 +157,13 @@ def measure_entries(band, first, cells, floor, low, high, asked, measured):
     """
     base, rise, area, upper_area = measured
     for cell in cells:
-        height = floor[first + cell]
-        for i in range(band.start[cell], band.start[cell + 1]):
-            g = band.geom[i]
+        height = floor[cell]
+        for i in range(pool.first[cell], pool.first[cell] + pool.length[cell]):
+            g = pool.geom[i]
             if not asked[g]:
                 continue
-            upper_area[g] += 1 if band.flags[i] & PROBED else 0
-            if not band.flags[i] & STANDS:
+            upper_area[g] += 1 if pool.flags[i] & PROBED else 0
+            if not pool.flags[i] & STANDS:
                 continue
             area[g] += 1
             if low[g] - height < base[g]:

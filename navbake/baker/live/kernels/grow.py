@@ -32,7 +32,7 @@ def _list_known(lattice, cell, local, value, ring, floor, rings, now, beside):
     return count, is_new
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def list_heights(start, z, taken):
     """The heights of the surfaces that are taken, ragged by column as `z` is: start and heights."""
     begin, height, at = np.zeros(start.shape[0], np.int64), np.empty(z.shape[0]), 0
@@ -45,7 +45,7 @@ def list_heights(start, z, taken):
     return begin, height[:at].copy()
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def compare_floors(cells, value, ring, floor, standable, rings, has_height, has_shifted, moved):
     """Tell which cells have another floor now; the results are as in `Grown`.
 
@@ -59,7 +59,7 @@ def compare_floors(cells, value, ring, floor, standable, rings, has_height, has_
         moved[n] = has_height[n] or ring[n] != rings[cells[n]]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def regrow(lattice, cells, start, height, step, value, ring, floor, rings, local):
     """Let the floor go on in the cells of a region.
 

@@ -37,7 +37,7 @@ def mark_region(lattice, cells, crossings, planes, limits, marks, count, first, 
         n = m
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def hold_region(lattice, cells, crossings, planes, limits, holder):
     """`find_holders` for some cells alone; ``crossings.start`` is by cell id."""
     n = 0
@@ -47,7 +47,7 @@ def hold_region(lattice, cells, crossings, planes, limits, holder):
         n = m
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def group_parts(part, num):
     """The surfaces of each part, ascending: ``order[bounds[k]:bounds[k + 1]]``; a counting sort.
 
@@ -67,7 +67,21 @@ def group_parts(part, num):
     return order, bounds
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
+def only_sheets(part, sheet, num):
+    """The one sheet that surfaces of each part belong to: -1 for none, -2 for several, (num,).
+
+    `part` is (n,) int64; `sheet`, (n,) int32, -1 for those that belong to none.
+    """
+    only = np.full(num, -1, np.int64)
+    for i in range(part.shape[0]):
+        known = only[part[i]]
+        if sheet[i] >= 0 and known != sheet[i]:
+            only[part[i]] = sheet[i] if known == -1 else -2
+    return only
+
+
+@njit(cache=True, nogil=True)
 def label_region(lattice, cells, start, z, step, local):
     """The connected part of each surface of a region, (n,) int64.
 
@@ -101,7 +115,7 @@ def label_region(lattice, cells, start, z, step, local):
     return part, num
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def explore(lattice, pool, step, cells, places, sheet, mark, most):
     """Go from some surfaces to all of their sheet that hang together with them.
 
