@@ -226,7 +226,7 @@ class Run:
             findings: dict[int, str] = {}
             while len(numbers):
                 child = child or Child()
-                is_alive = child.use(chunk._replace(numbers=numbers), counts, findings)
+                is_alive = child.use(Chunk(chunk.kind, chunk.seed, numbers), counts, findings)
                 numbers = numbers[child.num_done :]
                 if not is_alive:
                     child.end()

@@ -251,5 +251,5 @@ def test_any_bytes_in_place_of_others(tmp_path_factory, kind, number, data):
         length = data.draw(st.integers(0, 8))
         content[at : at + length] = data.draw(st.binary(max_size=8))
     place = tmp_path_factory.mktemp("any")
-    what = fuzz.use_input(kind, made._replace(data=bytes(content)), place)
+    what = fuzz.use_input(kind, Input(bytes(content), made.suffix, made.beside), place)
     assert what in fuzz.FINE or what.startswith("took"), what

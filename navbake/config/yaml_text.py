@@ -40,7 +40,7 @@ class _Loader(yaml.SafeLoader):
         self.num_nodes += 1
         if self.num_nodes > MAX_NODES:
             why = f"more than {MAX_NODES:,} values (outlines of rooms may be a GeoJSON file)"
-            raise yaml.composer.ComposerError(None, None, why, self.peek_event().start_mark)
+            raise yaml.composer.ComposerError(None, None, why, self.peek_event().start_mark)  # type: ignore[no-untyped-call]
         node: yaml.Node | None = super().compose_node(parent, index)
         self.depth -= 1
         return node

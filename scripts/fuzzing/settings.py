@@ -15,7 +15,7 @@ from typing import Any
 from fuzzing import texts
 from fuzzing.kind import Input, attempt
 from fuzzing.mutations import WORDS, cut, dump_tree, mutate_bytes, mutate_tree, odd_value
-from navbake.batch.done import _is_done
+from navbake.batch.done import find_done
 from navbake.batch.index import Index, read_index
 from navbake.batch.job import Job
 from navbake.batch.manifest import list_jobs
@@ -24,7 +24,7 @@ from navbake.batch.work import Order
 from navbake.config.settings import BakeConfig, settings_digest, settings_to_state
 from navbake.types import Json
 from navbake.verifier.report import FREE_TOUCHES, Finding, LevelCounts, SweepCounts, VerifyReport
-from navbake.views.report.content import _verify_marks, _verify_tables
+from navbake.views.report.content import verify_marks, verify_tables
 
 POLYGONS = ("rooms.geojson", "rooms.geojson", "no.geojson", ".", "/dev/zero", "input.yaml", "\0")
 FEW = 20  # jobs of a list that are looked at
@@ -211,7 +211,7 @@ def check_rows(rows: dict[str, Json]) -> None:
     folder = Path("/output")
     for row in rows.values():
         order = Order(Job("input", __file__, {}, "a list"), {}, (), (), folder)
-        attempt(lambda order=order, row=row: _is_done(order, row))
+        attempt(lambda order=order, row=row: find_done([order], {"input": row}))
 
 
 # ---------------------------------------------------------------- verifications
@@ -236,5 +236,5 @@ def make_verification(rng: Random) -> Input:
 
 def check_verification(report: Json) -> None:
     """Show it on the page of a report."""
-    attempt(lambda: list(_verify_marks(report, 2)))
-    attempt(lambda: list(_verify_tables(report)))
+    attempt(lambda: list(verify_marks(report, 2)))
+    attempt(lambda: list(verify_tables(report)))
