@@ -116,7 +116,10 @@ FOUND = [
 
 @pytest.mark.parametrize(("kind", "made"), FOUND)
 def test_what_was_found(tmp_path, kind, made):
-    assert fuzz.use_input(kind, made, tmp_path) in fuzz.FINE
+    what = fuzz.use_input(kind, made, tmp_path)
+    if what.startswith("took"):  # kernels may have been compiled
+        what = fuzz.use_input(kind, made, tmp_path)
+    assert what in fuzz.FINE
 
 
 @pytest.mark.parametrize("kind", IN_PROCESS)
