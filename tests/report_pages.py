@@ -20,6 +20,17 @@ def content_of(page):
     return json.loads(found)
 
 
+def content_of_batch(path):
+    """What the page of a batch shows."""
+    with open(path, "rb") as file:
+        return content_of_page(file.read())
+
+
+def content_of_page(page):
+    """What the page of a batch shows, from its content."""
+    return json.loads(text_of(content_of(page)["packed"]))
+
+
 def text_of(packed):
     """Undo `packing.to_text`."""
     return zlib.decompress(b64decode(packed))

@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from navbake.batch.crew import DONE, Ended, JobLimits, do_jobs
+from navbake.batch.crew import DONE, Ended, Event, JobLimits, do_jobs
 from navbake.batch.done import find_done
 from navbake.batch.far import is_far
 from navbake.batch.index import Index, only_batch
 from navbake.batch.job import Job
+from navbake.batch.journal import stamp
 from navbake.batch.products import parse_products
 from navbake.batch.settings import check_overrides, settings_of, without_urls
 from navbake.batch.stores.index import FarIndex
@@ -36,6 +37,7 @@ class Batch(NamedTuple):
         overrides: ``a.b=value``, for all scenes.
         products: what to make of each besides its grid, see `products.KINDS`.
         has_table: whether the index is written as Parquet as well.
+        thumbnails: whether to make small pictures for the batch's page, of scenes that are baked.
     """
 
     jobs: Sequence[Job]
@@ -44,6 +46,7 @@ class Batch(NamedTuple):
     overrides: Sequence[str] = ()
     products: Sequence[str] = ()
     has_table: bool = False
+    thumbnails: bool = False
 
 
 class Means(NamedTuple):
@@ -67,6 +70,9 @@ class Watch(Protocol):
 
     def begin(self, total: int, skipped: int) -> None:
         """Before the first scene is baked; not where there is none to bake."""
+
+    def hear(self, event: Event, scene: str | None) -> None:
+        """Of workers, and of scenes that begin or are tried again; `scene` is the id of one."""
 
     def end_scene(self, row: Json) -> None:
         """After each scene, with its row."""
@@ -110,7 +116,14 @@ def run_batch(batch: Batch, means: Means, watch: Watch) -> BatchResult:
         check_pyarrow()
     _check_settings(batch)
     orders = [
-        Order(job, batch.settings, tuple(batch.overrides), products, batch.folder)
+        Order(
+            job,
+            batch.settings,
+            tuple(batch.overrides),
+            products,
+            batch.folder,
+            batch.thumbnails,
+        )
         for job in batch.jobs
     ]
     with _index_of(batch.folder) as index:
@@ -159,6 +172,7 @@ def _run(
             limits=means.limits,
             retries=means.retries,
             prepare=prepare,
+            on_event=lambda event: watch.hear(event, _id_of(event, waiting)),
         )
         with closing(ended):
             for end in ended:
@@ -182,9 +196,13 @@ def _run(
     return result
 
 
+def _id_of(event: Event, orders: Sequence[Order]) -> str | None:
+    return None if event.number is None else orders[event.number].job.id
+
+
 def _row(order: Order, end: Ended) -> Json:
     """The row of a scene that ended."""
     if end.how == DONE:
-        row: Json = end.value
-        return row
-    return {**fail(order, end.how, end.value), "seconds": round(end.seconds, DIGITS)}
+        return {**end.value, "ended": stamp()}
+    seconds = round(end.seconds, DIGITS)
+    return {**fail(order, end.how, end.value), "seconds": seconds, "ended": stamp()}

@@ -32,6 +32,7 @@ SHORT = 0.25  # what a worker's last job took at most, if the next is given to i
 MOST_AHEAD = 4096  # bytes of such a job: what any system's pipe takes while nobody reads it
 MOST_TEXT = 200  # of what a worker wrote on stderr, characters
 READY, DONE, CRASHED, TOO_LONG, TOO_LARGE = "ready", "done", "crashed", "too long", "too large"
+BEGUN, AGAIN, LOST = "begun", "again", "lost"  # what happens besides, see `Event`
 
 
 class JobLimits(NamedTuple):
@@ -63,6 +64,31 @@ class Ended(NamedTuple):
     seconds: float
 
 
+class Event(NamedTuple):
+    """What happens to workers and jobs, besides that jobs end.
+
+    Attributes:
+        what: ``ready``, a worker waits for its first job; ``begun``, it was given a job; ``lost``,
+            it is gone; or ``again``, the job that it had will be given to another.
+        worker: which one, from 1; one that replaces another has a number of its own.
+        number: the job's place among the jobs; None where the worker has none.
+        how: as `Ended` has it, of a worker that is gone.
+        why: in words, likewise.
+        seconds: how long the worker took to start, or was at the job that it lost.
+    """
+
+    what: str
+    worker: int
+    number: int | None = None
+    how: str = ""
+    why: str = ""
+    seconds: float = 0.0
+
+
+def _ignore(event: Event) -> None:
+    """What hears of events where nobody wants to."""
+
+
 class _Task:
     """A job, and how often it was tried."""
 
@@ -78,7 +104,8 @@ class _Task:
 class _Worker:
     """A worker process, seen from the parent."""
 
-    def __init__(self, work: bytes, limits: JobLimits) -> None:
+    def __init__(self, number: int, work: bytes, limits: JobLimits) -> None:
+        self.number = number
         context = multiprocessing.get_context("spawn")
         self.connection, self._theirs = context.Pipe()
         self._stderr, self._stderr_path = tempfile.mkstemp(prefix="navbake-")
@@ -166,6 +193,7 @@ def do_jobs(
     limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
     retries: int = 0,
     prepare: Callable[[], None] | None = None,
+    on_event: Callable[[Event], None] = _ignore,
 ) -> Generator[Ended, None, None]:
     """Do jobs in worker processes, and yield how each ended, in the order in which they end.
 
@@ -179,13 +207,14 @@ def do_jobs(
         limits: of each job.
         retries: how often a job that crashed, or took too long or too much, is tried again.
         prepare: a function of a module that each worker calls before its first job.
+        on_event: is called in this process with what happens meanwhile.
 
     Raises:
         NavbakeError: no worker starts.
 
     The workers are gone when the iterator is closed, or at the end.
     """
-    crew = _Crew(jobs, pickle.dumps((work, prepare)), count, limits, retries)
+    crew = _Crew(jobs, pickle.dumps((work, prepare)), count, limits, retries, on_event)
     try:
         yield from crew.run()
     finally:
@@ -196,9 +225,17 @@ class _Crew:
     """The workers, and the tasks that are left."""
 
     def __init__(
-        self, jobs: Sequence[Any], work: bytes, count: int, limits: JobLimits, retries: int
+        self,
+        jobs: Sequence[Any],
+        work: bytes,
+        count: int,
+        limits: JobLimits,
+        retries: int,
+        on_event: Callable[[Event], None],
     ) -> None:
         self._work, self._count, self._limits, self._retries = work, count, limits, retries
+        self._on_event = on_event
+        self._num_started = 0
         self._left = deque(_Task(number, job) for number, job in enumerate(jobs))
         self._again: deque[_Task] = deque()  # of workers that are gone
         self._workers: list[_Worker] = []
@@ -245,7 +282,7 @@ class _Crew:
         except OSError:  # it died meanwhile
             self._remove(worker)
             return
-        waiting.popleft()
+        self._on_event(Event(BEGUN, worker.number, waiting.popleft().number))
 
     def _give_ahead(self, worker: _Worker) -> None:
         """Give a worker that is at a task the next one, unless idle workers may soon want it."""
@@ -260,7 +297,8 @@ class _Crew:
 
     def _start(self) -> None:
         try:
-            worker = _Worker(self._work, self._limits)
+            self._num_started += 1
+            worker = _Worker(self._num_started, self._work, self._limits)
             self._workers.append(worker)  # before it starts: then `end` knows of it
             worker.start()
         except OSError as error:
@@ -299,11 +337,14 @@ class _Crew:
         if how == READY:
             worker.is_ready = True
             worker.forget_stderr()
+            self._on_event(Event(READY, worker.number, seconds=worker.age))
         elif how == DONE and worker.task is not None:
             ended = Ended(worker.task.number, DONE, value, worker.age)
             worker.take_back()
             self._failed_starts = 0
             yield ended
+            if worker.task is not None:  # it was given one ahead
+                self._on_event(Event(BEGUN, worker.number, worker.task.number))
         else:
             yield from self._lose(worker, how, value)
 
@@ -311,6 +352,9 @@ class _Crew:
         """Replace a worker, and see what becomes of its task; one given ahead was not begun."""
         seconds, (task, *ahead) = worker.age, worker.tasks or (None,)
         self._remove(worker)
+        number = None if task is None else task.number
+        lost = Event(LOST, worker.number, number, how, why, seconds)
+        self._on_event(lost)
         self._left.extendleft(ahead)
         if task is None:
             if not worker.is_used:
@@ -319,10 +363,12 @@ class _Crew:
         self._failed_starts = 0
         if worker.is_used and how != TOO_LONG:
             self._again.append(task)
+            self._on_event(lost._replace(what=AGAIN))
             return
         task.tries += 1
         if task.tries <= self._retries:
             self._again.append(task)
+            self._on_event(lost._replace(what=AGAIN))
         else:
             yield Ended(task.number, how, why, seconds)
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from navbake._version import __version__
 from navbake.batch.file_states import are_unchanged, path_from
-from navbake.batch.products import GRID, OWN
+from navbake.batch.products import GRID, OWN, THUMBNAIL
 from navbake.batch.stores.mirror import Mirror, upload
 from navbake.batch.stores.scratch import remove_abandoned, scratch_folder
 from navbake.batch.stores.store import (
@@ -91,6 +91,8 @@ def make_far(order: Order, make: Callable[[Order], Json]) -> Json:
             place = f"{order.folder}/{order.job.id}"
             remove_products_at(place)
             names = [*(name for name in row["files"] if name != GRID), GRID]
+            if order.thumbnail:  # it is no product, so the row doesn't name it
+                names.insert(0, THUMBNAIL)
             entries = upload({name: near.place / name for name in names}, place)
             row["files"] = {
                 name: state_of(entries[name], state) for name, state in row["files"].items()

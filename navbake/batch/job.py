@@ -12,7 +12,7 @@ from navbake.types import Json
 
 # what some file system takes for something else than a letter of a name
 SPECIAL = re.compile(r'[\\:*?"<>|]')
-RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d|index\.(jsonl|parquet))(\..*)?")
+RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d|index\.(jsonl|parquet|html))(\..*)?")
 MAX_BYTES = 200  # of a part of an id; file systems take 255
 
 

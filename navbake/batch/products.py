@@ -23,11 +23,12 @@ from navbake.navgrid.grid import NavGrid
 from navbake.views.layers import LAYERS
 
 GRID = "grid.json.gz"  # of every scene, written last: where it is, all is there
+THUMBNAIL = "thumbnail.png"  # no product: it can be made of the grid at any time
 PICTURE_LAYERS = ("rooms", "floor")
 # all names that a product has ever had; other files in a scene's folder are the user's
 OWN = re.compile(
     r"grid\.json\.gz|inflated-[\d.e+-]+\.json\.gz|nav2[\d._e+-]*\.(?:yaml|pgm)"
-    r"|voxels-[\d.e+-]+\.\w+|picture\.png|report\.html"
+    r"|voxels-[\d.e+-]+\.\w+|picture\.png|report\.html|thumbnail\.png"
 )
 
 
@@ -67,6 +68,13 @@ def parse_products(texts: Sequence[str]) -> tuple[Product, ...]:
             raise ConfigError(f"expected {wanted} to make, got {text!r}")
         products.append(Product(name, kind.check(values, text)))
     return tuple(dict.fromkeys(products))
+
+
+def write_thumbnail(grid: NavGrid, folder: Path) -> None:
+    """Write a small picture of a grid into its scene's folder, for the batch's page."""
+    from navbake.views.thumbnail import draw_thumbnail  # loads Pillow
+
+    write_bytes(draw_thumbnail(grid), folder / THUMBNAIL)
 
 
 def remove_products(folder: Path) -> None:

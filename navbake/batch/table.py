@@ -100,7 +100,7 @@ def _schema(pyarrow: Any) -> Any:
             *(("levels", count), ("cells", wide), ("free_area", number)),
             *(("rooms", count), ("doors", count)),
             *(("warnings", texts), ("audit", texts)),
-            *(("seconds", number), ("stages", pyarrow.map_(text, number))),
+            *(("seconds", number), ("stages", pyarrow.map_(text, number)), ("ended", text)),
             *(("scene_digest", text), ("settings_digest", text), ("version", text), ("key", text)),
             *(("inputs", pyarrow.list_(file)), ("files", pyarrow.list_(file))),
         ]

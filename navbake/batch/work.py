@@ -19,7 +19,7 @@ from navbake.batch.far import is_far, make_far, name_source, remove_far_products
 from navbake.batch.file_states import describe_files, path_from
 from navbake.batch.inputs import find_inputs
 from navbake.batch.job import Job
-from navbake.batch.products import GRID, Product, remove_products
+from navbake.batch.products import GRID, Product, remove_products, write_thumbnail
 from navbake.batch.settings import digest_settings, settings_of
 from navbake.batch.stores.urls import Folder
 from navbake.config.settings import BakeConfig, load_config
@@ -44,6 +44,7 @@ class Order(NamedTuple):
         overrides: ``a.b=value``, which replace those of the batch and of the scene.
         products: what to make besides the grid.
         folder: where the folders of the scenes are; a URL if that is on a store.
+        thumbnail: whether to make a small picture for the batch's page.
     """
 
     job: Job
@@ -51,6 +52,7 @@ class Order(NamedTuple):
     overrides: tuple[str, ...]
     products: tuple[Product, ...]
     folder: Folder
+    thumbnail: bool = False
 
     @property
     def place(self) -> Path:
@@ -124,6 +126,8 @@ def _make(order: Order) -> Json:
         made = [
             name for product in order.products for name in product.make(grid, config, order.place)
         ]
+        if order.thumbnail:
+            write_thumbnail(grid, order.place)
         write_navgrid(grid, order.place / GRID)
     return {
         **row_of(order, OK),

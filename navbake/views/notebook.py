@@ -64,11 +64,16 @@ def show_html(grid: NavGrid) -> str:
 
 def draw_png(grid: NavGrid) -> bytes:
     """One picture of the levels, row by row from the lowest: at most `PICTURE_SIDE` pixels long."""
+    return _to_png(draw_levels(grid, PICTURE_SIDE))
+
+
+def draw_levels(grid: NavGrid, side: int) -> Image.Image:
+    """The levels on one picture, row by row from the lowest: at most `side` pixels long."""
     count = min(len(grid.levels), MAX_LEVELS)
     columns = math.ceil(math.sqrt(count))
     # a gap of one hundredth between levels
-    gap = PICTURE_SIDE // 100 if count > 1 else 0
-    scale = _scale_for(grid, (PICTURE_SIDE - (columns - 1) * gap) // columns)
+    gap = max(side // 100, 1) if count > 1 else 0
+    scale = _scale_for(grid, (side - (columns - 1) * gap) // columns)
     levels = [_draw_level(grid, number, scale) for number in range(count)]
     width = max(level.width for level in levels) + gap
     height = max(level.height for level in levels) + gap
@@ -76,7 +81,7 @@ def draw_png(grid: NavGrid) -> bytes:
     sheet = Image.new("RGB", size, BETWEEN)
     for number, level in enumerate(levels):
         sheet.paste(level, (number % columns * width, number // columns * height))
-    return _to_png(sheet)
+    return sheet
 
 
 class Facts(NamedTuple):

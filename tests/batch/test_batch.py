@@ -44,6 +44,9 @@ class Told:
     def begin(self, total, skipped):
         self.begun = total, skipped
 
+    def hear(self, event, scene):
+        pass
+
     def end_scene(self, row):
         self.rows.append(row)
 

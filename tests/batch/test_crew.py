@@ -11,7 +11,18 @@ import time
 import pytest
 
 import crew_jobs
-from navbake.batch.crew import CRASHED, DONE, TOO_LARGE, TOO_LONG, JobLimits, do_jobs
+from navbake.batch.crew import (
+    AGAIN,
+    BEGUN,
+    CRASHED,
+    DONE,
+    LOST,
+    READY,
+    TOO_LARGE,
+    TOO_LONG,
+    JobLimits,
+    do_jobs,
+)
 from navbake.errors import NavbakeError
 from project_paths import ROOT
 
@@ -86,6 +97,28 @@ def test_a_job_is_tried_again_as_often_as_asked(tmp_path):
     begin = time.monotonic()
     assert run([("sleep", 60)], limits=JobLimits(seconds=0.3), retries=2)[0][0] == TOO_LONG
     assert time.monotonic() - begin > 0.9
+
+
+def test_events_tell_of_workers_that_start_and_are_lost_and_of_jobs_that_begin_again():
+    events = []
+    jobs = [("double", 1), ("raise", "no")]
+    run(jobs, retries=1, on_event=events.append)
+    why = "ValueError: no"
+    assert [(e.what, e.worker, e.number, e.how, e.why) for e in events] == [
+        (READY, 1, None, "", ""),
+        (BEGUN, 1, 0, "", ""),
+        (BEGUN, 1, 1, "", ""),
+        (LOST, 1, 1, CRASHED, why),  # its worker had done another job
+        (AGAIN, 1, 1, CRASHED, why),
+        (READY, 2, None, "", ""),
+        (BEGUN, 2, 1, "", ""),
+        (LOST, 2, 1, CRASHED, why),
+        (AGAIN, 2, 1, CRASHED, why),
+        (READY, 3, None, "", ""),
+        (BEGUN, 3, 1, "", ""),
+        (LOST, 3, 1, CRASHED, why),
+    ]
+    assert all(e.seconds > 0 for e in events if e.what != BEGUN)
 
 
 def test_a_limit_shorter_than_the_start_of_a_worker_is_one_of_the_job():

@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,14 +17,17 @@ from pathlib import Path
 
 import pytest
 
+import navbake
 from batch_scenes import write_scenes
 from navbake.batch import batch as module
 from navbake.batch.crew import DONE, Ended
 from navbake.cli.commands import batch as command
+from navbake.errors import NavbakeError
 from navbake.files import TEMPORARY
 from navbake.formats.navgrid import read_navgrid
 from navbake.kernel_list import read_list
 from project_paths import ROOT
+from report_pages import content_of_batch
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="how Linux ends processes")
 COUNT = 12
@@ -65,12 +69,91 @@ def test_lines_of_json_tell_of_each_scene(folder, run, here):
     status, out, err = run("batch", "*.xml", "-o", "out", "--json", *COARSE)
     assert (status, err) == (1, "")
     begin, bad, room, end = map(json.loads, out.splitlines())
-    assert begin == {"event": "begin", "scenes": 2, "skipped": 0}
+    del begin["time"], end["time"], end["seconds"]
+    told = {"level": "info", "event": "begin", "scenes": 2, "skipped": 0}
+    assert begin == told | {"version": navbake.__version__}
     assert (bad["event"], bad["status"], bad["how"]) == ("scene", "failed", "error")
-    assert room["id"] == "room" and room["status"] == "ok"
-    del end["seconds"]
+    assert room["id"] == "room" and room["status"] == "ok" and room["seconds"] > 0
+    assert "inputs" not in room  # which may be long
     counts = {"baked": 1, "skipped": 0, "failed": 1, "left": 0}
-    assert end == {"event": "end", **counts, "stopped": None}
+    assert end == {"level": "error", "event": "end", **counts, "stopped": None}
+
+
+def test_a_log_has_the_lines_that_json_prints(folder, run, here):
+    (folder / "bad.xml").write_text("<mujoco>")
+    _, out, _ = run("batch", "*.xml", "-o", "out", "--json", "--log", "logs/batch.jsonl", *COARSE)
+    log = folder / "logs" / "batch.jsonl"
+    assert log.read_text() == out
+    run("batch", "room.xml", "-o", "out", "--log", log, *COARSE)
+    again = json.loads(log.read_text().splitlines()[-1])
+    assert log.read_text().startswith(out) and again["event"] == "end" and again["skipped"] == 1
+    status, out, err = run("batch", "room.xml", "-o", "out", "--log", "room.xml/log", *COARSE)
+    assert (status, out) == (1, "") and "cannot write the log" in err
+
+
+def test_a_batch_that_cannot_go_on_says_so_in_its_log_and_page(folder, run, monkeypatch):
+    def do_jobs(jobs, work, count, **options):
+        yield Ended(0, DONE, work(jobs[0]), 0.0)
+        raise NavbakeError("cannot start a worker process: no memory")
+
+    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    shutil.copy("room.xml", "second.xml")
+    options = ("-o", "out", "--log", "log.jsonl", "--page", *COARSE)
+    assert run("batch", "room.xml", "second.xml", *options)[0] == 1
+    end = json.loads((folder / "log.jsonl").read_text().splitlines()[-1])
+    assert (end["baked"], end["left"], end["level"]) == (1, 1, "error")
+    assert end["stopped"] == "cannot start a worker process: no memory"
+    assert content_of_batch("out/index.html")["scenes"]["status"] == [0, 2]
+
+
+def test_a_page_is_written_as_the_batch_ends_and_from_its_folder(folder, run, here, monkeypatch):
+    (folder / "bad.xml").write_text("<mujoco>")
+    status, out, _ = run("batch", "*.xml", "-o", "out", "--page", *COARSE)
+    assert status == 1 and out.endswith(f": {Path('out/index.jsonl')}, {Path('out/index.html')}\n")
+    made = content_of_batch("out/index.html")
+    assert made["scenes"]["id"] == ["bad", "room"] and made["scenes"]["thumbnail"] == [0, 1]
+    thumbnail = Path("out/room/thumbnail.png")
+    drawn = thumbnail.read_bytes()
+    # it is none of the products: a batch without pages takes the scene for done
+    assert run("batch", "room.xml", "-o", "out", *COARSE)[1].startswith("1 skipped")
+    thumbnail.unlink()
+    assert run("batch", "room.xml", "-o", "out", "--page", *COARSE)[1].startswith("1 skipped")
+    assert thumbnail.read_bytes() == drawn
+    thumbnail.unlink()
+    assert run("report", "out", "-o", "elsewhere.html") == (0, "elsewhere.html\n", "")
+    assert thumbnail.read_bytes() == drawn
+    assert content_of_batch("elsewhere.html")["base"] == "out"
+    # baked again without a page, the old thumbnail is gone
+    run("batch", "room.xml", "-o", "out", "--set", "grid.cell_size=0.2")
+    assert not thumbnail.exists()
+
+
+def test_a_page_is_written_while_the_batch_goes_on(folder, run, monkeypatch):
+    shutil.copy("room.xml", "second.xml")
+    seen = []
+
+    def do_jobs(jobs, work, count, **options):
+        for number, job in enumerate(jobs):
+            yield Ended(number, DONE, work(job), 0.0)
+            made = content_of_batch("out/index.html")
+            seen.append((made["progress"], made["scenes"]["id"]))
+
+    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    monkeypatch.setattr("navbake.batch.page.page.EVERY", 0.0)
+    monkeypatch.setattr("navbake.batch.page.page.SHARE", 1e9)
+    run("batch", "room.xml", "second.xml", "-o", "out", "--page", *COARSE)
+    assert seen == [([1, 2], ["room"]), ([2, 2], ["room", "second"])]
+    assert content_of_batch("out/index.html")["progress"] is None
+
+
+def test_reports_on_folders_that_are_no_batch_are_refused(folder, run):
+    for arguments, status, message in (
+        (("report", "."), 1, "expected grids, or one folder of a batch with index.jsonl, got ."),
+        (("report", "room.grid.json"), 2, "expected a page to write"),
+        (("report", ".", "--audit"), 2, "does nothing here"),
+    ):
+        got, out, err = run(*arguments)
+        assert (got, out) == (status, "") and message in err, arguments
 
 
 def test_settings_and_products_reach_the_scenes(folder, run, here):

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,14 +21,18 @@ from navbake.cli.printing import (
     print_warnings,
     say_unless_quiet,
 )
+from navbake.errors import NavbakeError
 
 if TYPE_CHECKING:
     from navbake.batch.batch import BatchResult
+    from navbake.batch.crew import Event
+    from navbake.batch.page.page import LivePage
+    from navbake.batch.stores.urls import Folder
     from navbake.types import Json
 
 # Functions import the baker and the settings when they run: --help loads neither MuJoCo nor numpy.
 
-INDEX = "index.jsonl"
+INDEX, PAGE = "index.jsonl", "index.html"
 
 
 class PerScene(NamedTuple):
@@ -55,7 +60,17 @@ class Wholly(NamedTuple):
     max_failures: int | None = Option(
         None, "--max-failures", metavar="N", min=0, help="Stop when more than N scenes failed."
     )
-    as_json: bool = Option(False, "--json", help="Print a line of JSON for each scene as it ends.")
+    as_json: bool = Option(
+        False, "--json", help="Print what happens as lines of JSON, as --log writes them."
+    )
+    log: Path | None = Option(
+        None, "--log", metavar="FILE", help="Add what happens to a file, a line of JSON each."
+    )
+    page: bool = Option(
+        False,
+        "--page",
+        help="Write FOLDER/index.html, a page that shows all scenes, their failures and times.",
+    )
     parquet: bool = Option(False, "--parquet", help="Write the index as index.parquet as well.")
 
 
@@ -95,44 +110,64 @@ def batch(
     from navbake.batch.crew import JobLimits
     from navbake.batch.manifest import list_jobs
     from navbake.batch.settings import read_shared
-    from navbake.batch.stores.urls import as_folder, shown
+    from navbake.batch.stores.urls import as_folder
 
     jobs = list_jobs(sources)
     settings = {} if config is None else read_shared(config)
     limits = JobLimits(per_scene.time_limit, per_scene.memory_limit)
     means = Means(wholly.jobs, limits, per_scene.retries, wholly.max_failures)
-    begin = time.perf_counter()
+    folder = as_folder(output)
+    todo = Batch(jobs, folder, settings, overrides or [], make or [], wholly.parquet, wholly.page)
     with ExitStack() as stack:
-        teller = _Teller(stack, wholly.as_json)
-        folder = as_folder(output)
-        todo = Batch(jobs, folder, settings, overrides or [], make or [], wholly.parquet)
-        result = run_batch(todo, means, teller)
-    index = str(folder / INDEX) if isinstance(folder, Path) else f"{shown(folder)}/{INDEX}"
-    _summarise(result, time.perf_counter() - begin, wholly.as_json, index)
+        teller = _Teller(stack, wholly, folder)
+        try:
+            result = run_batch(todo, means, teller)
+        except BaseException as error:
+            teller.interrupt(error)
+            raise
+        teller.end(result)
     if result.count("failed") or result.stopped:
         raise Exit(1)
 
 
 class _Teller:
-    """Tells how a batch goes on: lines of JSON, or a bar and what failed."""
+    """Tells how a batch goes on: lines of JSON, or a bar and what failed; and its page."""
 
-    def __init__(self, stack: ExitStack, as_json: bool) -> None:
-        self._stack, self._as_json = stack, as_json
-        self._done, self._failed, self._total = 0, 0, 0
+    def __init__(self, stack: ExitStack, wholly: Wholly, folder: Folder) -> None:
+        from navbake.batch.journal import Journal, LogFile
+
+        self._stack, self._as_json, self._folder = stack, wholly.as_json, folder
+        self._has_page = wholly.page
+        takers: list[Callable[[Json], None]] = [print_json_line] if wholly.as_json else []
+        if wholly.log is not None:
+            log = LogFile(wholly.log)
+            stack.callback(log.close)
+            takers.append(log.add)
+        self._journal = Journal(takers)
+        self._begin = time.perf_counter()
+        self._done, self._failed, self._total, self._skipped = 0, 0, 0, 0
         self._show: Callable[[int, int, int], None]
+        self._page: LivePage | None = None
 
     def begin(self, total: int, skipped: int) -> None:
         """Compile what all workers need, once, and begin the bar."""
         from navbake.cli.progress import batch_progress
 
         _warm_up()
-        self._total = total - skipped
-        if self._as_json:
-            print_json_line({"event": "begin", "scenes": total, "skipped": skipped})
+        self._total, self._skipped = total - skipped, skipped
+        self._journal.begin(total, skipped)
+        if self._has_page:
+            from navbake.batch.page.page import LivePage  # not every batch has a page
+
+            self._page = LivePage(self._folder, self._total)
         # on a terminal, lines and a bar would run into each other
         hidden = VOLUME.quiet or (self._as_json and sys.stdout.isatty())
         self._show = self._stack.enter_context(batch_progress(hidden))
         self._show(0, 0, self._total)
+
+    def hear(self, event: Event, scene: str | None) -> None:
+        """Note what happens to workers, and to scenes before they end."""
+        self._journal.hear(event, scene)
 
     def end_scene(self, row: Json) -> None:
         """Print what became of a scene, if it failed or if all are asked for."""
@@ -140,10 +175,66 @@ class _Teller:
         self._done += 1
         self._failed += is_failed
         self._show(self._done, self._failed, self._total)
-        if self._as_json:
-            print_json_line({"event": "scene", **row})
-        elif is_failed:
+        self._journal.end_scene(row)
+        if is_failed and not self._as_json:
             print_error(f"{row['id']}: {row['how']}: {row['error']}")
+        if self._page is not None:
+            self._page.refresh(self._done)
+
+    def interrupt(self, error: BaseException) -> None:
+        """Note that the batch ended early, by a signal or because it can't go on."""
+        from navbake.batch.page.page import write_page  # not every batch has a page
+
+        counts = {
+            "baked": self._done - self._failed,
+            "skipped": self._skipped,
+            "failed": self._failed,
+            "left": self._total - self._done,
+        }
+        with suppress(OSError, NavbakeError):  # the error says more than that it can't be noted
+            why = str(error) if isinstance(error, Exception) else "interrupted"
+            self._journal.end(counts, why, time.perf_counter() - self._begin)
+            if self._page is not None:  # else the folder may be another batch's
+                write_page(self._folder)
+
+    def end(self, result: BatchResult) -> None:
+        """Print what the batch came to."""
+        from navbake.batch.page.page import write_page  # not every batch has a page
+        from navbake.batch.stores.urls import shown
+
+        skipped = result.skipped
+        counts = {
+            "baked": result.count("ok") - skipped,
+            "skipped": skipped,
+            "failed": result.count("failed"),
+            "left": result.count("left"),
+        }
+        seconds = time.perf_counter() - self._begin
+        self._journal.end(counts, result.stopped, seconds)
+        if self._has_page:
+            draw_missing_thumbnails(self._folder)
+            write_page(self._folder)
+        if self._as_json:
+            return
+        if result.stopped:
+            print_error(f"stopped: {result.stopped}")
+        told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+        warned = sum(bool(row.get("warnings")) for row in result.rows)
+        notes = f", {warned} with warnings" if warned else ""
+        names = (INDEX, PAGE) if self._has_page else (INDEX,)
+        files = ", ".join(shown(os.path.join(self._folder, name)) for name in names)
+        say_unless_quiet(f"{told}{notes} in {seconds:.1f} s: {files}")
+
+
+def draw_missing_thumbnails(folder: Folder) -> None:
+    """Draw the thumbnails that a batch's page lacks, as of scenes that were baked without one."""
+    from navbake.batch.page.page import draw_thumbnails
+    from navbake.cli.progress import stage_progress
+
+    with stage_progress(title="page", hidden=VOLUME.quiet) as show:
+        lacking = draw_thumbnails(folder, lambda share: show("thumbnails", share))
+    if lacking:
+        print_warnings([f"{lacking} thumbnails can't be made of their grids"])
 
 
 def _warm_up() -> None:
@@ -163,23 +254,3 @@ def _warm_up() -> None:
         return
     with stage_progress(title="compiling", hidden=VOLUME.quiet) as show:
         compile_all(show)
-
-
-def _summarise(result: BatchResult, seconds: float, as_json: bool, index: str) -> None:
-    skipped = result.skipped
-    counts = {
-        "baked": result.count("ok") - skipped,
-        "skipped": skipped,
-        "failed": result.count("failed"),
-        "left": result.count("left"),
-    }
-    if as_json:
-        end = {"event": "end", **counts, "stopped": result.stopped, "seconds": round(seconds, 3)}
-        print_json_line(end)
-        return
-    if result.stopped:
-        print_error(f"stopped: {result.stopped}")
-    told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-    warned = sum(bool(row.get("warnings")) for row in result.rows)
-    notes = f", {warned} with warnings" if warned else ""
-    say_unless_quiet(f"{told}{notes} in {seconds:.1f} s: {index}")

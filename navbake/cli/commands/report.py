@@ -8,16 +8,24 @@ from typing import Annotated
 from typer import Argument, BadParameter, Option
 
 import navbake
-from navbake.cli.options import STDOUT, check_output, write_stdout
+from navbake.cli.commands.batch import INDEX, draw_missing_thumbnails
+from navbake.cli.options import STDOUT, check_output, refuse_unused, write_stdout
 from navbake.cli.printing import say_unless_quiet
+from navbake.errors import ConfigError
 
 # Functions import what they need when they run: --help loads no numpy.
 
 
 def report(
-    grids: Annotated[list[Path], Argument(metavar="GRID...", help="NavGrid files.")],
-    output: Path = Option(
-        ..., "-o", "--output", metavar="HTML", help="Page to write; - for stdout."
+    grids: Annotated[
+        list[Path], Argument(metavar="GRID...", help="NavGrid files, or the folder of a batch.")
+    ],
+    output: Path | None = Option(
+        None,
+        "-o",
+        "--output",
+        metavar="HTML",
+        help="Page to write; - for stdout. Of a batch, index.html in its folder unless given.",
     ),
     with_audit: bool = Option(False, "--audit", help="Audit the grids, and add what is found."),
     verifications: list[Path] | None = Option(
@@ -30,7 +38,8 @@ def report(
     """Make a page that shows grids in a browser, without a server or the network.
 
     It shows each level's layers, tells of the cell under the pointer, and lists rooms, doors,
-    links, settings and timings. Of two grids it shows what differs, too.
+    links, settings and timings. Of two grids it shows what differs, too. Of a batch's folder it
+    shows all scenes, failures by reason, and distributions of free areas and times.
 
     Example: navbake report before.grid.json after.grid.json -o report.html
     """
@@ -39,6 +48,15 @@ def report(
     from navbake.views.report.report import render_report
     from navbake.views.report.verification import read_verification
 
+    if any(path.is_dir() for path in grids):
+        refuse_unused(
+            ("--audit", with_audit, False, "grids: a batch has audited its own"),
+            ("--verify", bool(verifications), False, "grids"),
+        )
+        _report_on_batch(grids, output)
+        return
+    if output is None:
+        raise BadParameter("expected a page to write", param_hint="-o")
     if verifications and len(verifications) != len(grids):
         raise BadParameter(
             f"expected one for each GRID, {len(grids)}, got {len(verifications)}",
@@ -58,6 +76,22 @@ def report(
     else:
         write_bytes(page, output)
         say_unless_quiet(output)
+
+
+def _report_on_batch(folders: list[Path], output: Path | None) -> None:
+    """Write the page of a batch from its index; thumbnails that are missing are drawn."""
+    from navbake.batch.page.page import NAME, write_page_beside
+
+    if len(folders) > 1 or not (folders[0] / INDEX).is_file():
+        named = ", ".join(map(str, folders))
+        raise ConfigError(f"expected grids, or one folder of a batch with {INDEX}, got {named}")
+    page = folders[0] / NAME if output is None else output
+    if page == STDOUT:
+        raise BadParameter("expected a file: the page of a batch has links", param_hint="-o")
+    check_output(page, ".html", ".htm", inputs=[folders[0] / INDEX])
+    draw_missing_thumbnails(folders[0])
+    write_page_beside(folders[0], page)
+    say_unless_quiet(page)
 
 
 def _short_name(path: Path) -> str:

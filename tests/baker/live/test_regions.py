@@ -1,7 +1,7 @@
 """The kernels and shortcuts of an update against plain ways to the same answers."""
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from navbake.baker.contents.contents import LevelContents
@@ -27,6 +27,7 @@ def inside(boxes, grow):
     return np.flatnonzero(marked)
 
 
+@settings(deadline=None)  # its kernels may be compiled first
 @given(seeds)
 def test_cells_of_boxes_are_those_whose_centres_lie_there(seed):
     rng = np.random.default_rng(seed)
@@ -48,6 +49,7 @@ def test_far_and_endless_boxes_are_cut_off_at_the_lattice():
     assert not len(cells_of_boxes(LATTICE, far, 0.1, 1.0, flag))
 
 
+@settings(deadline=None)  # its kernels may be compiled first
 @given(seeds, st.integers(0, 6))
 def test_a_grown_region_has_all_cells_so_many_away(seed, by):
     rng = np.random.default_rng(seed)
@@ -62,6 +64,7 @@ def test_a_grown_region_has_all_cells_so_many_away(seed, by):
     assert np.array_equal(found, np.flatnonzero(marked))
 
 
+@settings(deadline=None)  # its kernels may be compiled first
 @given(seeds)
 def test_cells_are_looked_up_in_another_region(seed):
     rng = np.random.default_rng(seed)
@@ -69,6 +72,7 @@ def test_cells_are_looked_up_in_another_region(seed):
     assert np.array_equal(are_in(one, other), np.isin(one, other))
 
 
+@settings(deadline=None)  # its kernels may be compiled first
 @given(seeds)
 def test_parts_are_grouped_in_their_order(seed):
     rng = np.random.default_rng(seed)
@@ -78,6 +82,7 @@ def test_parts_are_grouped_in_their_order(seed):
         assert np.array_equal(order[bounds[k] : bounds[k + 1]], np.flatnonzero(part == k))
 
 
+@settings(deadline=None)  # its kernels may be compiled first
 @given(seeds)
 def test_taken_cells_are_counted_as_for_a_whole_level(seed):
     rng = np.random.default_rng(seed)

@@ -1,0 +1,61 @@
+"""The page of a batch that writes into a store lies in the store."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from batch_scenes import draw_room
+from navbake.batch import batch as module
+from navbake.batch.batch import Batch, Means, run_batch
+from navbake.batch.crew import DONE, Ended
+from navbake.batch.manifest import list_jobs
+from navbake.batch.page.page import LivePage, draw_thumbnails, write_page
+from navbake.batch.stores.store import list_tree, read_file, remove_files
+from report_pages import content_of_page
+
+pytest.importorskip("fsspec")
+FOLDER = "memory://pages/out"
+
+
+class Silent:
+    def begin(self, total, skipped):
+        pass
+
+    def hear(self, event, scene):
+        pass
+
+    def end_scene(self, row):
+        pass
+
+
+def test_a_store_has_thumbnails_and_the_page(tmp_path, monkeypatch):
+    def do_jobs(jobs, work, count, **options):
+        for number, job in enumerate(jobs):
+            yield Ended(number, DONE, work(job), 0.0)
+
+    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    for name in ("first", "second"):
+        (tmp_path / f"{name}.xml").write_text(draw_room(1))
+    jobs = list_jobs([str(tmp_path / "*.xml")])
+    batch = Batch(jobs, FOLDER, {"grid": {"cell_size": 0.2}}, thumbnails=True)
+    run_batch(batch, Means(), Silent())
+    thumbnail = f"{FOLDER}/first/thumbnail.png"
+    drawn = read_file(thumbnail, 1 << 20)
+    remove_files([thumbnail])
+    assert run_batch(batch, Means(), Silent()).skipped == 2
+    assert draw_thumbnails(FOLDER, lambda share: None) == 0
+    assert read_file(thumbnail, 1 << 20) == drawn
+    remove_files([f"{FOLDER}/second/thumbnail.png"])
+    write_page(FOLDER)
+    shown = content_of_page(read_file(f"{FOLDER}/index.html", 1 << 24))
+    assert shown["scenes"]["id"] == ["first", "second"]
+    assert shown["scenes"]["thumbnail"] == [1, 0]
+    assert (shown["title"], shown["base"]) == ("out", ".")
+    remove_files([f"{FOLDER}/index.html"])
+    LivePage(FOLDER, 2).refresh(1)
+    assert "index.html" not in list_tree(FOLDER)
+    # what is baked anew without a page has no old thumbnail
+    run_batch(Batch(jobs, FOLDER, {}), Means(), Silent())
+    assert not any(Path(name).name == "thumbnail.png" for name in list_tree(FOLDER))

@@ -1,0 +1,231 @@
+"""The page of a batch in a browser: it shows, sorts and filters, and asks for nothing else."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import threading
+from base64 import b64decode
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+
+import pytest
+
+from browser import errors_of, needs_browser, open_browser, requests_of, strangers_of, wait_until
+from grid_maps import level_from
+from navbake.batch.index import NAME as INDEX
+from navbake.batch.page.page import draw_thumbnails, write_page
+from navbake.batch.products import GRID, THUMBNAIL
+from report_pages import content_of_batch
+
+COUNT = 300
+HOSTILE_ID = "odd #1 & 100% 'é'"  # may be the name of a folder
+STRANGE_ID = "../<img src=x onerror=alert(1)>"  # can't be one of a batch's
+HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>$SCRIPT"
+# press a bar of the free areas; gives what is said of it
+CLICK = """
+  const figure = document.querySelector("#charts figure");
+  const bar = figure.querySelectorAll(".bar")[arguments[0]];
+  bar.dispatchEvent(new PointerEvent("pointerenter"));
+  const text = figure.querySelector("p").textContent;
+  bar.dispatchEvent(new MouseEvent("click", { shiftKey: arguments[1] }));
+  return text;
+"""
+LOADED = "return arguments[0].naturalWidth"
+
+
+def rows():
+    """Rows of scenes whose free area is their number; each tenth failed, the last is left."""
+    for number in range(COUNT):
+        row = {"id": f"scene-{number:03}", "source": f"../scene-{number:03}.xml"}
+        if number == COUNT - 1:
+            yield {**row, "status": "left"}
+        elif number % 10 == 9:
+            how = "crashed" if number % 20 == 9 else "error"
+            error = f"line {number}: no element 'x{number}'"
+            yield {**row, "status": "failed", "how": how, "error": error, "seconds": 0.1}
+        else:
+            warnings = [f"door 'd{number}' is shut"] if number % 50 == 0 else []
+            made = {"free_area": float(number), "cells": 10 * number, "levels": 1, "doors": 0}
+            made |= {"rooms": number % 4, "seconds": 0.5, "warnings": warnings, "audit": []}
+            made |= {"files": {GRID: {}, "report.html": {}}, "stages": {"scene": 0.1}}
+            yield {**row, "status": "ok", **made, "ended": f"2026-01-01T00:00:{number % 60:02}Z"}
+    yield {"id": HOSTILE_ID, "status": "ok", "free_area": 5.5, "files": {GRID: {}}}
+    for name in (STRANGE_ID, "javascript:alert(3)"):
+        yield {"id": name, "status": "failed", "how": HOSTILE, "error": HOSTILE, "source": HOSTILE}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder as a batch leaves it; some scenes have grids."""
+    folder = tmp_path_factory.mktemp("batch") / "100% of $SCRIPT & <b>"
+    folder.mkdir()
+    lines = "".join(json.dumps(row) + "\n" for row in rows())
+    (folder / INDEX).write_text(lines + "null\n")
+    for name in ("scene-000", "scene-001", HOSTILE_ID):
+        (folder / name).mkdir()
+        level_from("..#\n...").save(folder / name / GRID)
+    assert draw_thumbnails(folder, lambda share: None) == 271 - 3  # of those that are ok
+    write_page(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def server(folder):
+    """Serves the folder; its URL."""
+
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, *_):
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=folder)) as server:
+        threading.Thread(target=server.serve_forever).start()
+        yield f"http://127.0.0.1:{server.server_port}/"
+        server.shutdown()
+
+
+def open_page(driver, url):
+    driver.get("about:blank")  # another hash alone would load nothing
+    driver.get(url)
+    wait_until(lambda: driver.execute_script("return document.body.dataset.ready"), "the page")
+
+
+def press(driver, box, text):
+    found = driver.find_elements("css selector", f"#{box} button")
+    next(each for each in found if text in each.text).click()
+
+
+def count(driver):
+    return driver.find_element("id", "count").text
+
+
+def first_row(driver):
+    return driver.find_element("css selector", ".row.active .name").text
+
+
+def test_the_policy_allows_the_pages_own_script_and_style_and_pictures_beside_it(folder):
+    page = (folder / "index.html").read_text("utf-8")
+    assert page.count("</script>") == 2 and "alert" not in page and "<b>" not in page
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', page).group(1)
+    rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
+    assert rules.keys() == {
+        *("default-src", "img-src", "style-src", "script-src", "base-uri", "form-action")
+    }
+    assert {rules[name] for name in ("default-src", "base-uri", "form-action")} == {"'none'"}
+    assert rules["img-src"] == "'self' file: data:"
+    for rule, pattern in (
+        ("style-src", "<style>(.*?)</style>"),
+        ("script-src", "<script>(.*?)</script>"),
+    ):
+        [text] = re.findall(pattern, page, re.DOTALL)
+        digest = b64decode(rules[rule].strip("'").removeprefix("sha256-"))
+        assert digest == hashlib.sha256(text.encode()).digest()
+    shown = content_of_batch(folder / "index.html")
+    assert shown["scenes"]["error"][-1] != -1 and shown["noRows"] == 0
+
+
+def test_thumbnails_are_drawn_where_grids_are_and_nowhere_else(folder):
+    drawn = {path.parent.name for path in folder.rglob(THUMBNAIL)}
+    assert drawn == {"scene-000", "scene-001", HOSTILE_ID}
+    made = content_of_batch(folder / "index.html")["scenes"]
+    assert {made["id"][i] for i, has in enumerate(made["thumbnail"]) if has} == drawn
+
+
+def test_no_thumbnail_is_drawn_outside_of_the_folder(tmp_path):
+    for name in ("batch", "outside"):
+        (tmp_path / name).mkdir()
+    level_from("..").save(tmp_path / "outside" / GRID)
+    row = {"id": "../outside", "status": "ok", "files": {GRID: {}}}
+    (tmp_path / "batch" / INDEX).write_text(json.dumps(row) + "\n")
+    assert draw_thumbnails(tmp_path / "batch", lambda share: None) == 0
+    assert [path.name for path in (tmp_path / "outside").iterdir()] == [GRID]
+
+
+@needs_browser
+@pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True)])
+def test_a_reader_filters_sorts_and_opens_scenes(folder, width, dark):
+    from selenium.webdriver.common.keys import Keys
+
+    with open_browser(width, 900, dark=dark) as driver:
+        url = (folder / "index.html").as_uri()
+        open_page(driver, url)
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= width
+        assert count(driver) == f"{COUNT + 3} scenes"
+        press(driver, "failures", "crashed: line #: no element …")
+        assert count(driver) == f"15 of {COUNT + 3} scenes"
+        press(driver, "statuses", "ok")
+        assert count(driver) == f"0 of {COUNT + 3} scenes"
+        press(driver, "chosen", "Show all")
+        press(driver, "warnings", "door … is shut")
+        assert count(driver) == f"6 of {COUNT + 3} scenes"
+        press(driver, "chosen", "door … is shut")
+        # bars: the second holds areas from 20 to 40
+        assert driver.execute_script(CLICK, 1, False) == "20 to below 40\u00a0m²: 18 scenes"
+        assert count(driver) == f"18 of {COUNT + 3} scenes"
+        driver.execute_script(CLICK, 2, True)
+        assert count(driver) == f"36 of {COUNT + 3} scenes"
+        press(driver, "heads", "free area")
+        assert first_row(driver) == "scene-058"
+        press(driver, "heads", "free area")
+        assert first_row(driver) == "scene-020"
+        text = driver.find_element("id", "text")
+        text.send_keys("SCENE-03")
+        assert count(driver) == f"9 of {COUNT + 3} scenes"
+        # a copied link shows the same
+        chosen = driver.current_url
+        open_page(driver, chosen)
+        assert count(driver) == f"9 of {COUNT + 3} scenes" and first_row(driver) == "scene-030"
+        driver.find_element("css selector", ".row.active").click()
+        box = driver.find_element("id", "scene")
+        assert driver.find_element("id", "scene-name").text == "scene-030" and "30 m²" in box.text
+        driver.find_element("id", "after").click()
+        assert driver.find_element("id", "scene-name").text == "scene-031"
+        box.send_keys(Keys.ARROW_RIGHT, Keys.ARROW_LEFT)
+        assert driver.find_element("id", "scene-name").text == "scene-031"
+        links = [each.get_attribute("href") for each in box.find_elements("css selector", "a")]
+        assert links == [f"{folder.as_uri()}/scene-031/{name}" for name in ("report.html", GRID)]
+        driver.find_element("id", "close").click()
+        assert not box.is_displayed()
+        assert errors_of(driver) == [] and strangers_of(requests_of(driver)) == []
+
+
+@needs_browser
+def test_only_rows_in_sight_are_elements_and_keys_move_through_all(folder):
+    from selenium.webdriver.common.keys import Keys
+
+    with open_browser() as driver:
+        open_page(driver, (folder / "index.html").as_uri())
+        rows = "return document.querySelectorAll('.row').length"
+        assert 5 < driver.execute_script(rows) < 40
+        table = driver.find_element("id", "table")
+        table.send_keys(Keys.END)
+        wait_until(lambda: first_row(driver) == "javascript:alert(3)", "the last row")
+        assert driver.execute_script(rows) < 40
+        table.send_keys(Keys.HOME, Keys.ARROW_DOWN, Keys.ENTER)
+        assert driver.find_element("id", "scene-name").text == "scene-001"
+        picture = driver.find_element("css selector", "#scene img")
+        wait_until(partial(driver.execute_script, LOADED, picture), "its picture")
+        assert errors_of(driver) == []
+
+
+@needs_browser
+def test_names_and_reasons_are_text_and_a_server_may_serve_the_page(folder, server):
+    with open_browser(390, 900) as driver:
+        open_page(driver, server)
+        assert driver.find_element("id", "title").text == folder.name
+        for name in (HOSTILE_ID, STRANGE_ID, "javascript:alert(3)"):
+            driver.execute_script("openScene(scenes.id.indexOf(arguments[0]))", name)
+            assert driver.find_element("id", "scene-name").text == name
+            pictures = driver.find_elements("css selector", "#scene img")
+            links = driver.find_elements("css selector", "#scene a")
+            assert len(pictures) == len(links) == (name == HOSTILE_ID)
+            if links:
+                wait_until(partial(driver.execute_script, LOADED, pictures[0]), "its picture")
+                href = "odd%20%231%20%26%20100%25%20'%C3%A9'/grid.json.gz"
+                assert links[0].get_attribute("href") == server + href
+            else:
+                assert HOSTILE in driver.find_element("id", "scene").text
+            driver.find_element("id", "close").click()
+        assert driver.execute_script("return document.scripts.length") == 2
+        assert errors_of(driver) == [] and strangers_of(requests_of(driver)) == []

@@ -1,0 +1,75 @@
+"""The log of a batch: what happens is lines of one form."""
+
+from __future__ import annotations
+
+import json
+import sys
+from datetime import datetime, timezone
+from pathlib import Path
+
+import pytest
+
+from navbake.batch.crew import AGAIN, BEGUN, CRASHED, LOST, READY, Event
+from navbake.batch.journal import Journal, LogFile, stamp
+from navbake.errors import NavbakeError
+
+
+def test_lines_say_when_how_serious_what_and_which_worker():
+    lines = []
+    journal = Journal([lines.append])
+    journal.begin(3, 1)
+    journal.hear(Event(READY, 1, seconds=2.00049), None)
+    journal.hear(Event(BEGUN, 1, 0), "a")
+    journal.hear(Event(BEGUN, 2, 1), "b")
+    journal.hear(Event(LOST, 2, 1, CRASHED, "by SIGSEGV", 0.5), "b")
+    journal.hear(Event(AGAIN, 2, 1, CRASHED, "by SIGSEGV", 0.5), "b")
+    journal.hear(Event(BEGUN, 3, 1), "b")
+    row = {"id": "a", "status": "ok", "warnings": [], "inputs": {"a.xml": 1}, "key": "0"}
+    journal.end_scene({**row, "seconds": 1.5, "ended": stamp()})
+    journal.end_scene({**row, "id": "b", "warnings": ["low"]})
+    journal.end_scene({"id": "c", "status": "failed", "how": "error", "error": "none"})
+    journal.end({"baked": 2, "failed": 0}, None, 1.23456)
+    times = [datetime.fromisoformat(line.pop("time").replace("Z", "+00:00")) for line in lines]
+    assert times == sorted(times) and times[0].tzinfo == timezone.utc
+    assert abs((datetime.now(timezone.utc) - times[-1]).total_seconds()) < 60
+    assert [(line.pop("level"), line.pop("event")) for line in lines] == [
+        ("info", "begin"),
+        ("info", "worker-ready"),
+        ("info", "scene-begin"),
+        ("info", "scene-begin"),
+        ("warning", "worker-lost"),
+        ("warning", "retry"),
+        ("info", "scene-begin"),
+        ("info", "scene"),
+        ("warning", "scene"),
+        ("error", "scene"),
+        ("info", "end"),
+    ]
+    assert lines[1:3] == [{"worker": 1, "seconds": 2.0}, {"id": "a", "worker": 1}]
+    lost = {"id": "b", "worker": 2, "seconds": 0.5, "how": CRASHED, "error": "by SIGSEGV"}
+    assert lines[4] == lines[5] == lost
+    assert lines[7] == {"id": "a", "status": "ok", "warnings": [], "seconds": 1.5, "worker": 1}
+    assert lines[8]["worker"] == 3 and "worker" not in lines[9]
+    assert lines[10] == {"baked": 2, "failed": 0, "stopped": None, "seconds": 1.235}
+
+
+def test_a_log_is_added_to_and_its_folder_made(tmp_path):
+    path = tmp_path / "logs" / "a.jsonl"
+    for number in range(2):
+        log = LogFile(path)
+        log.add({"n": number, "id": "\u2028\n"})
+        log.close()
+    assert [json.loads(line)["n"] for line in path.read_bytes().splitlines()] == [0, 1]
+
+
+def test_a_log_that_cannot_be_written_is_one_error(tmp_path):
+    with pytest.raises(NavbakeError, match="cannot write the log"):
+        LogFile(tmp_path)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a device that is full")
+def test_a_full_disk_is_one_error():
+    log = LogFile(Path("/dev/full"))
+    with pytest.raises(NavbakeError, match="cannot write the log /dev/full: No space left"):
+        log.add({})
+    log.close()
