@@ -1,48 +1,78 @@
 """Feeds broken files to navbake's readers: only errors of ours may leave, soon, and in one line.
 
 Inputs are good files with changes that know the format, by a seed and a number, so that each can
-be made again. They are used in a child process: what kills it, takes too long or too much memory
-is a finding, too. Findings are printed, and kept as files if a folder is given.
+be made again. They are used in child processes: what kills one, takes more time or memory than
+`fuzzing.measure.exceeds` allows, or contradicts itself once it is read, is a finding. MuJoCo's
+compiler may crash or take long (docs/limits.md): such inputs are counted apart. Findings are
+printed, and kept as files if a folder is given.
 
     python scripts/fuzz.py --count 1000                     # of each kind
-    python scripts/fuzz.py --only yaml --only mesh --seconds 60
+    python scripts/fuzz.py --inputs 1000000 --state f.json  # of all kinds together; may be resumed
+    python scripts/fuzz.py --only yaml --only ply --seconds 60
     python scripts/fuzz.py --only yaml --first 123 --count 1   # one of them again
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import multiprocessing
 import sys
 import tempfile
+import threading
 import time
 import traceback
 import warnings
 from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 from random import Random
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from fuzzing.kinds import KINDS, check_message
+from fuzzing.kind import Input, check_message
+from fuzzing.kinds import KINDS
+from fuzzing.measure import Cost, Meter, exceeds
+from navbake.baker.scene.guard.child import limit_memory
 from navbake.errors import NavbakeError
-
-try:
-    import resource
-except ImportError:  # Windows measures no memory
-    resource = None  # type: ignore[assignment]
+from navbake.files import write_whole
 
 LOADING = 300.0  # in which a child is ready; kernels may have to be compiled [s]
-SLOW = 8.0  # times the limit, where others use the processor, too
-READY = "ready"
+PATIENCE = 300.0  # in which an input is done, where others use the processor, too [s]
+CHECK_SECONDS = 5.0  # of the processor, for what is done with what was read
+MOST_GIB = 4.0  # that a child may reserve beyond what it starts with
+CHUNK = 1000  # inputs of a kind before it is another one's turn, and the state is written
+READY, DONE = "ready", "done"
+READ, REFUSED, NATIVE = "read", "refused", "native"
+FINE = (READ, REFUSED, NATIVE)
 SHOWN = 10  # findings of a kind that are printed in full
 
 
-class Limits(NamedTuple):
-    """What one input may take."""
+class Chunk(NamedTuple):
+    """Inputs that one child uses one by one."""
 
-    seconds: float  # of the processor
-    megabytes: int  # by which it may raise the most memory that the process ever had
+    kind: str
+    seed: int
+    numbers: range
+
+
+@dataclass
+class Tally:
+    """What became of the inputs of a kind.
+
+    Attributes:
+        next: the number of the first input that was not used yet.
+        counts: how many were ``read``, ``refused``, a ``finding``, or (``native``) more than
+            MuJoCo's compiler could take.
+        findings: what was wrong, by number.
+        seconds: how long it took; with several processes, of each.
+    """
+
+    next: int = 0
+    counts: Counter[str] = field(default_factory=Counter)
+    findings: dict[int, str] = field(default_factory=dict)
+    seconds: float = 0.0
 
 
 def main() -> None:
@@ -50,140 +80,267 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", action="append", choices=sorted(KINDS), help="may be repeated")
     parser.add_argument("--count", type=int, help="inputs of each kind  [default: 1000]")
+    parser.add_argument("--inputs", type=int, help="of all kinds together, in place of --count")
     parser.add_argument("--seconds", type=float, help="time for each kind, in place of --count")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--first", type=int, default=0, help="number of the first input")
-    parser.add_argument("--limit-seconds", type=float, default=5.0, help="for one input")
-    parser.add_argument("--limit-mb", type=int, default=1024, help="memory for one input")
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--state", type=Path, help="file by which a run goes on where one ended")
     parser.add_argument("--keep", type=Path, help="folder for the inputs of findings")
     given = parser.parse_args()
-    limits = Limits(given.limit_seconds, given.limit_mb)
+    kinds = given.only or list(KINDS)
+    if given.inputs is not None:
+        given.count = -(-given.inputs // len(kinds))
     count = given.count or (1000 if given.seconds is None else 10**9)
-    num_findings = 0
-    for kind in given.only or KINDS:
-        end = time.monotonic() + (given.seconds or 10**9)
-        numbers = range(given.first, given.first + count)
-        num_findings += run_kind(kind, given.seed, numbers, end, limits, given.keep)
-    sys.exit(1 if num_findings else 0)
+    tallies = _read_state(given.state, given.seed)
+    for kind in kinds:
+        tallies.setdefault(kind, Tally(next=given.first))
+    run = Run(given.seed, given.state, tallies, given.first + count, given.seconds)
+    run.all(kinds, given.processes)
+    sys.exit(1 if _report(run, kinds, given) else 0)
 
 
-def make_input(kind: str, seed: int, number: int) -> tuple[bytes, str]:
-    """The content and the ending of an input: always the same for a seed and a number."""
+def _report(run: Run, kinds: list[str], given: argparse.Namespace) -> int:
+    total: Counter[str] = Counter()
+    for kind in kinds:
+        tally = run.tallies[kind]
+        total += tally.counts
+        _print_tally(kind, tally, run.seed, given.first)
+        for position, (at, what) in enumerate(sorted(tally.findings.items())):
+            if position < SHOWN:
+                print(f"--- {kind} {at}\n{what.rstrip()}", flush=True)
+            if given.keep is not None:
+                _keep(given.keep / f"{kind}-{run.seed}-{at}", make_input(kind, run.seed, at))
+    if len(kinds) > 1:
+        print(f"in all: {_shown(total)}")
+    return total["finding"]
+
+
+def _print_tally(kind: str, tally: Tally, seed: int, first: int) -> None:
+    where = f"(seed {seed}, from {first} on) in {tally.seconds:.0f} s"
+    print(f"{kind}: {_shown(tally.counts, where)}", flush=True)
+
+
+def _shown(counts: Counter[str], where: str = "") -> str:
+    native = f"{counts[NATIVE]} beyond MuJoCo, " if counts[NATIVE] else ""
+    return (
+        f"{sum(counts.values())} inputs{' ' if where else ''}{where}: {counts[READ]} read, "
+        f"{counts[REFUSED]} refused, {native}{counts['finding']} findings"
+    )
+
+
+def _keep(folder: Path, made: Input) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    _write_input(made, folder)
+
+
+def make_input(kind: str, seed: int, number: int) -> Input:
+    """An input: always the same for a seed and a number."""
     return KINDS[kind].make(Random(f"{kind} {seed} {number}"))
 
 
-def use_input(kind: str, data: bytes, suffix: str, folder: Path) -> str:
+def use_input(kind: str, made: Input, folder: Path) -> str:
     """Use an input as users do: how it went, and a traceback for what may not happen.
 
     Returns:
-        "read", "refused", or the traceback.
+        "read", "refused", or what was wrong.
     """
-    path = folder / f"input{suffix}"
-    path.write_bytes(data)
+    path = _write_input(made, folder)
+    value: Any = None
+    meter = Meter()
+    cost = Cost(0.0, 0)
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("error", module="navbake")
-            KINDS[kind].use(path)
+            try:
+                value = KINDS[kind].read(path)
+            finally:
+                cost = meter.read()
+            if KINDS[kind].check is not None:
+                meter = Meter()
+                KINDS[kind].check(value)  # type: ignore[misc]
+                if (seconds := meter.read().seconds) > CHECK_SECONDS:
+                    return f"took {seconds:.1f} s to be checked"
     except NavbakeError as error:
         try:
             check_message(error)
         except AssertionError as problem:
             return str(problem)
-        return "refused"
+        return exceeds(cost, made, value) or REFUSED
     except Exception:
         return traceback.format_exc()
-    return "read"
+    return exceeds(cost, made, value) or READ
 
 
-def run_kind(
-    kind: str, seed: int, numbers: range, end: float, limits: Limits, keep: Path | None
-) -> int:
-    """Run inputs of a kind in children until they or the time are used up; count the findings."""
-    counts: Counter[str] = Counter()
-    findings: dict[int, str] = {}
-    begin, number = time.monotonic(), numbers.start
-    context = multiprocessing.get_context("spawn")
-    while number < numbers.stop and time.monotonic() < end:
-        ours, theirs = context.Pipe()
-        todo = range(number, numbers.stop)
-        child = context.Process(target=_run_child, args=(theirs, kind, seed, todo, end, limits))
-        child.start()
+def _write_input(made: Input, folder: Path) -> Path:
+    for name, content in made.beside.items():
+        (folder / name).write_bytes(content)
+    path = folder / f"input{made.suffix}"
+    path.write_bytes(made.data)
+    return path
+
+
+class Run:
+    """Inputs of several kinds in child processes, and what became of them."""
+
+    def __init__(
+        self, seed: int, state: Path | None, tallies: dict[str, Tally], stop: int,
+        seconds: float | None,
+    ) -> None:  # fmt: skip
+        self.seed, self.tallies = seed, tallies
+        self._state, self._stop, self._seconds = state, stop, seconds
+        self._lock, self._busy = threading.Lock(), set[str]()
+
+    def all(self, kinds: list[str], processes: int) -> None:
+        """Use inputs of all kinds, a chunk of each in turn, until all are or the time is up."""
+        chunks = self._chunks(kinds)
+        workers = [threading.Thread(target=self._work, args=(chunks,)) for _ in range(processes)]
+        for worker in workers:
+            worker.start()
+        for worker in workers:
+            worker.join()
+
+    def _chunks(self, kinds: list[str]) -> Iterator[Chunk]:
+        """Chunks of all kinds in turn; a kind is one process's at a time."""
+        left = list(kinds)
+        while free := [kind for kind in left if kind not in self._busy]:
+            for kind in free:
+                tally = self.tallies[kind]
+                is_late = self._seconds is not None and tally.seconds > self._seconds
+                if tally.next >= self._stop or is_late:
+                    left.remove(kind)
+                elif kind not in self._busy:
+                    self._busy.add(kind)
+                    stop = min(self._stop, tally.next + CHUNK)
+                    yield Chunk(kind, self.seed, range(tally.next, stop))
+
+    def _work(self, chunks: Iterator[Chunk]) -> None:
+        child: Child | None = None
+        while True:
+            with self._lock:
+                chunk = next(chunks, None)
+            if chunk is None:
+                break
+            begin, numbers = time.monotonic(), chunk.numbers
+            counts: Counter[str] = Counter()
+            findings: dict[int, str] = {}
+            while len(numbers):
+                child = child or Child()
+                is_alive = child.use(Chunk(chunk.kind, chunk.seed, numbers), counts, findings)
+                numbers = numbers[child.num_done :]
+                if not is_alive:
+                    child.end()
+                    child = None
+            self._add(chunk, counts, findings, time.monotonic() - begin)
+        if child is not None:
+            child.end()
+
+    def _add(
+        self, chunk: Chunk, counts: Counter[str], findings: dict[int, str], seconds: float
+    ) -> None:
+        with self._lock:
+            tally = self.tallies[chunk.kind]
+            tally.counts += counts
+            tally.findings |= findings
+            tally.seconds += seconds
+            tally.next = chunk.numbers.stop
+            self._busy.remove(chunk.kind)
+            if self._state is not None:
+                kinds = {kind: vars(tally) for kind, tally in self.tallies.items()}
+                text = json.dumps({"seed": self.seed, "kinds": kinds}, indent=1)
+                write_whole(text.encode(), self._state)
+
+
+def _read_state(path: Path | None, seed: int) -> dict[str, Tally]:
+    if path is None or not path.exists():
+        return {}
+    state = json.loads(path.read_text(encoding="utf-8"))
+    if state["seed"] != seed:
+        sys.exit(f"{path} is of seed {state['seed']}")
+    tallies = {kind: Tally(**told) for kind, told in state["kinds"].items()}
+    for tally in tallies.values():
+        tally.counts = Counter(tally.counts)
+        tally.findings = {int(number): what for number, what in tally.findings.items()}
+    return tallies
+
+
+class Child:
+    """A process that uses inputs, until one ends it."""
+
+    def __init__(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=_run_child, args=(theirs,))
+        self._process.start()
         theirs.close()
-        number = _listen(ours, todo, limits, counts, findings)
-        child.kill()
-        child.join()
-    seconds = time.monotonic() - begin
-    done = sum(counts.values())
-    print(
-        f"{kind}: {done} inputs (seed {seed}, from {numbers.start} on) in {seconds:.0f} s: "
-        f"{counts['read']} read, {counts['refused']} refused, {len(findings)} findings",
-        flush=True,
-    )
-    for position, (at, what) in enumerate(sorted(findings.items())):
-        if position < SHOWN:
-            print(f"--- {kind} {at}\n{what.rstrip()}", flush=True)
-        if keep is not None:
-            data, suffix = make_input(kind, seed, at)
-            keep.mkdir(parents=True, exist_ok=True)
-            (keep / f"{kind}-{seed}-{at}{suffix}").write_bytes(data)
-    return len(findings)
+        self.num_done = 0
+        self._patience = LOADING
+
+    def use(self, chunk: Chunk, counts: Counter[str], findings: dict[int, str]) -> bool:
+        """Use a chunk's inputs, and say whether the process goes on; `num_done` of them are."""
+        self.num_done = 0
+        self._pipe.send(chunk)
+        while True:
+            is_alive, what = self._next()
+            if what == DONE:
+                return True
+            if what == READY:
+                continue
+            if KINDS[chunk.kind].is_native and (not is_alive or what.startswith("took")):
+                what = NATIVE
+            counts[what if what in FINE else "finding"] += 1
+            if what not in FINE:
+                findings[chunk.numbers[self.num_done]] = what
+            self.num_done += 1
+            if not is_alive:
+                return False
+
+    def _next(self) -> tuple[bool, str]:
+        if not self._pipe.poll(self._patience):
+            return False, f"not done after {self._patience:g} s"
+        self._patience = PATIENCE
+        try:
+            return True, self._pipe.recv()
+        except (EOFError, ConnectionResetError):
+            return False, "the process died"
+
+    def end(self) -> None:
+        """End the process."""
+        self._process.kill()
+        self._process.join()
 
 
-def _listen(
-    pipe: Connection, todo: range, limits: Limits, counts: Counter[str], findings: dict[int, str]
-) -> int:
-    """Take a child's reports until it ends or hangs; the number of the input that comes next."""
-    number, patience = todo.start, LOADING
-    while True:
-        what: str | None = f"not done after {SLOW * limits.seconds:g} s"
-        is_alive = pipe.poll(patience)
-        if is_alive:
-            try:
-                what = pipe.recv()
-            except EOFError:
-                is_alive, what = False, "the process died"
-        if what is None:
-            return todo.stop
-        patience = SLOW * limits.seconds
-        if what == READY:
-            continue
-        counts[what if what in ("read", "refused") else "finding"] += 1
-        if what not in ("read", "refused"):
-            findings[number] = what
-        number += 1
-        if not is_alive or what.startswith("took"):  # the most memory never falls again
-            return number
-
-
-def _run_child(
-    pipe: Connection, kind: str, seed: int, todo: range, end: float, limits: Limits
-) -> None:
-    """Use inputs one by one, and send how each went; None after the last one."""
+def _run_child(pipe: Connection) -> None:
+    """Use the inputs of chunks one by one, and send how each went."""
+    limit_memory(MOST_GIB)
+    warm: set[str] = set()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for number in range(3):  # loads what is loaded lazily
-            use_input(kind, *make_input(kind, -1, number), folder)
         pipe.send(READY)
-        base = _peak_megabytes()
-        for number in todo:
-            if time.monotonic() > end:
-                break
-            data, suffix = make_input(kind, seed, number)
-            begin = time.process_time()
-            what = use_input(kind, data, suffix, folder)
-            seconds, used = time.process_time() - begin, _peak_megabytes() - base
-            if seconds > limits.seconds or used > limits.megabytes:
-                what = f"took {seconds:.1f} s and {used} MiB\n{what}"
-            pipe.send(what)
-        pipe.send(None)
+        while True:
+            try:
+                chunk = pipe.recv()
+            except EOFError:
+                return
+            for number in range(3) if chunk.kind not in warm else ():
+                if not KINDS[chunk.kind].is_native:  # loads what is loaded lazily
+                    _make_and_use(chunk.kind, -1, number, folder)
+            warm.add(chunk.kind)
+            pipe.send(READY)
+            for number in chunk.numbers:
+                what = _make_and_use(chunk.kind, chunk.seed, number, folder)
+                if what.startswith("took"):  # a second time, when all is loaded
+                    what = _make_and_use(chunk.kind, chunk.seed, number, folder)
+                pipe.send(what)
+            pipe.send(DONE)
 
 
-def _peak_megabytes() -> int:
-    """The most memory that this process ever had [MiB]; 0 where nothing says so."""
-    if resource is None:
-        return 0
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return int(peak >> (20 if sys.platform == "darwin" else 10))
+def _make_and_use(kind: str, seed: int, number: int, folder: Path) -> str:
+    try:
+        made = make_input(kind, seed, number)
+    except Exception:  # a fault of the kind itself
+        return traceback.format_exc()
+    return use_input(kind, made, folder)
 
 
 if __name__ == "__main__":

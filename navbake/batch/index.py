@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -151,12 +152,22 @@ def parse_rows(content: bytes) -> dict[str, Json]:
     rows: dict[str, Json] = {}
     for line in content.split(b"\n"):
         try:
-            row = json.loads(line)
-        except ValueError:
+            row = json.loads(line, parse_constant=_refuse, parse_float=_finite)
+        except (ValueError, RecursionError):
             continue
         if isinstance(row, dict) and isinstance(row.get("id"), str):
             rows[row["id"]] = row
     return rows
+
+
+def _refuse(word: str) -> float:
+    """NaN and Infinity are no JSON, and could not be written again."""
+    raise ValueError(word)
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    return number if math.isfinite(number) else _refuse(text)
 
 
 def join_rows(rows: Iterable[Json]) -> bytes:

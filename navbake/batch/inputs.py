@@ -146,6 +146,7 @@ def _root(path: Path, files: Files) -> Any:
         return None
     files.bring(path)
     try:
-        return ElementTree.parse(path).getroot()
+        # who reads a pipe may wait for ever
+        return ElementTree.parse(path).getroot() if os.path.isfile(path) else None
     except (OSError, ElementTree.ParseError, ValueError, LookupError, RecursionError):
         return None

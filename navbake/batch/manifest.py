@@ -213,7 +213,8 @@ def _name(found: list[Entry]) -> list[str]:
 def _path_of(source: str) -> PurePath:
     """The path whose parts can be an id: without an ending, and absolute, so that none is `..`."""
     if not is_url(source):
-        return PurePath(os.path.abspath(source)).with_suffix("")
+        return PurePath(os.path.splitext(os.path.abspath(source))[0])
     parts = split_url(source)
     host = parts.authority.rpartition("@")[2]
-    return PurePosixPath("/", host, *parts.path).with_suffix("")
+    path = PurePosixPath("/", host, *parts.path)
+    return path.with_suffix("") if path.name else path

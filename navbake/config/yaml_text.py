@@ -13,7 +13,9 @@ MAX_BYTES = 1_000_000  # of a YAML file; settings take a few thousand
 MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))  # their keys may hold dots
 
 
-MAX_DEPTH = 100  # of lists and mappings in each other
+MOST_SHOWN = 200  # characters of what PyYAML says: it repeats tags and names, however long
+MAX_DEPTH = 32  # of lists and mappings in each other; settings take 6
+MAX_NODES = 40_000  # values that stand in a file; PyYAML takes a second for them
 MAX_VALUES = 1_000_000  # of a YAML file, each alias counted as all that it stands for
 # What PyYAML raises for a value that an explicit tag, as in ``!!bool maybe``, does not fit
 UNFIT = (AttributeError, IndexError, KeyError, TypeError, ValueError)
@@ -28,12 +30,17 @@ class _Loader(yaml.SafeLoader):
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012
 
     depth = 0  # of the node that is composed
+    num_nodes = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         """Compose a node and those in it; PyYAML takes the square of the depth for it."""
         if self.depth >= MAX_DEPTH:
             raise RecursionError
         self.depth += 1
+        self.num_nodes += 1
+        if self.num_nodes > MAX_NODES:
+            why = f"more than {MAX_NODES:,} values (outlines of rooms may be a GeoJSON file)"
+            raise yaml.composer.ComposerError(None, None, why, self.peek_event().start_mark)  # type: ignore[no-untyped-call]
         node: yaml.Node | None = super().compose_node(parent, index)
         self.depth -= 1
         return node
@@ -112,13 +119,14 @@ def parse_yaml(text: str, source: str) -> Any:
         return loader.construct_document(node)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
-        problem = error.problem or error.context
-        hint = "; text that begins with * needs quotes" if "alias" in str(problem) else ""
+        problem = str(error.problem or error.context)[:MOST_SHOWN]
+        hint = "; text that begins with * needs quotes" if "alias" in problem else ""
         raise ConfigError(f"{problem} in line {line} of {source}{hint}") from error
     except RecursionError as error:
         raise ConfigError(f"{source} is nested too deeply") from error
     except (yaml.YAMLError, *UNFIT) as error:
-        raise ConfigError(f"{source} is no YAML: {str(error).splitlines()[0]}") from error
+        problem = str(error).splitlines()[0][:MOST_SHOWN]
+        raise ConfigError(f"{source} is no YAML: {problem}") from error
 
 
 def _count_values(node: yaml.Node, known: dict[int, int], source: str) -> int:

@@ -68,10 +68,14 @@ class Allowance:
 
     def take_values(self, num_values: int, place: JsonPath) -> None:
         """Count an array's values, or refuse them."""
+        self.check_values(num_values, place)
+        self.values -= num_values
+
+    def check_values(self, num_values: int, place: JsonPath) -> None:
+        """Refuse values that are more than may still come, before the first of them is made."""
         if num_values > self.values:
             why, remedy = self.rule
             place.fail(f"more arrays of this size {why}", remedy)
-        self.values -= num_values
 
 
 def decode_array(
@@ -161,7 +165,8 @@ def _find_runs(cells: NDArray[Any]) -> tuple[NDArray[Any], Int]:
     """The value and the length of each run."""
     flat = cells.astype(cells.dtype.newbyteorder("="), copy=False)
     if flat.dtype.kind == "f":
-        flat = np.where(np.isfinite(flat), flat + 0, flat.dtype.type(np.nan))
+        with np.errstate(invalid="ignore"):  # of NaNs that signal, as an archive may have them
+            flat = np.where(np.isfinite(flat), flat + 0, flat.dtype.type(np.nan))
     start = np.concatenate([[0], np.flatnonzero(~_is_same(flat[1:], flat[:-1])) + 1])
     return flat[start], np.diff(start, append=flat.size)
 

@@ -261,9 +261,11 @@ def _read_attributes(
 ) -> Layers:
     types = {entry["name"]: entry.get("type") for entry in metadata.get("cellAttributes") or []}
     stored, place = content.get("tileAttributes"), place["tileAttributes"]
+    arrays = json_object({} if stored is None else stored, place)
+    allowance.check_values((len(arrays) + 1) * math.prod(shape), place)  # and the weights
     return {
         name: decode_array(value, place[name], shape, allowance, default=types.get(name))
-        for name, value in json_object({} if stored is None else stored, place).items()
+        for name, value in arrays.items()
     }
 
 

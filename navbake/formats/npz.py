@@ -17,12 +17,13 @@ from navbake.types import Json
 from navbake.voxels.grid import VoxelGrid
 
 VERSION = 1
-ZIP = b"PK"
+ZIP, NPY = b"PK", b"\x93NUMPY"
 REQUIRED = ("values", "origin", "res")
 OPTIONAL = ("ids", "names", "known")
 GRID = "grid"  # the array that only archives of navigation grids have
 GRIDS = ("values", "known")  # of all voxels
 MAX_IDS = 1 << 20  # entries of the table of IDs
+MAX_NPY = 1 << 30  # of a single array [bytes]
 
 
 def encode_npz(grid: VoxelGrid) -> bytes:
@@ -30,8 +31,13 @@ def encode_npz(grid: VoxelGrid) -> bytes:
 
     It holds ``values`` (nx, ny, nz), ``origin`` (3,) [m], ``res`` [m], ``ids`` and ``names``,
     and ``known`` where not all is.
+
+    Raises:
+        FormatError: a name ends in the character 0.
     """
     ids = sorted(grid.names)
+    if any(name.endswith("\0") for name in grid.names.values()):  # numpy fills texts up with these
+        raise FormatError("expected names of IDs that do not end in the character 0, got one")
     arrays: Json = {
         "version": np.int64(VERSION),
         "values": grid.values,
@@ -66,7 +72,7 @@ def read_npz(path: str | PathLike[str] | bytes, *, max_voxels: int | None = None
     except FormatError:
         raise
     except Exception as error:  # a broken archive raises whatever zipfile, zlib and numpy raise
-        why = " ".join(str(error).split())[:200] or type(error).__name__
+        why = _why(error)
         raise FormatError(f"expected a .npz of voxels, {source} can't be read: {why}") from error
     for name in REQUIRED:
         if name not in arrays:
@@ -114,23 +120,56 @@ def _read_arrays(archive: zipfile.ZipFile, allowance: VoxelAllowance) -> dict[st
     return arrays
 
 
+def read_npy(source: str | PathLike[str] | bytes) -> NDArray[Any]:
+    """Read a single array (``.npy``) of at most 1 GiB. Nothing is unpickled: that could run code.
+
+    Args:
+        source: the file, or its content.
+
+    Raises:
+        FormatError: it is no such file, broken, or holds objects.
+    """
+    data, name = read_bytes(source, begins=NPY, expected="an array (.npy)", limit=MAX_NPY)
+    file = io.BytesIO(data)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # numpy takes an array's header for Python, which warns
+            _read_header(file, len(data), "the array")
+            file.seek(0)
+            array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
+            return array
+    except Exception as error:  # a broken header raises whatever Python's parser raises
+        why = _why(error)
+        raise FormatError(f"expected an array (.npy), {name} can't be read: {why}") from error
+
+
 def read_array_header(
     archive: zipfile.ZipFile, member: zipfile.ZipInfo
 ) -> tuple[tuple[int, ...], np.dtype[Any]]:
     """Shape and dtype of an array; a ValueError if the archive has less than they need."""
     with archive.open(member) as file:
-        version = np.lib.format.read_magic(file)
-        if version == (1, 0):
-            shape, _, dtype = np.lib.format.read_array_header_1_0(file)
-        elif version == (2, 0):
-            shape, _, dtype = np.lib.format.read_array_header_2_0(file)
-        else:
-            raise ValueError(f"`{member.filename}` has version {version} of the format")
+        return _read_header(file, member.file_size, f"`{member.filename}`")
+
+
+def _read_header(file: Any, num_bytes: int, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Shape and dtype of an array; a ValueError if they need more than so many bytes."""
+    version = np.lib.format.read_magic(file)
+    if version == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+    elif version == (2, 0):
+        shape, _, dtype = np.lib.format.read_array_header_2_0(file)
+    else:
+        raise ValueError(f"{name} has version {version} of the format")
     # numpy reserves what the header claims before it reads
     needed = math.prod(shape) * dtype.itemsize
-    if any(n < 0 for n in shape) or dtype.hasobject or needed > member.file_size:
-        raise ValueError(f"`{member.filename}` does not hold {shape} values of {dtype}")
+    if any(n < 0 for n in shape) or dtype.hasobject or needed > num_bytes:
+        raise ValueError(f"{name} does not hold {shape} values of {dtype}")
     return shape, dtype
+
+
+def _why(error: Exception) -> str:
+    """What an error says, on one line."""
+    return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 def _name_table(arrays: dict[str, NDArray[Any]]) -> dict[int, str]:

@@ -9,7 +9,9 @@ import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO, TypeAlias
+from typing import Any, BinaryIO, TypeAlias
+
+import orjson
 
 from navbake.errors import FormatError
 from navbake.files import FileState, write_together, write_whole
@@ -25,6 +27,7 @@ MAX_BYTES = 4 << 30  # of JSON
 UNPACKED_BYTES = 64 << 20  # what any gzipped file may unpack to; beyond it, UNPACKED_RATIO counts
 UNPACKED_RATIO = 200
 CHUNK = 1 << 20
+BOM = b"\xef\xbb\xbf"  # which some editors put before UTF-8
 HEADER_LIMIT = 65536  # longest header, comments included [bytes]
 
 
@@ -36,7 +39,7 @@ def read_source(source: Source) -> tuple[bytes, JsonPath]:
     """
     with open_source(source) as (stream, name):
         top = JsonPath(name)
-        return _read_bytes(stream, top).removeprefix(b"\xef\xbb\xbf"), top
+        return _read_bytes(stream, top).removeprefix(BOM), top
 
 
 def path_name(path: str | os.PathLike[str]) -> str:
@@ -122,21 +125,34 @@ def _unpack(packed: bytes, top: JsonPath) -> bytes:
 
 def _check_head(head: bytes, top: JsonPath) -> None:
     """Refuse what does not begin like a JSON object before reading on: a device never ends."""
-    text = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")
     if not head:
         top.fail("expected a NavGrid JSON object, got nothing")
-    if text and not text.startswith(b"{"):
+    if not _begins_object(head):
         top.fail(
-            f"expected a NavGrid JSON object, got {shown(text[:8])[1:]}…; navbake convert makes "
+            f"expected a NavGrid JSON object, got {_shown_head(head)}; navbake convert makes "
             "one of a map or an archive, navbake bake of a scene"
         )
+
+
+def _begins_object(head: bytes) -> bool:
+    """Whether a file that begins so may hold a JSON object: all that is seen may be spaces."""
+    text = _text_of(head)
+    return not text or text.startswith(b"{")
+
+
+def _shown_head(head: bytes) -> str:
+    return f"{shown(_text_of(head)[:8])[1:]}…"
+
+
+def _text_of(head: bytes) -> bytes:
+    return head.removeprefix(BOM).lstrip(b" \t\r\n")
 
 
 def _read_rest(head: bytes, stream: BinaryIO | gzip.GzipFile, limit: int, top: JsonPath) -> bytes:
     pieces, size = [head] if head else [], len(head)  # one piece alone is not copied
     left = _bytes_left(stream)
     if left > limit:  # known before anything is read
-        top.fail(f"more than {limit >> 20} MiB of data")
+        top.fail(f"more than {_shown_limit(limit)} of data")
     step = max(CHUNK, left)  # all that is left of a file at once
     while chunk := stream.read(min(step, limit + 1)):  # not more at once, it would be reserved
         pieces.append(chunk)
@@ -144,8 +160,12 @@ def _read_rest(head: bytes, stream: BinaryIO | gzip.GzipFile, limit: int, top: J
         step = CHUNK
         if size > limit:
             remedy = "" if limit == MAX_BYTES else "unpack it first if that is meant"
-            top.fail(f"more than {limit >> 20} MiB of data", remedy)
+            top.fail(f"more than {_shown_limit(limit)} of data", remedy)
     return b"".join(pieces)
+
+
+def _shown_limit(limit: int) -> str:
+    return f"{limit >> 20} MiB" if limit >> 20 else f"{limit:,} bytes"
 
 
 def _bytes_left(stream: BinaryIO | gzip.GzipFile) -> int:
@@ -184,6 +204,31 @@ def read_bytes(
         if not head.startswith(begins):
             raise FormatError(f"expected {expected}, got {path_name(name)}")
         return _read_rest(taken, stream, limit, top), name
+
+
+def read_object(path: str | os.PathLike[str], *, expected: str, limit: int) -> tuple[Any, str]:
+    """Read a file that holds a JSON object: that, and the file's name for messages.
+
+    Args:
+        expected: what was expected, for the message.
+        limit: most bytes that such a file may have. Nothing more is read of what doesn't begin as
+            an object does: it may be a device that never ends.
+
+    Raises:
+        FormatError: it can't be read, is too large, or holds no JSON object.
+    """
+    with open_source(path) as (stream, name):
+        top = JsonPath(name)
+        head, taken = _read_head(stream, top)
+        if not _begins_object(head):
+            raise FormatError(f"expected {expected} in {path_name(name)}, got {_shown_head(head)}")
+        content = _read_rest(taken, stream, limit, top).removeprefix(BOM)
+    try:
+        return orjson.loads(content), name
+    except orjson.JSONDecodeError as error:
+        raise FormatError(
+            f"expected {expected}, {path_name(name)} can't be read: {error}"
+        ) from error
 
 
 def write_bytes(

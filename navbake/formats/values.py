@@ -32,7 +32,10 @@ def json_object(value: object, place: JsonPath) -> Json:
 def number(value: object, place: JsonPath, *, positive: bool = False) -> float:
     """Check a finite number; whole ones become int, so that JSON has no .0."""
     is_number = isinstance(value, int | float | np.integer | np.floating)
-    checked = float(value) if is_number and type(value) is not bool else math.nan  # type: ignore[arg-type]
+    try:
+        checked = float(value) if is_number and type(value) is not bool else math.nan  # type: ignore[arg-type]
+    except OverflowError:  # YAML has whole numbers beyond all floats
+        checked = math.nan
     if not math.isfinite(checked) or (positive and checked <= 0):
         place.refuse("a number > 0" if positive else "a finite number", value)
     return int(checked) if checked.is_integer() and abs(checked) < 2**53 else checked

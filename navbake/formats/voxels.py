@@ -6,8 +6,6 @@ from os import PathLike
 from pathlib import Path
 from typing import Literal
 
-import orjson
-
 from navbake.errors import FormatError
 from navbake.formats.binvox import (
     IdMapping,
@@ -19,7 +17,7 @@ from navbake.formats.binvox import (
 from navbake.formats.json_path import shown
 from navbake.formats.npz import encode_npz, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
-from navbake.formats.source import check_path, read_bytes, write_bytes
+from navbake.formats.source import check_path, read_object, write_bytes
 from navbake.formats.suffixes import VOXELS
 from navbake.voxels.grid import VoxelGrid
 
@@ -108,11 +106,7 @@ def names_path(path: str | PathLike[str]) -> Path:
 
 
 def _read_table(path: Path) -> dict[int, str]:
-    data, _ = read_bytes(path, limit=MAX_TABLE)
-    try:
-        table = orjson.loads(data)
-    except orjson.JSONDecodeError as error:
-        raise FormatError(f"expected a table of IDs, {path} can't be read: {error}") from error
+    table, _ = read_object(path, expected="a table of IDs", limit=MAX_TABLE)
     ids = table.get("ids") if isinstance(table, dict) else None
     if not isinstance(ids, dict):
         raise FormatError(f"expected a table of IDs, {path} can't be read: no object at `ids`")

@@ -6,9 +6,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.navgrid.lattice import FARTHEST, Lattice
-from navbake.types import Bool, Float
+from navbake.types import Bool, Float, Int
 
 MAX_CORNERS = 10_000  # of one outline
+# Pairs of sides of one outline that are compared: 2000 corners of any shape have fewer, and 100,000
+# corners in 50 such outlines take seconds
+MAX_PAIRS = 2_000_000
+PIECE = 1 << 16  # pairs that are compared at once, for the memory that it takes
+WIDE = 1e-6  # of an outline's length: one that is wider is no line
 
 
 def find_fault(points: ArrayLike) -> str | None:
@@ -19,20 +24,70 @@ def find_fault(points: ArrayLike) -> str | None:
     repeated corner is no fault.
     """
     corners = np.asarray(points, dtype=np.float64).reshape(-1, 2)
-    if len(corners) > MAX_CORNERS:  # each side is compared with all others
+    if len(corners) > MAX_CORNERS:
         return f"{len(corners)} corners, more than {MAX_CORNERS}"
     if not np.abs(corners).max(initial=0.0) <= FARTHEST:
         return f"corners beyond {FARTHEST:g} m"
-    if np.linalg.matrix_rank(corners - corners[0]) < 2:
+    if _is_line(corners):
         return "corners that all lie in a line"
     sides = np.hstack([corners, np.roll(corners, -1, axis=0)])
-    for side in range(len(sides) - 2):
-        crossed = _crosses(sides[side], sides[side + 2 :])
-        if crossed.any():
-            other = side + 2 + int(np.argmax(crossed))
-            named = [f"[{a:g}, {b:g}] to [{c:g}, {d:g}]" for a, b, c, d in sides[[side, other]]]
-            return "sides that cross: " + " and ".join(named)
-    return None
+    try:
+        crossing = _find_crossing(sides)
+    except _TooMany as error:
+        return f"{error} pairs of sides beside each other, more than {MAX_PAIRS}"
+    if crossing is None:
+        return None
+    named = [f"[{a:g}, {b:g}] to [{c:g}, {d:g}]" for a, b, c, d in sides[list(crossing)]]
+    return "sides that cross: " + " and ".join(named)
+
+
+class _TooMany(Exception):
+    """More pairs of sides than may be compared."""
+
+
+def _is_line(corners: Float) -> bool:
+    """Whether corners have no area, as they do when all lie in a line."""
+    from_first = corners - corners[0]
+    x, y = from_first[np.argmax((from_first**2).sum(axis=1))]
+    if np.abs(x * from_first[:, 1] - y * from_first[:, 0]).max() > WIDE * (x * x + y * y):
+        return False  # which spares nearly all outlines the next line, which is slow
+    return bool(np.linalg.matrix_rank(from_first) < 2)
+
+
+def _find_crossing(sides: Float) -> tuple[int, int] | None:
+    """The first two sides that cross, None if none do.
+
+    Only sides that overlap along an axis can: they are found by sorting (sweep and prune), along
+    the axis where fewer do.
+
+    Raises:
+        _TooMany: more overlap than may be compared.
+    """
+    if len(sides) < 4:
+        return None
+    order, end = min((_sort_along(sides, axis) for axis in (0, 1)), key=lambda way: way[1].sum())
+    first = np.arange(len(sides))
+    count = end - first - 1
+    start = np.concatenate([[0], np.cumsum(count)])
+    if start[-1] > MAX_PAIRS:
+        raise _TooMany(str(start[-1]))
+    found = []
+    for begin in range(0, int(start[-1]), PIECE):
+        number = np.arange(begin, min(begin + PIECE, int(start[-1])))
+        one = np.searchsorted(start, number, side="right") - 1
+        other = one + 1 + number - start[one]
+        crossed = _crosses(sides[order[one]], sides[order[other]])
+        pair = np.stack([order[one[crossed]], order[other[crossed]]], axis=1)
+        found += np.sort(pair, axis=1).tolist()
+    return min(((one, other) for one, other in found), default=None)
+
+
+def _sort_along(sides: Float, axis: int) -> tuple[Int, Int]:
+    """Sides in order along an axis; and for each place, the first after it that lies beyond."""
+    low = np.minimum(sides[:, axis], sides[:, axis + 2])
+    high = np.maximum(sides[:, axis], sides[:, axis + 2])
+    order = np.argsort(low, kind="stable")
+    return order, np.searchsorted(low[order], high[order], side="right")
 
 
 def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
@@ -61,8 +116,8 @@ def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
     return inside
 
 
-def _crosses(one: Float, others: Float) -> Bool:
-    """Which segments x0, y0, x1, y1 another one crosses: each has the other's ends on two sides."""
+def _crosses(ones: Float, others: Float) -> Bool:
+    """Which segments x0, y0, x1, y1 cross their others: each has the other's ends on two sides."""
 
     def side(segment: Float, x: Float, y: Float) -> Float:
         x0, y0, x1, y1 = segment.T
@@ -73,4 +128,4 @@ def _crosses(one: Float, others: Float) -> Bool:
         x0, y0, x1, y1 = segment.T
         return np.asarray(side(by, x0, y0) * side(by, x1, y1) < 0)
 
-    return is_split(others, one) & is_split(one, others)
+    return is_split(others, ones) & is_split(ones, others)

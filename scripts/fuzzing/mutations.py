@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import json
+import zlib
+from functools import cache
 from random import Random
 from typing import Any
 
@@ -147,3 +149,20 @@ def _pick(holder: list[Any], rng: Random) -> tuple[Any, Any]:
         if not keys or rng.random() < 0.15:
             return parent, key
         parent, key = value, rng.choice(keys)
+
+
+def cut(data: bytes, rng: Random) -> bytes:
+    """The bytes; one in twenty times they end early."""
+    return data if rng.random() < 0.95 else data[: rng.randrange(len(data) + 1)]
+
+
+def gzip_bomb(begin: bytes, rng: Random) -> bytes:
+    """Few bytes that unpack to many, which begin as the format does."""
+    return _gzip_bomb(begin, rng.choice((1 << 20, 30 << 20, 300 << 20)))
+
+
+@cache
+def _gzip_bomb(begin: bytes, size: int) -> bytes:
+    pack = zlib.compressobj(9, wbits=31)
+    pieces = [pack.compress(begin), *(pack.compress(b" " * (1 << 20)) for _ in range(size >> 20))]
+    return b"".join(pieces) + pack.flush()

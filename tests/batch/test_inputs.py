@@ -111,6 +111,7 @@ def test_pipes_are_not_read(folder):
     os.mkfifo(folder / "pipe.xml")
     (folder / "scene.xml").write_text('<mujoco><include file="pipe.xml"/></mujoco>')
     assert names(folder, "scene.xml") == ["scene.xml"]
+    assert names(folder, "pipe.xml") == ["pipe.xml"]
     stated = describe_files([folder / "mesh" / "a.obj"], folder)
     (folder / "mesh" / "a.obj").unlink()
     os.mkfifo(folder / "mesh" / "a.obj")

@@ -311,6 +311,8 @@ def test_names_the_override_at_fault(house):
         ("a: 1\n---\nb: 2", "line 2"),
         ("? [a]\n: 1", "line 1"),
         ("a: " + "[" * 5000, "nested too deeply"),
+        ("a: " + "[" * 32 + "]" * 32, "nested too deeply"),
+        ("a: [" + "1, " * 40_000 + "]", "more than 40,000 values (outlines of rooms may be a Geo"),
         ("a: \x07", "is no YAML"),
         ("a: " + "9" * 5000, "expected a value that fits the type int in line 1 of house.yaml"),
         ("a: !!int x", "expected a value that fits the type int in line 1 of house.yaml"),

@@ -2,20 +2,29 @@
 
 import io
 import os
+import struct
 import zipfile
+import zlib
 
 import numpy as np
 import pytest
 
 import navbake
-from navbake.errors import FormatError
-from navbake.formats import source, voxel_allowance
+from navbake.batch.manifest import list_jobs
+from navbake.errors import FormatError, NavbakeError
+from navbake.formats import voxel_allowance
 from navbake.formats.binvox import read_binvox
-from navbake.formats.npz import encode_npz, read_npz
+from navbake.formats.maps import grid_npz, images
+from navbake.formats.maps.grid_npz import read_grid_npz
+from navbake.formats.maps.images import open_image
+from navbake.formats.maps.nav2 import read_nav2
+from navbake.formats.maps.procthor import read_procthor
+from navbake.formats.npz import encode_npz, read_npy, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
 from navbake.formats.shapes.geojson import read_room_outlines
 from navbake.formats.voxel_allowance import BYTES_PER_BYTE, FREE_BYTES, MAX_VOXELS
-from navbake.formats.voxels import read_voxels
+from navbake.formats.voxels import read_voxels, write_voxels
+from navbake.views.report.verification import read_verification
 from navbake.voxels.grid import VoxelGrid
 
 ENDLESS = "/dev/zero"
@@ -163,22 +172,86 @@ def test_an_endless_file_is_not_read_on(tmp_path, suffix):
 def test_other_endless_files(tmp_path):
     with pytest.raises(FormatError, match="expected a NavGrid JSON object"):
         navbake.load(ENDLESS)
-    with pytest.raises(FormatError, match="more than 64 MiB of data in /dev/zero"):
+    with pytest.raises(FormatError, match=r"expected a GeoJSON .* in /dev/zero, got '\\x00"):
         read_room_outlines(ENDLESS)
 
 
-def sparse(path, size):
+def sparse(path, size, begin=b"#binvox 1\n"):
     """A file that says it has so many bytes, and takes no room."""
     with open(path, "wb") as file:
-        file.write(b"#binvox 1\n")
+        file.write(begin)
         file.truncate(size)
     return path
 
 
-def test_files_that_are_too_large_are_refused_unread(tmp_path):
-    path = sparse(tmp_path / "a.binvox", source.MAX_BYTES + 1)
-    with pytest.raises(FormatError, match=r"more than 4096 MiB of data in .*a\.binvox"):
-        read_voxels(path)
-    path = sparse(tmp_path / "a.geojson", (64 << 20) + 1)
-    with pytest.raises(FormatError, match=r"more than 64 MiB of data in .*a\.geojson"):
-        read_room_outlines(path)
+@pytest.mark.parametrize(
+    ("name", "begin", "size", "read"),
+    [
+        ("a.json", b"{", 4 << 30, navbake.load),
+        ("a.npz", b"PK", 4 << 30, read_grid_npz),
+        ("a.binvox", b"#binvox 1\n", 4 << 30, read_voxels),
+        ("a.bt", b"# Octomap OcTree binary file\n", 4 << 30, read_voxels),
+        ("a.npz", b"PK", 4 << 30, read_voxels),
+        ("a.png", b"\x89PNG", 1 << 30, read_procthor),
+        ("a.yaml", b"a: 1", 1_000_000, read_nav2),
+        ("a.npy", b"\x93NUMPY", 1 << 30, read_npy),
+        ("a.geojson", b"{", 64 << 20, read_room_outlines),
+        ("a.json", b"{", 64 << 20, read_verification),
+        ("a.jsonl", b"{", 1 << 30, lambda path: list_jobs([str(path)])),
+        ("a.csv", b"id", 1 << 30, lambda path: list_jobs([str(path)])),
+    ],
+)
+def test_files_that_are_too_large_are_refused_unread(tmp_path, name, begin, size, read):
+    path = sparse(tmp_path / name, size + 1, begin)
+    most = f"{size >> 20} MiB" if size >> 20 else f"{size:,} bytes"
+    with pytest.raises(NavbakeError, match=f"more than {most} of data in .*{path.name}"):
+        read(path)
+
+
+def test_tables_of_ids_that_are_too_large_are_refused_unread(tmp_path):
+    write_voxels(VoxelGrid(values=np.ones((1, 1, 1), np.uint8), origin=(0, 0, 0), res=1.0),
+                 tmp_path / "a.binvox")  # fmt: skip
+    sparse(tmp_path / "a.binvox.names.json", (64 << 20) + 1, b"{")
+    with pytest.raises(FormatError, match="more than 64 MiB of data"):
+        read_voxels(tmp_path / "a.binvox")
+
+
+def image_bomb(edge):
+    """A PNG of so many pixels each way, all of one grey."""
+    rows = zlib.compress(bytes(edge * (edge + 1)), 9)
+    chunks = (b"IHDR", struct.pack(">2I5B", edge, edge, 8, 0, 0, 0, 0)), (b"IDAT", rows)
+    packed = (struct.pack(">I", len(c)) + k + c + struct.pack(">I", zlib.crc32(k + c))
+              for k, c in (*chunks, (b"IEND", b"")))  # fmt: skip
+    return b"\x89PNG\r\n\x1a\n" + b"".join(packed)
+
+
+def test_a_small_image_does_not_unpack_to_gigabytes(monkeypatch):
+    monkeypatch.setattr(images, "FREE_PIXELS", 1_000_000)
+    assert open_image(image_bomb(1000)).size == (1000, 1000)
+    with pytest.raises(FormatError, match=r"too many pixels in .*: 1500 × 1500 in [\d,]* bytes"):
+        open_image(image_bomb(1500))
+    monkeypatch.setattr(images, "MAX_PIXELS", 90_000)
+    with pytest.raises(FormatError, match="too many pixels"):
+        open_image(image_bomb(301))
+
+
+def test_the_text_of_an_archive_is_limited(tmp_path, monkeypatch):
+    monkeypatch.setattr(grid_npz, "UNPACKED_BYTES", 1 << 20)
+    monkeypatch.setattr(grid_npz, "UNPACKED_RATIO", 1)
+    for text, culprit in (
+        (b"{" + b" " * (2 << 20), "more text than a file of this size may unpack to"),
+        (b"{" + b" " * 10, "broken JSON"),
+    ):
+        file = io.BytesIO()
+        np.savez_compressed(file, grid=np.frombuffer(text, dtype=np.uint8))
+        with pytest.raises(FormatError, match=culprit):
+            read_grid_npz(file.getvalue())
+
+
+def test_single_arrays_are_not_reserved_before_they_are_there(tmp_path):
+    np.save(tmp_path / "a.npy", np.ones((3, 4), dtype=bool))
+    data = (tmp_path / "a.npy").read_bytes()
+    assert read_npy(data).shape == (3, 4)
+    for claim in (b"(9999999999, 4)", b"(-1, 4)", b"(3, 4, 1000)"):
+        with pytest.raises(FormatError, match="can't be read"):
+            read_npy(data.replace(b"(3, 4)", claim))

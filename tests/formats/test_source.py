@@ -112,7 +112,7 @@ def test_a_table_that_is_a_folder_or_a_circle(table):
         ('{"ids": {"-1": "a"}}', "expected an ID as key"),
         ('{"ids": {"x": "a"}}', "expected an ID as key"),
         ('{"ids": []}', "no object at `ids`"),
-        ("[]", "no object at `ids`"),
+        ("[]", "expected a table of IDs in .*got '\\[\\]'"),
         ("", "can't be read"),
     ],
     ids=lambda text: text[:20],

@@ -85,3 +85,48 @@ def test_faults(points, fault):
 )
 def test_no_fault(points):
     assert find_fault(points) is None
+
+
+def crossing(points):
+    """The plain way to find the first two sides that cross."""
+    ends = list(zip(points, np.roll(points, -1, axis=0).tolist(), strict=True))
+
+    def turn(a, b, c):
+        return np.sign((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+
+    for i, (a, b) in enumerate(ends):
+        for c, d in ends[i + 1 :]:
+            if turn(a, b, c) * turn(a, b, d) < 0 and turn(c, d, a) * turn(c, d, b) < 0:
+                return [a, b, c, d]
+    return None
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_crossings_are_those_that_comparing_all_sides_finds(seed):
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(4, 9)) if seed % 2 else 40
+    angle = np.sort(rng.uniform(0, 6, count))
+    points = np.stack([np.cos(angle), np.sin(angle)], axis=1).round(2)  # crosses only by rounding
+    if seed % 3:
+        points = rng.integers(0, 5, (count, 2)).astype(float)
+    found, expected = find_fault(points), crossing(points.tolist())
+    if expected is None:
+        assert found is None or "in a line" in found
+    else:
+        named = [f"[{x:g}, {y:g}]" for x, y in expected]
+        assert found == "sides that cross: {} to {} and {} to {}".format(*named)
+
+
+def comb(teeth, slant):
+    """An outline of long teeth, each beside all others along an axis; with slant, along both."""
+    x = np.repeat(np.arange(2 * teeth), 2)[1:-1].astype(float)
+    y = np.tile([0.0, 0.0, 1e4, 1e4], teeth)[1:-1]
+    points = np.stack([x, y], axis=1)
+    return np.vstack([points, [[2 * teeth, -1e4], [-1, -1e4]]]) @ np.array([[1, 0], [slant, 1]])
+
+
+def test_outlines_of_many_long_sides_are_refused_before_they_are_compared():
+    assert find_fault(comb(2400, 0)) is None
+    assert find_fault(comb(400, 1)) is None
+    assert "pairs of sides beside each other" in find_fault(comb(2400, 1))
+    assert "10001 corners" in find_fault(np.ones((10_001, 2)))

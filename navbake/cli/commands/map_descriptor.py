@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,14 +10,12 @@ from typer import Argument, BadParameter, Option
 import navbake
 from navbake.cli.options import AsJson, refuse_unused
 from navbake.cli.printing import print_json
-from navbake.errors import ConfigError, FormatError
+from navbake.errors import ConfigError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-NPY = b"\x93NUMPY"
 SQUARE = 0.1  # edge of a square unless given [m]
-MAX_NPY = 1 << 30  # of an array of explored squares [bytes]
 
 # Functions import what reads grids when they run: --help stays quick.
 
@@ -101,7 +98,7 @@ def _read_squares(
     import numpy as np  # --help does without it
 
     from navbake.arena.arena import find_obstacles, place_squares
-    from navbake.formats.source import read_bytes  # which loads numpy
+    from navbake.formats.npz import read_npy  # which loads numpy
 
     levels = navbake.load(path).levels
     number = squares.level or 0
@@ -113,9 +110,4 @@ def _read_squares(
     filled = find_obstacles(level, placed)
     if explored is None:
         return np.ones_like(filled), filled
-    content, _ = read_bytes(explored, begins=NPY, expected="an array (.npy)", limit=MAX_NPY)
-    try:
-        known = np.load(io.BytesIO(content), allow_pickle=False)  # a pickle could run code
-    except (OSError, ValueError, EOFError, MemoryError) as error:
-        raise FormatError(f"expected an array (.npy), {explored} can't be read: {error}") from error
-    return known, filled
+    return read_npy(explored), filled

@@ -199,6 +199,7 @@ def _read_level(archive: _Archive, k: int, entry: Json, place: JsonPath) -> Scen
     archive.allowance.take_cells(width * height, place)
     shape = height, width
     members = json_object(entry.get("attributes", MISSING), place["attributes"])
+    archive.allowance.check_values((len(members) + 1) * width * height, place["attributes"])
     text = archive.text(f"{k}/userData", place["userData"])
     level = SceneGrid2D(
         width=width,

@@ -14,13 +14,13 @@ import orjson
 from navbake.errors import FormatError
 from navbake.formats.json_path import shown
 from navbake.formats.shapes.shape import KINDS, ROOM, Shape, find_shapes
-from navbake.formats.source import Files, path_name, read_bytes
+from navbake.formats.source import Files, path_name, read_object
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.polygon import find_fault
 from navbake.types import Float, Json
 
 MAX_BYTES = 64 << 20
-MAX_CORNERS = 100_000  # of all outlines; checking each takes the square of its corners
+MAX_CORNERS = 100_000  # of all outlines
 
 Ring = list[list[float]]
 
@@ -106,11 +106,7 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
 def _parse(path: Path) -> Any:
     if not path.exists() and not path.is_symlink():
         raise FormatError(f"no such file: {path_name(path)}")
-    content, _ = read_bytes(path, limit=MAX_BYTES)
-    try:
-        return orjson.loads(content)
-    except orjson.JSONDecodeError as error:
-        raise FormatError(f"{path} is no JSON: {error}") from error
+    return read_object(path, expected="a GeoJSON FeatureCollection", limit=MAX_BYTES)[0]
 
 
 def _is_no_room(feature: Any) -> bool:

@@ -61,7 +61,10 @@ def nearest_cell(wanted, level, point, farthest):
     # a whole cell nearer to the squares
     inside = 1.0 if wanted.measure == TO_OBSTACLE else 0.5
     while ring <= last and (max(0.0, ring - inside) * size) ** 2 <= best[0]:
-        for row in range(max(0, row0 - ring), min(rows - 1, row0 + ring) + 1):
+        first, step = max(0, row0 - ring), 1
+        if col0 - ring < 0 and col0 + ring >= cols:  # only its top and bottom rows are left
+            first, step = row0 - ring if row0 >= ring else row0 + ring, max(1, 2 * ring)
+        for row in range(first, min(rows - 1, row0 + ring) + 1, step):
             left, right, stride = col0 - ring, col0 + ring, 2 * ring
             if abs(row - row0) == ring:  # the top or the bottom row of the ring: all of it
                 left, stride = max(0, left), 1

@@ -32,7 +32,7 @@ def describe_grid(
         verification: what `VerifyReport.to_json` gave of it.
     """
     facts = describe(grid)
-    marks = [*_audit_marks(audit), *_verify_marks(verification, len(grid.levels))]
+    marks = [*_audit_marks(audit), *verify_marks(verification, len(grid.levels))]
     levels = [
         {
             "name": grid.level_names[number],
@@ -56,7 +56,7 @@ def describe_grid(
         _doors_table(grid),
         _links_table(grid),
         *_audit_tables(audit),
-        *_verify_tables(verification),
+        *verify_tables(verification),
         table("Settings", ("setting", "value"), flatten(grid.navbake.get("settings"))),
         table("Timings", ("stage", "ms"), _timings(grid), numbers=(1,)),
         table("Made by", ("what", "version or digest"), list(facts["made_by"].items())),
@@ -194,7 +194,8 @@ def _audit_tables(audit: AuditReport | None) -> Iterator[Json]:
     yield table("Audit", ("how bad", "check", "level", "x, y, z [m]", "what"), rows)
 
 
-def _verify_marks(verification: Json | None, num_levels: int) -> Iterator[Json]:
+def verify_marks(verification: Json | None, num_levels: int) -> Iterator[Json]:
+    """What a verification found, as marks on the map."""
     for finding in (verification or {}).get("findings", ()):
         x, y, _ = finding["position"]
         if not 0 <= finding["level"] < num_levels:
@@ -210,7 +211,8 @@ def _verify_marks(verification: Json | None, num_levels: int) -> Iterator[Json]:
         }
 
 
-def _verify_tables(verification: Json | None) -> Iterator[Json]:
+def verify_tables(verification: Json | None) -> Iterator[Json]:
+    """What a verification found, as a table."""
     if verification is None:
         return
     rows = [

@@ -3,14 +3,13 @@
 import os
 from typing import Any
 
-import orjson
-
 from navbake.errors import FormatError
 from navbake.formats.json_path import shown
-from navbake.formats.source import read_bytes
+from navbake.formats.source import read_object
 from navbake.types import Json
 
 MAX_BYTES = 64 << 20
+PRINTED = "what `navbake verify --json` prints"
 WHOLE = {"ok": bool, "checked": int, "cells": int, "findings": list}
 FINDING = {"kind": str, "level": int, "position": list, "text": str}
 
@@ -21,11 +20,7 @@ def read_verification(path: str | os.PathLike[str]) -> Json:
     Raises:
         FormatError: it is none, or can't be read.
     """
-    content, name = read_bytes(path, limit=MAX_BYTES)
-    try:
-        report = orjson.loads(content)
-    except orjson.JSONDecodeError as error:
-        raise FormatError(f"broken JSON in {name}: {error}") from error
+    report, name = read_object(path, expected=PRINTED, limit=MAX_BYTES)
     _check(report, WHOLE, "", name)
     for number, finding in enumerate(report["findings"]):
         _check(finding, FINDING, f"findings[{number}].", name)
@@ -38,9 +33,7 @@ def read_verification(path: str | os.PathLike[str]) -> Json:
 
 def _check(value: Any, kinds: dict[str, type], where: str, name: str) -> None:
     if not isinstance(value, dict):
-        raise FormatError(
-            f"expected what `navbake verify --json` prints in {name}, got {shown(value)}"
-        )
+        raise FormatError(f"expected {PRINTED} in {name}, got {shown(value)}")
     for key, kind in kinds.items():
         if type(value.get(key)) is not kind:
             raise FormatError(

@@ -303,6 +303,9 @@ def check_turned(level, turned, stated, exact):
     if not exact:
         points = turned.lattice.positions(rows, cols)
     along = (points - (x, y)) @ [[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]
+    if not exact:  # of a point on the line between two cells, rounding decides
+        is_clear = (np.abs(along / 0.1 - np.round(along / 0.1)) > 1e-9).all(axis=1)
+        along, values, points = along[is_clear], values[is_clear], points[is_clear]
     col, up = np.floor(along / stated["resolution"]).astype(int).T
     inside = (col >= 0) & (col < level.width) & (up >= 0) & (up < level.height)
     there = np.full(len(points), -1)

@@ -50,7 +50,7 @@ def test_reads_a_single_feature(tmp_path):
 @pytest.mark.parametrize(
     ("content", "culprit"),
     [
-        ("{", "is no JSON"),
+        ("{", "can't be read"),
         ("[]", "expected a GeoJSON FeatureCollection"),
         ({"type": "Point", "coordinates": [0, 0]}, "got Point"),
         ({"type": "FeatureCollection", "features": [{}]}, "feature 0 of"),

@@ -211,3 +211,21 @@ def test_files_without_floors_and_occupancy():
 def test_wrong_questions_are_refused(position, options, message):
     with pytest.raises(QueryError, match=message):
         two_storeys().snap(position, **options)
+
+
+@pytest.mark.parametrize("shape", [(40, 3), (3, 40), (1, 50), (50, 1)])
+def test_on_a_level_that_is_much_longer_than_wide(shape):
+    rng = np.random.default_rng(0)
+    for number_free in (1, 2, 5):
+        rows = np.full(shape[0] * shape[1], "#")
+        rows[rng.choice(len(rows), number_free, replace=False)] = "."
+        level = level_from("\n".join("".join(row) for row in rows.reshape(shape)))
+        finder = PathFinder(level)
+        flat = finder.search.flat
+        centers = flat.positions(np.flatnonzero(flat.free))[:, :2]
+        x0, y0, x1, y1 = level.lattice.bounds
+        for position in rng.uniform((x0 - 1, y0 - 1), (x1 + 1, y1 + 1), size=(40, 2)):
+            found = finder.snap(position)
+            if not finder.is_navigable(position):
+                nearest = np.linalg.norm(centers - position, axis=1).min()
+                assert math.dist(found[:2], position) == pytest.approx(nearest)

@@ -194,7 +194,7 @@ def test_audits_and_verifications_are_marked(tmp_path):
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("{", "broken JSON in .*verify.json"),
+        ("{", "expected what .* prints, .*verify.json can't be read"),
         ("[]", "expected what `navbake verify --json` prints in .*verify.json"),
         ('{"ok": 1}', "expected bool at `ok` in .*verify.json, got 1"),
         (

@@ -3,14 +3,17 @@
 MuJoCo compiles within this process: where it crashes, the process ends without a word, and while
 it works, Ctrl-C waits. What it will have to make can be seen in the XML: pixels of textures,
 copies by `replicate`, points of height fields and of composites. Python's parser looks for these;
-what it cannot read, MuJoCo judges.
+what it cannot read, MuJoCo judges. Of images (PNG) of textures and height fields, the header is
+read: a few bytes may unpack to gigabytes.
 """
 
 from __future__ import annotations
 
+import math
 import re
+import struct
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +23,13 @@ MAX_TEXTURE = 1 << 30  # bytes of all textures; from 2**31 on, MuJoCo's own numb
 CHANNELS = 3  # bytes of a pixel unless given
 FACES = 6  # a cube's texture is as high as six squares
 MAX_COPIES = 100_000  # of elements; the time grows with their square: 10,000 in a row take 5 s
-MAX_POINTS = 100_000_000  # of a height field
+MAX_POINTS = 100_000_000  # of a height field, pixels of an image
+# Pixels that any image may unpack to, and how many more for each byte of its file. A point of a
+# height field becomes two triangles of 144 bytes, a pixel of a texture three bytes.
+MOST_PIXELS = {"texture": (32_000_000, 256), "hfield": (4_000_000, 16)}
+PNG = b"\x89PNG\r\n\x1a\n"
+PNG_SIZE = slice(16, 24)  # where a PNG has its width and height
+FOLDERS = ("meshdir", "texturedir", "assetdir")  # attributes of a compiler that say where files are
 MAX_FLEX = 1_000_000  # points of a flexcomp, parts of a composite
 MAX_SIZE = 100_000_000  # of what <size> asks for, but for memory in bytes
 # Tags that ask for something, or for another file; to find none in a file's bytes takes a small
@@ -43,8 +52,12 @@ def refuse_oversized(path: Path) -> None:
     as it is made, in nested ones by the product of their counts.
     """
     num_copies, num_bytes = 0, 0
-    for element, place in _elements(path, path.parent, 1, set()):
+    elements = [*_elements(path, path.parent, 1, set())]
+    folders = _asset_folders(path, elements)
+    for element, place in elements:
         tag, where = element.tag, f"in {place.file}"
+        if tag in MOST_PIXELS:
+            _check_images(element, folders, _named(element, where))
         if place.copies > 1:
             num_copies += place.copies
             _check("elements made by <replicate>", num_copies, MAX_COPIES, where)
@@ -100,6 +113,47 @@ def _root_of(file: Path, copies: int, seen: set[Path]) -> list[tuple[ElementTree
     except (ElementTree.ParseError, ValueError, LookupError, OSError, RecursionError):
         return []  # MuJoCo says what is wrong with it
     return [(root, Place(file, copies))]
+
+
+def _asset_folders(
+    path: Path, elements: list[tuple[ElementTree.Element, Place]]
+) -> dict[Path, None]:
+    """Where the files of textures and height fields may be; which it is depends on MuJoCo."""
+    homes = dict.fromkeys([path.parent, *(place.file.parent for _, place in elements)])
+    named = (
+        home / element.attrib[key]
+        for element, _ in elements
+        if element.tag == "compiler"
+        for key in FOLDERS
+        if key in element.attrib
+        for home in homes
+    )
+    return homes | dict.fromkeys(named)
+
+
+def _check_images(element: ElementTree.Element, folders: Iterable[Path], where: str) -> None:
+    """Refuse images with more pixels than files of their size may have."""
+    for name in [value for key, value in element.attrib.items() if key.startswith("file")]:
+        # `strippath` of a compiler leaves out the folders of names
+        files = [folder / tail for folder in folders for tail in {name, Path(name).name}]
+        pixels, num_bytes = max(map(_image_size, files))
+        free, by_byte = MOST_PIXELS[element.tag]
+        most = min(MAX_POINTS, free + by_byte * num_bytes)
+        _check(f"pixels of an image of {num_bytes:,} bytes", pixels, most, where)
+
+
+def _image_size(path: Path) -> tuple[int, int]:
+    """The pixels that a PNG says it has, and the bytes of its file; 0 where it is none."""
+    try:
+        if not path.is_file():
+            return 0, 0
+        with path.open("rb") as file:
+            head = file.read(PNG_SIZE.stop)
+        size = head[PNG_SIZE]
+        is_png = head.startswith(PNG) and len(size) == 8
+        return math.prod(struct.unpack(">2I", size)) if is_png else 0, path.stat().st_size
+    except (OSError, ValueError):  # MuJoCo says what is wrong with it
+        return 0, 0
 
 
 def _texture_bytes(element: ElementTree.Element) -> int:

@@ -70,7 +70,8 @@ def read_plain_stl(data: bytes) -> tuple[Float, Int32] | None:
 
 def _to_float64(axes: list[NDArray[np.floating]]) -> Float:
     vertices = np.empty((len(axes[0]), 3))
-    for axis, values in enumerate(axes):
-        vertices[:, axis] = values
+    with np.errstate(invalid="ignore"):  # of NaNs that signal; all NaNs are refused later
+        for axis, values in enumerate(axes):
+            vertices[:, axis] = values
     vertices += 0.0  # -0.0 becomes 0.0
     return vertices

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import pytest
 
 import navbake
@@ -103,6 +105,32 @@ def test_included_files_count_as_often_as_they_are_made(tmp_path):
 )
 def test_leaves_the_rest_to_mujoco(tmp_path, parts):
     refuse_oversized(scene(tmp_path, **parts))
+
+
+def png(width, height, size):
+    head = b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR" + struct.pack(">2I", width, height)
+    return head + bytes(size - len(head))
+
+
+@pytest.mark.parametrize(("kind", "most"), [("hfield", "4,016,000"), ("texture", "32,256,000")])
+@pytest.mark.parametrize("folder", ["", "assets", "deep/assets"])
+def test_images_that_unpack_to_much_are_refused(tmp_path, kind, most, folder):
+    (tmp_path / folder).mkdir(parents=True, exist_ok=True)
+    more = 'size="1 1 1 1"' if kind == "hfield" else 'type="2d"'
+    assets = f'<{kind} name="t" file="a.png" {more}/>'
+    top = f'<compiler assetdir="{folder}"/>' if folder else ""
+    path = scene(tmp_path, assets=assets, top=top)
+    image = tmp_path / folder / "a.png"
+    image.write_bytes(png(20_000, 20_000, 1000))
+    with pytest.raises(SceneError, match=f"at most {most} pixels of an image of 1,000 bytes"):
+        refuse_oversized(path)
+    image.write_bytes(png(4000, 4000, 1_000_000))  # as a photo has
+    refuse_oversized(path)
+    for content in (b"", png(9, 9, 24)[:20], b"x" * 100):
+        image.write_bytes(content)
+        refuse_oversized(path)
+    image.unlink()
+    refuse_oversized(path)
 
 
 def test_leaves_broken_xml_to_mujoco(tmp_path):
