@@ -165,7 +165,8 @@ class LiveSheets:
         node, bounds = group_parts(part, num)
         grown = np.flatnonzero(extends & (only != self.main))
         to, is_large = only[grown], self._size[only[grown]] >= self.needed
-        self._inner[to] = np.minimum(self._inner[to], self._size[to])
+        # nobody looks what is left of one that is still too small: all of it may be
+        self._inner[to[~is_large]] = self._size[to[~is_large]]
         for k in grown[is_large].tolist():
             members = node[bounds[k] : bounds[k + 1]]
             members = members[is_new[members]]
@@ -238,10 +239,11 @@ class LiveSheets:
 
         What is left of one when it is shrunk is at most what was left of it before, and what is
         left near the new surfaces, if all small sheets there were one. Where several become one,
-        all of them may be left.
+        all of them may be left, and so may all of one that has fewer cells than a floor.
         """
         for one in self._grown:
-            self._inner[one.sheet] = min(self._inner[one.sheet], self._size[one.sheet])
+            if self._size[one.sheet] < self.needed:
+                self._inner[one.sheet] = self._size[one.sheet]
         grown = [one for one in self._grown if self._size[one.sheet] >= self.needed]
         near = [self.around(one.cells, self.reach) for one in grown]
         most = self._inner.copy()

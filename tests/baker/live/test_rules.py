@@ -104,6 +104,23 @@ def test_carried_cells_are_counted_as_for_the_whole_level(monkeypatch):
     assert all(asked)
 
 
+def test_a_table_that_grows_bit_by_bit_may_be_a_floor():
+    # each time so little that it can be none, until it is one: 9 rows of 5, 5 and 10 cells
+    parks = ((1.0, 5.2), (3.0, 5.2), (3.0, 1.0))
+    lengths = (0.5, 0.5, 1.0)
+    plates = "".join(
+        f'<body name="plate_{k}" pos="{x} {y} 0.4"><freejoint/>'
+        f'<geom type="box" size="{length / 2} 0.45 0.05"/></body>'
+        for k, ((x, y), length) in enumerate(zip(parks, lengths, strict=True))
+    )
+    settings = {"floors": {"shrink": 0.1, "tops": True}}
+    baker, x = navbake.Baker(make(plates), **settings), 0.7
+    for k, length in enumerate(lengths):
+        reason = check(baker, settings, bodies={f"plate_{k}": [x + length / 2, 3.05, 0.4]})
+        assert bool(reason) == (k == 2)
+        x += length
+
+
 def test_tables_that_become_one_may_be_a_floor():
     """Shrunk together, two tops side by side leave what is at their seam, too."""
     tables = "".join(
