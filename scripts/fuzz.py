@@ -156,11 +156,6 @@ def use_input(kind: str, made: Input, folder: Path) -> str:
                 value = KINDS[kind].read(path)
             finally:
                 cost = meter.read()
-            if KINDS[kind].check is not None:
-                meter = Meter()
-                KINDS[kind].check(value)  # type: ignore[misc]
-                if (seconds := meter.read().seconds) > CHECK_SECONDS:
-                    return f"took {seconds:.1f} s to be checked"
     except NavbakeError as error:
         try:
             check_message(error)
@@ -169,7 +164,27 @@ def use_input(kind: str, made: Input, folder: Path) -> str:
         return exceeds(cost, made, value) or REFUSED
     except Exception:
         return traceback.format_exc()
-    return exceeds(cost, made, value) or READ
+    return _check(kind, value) or exceeds(cost, made, value) or READ
+
+
+def _check(kind: str, value: Any) -> str:
+    """Do with what was read what users do; says what was wrong, "" for nothing.
+
+    What was read has to be good for that: an error of ours is a finding, too, unless the check
+    allows it, see `fuzzing.kind.attempt`.
+    """
+    check = KINDS[kind].check
+    if check is None:
+        return ""
+    meter = Meter()
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("error", module="navbake")
+            check(value)
+    except Exception:
+        return traceback.format_exc()
+    seconds = meter.read().seconds
+    return f"took {seconds:.1f} s to be checked" if seconds > CHECK_SECONDS else ""
 
 
 def _write_input(made: Input, folder: Path) -> Path:

@@ -94,9 +94,10 @@ class LogFile:
 
     def add(self, line: Json) -> None:
         """Add a line."""
-        text = json.dumps(line, separators=(",", ":"), allow_nan=False)
+        text = json.dumps(line, separators=(",", ":"), allow_nan=False).encode() + b"\n"
         try:
-            os.write(self._file, text.encode() + b"\n")
+            while text:  # a disk that gets full, or a pipe, may take a part
+                text = text[os.write(self._file, text) :]
         except OSError as error:
             raise self._refused(error) from error
 

@@ -12,6 +12,8 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+import orjson
+
 from fuzzing import texts
 from fuzzing.kind import Input, attempt
 from fuzzing.mutations import WORDS, cut, dump_tree, mutate_bytes, mutate_tree, odd_value
@@ -19,6 +21,7 @@ from navbake.batch.done import find_done
 from navbake.batch.index import Index, read_index
 from navbake.batch.job import Job
 from navbake.batch.manifest import list_jobs
+from navbake.batch.page.content import describe_batch
 from navbake.batch.settings import settings_of
 from navbake.batch.work import Order
 from navbake.config.settings import BakeConfig, settings_digest, settings_to_state
@@ -207,8 +210,9 @@ def read_rows(path: Path) -> dict[str, Json]:
 
 
 def check_rows(rows: dict[str, Json]) -> None:
-    """A row says that a scene is done, or does not."""
+    """A row says that a scene is done, or does not; the page of a batch shows all."""
     folder = Path("/output")
+    orjson.dumps(describe_batch(rows.values(), lambda id: True))
     for row in rows.values():
         order = Order(Job("input", __file__, {}, "a list"), {}, (), (), folder)
         attempt(lambda order=order, row=row: find_done([order], {"input": row}))

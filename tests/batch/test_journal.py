@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from datetime import datetime, timezone
 from pathlib import Path
@@ -73,3 +74,12 @@ def test_a_full_disk_is_one_error():
     with pytest.raises(NavbakeError, match="cannot write the log /dev/full: No space left"):
         log.add({})
     log.close()
+
+
+def test_a_line_of_which_a_part_was_written_is_ended(tmp_path, monkeypatch):
+    write = os.write
+    monkeypatch.setattr("os.write", lambda file, data: write(file, data[:3]))
+    log = LogFile(tmp_path / "a.jsonl")
+    log.add({"id": "a long one"})
+    log.close()
+    assert json.loads((tmp_path / "a.jsonl").read_bytes()) == {"id": "a long one"}

@@ -137,7 +137,7 @@ function recall() {
   }
   Object.assign(state, {
     status: status < 0 ? null : status, text: words.get("text") || "", ranges,
-    sort: key in COLUMNS || ["id", "status"].includes(key) ? key : null, down: sort.startsWith("-"), scene: null,
+    sort: Object.hasOwn(COLUMNS, key) || ["id", "status"].includes(key) ? key : null, down: sort.startsWith("-"), scene: null,
   });
   for (const kind of KINDS) {
     const group = reasons[kind].groups.findIndex((_, g) => nameOf(kind, g) === words.get(kind));
