@@ -15,10 +15,14 @@ import argparse
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from random import Random
 
-import atheris
+try:
+    import atheris
+except ImportError:
+    atheris = None  # told when a search is asked for
 
 PACKAGE = Path(__file__).resolve().parents[1] / "navbake"
 # numba compiles these from their bytecode, which instruments change
@@ -27,7 +31,7 @@ KERNELS = [
     for file in PACKAGE.rglob("kernels/*.py")
 ]
 
-with atheris.instrument_imports(include=["navbake"], exclude=KERNELS):
+with atheris.instrument_imports(["navbake"], KERNELS) if atheris else nullcontext():
     import fuzz
     from fuzzing.kind import Input
     from fuzzing.kinds import KINDS
@@ -45,6 +49,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--folder", type=Path, help="keeps what reaches more, and findings")
     given = parser.parse_args()
+    if atheris is None:
+        parser.exit(1, "fuzz_atheris.py needs Atheris: pip install atheris (Linux only)\n")
     with tempfile.TemporaryDirectory() as name:
         folder = given.folder or Path(name)
         search = Search(given.kind, folder)
