@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from navbake._version import __version__
-from navbake.batch.file_states import are_unchanged, path_from
+from navbake.batch.file_states import are_unchanged, describe_files, path_from
 from navbake.batch.products import GRID, OWN, THUMBNAIL
 from navbake.batch.stores.mirror import Mirror, upload
 from navbake.batch.stores.scratch import remove_abandoned, scratch_folder
@@ -72,6 +72,7 @@ def make_remote(order: Order, make: Callable[[Order], Json]) -> Json:
     store by its URL.
     """
     _remove_abandoned_once()
+    settings = _settings_here(order)  # before the bake, see `work._make`
     with scratch_folder() as scratch:
         mirror = Mirror(scratch / "in")
         try:
@@ -85,7 +86,7 @@ def make_remote(order: Order, make: Callable[[Order], Json]) -> Json:
             "source": name_source(order),
             "key": key_of_far(order),
             "named": [],
-            "inputs": _inputs(order, near, row["inputs"], mirror),
+            "inputs": {**_inputs(order, near, row["inputs"], mirror), **settings},
         }
         if isinstance(order.folder, str):
             place = f"{order.folder}/{order.job.id}"
@@ -160,8 +161,8 @@ def _bring(order: Order, mirror: Mirror) -> Order:
     """The order with all that is on stores copied to this machine."""
     source = order.job.source
     if is_url(source):
-        is_settings = Path(split_url(source).text).suffix.lower() in YAML_SUFFIXES
-        path = mirror.fetch_settings(source) if is_settings else mirror.fetch_scene(source)
+        fetch = mirror.fetch_settings if _is_settings(source) else mirror.fetch_scene
+        path = fetch(source)
         source = str(path)
     overrides = []
     for text in order.overrides:
@@ -174,12 +175,31 @@ def _bring(order: Order, mirror: Mirror) -> Order:
     return order._replace(job=job, settings=settings, overrides=tuple(overrides))
 
 
+def _is_settings(source: str) -> bool:
+    """Whether a scene's source is settings (YAML)."""
+    path = split_url(source).text if is_url(source) else source
+    return Path(path).suffix.lower() in YAML_SUFFIXES
+
+
 def _bring_outlines(settings: Json, mirror: Mirror) -> Json:
     name = _outlines_of(settings)
     if name is None or not is_url(name):
         return settings
     rooms = {**settings[POLYGONS[0]], POLYGONS[1]: str(mirror.fetch(name))}
     return {**settings, POLYGONS[0]: rooms}
+
+
+def _settings_here(order: Order) -> Json:
+    """The state of a scene's settings (YAML) on this machine; {} where it has none here.
+
+    They aren't read to find out whether a scene is done (see `key_of_far`): they are a file like
+    others.
+    """
+    source = order.job.source
+    if is_url(source) or not _is_settings(source) or not os.path.isfile(source):
+        return {}
+    (state,) = describe_files([Path(source)], Path()).values()
+    return {_name_path(source, order): state}
 
 
 def _inputs(order: Order, near: Order, stated: Json, mirror: Mirror) -> Json:
@@ -192,7 +212,6 @@ def _inputs(order: Order, near: Order, stated: Json, mirror: Mirror) -> Json:
             inputs[_name_path(path, order)] = state
         else:
             inputs[shown(url)] = state_of(entry or Entry(None, None), state)
-    # settings aren't read to find out whether a scene is done: they are a file like others
     source = order.job.source
     if is_url(source) and shown(source) not in inputs:
         inputs[shown(source)] = mirror.state(source)

@@ -310,6 +310,22 @@ def test_what_is_done_is_known_by_listings_alone(rooms, memory, monkeypatch):
     assert not [name for name in list_tree("memory://out") if "nav2" in name]
 
 
+@pytest.mark.parametrize(
+    ("out", "outlines"), [("memory://out", "rooms"), ("out", "memory://s/rooms")]
+)
+def test_changed_settings_here_are_noticed_where_something_else_is_on_a_store(
+    rooms, out, outlines
+):
+    row = {"config": "own.yaml", "rooms.polygons": f"{outlines}/plan.geojson"}
+    Path("list.jsonl").write_text(json.dumps(row))
+    for cell, names in ((0.5, ["own"]), (0.25, ["own"]), (0.25, [])):
+        text = f"scene: {{path: rooms/plain.xml}}\ngrid: {{cell_size: {cell}}}\n"
+        Path("own.yaml").write_text(text)
+        assert run("list.jsonl", out=out, settings={})[0] == names, cell
+    os.utime("own.yaml", (1, 1))  # the content is the same
+    assert run("list.jsonl", out=out, settings={})[0] == []
+
+
 def test_ten_thousand_scenes_are_asked_for_in_few_calls(memory, monkeypatch):
     calls = []
     count = 200
