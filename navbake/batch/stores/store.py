@@ -65,6 +65,16 @@ def read_file(url: str, limit: int) -> bytes:
     return content
 
 
+def read_if_there(url: str, limit: int) -> bytes | None:
+    """As `read_file`; None where there is no such file."""
+    try:
+        return read_file(url, limit)
+    except NavbakeError as error:
+        if isinstance(error.__cause__, FileNotFoundError):
+            return None
+        raise
+
+
 def read_files(urls: Sequence[str]) -> list[bytes]:
     """The contents of small files of one store, read several at once where the store can."""
     return _do_at_once("read", urls, lambda system, path: bytes(system.cat_file(path)))
