@@ -13,6 +13,7 @@ from typing import Any
 from navbake._version import __version__
 from navbake.batch.crew import AGAIN, BEGUN, LOST, READY, Event
 from navbake.errors import NavbakeError
+from navbake.files import write_all
 from navbake.types import Json
 
 INFO, WARNING, ERROR = "info", "warning", "error"
@@ -96,7 +97,7 @@ class LogFile:
         """Add a line."""
         text = json.dumps(line, separators=(",", ":"), allow_nan=False)
         try:
-            os.write(self._file, text.encode() + b"\n")
+            write_all(self._file, text.encode() + b"\n")
         except OSError as error:
             raise self._refused(error) from error
 

@@ -132,6 +132,17 @@ def test_the_disk_is_waited_for_once_before_the_index_is_put_in_order(scenes, he
     assert calls == ["file"]  # all is done
 
 
+def test_no_row_follows_half_of_another_where_the_disk_gets_full(tmp_path, monkeypatch):
+    index, real = index_module.Index(tmp_path), os.write
+    index.add({"id": "a"})
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", lambda file, data: real(file, data[:3]))
+        index.add({"id": "b"})  # there is room again
+        index.add({"id": "c"})
+    index.close()
+    assert [*read_index(tmp_path)] == ["a", "b", "c"]
+
+
 def test_what_is_done_is_skipped_and_what_failed_is_tried_again(scenes, here):
     (scenes / "bad.xml").write_text("<mujoco>")
     names, first = run(*ALL, "scenes/bad.xml")
