@@ -500,6 +500,9 @@ def test_passwords_and_queries_are_shown_nowhere(memory, monkeypatch):
     assert "secret" not in str(caught.value) and "sftp://me@host/a.xml" in str(caught.value)
     _, result = run(url)
     assert "secret" not in Path("out", NAME).read_text() and result.count("failed") == 1
+    assert caught.value.__cause__ is None  # which --verbose would print
+    told = store.hide_secrets("403, url='https://host/a.xml?b=1&sig=secret'", [])  # respelt
+    assert told == "403, url='https://host/a.xml'"
     job = list_jobs(["https://host/a/b.xml?sig=secret"])[0]
     assert job.id == "b" and "secret" not in job.place
 
