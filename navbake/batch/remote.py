@@ -48,7 +48,7 @@ def name_source(order: Order) -> str:
     return _name_path(order.job.source, order)
 
 
-def key_of_far(order: Order) -> str:
+def remote_key_of(order: Order) -> str:
     """What the result depends on besides the scene's files, hashed; settings (YAML) are one.
 
     `work.key_of` hashes settings as they are validated, for which they have to be read. These are
@@ -84,7 +84,7 @@ def make_remote(order: Order, make: Callable[[Order], Json]) -> Json:
             raise NavbakeError(mirror.told(str(error))) from error
         row |= {
             "source": name_source(order),
-            "key": key_of_far(order),
+            "key": remote_key_of(order),
             "named": [],
             "inputs": {**_inputs(order, near, row["inputs"], mirror), **settings},
         }
@@ -133,7 +133,7 @@ def find_done(orders: Sequence[Order], known: Mapping[str, Json]) -> set[str]:
         return set()
     listing = Listing()
     with suppress(NavbakeError):  # what can't be listed is asked for by itself, and isn't done
-        listing.load({parent(url) for order in todo for url in _far_inputs(order, rows)})
+        listing.load({parent(url) for order in todo for url in _remote_inputs(order, rows)})
     folder = todo[0].folder
     made = list_tree(folder, is_own=True) if isinstance(folder, str) else {}
     return {o.job.id for o in todo if _is_done(o, rows[o.job.id], listing, made)}
@@ -192,7 +192,7 @@ def _bring_outlines(settings: Json, mirror: Mirror) -> Json:
 def _settings_here(order: Order) -> Json:
     """The state of a scene's settings (YAML) on this machine; {} where it has none here.
 
-    They aren't read to find out whether a scene is done (see `key_of_far`): they are a file like
+    They aren't read to find out whether a scene is done (see `remote_key_of`): they are a file like
     others.
     """
     source = order.job.source
@@ -227,14 +227,27 @@ def _name_path(path: str, order: Order) -> str:
 
 
 def _row_of(order: Order, known: Mapping[str, Json]) -> Json:
-    """The row of a scene that is done as far as the index says; {} if it isn't."""
+    """The row of a scene that is done as far as the index says; {} if it isn't.
+
+    An index on a store may come from a stranger. So no store is asked for a file that it states but
+    those that the scene is on.
+    """
     row = known.get(order.job.id, {})
-    is_same = row.get("status") == "ok" and row.get("key") == key_of_far(order)
+    is_same = row.get("status") == "ok" and row.get("key") == remote_key_of(order)
     has_files = all(isinstance(row.get(key), dict) and row[key] for key in ("inputs", "files"))
-    return row if is_same and has_files else {}
+    return row if is_same and has_files and _has_own_inputs(row, order) else {}
 
 
-def _far_inputs(order: Order, rows: Mapping[str, Json]) -> list[str]:
+def _has_own_inputs(row: Json, order: Order) -> bool:
+    """Whether the files that a row states are on stores that the order names."""
+    roots = {shown(split_url(url).root) for url in _named(order) if is_url(url)}
+    try:
+        return all(shown(split_url(name).root) in roots for name in row["inputs"] if is_url(name))
+    except NavbakeError:  # what no batch writes
+        return False
+
+
+def _remote_inputs(order: Order, rows: Mapping[str, Json]) -> list[str]:
     return [_real(name, order) for name in rows[order.job.id]["inputs"] if is_url(name)]
 
 

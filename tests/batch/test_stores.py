@@ -311,6 +311,21 @@ def test_what_is_done_is_known_by_listings_alone(rooms, memory, monkeypatch):
 
 
 @pytest.mark.parametrize(
+    "name", ["http://169.254.169.254/a", "memory://t/a", "zip://a::memory://s"]
+)
+def test_an_index_makes_nobody_ask_other_stores(rooms, memory, monkeypatch, name):
+    source = "memory://s/rooms/plain.xml"
+    assert run(source, out="memory://out")[0] == ["plain"]
+    row = json.loads(read_file(f"memory://out/{NAME}", 1 << 20))
+    row["inputs"][name] = {"size": 1, "tag": None, "sha256": ""}
+    memory.pipe_file(f"/out/{NAME}", json.dumps(row).encode())
+    asked, real = [], store._open
+    monkeypatch.setattr(store, "_open", lambda url: (asked.append(url), real(url))[1])
+    assert run(source, out="memory://out")[0] == ["plain"]
+    assert asked and all(url.startswith(("memory://s/", "memory://out")) for url in asked)
+
+
+@pytest.mark.parametrize(
     ("out", "outlines"), [("memory://out", "rooms"), ("out", "memory://s/rooms")]
 )
 def test_changed_settings_here_are_noticed_where_something_else_is_on_a_store(rooms, out, outlines):
