@@ -25,7 +25,8 @@ class Reasons(NamedTuple):
     Attributes:
         texts: each once, in the order of their first use; with how a scene failed, for failures.
         group: which group each is in.
-        groups: what the texts of each have in common, see `fold`, likewise with how.
+        groups: what the texts of each have in common, see `fold`, likewise with how; the whole
+            text where there is only one.
     """
 
     texts: list[tuple[str, str]]
@@ -55,7 +56,15 @@ class Grouping:
     @property
     def reasons(self) -> Reasons:
         """What came so far."""
-        return Reasons([*self._texts], self._group, [*self._groups])
+        texts = [*self._texts]
+        members: list[list[tuple[str, str]]] = [[] for _ in self._groups]
+        for text, group in zip(texts, self._group, strict=True):
+            members[group].append(text)
+        groups = [
+            own[0] if len(own) == 1 else folded
+            for own, folded in zip(members, self._groups, strict=True)
+        ]
+        return Reasons(texts, self._group, groups)
 
 
 def _number(known: dict[tuple[str, str], int], key: tuple[str, str]) -> int:

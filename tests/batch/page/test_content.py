@@ -56,10 +56,10 @@ def test_columns_have_what_the_rows_have():
     assert made["errors"] == {
         "texts": [["error", "no file b.xml"]],
         "group": [0],
-        "groups": [["error", "no file …"]],
+        "groups": [["error", "no file b.xml"]],
     }
     assert made["warnings"]["texts"] == [["", "door 'x' is shut"]]
-    assert made["remarks"]["groups"] == [["", "# patches"]]
+    assert made["remarks"]["groups"] == [["", "2 patches"]]
     assert (made["counts"], made["total"], made["noRows"]) == ([1, 1, 1], 3, 0)
     assert (made["progress"], made["work"]) == (None, 1.0)
     assert describe(progress=Progress(3, 9))["progress"] == [3, 9]

@@ -49,6 +49,6 @@ def test_texts_are_numbered_once_and_grouped_with_how_they_failed():
     assert grouping.reasons == (
         [("a", "line 1"), ("a", "line 2"), ("b", "line 1")],
         [0, 0, 1],
-        [("a", "line #"), ("b", "line #")],
+        [("a", "line #"), ("b", "line 1")],
     )
     assert grouping.numbers(["line 9", "line 9"]) == [3, 3]
