@@ -319,8 +319,8 @@ def test_an_index_makes_nobody_ask_other_stores(rooms, memory, monkeypatch, name
     row = json.loads(read_file(f"memory://out/{NAME}", 1 << 20))
     row["inputs"][name] = {"size": 1, "tag": None, "sha256": ""}
     memory.pipe_file(f"/out/{NAME}", json.dumps(row).encode())
-    asked, real = [], store._open
-    monkeypatch.setattr(store, "_open", lambda url: (asked.append(url), real(url))[1])
+    asked, real = [], fsspec.core.url_to_fs
+    monkeypatch.setattr("fsspec.core.url_to_fs", lambda url: (asked.append(url), real(url))[1])
     assert run(source, out="memory://out")[0] == ["plain"]
     assert asked and all(url.startswith(("memory://s/", "memory://out")) for url in asked)
 
@@ -643,7 +643,7 @@ def test_a_batch_that_was_taken_over_leaves_the_rows_of_the_other(memory, has_to
 
 @pytest.mark.skipif(os.name != "posix", reason="how POSIX asks for a process")
 def test_the_folder_of_a_batch_that_died_here_is_free_at_once(memory):
-    token = {"token": "a", "beat": 3, "host": platform.node(), "ids": remote_index._owner_of_ids()}
+    token = {"token": "a", "beat": 3, "host": platform.node(), "ids": remote_index.owner_of_ids()}
     token["pid"] = 2**22 + 1  # no such process
     memory.pipe_file(f"/out/{LOCK}", json.dumps(token).encode())
     begin = time.monotonic()

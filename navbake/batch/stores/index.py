@@ -149,7 +149,7 @@ class RemoteIndex:
     def _next_token(self) -> bytes:
         self._beats += 1
         stated = {"token": self._token, "beat": self._beats, "host": platform.node()}
-        return json.dumps({**stated, "ids": _owner_of_ids(), "pid": os.getpid()}).encode()
+        return json.dumps({**stated, "ids": owner_of_ids(), "pid": os.getpid()}).encode()
 
     def _read_token(self) -> bytes:
         try:
@@ -198,7 +198,7 @@ class RemoteIndex:
         self._writer.join()
 
 
-def _owner_of_ids() -> str:
+def owner_of_ids() -> str:
     """Whose ids of processes this machine's are, on Linux: containers may share a host's name."""
     with suppress(OSError):
         kernel = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
@@ -210,7 +210,7 @@ def _is_of_dead(token: bytes) -> bool:
     """Whether a token is of a process of this machine that is gone."""
     with suppress(ValueError, KeyError, TypeError, OSError):
         stated = json.loads(token)
-        is_here = stated["host"] == platform.node() and stated["ids"] == _owner_of_ids()
+        is_here = stated["host"] == platform.node() and stated["ids"] == owner_of_ids()
         if is_here and os.name == "posix":
             try:
                 os.kill(int(stated["pid"]), 0)
