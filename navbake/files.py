@@ -201,6 +201,17 @@ def _only_writer(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
+def write_all(file: int, data: bytes) -> None:
+    """Write to a file, in one write where the system takes it all.
+
+    It takes less where the disk is getting full. Then the rest is written after it, or an OSError
+    says why it can't be: what comes next never follows half of this unnoticed.
+    """
+    written = os.write(file, data)
+    while written < len(data):
+        written += os.write(file, data[written:])
+
+
 def check_writable(path: str | PathLike[str]) -> None:
     """Raise an OSError for a path that `write_whole` could not write, before any work is done."""
     if _is_replaceable(path):

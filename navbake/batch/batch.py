@@ -201,7 +201,7 @@ def _run(
                 watch.end_scene(row)
                 num_failed += row["status"] == FAILED
                 if means.max_failures is not None and num_failed > means.max_failures:
-                    result.stopped = f"more than {means.max_failures} scenes failed"
+                    result.stopped = f"{num_failed} scenes failed, more than {means.max_failures}"
                     break
         if waiting:
             index.wait_for_disk()

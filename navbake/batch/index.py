@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from navbake.errors import NavbakeError
-from navbake.files import wait_for_disk, write_whole
+from navbake.files import wait_for_disk, write_all, write_whole
 from navbake.types import Json
 
 try:
@@ -82,7 +82,7 @@ class Index:
     def add(self, row: Json) -> None:
         """Add a scene's line, in one write."""
         with _naming(self._path.parent):
-            os.write(self._file, line_of(row))
+            write_all(self._file, line_of(row))
 
     def finish(
         self, ids: Iterable[str], skipped: Collection[str], left: Callable[[str], Json]

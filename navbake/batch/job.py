@@ -68,6 +68,11 @@ def check_unique(jobs: Sequence[Job]) -> None:
         # some file systems compose letters with their accents, some ignore capitals
         folded = unicodedata.normalize("NFC", job.id).casefold()
         other = seen.setdefault(folded, job)
+        if other is not job and (other.id, other.source) == (job.id, job.source):
+            raise ConfigError(
+                f"expected each scene once, got {job.source} at {other.place} and at {job.place}: "
+                "name it once, or give each an `id` of its own in a list"
+            )
         if other is not job:
             raise ConfigError(
                 f"expected unique ids, got {other.id!r} at {other.place} and {job.id!r} at "

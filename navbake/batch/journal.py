@@ -13,11 +13,12 @@ from typing import Any
 from navbake._version import __version__
 from navbake.batch.crew import AGAIN, BEGUN, LOST, READY, Event
 from navbake.errors import NavbakeError
+from navbake.files import write_all
 from navbake.types import Json
 
 INFO, WARNING, ERROR = "info", "warning", "error"
 NAMES = {READY: "worker-ready", BEGUN: "scene-begin", LOST: "worker-lost", AGAIN: "retry"}
-# of a row of the index: by which a scene is known to be done, and which may be long
+# of a row of the index: what tells whether a scene is done, which may be long
 BOOKKEEPING = ("key", "named", "inputs", "files", "ended")
 
 
@@ -96,8 +97,7 @@ class LogFile:
         """Add a line."""
         text = json.dumps(line, separators=(",", ":"), allow_nan=False).encode() + b"\n"
         try:
-            while text:  # a disk that gets full, or a pipe, may take a part
-                text = text[os.write(self._file, text) :]
+            write_all(self._file, text)
         except OSError as error:
             raise self._refused(error) from error
 

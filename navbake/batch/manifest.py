@@ -17,6 +17,8 @@ from navbake.batch.settings import check_shared, nest
 from navbake.batch.stores.store import is_pattern, match_files, read_file
 from navbake.batch.stores.urls import Folder, is_url, join, parent, plain_path, shown, split_url
 from navbake.batch.table import read_table
+from navbake.config.errors import find_unknown_key
+from navbake.config.settings import SECTIONS as MODELS
 from navbake.config.settings import BakeConfig
 from navbake.errors import ConfigError, FormatError
 from navbake.formats.source import read_bytes
@@ -128,6 +130,9 @@ def _entry(row: Json, folder: Folder, place: str) -> Entry:
                 f"expected `id`, `scene`, `config` or a setting such as `agent.radius`, got "
                 f"`{key}` at {place}"
             )
+    unknown = find_unknown_key(settings, MODELS)
+    if unknown is not None:
+        raise ConfigError(f"{unknown} at {place}")
     return None if name is None else str(name), join(folder, path, place), settings, place
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from navbake._version import __version__
-from navbake.batch.file_states import are_unchanged, path_from
+from navbake.batch.file_states import are_unchanged, describe_files, path_from
 from navbake.batch.products import GRID, OWN, THUMBNAIL
 from navbake.batch.stores.mirror import Mirror, upload
 from navbake.batch.stores.scratch import remove_abandoned, scratch_folder
@@ -48,7 +48,7 @@ def name_source(order: Order) -> str:
     return _name_path(order.job.source, order)
 
 
-def key_of_far(order: Order) -> str:
+def remote_key_of(order: Order) -> str:
     """What the result depends on besides the scene's files, hashed; settings (YAML) are one.
 
     `work.key_of` hashes settings as they are validated, for which they have to be read. These are
@@ -72,6 +72,7 @@ def make_remote(order: Order, make: Callable[[Order], Json]) -> Json:
     store by its URL.
     """
     _remove_abandoned_once()
+    settings = _settings_here(order)  # before the bake, see `work._make`
     with scratch_folder() as scratch:
         mirror = Mirror(scratch / "in")
         try:
@@ -83,9 +84,9 @@ def make_remote(order: Order, make: Callable[[Order], Json]) -> Json:
             raise NavbakeError(mirror.told(str(error))) from error
         row |= {
             "source": name_source(order),
-            "key": key_of_far(order),
+            "key": remote_key_of(order),
             "named": [],
-            "inputs": _inputs(order, near, row["inputs"], mirror),
+            "inputs": {**_inputs(order, near, row["inputs"], mirror), **settings},
         }
         if isinstance(order.folder, str):
             place = f"{order.folder}/{order.job.id}"
@@ -132,7 +133,7 @@ def find_done(orders: Sequence[Order], known: Mapping[str, Json]) -> set[str]:
         return set()
     listing = Listing()
     with suppress(NavbakeError):  # what can't be listed is asked for by itself, and isn't done
-        listing.load({parent(url) for order in todo for url in _far_inputs(order, rows)})
+        listing.load({parent(url) for order in todo for url in _remote_inputs(order, rows)})
     folder = todo[0].folder
     made = list_tree(folder, is_own=True) if isinstance(folder, str) else {}
     return {o.job.id for o in todo if _is_done(o, rows[o.job.id], listing, made)}
@@ -160,8 +161,8 @@ def _bring(order: Order, mirror: Mirror) -> Order:
     """The order with all that is on stores copied to this machine."""
     source = order.job.source
     if is_url(source):
-        is_settings = Path(split_url(source).text).suffix.lower() in YAML_SUFFIXES
-        path = mirror.fetch_settings(source) if is_settings else mirror.fetch_scene(source)
+        fetch = mirror.fetch_settings if _is_settings(source) else mirror.fetch_scene
+        path = fetch(source)
         source = str(path)
     overrides = []
     for text in order.overrides:
@@ -174,12 +175,31 @@ def _bring(order: Order, mirror: Mirror) -> Order:
     return order._replace(job=job, settings=settings, overrides=tuple(overrides))
 
 
+def _is_settings(source: str) -> bool:
+    """Whether a scene's source is settings (YAML)."""
+    path = split_url(source).text if is_url(source) else source
+    return Path(path).suffix.lower() in YAML_SUFFIXES
+
+
 def _bring_outlines(settings: Json, mirror: Mirror) -> Json:
     name = _outlines_of(settings)
     if name is None or not is_url(name):
         return settings
     rooms = {**settings[POLYGONS[0]], POLYGONS[1]: str(mirror.fetch(name))}
     return {**settings, POLYGONS[0]: rooms}
+
+
+def _settings_here(order: Order) -> Json:
+    """The state of a scene's settings (YAML) on this machine; {} where it has none here.
+
+    They aren't read to find out whether a scene is done (see `remote_key_of`): they are a file like
+    others.
+    """
+    source = order.job.source
+    if is_url(source) or not _is_settings(source) or not os.path.isfile(source):
+        return {}
+    (state,) = describe_files([Path(source)], Path()).values()
+    return {_name_path(source, order): state}
 
 
 def _inputs(order: Order, near: Order, stated: Json, mirror: Mirror) -> Json:
@@ -192,7 +212,6 @@ def _inputs(order: Order, near: Order, stated: Json, mirror: Mirror) -> Json:
             inputs[_name_path(path, order)] = state
         else:
             inputs[shown(url)] = state_of(entry or Entry(None, None), state)
-    # settings aren't read to find out whether a scene is done: they are a file like others
     source = order.job.source
     if is_url(source) and shown(source) not in inputs:
         inputs[shown(source)] = mirror.state(source)
@@ -208,14 +227,27 @@ def _name_path(path: str, order: Order) -> str:
 
 
 def _row_of(order: Order, known: Mapping[str, Json]) -> Json:
-    """The row of a scene that is done as far as the index says; {} if it isn't."""
+    """The row of a scene that is done as far as the index says; {} if it isn't.
+
+    An index on a store may come from a stranger. So no store is asked for a file that it states but
+    those that the scene is on.
+    """
     row = known.get(order.job.id, {})
-    is_same = row.get("status") == "ok" and row.get("key") == key_of_far(order)
+    is_same = row.get("status") == "ok" and row.get("key") == remote_key_of(order)
     has_files = all(isinstance(row.get(key), dict) and row[key] for key in ("inputs", "files"))
-    return row if is_same and has_files else {}
+    return row if is_same and has_files and _has_own_inputs(row, order) else {}
 
 
-def _far_inputs(order: Order, rows: Mapping[str, Json]) -> list[str]:
+def _has_own_inputs(row: Json, order: Order) -> bool:
+    """Whether the files that a row states are on stores that the order names."""
+    roots = {shown(split_url(url).root) for url in _named(order) if is_url(url)}
+    try:
+        return all(shown(split_url(name).root) in roots for name in row["inputs"] if is_url(name))
+    except NavbakeError:  # what no batch writes
+        return False
+
+
+def _remote_inputs(order: Order, rows: Mapping[str, Json]) -> list[str]:
     return [_real(name, order) for name in rows[order.job.id]["inputs"] if is_url(name)]
 
 

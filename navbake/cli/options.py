@@ -53,7 +53,11 @@ GRIDS = (".json", ".json.gz")
 
 
 def check_output(
-    path: Path, *suffixes: str, inputs: Iterable[Path] = (), may_make_folder: bool = False
+    path: Path,
+    *suffixes: str,
+    inputs: Iterable[Path] = (),
+    may_make_folder: bool = False,
+    option: str = "-o",
 ) -> None:
     """Refuse an output before any work is done: one that can't be written, or would do harm.
 
@@ -61,6 +65,7 @@ def check_output(
         suffixes: one of which its name has to end in; ``-``, which is stdout, goes without.
         inputs: files that it must not be.
         may_make_folder: whether its folder may be missing, as long as it can be made.
+        option: that gave it, for messages.
 
     Raises:
         ConfigError: it is an input, or can't be written.
@@ -72,7 +77,7 @@ def check_output(
         raise ConfigError(f"expected an output apart from the inputs, got {path}")
     if suffixes and not path.name.lower().endswith(suffixes):
         raise BadParameter(
-            f"expected a name that ends in {', '.join(suffixes)}, got {path}", param_hint="-o"
+            f"expected a name that ends in {', '.join(suffixes)}, got {path}", param_hint=option
         )
     probe = path
     while may_make_folder and not probe.parent.exists():

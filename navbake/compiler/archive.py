@@ -34,7 +34,8 @@ from navbake.folder_lock import folder_lock
 
 HEADER = "navbake-kernels.json"
 LEVEL = 6  # of gzip
-MOST_BYTES = 1 << 30  # of what is unpacked; all kernels take 20 MB
+MOST_BYTES = 1 << 28  # of what is unpacked; all kernels take 20 MB
+MOST_FILES = 10_000  # all kernels have 400
 Sources = dict[str, dict[str, str]]  # digests of modules by folder of kernels, see `digest_folder`
 
 
@@ -108,7 +109,7 @@ def unpack_kernels(archive: bytes, name: str) -> Unpacked:
             for module, digest in dict(digests).items()
             if digest_folder(folder).get(module) == digest
         }
-    except (KeyError, ValueError, TypeError, AttributeError) as error:
+    except (KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise FormatError(f"expected an archive of navbake warm-up, got another {name}") from error
     if why_not is not None:
         return Unpacked(0, why_not)
@@ -177,20 +178,19 @@ def _add(archive: tarfile.TarFile, name: str, content: bytes) -> None:
 
 def _read(archive: bytes, name: str) -> dict[str, bytes]:
     """The files of an archive by their names; nothing is written."""
-    files, left = {}, MOST_BYTES
+    expected = "expected an archive of navbake warm-up, got"
+    files: dict[str, bytes] = {}
     try:
-        with tarfile.open(fileobj=io.BytesIO(archive), mode="r|gz") as reader:
-            for entry in reader:
-                left -= entry.size
-                content = reader.extractfile(entry) if entry.isfile() else None
-                if content is None or left < 0:
-                    raise FormatError(
-                        f"expected an archive of navbake warm-up, got files that it never has, or "
-                        f"more than 1 GiB, in {name}"
-                    )
+        with gzip.open(io.BytesIO(archive)) as zipped:
+            unzipped = zipped.read(MOST_BYTES + 1)  # before tarfile sees any of it
+        if len(unzipped) > MOST_BYTES:
+            raise FormatError(f"{expected} more than {MOST_BYTES:,} bytes unpacked in {name}")
+        with tarfile.open(fileobj=io.BytesIO(unzipped), mode="r:") as reader:
+            for number, entry in enumerate(reader):
+                content = reader.extractfile(entry) if entry.isreg() else None
+                if content is None or entry.issparse() or number >= MOST_FILES:
+                    raise FormatError(f"{expected} files that it never has in {name}")
                 files[entry.name] = content.read()
-    except (tarfile.TarError, EOFError, OSError, zlib.error) as error:
-        raise FormatError(
-            f"expected an archive of navbake warm-up, got a damaged or another file: {name}"
-        ) from error
+    except (tarfile.TarError, EOFError, OSError, zlib.error, ValueError, RecursionError) as error:
+        raise FormatError(f"{expected} a damaged or another file: {name}") from error
     return files

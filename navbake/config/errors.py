@@ -59,6 +59,19 @@ def describe_errors(
     return "; ".join(lines) + more
 
 
+def find_unknown_key(data: Mapping[str, Any], sections: Sections, section: str = "") -> str | None:
+    """Say which key is none of a setting, by the keys alone; None if all are."""
+    known = _keys(sections, section) if section in sections else {}
+    for key, value in data.items():
+        if section in sections and key not in known:
+            return _unknown_key((*filter(None, section.split(".")), key), sections)
+        if isinstance(value, Mapping):
+            found = find_unknown_key(value, sections, f"{section}.{key}".lstrip("."))
+            if found is not None:
+                return found
+    return None
+
+
 def show_value(value: Any) -> str:
     """Show a value of a YAML file on one line, shortened: ``"5cm"``, ``true``, ``[1, 2]``."""
     if isinstance(value, Mapping):

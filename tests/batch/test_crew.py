@@ -142,8 +142,8 @@ def test_after_a_short_job_the_next_but_one_does_not_wait_for_the_parent(tmp_pat
 )
 def test_a_job_given_ahead_pays_for_none_before_it(fault, how):
     before = [("double", number) for number in range(3)]
-    jobs = [*before, fault, ("sleep", 0.6), *before, ("size", b"0" * 10_000_000), *before]
-    ended = run(jobs, limits=JobLimits(seconds=1.0))
+    jobs = [*before, fault, ("sleep", 1.2), *before, ("size", b"0" * 10_000_000), *before]
+    ended = run(jobs, limits=JobLimits(seconds=2.0))
     assert [number for number, end in enumerate(ended) if end[0] != DONE] == [3]
     assert ended[3][0] == how and ended[8] == (DONE, 10_000_000)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from navbake.batch.job import Job, check_unique
@@ -115,8 +117,8 @@ def test_ids_that_some_file_system_takes_for_one_are_refused(one, other):
 
 
 def test_one_file_twice_is_refused(folder):
-    with pytest.raises(ConfigError, match="expected unique ids"):
-        list_jobs(["a/hall.xml", "a/hall.xml"])
+    with pytest.raises(ConfigError, match=r"each scene once, got a/hall\.xml at .* and at"):
+        list_jobs(["a/hall.xml", "a/h*.xml"])
 
 
 def test_a_scene_has_the_settings_of_the_batch_its_own_and_those_of_its_row(folder):
@@ -149,3 +151,19 @@ def test_settings_are_laid_over_each_other_section_by_section():
         "scene": {"joints": {"door.hinge": 1}},
         "a": {"b": 2, "c": 3},
     }
+
+
+@pytest.mark.parametrize(
+    ("name", "rows"),
+    [
+        ("typo.csv", "scene,agent.radus\na/one.xml,0.3\n"),
+        ("typo.jsonl", '{"scene": "a/one.xml", "settings": {"agent": {"radus": 0.3}}}\n'),
+    ],
+)
+def test_a_misspelt_setting_is_refused_before_any_scene_is_baked(folder, name, rows):
+    Path(name).write_text(rows)
+    expected = (
+        rf"unknown key `agent\.radus`, the nearest known one is `agent\.radius`, at {name}, line"
+    )
+    with pytest.raises(ConfigError, match=expected):
+        list_jobs([name])

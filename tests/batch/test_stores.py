@@ -310,6 +310,35 @@ def test_what_is_done_is_known_by_listings_alone(rooms, memory, monkeypatch):
     assert not [name for name in list_tree("memory://out") if "nav2" in name]
 
 
+@pytest.mark.parametrize(
+    "name", ["http://169.254.169.254/a", "memory://t/a", "zip://a::memory://s"]
+)
+def test_an_index_makes_nobody_ask_other_stores(rooms, memory, monkeypatch, name):
+    source = "memory://s/rooms/plain.xml"
+    assert run(source, out="memory://out")[0] == ["plain"]
+    row = json.loads(read_file(f"memory://out/{NAME}", 1 << 20))
+    row["inputs"][name] = {"size": 1, "tag": None, "sha256": ""}
+    memory.pipe_file(f"/out/{NAME}", json.dumps(row).encode())
+    asked, real = [], fsspec.core.url_to_fs
+    monkeypatch.setattr("fsspec.core.url_to_fs", lambda url: (asked.append(url), real(url))[1])
+    assert run(source, out="memory://out")[0] == ["plain"]
+    assert asked and all(url.startswith(("memory://s/", "memory://out")) for url in asked)
+
+
+@pytest.mark.parametrize(
+    ("out", "outlines"), [("memory://out", "rooms"), ("out", "memory://s/rooms")]
+)
+def test_changed_settings_here_are_noticed_where_something_else_is_on_a_store(rooms, out, outlines):
+    row = {"config": "own.yaml", "rooms.polygons": f"{outlines}/plan.geojson"}
+    Path("list.jsonl").write_text(json.dumps(row))
+    for cell, names in ((0.5, ["own"]), (0.25, ["own"]), (0.25, [])):
+        text = f"scene: {{path: rooms/plain.xml}}\ngrid: {{cell_size: {cell}}}\n"
+        Path("own.yaml").write_text(text)
+        assert run("list.jsonl", out=out, settings={})[0] == names, cell
+    os.utime("own.yaml", (1, 1))  # the content is the same
+    assert run("list.jsonl", out=out, settings={})[0] == []
+
+
 def test_ten_thousand_scenes_are_asked_for_in_few_calls(memory, monkeypatch):
     calls = []
     count = 200
@@ -486,6 +515,9 @@ def test_passwords_and_queries_are_shown_nowhere(memory, monkeypatch):
     assert "secret" not in str(caught.value) and "sftp://me@host/a.xml" in str(caught.value)
     _, result = run(url)
     assert "secret" not in Path("out", NAME).read_text() and result.count("failed") == 1
+    assert caught.value.__cause__ is None  # which --verbose would print
+    told = store.hide_secrets("403, url='https://host/a.xml?b=1&sig=secret'", [])  # respelt
+    assert told == "403, url='https://host/a.xml'"
     job = list_jobs(["https://host/a/b.xml?sig=secret"])[0]
     assert job.id == "b" and "secret" not in job.place
 
@@ -582,7 +614,8 @@ def test_only_one_batch_writes_into_a_folder(memory, quick):
 
     wait_until(is_refused)
     assert refused[0].startswith("another batch took memory://out over")
-    first.finish([], [], lambda id: {})
+    with pytest.raises(NavbakeError, match="another batch took memory://out over"):
+        first.finish([], [], lambda id: {})
     first.close()
     assert list(list_tree("memory://out")) == [LOCK]  # which is the other's
     begin = time.monotonic()
@@ -592,13 +625,38 @@ def test_only_one_batch_writes_into_a_folder(memory, quick):
     assert list(list_tree("memory://out")) == []
 
 
+@pytest.mark.parametrize("has_token", [True, False])
+def test_a_batch_that_was_taken_over_leaves_the_rows_of_the_other(memory, has_token):
+    slept = RemoteIndex("memory://out")  # it looks at its token every few seconds
+    slept.add({"id": "a", "n": 1})
+    memory.pipe_file(f"/out/{NAME}", b'{"id":"b","n":2}\n')
+    if has_token:
+        memory.pipe_file(f"/out/{LOCK}", b'{"token": "other"}')
+    else:  # the other has ended
+        memory.rm_file(f"/out/{LOCK}")
+    with pytest.raises(NavbakeError, match="another batch took memory://out over"):
+        slept.finish(["a"], [], lambda id: {})
+    slept.close()
+    assert read_file(f"memory://out/{NAME}", 99) == b'{"id":"b","n":2}\n'
+    assert (LOCK in list_tree("memory://out")) == has_token
+
+
 @pytest.mark.skipif(os.name != "posix", reason="how POSIX asks for a process")
 def test_the_folder_of_a_batch_that_died_here_is_free_at_once(memory):
-    token = {"token": "a", "beat": 3, "host": platform.node(), "pid": 2**22 + 1}  # no such process
+    token = {"token": "a", "beat": 3, "host": platform.node(), "ids": remote_index.owner_of_ids()}
+    token["pid"] = 2**22 + 1  # no such process
     memory.pipe_file(f"/out/{LOCK}", json.dumps(token).encode())
     begin = time.monotonic()
     RemoteIndex("memory://out").close()
     assert time.monotonic() - begin < remote_index.PATIENCE / 2
+
+
+def test_a_batch_in_another_container_of_the_same_name_is_not_taken_for_dead(memory, quick):
+    token = {"token": "a", "beat": 3, "host": platform.node(), "ids": "another", "pid": 2**22 + 1}
+    memory.pipe_file(f"/out/{LOCK}", json.dumps(token).encode())
+    begin = time.monotonic()
+    RemoteIndex("memory://out").close()
+    assert time.monotonic() - begin >= remote_index.PATIENCE
 
 
 def test_what_a_store_refuses_once_is_written_later(memory, quick, monkeypatch):

@@ -60,7 +60,7 @@ def test_a_batch_prints_a_summary_and_what_failed(folder, run, here):
     assert run("batch", "room.xml", "-o", "out", "-q", *COARSE) == (0, "", "")
     status, out, err = run("batch", "bad.xml", "room.xml", "-o", "2", "--max-failures", "0")
     assert status == 1 and out.startswith("1 failed, 1 left in ")
-    assert "navbake: stopped: more than 0 scenes failed" in err
+    assert "navbake: stopped: 1 scenes failed, more than 0" in err
 
 
 def test_lines_of_json_tell_of_each_scene(folder, run, here):
@@ -334,3 +334,11 @@ def test_killed_at_random_and_started_again_it_makes_the_same(scenes, tmp_path):
     assert digests(out) == expected
     rows = map(json.loads, (out / "index.jsonl").read_text().splitlines())
     assert {row["status"] for row in rows} == {"ok"}
+
+
+@pytest.mark.parametrize("log", ["room.xml", "out/index.jsonl"])
+def test_a_log_overwrites_neither_scenes_nor_the_index(folder, run, log):
+    before = Path("room.xml").read_bytes()
+    status, _, err = run("batch", "room.xml", "-o", "out", "--log", log)
+    assert status == 1 and "expected an output apart from the inputs" in err
+    assert Path("room.xml").read_bytes() == before

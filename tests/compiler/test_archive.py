@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 import navbake
+from navbake.compiler import archive as module
 from navbake.compiler.archive import HEADER, unpack_kernels
 from navbake.errors import FormatError
 
@@ -109,11 +110,14 @@ def test_code_for_another_processor_is_refused(packed):
     assert lines[1:] == ["1 0", "3 0"]
 
 
-def test_a_file_that_is_no_archive_is_refused_and_writes_nothing(packed):
+def test_a_file_that_is_no_archive_is_refused_and_writes_nothing(packed, monkeypatch):
     content = (packed / "code.tar.gz").read_bytes()
     assert unpack_kernels(content, "code").kernels == 0  # no kernel of this package is in it
+    monkeypatch.setattr(module, "MOST_BYTES", 1 << 20)
+    monkeypatch.setattr(module, "MOST_FILES", 3)
     link = tarfile.TarInfo("link")
     link.type, link.linkname = tarfile.SYMTYPE, "/etc/passwd"
+    long_name = tarfile.TarInfo("a" * (1 << 20))  # which is in a header, and not in a file
     for broken in (
         b"",
         b"no archive",
@@ -121,6 +125,10 @@ def test_a_file_that_is_no_archive_is_refused_and_writes_nothing(packed):
         gzip.compress(b"text" * 1000),
         make_archive(tarfile.TarInfo("../outside")),
         make_archive(link),
+        make_archive(tarfile.TarInfo("large"), bytes(1 << 20)),
+        make_archive(long_name),
+        make_archive(tarfile.TarInfo("empty"), count=4),
+        make_archive(tarfile.TarInfo(HEADER), b"[" * 100_000),
         make_archive(tarfile.TarInfo(HEADER), b"[]"),
         make_archive(tarfile.TarInfo(HEADER), json.dumps({"machine": 3}).encode()),
     ):
@@ -129,9 +137,10 @@ def test_a_file_that_is_no_archive_is_refused_and_writes_nothing(packed):
     assert not (packed / "outside").exists()
 
 
-def make_archive(entry: tarfile.TarInfo, content: bytes = b"") -> bytes:
+def make_archive(entry: tarfile.TarInfo, content: bytes = b"", count: int = 1) -> bytes:
     packed = io.BytesIO()
     with tarfile.open(fileobj=packed, mode="w:gz") as archive:
         entry.size = len(content)
-        archive.addfile(entry, io.BytesIO(content))
+        for _ in range(count):
+            archive.addfile(entry, io.BytesIO(content))
     return packed.getvalue()

@@ -104,8 +104,8 @@ function showTimes() {
   const sums = content.stageNames.map((_, k) => sum(scenes.stages.map((stages) => stages[k])));
   if (!sums.some((seconds) => seconds > 0)) return;
   const box = element("details"), head = element("summary");
-  head.append(element("h2", "Where the bakes' time went"));
-  box.append(head, stageBars(sums));
+  head.append(element("h2", "Where the time went"));
+  box.append(head, stageBars(sums, sum(scenes.seconds.filter((_, i) => scenes.stages[i].length))));
   find("times").append(box);
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import orjson
@@ -96,6 +97,7 @@ class LivePage:
         begin = time.monotonic()
         if begin < self._next:
             return
-        write_page(self._folder, progress=Progress(done, self._total))
+        with suppress(NavbakeError):  # told at the end, if it can't be written then
+            write_page(self._folder, progress=Progress(done, self._total))
         end = time.monotonic()
         self._next = end + max(EVERY, (end - begin) / SHARE)

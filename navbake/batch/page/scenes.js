@@ -165,7 +165,7 @@ function sceneParts(i) {
     for (const text of scenes[kind][i]) list.append(element("li", reasons[kind].texts[text][1]));
     parts.push(element("h3", title), list);
   }
-  if (scenes.stages[i].some((seconds) => seconds > 0)) parts.push(element("h3", "Where its time went"), stageBars(scenes.stages[i]));
+  if (scenes.stages[i].some((seconds) => seconds > 0)) parts.push(element("h3", "Where its time went"), stageBars(scenes.stages[i], scenes.seconds[i]));
   return parts;
 }
 
@@ -178,9 +178,10 @@ function fact(name, value) {
   return box;
 }
 
-function stageBars(seconds) {
-  const total = seconds.reduce((sum, each) => sum + (each || 0), 0), list = element("ul", undefined, { class: "stages" });
-  content.stageNames.map((name, k) => [name, seconds[k] || 0]).filter(([, each]) => each > 0).sort((a, b) => b[1] - a[1]).forEach(([name, each]) => {
+// Stages of the bake, and what else the whole time went into: products, the audit, files.
+function stageBars(seconds, whole) {
+  const baked = sum(seconds), total = Math.max(whole || 0, baked), list = element("ul", undefined, { class: "stages" });
+  [...content.stageNames.map((name, k) => [name, seconds[k] || 0]), ["besides the bake", total - baked]].filter(([, each]) => each > 0).sort((a, b) => b[1] - a[1]).forEach(([name, each]) => {
     const line = element("li"), bar = element("span", "", { class: "share" });
     bar.style.setProperty("width", `${(100 * each) / total}%`);
     line.append(element("span", name), element("span", `${withUnit(each, "s")}, ${Math.round((100 * each) / total)} %`, { class: "number" }), bar);

@@ -13,6 +13,7 @@ import platform
 import time
 from collections.abc import Callable, Collection, Iterable
 from contextlib import suppress
+from pathlib import Path
 from threading import Event, Thread
 
 from navbake.batch.index import LOCK, NAME, join_rows, order_rows, parse_rows
@@ -20,6 +21,7 @@ from navbake.batch.stores.store import (
     list_folder,
     read_file,
     read_files,
+    read_if_there,
     remove_all,
     remove_files,
     write_file,
@@ -34,6 +36,7 @@ PARTS = ".navbake-index"
 INTERVAL = 5.0  # between two parts [s]
 PATIENCE = 30.0  # how long a batch must not have written its token to be taken for dead [s]
 MAX_BYTES = 4 << 30  # of an index
+MAX_TOKEN = 1 << 16  # bytes of a token
 
 
 class RemoteIndex:
@@ -42,7 +45,8 @@ class RemoteIndex:
     Only one batch at a time may have it, as far as the store lets anybody know: a batch writes a
     token, and writes it anew every `INTERVAL`. Another batch that finds one waits to see whether
     it changes within `PATIENCE`; if so, it gives up, else it takes over. One whose token was
-    replaced ends.
+    replaced ends, and leaves the index as it is. So does one whose token is gone: another batch
+    may have taken over and ended.
 
     Attributes:
         known: the rows that were there before, by id.
@@ -81,12 +85,13 @@ class RemoteIndex:
     ) -> list[Json]:
         """Replace the parts by one file; see `Index.finish`."""
         self._stop()
+        self._look_at_token()  # which the thread did up to `INTERVAL` ago
         added = {row["id"]: row for row in self._added}
         own, others = order_rows(ids, self.known, added, skipped, left)
+        self._check_token()
         self.rows = [*own, *others]
-        if not self._is_lost:
-            write_file(f"{self._folder}/{NAME}", join_rows(self.rows))
-            self._remove_parts()
+        write_file(f"{self._folder}/{NAME}", join_rows(self.rows))
+        self._remove_parts()
         return own
 
     def write(self, name: str, content: bytes) -> None:
@@ -143,14 +148,19 @@ class RemoteIndex:
 
     def _next_token(self) -> bytes:
         self._beats += 1
-        stated = {"token": self._token, "beat": self._beats}
-        return json.dumps({**stated, "host": platform.node(), "pid": os.getpid()}).encode()
+        stated = {"token": self._token, "beat": self._beats, "host": platform.node()}
+        return json.dumps({**stated, "ids": owner_of_ids(), "pid": os.getpid()}).encode()
 
     def _read_token(self) -> bytes:
         try:
-            return read_file(self._lock, 1 << 16)
-        except NavbakeError:  # it was given back meanwhile
+            return read_if_there(self._lock, MAX_TOKEN) or b""  # it was given back meanwhile
+        except NavbakeError:
             return b""
+
+    def _look_at_token(self) -> None:
+        """Notice where another batch has taken over."""
+        found = read_if_there(self._lock, MAX_TOKEN)
+        self._is_lost |= found is None or self._token.encode() not in found
 
     def _check_token(self) -> None:
         if self._is_lost:
@@ -172,8 +182,8 @@ class RemoteIndex:
                 self._write_part()
 
     def _write_part(self) -> None:
-        if self._token.encode() not in read_file(self._lock, 1 << 16):
-            self._is_lost = True
+        self._look_at_token()
+        if self._is_lost:
             return
         write_file(self._lock, self._next_token())
         rows = self._added[self._num_written :]
@@ -188,11 +198,20 @@ class RemoteIndex:
         self._writer.join()
 
 
+def owner_of_ids() -> str:
+    """Whose ids of processes this machine's are, on Linux: containers may share a host's name."""
+    with suppress(OSError):
+        kernel = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        return f"{kernel} {os.readlink('/proc/self/ns/pid')}"
+    return ""
+
+
 def _is_of_dead(token: bytes) -> bool:
     """Whether a token is of a process of this machine that is gone."""
     with suppress(ValueError, KeyError, TypeError, OSError):
         stated = json.loads(token)
-        if stated["host"] == platform.node() and os.name == "posix":
+        is_here = stated["host"] == platform.node() and stated["ids"] == owner_of_ids()
+        if is_here and os.name == "posix":
             try:
                 os.kill(int(stated["pid"]), 0)
             except ProcessLookupError:

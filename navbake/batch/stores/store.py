@@ -37,6 +37,8 @@ FEW = 3  # files of a folder that are asked for one by one, before the folder is
 MANY = 16  # folders in a folder that are asked for, from which on that one is listed with all in it
 AT_ONCE = 16  # calls
 CHUNK = 1 << 20
+MISSING = "there is no such file"
+URL_IN_TEXT = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://[^\s'\"<>]+")
 LOG = logging.getLogger("navbake")
 MAGIC = re.compile(r"[*?\[]")
 Value = TypeVar("Value")
@@ -56,10 +58,21 @@ class Entry(NamedTuple):
 
 def read_file(url: str, limit: int) -> bytes:
     """The content of a file of at most `limit` bytes."""
+    content = read_if_there(url, limit)
+    if content is None:
+        raise NavbakeError(f"cannot read {shown(url)}: {MISSING}")
+    return content
+
+
+def read_if_there(url: str, limit: int) -> bytes | None:
+    """As `read_file`; None where there is no such file."""
     with _telling("read", url):
         system, path = _open(url)
-        with system.open(path, "rb") as file:
-            content = bytes(file.read(limit + 1))
+        try:
+            with system.open(path, "rb") as file:
+                content = bytes(file.read(limit + 1))
+        except FileNotFoundError:
+            return None
     if len(content) > limit:
         raise ConfigError(f"{shown(url)} is too large: expected {limit:,} bytes at most")
     return content
@@ -277,7 +290,12 @@ def is_unchanged(known: Json, entry: Entry | None, url: str) -> bool:
 
 
 def hide_secrets(text: str, urls: Iterable[str]) -> str:
-    """A text of others without the passwords and queries of some URLs."""
+    """A text of others without the passwords and queries of some URLs.
+
+    Libraries write a URL in another spelling than it was given in, so all that look like one are
+    shown as `shown` does.
+    """
+    text = URL_IN_TEXT.sub(lambda found: shown(found[0]), text)
     for url in urls:
         for secret in secrets_of(url):
             text = text.replace(secret, "…")
@@ -305,15 +323,17 @@ def _telling(doing: str, url: str) -> Iterator[None]:
         yield
     except (NavbakeError, MemoryError):
         raise
-    except ImportError as error:  # fsspec's package for such URLs
-        raise MissingDependencyError(f"cannot {doing} {shown(url)}: {_text(error, url)}") from error
     except Exception as error:  # file systems raise what their libraries raise
-        raise NavbakeError(f"cannot {doing} {shown(url)}: {_text(error, url)}") from error
+        is_package = isinstance(error, ImportError)  # fsspec's for such URLs
+        kind = MissingDependencyError if is_package else NavbakeError
+        # --verbose prints causes as they are
+        cause = None if secrets_of(url) else error
+        raise kind(f"cannot {doing} {shown(url)}: {_text(error, url)}") from cause
 
 
 def _text(error: Exception, url: str) -> str:
     if isinstance(error, FileNotFoundError):
-        return "there is no such file"
+        return MISSING
     if isinstance(error, PermissionError) and not str(error):
         return "no permission"
     text = " ".join(str(error).split()) or type(error).__name__

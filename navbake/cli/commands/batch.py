@@ -19,7 +19,7 @@ from navbake.cli.commands.warm_up import (
     pack_code,
     take_code,
 )
-from navbake.cli.options import Overrides, refuse_unused
+from navbake.cli.options import Overrides, check_output, refuse_unused
 from navbake.cli.printing import (
     VOLUME,
     print_error,
@@ -39,21 +39,21 @@ if TYPE_CHECKING:
 
 # Functions import the baker and the settings when they run: --help loads neither MuJoCo nor numpy.
 
-INDEX, PAGE = "index.jsonl", "index.html"
+INDEX, PAGE, TABLE = "index.jsonl", "index.html", "index.parquet"
 
 
 class PerScene(NamedTuple):
     """What one scene may take."""
 
     time_limit: float | None = Option(
-        None, "--time-limit", metavar="S", min=0.0, help="How long a scene may take [s]."
+        None, "--time-limit", metavar="S", min=0.001, help="How long a scene may take [s]."
     )
     memory_limit: float | None = Option(
         None,
         "--memory-limit",
         metavar="GIB",
-        min=0.0,
-        help="How much memory a scene may take, on Linux [GiB].",
+        min=0.01,
+        help="Memory that a scene may take beyond what its process starts with, on Linux [GiB].",
     )
     retries: int = Option(
         0, min=0, help="How often a scene that crashed or exceeded a limit is tried again."
@@ -113,7 +113,11 @@ def batch(
         ".parquet; paths or URLs such as s3://.",
     ),
     output: str = Option(
-        ..., "-o", "--output", metavar="FOLDER", help="Folder to write into, a folder a scene."
+        ...,
+        "-o",
+        "--output",
+        metavar="FOLDER",
+        help="Folder to write into, with a folder of each scene.",
     ),
     config: str | None = Option(
         None, "--config", metavar="YAML", help="Settings that all scenes share."
@@ -147,6 +151,10 @@ def batch(
         ("--ray-address", machines.ray_address is not None, is_ray, "--executor ray"),
     )
     jobs = list_jobs(sources)
+    if wholly.log is not None:
+        own = (os.path.join(output, name) for name in (INDEX, PAGE, TABLE))
+        given = (*sources, *filter(None, [config]), *(job.source for job in jobs), *own)
+        check_output(wholly.log, inputs=map(Path, given), may_make_folder=True, option="--log")
     settings = {} if config is None else read_shared(config)
     limits = JobLimits(per_scene.time_limit, per_scene.memory_limit)
     folder = as_folder(output)
@@ -183,7 +191,7 @@ class _Teller:
         from navbake.batch.journal import Journal, LogFile
 
         self._stack, self._as_json, self._folder = stack, wholly.as_json, folder
-        self._has_page = wholly.page
+        self._has_page, self._has_table = wholly.page, wholly.parquet
         takers: list[Callable[[Json], None]] = [print_json_line] if wholly.as_json else []
         if wholly.log is not None:
             log = LogFile(wholly.log)
@@ -237,8 +245,10 @@ class _Teller:
             "failed": self._failed,
             "left": self._total - self._done,
         }
+        why = str(error) if isinstance(error, Exception) else "interrupted"
+        if self._total and not self._as_json and not isinstance(error, Exception):
+            say_unless_quiet(f"interrupted: {_told(counts)}; the same command goes on")
         with suppress(OSError, NavbakeError):  # the error says more than that it can't be noted
-            why = str(error) if isinstance(error, Exception) else "interrupted"
             self._journal.end(counts, why, time.perf_counter() - self._begin)
             if self._page is not None:  # else the folder may be another batch's
                 write_page(self._folder)
@@ -259,17 +269,24 @@ class _Teller:
         self._journal.end(counts, result.stopped, seconds)
         if self._has_page:
             draw_missing_thumbnails(self._folder)
-            write_page(self._folder)
+            try:
+                write_page(self._folder)
+            except NavbakeError as error:
+                self._has_page = False
+                print_warnings([str(error)])
         if self._as_json:
             return
         if result.stopped:
             print_error(f"stopped: {result.stopped}")
-        told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
         warned = sum(bool(row.get("warnings")) for row in result.rows)
         notes = f", {warned} with warnings" if warned else ""
-        names = (INDEX, PAGE) if self._has_page else (INDEX,)
+        names = [INDEX, *[TABLE] * self._has_table, *[PAGE] * self._has_page]
         files = ", ".join(shown(os.path.join(self._folder, name)) for name in names)
-        say_unless_quiet(f"{told}{notes} in {seconds:.1f} s: {files}")
+        say_unless_quiet(f"{_told(counts)}{notes} in {seconds:.1f} s: {files}")
+
+
+def _told(counts: Json) -> str:
+    return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
 
 def draw_missing_thumbnails(folder: Folder) -> None:

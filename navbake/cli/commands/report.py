@@ -50,7 +50,7 @@ def report(
 
     if any(path.is_dir() for path in grids):
         refuse_unused(
-            ("--audit", with_audit, False, "grids: a batch has audited its own"),
+            ("--audit", with_audit, False, "grids: a batch audits its grids itself"),
             ("--verify", bool(verifications), False, "grids"),
         )
         _report_on_batch(grids, output)

@@ -134,7 +134,8 @@ def warm_up(
     from navbake.formats.source import read_bytes, write_bytes  # loads numpy
 
     if archive is not None:
-        check_output(archive, ".tar.gz", inputs=[] if unpack is None else [unpack])
+        own = [] if unpack is None else [unpack]
+        check_output(archive, ".tar.gz", inputs=own, option="--archive")
     load_kernels()
     if not can_keep():
         lost = f"no folder for compiled code can be written, so nothing can be kept: {REMEDY}"
