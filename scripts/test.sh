@@ -19,7 +19,8 @@ EOF
 ruff check
 ruff format --check
 mypy
-python -m pytest -rs "$@" # -rs lists what was skipped, and why
+# -rs lists what was skipped, and why; the tests of a file stay in one process
+python -m pytest -rs --numprocesses auto --maxprocesses 4 --dist loadfile "$@"
 if [ -n "$missing" ]; then
     echo "$0: skipped the tests that need $missing" >&2
     echo "$0: jax and torch come with: .venv/bin/pip install -e '.[tensors-test]'" >&2

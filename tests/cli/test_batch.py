@@ -89,7 +89,7 @@ def test_a_log_has_the_lines_that_json_prints(folder, run, here):
     again = json.loads(log.read_text().splitlines()[-1])
     assert log.read_text().startswith(out) and again["event"] == "end" and again["skipped"] == 1
     status, out, err = run("batch", "room.xml", "-o", "out", "--log", "room.xml/log", *COARSE)
-    assert (status, out) == (1, "") and "cannot write the log" in err
+    assert (status, out) == (1, "") and "cannot write room.xml" in err
 
 
 def test_a_batch_that_cannot_go_on_says_so_in_its_log_and_page(folder, run, monkeypatch):
