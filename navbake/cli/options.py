@@ -80,7 +80,7 @@ def check_output(
             f"expected a name that ends in {', '.join(suffixes)}, got {path}", param_hint=option
         )
     probe = path
-    while may_make_folder and not probe.parent.exists():
+    while may_make_folder and not os.path.exists(probe.parent):
         probe = probe.parent
     try:
         files.check_writable(probe)

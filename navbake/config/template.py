@@ -45,7 +45,7 @@ def write_template(
     path = Path(f"{scene_id}.yaml" if path is None else path)
     if path.suffix.lower() not in YAML_SUFFIXES:
         raise ConfigError(f"expected a name that ends in .yaml, got {path}")
-    if path.exists() and not force:
+    if os.path.exists(path) and not force:
         raise ConfigError(f"{path} exists; --force overwrites it")
     text = template_for(scene, path.parent)
     try:
@@ -75,7 +75,7 @@ def template_for(scene: Path, folder: Path) -> str:
 def _scene_id(scene: Path) -> str | None:
     if scene.suffix.lower() in YAML_SUFFIXES:
         raise ConfigError(f"expected a scene, got the settings file {scene}")
-    if not scene.is_file():
+    if not os.path.isfile(scene):
         raise SceneError(f"no such file: {scene}")
     return load_config(scene).scene.id
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
@@ -121,7 +122,7 @@ def _read(given: SceneSource, stated: Json) -> BakeConfig:
     scene = stated.get("scene")
     own = dict(scene) if isinstance(scene, dict) else {}
     path = Path(given)  # type: ignore[arg-type]
-    if not path.exists():
+    if not os.path.exists(path):
         raise QueryError(f"no scene at {path}: it may have moved; give its path")
     settings = {**stated, "scene": {**own, "path": str(path)}}
     try:
@@ -141,7 +142,7 @@ def _find_file(grid: GridBase, stated: Json, grid_path: Path | None) -> Path:
     folders = list(dict.fromkeys([grid_path.parent if grid_path else Path(), Path()]))
     for folder in folders:
         for place in (folder / Path(name).name, folder / SCENES / Path(name).name):
-            if place.is_file():
+            if os.path.isfile(place):
                 return place
     names = [str(folder) if str(folder) != "." else "the current folder" for folder in folders]
     raise NoSceneError(

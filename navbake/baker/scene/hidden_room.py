@@ -56,10 +56,11 @@ class HiddenRoom:
         if not np.isfinite(mat).all():
             return False
         x, y, z = 2 * np.abs(mat) @ self._model.geom_aabb[geom, 3:]
-        left = [side - 2 * self._floors.shrink for side in (x, y)]
+        # floats of Python: NumPy's warn of an area beyond all floats
+        left = [float(side) - 2 * self._floors.shrink for side in (x, y)]
         if min(left) < 0 or z < self._agent.height - SLACK:
             return False
-        return bool(left[0] * left[1] >= self._floors.min_area - SLACK)
+        return left[0] * left[1] >= self._floors.min_area - SLACK
 
     def _look(self, geom: int) -> bool:
         hull = mesh_shapes(self._model, self._data, geom, "hull", self._meshes)

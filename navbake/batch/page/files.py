@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
@@ -56,7 +57,7 @@ class LocalFiles:
 
     def find_thumbnails(self) -> Callable[[str], bool]:
         """Returns what says whether a scene has a thumbnail."""
-        return lambda id: (self._folder / id / THUMBNAIL).is_file()
+        return lambda id: os.path.isfile(self._folder / id / THUMBNAIL)
 
     def draw_thumbnail(self, id: str) -> None:
         """Draw a scene's thumbnail from its grid."""

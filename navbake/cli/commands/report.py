@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -48,7 +49,7 @@ def report(
     from navbake.views.report.report import render_report
     from navbake.views.report.verification import read_verification
 
-    if any(path.is_dir() for path in grids):
+    if any(os.path.isdir(path) for path in grids):
         refuse_unused(
             ("--audit", with_audit, False, "grids: a batch audits its grids itself"),
             ("--verify", bool(verifications), False, "grids"),
@@ -82,7 +83,7 @@ def _report_on_batch(folders: list[Path], output: Path | None) -> None:
     """Write the page of a batch from its index; thumbnails that are missing are drawn."""
     from navbake.batch.page.page import NAME, write_page_beside
 
-    if len(folders) > 1 or not (folders[0] / INDEX).is_file():
+    if len(folders) > 1 or not os.path.isfile(folders[0] / INDEX):
         named = ", ".join(map(str, folders))
         raise ConfigError(f"expected grids, or one folder of a batch with {INDEX}, got {named}")
     page = folders[0] / NAME if output is None else output

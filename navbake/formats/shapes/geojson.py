@@ -104,7 +104,7 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
 
 
 def _parse(path: Path) -> Any:
-    if not path.exists() and not path.is_symlink():
+    if not os.path.lexists(path):
         raise FormatError(f"no such file: {path_name(path)}")
     return read_object(path, expected="a GeoJSON FeatureCollection", limit=MAX_BYTES)[0]
 

@@ -93,6 +93,11 @@ def test_refuses_what_is_not_there(tmp_path):
         read_room_outlines(tmp_path)
 
 
+def test_a_name_that_no_file_can_have_is_refused(tmp_path):
+    with pytest.raises(FormatError, match=r"no such file: .*aaa\.geojson"):
+        read_room_outlines(tmp_path / f"{'a' * 300}.geojson")
+
+
 @pytest.mark.parametrize("name", ["apartment", "clutter", "house", "terrain", "warehouse"])
 def test_shapely_reads_what_is_written(tmp_path, name):
     grid = navbake.load(GOLDEN / f"{name}.grid.json.gz")

@@ -58,7 +58,7 @@ def load_isolated(
         ConfigError: as `load_model`.
     """
     path = Path(settings.path)
-    if path.suffix.lower() in XML_SUFFIXES and path.is_file():
+    if path.suffix.lower() in XML_SUFFIXES and os.path.isfile(path):
         refuse_oversized(path)  # no process is needed to see that
     with tempfile.TemporaryDirectory(prefix="navbake-") as folder:
         place = Path(folder)

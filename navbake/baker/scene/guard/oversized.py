@@ -10,6 +10,7 @@ read: a few bytes may unpack to gigabytes.
 from __future__ import annotations
 
 import math
+import os
 import re
 import struct
 import xml.etree.ElementTree as ElementTree
@@ -90,7 +91,7 @@ def _elements(
         if element.tag in ("include", "model") and element.get("file"):
             # MuJoCo looks beside the main file; newer versions beside the including one, too
             beside = [folder / element.attrib["file"] for folder in (home, file.parent)]
-            included = next((other for other in beside if other.is_file()), None)
+            included = next((other for other in beside if os.path.isfile(other)), None)
             if included is not None and included.resolve() not in seen:
                 waiting += _root_of(included, copies, seen)
         yield element, Place(file, copies)
@@ -145,7 +146,7 @@ def _check_images(element: ElementTree.Element, folders: Iterable[Path], where: 
 def _image_size(path: Path) -> tuple[int, int]:
     """The pixels that a PNG says it has, and the bytes of its file; 0 where it is none."""
     try:
-        if not path.is_file():
+        if not os.path.isfile(path):
             return 0, 0
         with path.open("rb") as file:
             head = file.read(PNG_SIZE.stop)

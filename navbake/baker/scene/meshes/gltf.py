@@ -1,6 +1,7 @@
 """What a glTF or GLB holds that trimesh would leave out or misplace in silence."""
 
 import json
+import os
 import struct
 from pathlib import Path
 from typing import Any
@@ -58,10 +59,10 @@ def _find_outside(header: dict[str, Any], folder: Path) -> str:
         if uri is None or uri.startswith("data:"):
             continue
         files = [folder / name for name in {uri, uri.strip(), unquote(uri)}]
-        there = [file for file in files if file.exists()]
+        there = [file for file in files if os.path.exists(file)]
         if not there:
             return f"its buffer {uri[:80]!r} is missing"
-        if not all(file.is_file() and file.stat().st_size <= MAX_BUFFER for file in there):
+        if not all(os.path.isfile(file) and file.stat().st_size <= MAX_BUFFER for file in there):
             return f"its buffer {uri[:80]!r} is no file of {MAX_BUFFER >> 20} MiB at most"
     return ""
 
