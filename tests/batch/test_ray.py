@@ -37,6 +37,9 @@ class Silent:
     def begin(self, total, skipped):
         pass
 
+    def hear(self, event, scene):
+        pass
+
     def end_scene(self, row):
         pass
 
