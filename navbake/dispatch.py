@@ -319,7 +319,7 @@ def _start_helpers(kernel: Kernel, new: list[Kernel], seconds: float) -> int:
 
     Of processes that start at once, one does so, as far as they use the same folder.
     """
-    count = min(_num_cores(), int(numba.config.NUMBA_NUM_THREADS), MOST_PROCESSES) - 1
+    count = min(num_cores(), int(numba.config.NUMBA_NUM_THREADS), MOST_PROCESSES) - 1
     program = Path(sys.executable or "")  # other programs than Python may hold Python
     is_python = program.name.lower().startswith("python")
     if seconds < WORTH_HELP or count < 1 or not is_python or IS_HELPER in os.environ:
@@ -352,7 +352,7 @@ def _start_helpers(kernel: Kernel, new: list[Kernel], seconds: float) -> int:
     return count
 
 
-def _num_cores() -> int:
+def num_cores() -> int:
     """How many cores this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))

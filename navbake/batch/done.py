@@ -21,12 +21,12 @@ def find_done(orders: Sequence[Order], known: Mapping[str, Json]) -> set[str]:
         orders: of the batch's scenes.
         known: the rows of the index, by id.
     """
-    distant = [order for order in orders if remote.is_remote(order)]
-    near = {order.job.id: order for order in orders}
-    for order in distant:
-        del near[order.job.id]
-    done = {id for id, order in near.items() if _is_done(order, known.get(id))}
-    return done | remote.find_done(distant, known)
+    on_stores: list[Order] = []
+    here: list[Order] = []
+    for order in orders:
+        (on_stores if remote.is_remote(order) else here).append(order)
+    done = {order.job.id for order in here if _is_done(order, known.get(order.job.id))}
+    return done | remote.find_done(on_stores, known)
 
 
 def _is_done(order: Order, row: Json | None) -> bool:

@@ -8,6 +8,7 @@ import stat
 import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import BinaryIO
 
 from navbake.types import Json
 
@@ -68,9 +69,14 @@ def _describe(path: Path, may_change: bool) -> Json:
     }
 
 
-def _digest(path: Path) -> str:
+def digest_rest(file: BinaryIO) -> str:
+    """The sha256 of what is left to read of a file."""
     digest = hashlib.sha256()
-    with open(path, "rb") as file:
-        while chunk := file.read(CHUNK):
-            digest.update(chunk)
+    while chunk := file.read(CHUNK):
+        digest.update(chunk)
     return digest.hexdigest()
+
+
+def _digest(path: Path) -> str:
+    with open(path, "rb") as file:
+        return digest_rest(file)

@@ -29,7 +29,7 @@ def stamp() -> str:
 
 
 class Journal:
-    """Makes a line of all that a batch tells, and gives it to whoever takes lines.
+    """Makes a line of each thing that happens in a batch, and gives it to all that take lines.
 
     Each has ``time``, ``level`` (``info``, ``warning`` or ``error``) and ``event``: ``begin``,
     ``worker-ready``, ``scene-begin``, ``worker-lost``, ``retry``, ``scene`` or ``end``. Others of

@@ -18,8 +18,7 @@ from navbake.batch.stores.store import is_pattern, match_files, read_file
 from navbake.batch.stores.urls import Folder, is_url, join, parent, plain_path, shown, split_url
 from navbake.batch.table import read_table
 from navbake.config.errors import find_unknown_key
-from navbake.config.settings import SECTIONS as MODELS
-from navbake.config.settings import BakeConfig
+from navbake.config.settings import SECTIONS, BakeConfig
 from navbake.errors import ConfigError, FormatError
 from navbake.formats.source import read_bytes
 from navbake.types import Json
@@ -28,7 +27,6 @@ LISTS = (".txt", ".csv", ".jsonl", ".parquet")
 MAX_BYTES = 1 << 30  # of a list
 SCENE_KEYS = ("scene", "config")  # of a row; one of them
 TEXTS = ("id", *SCENE_KEYS)  # of which `001` is text
-SECTIONS = tuple(BakeConfig.model_fields)
 
 Entry = tuple[str | None, str, Json, str]  # id if it is given, source, settings, place
 
@@ -125,12 +123,12 @@ def _entry(row: Json, folder: Folder, place: str) -> Entry:
     settings = nest({**nested, **row}, folder, place)
     check_shared(settings, place)
     for key in settings:
-        if key not in SECTIONS:
+        if key not in BakeConfig.model_fields:
             raise ConfigError(
                 f"expected `id`, `scene`, `config` or a setting such as `agent.radius`, got "
                 f"`{key}` at {place}"
             )
-    unknown = find_unknown_key(settings, MODELS)
+    unknown = find_unknown_key(settings, SECTIONS)
     if unknown is not None:
         raise ConfigError(f"{unknown} at {place}")
     return None if name is None else str(name), join(folder, path, place), settings, place

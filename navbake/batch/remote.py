@@ -1,4 +1,4 @@
-"""Scenes that come from stores, or whose grids go to one: brought near, baked, and taken there."""
+"""Scenes on stores, and grids that are written to one: files are copied, on both ways."""
 
 from __future__ import annotations
 

@@ -23,6 +23,7 @@ from navbake._version import __version__
 from navbake.batch.cluster.connection import connected
 from navbake.batch.cluster.slot import CODE, Settled, Slot, Terms
 from navbake.batch.crew import AGAIN, BEGUN, CRASHED, LOST, READY, Ended, Event, JobLimits
+from navbake.dispatch import num_cores
 from navbake.errors import NavbakeError, printable
 
 ALL = sys.maxsize  # as many slots as the cluster has CPUs
@@ -94,7 +95,7 @@ class RayExecutor:
         """
         if not jobs:
             return
-        num_own = min(count, len(jobs)) if count != ALL else min(_num_cores(), len(jobs))
+        num_own = min(num_cores() if count == ALL else count, len(jobs))
         terms = Terms(
             work,
             limits,
@@ -333,13 +334,6 @@ class _Fleet:
         if self._packed is None and self._code is not None:
             self._packed = self._ray.put(self._code.pack())
         return self._packed
-
-
-def _num_cores() -> int:
-    """How many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _reason(error: BaseException) -> str:

@@ -128,7 +128,10 @@ class Mirror:
                     f"expected a path from the folder of {shown(url)} as `{section}.{key}`, got "
                     f"{shown(name)}: put settings for it into a row of a list"
                 )
-            self.fetch_scene(named) if key == "path" else self.fetch(named)
+            if key == "path":
+                self.fetch_scene(named)
+            else:
+                self.fetch(named)
         return path
 
     def entry(self, path: str | os.PathLike[str]) -> Entry | None:

@@ -5,7 +5,6 @@ Only this module loads fsspec. All that a store refuses is a NavbakeError that n
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import os
 import re
@@ -18,6 +17,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+from navbake.batch.file_states import digest_rest
 from navbake.batch.stores.urls import WEB, parent, secrets_of, shown, split_url
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, printable
 from navbake.types import Json
@@ -36,7 +36,6 @@ RECENT = 60.0  # age below which a time proves nothing: it may be coarse, and cl
 FEW = 3  # files of a folder that are asked for one by one, before the folder is listed
 MANY = 16  # folders in a folder that are asked for, from which on that one is listed with all in it
 AT_ONCE = 16  # calls
-CHUNK = 1 << 20
 MISSING = "there is no such file"
 URL_IN_TEXT = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://[^\s'\"<>]+")
 LOG = logging.getLogger("navbake")
@@ -85,13 +84,10 @@ def read_files(urls: Sequence[str]) -> list[bytes]:
 
 def digest_file(url: str) -> str:
     """The sha256 of a file's content."""
-    digest = hashlib.sha256()
     with _telling("read", url):
         system, path = _open(url)
         with system.open(path, "rb") as file:
-            while chunk := file.read(CHUNK):
-                digest.update(chunk)
-    return digest.hexdigest()
+            return digest_rest(file)
 
 
 def fetch_files(places: Mapping[str, Path]) -> None:

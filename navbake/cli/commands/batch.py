@@ -18,6 +18,7 @@ from navbake.cli.commands.warm_up import (
     load_kernels,
     pack_code,
     take_code,
+    why_not_shared,
 )
 from navbake.cli.options import Overrides, check_output, refuse_unused
 from navbake.cli.printing import (
@@ -303,14 +304,13 @@ def draw_missing_thumbnails(folder: Folder) -> None:
 def _warm_up() -> None:
     """Compile the kernels, unless all that any bake calls are: workers find them on disk."""
     from navbake.cli.progress import stage_progress
-    from navbake.dispatch import REMEDY, can_keep
 
     load_kernels()
     if not bakes_compile():
         return
-    if not can_keep():
-        why = f"no folder for compiled code can be written: each worker compiles its own: {REMEDY}"
-        print_warnings([why])
+    why_not = why_not_shared()
+    if why_not is not None:
+        print_warnings([why_not])
         return
     with stage_progress(title="compiling", hidden=VOLUME.quiet) as show:
         compile_all(show)

@@ -176,19 +176,28 @@ def take_code(code: bytes | None) -> str | None:
         What its owner should know, a line; None if the code did.
     """
     from navbake.compiler.archive import unpack_kernels  # loads numba
-    from navbake.dispatch import REMEDY, can_keep  # loads numba
 
     load_kernels()
     if not bakes_compile():
         return None
-    if not can_keep():
-        return f"no folder for compiled code can be written: each worker compiles its own: {REMEDY}"
+    why_not = why_not_shared()
+    if why_not is not None:
+        return why_not
     found = None if code is None else unpack_kernels(code, "the batch's compiled code")
     if not bakes_compile():
         return None
     compile_all(lambda name, share: None)
-    why_not = "" if found is None or found.why_not is None else f"; of the batch's, {found.why_not}"
-    return f"it has compiled code of its own, once{why_not}"
+    unused = "" if found is None or found.why_not is None else f"; of the batch's, {found.why_not}"
+    return f"it has compiled code of its own, once{unused}"
+
+
+def why_not_shared() -> str | None:
+    """Why each worker has to compile its own code, a line; None if all find it on disk."""
+    from navbake.dispatch import REMEDY, can_keep  # loads numba
+
+    if can_keep():
+        return None
+    return f"no folder for compiled code can be written: each worker compiles its own: {REMEDY}"
 
 
 def bakes_compile() -> bool:
