@@ -25,6 +25,7 @@ from fuzzing.kinds import KINDS
 from navbake.errors import FormatError, NavbakeError
 from navbake.formats.binvox import encode_binvox
 from navbake.formats.maps.grid_npz import encode_grid_npz, read_grid_npz
+from navbake.formats.maps.images import encode_png
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.npz import encode_npz, read_npy, read_npz
 from navbake.voxels.grid import VoxelGrid
@@ -108,6 +109,8 @@ FOUND = [
     ("grid-npz", Input(archive(**{"0/weights.npy": signalling()}), ".npz")),  # a warning of numpy
     ("stl", Input(stl(0x7FA00000), ".stl")),  # a warning of numpy
     ("nav2", Input(MAP % (b"1" * 400, b"0", b"0.6", b"raw"), ".yaml", {"map.png": grey_png()})),
+    ("nav2", Input(MAP % (b"0.1", b"3.14159", b"0.6", b"raw"), ".yaml", {  # 3 s
+        "map.png": encode_png(np.zeros((700_000, 2), dtype=np.uint8))})),
     ("manifest", Input(b'{"scene": "/"}', ".jsonl")),
     ("index", Input(b'{"id": "a", "x": ' + b"[" * 100_000, ".jsonl")),
     ("index", Input(b'{"id": "a", "seconds": NaN}\n{"id": "b", "seconds": 1e999}', ".jsonl")),

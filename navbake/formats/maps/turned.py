@@ -65,12 +65,14 @@ def resample(
     if lattice.width * lattice.height > MAX_CELLS:
         raise FormatError(f"the turned map has {lattice.width} × {lattice.height} cells, too many")
     turned: Cells = np.full(lattice.shape, -1, dtype=np.int8)
-    x = lattice.center_x()
-    for row, y in enumerate(lattice.center_y()):
-        col, up = np.floor(cos * x + sin * y), np.floor(-sin * x + cos * y)
+    x, y = lattice.center_x(), lattice.center_y()[:, None]
+    num_rows = max(1, PIECE // lattice.width)  # of one piece
+    for start in range(0, lattice.height, num_rows):
+        piece = slice(start, start + num_rows)
+        col, up = np.floor(cos * x + sin * y[piece]), np.floor(-sin * x + cos * y[piece])
         inside = (col >= 0) & (col < width) & (up >= 0) & (up < height)
         cols, rows = col[inside].astype(np.int64), height - 1 - up[inside].astype(np.int64)
-        turned[row, inside] = values[rows, cols]
+        turned[piece][inside] = values[rows, cols]
     full_rows, full_cols = np.nonzero(values == occupied)
     for start in range(0, len(full_rows), PIECE):
         part = slice(start, start + PIECE)
