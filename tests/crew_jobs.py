@@ -41,6 +41,13 @@ def work(job: tuple[str, Any]) -> Any:
                 open(value, "x").close()
             os.kill(os.getppid(), signal.SIGKILL)
             time.sleep(60)
+    elif what == "garble":  # answers with some bytes, and ends
+        import gc
+        from multiprocessing.connection import Connection
+
+        (connection,) = (each for each in gc.get_objects() if isinstance(each, Connection))
+        os.write(connection.fileno(), value)
+        os._exit(5)
     elif what == "touch":
         open(value, "x").close()
     elif what == "size":
@@ -66,3 +73,16 @@ def refuse() -> None:
 def end() -> None:
     """End the worker before it is ready."""
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def end_when_ready() -> None:
+    """End the worker as soon as it has said that it is ready."""
+    from multiprocessing.connection import Connection
+
+    send = Connection.send
+
+    def send_and_end(connection: Any, message: Any) -> None:
+        send(connection, message)
+        os._exit(6)
+
+    Connection.send = send_and_end  # type: ignore[method-assign]

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 from navbake.batch.crew import DONE, Ended, Event, JobLimits, do_jobs
 from navbake.batch.done import find_done
+from navbake.batch.full import FullError
 from navbake.batch.index import Index, only_batch
 from navbake.batch.job import Job
 from navbake.batch.journal import stamp
@@ -121,8 +122,9 @@ def run_batch(batch: Batch, means: Means, watch: Watch) -> BatchResult:
 
     A scene is done already if the index says that this version of navbake made it, of the same
     files, settings and products, and what it made is still there. One that fails, hangs or
-    crashes its worker costs itself alone. However the batch ends, short of being killed, the index
-    has a row for each scene, in order; ``left`` is one that it did not come to.
+    crashes its worker costs itself alone. Where the folder has no room for one, the batch stops.
+    However the batch ends, short of being killed, the index has a row for each scene, in order, as
+    far as there is room for it; ``left`` is one that the batch did not come to.
 
     Raises:
         ConfigError: a product, an override or a shared setting is wrong.
@@ -148,12 +150,10 @@ def run_batch(batch: Batch, means: Means, watch: Watch) -> BatchResult:
     with _index_of(batch.folder) as index:
         index.remove(TABLE)  # it would say less than the index as soon as a scene ends
         try:
-            return _run(orders, index, means, watch)
+            return _run(orders, index, means, watch, batch.has_table)
         finally:
             if any(map(is_remote, orders)):
                 remove_abandoned()  # of workers that were killed
-            if batch.has_table and index.rows:
-                index.write(TABLE, encode_rows(index.rows))
 
 
 def _check_settings(batch: Batch) -> None:
@@ -175,7 +175,11 @@ def _index_of(folder: Folder) -> Iterator[Index | RemoteIndex]:
 
 
 def _run(
-    orders: Sequence[Order], index: Index | RemoteIndex, means: Means, watch: Watch
+    orders: Sequence[Order],
+    index: Index | RemoteIndex,
+    means: Means,
+    watch: Watch,
+    has_table: bool,
 ) -> BatchResult:
     skipped = find_done(orders, index.known)
     left = {o.job.id: o for o in orders if o.job.id not in skipped}
@@ -197,6 +201,9 @@ def _run(
         with closing(ended):
             for end in ended:
                 row = _row(waiting[end.number], end)
+                if row["status"] == LEFT:  # there is no room for it, nor for the others
+                    result.stopped = row["error"]
+                    break
                 index.add(row)
                 watch.end_scene(row)
                 num_failed += row["status"] == FAILED
@@ -205,10 +212,18 @@ def _run(
                     break
         if waiting:
             index.wait_for_disk()
+    except FullError as error:
+        result.stopped = str(error)
     finally:
-        result.rows = index.finish(
-            [order.job.id for order in orders], skipped, lambda id: row_of(left[id], LEFT)
-        )
+        try:
+            index.finish(
+                [order.job.id for order in orders], skipped, lambda id: row_of(left[id], LEFT)
+            )
+            if has_table and index.rows:
+                index.write(TABLE, encode_rows(index.rows))
+        except FullError as error:
+            result.stopped = result.stopped or str(error)
+        result.rows = index.rows[: len(orders)]
         for row in result.rows:
             # its worker may have been killed as it wrote; on a store, the next one removes that
             if row["status"] == LEFT and isinstance(left[row["id"]].folder, Path):

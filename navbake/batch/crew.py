@@ -30,6 +30,7 @@ MOST_FAILED_STARTS = 3  # in a row, before the crew gives up
 PAUSE = 0.5  # after which this process hears of a SIGTERM that its whole group was sent [s]
 SHORT = 0.25  # what a worker's last job took at most, if the next is given to it ahead [s]
 MOST_AHEAD = 4096  # bytes of such a job: what any system's pipe takes while nobody reads it
+NO_START = "cannot start a worker process"
 MOST_TEXT = 200  # of what a worker wrote on stderr, characters
 READY, DONE, CRASHED, TOO_LONG, TOO_LARGE = "ready", "done", "crashed", "too long", "too large"
 BEGUN, AGAIN, LOST = "begun", "again", "lost"  # what happens besides, see `Event`
@@ -112,6 +113,7 @@ class _Worker:
         given = (self._theirs, work, limits.memory, os.getpid(), self._stderr_path)
         self.process = context.Process(target=_serve, args=given, daemon=True)
         self.is_ready = False
+        self.has_begun = False  # whether it has begun a job
         self.is_used = False  # whether it has done a job
         self.is_quick = False  # whether the last one was short
         self.tasks: deque[_Task] = deque()  # it is at the first; another one was given ahead
@@ -313,7 +315,8 @@ class _Crew:
         try:
             worker.give(waiting[0])
         except OSError:  # it died meanwhile
-            self._remove(worker)
+            worker.tasks.clear()
+            self._lose_unbegun(worker, CRASHED, worker.how_it_ended())
             return
         self._on_event(Event(BEGUN, worker.number, waiting.popleft().number))
 
@@ -337,7 +340,7 @@ class _Crew:
         except OSError as error:
             if self._workers and self._workers[-1].process.pid is None:
                 self._remove(self._workers[-1])
-            self._count_failed_start(str(error.strerror))
+            self._count_failed_start(f"{NO_START}: {error.strerror}")
 
     def _remove(self, worker: _Worker) -> None:
         self._workers.remove(worker)
@@ -363,14 +366,22 @@ class _Crew:
 
     def _hear(self, worker: _Worker) -> Iterator[Ended]:
         try:
-            how, value = worker.connection.recv()
+            message = worker.connection.recv_bytes()
         except (EOFError, OSError):
             yield from self._lose(worker, CRASHED, worker.how_it_ended())
+            return
+        try:
+            how, value = pickle.loads(message)
+        except Exception as error:  # bytes of a process in any state raise anything
+            why = f"what it answered can't be read: {_last_line(error)}"
+            yield from self._lose(worker, CRASHED, why)
             return
         if how == READY:
             worker.is_ready = True
             worker.forget_stderr()
             self._on_event(Event(READY, worker.number, seconds=worker.age))
+        elif how == BEGUN:
+            worker.has_begun = True
         elif how == DONE and worker.task is not None:
             ended = Ended(worker.task.number, DONE, value, worker.age)
             worker.take_back()
@@ -378,21 +389,22 @@ class _Crew:
             yield ended
             if worker.task is not None:  # it was given one ahead
                 self._on_event(Event(BEGUN, worker.number, worker.task.number))
-        else:
+        elif how in (CRASHED, TOO_LARGE):
             yield from self._lose(worker, how, value)
+        else:
+            why = f"it answered {printable(repr(how))[:MOST_TEXT]}"
+            yield from self._lose(worker, CRASHED, why)
 
     def _lose(self, worker: _Worker, how: str, why: str) -> Iterator[Ended]:
         """Replace a worker, and see what becomes of its task; one given ahead was not begun."""
-        seconds, (task, *ahead) = worker.age, worker.tasks or (None,)
+        if worker.task is None or (how == CRASHED and not worker.has_begun):
+            self._lose_unbegun(worker, how, why)
+            return
+        seconds, (task, *ahead) = worker.age, worker.tasks
         self._remove(worker)
-        number = None if task is None else task.number
-        lost = Event(LOST, worker.number, number, how, why, seconds)
+        lost = Event(LOST, worker.number, task.number, how, why, seconds)
         self._on_event(lost)
         self._left.extendleft(ahead)
-        if task is None:
-            if not worker.is_used:
-                self._count_failed_start(why)
-            return
         self._failed_starts = 0
         if worker.is_used and how != TOO_LONG:
             self._again.append(task)
@@ -405,10 +417,24 @@ class _Crew:
         else:
             yield Ended(task.number, how, why, seconds)
 
+    def _lose_unbegun(self, worker: _Worker, how: str, why: str) -> None:
+        """Replace a worker that has no task, or did not begin the one that it has."""
+        seconds, task = worker.age, worker.task
+        self._remove(worker)
+        lost = Event(LOST, worker.number, None if task is None else task.number, how, why, seconds)
+        self._on_event(lost)
+        if task is not None:
+            self._left.appendleft(task)
+            self._on_event(lost._replace(what=AGAIN))
+        if not worker.has_begun:
+            what = "worker processes end before they begin a scene"
+            self._count_failed_start(f"{what}: {why}" if worker.is_ready else f"{NO_START}: {why}")
+
     def _count_failed_start(self, why: str) -> None:
+        """Count workers that did nothing, and give up after several in a row."""
         self._failed_starts += 1
         if self._failed_starts >= MOST_FAILED_STARTS:
-            raise NavbakeError(f"cannot start a worker process: {why}")
+            raise NavbakeError(why)
 
 
 @contextmanager
@@ -447,14 +473,18 @@ def _serve(
         connection.send((CRASHED, _last_line(error)))
         return
     connection.send((READY, None))
+    has_begun = False
     while True:
         try:
-            job = connection.recv()
+            packed = connection.recv_bytes()
         except EOFError:
             return
+        if not has_begun:  # else it is known to be able to
+            connection.send((BEGUN, None))
+            has_begun = True
         os.ftruncate(2, 0)
         try:
-            answer = DONE, do(job)
+            answer = DONE, do(pickle.loads(packed))
         except MemoryError as error:
             unlimited()  # or there may be no memory to say so
             most = "there is" if memory is None else f"{memory:g} GiB"

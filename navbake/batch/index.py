@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from navbake.batch.full import no_room, why_full
 from navbake.errors import NavbakeError
 from navbake.files import wait_for_disk, write_all, write_whole
 from navbake.types import Json
@@ -61,11 +62,12 @@ def read_index(folder: Path) -> dict[str, Json]:
 class Index:
     """The index of a folder, to which one batch adds lines.
 
-    All that it does raises a NavbakeError where the folder can't be written.
+    All that it does raises a NavbakeError where the folder can't be written, a FullError where that
+    is for want of space.
 
     Attributes:
         known: the rows that were there before, by id.
-        rows: all rows, once it is finished.
+        rows: all rows, once it is finished: those of the batch's scenes, then others.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -86,7 +88,7 @@ class Index:
 
     def finish(
         self, ids: Iterable[str], skipped: Collection[str], left: Callable[[str], Json]
-    ) -> list[Json]:
+    ) -> None:
         """Replace the lines by one for each scene in the batch's order, then those of other scenes.
 
         Args:
@@ -94,8 +96,7 @@ class Index:
             skipped: those whose rows stay as they were.
             left: makes the row of one that neither was skipped nor got a line.
 
-        Returns:
-            The rows of the batch's scenes.
+        Where they can't be written, `rows` has them, and the lines stay as they were.
         """
         # from the file: Ctrl-C may come between any two statements of Python
         added = parse_rows(self._path.read_bytes()[self._begin :])
@@ -103,7 +104,6 @@ class Index:
         self.rows = [*own, *others]
         with _naming(self._path.parent):
             write_whole(join_rows(self.rows), self._path)
-        return own
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file beside the index."""
@@ -132,6 +132,8 @@ def _naming(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        if why_full(error):
+            raise no_room(f"into {folder}", error) from error
         raise NavbakeError(f"cannot write into {folder}: {error.strerror}") from error
 
 

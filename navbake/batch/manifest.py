@@ -45,7 +45,8 @@ def list_jobs(sources: Iterable[str]) -> list[Job]:
     with as many of the folders above as tell them apart.
 
     Raises:
-        ConfigError: a source names nothing, a list is broken, or ids can't be told apart.
+        ConfigError: a source names nothing, a list is broken, or ids can't be told apart. Whether
+            the scenes of lists and URLs are there is not asked: one that isn't fails by itself.
         NavbakeError: a store refuses a list or a pattern.
         MissingDependencyError: what a URL or Parquet needs is not installed.
     """
@@ -72,6 +73,10 @@ def _expand(source: str) -> Iterator[Entry]:
             raise ConfigError(f"expected files that match {source}, got none")
         for path in paths:
             yield None, path, {}, path
+    elif not os.path.exists(source):
+        raise ConfigError(
+            f"expected a scene, settings, a list or a pattern, got {source}: there is no such file"
+        )
     elif os.path.isdir(source):
         raise ConfigError(
             f"expected a scene, settings, a list or a pattern, got the folder {source}: name what "

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from navbake._version import __version__
 from navbake.batch.file_states import are_unchanged, describe_files, path_from
+from navbake.batch.full import FullError
 from navbake.batch.products import GRID, OWN, THUMBNAIL
 from navbake.batch.stores.mirror import Mirror, upload
 from navbake.batch.stores.scratch import remove_abandoned, scratch_folder
@@ -81,6 +82,8 @@ def make_remote(order: Order, make: Callable[[Order], Json]) -> Json:
                 near = near._replace(folder=scratch / "out")
             row = make(near)
         except (NavbakeError, OSError) as error:
+            if isinstance(error, FullError) and isinstance(order.folder, Path):
+                raise  # else it is the temporary folder that has no room
             raise NavbakeError(mirror.told(str(error))) from error
         row |= {
             "source": name_source(order),

@@ -16,6 +16,7 @@ from navbake._version import __version__
 from navbake.auditor.audit import audit
 from navbake.baker.pipeline import run_bake
 from navbake.batch.file_states import describe_files, path_from
+from navbake.batch.full import FullError, telling_full
 from navbake.batch.inputs import find_inputs
 from navbake.batch.job import Job
 from navbake.batch.products import GRID, Product, remove_products, write_thumbnail
@@ -82,13 +83,17 @@ def do_order(order: Order) -> Json:
 
     Files appear whole, the grid last: where there is a grid, all is there. Of a scene that fails,
     nothing is there. What is wrong with it is in its row; a MemoryError alone is raised, because
-    nobody knows what state it leaves the process in.
+    nobody knows what state it leaves the process in. A scene for which the output has no room is
+    ``left``, with the reason as ``error``.
     """
     begin = time.perf_counter()
     try:
         row = make_remote(order, _make) if is_remote(order) else _make(order)
     except MemoryError:
         raise
+    except FullError as error:
+        _remove_made(order)
+        row = {**row_of(order, LEFT), "error": str(error)}
     except NavbakeError as error:
         row = fail(order, ERROR, str(error))
     except OSError as error:
@@ -101,11 +106,15 @@ def do_order(order: Order) -> Json:
 
 def fail(order: Order, how: str, why: str) -> Json:
     """The row of a scene that failed, of which nothing stays."""
+    _remove_made(order)
+    return {**row_of(order, FAILED), "how": how, "error": why}
+
+
+def _remove_made(order: Order) -> None:
     if isinstance(order.folder, Path):
         remove_products(order.place)
     else:
         remove_remote_products(order)
-    return {**row_of(order, FAILED), "how": how, "error": why}
 
 
 def _make(order: Order) -> Json:
@@ -120,9 +129,10 @@ def _make(order: Order) -> Json:
         result = run_bake(config, threads=1)
     grid = result.grid
     grid.timings = {}  # the same scene, the same bytes
-    order.place.mkdir(parents=True, exist_ok=True)
-    remove_products(order.place)
-    with without_waiting():  # the batch does, once, when all is done
+    # without waiting: the batch does, once, when all is done
+    with telling_full(order.place), without_waiting():
+        order.place.mkdir(parents=True, exist_ok=True)
+        remove_products(order.place)
         made = [
             name for product in order.products for name in product.make(grid, config, order.place)
         ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -13,6 +14,7 @@ import pytest
 
 import navbake
 from batch_scenes import draw_room, write_scenes, wrong_rows
+from navbake import files
 from navbake.batch import batch as module
 from navbake.batch import index as index_module
 from navbake.batch.batch import Batch, Means, run_batch
@@ -181,7 +183,8 @@ def test_a_changed_file_of_a_scene_is_noticed_and_a_texture_is_not(scenes, here)
     os.utime(scenes / "second.xml", (1, 1))  # the content is the same
     assert run(*ALL)[0] == []
     (scenes / "second.xml").unlink()
-    assert run(*ALL)[1].rows[1]["error"].startswith("no scene file")
+    Path("list.txt").write_text("\n".join(ALL))
+    assert run("list.txt")[1].rows[1]["error"].startswith("no scene file")
     assert not Path("out/second/grid.json.gz").exists()
 
 
@@ -372,3 +375,57 @@ def test_the_warnings_of_a_bake_are_in_its_row(scenes, here):
     (scenes / "low.xml").write_text(draw_room(0))
     row = run("scenes/low.xml", settings={"scene": {"exclude": {"bodies": ["nobody"]}}})[1].rows[0]
     assert row["warnings"] == list(navbake.load("out/low/grid.json.gz").warnings) != []
+
+
+@pytest.mark.parametrize(
+    ("code", "remedy"), [(errno.ENOSPC, "free space"), (errno.EROFS, "make it writable")]
+)
+def test_a_folder_that_takes_no_more_files_stops_the_batch(scenes, here, monkeypatch, code, remedy):
+    real = files._create_temporary
+
+    def create(folder):
+        if folder.name == "second":
+            raise OSError(code, os.strerror(code))
+        return real(folder)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "_create_temporary", create)
+        names, result = run(*ALL, products=["report"])
+    assert names == ["first"]
+    place, why = Path("out", "second"), os.strerror(code)
+    assert result.stopped == (
+        f"cannot write into {place}: {why}: {remedy} and run the same command again"
+    )
+    assert [row["status"] for row in result.rows] == ["ok", "left", "left"]
+    assert list(read_index(Path("out")).values()) == result.rows
+    assert os.listdir(place) == []
+    assert run(*ALL, products=["report"])[0] == ["second", "meshed.mjcf"]
+
+
+def test_the_index_has_what_was_made_where_it_can_not_be_put_in_order(scenes, here, monkeypatch):
+    def refuse(folder):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(index_module, "write_whole", lambda content, path: refuse(path))
+        result = run(*ALL[:2])[1]
+        assert result.stopped == (
+            "cannot write into out: No space left on device: free space and run the same command "
+            "again"
+        )
+        assert result.count("ok") == 2 and [*read_index(Path("out"))] == ["first", "second"]
+        patch.setattr(index_module, "write_all", lambda file, line: refuse(file))
+        names, result = run(*ALL)
+    assert names == [] and result.stopped.startswith("cannot write into out: No space")
+    assert [row["status"] for row in result.rows] == ["ok", "ok", "left"]
+    assert [*read_index(Path("out"))] == ["first", "second"]
+    names, result = run(*ALL)
+    assert names == ["meshed.mjcf"] and result.stopped is None
+
+
+def test_a_scene_that_can_not_be_read_is_not_a_folder_without_room(scenes, here, monkeypatch):
+    def bake(config, threads):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("navbake.batch.work.run_bake", bake)
+    assert run(*ALL)[1].count("failed") == 3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -216,3 +217,34 @@ def test_workers_are_gone_when_the_parent_is(number, tmp_path):
     while is_there(pid) and time.monotonic() < end:
         time.sleep(0.02)
     assert not is_there(pid)
+
+
+def framed(answer):
+    """An answer as a worker's connection sends it."""
+    packed = pickle.dumps(answer)
+    return len(packed).to_bytes(4, "big") + packed
+
+
+@pytest.mark.skipif(os.name != "posix", reason="what the ends of a connection are")
+@pytest.mark.parametrize(
+    ("message", "why"),
+    [
+        (b"\0\0\0\x04\x80\x05ab", "what it answered can't be read: "),  # no pickle
+        (b"\0\0\0\x09ab", "its process ended with exit status 5"),  # cut off
+        (b"\0\0\0\x02N.", "what it answered can't be read: TypeError"),  # None
+        (framed(("odd", 1)), "it answered 'odd'"),
+    ],
+)
+def test_an_answer_that_can_not_be_read_costs_its_job_alone(message, why):
+    jobs = [("double", 1), ("garble", message), ("double", 2)]
+    (first, garbled, last) = run(jobs)
+    assert (first, last) == ((DONE, 2), (DONE, 4))
+    assert garbled[0] == CRASHED and garbled[1].startswith(why)
+
+
+def test_workers_that_end_before_they_begin_a_job_are_one_error():
+    events = []
+    why = "worker processes end before they begin a scene: its process ended with exit status 6"
+    with pytest.raises(NavbakeError, match=why):
+        run([("double", 1)] * 3, 2, prepare=crew_jobs.end_when_ready, on_event=events.append)
+    assert sum(event.what == LOST for event in events) == 3

@@ -167,3 +167,11 @@ def test_a_misspelt_setting_is_refused_before_any_scene_is_baked(folder, name, r
     )
     with pytest.raises(ConfigError, match=expected):
         list_jobs([name])
+
+
+def test_a_path_that_is_not_there_is_refused_unless_a_list_names_it(tmp_path):
+    scene, source = tmp_path / "no.xml", tmp_path / "list.txt"
+    with pytest.raises(ConfigError, match=r"pattern, got .*no\.xml: there is no such file"):
+        list_jobs([str(scene)])
+    source.write_text("no.xml\n")
+    assert [job.source for job in list_jobs([str(source)])] == [str(scene)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -591,10 +592,9 @@ def test_rows_are_in_parts_until_the_end(memory, quick):
     assert [*index.known] == ["a", "b"] and not list_tree(f"memory://out/{PARTS}")
     assert read_file(f"memory://out/{NAME}", 99) == b'{"id":"a","n":1}\n{"id":"b","n":1}\n'
     index.add({"id": "b", "n": 2})
-    rows = index.finish(["b", "c"], [], lambda id: {"id": id})
+    index.finish(["b", "c"], [], lambda id: {"id": id})
     index.close()
-    assert rows == [{"id": "b", "n": 2}, {"id": "c"}]
-    assert index.rows == [*rows, {"id": "a", "n": 1}]
+    assert index.rows == [{"id": "b", "n": 2}, {"id": "c"}, {"id": "a", "n": 1}]
     assert list(list_tree("memory://out")) == [NAME]
 
 
@@ -690,3 +690,28 @@ def test_a_temporary_folder_is_removed_when_its_process_is_gone(tmp_path):
         folder.joinpath("lock").touch()  # as of a process that was killed
         remove_abandoned()
         assert not folder.exists()
+
+
+def test_a_store_without_room_stops_the_batch_and_a_full_temporary_folder_does_not(
+    tmp_path, memory, monkeypatch
+):
+    (tmp_path / "a.xml").write_text(draw_room(0))
+    (tmp_path / "b.xml").write_text(draw_room(1))
+    real = type(memory).pipe_file
+
+    def pipe_file(system, path, value, **options):
+        if "/a/" in path:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(system, path, value, **options)
+
+    why = "No space left on device: free space and run the same command again"
+    with monkeypatch.context() as patch:
+        patch.setattr(type(memory), "pipe_file", pipe_file)
+        names, result = run("a.xml", "b.xml", out="memory://out")
+    assert names == [] and result.count("left") == 2
+    assert result.stopped == f"cannot write memory://out/a/grid.json.gz: {why}"
+    with monkeypatch.context() as patch:
+        patch.setattr("navbake.batch.work.write_navgrid", lambda grid, path: pipe_file(0, "/a/", 0))
+        names, result = run("a.xml", out="memory://out")
+    assert result.stopped is None and result.rows[0]["error"].endswith(why)
+    assert run("a.xml", "b.xml", out="memory://out")[1].count("ok") == 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import os
@@ -19,8 +20,10 @@ import pytest
 
 import navbake
 from batch_scenes import write_scenes
+from navbake import files
 from navbake.batch import batch as module
 from navbake.batch.crew import DONE, Ended
+from navbake.batch.stores.index import TakenOverError
 from navbake.cli.commands import batch as command
 from navbake.cli.commands import warm_up
 from navbake.errors import NavbakeError
@@ -342,3 +345,28 @@ def test_a_log_overwrites_neither_scenes_nor_the_index(folder, run, log):
     status, _, err = run("batch", "room.xml", "-o", "out", "--log", log)
     assert status == 1 and "expected an output apart from the inputs" in err
     assert Path("room.xml").read_bytes() == before
+
+
+def test_the_page_of_a_folder_that_another_batch_took_over_is_left_alone(folder, run, monkeypatch):
+    def do_jobs(jobs, work, count, **options):
+        raise TakenOverError("another batch took out over")
+        yield
+
+    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    status, _, err = run("batch", "room.xml", "-o", "out", "--page", *COARSE)
+    assert (status, err) == (1, "navbake: another batch took out over\n")
+    assert not Path("out/index.html").exists()
+
+
+def test_a_full_disk_ends_the_batch_with_one_line(folder, run, here, monkeypatch):
+    def refuse(path):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    shutil.copy("room.xml", "second.xml")
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "_create_temporary", refuse)
+        status, out, err = run("batch", "room.xml", "second.xml", "-o", "out", *COARSE)
+    why = "No space left on device: free space and run the same command again"
+    assert status == 1 and out.startswith("2 left in ")
+    assert err == f"navbake: stopped: cannot write into {Path('out/room')}: {why}\n"
+    assert run("batch", "room.xml", "second.xml", "-o", "out", *COARSE)[0] == 0

@@ -39,6 +39,10 @@ MAX_BYTES = 4 << 30  # of an index
 MAX_TOKEN = 1 << 16  # bytes of a token
 
 
+class TakenOverError(NavbakeError):
+    """Another batch has taken over the folder: nothing more may be written into it."""
+
+
 class RemoteIndex:
     """The index of a folder on a store, to which one batch adds rows.
 
@@ -50,7 +54,7 @@ class RemoteIndex:
 
     Attributes:
         known: the rows that were there before, by id.
-        rows: all rows, once it is finished.
+        rows: all rows, once it is finished: those of the batch's scenes, then others.
 
     Raises:
         NavbakeError: another batch has it, or the store refuses it.
@@ -82,7 +86,7 @@ class RemoteIndex:
 
     def finish(
         self, ids: Iterable[str], skipped: Collection[str], left: Callable[[str], Json]
-    ) -> list[Json]:
+    ) -> None:
         """Replace the parts by one file; see `Index.finish`."""
         self._stop()
         self._look_at_token()  # which the thread did up to `INTERVAL` ago
@@ -92,7 +96,6 @@ class RemoteIndex:
         self.rows = [*own, *others]
         write_file(f"{self._folder}/{NAME}", join_rows(self.rows))
         self._remove_parts()
-        return own
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file beside the index."""
@@ -164,7 +167,7 @@ class RemoteIndex:
 
     def _check_token(self) -> None:
         if self._is_lost:
-            raise NavbakeError(
+            raise TakenOverError(
                 f"another batch took {shown(self._folder)} over: this one was not heard of for "
                 f"{PATIENCE:g} s"
             )

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from navbake.batch.file_states import digest_rest
+from navbake.batch.full import no_room, why_full
 from navbake.batch.stores.urls import WEB, parent, secrets_of, shown, split_url
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, printable
 from navbake.types import Json
@@ -320,6 +321,9 @@ def _telling(doing: str, url: str) -> Iterator[None]:
     except (NavbakeError, MemoryError):
         raise
     except Exception as error:  # file systems raise what their libraries raise
+        why = why_full(error) if doing == "write" else None
+        if why is not None:  # object stores are never full, and say other things of quotas
+            raise no_room(shown(url), why) from (None if secrets_of(url) else error)
         is_package = isinstance(error, ImportError)  # fsspec's for such URLs
         kind = MissingDependencyError if is_package else NavbakeError
         # --verbose prints causes as they are

@@ -239,6 +239,7 @@ class _Teller:
     def interrupt(self, error: BaseException) -> None:
         """Note that the batch ended early, by a signal or because it can't go on."""
         from navbake.batch.page.page import write_page  # not every batch has a page
+        from navbake.batch.stores.index import TakenOverError
 
         counts = {
             "baked": self._done - self._failed,
@@ -251,7 +252,8 @@ class _Teller:
             say_unless_quiet(f"interrupted: {_told(counts)}; the same command goes on")
         with suppress(OSError, NavbakeError):  # the error says more than that it can't be noted
             self._journal.end(counts, why, time.perf_counter() - self._begin)
-            if self._page is not None:  # else the folder may be another batch's
+            # else the folder may be another batch's
+            if self._page is not None and not isinstance(error, TakenOverError):
                 write_page(self._folder)
 
     def end(self, result: BatchResult) -> None:

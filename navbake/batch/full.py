@@ -1,0 +1,51 @@
+"""Tells a disk that takes no more files from a scene that is broken."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from navbake.errors import NavbakeError
+
+# What the system says of a file system, whatever is written to it; and what helps. Readers are
+# never told so.
+REMEDIES = {
+    errno.ENOSPC: "free space",
+    getattr(errno, "EDQUOT", errno.ENOSPC): "free space",  # Windows has no quotas
+    errno.EROFS: "make it writable",
+}
+
+
+class FullError(NavbakeError):
+    """An output folder takes no more files, so that no scene can be kept in it."""
+
+
+def no_room(what: str, error: OSError) -> FullError:
+    """The FullError for what can't be written, from what `why_full` found."""
+    remedy = REMEDIES[error.errno or 0]
+    return FullError(
+        f"cannot write {what}: {error.strerror or error}: {remedy} and run the same command again"
+    )
+
+
+@contextmanager
+def telling_full(place: str | os.PathLike[str]) -> Iterator[None]:
+    """Raise a FullError that names `place` where what is written inside finds no room there."""
+    try:
+        yield
+    except (OSError, NavbakeError) as error:
+        why = why_full(error)
+        if why is None or isinstance(error, FullError):
+            raise
+        raise no_room(f"into {os.fspath(place)}", why) from error
+
+
+def why_full(error: BaseException | None) -> OSError | None:
+    """The error of the system that says so, of which another may be the consequence; or None."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in REMEDIES:
+            return error
+        error = error.__cause__
+    return None
