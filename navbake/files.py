@@ -137,7 +137,7 @@ def _beside(
     if target.parent not in _swept:
         _swept.add(target.parent)
         remove_leftovers(target.parent)
-    file, temporary = _create_temporary(target.parent)
+    file, temporary = create_temporary(target.parent)
 
     def put() -> None:
         if fcntl is None:  # Windows renames no file that is open
@@ -251,11 +251,17 @@ def _remove_leftover(entry: os.DirEntry[str]) -> None:
         os.unlink(entry.path)
 
 
-def _create_temporary(folder: Path) -> tuple[BinaryIO, Path]:
-    """Open a new temporary file in a folder, locked until it is closed."""
+def create_temporary(folder: Path, mode: int = 0o666) -> tuple[BinaryIO, Path]:
+    """Open a new temporary file in a folder, locked until it is closed; see `remove_leftovers`.
+
+    Args:
+        folder: where it is.
+        mode: who may read and write it, as far as the system's mask lets.
+    """
     while True:
         path = folder / f".navbake-{os.urandom(8).hex()}.tmp"
-        file = open(path, "xb")  # noqa: SIM115 the caller closes it
+        # the caller closes it
+        file = open(path, "x+b", opener=lambda name, flags: os.open(name, flags, mode))  # noqa: SIM115
         if fcntl is None:
             return file, path
         with suppress(OSError):  # a file system without locks

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
+from navbake.baker.scene.guard.scratch import remove_abandoned
 from navbake.batch.crew import DONE, Ended, Event, JobLimits, do_jobs
 from navbake.batch.done import find_done
 from navbake.batch.full import FullError
@@ -18,7 +19,6 @@ from navbake.batch.products import parse_products
 from navbake.batch.remote import is_remote
 from navbake.batch.settings import check_overrides, settings_of, without_urls
 from navbake.batch.stores.index import RemoteIndex
-from navbake.batch.stores.scratch import remove_abandoned
 from navbake.batch.stores.urls import Folder
 from navbake.batch.table import NAME as TABLE
 from navbake.batch.table import check_pyarrow, encode_rows
@@ -148,6 +148,7 @@ def run_batch(batch: Batch, means: Means, watch: Watch) -> BatchResult:
         for job in batch.jobs
     ]
     with _index_of(batch.folder) as index:
+        remove_abandoned()  # what batches that were killed left
         index.remove(TABLE)  # it would say less than the index as soon as a scene ends
         try:
             return _run(orders, index, means, watch, batch.has_table)

@@ -20,10 +20,12 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from multiprocessing.connection import Connection, wait
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from navbake.baker.scene.guard.child import end_with_parent, ending_of, limit_memory
 from navbake.errors import NavbakeError, printable
+from navbake.files import create_temporary
 
 START_SECONDS = 300.0  # what a worker may take until it is ready; machines are busy
 MOST_FAILED_STARTS = 3  # in a row, before the crew gives up
@@ -109,8 +111,8 @@ class _Worker:
         self.number = number
         context = multiprocessing.get_context("spawn")
         self.connection, self._theirs = context.Pipe()
-        self._stderr, self._stderr_path = tempfile.mkstemp(prefix="navbake-")
-        given = (self._theirs, work, limits.memory, os.getpid(), self._stderr_path)
+        self._stderr, self._stderr_path = create_temporary(Path(tempfile.gettempdir()), 0o600)
+        given = (self._theirs, work, limits.memory, os.getpid(), str(self._stderr_path))
         self.process = context.Process(target=_serve, args=given, daemon=True)
         self.is_ready = False
         self.has_begun = False  # whether it has begun a job
@@ -154,14 +156,14 @@ class _Worker:
             self.process.join()
         self.connection.close()
         self._theirs.close()
-        with suppress(OSError):
-            os.close(self._stderr)
+        self._stderr.close()
         self.forget_stderr()
 
     def forget_stderr(self) -> None:
         """Remove the name of the file, which both have open, so that nothing can leave it behind.
 
-        Windows removes it when the worker is gone.
+        Windows removes it when the worker is gone. What this process leaves if it is killed before,
+        the next batch removes: the file was locked, see `files.remove_leftovers`.
         """
         with suppress(OSError):
             os.unlink(self._stderr_path)
@@ -180,9 +182,9 @@ class _Worker:
 
     def _last_line(self) -> str:
         """The last line that it wrote on stderr during its task, where libraries say why."""
-        size = os.fstat(self._stderr).st_size
-        os.lseek(self._stderr, max(0, size - 16 * MOST_TEXT), os.SEEK_SET)
-        text = os.read(self._stderr, 16 * MOST_TEXT).decode(errors="replace")
+        size = self._stderr.seek(0, os.SEEK_END)
+        self._stderr.seek(max(0, size - 16 * MOST_TEXT))
+        text = self._stderr.read(16 * MOST_TEXT).decode(errors="replace")
         lines = [line.strip() for line in text.splitlines() if line.strip()]
         return printable(lines[-1][:MOST_TEXT]) if lines else ""
 

@@ -7,16 +7,15 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from navbake._version import __version__
+from navbake.baker.scene.guard.scratch import scratch_folder
 from navbake.batch.file_states import are_unchanged, describe_files, path_from
 from navbake.batch.full import FullError
 from navbake.batch.products import GRID, OWN, THUMBNAIL
 from navbake.batch.stores.mirror import Mirror, upload
-from navbake.batch.stores.scratch import remove_abandoned, scratch_folder
 from navbake.batch.stores.store import (
     Entry,
     Listing,
@@ -72,7 +71,6 @@ def make_remote(order: Order, make: Callable[[Order], Json]) -> Json:
     On a store, files appear whole as well, the grid last. Errors and the row name what is on a
     store by its URL.
     """
-    _remove_abandoned_once()
     settings = _settings_here(order)  # before the bake, see `work._make`
     with scratch_folder() as scratch:
         mirror = Mirror(scratch / "in")
@@ -102,12 +100,6 @@ def make_remote(order: Order, make: Callable[[Order], Json]) -> Json:
                 name: state_of(entries[name], state) for name, state in row["files"].items()
             }
     return row
-
-
-@cache
-def _remove_abandoned_once() -> None:
-    """Remove the temporary folder of the worker before this one, if it was killed."""
-    remove_abandoned()
 
 
 def remove_products_at(place: str) -> None:

@@ -381,7 +381,7 @@ def test_the_warnings_of_a_bake_are_in_its_row(scenes, here):
     ("code", "remedy"), [(errno.ENOSPC, "free space"), (errno.EROFS, "make it writable")]
 )
 def test_a_folder_that_takes_no_more_files_stops_the_batch(scenes, here, monkeypatch, code, remedy):
-    real = files._create_temporary
+    real = files.create_temporary
 
     def create(folder):
         if folder.name == "second":
@@ -389,7 +389,7 @@ def test_a_folder_that_takes_no_more_files_stops_the_batch(scenes, here, monkeyp
         return real(folder)
 
     with monkeypatch.context() as patch:
-        patch.setattr(files, "_create_temporary", create)
+        patch.setattr(files, "create_temporary", create)
         names, result = run(*ALL, products=["report"])
     assert names == ["first"]
     place, why = Path("out", "second"), os.strerror(code)

@@ -12,6 +12,8 @@ import time
 import pytest
 
 import crew_jobs
+from navbake import files
+from navbake.baker.scene.guard.scratch import remove_abandoned
 from navbake.batch.crew import (
     AGAIN,
     BEGUN,
@@ -248,3 +250,24 @@ def test_workers_that_end_before_they_begin_a_job_are_one_error():
     with pytest.raises(NavbakeError, match=why):
         run([("double", 1)] * 3, 2, prepare=crew_jobs.end_when_ready, on_event=events.append)
     assert sum(event.what == LOST for event in events) == 3
+
+
+@pytest.mark.skipif(files.fcntl is None, reason="nothing can be locked")
+def test_nothing_stays_of_a_crew_that_is_killed_while_workers_start(tmp_path, monkeypatch):
+    script = tmp_path / "parent.py"
+    script.write_text(
+        "import os, signal, sys\n"
+        f"sys.path[:0] = [{str(ROOT)!r}, {str(ROOT / 'tests')!r}]\n"
+        "from navbake.batch import crew\n"
+        "if __name__ == '__main__':\n"
+        "    crew._Crew._heard = lambda self: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "    list(crew.do_jobs([1], print, 1))\n"
+    )
+    place = tmp_path / "tmp"
+    place.mkdir()
+    environment = {**os.environ, "TMPDIR": str(place)}
+    assert subprocess.run([sys.executable, script], env=environment, timeout=60).returncode == -9
+    (left,) = os.listdir(place)
+    with files.create_temporary(place)[0]:  # of a worker that starts
+        remove_abandoned(place)
+        assert len(os.listdir(place)) == 1 and left not in os.listdir(place)

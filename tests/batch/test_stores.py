@@ -26,10 +26,9 @@ from navbake.batch.index import LOCK, NAME
 from navbake.batch.manifest import list_jobs
 from navbake.batch.settings import read_shared
 from navbake.batch.stores import index as remote_index
-from navbake.batch.stores import scratch, store
+from navbake.batch.stores import store
 from navbake.batch.stores.index import PARTS, RemoteIndex
 from navbake.batch.stores.mirror import Mirror
-from navbake.batch.stores.scratch import PREFIX, remove_abandoned, scratch_folder
 from navbake.batch.stores.store import (
     Entry,
     Listing,
@@ -678,18 +677,6 @@ def test_what_a_store_refuses_once_is_written_later(memory, quick, monkeypatch):
 
 
 # ---------------------------------------------------------------- temporary folders
-
-
-@pytest.mark.skipif(scratch.fcntl is None, reason="no locks")
-def test_a_temporary_folder_is_removed_when_its_process_is_gone(tmp_path):
-    with scratch_folder() as folder:
-        (folder / "a").mkdir()
-        remove_abandoned()
-        assert folder.is_dir() and folder.name.startswith(PREFIX)
-        folder.joinpath("lock").rename(folder / "a" / "held")
-        folder.joinpath("lock").touch()  # as of a process that was killed
-        remove_abandoned()
-        assert not folder.exists()
 
 
 def test_a_store_without_room_stops_the_batch_and_a_full_temporary_folder_does_not(

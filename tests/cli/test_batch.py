@@ -359,12 +359,12 @@ def test_the_page_of_a_folder_that_another_batch_took_over_is_left_alone(folder,
 
 
 def test_a_full_disk_ends_the_batch_with_one_line(folder, run, here, monkeypatch):
-    def refuse(path):
+    def refuse(*arguments):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     shutil.copy("room.xml", "second.xml")
     with monkeypatch.context() as patch:
-        patch.setattr(files, "_create_temporary", refuse)
+        patch.setattr(files, "create_temporary", refuse)
         status, out, err = run("batch", "room.xml", "second.xml", "-o", "out", *COARSE)
     why = "No space left on device: free space and run the same command again"
     assert status == 1 and out.startswith("2 left in ")

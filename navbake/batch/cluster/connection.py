@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import socket
 import sys
-import tempfile
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
+from navbake.baker.scene.guard.scratch import scratch_folder
 from navbake.errors import MissingDependencyError, NavbakeError
 
 ADDRESS = "RAY_ADDRESS"  # the variable that names a cluster
@@ -56,16 +55,13 @@ def connected(address: str | None, num_slots: int) -> Iterator[tuple[Any, bool]]
             yield ray, False
             return
         _check_reachable(address)
-        folder = _make_folder() if is_own else None
-        try:
-            with _silent():
+        with scratch_folder(_short_place()) if is_own else nullcontext() as folder, _silent():
+            try:
                 _connect(ray, address, {} if folder is None else _own_options(folder, num_slots))
                 yield ray, is_own
-        finally:
-            with suppress(Exception):
-                ray.shutdown()
-            if folder is not None:
-                shutil.rmtree(folder, ignore_errors=True)
+            finally:
+                with suppress(Exception):
+                    ray.shutdown()
 
 
 @contextmanager
@@ -120,16 +116,16 @@ def _silent() -> Iterator[None]:
         setattr(module, PRINT, before)
 
 
-def _own_options(folder: str, num_slots: int) -> dict[str, Any]:
+def _own_options(folder: Path, num_slots: int) -> dict[str, Any]:
     return {
         "num_cpus": num_slots,
         "include_dashboard": False,
         "object_store_memory": STORE,
-        "_temp_dir": folder,
+        "_temp_dir": str(folder),
     }
 
 
-def _make_folder() -> str:
-    """A folder for a cluster of one's own; its path is short, as those of sockets must be."""
-    place = "/tmp" if sys.platform != "win32" and Path("/tmp").is_dir() else None
-    return tempfile.mkdtemp(prefix="navbake-ray-", dir=place)
+def _short_place() -> Path | None:
+    """Where the folder of a cluster of one's own is: paths of sockets must be short."""
+    place = Path("/tmp")
+    return place if sys.platform != "win32" and place.is_dir() else None

@@ -9,13 +9,13 @@ import importlib
 import json
 import pkgutil
 import struct
-import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from typer import Option
 
 import navbake
+from navbake.baker.scene.guard.scratch import scratch_folder
 from navbake.cli.options import check_output
 from navbake.cli.printing import VOLUME, print_warnings, say_unless_quiet
 from navbake.errors import NavbakeError
@@ -236,8 +236,7 @@ def compile_all(progress: Callable[[str, float], None]) -> None:
     from navbake.baker.rooms.windows import find_windows  # loads numba
     from navbake.config.settings import as_config  # loads pydantic
 
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with scratch_folder() as folder:
         path, hollow = folder / "warm-up.xml", folder / "hollow.xml"
         path.write_text(SCENE, encoding="utf-8")
         hollow.write_text(_draw_hollow(), encoding="utf-8")

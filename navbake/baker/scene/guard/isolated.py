@@ -11,7 +11,6 @@ import os
 import pickle
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +19,7 @@ import mujoco
 
 from navbake.baker.scene.guard.child import end_with_parent, ending_of, limit_memory
 from navbake.baker.scene.guard.oversized import refuse_oversized
+from navbake.baker.scene.guard.scratch import scratch_folder
 from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart, read_mesh_parts
 from navbake.baker.scene.model import XML_SUFFIXES, catch_warnings, load_model
 from navbake.config.scene import SceneSettings
@@ -60,8 +60,7 @@ def load_isolated(
     path = Path(settings.path)
     if path.suffix.lower() in XML_SUFFIXES and os.path.isfile(path):
         refuse_oversized(path)  # no process is needed to see that
-    with tempfile.TemporaryDirectory(prefix="navbake-") as folder:
-        place = Path(folder)
+    with scratch_folder() as place:
         (place / JOB).write_bytes(pickle.dumps((settings, limits.memory)))
         _run_child(place, path, limits)
         warned, error = pickle.loads((place / RESULT).read_bytes())
