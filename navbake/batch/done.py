@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from navbake.batch import remote
-from navbake.batch.file_states import are_unchanged, path_from
+from navbake.batch.file_states import are_unchanged, has_no_other, path_from
+from navbake.batch.inputs import Search
 from navbake.batch.settings import settings_of
 from navbake.batch.work import OK, Order, key_of
 from navbake.errors import NavbakeError
@@ -41,7 +42,13 @@ def _is_done(order: Order, row: Json | None) -> bool:
             row["key"] == key_of(order, config)
             and row["named"] == [path_from(path, order.folder) for path in config.inputs]
             and are_unchanged(row["inputs"], order.folder)
+            and has_no_other(_sought(row), row["inputs"], order.folder)
             and are_unchanged(row["files"], order.place)
         )
     except (NavbakeError, KeyError, TypeError, AttributeError):  # or no row of a batch's
         return False
+
+
+def _sought(row: Json) -> Iterator[str]:
+    """Where files of a scene were looked for: one that is new there may be meant instead."""
+    return Search(tuple(row["sought"]["folders"]), tuple(row["sought"]["names"])).places()

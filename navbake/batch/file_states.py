@@ -6,7 +6,7 @@ import hashlib
 import os
 import stat
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
@@ -41,6 +41,23 @@ def are_unchanged(stated: Mapping[str, Json], folder: Path) -> bool:
         return all(_is_unchanged(known, folder / name) for name, known in stated.items())
     except OSError:  # it isn't there
         return False
+
+
+def has_no_other(places: Iterable[str], known: Container[str], folder: Path) -> bool:
+    """Whether there are files at none of some places but the known ones.
+
+    Args:
+        places: paths from the folder.
+        known: paths of files from the folder, as `describe_files` gives them.
+        folder: the folder.
+    """
+    for place in places:
+        if os.path.normpath(place).replace(os.sep, "/") in known:  # as most are, and this is quick
+            continue
+        path = os.path.join(folder, place)
+        if os.path.isfile(path) and path_from(path, folder) not in known:
+            return False
+    return True
 
 
 def path_from(path: str | os.PathLike[str], folder: Path) -> str:

@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
@@ -48,6 +48,26 @@ class FilesHere:
 HERE = FilesHere()
 
 
+class Search(NamedTuple):
+    """Where the files that MJCF names are looked for: each name in each folder.
+
+    Attributes:
+        folders: that come into question; most have few of the names.
+        names: of files, as they are in the XML, with slashes.
+    """
+
+    folders: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
+
+    def places(self) -> Iterator[str]:
+        """All paths at which a file would be one of the scene's."""
+        for name in self.names:
+            # `strippath` of a compiler leaves out the folders of names
+            for each in {name, os.path.basename(name)}:
+                for folder in self.folders:
+                    yield os.path.join(folder, each)
+
+
 def find_inputs(scene: Path, files: Files = HERE, *, looks: bool = False) -> list[Path]:
     """The files that a scene is made of, as far as they are there: itself first, then sorted.
 
@@ -62,6 +82,14 @@ def find_inputs(scene: Path, files: Files = HERE, *, looks: bool = False) -> lis
         files: where to look for the others.
         looks: whether textures and skins are asked for as well.
     """
+    return look_for_inputs(scene, files, looks=looks)[0]
+
+
+def look_for_inputs(
+    scene: Path, files: Files = HERE, *, looks: bool = False
+) -> tuple[list[Path], Search]:
+    """`find_inputs`, and where the files were looked for, which is known of MJCF only."""
+    search = Search()
     suffix = scene.suffix.lower()
     root = _root(scene, files) if suffix in XML_SUFFIXES else None
     if root is None:
@@ -70,8 +98,9 @@ def find_inputs(scene: Path, files: Files = HERE, *, looks: bool = False) -> lis
         meshes = _meshes_of_urdf(scene, files)
         found = {*meshes, *_buffers(meshes, files)}
     else:
-        found = {*_named_files(scene, root, files, looks)}
-    return [scene, *sorted(found - {scene})]
+        search = _search(scene, root, files, looks)
+        found = {path for path in map(Path, search.places()) if files.has(path)}
+    return [scene, *sorted(found - {scene})], search
 
 
 def _meshes_of_urdf(scene: Path, files: Files) -> set[Path]:
@@ -98,9 +127,7 @@ def _buffers(meshes: Iterable[Path], files: Files) -> Iterator[Path]:
                     yield mesh.parent / name
 
 
-def _named_files(
-    scene: Path, root: ElementTree.Element | None, files: Files, looks: bool
-) -> Iterator[Path]:
+def _search(scene: Path, root: ElementTree.Element | None, files: Files, looks: bool) -> Search:
     names: dict[str, None] = {}
     folders = {scene.parent: None}
     left_out = () if looks else LOOKS
@@ -122,12 +149,7 @@ def _named_files(
                         seen.add(os.path.realpath(path))
                         folders[path.parent] = None
                         left.append((path, _root(path, files)))
-    for name in names:
-        for folder in folders:
-            # `strippath` of a compiler leaves out the folders of names
-            for path in (folder / name, folder / Path(name).name):
-                if files.has(path):
-                    yield path
+    return Search(tuple(map(str, folders)), tuple(names))
 
 
 def _names_of(element: ElementTree.Element, looks: bool) -> list[str]:

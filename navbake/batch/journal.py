@@ -19,7 +19,7 @@ from navbake.types import Json
 INFO, WARNING, ERROR = "info", "warning", "error"
 NAMES = {READY: "worker-ready", BEGUN: "scene-begin", LOST: "worker-lost", AGAIN: "retry"}
 # of a row of the index: what tells whether a scene is done, which may be long
-BOOKKEEPING = ("key", "named", "inputs", "files", "ended")
+BOOKKEEPING = ("key", "named", "sought", "inputs", "files", "ended")
 
 
 def stamp() -> str:

@@ -87,6 +87,7 @@ def make_remote(order: Order, make: Callable[[Order], Json]) -> Json:
             "source": name_source(order),
             "key": remote_key_of(order),
             "named": [],
+            "sought": {},
             "inputs": {**_inputs(order, near, row["inputs"], mirror), **settings},
         }
         if isinstance(order.folder, str):

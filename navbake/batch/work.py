@@ -17,7 +17,7 @@ from navbake.auditor.audit import audit
 from navbake.baker.pipeline import run_bake
 from navbake.batch.file_states import describe_files, path_from
 from navbake.batch.full import FullError, telling_full
-from navbake.batch.inputs import find_inputs
+from navbake.batch.inputs import look_for_inputs
 from navbake.batch.job import Job
 from navbake.batch.products import GRID, Product, remove_products, write_thumbnail
 from navbake.batch.remote import is_remote, make_remote, name_source, remove_remote_products
@@ -121,7 +121,8 @@ def _make(order: Order) -> Json:
     config = settings_of(order.job, order.settings, order.overrides)
     # before the bake: what changes meanwhile is noticed by the next run
     named = [Path(path) for path in config.inputs]
-    inputs = [path for name in named for path in find_inputs(name) if os.path.isfile(path)]
+    looked = [look_for_inputs(name) for name in named]  # the scene is the first
+    inputs = [path for found, _ in looked for path in found if os.path.isfile(path)]
     assert isinstance(order.folder, Path)
     stated = describe_files(inputs, order.folder)
     with warnings.catch_warnings():
@@ -150,6 +151,10 @@ def _make(order: Order) -> Json:
         "audit": [str(remark) for remark in audit(grid).remarks],
         "inputs": stated,
         "named": [path_from(path, order.folder) for path in named],
+        "sought": {
+            "folders": [path_from(path, order.folder) for path in looked[0][1].folders],
+            "names": list(looked[0][1].names),
+        },
         "files": describe_files(
             [order.place / name for name in (GRID, *made)], order.place, may_change=False
         ),

@@ -429,3 +429,19 @@ def test_a_scene_that_can_not_be_read_is_not_a_folder_without_room(scenes, here,
 
     monkeypatch.setattr("navbake.batch.work.run_bake", bake)
     assert run(*ALL)[1].count("failed") == 3
+
+
+def test_a_new_file_that_a_scene_may_mean_instead_is_noticed(scenes, here):
+    text = MESHED.replace("<mujoco>", '<mujoco><compiler meshdir="meshes"/>')
+    text = text.replace("floor.xml", str(scenes / "floor.xml"))
+    (scenes / "meshed.mjcf.xml").write_text(text)
+    (scenes / "meshes").mkdir()
+    (scenes / "chest.obj").rename(scenes / "meshes" / "chest.obj")
+    assert run(ALL[2])[1].count("ok") == 1
+    (scenes / "other.obj").write_text(CHEST.format(height=2))
+    (scenes / "meshes" / "wood.png").touch()  # a texture
+    assert run(ALL[2])[0] == []
+    for name in ("chest.obj", "meshes/floor.xml"):
+        (scenes / name).write_text(CHEST.format(height=2))  # which one MuJoCo takes, who knows
+        assert run(ALL[2])[0] == ["meshed.mjcf"]
+        assert run(ALL[2])[0] == []

@@ -126,7 +126,7 @@ def test_the_index_as_a_table_says_what_the_lines_say(tmp_path, run):
             )
         plain = row.keys() - {"stages", "inputs", "files"}
         assert {key: row[key] for key in plain} == {key: line.get(key) for key in plain}
-        assert line.keys() - row.keys() <= {"named"}
+        assert line.keys() - row.keys() <= {"named", "sought"}
     content = (tmp_path / "out/index.parquet").read_bytes()
     assert encode_rows(lines) == content == encode_rows(lines)
     assert run("batch", "a.xml", "-o", "out", "--parquet", *coarse)[0] == 0  # nothing to do
