@@ -232,7 +232,7 @@ def framed(answer):
     ("message", "why"),
     [
         (b"\0\0\0\x04\x80\x05ab", "what it answered can't be read: "),  # no pickle
-        (b"\0\0\0\x09ab", "its process ended with exit status 5"),  # cut off
+        (b"\0\0\0\x09ab", "its process ended by SIGKILL"),  # cut off
         (b"\0\0\0\x02N.", "what it answered can't be read: TypeError"),  # None
         (framed(("odd", 1)), "it answered 'odd'"),
     ],
@@ -246,7 +246,7 @@ def test_an_answer_that_can_not_be_read_costs_its_job_alone(message, why):
 
 def test_workers_that_end_before_they_begin_a_job_are_one_error():
     events = []
-    why = "worker processes end before they begin a scene: its process ended with exit status 6"
+    why = "worker processes end before they begin a scene: its process ended by SIGKILL"
     with pytest.raises(NavbakeError, match=why):
         run([("double", 1)] * 3, 2, prepare=crew_jobs.end_when_ready, on_event=events.append)
     assert sum(event.what == LOST for event in events) == 3
