@@ -179,6 +179,7 @@ def _rows() -> tuple[Json, ...]:
         "id": "input", "status": "ok", "source": "input.xml", "version": "0.1.0", "key": "0" * 64,
         "levels": 1, "cells": 100, "free_area": 1.5, "rooms": 1, "doors": 0, "warnings": ["a"],
         "audit": [], "inputs": {"input.xml": state}, "named": ["input.xml"],
+        "sought": {"folders": ["."], "names": ["a.obj"]},
         "files": {"grid.json.gz": state}, "stages": {"scene": 0.1}, "seconds": 1.0,
     }  # fmt: skip
     failed = {"id": "b", "status": "failed", "how": "error", "error": "no file", "source": "b.xml"}

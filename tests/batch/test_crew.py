@@ -236,6 +236,7 @@ def framed(answer):
         (b"\0\0\0\x02N.", "what it answered can't be read: TypeError"),  # None
         (framed(("odd", 1)), "it answered 'odd'"),
     ],
+    ids=["no pickle", "cut off", "None", "unknown"],
 )
 def test_an_answer_that_can_not_be_read_costs_its_job_alone(message, why):
     jobs = [("double", 1), ("garble", message), ("double", 2)]
