@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 import navbake
+from batch_in_process import Told, stay_in_process
 from batch_scenes import draw_room, write_scenes, wrong_rows
-from navbake.batch import batch as module
 from navbake.batch import index as index_module
 from navbake.batch.batch import Batch, Means, run_batch
-from navbake.batch.crew import DONE, Ended, JobLimits
+from navbake.batch.crew import JobLimits
 from navbake.batch.index import NAME, only_batch, read_index
 from navbake.batch.manifest import list_jobs
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError
@@ -35,31 +35,10 @@ CHEST = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 {height}\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf
 FLOOR = '<mujoco><geom type="box" size="{half} 2 .1" pos="0 0 -.1"/></mujoco>'
 
 
-class Told:
-    """Notes what a batch tells."""
-
-    def __init__(self):
-        self.begun, self.rows = None, []
-
-    def begin(self, total, skipped):
-        self.begun = total, skipped
-
-    def hear(self, event, scene):
-        pass
-
-    def end_scene(self, row):
-        self.rows.append(row)
-
-
 @pytest.fixture
 def here(monkeypatch):
     """Jobs are done in this process, one after another."""
-
-    def do_jobs(jobs, work, count, **options):
-        for number, job in enumerate(jobs):
-            yield Ended(number, DONE, work(job), 0.0)
-
-    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    stay_in_process(monkeypatch)
 
 
 @pytest.fixture
@@ -337,14 +316,13 @@ def test_scenes_of_another_batch_stay_in_the_index(scenes, here):
 
 
 def test_an_interrupted_batch_leaves_a_true_index(scenes, monkeypatch):
-    def do_jobs(jobs, work, count, **options):
-        yield Ended(0, DONE, work(jobs[0]), 0.0)
-        leftover = jobs[1].place
-        leftover.mkdir()
-        (leftover / ".navbake-0123456789abcdef.tmp").write_bytes(b"half")
+    def interrupt():
+        """End the batch while a worker writes the second scene."""
+        Path("out/second").mkdir()
+        Path("out/second/.navbake-0123456789abcdef.tmp").write_bytes(b"half")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    stay_in_process(monkeypatch, after=interrupt)
     with pytest.raises(KeyboardInterrupt):
         run(*ALL)
     status = {name: row["status"] for name, row in read_index(Path("out")).items()}

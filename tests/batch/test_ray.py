@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 import crew_jobs
+from batch_in_process import Told
 from batch_scenes import write_scenes, wrong_rows
 from navbake.batch.batch import Batch, Means, run_batch
 from navbake.batch.cluster.executor import ALL, RayExecutor
@@ -29,19 +30,6 @@ pytestmark = pytest.mark.skipif(
 )
 COUNT = 8
 OPTIONS = ("--time-limit", "5", "--memory-limit", "0.7", "--set", "grid.cell_size=0.1")
-
-
-class Silent:
-    """Is told how a batch goes on."""
-
-    def begin(self, total, skipped):
-        pass
-
-    def hear(self, event, scene):
-        pass
-
-    def end_scene(self, row):
-        pass
 
 
 def start(folder, out, *options, **more):
@@ -96,7 +84,7 @@ def test_two_nodes_of_which_one_is_killed_make_the_same(tmp_path):
     del expected["takes"]
     good = [str(source.parent / line["scene"]) for line in lines if "id" not in line]
     embedded = Batch(list_jobs(good), tmp_path / "one", {"grid": {"cell_size": 0.1}})
-    run_batch(embedded, Means(), Silent())
+    run_batch(embedded, Means(), Told())
     whole = digests(tmp_path / "one")
     assert len(whole) == COUNT
     cold = tmp_path / "cold"

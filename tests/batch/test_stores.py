@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import pickle
 import platform
 import sys
 import time
@@ -16,11 +15,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from batch_in_process import Told, stay_in_process
 from batch_scenes import draw_room
-from navbake.batch import batch as module
 from navbake.batch import remote
 from navbake.batch.batch import Batch, Means, run_batch
-from navbake.batch.crew import DONE, Ended
 from navbake.batch.index import LOCK, NAME
 from navbake.batch.manifest import list_jobs
 from navbake.batch.settings import read_shared
@@ -76,28 +74,10 @@ PLAN = {
 }
 
 
-class Told:
-    """Notes what a batch tells."""
-
-    def __init__(self):
-        self.rows = []
-
-    def begin(self, total, skipped):
-        pass
-
-    def end_scene(self, row):
-        self.rows.append(row)
-
-
 @pytest.fixture(autouse=True)
 def here(monkeypatch, tmp_path):
     """Jobs are done in this process, which alone has the store; temporary folders are in sight."""
-
-    def do_jobs(jobs, work, count, **options):
-        for number, job in enumerate(jobs):
-            yield Ended(number, DONE, work(pickle.loads(pickle.dumps(job))), 0.0)
-
-    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    stay_in_process(monkeypatch)
     (tmp_path / "tmp").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
     monkeypatch.chdir(tmp_path)

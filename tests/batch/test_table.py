@@ -7,10 +7,9 @@ import json
 
 import pytest
 
+from batch_in_process import stay_in_process
 from batch_scenes import draw_room
-from navbake.batch import batch as module
 from navbake.batch import table
-from navbake.batch.crew import DONE, Ended
 from navbake.batch.manifest import list_jobs
 from navbake.batch.table import encode_rows
 from navbake.cli.main import main
@@ -23,12 +22,7 @@ parquet = pytest.importorskip("pyarrow.parquet")
 @pytest.fixture(autouse=True)
 def here(monkeypatch, tmp_path):
     """Jobs are done in this process; the current folder has scenes."""
-
-    def do_jobs(jobs, work, count, **options):
-        for number, job in enumerate(jobs):
-            yield Ended(number, DONE, work(job), 0.0)
-
-    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    stay_in_process(monkeypatch)
     monkeypatch.chdir(tmp_path)
     for number, name in enumerate(("a", "b", "c")):
         (tmp_path / f"{name}.xml").write_text(draw_room(number))

@@ -18,9 +18,8 @@ from pathlib import Path
 import pytest
 
 import navbake
+from batch_in_process import stay_in_process
 from batch_scenes import write_scenes
-from navbake.batch import batch as module
-from navbake.batch.crew import DONE, Ended
 from navbake.cli.commands import batch as command
 from navbake.cli.commands import warm_up
 from navbake.errors import NavbakeError
@@ -39,12 +38,7 @@ COARSE = ("--set", "grid.cell_size=0.1")
 @pytest.fixture
 def here(monkeypatch):
     """Jobs are done in this process, one after another."""
-
-    def do_jobs(jobs, work, count, **options):
-        for number, job in enumerate(jobs):
-            yield Ended(number, DONE, work(job), 0.0)
-
-    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    stay_in_process(monkeypatch)
 
 
 def test_a_batch_prints_a_summary_and_what_failed(folder, run, here):
@@ -93,11 +87,10 @@ def test_a_log_has_the_lines_that_json_prints(folder, run, here):
 
 
 def test_a_batch_that_cannot_go_on_says_so_in_its_log_and_page(folder, run, monkeypatch):
-    def do_jobs(jobs, work, count, **options):
-        yield Ended(0, DONE, work(jobs[0]), 0.0)
+    def fail():
         raise NavbakeError("cannot start a worker process: no memory")
 
-    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    stay_in_process(monkeypatch, after=fail)
     shutil.copy("room.xml", "second.xml")
     options = ("-o", "out", "--log", "log.jsonl", "--page", *COARSE)
     assert run("batch", "room.xml", "second.xml", *options)[0] == 1
@@ -133,13 +126,11 @@ def test_a_page_is_written_while_the_batch_goes_on(folder, run, monkeypatch):
     shutil.copy("room.xml", "second.xml")
     seen = []
 
-    def do_jobs(jobs, work, count, **options):
-        for number, job in enumerate(jobs):
-            yield Ended(number, DONE, work(job), 0.0)
-            made = content_of_batch("out/index.html")
-            seen.append((made["progress"], made["scenes"]["id"]))
+    def look():
+        made = content_of_batch("out/index.html")
+        seen.append((made["progress"], made["scenes"]["id"]))
 
-    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    stay_in_process(monkeypatch, after=look)
     monkeypatch.setattr("navbake.batch.page.page.EVERY", 0.0)
     monkeypatch.setattr("navbake.batch.page.page.SHARE", 1e9)
     run("batch", "room.xml", "second.xml", "-o", "out", "--page", *COARSE)
