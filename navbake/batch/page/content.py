@@ -71,7 +71,6 @@ def describe_batch(
             row["id"] if is_fine else _text(row["id"])
             for row, is_fine in zip(shown, safe, strict=True)
         ],
-        "safe": [int(is_fine) for is_fine in safe],
         "source": [_text(row.get("source")) for row in shown],
         "status": [STATUSES.index(row["status"]) for row in shown],
         **{name: [_number(row.get(key)) for row in shown] for name, key in NUMBERS.items()},
