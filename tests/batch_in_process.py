@@ -1,11 +1,16 @@
-"""Batches whose jobs are done in the tests' own process, and what notes what they tell."""
+"""Runs batches from tests, and lets them do their jobs in the tests' own process."""
 
 from __future__ import annotations
 
 import pickle
 
 from navbake.batch import batch as module
+from navbake.batch.batch import Batch, Means, run_batch
 from navbake.batch.crew import DONE, Ended
+from navbake.batch.manifest import list_jobs
+from navbake.batch.stores.urls import as_folder
+
+ONE = Means()
 
 
 class Told:
@@ -22,6 +27,18 @@ class Told:
 
     def end_scene(self, row):
         self.rows.append(row)
+
+
+def run_sources(*sources, settings, out="out", means=ONE, **options):
+    """Run a batch; the ids of what it baked, and its result.
+
+    Args:
+        sources: what names its scenes.
+        options: more of the `Batch`.
+    """
+    told = Told()
+    result = run_batch(Batch(list_jobs(sources), as_folder(out), settings, **options), means, told)
+    return [row["id"] for row in told.rows], result
 
 
 def stay_in_process(monkeypatch, after=lambda: None):

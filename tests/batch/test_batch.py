@@ -7,22 +7,23 @@ import json
 import os
 import shutil
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 import navbake
-from batch_in_process import Told, stay_in_process
-from batch_scenes import draw_room, write_scenes, wrong_rows
+from batch_in_process import run_sources, stay_in_process
+from batch_scenes import CHEST, draw_room, write_scenes, wrong_rows
 from navbake.batch import index as index_module
-from navbake.batch.batch import Batch, Means, run_batch
+from navbake.batch.batch import Means
 from navbake.batch.crew import JobLimits
 from navbake.batch.index import NAME, only_batch, read_index
 from navbake.batch.manifest import list_jobs
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError
 
 SETTINGS = {"grid": {"cell_size": 0.2}}
-ONE = Means()
+run = partial(run_sources, settings=SETTINGS)
 MESHED = """<mujoco>
 <asset>
   <mesh name="chest" file="chest.obj"/>
@@ -31,7 +32,6 @@ MESHED = """<mujoco>
 <worldbody>
   <include file="floor.xml"/><geom type="mesh" mesh="chest" material="wood"/>
 </worldbody></mujoco>"""
-CHEST = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 {height}\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
 FLOOR = '<mujoco><geom type="box" size="{half} 2 .1" pos="0 0 -.1"/></mujoco>'
 
 
@@ -60,14 +60,6 @@ def write_texture(folder, shade):
     from PIL import Image
 
     Image.new("RGB", (2, 2), (shade,) * 3).save(folder / "wood.png")
-
-
-def run(*sources, out="out", means=ONE, settings=SETTINGS, **options):
-    """Run a batch; what it baked, and its result."""
-    told = Told()
-    todo = Batch(list_jobs(sources), Path(out), settings, **options)
-    result = run_batch(todo, means, told)
-    return [row["id"] for row in told.rows], result
 
 
 def digests(folder):

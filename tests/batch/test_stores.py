@@ -9,16 +9,16 @@ import platform
 import sys
 import time
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from batch_in_process import Told, stay_in_process
-from batch_scenes import draw_room
+from batch_in_process import run_sources, stay_in_process
+from batch_scenes import CHEST, draw_room
 from navbake.batch import remote
-from navbake.batch.batch import Batch, Means, run_batch
 from navbake.batch.index import LOCK, NAME
 from navbake.batch.manifest import list_jobs
 from navbake.batch.settings import read_shared
@@ -43,7 +43,7 @@ from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, Sc
 
 fsspec = pytest.importorskip("fsspec")
 SETTINGS = {"grid": {"cell_size": 0.25}}
-CHEST = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 {height}\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+run = partial(run_sources, settings=SETTINGS)
 FLOOR = '<mujoco><geom type="box" size="2 2 .1" pos="0 0 -.1"/></mujoco>'
 MESHED = """<mujoco>
 <compiler meshdir="../shared" texturedir="looks"/>
@@ -132,16 +132,6 @@ def rooms(tmp_path, memory):
     names = write_rooms(tmp_path / "rooms")
     upload(tmp_path / "rooms", memory, "/s/rooms")
     return names
-
-
-ONE = Means()
-
-
-def run(*sources, out="out", means=ONE, settings=SETTINGS, **options):
-    """Run a batch; what it baked, and its result."""
-    told = Told()
-    result = run_batch(Batch(list_jobs(sources), as_folder(out), settings, **options), means, told)
-    return [row["id"] for row in told.rows], result
 
 
 def grids(folder):

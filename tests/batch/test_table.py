@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import io
 import json
+from functools import partial
 
 import pytest
 
 from batch_in_process import stay_in_process
 from batch_scenes import draw_room
+from command_line import run_command
 from navbake.batch import table
 from navbake.batch.manifest import list_jobs
 from navbake.batch.table import encode_rows
-from navbake.cli.main import main
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError
 
 pyarrow = pytest.importorskip("pyarrow")
@@ -31,14 +32,7 @@ def here(monkeypatch, tmp_path):
 @pytest.fixture
 def run(capsys):
     """Returns a function that runs a command: its status, stdout and stderr."""
-
-    def call(*arguments):
-        with pytest.raises(SystemExit) as caught:
-            main([*arguments])
-        out, err = capsys.readouterr()
-        return caught.value.code or 0, out, err
-
-    return call
+    return partial(run_command, capsys)
 
 
 def write(rows, name="list.parquet", schema=None):
