@@ -19,7 +19,7 @@ from navbake.errors import ConfigError
 
 def report(
     grids: Annotated[
-        list[Path], Argument(metavar="GRID...", help="NavGrid files, or the folder of a batch.")
+        list[Path], Argument(metavar="GRID|FOLDER", help="NavGrid files, or the folder of a batch.")
     ],
     output: Path | None = Option(
         None,
