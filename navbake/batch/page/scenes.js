@@ -12,6 +12,7 @@ function hrefOf(i, file) {
 }
 
 function makeHeads() {
+  find("table").style.setProperty("--all", `${scenes.id.length * ROW}px`); // it isn't lower for what is chosen
   const heads = [["id", "scene", ""], ["status", "status", ""], ...Object.entries(COLUMNS).map(([key, [name, unit]]) => [key, name, unit])];
   find("heads").append(element("span", "", { role: "columnheader", "aria-label": "picture", class: "picture" }));
   for (const [key, name, unit] of heads) {
@@ -155,8 +156,8 @@ function sceneParts(i) {
   if (scenes.error[i] !== NEVER) parts.push(element("p", summary(i), { class: "reason" }));
   const facts = element("dl"), ended = moment(scenes.ended[i]);
   const rows = [["status", `${mark} ${status}`], ...Object.entries(COLUMNS).map(([key, [name, unit]]) => [name, withUnit(scenes[key][i], unit)])];
-  rows.push(["ended", ended], ["source", scenes.source[i]], ["version", scenes.version[i]]);
-  for (const [name, value] of rows) if (value) facts.append(fact(name, value));
+  rows.push(["ended", ended], ["version", scenes.version[i]], ["source", scenes.source[i]]);
+  for (const [name, value] of rows) if (value) facts.append(fact(name, value, name === "source" ? "whole" : ""));
   parts.push(facts);
   for (const [kind, title] of [["warnings", "Warnings"], ["remarks", "Audit"]]) {
     if (!scenes[kind][i].length) continue;
@@ -171,8 +172,8 @@ function sceneParts(i) {
 // The page of a scene first, then pictures.
 const rank = (file) => ["report.html", "picture.png"].indexOf(file) >>> 0;
 
-function fact(name, value) {
-  const box = element("div");
+function fact(name, value, kind = "") {
+  const box = element("div", undefined, { class: kind });
   box.append(element("dt", name), element("dd", value));
   return box;
 }

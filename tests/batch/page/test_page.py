@@ -255,6 +255,24 @@ def test_only_rows_in_sight_are_elements_and_keys_move_through_all(folder):
 
 
 @needs_browser
+def test_a_page_of_few_scenes_has_no_empty_parts(tmp_path):
+    (tmp_path / INDEX).write_text("")
+    write_page(tmp_path)
+    size = "const box = find(arguments[0]).getBoundingClientRect(); return box.height"
+    with open_browser() as driver:
+        open_page(driver, (tmp_path / "index.html").as_uri())
+        assert count(driver) == "0 scenes"
+        assert not driver.find_element("id", "distributions").is_displayed()
+        assert driver.execute_script(size, "table") < 60
+        (tmp_path / INDEX).write_text('{"id": "a", "status": "failed", "seconds": 1}\n')
+        write_page(tmp_path)
+        open_page(driver, (tmp_path / "index.html").as_uri())
+        assert 80 < driver.execute_script(size, "table") < 120
+        assert 50 < driver.execute_script(size, "charts") < 200  # one as wide as four is too high
+        assert errors_of(driver) == []
+
+
+@needs_browser
 def test_a_page_of_too_many_scenes_has_the_sums_of_all_and_says_so(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(content, "MAX_SCENES", 40)
     (tmp_path / INDEX).write_bytes((folder / INDEX).read_bytes())
