@@ -19,7 +19,7 @@ from navbake.batch.settings import check_shared, nest
 from navbake.batch.stores.store import is_pattern, match_files, read_file
 from navbake.batch.stores.urls import Folder, is_url, join, parent, plain_path, shown, split_url
 from navbake.batch.table import read_table
-from navbake.config.errors import find_unknown_key
+from navbake.config.errors import find_unknown_key, show_value
 from navbake.config.settings import SECTIONS, BakeConfig
 from navbake.errors import ConfigError, FormatError
 from navbake.formats.source import read_bytes
@@ -30,7 +30,6 @@ MAX_BYTES = 1 << 30  # of a list
 SCENE_KEYS = ("scene", "config")  # of a row; one of them
 TEXTS = ("id", *SCENE_KEYS)  # of which `001` is text
 LINE_END = re.compile(r"\r\n?|\n")
-SHOWN = 80  # characters of a line in a message
 
 Entry = tuple[str | None, str, Json, str]  # id if it is given, source, settings, place
 
@@ -125,9 +124,10 @@ def _entry(row: Json, folder: Folder, place: str) -> Entry:
     name, path = row.pop("id", None), row.pop(given[0])
     nested = row.pop("settings", {})
     if not isinstance(nested, dict):
-        raise ConfigError(f"expected an object as `settings` at {place}, got {nested!r}")
+        raise ConfigError(f"expected an object as `settings` at {place}, got {show_value(nested)}")
     if isinstance(name, bool) or not isinstance(name, str | int | None):
-        raise ConfigError(f"expected text or a whole number as `id` at {place}, got {name!r}")
+        got = show_value(name)
+        raise ConfigError(f"expected text or a whole number as `id` at {place}, got {got}")
     settings = nest({**nested, **row}, folder, place)
     check_shared(settings, place)
     for key in settings:
@@ -171,9 +171,9 @@ def _csv_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
 
 def _columns(names: list[str], place: str) -> list[str]:
     if not set(names) & {*SCENE_KEYS}:
+        got = show_value(",".join(names))
         raise ConfigError(
-            f"expected names of columns, `scene` or `config` among them, got {_cut(names)} at "
-            f"{place}"
+            f"expected names of columns, `scene` or `config` among them, got {got} at {place}"
         )
     for name, count in Counter(names).items():
         if name and count > 1:
@@ -185,7 +185,7 @@ def _csv_row(names: list[str], values: list[str], place: str) -> Json:
     if len(values) > len(names):
         raise ConfigError(
             f"expected as many values as columns at {place}: {len(names)}, got {len(values)}: "
-            f"{_cut(values)}"
+            f"{show_value(','.join(values))}"
         )
     row = {
         name: value if name in TEXTS else _plain(value)
@@ -195,22 +195,17 @@ def _csv_row(names: list[str], values: list[str], place: str) -> Json:
     scene = next((row[key] for key in SCENE_KEYS if key in row), "")
     if scene.startswith("#"):
         raise ConfigError(
-            f"expected a scene, got {scene!r} at {place}: a CSV has no comments, "
+            f"expected a scene, got {show_value(scene)} at {place}: a CSV has no comments, "
             "and a path that begins so is written with ./ before it"
         )
     return row
 
 
-def _cut(values: list[str]) -> str:
-    text = ",".join(values)
-    return repr(text if len(text) <= SHOWN else f"{text[:SHOWN]}…")
-
-
-def _plain(text: str | None) -> Any:
+def _plain(text: str) -> Any:
     """A cell of a CSV: a number, true, false, a list or an object as JSON has it, else text."""
     try:
-        return json.loads(text or '""')
-    except ValueError:
+        return json.loads(text)
+    except (ValueError, RecursionError):
         return text
 
 
@@ -225,7 +220,7 @@ def _json_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
         except (ValueError, RecursionError) as error:
             raise ConfigError(f"broken JSON at {place}: {error}") from error
         if not isinstance(row, dict):
-            raise ConfigError(f"expected an object at {place}, got {_cut([line])}")
+            raise ConfigError(f"expected an object at {place}, got {show_value(row)}")
         yield place, row
 
 

@@ -66,10 +66,10 @@ def test_lists_name_scenes_beside_themselves(folder):
         ("a.txt", "# none\n\n", "one scene in a.txt"),
         ("a.csv", "scene,id\na.xml\n,b\n", "expected a path as `scene` or as `config` at a.csv, l"),
         ("a.csv", "scene\na.xml,b\n", "as many values as columns at a.csv, line 2"),
-        ("a.csv", "a.xml,a\n", "names of columns, .* got 'a.xml,a' at a.csv, line 1"),
-        ("a.csv", "# mine\nscene\na.xml\n", "names of columns, .* got '# mine' at a.csv, line 1"),
-        ("a.csv", "scene;id\na.xml;a\n", "names of columns, .* got 'scene;id' at a.csv, line 1"),
-        ("a.csv", "scene,id\na.xml,a\n# b\n", "got '# b' at a.csv, line 3: a CSV has no comments"),
+        ("a.csv", "a.xml,a\n", "names of columns, .* got .a.xml,a. at a.csv, line 1"),
+        ("a.csv", "# mine\nscene\na.xml\n", "names of columns, .* got .# mine. at a.csv, line 1"),
+        ("a.csv", "scene;id\na.xml;a\n", "names of columns, .* got .scene;id. at a.csv, line 1"),
+        ("a.csv", "scene,id\na.xml,a\n# b\n", "got .# b. at a.csv, line 3: a CSV has no comments"),
         ("a.csv", "scene,id,id\na.xml,a,b\n", "column once, got `id` 2 times at a.csv, line 1"),
         ("a.csv", 'scene,id\na.xml,a\n"b\n.xml,b\n', "broken CSV at a.csv, line 3"),
         ("a.csv", 'scene,id\n"a\n.xml",b,\n', "columns at a.csv, line 2: 2, got 3"),
@@ -107,6 +107,13 @@ def test_lists_of_any_system_are_read(folder, end, mark):
         assert jobs[1].place == f"{name}, line {len(lines)}"
 
 
+def test_a_cell_that_is_nested_too_deep_is_text(folder):
+    deep = "[" * 100_000
+    (folder / "a.csv").write_text(f"scene,agent.radius\na.xml,{deep}\n")
+    [job] = list_jobs(["a.csv"])
+    assert job.settings == {"agent": {"radius": deep}}
+
+
 def test_a_table_without_rows_is_named(folder):
     pyarrow = pytest.importorskip("pyarrow")
     parquet = pytest.importorskip("pyarrow.parquet")
@@ -137,6 +144,15 @@ def test_ids_cannot_leave_the_folder(folder, name):
 
     (folder / "list.jsonl").write_text(json.dumps({"scene": "a/hall.xml", "id": name}))
     with pytest.raises(ConfigError, match=r"expected an id .* at list.jsonl, line 1"):
+        list_jobs(["list.jsonl"])
+
+
+@pytest.mark.parametrize("id", ["a/" * 5000 + "..", ["a" * 5000], {"a" * 5000: 1}])
+def test_messages_of_ids_are_short(folder, id):
+    import json
+
+    (folder / "list.jsonl").write_text(json.dumps({"scene": "a/hall.xml", "id": id}))
+    with pytest.raises(ConfigError, match=r"^.{,400}$"):
         list_jobs(["list.jsonl"])
 
 
