@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import shutil
 import sys
 from functools import partial
@@ -21,6 +22,7 @@ from navbake.batch.crew import JobLimits
 from navbake.batch.index import NAME, only_batch, read_index
 from navbake.batch.manifest import list_jobs
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError
+from project_paths import ROOT
 
 SETTINGS = {"grid": {"cell_size": 0.2}}
 run = partial(run_sources, settings=SETTINGS)
@@ -187,24 +189,22 @@ def test_a_resume_may_run_in_another_folder(scenes, here, monkeypatch):
     assert run(*ALL)[0] == []
 
 
+def names_in_docs():
+    """The files that the docs list of a scene of one level."""
+    text = (ROOT / "docs" / "batch.md").read_text("utf-8")
+    table = text.split("\n## What is made\n\n")[1].split("\n\n")[0]
+    cells = [line.split("|")[2] for line in table.splitlines()]
+    files = [cell.split("; of several levels")[0] for cell in cells]
+    return {name for cell in files for name in re.findall(r"`([\w.-]+\.\w+)`", cell)}
+
+
 def test_products_are_made_missed_and_removed(scenes, here):
     make = [
-        "inflated:0.30",
-        "inflated:0.2:0.1",
-        "voxels:0.5",
-        "voxels:0.5:npz",
-        "picture",
-        "report",
-        "nav2",
-        "nav2:0.2",
+        *("inflated:0.30", "inflated:0.3:0.1", "nav2", "nav2:0.3", "picture", "report"),
+        *("voxels:0.5", "voxels:0.5:bt", "voxels:0.5:ot", "voxels:0.5:npz"),
     ]
-    names = {
-        *("grid.json.gz", "inflated-0.3.json.gz", "inflated-0.2-0.1.json.gz", "picture.png"),
-        *("nav2.yaml", "nav2.pgm", "nav2-0.2.yaml", "nav2-0.2.pgm"),
-        *("report.html", "voxels-0.5.binvox", "voxels-0.5.npz"),
-    }
     run("scenes/first.xml", products=make)
-    assert {path.name for path in Path("out/first").iterdir()} == names
+    assert {path.name for path in Path("out/first").iterdir()} == names_in_docs()
     inflated = navbake.load("out/first/grid.json.gz").inflate(0.3)
     inflated.save("inflated.json.gz")
     assert (
@@ -240,6 +240,12 @@ def test_a_wrong_product_is_refused_before_anything_is_baked(scenes, product, me
     with pytest.raises(ConfigError, match=message):
         run(*ALL, products=[product])
     assert not Path("out").exists()
+
+
+def test_two_pictures_of_a_scene_would_be_one_file(scenes):
+    assert run("scenes/first.xml", products=["picture:floor"] * 2)[0] == ["first"]
+    with pytest.raises(ConfigError, match=r"expected one picture, .*got picture, picture:floor"):
+        run(*ALL, products=["picture", "report", "picture:floor"])
 
 
 def test_pictures_without_matplotlib_are_refused_before_anything_is_baked(scenes, monkeypatch):

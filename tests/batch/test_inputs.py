@@ -98,6 +98,12 @@ def test_of_urdf_they_are_meshes_found_as_the_bake_finds_them(folder):
     assert names(folder, "robot/arm.urdf") == ["robot/arm.urdf", "robot/meshes/arm.dae"]
 
 
+def test_a_mesh_that_a_urdf_lacks_hides_no_other(folder):
+    meshes = '<mesh filename="no.obj"/><mesh filename="mesh/a.obj"/>'
+    (folder / "arm.urdf").write_text(f'<robot name="arm">{meshes}</robot>')
+    assert names(folder, "arm.urdf") == ["arm.urdf", "mesh/a.obj"]
+
+
 @pytest.mark.parametrize("text", ["<mujoco>", "\xff", '<mujoco><mesh file=""/></mujoco>'])
 def test_of_broken_xml_it_is_the_scene_itself(folder, text):
     (folder / "scene.xml").write_text(text)

@@ -126,6 +126,20 @@ def test_long_texts_are_cut_and_many_scenes_too(monkeypatch):
     assert (made["total"], made["counts"]) == (3, [1, 1, 1])
 
 
+def test_sums_are_of_all_scenes_also_of_those_that_are_not_shown(monkeypatch):
+    monkeypatch.setattr(content, "MAX_SCENES", 1)
+    other = {**OK, "version": "0.2.0", "stages": {"doors": 0.5, "rooms": 0.5}, "audit": []}
+    made = describe(BAD, OK, other, {**OK, "stages": None, "cells": 10**14, "free_area": "1"})
+    assert made["scenes"]["id"] == ["b"] and made["stageNames"] == ["scene", "rooms", "doors"]
+    assert made["sums"] == {
+        **{"freeArea": 25.0, "cells": 1e14 + 800, "levels": 3, "rooms": 6, "doors": 0},
+        **{"seconds": 3.0, "warned": 3, "remarked": 2, "versions": ["0.1.0", "0.2.0"]},
+        **{"stages": [0.5, 0.75, 0.5], "staged": 2.0},
+    }
+    made = describe(*({**OK, "cells": 10**15 - 1} for _ in range(20_000)))
+    assert made["sums"]["cells"] == pytest.approx(2e19)  # more than JSON's writer takes as whole
+
+
 def test_time_is_that_in_which_any_scene_was_baked():
     def row(ended, seconds):
         return {"ended": f"2026-01-01T{ended}Z", "seconds": seconds}
