@@ -8,10 +8,10 @@ from pathlib import Path
 
 from navbake.batch import remote
 from navbake.batch.file_states import are_unchanged, has_no_other, path_from
-from navbake.batch.inputs import Search
 from navbake.batch.settings import settings_of
 from navbake.batch.work import OK, Order, key_of
 from navbake.errors import NavbakeError
+from navbake.formats.scene_files import Search
 from navbake.types import Json
 
 

@@ -17,7 +17,6 @@ from navbake.auditor.audit import audit
 from navbake.baker.pipeline import run_bake
 from navbake.batch.file_states import describe_files, path_from
 from navbake.batch.full import FullError, telling_full
-from navbake.batch.inputs import look_for_inputs
 from navbake.batch.job import Job
 from navbake.batch.products import GRID, Product, remove_products, write_thumbnail
 from navbake.batch.remote import is_remote, make_remote, name_source, remove_remote_products
@@ -28,6 +27,7 @@ from navbake.dispatch import IS_HELPER
 from navbake.errors import NavbakeError, printable
 from navbake.files import without_waiting
 from navbake.formats.navgrid import write_navgrid
+from navbake.formats.scene_files import look_for_inputs
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
 

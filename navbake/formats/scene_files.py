@@ -10,9 +10,6 @@ from typing import Any, NamedTuple, Protocol
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
-from navbake.baker.scene.urdf import read_urdf
-from navbake.errors import SceneError
-
 XML_SUFFIXES = (".xml", ".mjcf", ".urdf")
 MODELS = ("include", "model", "attach")  # elements whose file is MJCF, whatever its name
 LOOKS = ("texture", "skin")  # what changes how a scene looks, and no cell
@@ -62,13 +59,19 @@ class Search(NamedTuple):
     def places(self) -> Iterator[str]:
         """All paths at which a file would be one of the scene's."""
         for name in self.names:
-            # `strippath` of a compiler leaves out the folders of names
-            for each in {name, os.path.basename(name)}:
-                for folder in self.folders:
-                    yield os.path.join(folder, each)
+            yield from self.places_of(name)
+
+    def places_of(self, name: str) -> Iterator[str]:
+        """All paths at which a name would be found."""
+        # `strippath` of a compiler leaves out the folders of names
+        for each in dict.fromkeys((name, os.path.basename(name))):
+            for folder in self.folders:
+                yield os.path.join(folder, each)
 
 
-def find_inputs(scene: Path, files: Files = HERE, *, looks: bool = False) -> list[Path]:
+def find_inputs(
+    scene: Path, files: Files = HERE, *, looks: bool = False, missing: bool = False
+) -> list[Path]:
     """The files that a scene is made of, as far as they are there: itself first, then sorted.
 
     In MJCF these are all that an element names as its ``file``, in included files and attached
@@ -81,36 +84,53 @@ def find_inputs(scene: Path, files: Files = HERE, *, looks: bool = False) -> lis
         scene: its file.
         files: where to look for the others.
         looks: whether textures and skins are asked for as well.
+        missing: whether to list, of a file that is nowhere, all places where it is looked for.
     """
-    return look_for_inputs(scene, files, looks=looks)[0]
+    return look_for_inputs(scene, files, looks=looks, missing=missing)[0]
 
 
 def look_for_inputs(
-    scene: Path, files: Files = HERE, *, looks: bool = False
+    scene: Path, files: Files = HERE, *, looks: bool = False, missing: bool = False
 ) -> tuple[list[Path], Search]:
-    """`find_inputs`, and where the files were looked for, which is known of MJCF only."""
+    """`find_inputs`, and where the files were looked for, which is told of MJCF only."""
     search = Search()
     suffix = scene.suffix.lower()
     root = _root(scene, files) if suffix in XML_SUFFIXES else None
     if root is None:
-        found = {*_buffers((scene,), files)}
+        found = {*_buffers((scene,), files, missing)}
     elif root.tag == "robot":
-        meshes = _meshes_of_urdf(scene, files)
-        found = {*meshes, *_buffers(meshes, files)}
+        meshes = {*_meshes_of_urdf(scene, root, files, missing)}
+        found = {*meshes, *_buffers(meshes, files, missing)}
     else:
         search = _search(scene, root, files, looks)
-        found = {path for path in map(Path, search.places()) if files.has(path)}
+        places = ([*map(Path, search.places_of(name))] for name in search.names)
+        found = {path for each in places for path in _found(each, files, missing)}
     return [scene, *sorted(found - {scene})], search
 
 
-def _meshes_of_urdf(scene: Path, files: Files) -> set[Path]:
-    try:
-        return {*read_urdf(scene, files.has)[1].values()}
-    except SceneError:
-        return set()
+def mesh_places(urdf: Path, name: str) -> Iterator[Path]:
+    """Where a mesh that a URDF names is looked for, first to last.
+
+    As it is written, then, from the URDF's folder up, by the tail of its path, the longest first:
+    that finds ``package://pkg/meshes/a.dae`` without ROS.
+    """
+    bare = Path(name.split("://", 1)[-1])
+    folders = [urdf.parent, *urdf.absolute().parent.parents]
+    for first in range(len(bare.parts)):
+        for folder in folders:
+            yield folder.joinpath(*bare.parts[first:])
 
 
-def _buffers(meshes: Iterable[Path], files: Files) -> Iterator[Path]:
+def _meshes_of_urdf(
+    scene: Path, root: ElementTree.Element, files: Files, missing: bool
+) -> Iterator[Path]:
+    for mesh in root.iter("mesh"):
+        places = [*mesh_places(scene, mesh.get("filename", ""))]
+        found = next((place for place in places if files.has(place)), None)
+        yield from (places if missing else ()) if found is None else (found,)
+
+
+def _buffers(meshes: Iterable[Path], files: Files, missing: bool) -> Iterator[Path]:
     """The files that glTF files keep their numbers in."""
     for mesh in meshes:
         if mesh.suffix.lower() != ".gltf" or not files.has(mesh):
@@ -122,9 +142,9 @@ def _buffers(meshes: Iterable[Path], files: Files) -> Iterator[Path]:
         except (OSError, ValueError, RecursionError, LookupError, TypeError):
             continue
         for uri in uris:
-            for name in {} if uri.startswith("data:") else {uri, uri.strip(), unquote(uri)}:
-                if "\0" not in name and files.has(mesh.parent / name):
-                    yield mesh.parent / name
+            names = () if uri.startswith("data:") else {uri, uri.strip(), unquote(uri)}
+            places = [mesh.parent / name for name in names if "\0" not in name]
+            yield from _found(places, files, missing)
 
 
 def _search(scene: Path, root: ElementTree.Element | None, files: Files, looks: bool) -> Search:
@@ -150,6 +170,11 @@ def _search(scene: Path, root: ElementTree.Element | None, files: Files, looks: 
                         folders[path.parent] = None
                         left.append((path, _root(path, files)))
     return Search(tuple(map(str, folders)), tuple(names))
+
+
+def _found(places: list[Path], files: Files, missing: bool) -> list[Path]:
+    """Those places where a file is; all of them where it is nowhere and that is asked for."""
+    return [place for place in places if files.has(place)] or (places if missing else [])
 
 
 def _names_of(element: ElementTree.Element, looks: bool) -> list[str]:
