@@ -9,6 +9,7 @@ import io
 import json
 import os
 import struct
+import time
 import zipfile
 
 import numpy as np
@@ -31,7 +32,7 @@ from navbake.formats.npz import encode_npz, read_npy, read_npz
 from navbake.voxels.grid import VoxelGrid
 
 EXAMPLES = int(os.environ.get("NAVBAKE_EXAMPLES", "30"))  # inputs of each kind
-IN_PROCESS = [kind for kind in KINDS if not KINDS[kind].is_native]  # MuJoCo may crash
+IN_PROCESS = [kind for kind in KINDS if KINDS[kind].native is None]  # MuJoCo may crash
 
 VOXELS = VoxelGrid(
     values=np.ones((2, 2, 2), dtype=np.uint8), origin=(0.0, 0.0, 0.0), res=0.5, names={1: "a"}
@@ -202,6 +203,70 @@ def test_memory_is_that_of_one_input():
     _ = np.ones(10_000_000)
     assert 70 << 20 < meter.read().memory < 100 << 20
     assert measure.Meter().read().memory < 10 << 20  # not that of those before
+
+
+@pytest.mark.parametrize(
+    ("navbake_takes", "mujoco_takes", "what"),
+    [(0.0, 0.0, "read"), (0.3, 0.0, "took 0.3 s"), (0.3, 0.2, "took 0.3 s"), (0.0, 0.3, "native")],
+)
+def test_what_mujoco_takes_is_not_ours(tmp_path, monkeypatch, navbake_takes, mujoco_takes, what):
+    def be_busy(seconds):
+        begin = time.process_time()
+        while time.process_time() < begin + seconds:
+            pass
+
+    def read(path):
+        be_busy(navbake_takes + mujoco_takes)
+
+    monkeypatch.setattr(measure, "FREE_SECONDS", 0.1)
+    slow = Kind(KINDS["yaml"].make, read, native=lambda path: be_busy(mujoco_takes))
+    monkeypatch.setitem(KINDS, "odd", slow)
+    assert fuzz.use_input("odd", Input(b"", ".txt"), tmp_path).startswith(what)
+
+
+@pytest.mark.parametrize(
+    ("kind", "alone", "what"),
+    [("yaml", "it died", "it died"), ("mjb", "", "it died"), ("mjb", "not done", fuzz.NATIVE)],
+)
+def test_who_ended_a_process(monkeypatch, kind, alone, what):
+    class Child:
+        def __init__(self, patience):
+            self.is_ended = False
+            children.append(self)
+
+        def use(self, chunk, counts, findings):
+            assert chunk.is_alone
+            return alone
+
+        def end(self):
+            self.is_ended = True
+
+    children = []
+    monkeypatch.setattr(fuzz, "Child", Child)
+    assert fuzz._judge_ending(fuzz.Chunk(kind, 0, range(1)), "it died") == what
+    assert all(child.is_ended for child in children)
+
+
+def test_children_end_with_the_script(monkeypatch):
+    called = []
+
+    class Closed:
+        def send(self, what):
+            called.append(what)
+
+        def recv(self):
+            raise EOFError
+
+    monkeypatch.setattr(fuzz, "end_with_parent", called.append)
+    monkeypatch.setattr(fuzz, "limit_memory", called.append)
+    fuzz._run_child(Closed(), 123)
+    assert called == [123, fuzz.MOST_GIB, fuzz.READY]
+
+
+def test_the_script_says_that_memory_is_not_checked(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(measure, "CLEAR", tmp_path / "none" / "clear_refs")
+    _, printed = run_script(monkeypatch, capsys, "--only", "descriptor", "--count", "1")
+    assert printed.startswith("memory is not checked: ") and printed.count("\n") == 2
 
 
 def run_script(monkeypatch, capsys, *arguments):

@@ -40,7 +40,7 @@ KINDS: dict[str, Kind] = {
     "obj": Kind(meshes.make_obj, meshes.read_mesh, meshes.check_parts),
     "gltf": Kind(meshes.make_gltf, meshes.read_mesh, meshes.check_parts),
     "dae": Kind(meshes.make_dae, meshes.read_mesh, meshes.check_parts),
-    "mjcf": Kind(scenes.make_mjcf, scenes.read_scene, scenes.check_scene, is_native=True),
-    "urdf": Kind(scenes.make_urdf, scenes.read_scene, scenes.check_scene, is_native=True),
-    "mjb": Kind(scenes.make_mjb, scenes.read_scene, scenes.check_scene, is_native=True),
+    "mjcf": Kind(scenes.make_mjcf, scenes.read_scene, scenes.check_scene, scenes.compile_alone),
+    "urdf": Kind(scenes.make_urdf, scenes.read_scene, scenes.check_scene, scenes.compile_alone),
+    "mjb": Kind(scenes.make_mjb, scenes.read_scene, scenes.check_scene, scenes.compile_alone),
 }

@@ -36,6 +36,11 @@ class Cost(NamedTuple):
     memory: int
 
 
+def measures_memory() -> bool:
+    """Whether this system tells how much memory a process had at most since it was asked last."""
+    return _reset_peak() != sys.maxsize
+
+
 class Meter:
     """Measures from where it is made to `read`; memory on Linux only, where it is 0 else."""
 

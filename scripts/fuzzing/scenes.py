@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import xml.etree.ElementTree as ElementTree
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from random import Random
@@ -17,6 +18,7 @@ from fuzzing.images import bomb, grey_png, header, join_png, mutate_png
 from fuzzing.kind import Input
 from fuzzing.meshes import ENTITIES, make_obj, make_stl
 from fuzzing.mutations import cut, mutate_bytes, mutate_text
+from navbake.baker.scene.model import catch_warnings
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.batch.inputs import find_inputs
 from navbake.config.scene import SceneSettings
@@ -167,6 +169,23 @@ def read_scene(path: Path) -> Scene:
     """Load a scene, and list the files that it is made of, as a batch does."""
     find_inputs(path)
     return load_scene(SceneSettings(path=path))
+
+
+def compile_alone(path: Path) -> None:
+    """Do what MuJoCo does for `read_scene`, without navbake: compile a file, and pose the model."""
+    with suppress(Exception), catch_warnings():  # what it refuses, it refuses
+        model = _load_alone(path)
+        mujoco.mj_kinematics(model, mujoco.MjData(model))
+
+
+def _load_alone(path: Path) -> Any:
+    if path.suffix == ".mjb":
+        return mujoco.MjModel.from_binary_path(str(path))
+    spec = mujoco.MjSpec.from_file(str(path))
+    for mesh in spec.meshes:
+        if hasattr(mesh, "octree_maxdepth"):
+            mesh.octree_maxdepth = 0  # as navbake has it
+    return spec.compile()
 
 
 def check_scene(scene: Scene) -> None:
