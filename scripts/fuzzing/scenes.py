@@ -41,9 +41,8 @@ MJCF = (
 <geom type="capsule" size=".1 .5"/></default></default>
 <worldbody><frame pos="1 0 0"><geom class="c" fromto="0 0 0 1 0 0"/></frame>
 <geom type="cylinder" size=".3 1" zaxis="1 0 1"/><geom type="ellipsoid" size=".3 .2 .1"/>
-<body><joint type="slide"/><geom type="box" size="1 1 1" density="500"/>
-<composite type="cable" curve="s" count="5 1 1" size="1" initial="none">
-<geom type="capsule" size=".02" rgba=".8 .2 .1 1"/></composite></body></worldbody>
+<body><joint type="slide"/><geom type="box" size="1 1 1" density="500"/></body>
+<flexcomp name="f" type="grid" count="3 3 1" spacing=".1 .1 .1" dim="2" rigid="true"/></worldbody>
 <contact><exclude body1="world" body2="world"/></contact></mujoco>""",
 )
 PART = '<mujoco><worldbody><geom name="part" type="box" size="3 3 .1"/></worldbody></mujoco>'
@@ -55,6 +54,7 @@ ixy="0" ixz="0" iyz="0"/></inertial></link><link name="b"><collision><geometry>
 <parent link="a"/><child link="b"/><axis xyz="0 0 1"/><limit lower="0" upper="1" effort="1"
 velocity="1"/></joint></robot>"""
 VALUES = (
+    *("0.5", "-0.01", "2", "1e-7", "1e4", "3", "7", "-1.5", "1e6", "0.001"),
     *("", "0", "-1", "1e308", "-1e308", "nan", "inf", "1e-320", "0 0 0", "1 2 3 4 5 6 7 8 9", "x"),
     *("2147483647", "2147483648", "4294967296", "9223372036854775808", "100000", "mesh", "plane"),
     *("hfield", "sdf", "true", "h.png", "m.obj", "part.xml", "input.xml", "..", "/dev/zero", "no"),
@@ -133,14 +133,14 @@ def _mutate_xml(text: str, rng: Random) -> bytes:
             break
         parent = rng.choice(parents)
         at = rng.randrange(len(parent))
-        child, kind = parent[at], rng.randrange(8)
-        if kind < 4 and child.attrib:
-            child.set(rng.choice(list(child.attrib)), rng.choice(VALUES))
-        elif kind == 4:
+        child, kind = parent[at], rng.randrange(12)
+        if kind < 8 and child.attrib:
+            _change_value(child, rng)
+        elif kind == 8:
             parent.remove(child)
-        elif kind == 5:
-            parent.insert(at, copy.deepcopy(rng.choice(list(root.iter())[1:])))
-        elif kind == 6:
+        elif kind == 9:
+            parent.insert(at, copy.deepcopy(rng.choice(list(parent))))
+        elif kind == 10:
             _wrap(parent, at, rng)
         else:
             child.tag = rng.choice([element.tag for element in root.iter()])
@@ -152,6 +152,16 @@ def _mutate_xml(text: str, rng: Random) -> bytes:
     if chance < 0.18:
         data = rng.choice(ENTITIES) + data.replace(b'name="', b'name="&a9;', 1)
     return cut(data, rng)
+
+
+def _change_value(element: ElementTree.Element, rng: Random) -> None:
+    """Another value of an attribute, or of one word of it, so that the count stays right."""
+    key = rng.choice(list(element.attrib))
+    words = element.attrib[key].split() or [""]
+    if rng.random() < 0.5:
+        words = [""]
+    words[rng.randrange(len(words))] = rng.choice(VALUES)
+    element.set(key, " ".join(words))
 
 
 def _wrap(parent: ElementTree.Element, at: int, rng: Random) -> None:
