@@ -34,7 +34,7 @@ from random import Random
 from typing import Any, NamedTuple
 
 from fuzzing.kind import Input, check_message
-from fuzzing.kinds import KINDS
+from fuzzing.kinds import KINDS, SKIPPED
 from fuzzing.measure import Cost, Meter, exceeds, measures_memory
 from navbake.baker.scene.guard.child import end_with_parent, limit_memory
 from navbake.errors import NavbakeError
@@ -99,6 +99,8 @@ def main() -> None:
     tallies = _read_state(given.state, given.seed)
     for kind in kinds:
         tallies.setdefault(kind, Tally(next=given.first))
+    for kind, reason in SKIPPED.items():
+        print(f"{kind} is skipped: {reason}", flush=True)
     if not measures_memory():
         print("memory is not checked: /proc/self/clear_refs can't be written", flush=True)
     run = Run(given.seed, given.state, tallies, given.first + count, given.seconds)

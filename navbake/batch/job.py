@@ -53,8 +53,13 @@ def check_id(name: str, place: str) -> None:
         if not is_fine:
             raise ConfigError(
                 f"expected an id that can be the name of a folder on any system, or several "
-                f"between slashes, got {name!r} at {place}: give it another `id`"
+                f"between slashes, got {_short(name)} at {place}: give it another `id`"
             )
+
+
+def _short(name: str) -> str:
+    """An id as a message quotes it."""
+    return repr(name) if len(name) <= MAX_BYTES else f"{name[:MAX_BYTES]!r}…"
 
 
 def check_unique(jobs: Sequence[Job]) -> None:
@@ -75,6 +80,6 @@ def check_unique(jobs: Sequence[Job]) -> None:
             )
         if other is not job:
             raise ConfigError(
-                f"expected unique ids, got {other.id!r} at {other.place} and {job.id!r} at "
-                f"{job.place}: give each an `id` of its own"
+                f"expected unique ids, got {other.id!r} at {other.place} and {job.id!r} "
+                f"at {job.place}: give each an `id` of its own"
             )

@@ -97,10 +97,11 @@ def test_broken_and_huge_files_are_refused(tmp_path, monkeypatch):
         (tmp_path / "list.parquet").write_bytes(broken)
         with pytest.raises(ConfigError, match=r"list\.parquet"):
             list_jobs(["list.parquet"])
-    monkeypatch.setattr(table, "MAX_UNPACKED", 10)
+    monkeypatch.setattr(table, "FREE_UNPACKED", 10)
+    monkeypatch.setattr(table, "UNPACKED_PER_BYTE", 0)
     (tmp_path / "list.parquet").write_bytes(content)
     with pytest.raises(
-        ConfigError, match=r"list\.parquet is too large: expected 10 bytes unpacked"
+        ConfigError, match=r"list\.parquet is too large: expected at most 10 bytes unpacked"
     ):
         list_jobs(["list.parquet"])
 
