@@ -89,6 +89,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--first", type=int, default=0, help="number of the first input")
     parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument(
+        "--patience", type=float, default=PATIENCE, help="for one input [s]  [default: 300]"
+    )
     parser.add_argument("--state", type=Path, help="file by which a run goes on where one ended")
     parser.add_argument("--keep", type=Path, help="folder for the inputs of findings")
     given = parser.parse_args()
@@ -104,6 +107,7 @@ def main() -> None:
     if not measures_memory():
         print("memory is not checked: /proc/self/clear_refs can't be written", flush=True)
     run = Run(given.seed, given.state, tallies, given.first + count, given.seconds)
+    run.patience = given.patience
     run.all(kinds, given.processes)
     sys.exit(1 if _report(run, kinds, given) else 0)
 
@@ -229,6 +233,7 @@ class Run:
         self.seed, self.tallies = seed, tallies
         self._state, self._stop, self._seconds = state, stop, seconds
         self._lock, self._busy = threading.Lock(), set[str]()
+        self.patience = PATIENCE
 
     def all(self, kinds: list[str], processes: int) -> None:
         """Use inputs of all kinds, a chunk of each in turn, until all are or the time is up."""
@@ -264,13 +269,14 @@ class Run:
             counts: Counter[str] = Counter()
             findings: dict[int, str] = {}
             while len(numbers):
-                child = child or Child()
+                child = child or Child(self.patience)
                 ending = child.use(chunk._replace(numbers=numbers), counts, findings)
                 numbers = numbers[child.num_done :]
                 if ending:
                     child.end()
                     child = None
-                    what = _judge_ending(chunk._replace(numbers=numbers[:1]), ending)
+                    one = chunk._replace(numbers=numbers[:1])
+                    what = _judge_ending(one, ending, min(self.patience, ALONE_PATIENCE))
                     _count(what, numbers[0], counts, findings)
                     numbers = numbers[1:]
             self._add(chunk, counts, findings, time.monotonic() - begin)
@@ -299,11 +305,11 @@ def _count(what: str, number: int, counts: Counter[str], findings: dict[int, str
         findings[number] = what
 
 
-def _judge_ending(chunk: Chunk, ending: str) -> str:
+def _judge_ending(chunk: Chunk, ending: str, patience: float = ALONE_PATIENCE) -> str:
     """What it is that an input ended its process: "native" if MuJoCo alone does so as well."""
     if KINDS[chunk.kind].native is None:
         return ending
-    child = Child(ALONE_PATIENCE)
+    child = Child(patience)
     try:
         return NATIVE if child.use(chunk._replace(is_alone=True), Counter(), {}) else ending
     finally:

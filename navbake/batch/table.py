@@ -22,6 +22,7 @@ FREE_UNPACKED, UNPACKED_PER_BYTE = 64 << 20, 200  # [bytes], whichever is more
 FREE_VALUES, VALUES_PER_BYTE = 1_000_000, 4  # of all columns, nulls counted; per unpacked byte
 FREE_ROWS, BYTES_PER_ROW = 10_000, 4  # unpacked
 FREE_TEXT, TEXT_PER_BYTE = 16 << 20, 8  # [bytes] of all rows, where rows share a text; unpacked
+MAX_COLUMNS = 1000  # settings are fewer
 FREE_PAGES, BYTES_PER_PAGE = 1000, 8  # packed
 FREE_PARTS, BYTES_PER_PART = 100, 4  # elements of a list in the footer; packed
 ROWS_AT_ONCE = 1024
@@ -91,6 +92,7 @@ def _check_claims(metadata: Any, content: bytes, name: str) -> tuple[int, int, l
     most_pages = FREE_PAGES + len(content) // BYTES_PER_PAGE
     unpacked = values = pages = fixed = longest = 0
     texts = []
+    _check_size(metadata.num_columns, MAX_COLUMNS, "columns", name)
     groups = read_chunks(content)
     for number in range(metadata.num_columns):
         column = metadata.schema.column(number)
