@@ -113,6 +113,9 @@ FOUND = [
     ("nav2", Input(MAP % (b"0.1", b"3.14159", b"0.6", b"raw"), ".yaml", {  # 3 s
         "map.png": encode_png(np.zeros((700_000, 2), dtype=np.uint8))})),
     ("manifest", Input(b'{"scene": "/"}', ".jsonl")),
+    *[("manifest", Input(json.dumps({"scene": "a", **row}).encode(), ".jsonl")) for row in (
+        {"id": "/" * 9999}, {"id": ["a" * 9999]}, {"settings": "a" * 9999}, {"a" * 9999: 1},
+        {"agent." + "a" * 9999: 1})],  # long lines
     ("index", Input(b'{"id": "a", "x": ' + b"[" * 100_000, ".jsonl")),
     ("index", Input(b'{"id": "a", "seconds": NaN}\n{"id": "b", "seconds": 1e999}', ".jsonl")),
 ]  # fmt: skip
@@ -124,6 +127,37 @@ def test_what_was_found(tmp_path, kind, made):
     if what.startswith("took"):  # kernels may have been compiled
         what = fuzz.use_input(kind, made, tmp_path)
     assert what in fuzz.FINE
+
+
+def table_of(*ids):
+    """A list as Parquet."""
+    from pyarrow import parquet, table
+
+    file = io.BytesIO()
+    parquet.write_table(table({"scene": ["a.xml"] * len(ids), "id": [*ids]}), file)
+    return file.getvalue()
+
+
+def required_column():
+    """A list whose footer says that no value of a column is null, but counts nulls.
+
+    pyarrow ends the process when it is asked what the footer says of the column.
+    """
+    content = table_of("a")
+    assert b"\x25\x02\x18\x02id" in content
+    return content.replace(b"\x25\x02\x18\x02id", b"\x25\x00\x18\x02id")
+
+
+@pytest.mark.parametrize("number", range(9))
+def test_what_was_found_in_parquet(tmp_path, number):
+    pytest.importorskip("pyarrow")
+    from fuzzing import tables
+
+    content = {7: required_column, 8: lambda: table_of("/" * 9999)}.get(
+        number, lambda: tables._bomb(number)
+    )()
+    fuzz.use_input("parquet", Input(table_of("a"), ".parquet"), tmp_path)  # loads pyarrow
+    assert fuzz.use_input("parquet", Input(content, ".parquet"), tmp_path) == "refused"
 
 
 @pytest.mark.parametrize("kind", IN_PROCESS)

@@ -53,13 +53,13 @@ def check_id(name: str, place: str) -> None:
         if not is_fine:
             raise ConfigError(
                 f"expected an id that can be the name of a folder on any system, or several "
-                f"between slashes, got {_short(name)} at {place}: give it another `id`"
+                f"between slashes, got {shorten(repr(name))} at {place}: give it another `id`"
             )
 
 
-def _short(name: str) -> str:
-    """An id as a message quotes it."""
-    return repr(name) if len(name) <= MAX_BYTES else f"{name[:MAX_BYTES]!r}…"
+def shorten(text: str) -> str:
+    """What a list says, as far as a message shows it: one line of a terminal, not a page."""
+    return text if len(text) <= MAX_BYTES else f"{text[:MAX_BYTES]}…"
 
 
 def check_unique(jobs: Sequence[Job]) -> None:
@@ -75,11 +75,11 @@ def check_unique(jobs: Sequence[Job]) -> None:
         other = seen.setdefault(folded, job)
         if other is not job and (other.id, other.source) == (job.id, job.source):
             raise ConfigError(
-                f"expected each scene once, got {job.source} at {other.place} and at {job.place}: "
-                "name it once, or give each an `id` of its own in a list"
+                f"expected each scene once, got {shorten(job.source)} at {other.place} and at "
+                f"{job.place}: name it once, or give each an `id` of its own in a list"
             )
         if other is not job:
             raise ConfigError(
-                f"expected unique ids, got {other.id!r} at {other.place} and {job.id!r} "
-                f"at {job.place}: give each an `id` of its own"
+                f"expected unique ids, got {shorten(repr(other.id))} at {other.place} and "
+                f"{shorten(repr(job.id))} at {job.place}: give each an `id` of its own"
             )

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePath, PurePosixPath
 from typing import Any
 
-from navbake.batch.job import Job, check_id, check_unique
+from navbake.batch.job import Job, check_id, check_unique, shorten
 from navbake.batch.settings import check_shared, nest
 from navbake.batch.stores.store import is_pattern, match_files, read_file
 from navbake.batch.stores.urls import Folder, is_url, join, parent, plain_path, shown, split_url
@@ -117,16 +117,20 @@ def _entry(row: Json, folder: Folder, place: str) -> Entry:
     name, path = row.pop("id", None), row.pop(given[0])
     nested = row.pop("settings", {})
     if not isinstance(nested, dict):
-        raise ConfigError(f"expected an object as `settings` at {place}, got {nested!r}")
+        raise ConfigError(
+            f"expected an object as `settings` at {place}, got {shorten(repr(nested))}"
+        )
     if isinstance(name, bool) or not isinstance(name, str | int | None):
-        raise ConfigError(f"expected text or a whole number as `id` at {place}, got {name!r}")
+        raise ConfigError(
+            f"expected text or a whole number as `id` at {place}, got {shorten(repr(name))}"
+        )
     settings = nest({**nested, **row}, folder, place)
     check_shared(settings, place)
     for key in settings:
         if key not in BakeConfig.model_fields:
             raise ConfigError(
                 f"expected `id`, `scene`, `config` or a setting such as `agent.radius`, got "
-                f"`{key}` at {place}"
+                f"`{shorten(key)}` at {place}"
             )
     unknown = find_unknown_key(settings, SECTIONS)
     if unknown is not None:

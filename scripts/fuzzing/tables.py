@@ -154,20 +154,20 @@ def _bomb(kind: int) -> bytes:
     file = io.BytesIO()
     options: dict[str, Any] = {"compression": "zstd"}
     if kind == 0:  # a text that rows share
-        columns = {"scene": pyarrow.array([LONG] * 200)}
+        columns = {"scene": pyarrow.array([LONG] * 40)}
     elif kind == 1:
-        columns = {"scene": pyarrow.nulls(5_000_000, pyarrow.string())}
+        columns = {"scene": pyarrow.nulls(2_000_000, pyarrow.string())}
     elif kind == 2:
-        columns = {"scene": pyarrow.array(["a.xml"]), "x": pyarrow.array([LONG * 100])}
+        columns = {"scene": pyarrow.array(["a.xml"]), "x": pyarrow.array([LONG * 70])}
         options["use_dictionary"] = False
     elif kind == 3:
-        columns = {"scene": pyarrow.array([[None] * 5_000_000])}
+        columns = {"scene": pyarrow.array([[None] * 2_000_000])}
     elif kind == 4:  # each text begins as the one before
-        columns = {"scene": pyarrow.array([f"{LONG}{k}" for k in range(200)])}
+        columns = {"scene": pyarrow.array([f"{LONG}{k}" for k in range(40)])}
         options |= {"use_dictionary": False, "column_encoding": {"scene": "DELTA_BYTE_ARRAY"}}
     elif kind == 5:
-        columns = {"scene": pyarrow.array([LONG.encode()] * 200, pyarrow.binary(len(LONG)))}
+        columns = {"scene": pyarrow.array([LONG.encode()] * 40, pyarrow.binary(len(LONG)))}
     else:
-        columns = {"scene": pyarrow.array(["a.xml"] * 5_000_000).dictionary_encode()}
+        columns = {"scene": pyarrow.array(["a.xml"] * 2_000_000).dictionary_encode()}
     parquet.write_table(pyarrow.table(columns), file, **options)
     return file.getvalue()
