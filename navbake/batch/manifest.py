@@ -17,7 +17,7 @@ from navbake.batch.settings import check_shared, nest
 from navbake.batch.stores.store import is_pattern, match_files, read_file
 from navbake.batch.stores.urls import Folder, is_url, join, parent, plain_path, shown, split_url
 from navbake.batch.table import read_table
-from navbake.config.errors import find_unknown_key
+from navbake.config.errors import find_unknown_key, show_value
 from navbake.config.settings import SECTIONS, BakeConfig
 from navbake.errors import ConfigError, FormatError
 from navbake.formats.source import read_bytes
@@ -117,13 +117,10 @@ def _entry(row: Json, folder: Folder, place: str) -> Entry:
     name, path = row.pop("id", None), row.pop(given[0])
     nested = row.pop("settings", {})
     if not isinstance(nested, dict):
-        raise ConfigError(
-            f"expected an object as `settings` at {place}, got {shorten(repr(nested))}"
-        )
+        raise ConfigError(f"expected an object as `settings` at {place}, got {show_value(nested)}")
     if isinstance(name, bool) or not isinstance(name, str | int | None):
-        raise ConfigError(
-            f"expected text or a whole number as `id` at {place}, got {shorten(repr(name))}"
-        )
+        got = show_value(name)
+        raise ConfigError(f"expected text or a whole number as `id` at {place}, got {got}")
     settings = nest({**nested, **row}, folder, place)
     check_shared(settings, place)
     for key in settings:

@@ -153,7 +153,7 @@ def _encode_navgrid(grid: NavGrid) -> Iterator[bytes]:
                 for i, level in enumerate(grid.grids)
             ],
             "timings": plain(grid.timings, top["timings"]),
-        } | _extra(grid.extra, MULTI_FIELDS, top)
+        } | _extra(grid, top)
     try:  # OPT_SERIALIZE_NUMPY for np.float64 alone
         option = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_APPEND_NEWLINE
         return later.fill_in(orjson.dumps(fields, option=option))
@@ -324,7 +324,7 @@ def _level_fields(grid: SceneGrid2D, place: JsonPath, metadata: Json | None, lat
         (low, high), box = grid.bbox_yup, place["bbox"]
         fields["bbox"] = {"min": _vector(low, box["min"]), "max": _vector(high, box["max"])}
     fields["timings"] = plain(grid.timings, place["timings"])
-    return fields | _extra(grid.extra, SCENE_FIELDS, place)
+    return fields | _extra(grid, place)
 
 
 def _vector(values: Vector3, place: JsonPath) -> list[float]:
@@ -356,8 +356,13 @@ def _own_metadata(grid: MultiLevelGrid, number: int) -> Json | None:
     return None if same else level.metadata
 
 
-def _extra(extra: Json, known: tuple[str, ...], place: JsonPath) -> Json:
-    for key in known:
+def check_extra(extra: Json, kind: type[NavGrid], place: JsonPath) -> None:
+    """Refuse extra fields of a grid of this kind that have the name of one of the format's own."""
+    for key in MULTI_FIELDS if kind is MultiLevelGrid else SCENE_FIELDS:
         if key in extra:
             place[key].fail("extra fields can't stand in for one of the format's own")
-    return {key: plain(extra[key], place[key]) for key in extra}
+
+
+def _extra(grid: NavGrid, place: JsonPath) -> Json:
+    check_extra(grid.extra, type(grid), place)
+    return {key: plain(grid.extra[key], place[key]) for key in grid.extra}

@@ -104,6 +104,15 @@ def test_ids_cannot_leave_the_folder(folder, name):
         list_jobs(["list.jsonl"])
 
 
+@pytest.mark.parametrize("id", ["a/" * 5000 + "..", ["a" * 5000], {"a" * 5000: 1}])
+def test_messages_of_ids_are_short(folder, id):
+    import json
+
+    (folder / "list.jsonl").write_text(json.dumps({"scene": "a/hall.xml", "id": id}))
+    with pytest.raises(ConfigError, match=r"^.{,400}$"):
+        list_jobs(["list.jsonl"])
+
+
 def test_ids_may_have_letters_of_all_languages():
     check_unique([Job(name, "", {}, "") for name in ("Küche", "台所", "a/b", "a", "a+b (2), c")])
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from navbake.errors import FormatError
 from navbake.formats.arrays import Allowance
 from navbake.formats.json_path import MISSING, JsonPath
+from navbake.formats.navgrid import check_extra
 from navbake.formats.npz import GRID, ZIP, packed_names, read_array_header
 from navbake.formats.source import UNPACKED_BYTES, UNPACKED_RATIO, Files, read_bytes
 from navbake.formats.user_data import UnreadPiece, encode_user_data, parse_json, read_user_data
@@ -43,7 +44,8 @@ def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
     """Make the archive of a grid: nothing is lost, and the same grid gives the same bytes.
 
     Raises:
-        FormatError: metadata, user data or extra fields hold what JSON has not.
+        FormatError: metadata, user data or extra fields hold what JSON has not, or an extra field
+            has the name of one of the format's own.
     """
     top = JsonPath("the grid to be written")
     arrays: dict[str, NDArray[Any]] = {}
@@ -80,6 +82,7 @@ def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
 
 
 def _facts(grid: NavGrid, metadata: Json | None, place: JsonPath) -> Json:
+    check_extra(grid.extra, type(grid), place["extra"])
     return {
         "cellSize": number(grid.cell_size, place["cellSize"], positive=True),
         "unit": number(grid.unit, place["unit"], positive=True),
@@ -169,7 +172,6 @@ def _read_grid(archive: _Archive, top: JsonPath) -> NavGrid:
     version = whole_number(document.get("version", MISSING), top["version"], 1)
     if version > VERSION:
         top["version"].refuse(f"{VERSION} at most: a newer navbake wrote it", version)
-    facts = _read_facts(document, top)
     stated = document.get("levels", MISSING)
     if not isinstance(stated, list) or not 1 <= len(stated) <= MAX_LEVELS:
         top["levels"].refuse("a list of levels", stated)
@@ -177,6 +179,7 @@ def _read_grid(archive: _Archive, top: JsonPath) -> NavGrid:
     is_single = kind == "SceneGrid2D" and len(stated) == 1
     if not is_single and kind != "MultiLevelGrid":
         top["type"].refuse("'SceneGrid2D' of one level, or 'MultiLevelGrid'", kind)
+    facts = _read_facts(document, SceneGrid2D if is_single else MultiLevelGrid, top)
     levels = [
         _read_level(archive, k, json_object(entry, top["levels"][k]), top["levels"][k])
         for k, entry in enumerate(stated)
@@ -214,7 +217,7 @@ def _read_level(archive: _Archive, k: int, entry: Json, place: JsonPath) -> Scen
         user_data=read_user_data(
             UnreadPiece(text, 1, 1, place["userData"]), place["userData"], width * height
         ),
-        **_read_facts(entry, place),
+        **_read_facts(entry, SceneGrid2D, place),
     )
     edge = level.lattice.cell_size
     if not edge >= LEAST_EDGE:
@@ -224,7 +227,7 @@ def _read_level(archive: _Archive, k: int, entry: Json, place: JsonPath) -> Scen
     return level
 
 
-def _read_facts(entry: Json, place: JsonPath) -> Json:
+def _read_facts(entry: Json, kind: type[NavGrid], place: JsonPath) -> Json:
     facts: Json = {
         "cell_size": float(
             number(entry.get("cellSize", MISSING), place["cellSize"], positive=True)
@@ -234,6 +237,7 @@ def _read_facts(entry: Json, place: JsonPath) -> Json:
     for key in ("metadata", "timings", "extra"):
         value = entry.get(key)
         facts[key] = json_object({} if value is None else plain(value, place[key]), place[key])
+    check_extra(facts["extra"], kind, place["extra"])
     own = facts["metadata"].get("navbake")
     if own is not None:
         json_object(own, place["metadata"]["navbake"])

@@ -71,6 +71,18 @@ def test_any_dtype_and_any_name_is_kept(tmp_path):
     check_same(house, navbake.from_npz((tmp_path / "b.npz").read_bytes()))
 
 
+@pytest.mark.parametrize("levels", [1, 2])
+def test_extra_fields_are_none_of_the_format(tmp_path, levels):
+    """They could be written to no other file."""
+    grid = small() if levels == 1 else house_from([small(), small(ground=3.0)])
+    grid.to_npz(tmp_path / "a.npz")
+    grid.extra = {"type": "x"}
+    with pytest.raises(FormatError, match=r"can't stand in .* `extra.type`"):
+        grid.to_npz(tmp_path / "b.npz")
+    grid.extra = {"typo": "x"}
+    grid.to_npz(tmp_path / "c.npz")
+
+
 def test_levels_keep_metadata_of_their_own(tmp_path):
     house = house_from([small(), small(ground=3.0)])
     house = navbake.MultiLevelGrid(grids=house.grids, cell_size=0.1, metadata=house.metadata)
@@ -135,6 +147,8 @@ def document(**changed):
     ("make", "culprit"),
     [
         (lambda: packed(grid=None), "has no array `grid`"),
+        (lambda: document(extra__type=1), "can't stand in for one of .* at `extra.type`"),
+        (lambda: document(levels__0__extra={"min": 1}), r"stand in .* at `levels\[0\].extra.min`"),
         (lambda: packed(**{"0_weights": None}), "an array `0/weights`, got nothing"),
         (lambda: packed(**{"0_weights": np.ones((5, 3))}), r"shape \(3, 5\), got float64 of"),
         (lambda: packed(**{"0_weights": np.full((3, 5), "x")}), "expected numbers"),
