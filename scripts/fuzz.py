@@ -270,13 +270,13 @@ class Run:
             findings: dict[int, str] = {}
             while len(numbers):
                 child = child or Child(self.patience)
-                ending = child.use(chunk._replace(numbers=numbers), counts, findings)
+                ending = child.use(Chunk(chunk.kind, chunk.seed, numbers), counts, findings)
                 numbers = numbers[child.num_done :]
                 if ending:
                     child.end()
                     child = None
-                    one = chunk._replace(numbers=numbers[:1])
-                    what = _judge_ending(one, ending, min(self.patience, ALONE_PATIENCE))
+                    one = Chunk(chunk.kind, chunk.seed, numbers[:1])
+                    what = judge_ending(one, ending, min(self.patience, ALONE_PATIENCE))
                     _count(what, numbers[0], counts, findings)
                     numbers = numbers[1:]
             self._add(chunk, counts, findings, time.monotonic() - begin)
@@ -305,13 +305,13 @@ def _count(what: str, number: int, counts: Counter[str], findings: dict[int, str
         findings[number] = what
 
 
-def _judge_ending(chunk: Chunk, ending: str, patience: float = ALONE_PATIENCE) -> str:
+def judge_ending(chunk: Chunk, ending: str, patience: float = ALONE_PATIENCE) -> str:
     """What it is that an input ended its process: "native" if MuJoCo alone does so as well."""
     if KINDS[chunk.kind].native is None:
         return ending
     child = Child(patience)
     try:
-        return NATIVE if child.use(chunk._replace(is_alone=True), Counter(), {}) else ending
+        return NATIVE if child.use(Chunk(*chunk[:3], is_alone=True), Counter(), {}) else ending
     finally:
         child.end()
 
@@ -335,7 +335,7 @@ class Child:
     def __init__(self, patience: float = PATIENCE) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_run_child, args=(theirs, os.getpid()))
+        self._process = context.Process(target=run_child, args=(theirs, os.getpid()))
         self._process.start()
         theirs.close()
         self.num_done = 0
@@ -373,7 +373,7 @@ class Child:
         self._process.join()
 
 
-def _run_child(pipe: Connection, parent: int) -> None:
+def run_child(pipe: Connection, parent: int) -> None:
     """Use the inputs of chunks one by one, and send how each went."""
     end_with_parent(parent)
     limit_memory(MOST_GIB)

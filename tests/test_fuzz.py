@@ -154,7 +154,7 @@ def test_what_was_found_in_parquet(tmp_path, number):
     from fuzzing import tables
 
     content = {7: required_column, 8: lambda: table_of("/" * 9999)}.get(
-        number, lambda: tables._bomb(number)
+        number, lambda: tables.make_bomb(number)
     )()
     fuzz.use_input("parquet", Input(table_of("a"), ".parquet"), tmp_path)  # loads pyarrow
     assert fuzz.use_input("parquet", Input(content, ".parquet"), tmp_path) == "refused"
@@ -277,7 +277,7 @@ def test_who_ended_a_process(monkeypatch, kind, alone, what):
 
     children = []
     monkeypatch.setattr(fuzz, "Child", Child)
-    assert fuzz._judge_ending(fuzz.Chunk(kind, 0, range(1)), "it died") == what
+    assert fuzz.judge_ending(fuzz.Chunk(kind, 0, range(1)), "it died") == what
     assert all(child.is_ended for child in children)
 
 
@@ -293,7 +293,7 @@ def test_children_end_with_the_script(monkeypatch):
 
     monkeypatch.setattr(fuzz, "end_with_parent", called.append)
     monkeypatch.setattr(fuzz, "limit_memory", called.append)
-    fuzz._run_child(Closed(), 123)
+    fuzz.run_child(Closed(), 123)
     assert called == [123, fuzz.MOST_GIB, fuzz.READY]
 
 

@@ -54,11 +54,7 @@ def check_id(name: str, place: str) -> None:
             shown = name if len(name) <= MAX_BYTES else f"{name[:MAX_BYTES]}…"
             raise ConfigError(
                 f"expected an id that can be the name of a folder on any system, or several "
-<<<<<<< HEAD
-                f"between slashes, got {shorten(repr(name))} at {place}: give it another `id`"
-=======
                 f"between slashes, got {shown!r} at {place}: give it another `id`"
->>>>>>> main
             )
 
 

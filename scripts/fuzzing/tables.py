@@ -29,7 +29,7 @@ NAMES = (*WORDS, "scene", "agent", "agent.radius.x", "scene.path", "a.b", "__ind
 
 def make_parquet(rng: Random) -> Input:
     """A list of scenes whose columns, pages or footer are odd; now and then a bomb."""
-    data = _bomb(rng.randrange(7)) if rng.random() < 0.02 else _write(_make_table(rng), rng)
+    data = make_bomb(rng.randrange(7)) if rng.random() < 0.02 else _write(_make_table(rng), rng)
     chance = rng.random()
     if chance < 0.3:
         data = _change_footer(data, rng)
@@ -149,7 +149,7 @@ def _change_footer(data: bytes, rng: Random) -> bytes:
 
 
 @cache
-def _bomb(kind: int) -> bytes:
+def make_bomb(kind: int) -> bytes:
     """Few bytes that stand for many."""
     file = io.BytesIO()
     options: dict[str, Any] = {"compression": "zstd"}

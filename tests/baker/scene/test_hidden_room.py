@@ -40,7 +40,10 @@ def test_no_shape_is_looked_at_along_too_many_lines(monkeypatch, width, depth):
     shapes = SimpleNamespace(bounds=lambda: bounds)
     monkeypatch.setattr(hidden_room, "mesh_shapes", lambda *arguments: shapes)
     monkeypatch.setattr(hidden_room, "_cast", cast)
-    room = HiddenRoom(None, None, None, AgentSettings(), FloorSettings())
+    box = np.array([[0.0, 0.0, 0.0, 3.0, 3.0, 3.0]])
+    model = SimpleNamespace(geom_aabb=box, geom_dataid=[0])
+    data = SimpleNamespace(geom_xmat=np.eye(3).ravel()[None])
+    room = HiddenRoom(model, data, None, AgentSettings(), FloorSettings())
     with pytest.raises(InterruptedError):
-        room._look(0)
+        room.is_in_hull(0)
     assert seen[0].width * seen[0].height <= 3 * MOST_LINES
