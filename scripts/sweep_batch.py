@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import hashlib
 import json
 import multiprocessing
 import os
@@ -26,7 +25,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 import warnings
 from collections.abc import Iterator
@@ -37,14 +35,15 @@ from typing import Any, NamedTuple
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
-from batch_scenes import write_scenes, wrong_rows  # noqa: E402 (of the tests)
+from batch_processes import Watcher, digests, start_list  # noqa: E402 (of the tests)
+from batch_scenes import write_scenes, wrong_rows  # noqa: E402
 from navbake.baker.pipeline import run_bake  # noqa: E402
 from navbake.batch.index import NAME, read_index  # noqa: E402
 from navbake.batch.work import prepare  # noqa: E402
 from navbake.config.settings import as_config  # noqa: E402
 from navbake.files import without_waiting  # noqa: E402
 from navbake.formats.navgrid import write_navgrid  # noqa: E402
-from ray_cluster import VARIABLES, two_nodes  # noqa: E402
+from ray_cluster import two_nodes  # noqa: E402
 
 PARTS = ("faults", "kills", "speed", "ray")
 LIMITS = ("--time-limit", "30", "--memory-limit", "4")
@@ -53,27 +52,16 @@ WHILE_STARTING = 0.2  # share of the kills that don't wait until a scene is done
 AFTER = (0.0, 2.0)  # how long after its start, or a scene, a batch is killed [s]
 
 
-def start(folder: Path, out: Path, *options: str) -> subprocess.Popen[bytes]:
-    """Start a batch of a folder's scenes, in a process group of its own."""
-    command = [sys.executable, "-m", "navbake", "batch", "list.jsonl", "-o", str(out), *options]
-    environment = {**os.environ, **VARIABLES, "PYTHONPATH": str(ROOT)}
-    return subprocess.Popen(command, cwd=folder, env=environment, start_new_session=True)
-
-
 def run(folder: Path, out: Path, *options: str) -> tuple[int, float]:
     """Run a batch; its exit status, and how long it took [s]."""
     begin = time.perf_counter()
-    with start(folder, out, *options) as process:
+    with start_list(folder, out, *options) as process:
         return process.wait(), time.perf_counter() - begin
 
 
-def digests(out: Path) -> dict[str, str]:
+def grids(out: Path) -> dict[str, str]:
     """sha256 of each grid."""
-    found = {}
-    for path in out.glob("*/*.json.gz"):
-        with contextlib.suppress(FileNotFoundError):
-            found[str(path.relative_to(out))] = hashlib.sha256(path.read_bytes()).hexdigest()
-    return found
+    return digests(out, "*/*.json.gz")
 
 
 def show_faults(folder: Path, args: argparse.Namespace) -> bool:
@@ -86,46 +74,10 @@ def show_faults(folder: Path, args: argparse.Namespace) -> bool:
     num_ok = sum(row["status"] == "ok" for row in rows)
     print(f"{num_ok} good grids, {len(rows) - num_ok} named with reasons, {seconds:.1f} s")
     print("\n".join(wrong) or "each as expected")
-    is_fine = not wrong and status == 1 and num_ok == num_good == len(digests(folder / "out"))
+    is_fine = not wrong and status == 1 and num_ok == num_good == len(grids(folder / "out"))
     status, seconds = run(folder / "scenes", folder / "out", "--jobs", "2", "-q", *LIMITS)
     print(f"again, what failed: {seconds:.1f} s")
     return is_fine and status == 1
-
-
-class Watcher(threading.Thread):
-    """Reads a folder's grids again and again, each as it changes.
-
-    Attributes:
-        looks: how many files it read.
-        torn: those that were not as expected.
-    """
-
-    def __init__(self, out: Path, expected: dict[str, str]) -> None:
-        super().__init__()
-        self._out, self._expected = out, expected
-        self._ended = threading.Event()
-        self._known: dict[str, tuple[int, int, int]] = {}
-        self.looks, self.torn = 0, set[str]()
-
-    def run(self) -> None:
-        while not self._ended.wait(0.002):
-            for path in self._out.glob("*/*.json.gz"):
-                with contextlib.suppress(FileNotFoundError):
-                    self._look(path, str(path.relative_to(self._out)))
-
-    def _look(self, path: Path, name: str) -> None:
-        status = os.stat(path)
-        state = status.st_ino, status.st_size, status.st_mtime_ns
-        if self._known.get(name) != state:
-            digest = hashlib.sha256(path.read_bytes()).hexdigest()
-            self._known[name] = state
-            self.looks += 1
-            if digest != self._expected[name]:
-                self.torn.add(name)
-
-    def end(self) -> None:
-        self._ended.set()
-        self.join()
 
 
 def wait_for_moment(process: subprocess.Popen[bytes], out: Path, random_: random.Random) -> None:
@@ -148,29 +100,27 @@ def show_kills(folder: Path, args: argparse.Namespace) -> bool:
     write_scenes(scenes, args.scenes)
     options = ("--jobs", "2", "-q", "--make", "inflated:0.3", "--set", "grid.cell_size=0.03")
     run(scenes, folder / "whole", *options)
-    expected = digests(folder / "whole")
+    expected = grids(folder / "whole")
     out, kills, rounds, done = folder / "out", 0, 0, []
-    watcher = Watcher(out, expected)
-    watcher.start()
     is_done = False
-    while not is_done or kills < args.kills:
-        if is_done:  # begin anew
-            rounds += 1
-            for path in [*out.rglob("*.*"), out / NAME]:
-                path.unlink(missing_ok=True)
-        with start(scenes, out, *options) as process:
-            if kills < args.kills:
-                wait_for_moment(process, out, random_)
-            else:
-                process.wait()
-            is_done = process.poll() is not None
-            kills += not is_done
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-        done.append(len(digests(out)))
-    watcher.end()
+    with Watcher(out, expected) as watcher:
+        while not is_done or kills < args.kills:
+            if is_done:  # begin anew
+                rounds += 1
+                for path in [*out.rglob("*.*"), out / NAME]:
+                    path.unlink(missing_ok=True)
+            with start_list(scenes, out, *options) as process:
+                if kills < args.kills:
+                    wait_for_moment(process, out, random_)
+                else:
+                    process.wait()
+                is_done = process.poll() is not None
+                kills += not is_done
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+            done.append(len(grids(out)))
     rows = read_index(out).values()
-    is_same = digests(out) == expected and all(row["status"] == "ok" for row in rows)
+    is_same = grids(out) == expected and all(row["status"] == "ok" for row in rows)
     leftovers = [*out.rglob("*.tmp")]
     print(
         f"{kills} kills in {len(done)} starts, files after each: {done}; {len(expected)} at the "
@@ -178,7 +128,7 @@ def show_kills(folder: Path, args: argparse.Namespace) -> bool:
         f"watcher read {watcher.looks:,} files, {len(watcher.torn)} of them broken; "
         f"{rounds} times begun anew; load {os.getloadavg()[0]:.1f}"
     )
-    return is_same and not watcher.torn and not leftovers
+    return is_same and watcher.looks > 0 and not watcher.torn and not leftovers
 
 
 def show_ray(folder: Path, args: argparse.Namespace) -> bool:
@@ -190,23 +140,23 @@ def show_ray(folder: Path, args: argparse.Namespace) -> bool:
     num_good = args.scenes - 23
     expected = write_scenes(scenes, num_good, broken=20, endings=True)
     _, embedded = run(scenes, folder / "one", "--jobs", "2", "-q", *LIMITS)
-    whole = digests(folder / "one")
+    whole = grids(folder / "one")
     # the second node has no compiled code of its own
     with two_nodes(1, PYTHONPATH=str(ROOT), NUMBA_CACHE_DIR=str(cold)) as nodes:
         options = ("--executor", "ray", "--ray-address", nodes.address, *LIMITS)
         begin = time.perf_counter()
-        with start(scenes, out, *options) as process:
-            while process.poll() is None and len(digests(out)) < num_good // 2:
+        with start_list(scenes, out, *options) as process:
+            while process.poll() is None and len(grids(out)) < num_good // 2:
                 time.sleep(0.05)
-            killed, done = time.perf_counter() - begin, len(digests(out))
+            killed, done = time.perf_counter() - begin, len(grids(out))
             is_running = process.poll() is None
             nodes.kill_second()
             status = process.wait()
         seconds = time.perf_counter() - begin
     wrong = wrong_rows([*read_index(out).values()], expected)
-    is_same = digests(out) == whole
+    is_same = grids(out) == whole
     print(
-        f"a node killed after {killed:.1f} s with {done} grids; {len(digests(out))} grids at the "
+        f"a node killed after {killed:.1f} s with {done} grids; {len(grids(out))} grids at the "
         f"end {'as on one machine' if is_same else 'THAT DIFFER'}, {seconds:.1f} s, on one machine "
         f"{embedded:.1f} s; {len([*cold.rglob('*.nbc')])} files of compiled code handed on"
     )

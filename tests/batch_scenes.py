@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 
 import mujoco
 
+# an OBJ mesh: a tetrahedron of the given height
+CHEST = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 {height}\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
 FLOOR = '<geom type="box" size="{half} {half} .1" pos="0 0 -.1"/>'
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import re
@@ -29,6 +30,17 @@ def content_of_batch(path):
 def content_of_page(page):
     """What the page of a batch shows, from its content."""
     return json.loads(text_of(content_of(page)["packed"]))
+
+
+def check_policy(page):
+    """See that its own style and script alone may run; the rules of its Content-Security-Policy."""
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', page).group(1)
+    rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
+    for name in ("style", "script"):
+        [text] = re.findall(f"<{name}>(.*?)</{name}>", page, re.DOTALL)
+        digest = b64decode(rules[f"{name}-src"].strip("'").removeprefix("sha256-"))
+        assert digest == hashlib.sha256(text.encode()).digest()
+    return rules
 
 
 def text_of(packed):

@@ -8,11 +8,13 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 
 import pytest
 
+from command_line import run_command
 from grid_maps import level_from
-from navbake.cli.main import COMMANDS, main
+from navbake.cli.main import COMMANDS
 from navbake.cli.printing import LOG, print_error, say, say_unless_quiet, volume
 from project_paths import ROOT
 
@@ -32,12 +34,7 @@ def grid(tmp_path, monkeypatch):
 
 @pytest.fixture
 def run(capsys):
-    def call(*arguments):
-        with pytest.raises(SystemExit) as caught:
-            main([str(argument) for argument in arguments])
-        return caught.value.code or 0, *capsys.readouterr()
-
-    return call
+    return partial(run_command, capsys)
 
 
 def test_all_commands_take_quiet_and_verbose(run):

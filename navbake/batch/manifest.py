@@ -6,7 +6,9 @@ import csv
 import glob
 import io
 import json
+import math
 import os
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePath, PurePosixPath
@@ -27,6 +29,7 @@ LISTS = (".txt", ".csv", ".jsonl", ".parquet")
 MAX_BYTES = 1 << 30  # of a list
 SCENE_KEYS = ("scene", "config")  # of a row; one of them
 TEXTS = ("id", *SCENE_KEYS)  # of which `001` is text
+LINE_END = re.compile(r"\r\n?|\n")
 
 Entry = tuple[str | None, str, Json, str]  # id if it is given, source, settings, place
 
@@ -105,12 +108,16 @@ def _read_list(source: str) -> Iterator[Entry]:
     rows = {".txt": _text_rows, ".csv": _csv_rows, ".jsonl": _json_rows, ".parquet": read_table}
     folder = parent(source) if is_url(source) else Path(os.path.dirname(source))
     content, name = _content_of(source)
+    is_empty = True
     for place, row in rows[_ending(source)](content, name):
+        is_empty = False
         yield _entry(row, folder, place)
+    if is_empty:
+        raise ConfigError(f"expected at least one scene in {name}, got none")
 
 
 def _entry(row: Json, folder: Folder, place: str) -> Entry:
-    row = {key: value for key, value in row.items() if value not in (None, "")}
+    row = {key: value for key, value in row.items() if not _is_none(value)}
     given = [key for key in SCENE_KEYS if key in row]
     if len(given) != 1 or not isinstance(row[given[0]], str):
         raise ConfigError(f"expected a path as `scene` or as `config` at {place}")
@@ -135,46 +142,93 @@ def _entry(row: Json, folder: Folder, place: str) -> Entry:
     return None if name is None else str(name), join(folder, path, place), settings, place
 
 
+def _is_none(value: Any) -> bool:
+    return value is None or value == "" or (isinstance(value, float) and math.isnan(value))
+
+
 def _text_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
-    for number, line in enumerate(_text_of(content, source).split("\n"), 1):
-        if line.strip() and not line.startswith("#"):
-            yield f"{source}, line {number}", {"scene": line.strip()}
+    for place, line in _lines(content, source):
+        if not line.startswith("#"):
+            yield place, {"scene": line}
 
 
 def _csv_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
+    """The rows, each under the line that it begins at: a value in quotes may have several."""
     text = io.StringIO(_text_of(content, source), newline="")
-    reader = csv.DictReader(text, strict=True)
+    reader = csv.reader(text, strict=True, skipinitialspace=True)
+    names: list[str] | None = None
+    place = f"{source}, line 1"
     try:
-        for row in reader:
-            place = f"{source}, line {reader.line_num}"
-            if None in row:
-                raise ConfigError(f"expected as many values as columns at {place}")
-            named = {key: value for key, value in row.items() if key in TEXTS}
-            yield place, {key: _plain(value) for key, value in row.items()} | named
+        for values in reader:
+            if values and names is None:
+                names = _columns(values, place)
+            elif values and names is not None:
+                yield place, _csv_row(names, values, place)
+            place = f"{source}, line {reader.line_num + 1}"
     except csv.Error as error:
-        raise ConfigError(f"broken CSV in {source}, line {reader.line_num}: {error}") from error
+        raise ConfigError(f"broken CSV at {place}: {error}") from error
 
 
-def _plain(text: str | None) -> Any:
+def _columns(names: list[str], place: str) -> list[str]:
+    if not set(names) & {*SCENE_KEYS}:
+        got = show_value(",".join(names))
+        raise ConfigError(
+            f"expected names of columns, `scene` or `config` among them, got {got} at {place}"
+        )
+    for name, count in Counter(names).items():
+        if name and count > 1:
+            raise ConfigError(f"expected each column once, got `{name}` {count} times at {place}")
+    return names
+
+
+def _csv_row(names: list[str], values: list[str], place: str) -> Json:
+    if len(values) > len(names):
+        raise ConfigError(
+            f"expected as many values as columns at {place}: {len(names)}, got {len(values)}: "
+            f"{show_value(','.join(values))}"
+        )
+    row = {
+        name: value if name in TEXTS else _plain(value)
+        for name, value in zip(names, values, strict=False)
+        if value
+    }
+    scene = next((row[key] for key in SCENE_KEYS if key in row), "")
+    if scene.startswith("#"):
+        raise ConfigError(
+            f"expected a scene, got {show_value(scene)} at {place}: a CSV has no comments, "
+            "and a path that begins so is written with ./ before it"
+        )
+    return row
+
+
+def _plain(text: str) -> Any:
     """A cell of a CSV: a number, true, false, a list or an object as JSON has it, else text."""
     try:
-        return json.loads(text or '""')
-    except ValueError:
+        return json.loads(text)
+    except (ValueError, RecursionError):
         return text
 
 
 def _json_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
-    for number, line in enumerate(_text_of(content, source).split("\n"), 1):
-        place = f"{source}, line {number}"
-        if not line.strip():
-            continue
+    for place, line in _lines(content, source):
         try:
             row = json.loads(line)
+        except json.JSONDecodeError as error:
+            raise ConfigError(
+                f"broken JSON at {place}, column {error.colno}: {error.msg}"
+            ) from error
         except (ValueError, RecursionError) as error:
             raise ConfigError(f"broken JSON at {place}: {error}") from error
         if not isinstance(row, dict):
-            raise ConfigError(f"expected an object at {place}")
+            raise ConfigError(f"expected an object at {place}, got {show_value(row)}")
         yield place, row
+
+
+def _lines(content: bytes, source: str) -> Iterator[tuple[str, str]]:
+    """Lines that aren't blank, each with its place for messages; they may end as on any system."""
+    for number, line in enumerate(LINE_END.split(_text_of(content, source)), 1):
+        if line.strip():
+            yield f"{source}, line {number}", line.strip()
 
 
 def _content_of(source: str) -> tuple[bytes, str]:
@@ -191,7 +245,8 @@ def _text_of(content: bytes, name: str) -> str:
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ConfigError(f"expected UTF-8 in {name}: {error.reason}") from error
+        line = 1 + content.count(b"\n", 0, error.start)
+        raise ConfigError(f"expected UTF-8 in {name}, line {line}: {error.reason}") from error
 
 
 def _name(found: list[Entry]) -> list[str]:

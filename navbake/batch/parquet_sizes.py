@@ -21,6 +21,7 @@ MAGIC = 4  # bytes at the end, behind the size of the footer
 # Fields are named by their number and type, as parquet.thrift has them: those of another type are
 # none. Of the footer, a group of rows, a column of that:
 GROUPS, COLUMNS, METADATA = (4, LIST), (1, LIST), (3, STRUCT)
+NUM_VALUES = (5, INT64)
 PACKED_SIZE, DATA_PLACE, DICTIONARY_PLACE = (7, INT64), (9, INT64), (11, INT64)
 # of the header of a page, of the header of a data page in it, and of that of version 2:
 UNPACKED, PACKED = (2, INT32), (3, INT32)
@@ -71,7 +72,8 @@ def list_pages(content: bytes, chunk: Struct) -> Iterator[Page]:
         at, size, dictionary = chunk[DATA_PLACE], chunk[PACKED_SIZE], chunk.get(DICTIONARY_PLACE, 0)
         if 0 < dictionary < at:
             at = dictionary
-        end = min(at + size, len(content))
+        # of a column without values no page is read, and there need be none
+        end = min(at + size, len(content)) if chunk[NUM_VALUES] > 0 else 0
         while 0 <= at < end:
             header, at = _read_struct(content, at, 0)
             unpacked, packed = header[UNPACKED], header[PACKED]

@@ -67,7 +67,11 @@ def parse_products(texts: Sequence[str]) -> tuple[Product, ...]:
             wanted = kind.usage if kind else f"one of {', '.join(k.usage for k in KINDS.values())}"
             raise ConfigError(f"expected {wanted} to make, got {text!r}")
         products.append(Product(name, kind.check(values, text)))
-    return tuple(dict.fromkeys(products))
+    distinct = tuple(dict.fromkeys(products))
+    if sum(product.kind == "picture" for product in distinct) > 1:
+        asked = ", ".join(str(product) for product in distinct if product.kind == "picture")
+        raise ConfigError(f"expected one picture, with all its layers, to make, got {asked}")
+    return distinct
 
 
 def write_thumbnail(grid: NavGrid, folder: Path) -> None:

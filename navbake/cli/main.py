@@ -28,7 +28,7 @@ from navbake.cli.commands.scenes import geoms, init, samples
 from navbake.cli.commands.view import view
 from navbake.cli.commands.voxelize import voxelize
 from navbake.cli.commands.warm_up import warm_up
-from navbake.cli.options import prepared
+from navbake.cli.options import Command, prepared
 from navbake.cli.printing import print_causes, print_error
 from navbake.errors import NavbakeError
 
@@ -51,7 +51,7 @@ COMMANDS = (
     *(verify, audit, report, view),
 )
 for command in COMMANDS:
-    app.command()(prepared(command))
+    app.command(cls=Command)(prepared(command))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

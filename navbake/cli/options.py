@@ -2,6 +2,7 @@
 
 import inspect
 import os
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, redirect_stdout
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 from typer import Argument, BadParameter, Option
+from typer.core import TyperCommand
 
 from navbake import files
 from navbake.cli.printing import volume
@@ -50,6 +52,8 @@ STDOUT = Path("-")
 """The output that stands for stdout."""
 GRIDS = (".json", ".json.gz")
 """Endings of NavGrid files."""
+PYTHON_TYPE = re.compile(r" <[^<>]*>$")
+"""What typer adds to the name of an argument."""
 
 
 def check_output(
@@ -124,6 +128,24 @@ def refuse_unused(*uses: tuple[str, bool, bool, str]) -> None:
     for name, is_given, applies, purpose in uses:
         if is_given and not applies:
             raise BadParameter(f"does nothing here: it is for {purpose}", param_hint=name)
+
+
+class Command(TyperCommand):
+    """A command whose help calls values by their metavars alone, and has --output first.
+
+    typer prints the Python type of an argument, too, as ``<list[str]>``.
+    """
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the help of arguments and of options."""
+        for title, kind in (("Arguments", "argument"), ("Options", "option")):
+            shown = [each for each in self.get_params(ctx) if each.param_type_name == kind]
+            shown.sort(key=lambda each: "--output" not in each.opts)
+            records = filter(None, (each.get_help_record(ctx) for each in shown))
+            lines = [(PYTHON_TYPE.sub("", name), text) for name, text in records]
+            if lines:
+                with formatter.section(title):
+                    formatter.write_dl(lines)
 
 
 def prepared(command: Callable[..., None]) -> Callable[..., None]:

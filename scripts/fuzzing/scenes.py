@@ -20,8 +20,8 @@ from fuzzing.meshes import ENTITIES, make_obj, make_stl
 from fuzzing.mutations import cut, mutate_bytes, mutate_text
 from navbake.baker.scene.model import catch_warnings
 from navbake.baker.scene.scene import Scene, load_scene
-from navbake.batch.inputs import find_inputs
 from navbake.config.scene import SceneSettings
+from navbake.formats.scene_files import find_inputs
 
 MJCF = (
     """<mujoco model="a"><compiler angle="degree" autolimits="true"/>

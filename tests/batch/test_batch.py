@@ -5,24 +5,27 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import shutil
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 import navbake
-from batch_scenes import draw_room, write_scenes, wrong_rows
-from navbake.batch import batch as module
+from batch_in_process import run_sources, stay_in_process
+from batch_scenes import CHEST, draw_room, write_scenes, wrong_rows
 from navbake.batch import index as index_module
-from navbake.batch.batch import Batch, Means, run_batch
-from navbake.batch.crew import DONE, Ended, JobLimits
+from navbake.batch.batch import Means
+from navbake.batch.crew import JobLimits
 from navbake.batch.index import NAME, only_batch, read_index
 from navbake.batch.manifest import list_jobs
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError
+from project_paths import ROOT
 
 SETTINGS = {"grid": {"cell_size": 0.2}}
-ONE = Means()
+run = partial(run_sources, settings=SETTINGS)
 MESHED = """<mujoco>
 <asset>
   <mesh name="chest" file="chest.obj"/>
@@ -31,35 +34,13 @@ MESHED = """<mujoco>
 <worldbody>
   <include file="floor.xml"/><geom type="mesh" mesh="chest" material="wood"/>
 </worldbody></mujoco>"""
-CHEST = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 {height}\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
 FLOOR = '<mujoco><geom type="box" size="{half} 2 .1" pos="0 0 -.1"/></mujoco>'
-
-
-class Told:
-    """Notes what a batch tells."""
-
-    def __init__(self):
-        self.begun, self.rows = None, []
-
-    def begin(self, total, skipped):
-        self.begun = total, skipped
-
-    def hear(self, event, scene):
-        pass
-
-    def end_scene(self, row):
-        self.rows.append(row)
 
 
 @pytest.fixture
 def here(monkeypatch):
     """Jobs are done in this process, one after another."""
-
-    def do_jobs(jobs, work, count, **options):
-        for number, job in enumerate(jobs):
-            yield Ended(number, DONE, work(job), 0.0)
-
-    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    stay_in_process(monkeypatch)
 
 
 @pytest.fixture
@@ -81,14 +62,6 @@ def write_texture(folder, shade):
     from PIL import Image
 
     Image.new("RGB", (2, 2), (shade,) * 3).save(folder / "wood.png")
-
-
-def run(*sources, out="out", means=ONE, settings=SETTINGS, **options):
-    """Run a batch; what it baked, and its result."""
-    told = Told()
-    todo = Batch(list_jobs(sources), Path(out), settings, **options)
-    result = run_batch(todo, means, told)
-    return [row["id"] for row in told.rows], result
 
 
 def digests(folder):
@@ -216,24 +189,22 @@ def test_a_resume_may_run_in_another_folder(scenes, here, monkeypatch):
     assert run(*ALL)[0] == []
 
 
+def names_in_docs():
+    """The files that the docs list of a scene of one level."""
+    text = (ROOT / "docs" / "batch.md").read_text("utf-8")
+    table = text.split("\n## What is made\n\n")[1].split("\n\n")[0]
+    cells = [line.split("|")[2] for line in table.splitlines()]
+    files = [cell.split("; of several levels")[0] for cell in cells]
+    return {name for cell in files for name in re.findall(r"`([\w.-]+\.\w+)`", cell)}
+
+
 def test_products_are_made_missed_and_removed(scenes, here):
     make = [
-        "inflated:0.30",
-        "inflated:0.2:0.1",
-        "voxels:0.5",
-        "voxels:0.5:npz",
-        "picture",
-        "report",
-        "nav2",
-        "nav2:0.2",
+        *("inflated:0.30", "inflated:0.3:0.1", "nav2", "nav2:0.3", "picture", "report"),
+        *("voxels:0.5", "voxels:0.5:bt", "voxels:0.5:ot", "voxels:0.5:npz"),
     ]
-    names = {
-        *("grid.json.gz", "inflated-0.3.json.gz", "inflated-0.2-0.1.json.gz", "picture.png"),
-        *("nav2.yaml", "nav2.pgm", "nav2-0.2.yaml", "nav2-0.2.pgm"),
-        *("report.html", "voxels-0.5.binvox", "voxels-0.5.npz"),
-    }
     run("scenes/first.xml", products=make)
-    assert {path.name for path in Path("out/first").iterdir()} == names
+    assert {path.name for path in Path("out/first").iterdir()} == names_in_docs()
     inflated = navbake.load("out/first/grid.json.gz").inflate(0.3)
     inflated.save("inflated.json.gz")
     assert (
@@ -269,6 +240,12 @@ def test_a_wrong_product_is_refused_before_anything_is_baked(scenes, product, me
     with pytest.raises(ConfigError, match=message):
         run(*ALL, products=[product])
     assert not Path("out").exists()
+
+
+def test_two_pictures_of_a_scene_would_be_one_file(scenes):
+    assert run("scenes/first.xml", products=["picture:floor"] * 2)[0] == ["first"]
+    with pytest.raises(ConfigError, match=r"expected one picture, .*got picture, picture:floor"):
+        run(*ALL, products=["picture", "report", "picture:floor"])
 
 
 def test_pictures_without_matplotlib_are_refused_before_anything_is_baked(scenes, monkeypatch):
@@ -337,14 +314,13 @@ def test_scenes_of_another_batch_stay_in_the_index(scenes, here):
 
 
 def test_an_interrupted_batch_leaves_a_true_index(scenes, monkeypatch):
-    def do_jobs(jobs, work, count, **options):
-        yield Ended(0, DONE, work(jobs[0]), 0.0)
-        leftover = jobs[1].place
-        leftover.mkdir()
-        (leftover / ".navbake-0123456789abcdef.tmp").write_bytes(b"half")
+    def interrupt():
+        """End the batch while a worker writes the second scene."""
+        Path("out/second").mkdir()
+        Path("out/second/.navbake-0123456789abcdef.tmp").write_bytes(b"half")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    stay_in_process(monkeypatch, after=interrupt)
     with pytest.raises(KeyboardInterrupt):
         run(*ALL)
     status = {name: row["status"] for name, row in read_index(Path("out")).items()}

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+import time
 from concurrent.futures import Future
 from contextlib import contextmanager
 from types import SimpleNamespace
@@ -216,12 +217,16 @@ def test_actors_without_jobs_are_ended_before_the_others_are_done(run):
     killed = []
 
     def finish(actor):
+        """End its job when the other actor is killed; later, where that is never."""
+        end = time.monotonic() + 30.0
+        while not (actor.waiting and actor.ray.killed) and time.monotonic() < end:
+            time.sleep(0.005)
         killed.extend(other.number for other in actor.ray.killed)
         actor.waiting[0].set_result(Ended(1, DONE, None, 0.0))
 
     def answer(actor, method, *arguments):
         if method == "do" and arguments[1] == "long":
-            threading.Timer(0.1, finish, [actor]).start()
+            threading.Thread(target=finish, args=[actor]).start()
             return ...
         return behave(actor, method, *arguments)
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 import time
+from multiprocessing.connection import wait
 
 import pytest
 
 import crew_jobs
+from navbake.batch import crew
 from navbake.batch.crew import (
     AGAIN,
     BEGUN,
@@ -36,6 +39,44 @@ def run(jobs, count=1, **options):
     return [(end.how, end.value) for end in ended]
 
 
+class Clock:
+    """A crew's time, which stands but for what a test says: so no load of the machine matters."""
+
+    def __init__(self):
+        self.now = 0.0
+        self.passes = 0.0  # while the crew waits the next time [s]
+        self.connections = []  # for which it waited last
+        self.sleep = time.sleep
+
+    def monotonic(self):
+        return self.now
+
+    def wait(self, connections, timeout):
+        self.connections = connections
+        if self.passes:
+            self.now, self.passes = self.now + self.passes, 0.0
+            return []
+        return wait(connections, 0.0 if timeout == 0.0 else None)
+
+    def let_pass(self, times):
+        """Returns what hears of events, and lets time pass after jobs begin; times by job."""
+
+        def hear(event):
+            if event.what == BEGUN:
+                self.passes = times.get(event.number, 0.0)
+
+        return hear
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """The clock of all crews."""
+    clock = Clock()
+    monkeypatch.setattr(crew, "time", clock)
+    monkeypatch.setattr(crew, "wait", clock.wait)
+    return clock
+
+
 def is_there(pid):
     try:
         os.kill(pid, 0)
@@ -44,34 +85,47 @@ def is_there(pid):
     return True
 
 
-def test_all_jobs_are_done_by_as_many_workers_as_asked_for():
+def wait_until(is_so):
+    end = time.monotonic() + crew_jobs.PATIENCE
+    while not is_so():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_all_jobs_are_done_by_as_many_workers_as_asked_for(tmp_path):
     assert run([("double", k) for k in range(20)], 3) == [(DONE, 2 * k) for k in range(20)]
-    pids = {value for _, value in run([("sleep", 0.3)] * 4, 2)}
+    for name in "ab":
+        (tmp_path / name).mkdir()
+    pids = {value for _, value in run([("meet", (tmp_path / name, 2)) for name in "aabb"], 2)}
     assert len(pids) == 2 and os.getpid() not in pids
     assert run([]) == []
 
 
 @linux
-def test_what_ends_a_worker_costs_its_job_alone():
+def test_what_ends_a_worker_costs_its_job_alone(clock):
     jobs = [
+        ("sleep", 60),  # all that time the other worker does the rest
         ("double", 1),
         ("kill", signal.SIGSEGV),
         ("double", 2),
         ("exit", 7),
         ("raise", "bad value"),
-        ("sleep", 60),
         ("double", 3),
         ("print", None),
     ]
-    ended = run(jobs, 2, limits=JobLimits(seconds=1.5))
-    assert [ended[k] for k in (0, 2, 6)] == [(DONE, 2), (DONE, 4), (DONE, 6)]
-    assert ended[1] == (CRASHED, "its process ended by SIGSEGV")
-    assert ended[3] == (
+    ended = {}
+    for end in do_jobs(jobs, crew_jobs.work, 2, limits=JobLimits(seconds=1.5)):
+        assert end.number not in ended
+        ended[end.number] = end.how, end.value
+        clock.now += 1.6 * (len(ended) == len(jobs) - 1)
+    assert [ended[k] for k in (1, 3, 6)] == [(DONE, 2), (DONE, 4), (DONE, 6)]
+    assert ended[2] == (CRASHED, "its process ended by SIGSEGV")
+    assert ended[4] == (
         CRASHED,
         "its process ended with exit status 7: no such thing: qh6154",
     )
-    assert ended[4] == (CRASHED, "ValueError: bad value")
-    assert ended[5] == (TOO_LONG, "it took more than 1.5 s")
+    assert ended[5] == (CRASHED, "ValueError: bad value")
+    assert ended[0] == (TOO_LONG, "it took more than 1.5 s")
     assert ended[7][0] == DONE  # there is nothing to read
 
 
@@ -121,59 +175,66 @@ def test_events_tell_of_workers_that_start_and_are_lost_and_of_jobs_that_begin_a
     assert all(e.seconds > 0 for e in events if e.what != BEGUN)
 
 
-def test_a_limit_shorter_than_the_start_of_a_worker_is_one_of_the_job():
-    assert run([("double", 1)], limits=JobLimits(seconds=0.2))[0] == (DONE, 2)
+def test_a_limit_shorter_than_the_start_of_a_worker_is_one_of_the_job(clock):
+    events = []
+    clock.passes = 30.0  # while it starts
+    limits = JobLimits(seconds=0.2)
+    assert run([("double", 1)], limits=limits, on_event=events.append)[0] == (DONE, 2)
+    assert [(event.what, event.seconds) for event in events] == [(READY, 30.0), (BEGUN, 0.0)]
 
 
-def test_after_a_short_job_the_next_but_one_does_not_wait_for_the_parent(tmp_path):
+def test_after_a_short_job_the_next_but_one_does_not_wait_for_the_parent(tmp_path, clock):
     jobs = [("touch", str(tmp_path / f"{number}")) for number in range(6)]
     ended = do_jobs(jobs, crew_jobs.work, 1)
     assert [next(ended).number, next(ended).number] == [0, 1]
-    end = time.monotonic() + 10.0
-    while len(list(tmp_path.iterdir())) < 3 and time.monotonic() < end:
-        time.sleep(0.02)
+    wait_until(lambda: len(list(tmp_path.iterdir())) >= 3)
     assert {path.name for path in tmp_path.iterdir()} == {"0", "1", "2"}
     assert [end.number for end in ended] == [2, 3, 4, 5]
 
 
 @linux
 @pytest.mark.parametrize(
-    ("fault", "how"), [(("sleep", 60), TOO_LONG), (("kill", signal.SIGSEGV), CRASHED)]
+    ("fault", "how", "times"),
+    [(("sleep", 60), TOO_LONG, {3: 2.1}), (("kill", signal.SIGSEGV), CRASHED, {})],
 )
-def test_a_job_given_ahead_pays_for_none_before_it(fault, how):
+def test_a_job_given_ahead_pays_for_none_before_it(clock, fault, how, times):
     before = [("double", number) for number in range(3)]
-    jobs = [*before, fault, ("sleep", 1.2), *before, ("size", b"0" * 10_000_000), *before]
-    ended = run(jobs, limits=JobLimits(seconds=2.0))
+    jobs = [*before, fault, ("double", 0), *before, ("size", b"0" * 10_000_000), *before]
+    times = {**times, 4: 1.2, 6: 1.2, 7: 1.2}
+    ended = run(jobs, limits=JobLimits(seconds=2.0), on_event=clock.let_pass(times))
+    assert clock.now == pytest.approx(sum(times.values()))
     assert [number for number, end in enumerate(ended) if end[0] != DONE] == [3]
     assert ended[3][0] == how and ended[8] == (DONE, 10_000_000)
 
 
 @linux
-def test_a_large_job_waits_where_its_worker_might_not_read_it():
+def test_a_large_job_waits_where_its_worker_might_not_read_it(clock):
     jobs = [("double", 1), ("double", 2), ("sleep", 60), ("size", b"0" * 10_000_000)]
     begin = time.monotonic()
-    ended = run([*jobs, *jobs[:2]], limits=JobLimits(seconds=1.0))
+    options = {"limits": JobLimits(seconds=1.0), "on_event": clock.let_pass({2: 1.1})}
+    ended = run([*jobs, *jobs[:2]], **options)
     assert [how for how, _ in ended] == [DONE, DONE, TOO_LONG, DONE, DONE, DONE]
-    assert time.monotonic() - begin < 30.0
+    assert time.monotonic() - begin < 60  # as nobody waited until it was read
 
 
-def test_a_job_that_was_done_while_nobody_looked_is_done():
-    jobs = [("sleep", 0.5), ("sleep", 0.7)]
+def test_a_job_that_was_done_while_nobody_looked_is_done(clock, tmp_path):
+    jobs = [("meet", (tmp_path, 2))] * 2
     ended = do_jobs(jobs, crew_jobs.work, 2, limits=JobLimits(seconds=1.5))
-    found = []
-    for end in ended:
-        found.append((end.number, end.how))
-        time.sleep(1.5 if len(found) == 1 else 0.0)
-    assert sorted(found) == [(0, DONE), (1, DONE)]
+    first = next(ended)
+    assert wait(clock.connections, crew_jobs.PATIENCE)  # the other one has answered
+    clock.now += 1.6
+    (second,) = ended
+    assert (first.how, second.how, clock.now) == (DONE, DONE, 1.6)
 
 
 def test_a_worker_that_dies_while_idle_is_replaced():
-    jobs = list(range(3))
-    ended = []
-    for end in do_jobs(jobs, crew_jobs.die_when_idle, 1):
-        ended.append(end.value)
-        time.sleep(0.2)  # it dies meanwhile
-    assert ended == jobs
+    pids = []
+    for end in do_jobs([("sleep", 0)] * 3, crew_jobs.work, 1):
+        [worker] = [each for each in multiprocessing.active_children() if each.pid == end.value]
+        worker.kill()
+        worker.join()
+        pids.append(end.value)
+    assert len(set(pids)) == len(pids) == 3
 
 
 @pytest.mark.parametrize(
@@ -211,8 +272,5 @@ def test_workers_are_gone_when_the_parent_is(number, tmp_path):
         assert parent.stdout is not None
         pid = int(parent.stdout.readline())
         parent.send_signal(number)
-        parent.wait(20)
-    end = time.monotonic() + 5.0
-    while is_there(pid) and time.monotonic() < end:
-        time.sleep(0.02)
-    assert not is_there(pid)
+        parent.wait(crew_jobs.PATIENCE)
+    wait_until(lambda: not is_there(pid))

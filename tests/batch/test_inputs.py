@@ -98,6 +98,12 @@ def test_of_urdf_they_are_meshes_found_as_the_bake_finds_them(folder):
     assert names(folder, "robot/arm.urdf") == ["robot/arm.urdf", "robot/meshes/arm.dae"]
 
 
+def test_a_mesh_that_a_urdf_lacks_hides_no_other(folder):
+    meshes = '<mesh filename="no.obj"/><mesh filename="mesh/a.obj"/>'
+    (folder / "arm.urdf").write_text(f'<robot name="arm">{meshes}</robot>')
+    assert names(folder, "arm.urdf") == ["arm.urdf", "mesh/a.obj"]
+
+
 @pytest.mark.parametrize("text", ["<mujoco>", "\xff", '<mujoco><mesh file=""/></mujoco>'])
 def test_of_broken_xml_it_is_the_scene_itself(folder, text):
     (folder / "scene.xml").write_text(text)
@@ -127,6 +133,7 @@ def test_content_is_read_where_size_and_time_prove_nothing(folder, monkeypatch):
     monkeypatch.setattr(file_states, "_digest", lambda path: pytest.fail("it was read"))
     assert are_unchanged(stated, folder)
     monkeypatch.undo()
+    monkeypatch.setattr(file_states, "RECENT", 60_000_000_000)  # however slow this machine is
     path.write_text("V 0 0 0\n")
     assert not are_unchanged(stated, folder)
     path.write_text(OBJ)

@@ -61,23 +61,66 @@ def test_lists_name_scenes_beside_themselves(folder):
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("a.txt", "", "at least one scene"),
+        *((f"a.{kind}", "", f"one scene in a.{kind}") for kind in ("txt", "csv", "jsonl")),
+        *(("a.csv", text, "one scene in a.csv") for text in ("\r\n\r\n", "scene,id\r\n")),
+        ("a.txt", "# none\n\n", "one scene in a.txt"),
         ("a.csv", "scene,id\na.xml\n,b\n", "expected a path as `scene` or as `config` at a.csv, l"),
         ("a.csv", "scene\na.xml,b\n", "as many values as columns at a.csv, line 2"),
+        ("a.csv", "a.xml,a\n", "names of columns, .* got .a.xml,a. at a.csv, line 1"),
+        ("a.csv", "# mine\nscene\na.xml\n", "names of columns, .* got .# mine. at a.csv, line 1"),
+        ("a.csv", "scene;id\na.xml;a\n", "names of columns, .* got .scene;id. at a.csv, line 1"),
+        ("a.csv", "scene,id\na.xml,a\n# b\n", "got .# b. at a.csv, line 3: a CSV has no comments"),
+        ("a.csv", "scene,id,id\na.xml,a,b\n", "column once, got `id` 2 times at a.csv, line 1"),
+        ("a.csv", 'scene,id\na.xml,a\n"b\n.xml,b\n', "broken CSV at a.csv, line 3"),
+        ("a.csv", 'scene,id\n"a\n.xml",b,\n', "columns at a.csv, line 2: 2, got 3"),
         ("a.csv", "scene,config\na.xml,b.yaml\n", "expected a path as `scene` or as `config`"),
         ("a.csv", "scene,split\na.xml,train\n", "got `split` at a.csv, line 2"),
         ("a.csv", "scene,scene.path\na.xml,b.xml\n", "expected no `scene.path` in a.csv, line 2"),
         ("a.jsonl", '{"scene": "a.xml"}\n{"scene"\n', "broken JSON at a.jsonl, line 2"),
+        ("a.jsonl", '# b\n{"scene": "a.xml"}\n', "broken JSON at a.jsonl, line 1, column 1"),
+        ("a.jsonl", '{"scene": "a.xml"},\n', "broken JSON at a.jsonl, line 1, column 19"),
         ("a.jsonl", "[1]\n", "expected an object at a.jsonl, line 1"),
         ("a.jsonl", '{"scene": 3}\n', "expected a path"),
         ("a.jsonl", '{"scene": "a.xml", "settings": 3}', "expected an object as `settings`"),
-        ("a.csv", "scene\n\xff\n", "expected UTF-8 in a.csv"),
+        ("a.csv", "scene\n\xff\n", "expected UTF-8 in a.csv, line 2"),
     ],
 )
 def test_broken_lists_name_the_line(folder, name, text, message):
     (folder / name).write_bytes(text.encode("latin-1"))
     with pytest.raises(ConfigError, match=message):
         list_jobs([name])
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+def test_lists_of_any_system_are_read(folder, end, mark):
+    lists = {
+        "a.txt": ["# mine", "  # too", "a.xml", "", " b.xml "],
+        "a.csv": ["scene, id,", "a.xml, a,", "", '"b.xml",b,'],
+        "a.jsonl": ['{"scene": "a.xml", "agent.radius": NaN}', " ", '{"scene": "b.xml", "id": ""}'],
+    }
+    for name, lines in lists.items():
+        (folder / name).write_bytes((mark + end.join([*lines, ""])).encode())
+        jobs = list_jobs([name])
+        assert [(job.id, job.source) for job in jobs] == [("a", "a.xml"), ("b", "b.xml")]
+        assert [job.settings for job in jobs] == [{}, {}]
+        assert jobs[1].place == f"{name}, line {len(lines)}"
+
+
+def test_a_cell_that_is_nested_too_deep_is_text(folder):
+    deep = "[" * 100_000
+    (folder / "a.csv").write_text(f"scene,agent.radius\na.xml,{deep}\n")
+    [job] = list_jobs(["a.csv"])
+    assert job.settings == {"agent": {"radius": deep}}
+
+
+def test_a_table_without_rows_is_named(folder):
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    empty = pyarrow.table({"scene": pyarrow.array([], pyarrow.string())})
+    parquet.write_table(empty, folder / "a.parquet")
+    with pytest.raises(ConfigError, match=r"one scene in a\.parquet, got none"):
+        list_jobs(["a.parquet", "a/hall.xml"])
 
 
 def test_sources_that_name_nothing_are_refused(folder):

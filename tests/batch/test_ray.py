@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
 import json
 import os
 import signal
 import subprocess
 import sys
-import time
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 import crew_jobs
+from batch_in_process import Told
+from batch_processes import PATIENCE, digests, members, start_list, wait_for_grids, wait_until_gone
 from batch_scenes import write_scenes, wrong_rows
 from navbake.batch.batch import Batch, Means, run_batch
 from navbake.batch.cluster.executor import ALL, RayExecutor
@@ -28,63 +27,7 @@ pytestmark = pytest.mark.skipif(
     find_spec("ray") is None or sys.platform != "linux", reason="needs ray, and signals of Linux"
 )
 COUNT = 8
-OPTIONS = ("--time-limit", "5", "--memory-limit", "0.7", "--set", "grid.cell_size=0.1")
-
-
-class Silent:
-    """Is told how a batch goes on."""
-
-    def begin(self, total, skipped):
-        pass
-
-    def hear(self, event, scene):
-        pass
-
-    def end_scene(self, row):
-        pass
-
-
-def start(folder, out, *options, **more):
-    """A batch in a session of its own."""
-    command = [sys.executable, "-m", "navbake", "batch", "list.jsonl", "-o", str(out), *options]
-    environment = {**os.environ, **VARIABLES, "PYTHONPATH": str(ROOT)}
-    return subprocess.Popen(
-        [*command, *OPTIONS], cwd=folder, env=environment, start_new_session=True, **more
-    )
-
-
-def digests(folder):
-    return {
-        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(Path(folder).glob("*/*"))
-    }
-
-
-def wait_for(out, count, seconds=300.0):  # all may have to be compiled first
-    """Wait until there are so many grids."""
-    end = time.monotonic() + seconds
-    while len([*out.glob("*/grid.json.gz")]) < count:
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
-def members(session, name=""):
-    """Processes of a session that are no zombies, and have a text in their command line."""
-    found = []
-    for path in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError):
-            state, _, _, of_session = (path / "stat").read_text().rpartition(")")[2].split()[:4]
-            if int(of_session) == session and state != "Z":
-                line = (path / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-                found += [line] if name in line else []
-    return found
-
-
-def wait_until_gone(session, name=""):
-    end = time.monotonic() + 10.0
-    while members(session, name) and time.monotonic() < end:
-        time.sleep(0.05)
-    assert members(session, name) == []
+OPTIONS = ("--time-limit", "10", "--memory-limit", "0.7", "--set", "grid.cell_size=0.1")
 
 
 def test_two_nodes_of_which_one_is_killed_make_the_same(tmp_path):
@@ -96,23 +39,23 @@ def test_two_nodes_of_which_one_is_killed_make_the_same(tmp_path):
     del expected["takes"]
     good = [str(source.parent / line["scene"]) for line in lines if "id" not in line]
     embedded = Batch(list_jobs(good), tmp_path / "one", {"grid": {"cell_size": 0.1}})
-    run_batch(embedded, Means(), Silent())
+    run_batch(embedded, Means(), Told())
     whole = digests(tmp_path / "one")
     assert len(whole) == COUNT
     cold = tmp_path / "cold"
     with two_nodes(1, NUMBA_CACHE_DIR=str(cold)) as nodes:
         on_ray = (tmp_path / "scenes", tmp_path / "out", "--executor", "ray")
-        on_ray = (*on_ray, "--ray-address", nodes.address)
-        with start(*on_ray, stderr=subprocess.DEVNULL) as process:
-            wait_for(tmp_path / "out", 2)
+        on_ray = (*on_ray, "--ray-address", nodes.address, *OPTIONS)
+        with start_list(*on_ray, stderr=subprocess.DEVNULL) as process:
+            wait_for_grids(tmp_path / "out", 2)
             process.terminate()
-            assert process.wait(20) == 143
+            assert process.wait(PATIENCE) == 143
         wait_until_gone(nodes.process.pid, "ray::Slot")
         assert members(process.pid) == []
-        with start(*on_ray, stderr=subprocess.PIPE, text=True) as process:
-            wait_for(tmp_path / "out", 4)
+        with start_list(*on_ray, stderr=subprocess.PIPE, text=True) as process:
+            wait_for_grids(tmp_path / "out", 4)
             nodes.kill_second()
-            _, said = process.communicate(timeout=90)
+            _, said = process.communicate(timeout=PATIENCE)
             assert process.returncode == 1
     assert digests(tmp_path / "out") == whole
     lines = (tmp_path / "out" / "index.jsonl").read_text().splitlines()
@@ -140,10 +83,10 @@ def test_jobs_fail_as_on_one_machine_and_an_actor_that_is_lost_is_not_held_again
     ]
     told = []
     executor = RayExecutor("local", told.append)
-    ended = dict(enumerate(sorted(executor(jobs, crew_jobs.work, 2, limits=JobLimits(1.0)))))
+    ended = dict(enumerate(sorted(executor(jobs, crew_jobs.work, 2, limits=JobLimits(5.0)))))
     assert [ended[k].value for k in (1, 6)] == [2, 4] and ended[0].how == DONE
     assert ended[2][1:3] == (CRASHED, "its process ended by SIGSEGV")
-    assert ended[3][1:3] == (TOO_LONG, "it took more than 1 s")
+    assert ended[3][1:3] == (TOO_LONG, "it took more than 5 s")
     assert ended[5][1:3] == (CRASHED, "ValueError: bad value")
     assert ended[4].how == CRASHED
     assert ended[4].value.startswith("3 Ray actors in a row were lost at it, the last one as ")
@@ -153,11 +96,12 @@ def test_jobs_fail_as_on_one_machine_and_an_actor_that_is_lost_is_not_held_again
 def test_ctrl_c_ends_the_cluster_that_the_batch_started(tmp_path):
     write_scenes(tmp_path / "scenes", COUNT)
     before = {*Path("/tmp").glob("navbake-ray-*")}
-    options = ("--executor", "ray", "--ray-address", "local", "--jobs", "1")
-    with start(tmp_path / "scenes", tmp_path / "out", *options, stdout=-1, stderr=-1) as process:
-        wait_for(tmp_path / "out", 1)
+    on_ray = (tmp_path / "scenes", tmp_path / "out", "--executor", "ray")
+    on_ray = (*on_ray, "--ray-address", "local", "--jobs", "1", *OPTIONS)
+    with start_list(*on_ray, stdout=-1, stderr=-1) as process:
+        wait_for_grids(tmp_path / "out", 1)
         os.killpg(process.pid, signal.SIGINT)
-        _, err = process.communicate(timeout=30)
+        _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode in (0, 130) and b"Traceback" not in err
     wait_until_gone(process.pid)
     assert {*Path("/tmp").glob("navbake-ray-*")} <= before

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import io
 import json
+from functools import partial
 
 import pytest
 
+from batch_in_process import stay_in_process
 from batch_scenes import draw_room
-from navbake.batch import batch as module
+from command_line import run_command
 from navbake.batch import table
-from navbake.batch.crew import DONE, Ended
 from navbake.batch.manifest import list_jobs
 from navbake.batch.parquet_sizes import list_pages, read_chunks
 from navbake.batch.table import encode_rows, read_table
-from navbake.cli.main import main
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError
 
 pyarrow = pytest.importorskip("pyarrow")
@@ -24,12 +24,7 @@ parquet = pytest.importorskip("pyarrow.parquet")
 @pytest.fixture(autouse=True)
 def here(monkeypatch, tmp_path):
     """Jobs are done in this process; the current folder has scenes."""
-
-    def do_jobs(jobs, work, count, **options):
-        for number, job in enumerate(jobs):
-            yield Ended(number, DONE, work(job), 0.0)
-
-    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    stay_in_process(monkeypatch)
     monkeypatch.chdir(tmp_path)
     for number, name in enumerate(("a", "b", "c")):
         (tmp_path / f"{name}.xml").write_text(draw_room(number))
@@ -38,14 +33,7 @@ def here(monkeypatch, tmp_path):
 @pytest.fixture
 def run(capsys):
     """Returns a function that runs a command: its status, stdout and stderr."""
-
-    def call(*arguments):
-        with pytest.raises(SystemExit) as caught:
-            main([*arguments])
-        out, err = capsys.readouterr()
-        return caught.value.code or 0, out, err
-
-    return call
+    return partial(run_command, capsys)
 
 
 def write(rows, name="list.parquet", schema=None):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 
-from navbake.cli.main import main
+from command_line import run_command
 
 ROOM = """
 <mujoco>
@@ -52,14 +54,7 @@ def arena(tmp_path, monkeypatch):
 @pytest.fixture
 def run(capsys):
     """Returns a function that runs a command: its status, stdout and stderr."""
-
-    def call(*arguments):
-        with pytest.raises(SystemExit) as caught:
-            main([str(argument) for argument in arguments])
-        out, err = capsys.readouterr()
-        return caught.value.code or 0, out, err
-
-    return call
+    return partial(run_command, capsys)
 
 
 @pytest.fixture

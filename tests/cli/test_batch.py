@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
 import random
@@ -11,23 +10,21 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
 import pytest
 
 import navbake
+from batch_in_process import stay_in_process
+from batch_processes import PATIENCE, Watcher, digests, start, wait_for_grids, wait_until_gone
 from batch_scenes import write_scenes
-from navbake.batch import batch as module
-from navbake.batch.crew import DONE, Ended
 from navbake.cli.commands import batch as command
 from navbake.cli.commands import warm_up
 from navbake.errors import NavbakeError
 from navbake.files import TEMPORARY
 from navbake.formats.navgrid import read_navgrid
 from navbake.kernel_list import read_list
-from project_paths import ROOT
 from report_pages import content_of_batch
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="how Linux ends processes")
@@ -39,12 +36,7 @@ COARSE = ("--set", "grid.cell_size=0.1")
 @pytest.fixture
 def here(monkeypatch):
     """Jobs are done in this process, one after another."""
-
-    def do_jobs(jobs, work, count, **options):
-        for number, job in enumerate(jobs):
-            yield Ended(number, DONE, work(job), 0.0)
-
-    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    stay_in_process(monkeypatch)
 
 
 def test_a_batch_prints_a_summary_and_what_failed(folder, run, here):
@@ -93,11 +85,10 @@ def test_a_log_has_the_lines_that_json_prints(folder, run, here):
 
 
 def test_a_batch_that_cannot_go_on_says_so_in_its_log_and_page(folder, run, monkeypatch):
-    def do_jobs(jobs, work, count, **options):
-        yield Ended(0, DONE, work(jobs[0]), 0.0)
+    def fail():
         raise NavbakeError("cannot start a worker process: no memory")
 
-    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    stay_in_process(monkeypatch, after=fail)
     shutil.copy("room.xml", "second.xml")
     options = ("-o", "out", "--log", "log.jsonl", "--page", *COARSE)
     assert run("batch", "room.xml", "second.xml", *options)[0] == 1
@@ -133,13 +124,11 @@ def test_a_page_is_written_while_the_batch_goes_on(folder, run, monkeypatch):
     shutil.copy("room.xml", "second.xml")
     seen = []
 
-    def do_jobs(jobs, work, count, **options):
-        for number, job in enumerate(jobs):
-            yield Ended(number, DONE, work(job), 0.0)
-            made = content_of_batch("out/index.html")
-            seen.append((made["progress"], made["scenes"]["id"]))
+    def look():
+        made = content_of_batch("out/index.html")
+        seen.append((made["progress"], made["scenes"]["id"]))
 
-    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    stay_in_process(monkeypatch, after=look)
     monkeypatch.setattr("navbake.batch.page.page.EVERY", 0.0)
     monkeypatch.setattr("navbake.batch.page.page.SHARE", 1e9)
     run("batch", "room.xml", "second.xml", "-o", "out", "--page", *COARSE)
@@ -221,31 +210,6 @@ def test_on_a_terminal_a_line_tells_how_far_it_is(folder):
 # ---------------------------------------------------------------- ended from outside
 
 
-def start(*arguments, **options):
-    """A process group of `navbake`."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "navbake", *arguments]
-    return subprocess.Popen(command, env=environment, start_new_session=True, **options)
-
-
-def digests(folder):
-    return {
-        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(Path(folder).glob("*/*"))
-    }
-
-
-def group_members(group):
-    """Processes of a group that are no zombies."""
-    found = []
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):
-            state, _, of_group = path.read_text().rpartition(")")[2].split()[:3]
-            if int(of_group) == group and state != "Z":
-                found.append(path)
-    return found
-
-
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory):
     """A folder with scenes and their list, and what an undisturbed batch makes of them."""
@@ -253,16 +217,8 @@ def scenes(tmp_path_factory):
     write_scenes(folder / "scenes", COUNT)
     options = ("scenes/list.jsonl", "-o", "whole", "--jobs", "2", *COARSE)
     with start("batch", *options, cwd=folder, stdout=subprocess.DEVNULL) as process:
-        assert process.wait(120) == 0
+        assert process.wait(PATIENCE) == 0
     return folder, digests(folder / "whole")
-
-
-def wait_for(path, count=1, seconds=60.0):
-    """Wait until there are so many grids."""
-    end = time.monotonic() + seconds
-    while len([*path.glob("*/grid.json.gz")]) < count:
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 @linux
@@ -276,15 +232,12 @@ def test_a_signal_ends_workers_and_leaves_a_true_index(
     folder, expected = scenes
     options = ("scenes/list.jsonl", "-o", tmp_path, "--jobs", "2", *COARSE)
     with start("batch", *options, cwd=folder, stdout=-1, stderr=-1) as process:
-        wait_for(tmp_path)
+        wait_for_grids(tmp_path)
         os.killpg(process.pid, number) if whole_group else process.send_signal(number)
-        _, err = process.communicate(timeout=30)
+        _, err = process.communicate(timeout=PATIENCE)
         assert process.returncode in (0, status)
         assert b"Traceback" not in err
-    end = time.monotonic() + 5.0  # the process that cleans up after multiprocessing hears late
-    while group_members(process.pid) and time.monotonic() < end:
-        time.sleep(0.02)
-    assert group_members(process.pid) == []
+    wait_until_gone(process.pid)  # what cleans up after multiprocessing hears late
     assert not [path for path in tmp_path.rglob("*") if TEMPORARY.fullmatch(path.name)]
     rows = [json.loads(line) for line in (tmp_path / "index.jsonl").read_text().splitlines()]
     listed = (folder / "scenes" / "list.jsonl").read_text().splitlines()
@@ -299,38 +252,30 @@ def test_a_signal_ends_workers_and_leaves_a_true_index(
 @linux
 def test_killed_at_random_and_started_again_it_makes_the_same(scenes, tmp_path):
     folder, expected = scenes
-    broken, ended = [], threading.Event()
-    out = tmp_path / "out"
-
-    def watch():
-        """Read whatever there is, all the time."""
-        while not ended.is_set():
-            for path in out.glob("*/grid.json.gz"):
-                with contextlib.suppress(FileNotFoundError):
-                    name = path.relative_to(out).as_posix()
-                    if hashlib.sha256(path.read_bytes()).hexdigest() != expected[name]:
-                        broken.append(path)
-            time.sleep(0.001)
-
-    watcher = threading.Thread(target=watch)
-    watcher.start()
-    random_ = random.Random(0)
+    out, random_ = tmp_path / "out", random.Random(0)
     options = ("batch", "scenes/list.jsonl", "-o", out, "--jobs", "2", "-q", *COARSE)
-    kills = 0
-    try:
-        for count in (1, 6):
-            with start(*options, cwd=folder) as process:
-                wait_for(out, count)
-                time.sleep(random_.uniform(0.0, 0.05))
-                kills += process.poll() is None
-                with contextlib.suppress(ProcessLookupError):
-                    os.killpg(process.pid, signal.SIGKILL)
+
+    def kill_after(count):
+        """Kill a batch when it has so many grids; False if it has ended before."""
         with start(*options, cwd=folder) as process:
-            assert process.wait(60) == 0
-    finally:
-        ended.set()
-        watcher.join()
-    assert kills and not broken
+            wait_for_grids(out, count)
+            time.sleep(random_.uniform(0.0, 0.05))
+            is_running = process.poll() is None
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+        return is_running
+
+    with Watcher(out, expected) as watcher:
+        for count in (1, 6):
+            for _ in range(20):
+                if kill_after(count):
+                    break
+                shutil.rmtree(out)  # too late, once more
+            else:
+                pytest.fail("each batch had ended before it was killed")
+        with start(*options, cwd=folder) as process:
+            assert process.wait(PATIENCE) == 0
+    assert watcher.looks and not watcher.torn
     assert digests(out) == expected
     rows = map(json.loads, (out / "index.jsonl").read_text().splitlines())
     assert {row["status"] for row in rows} == {"ok"}

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import navbake
+from command_line import run_command
 from navbake import files
 from navbake.formats.navgrid import dumps_navgrid
 from project_paths import GOLDEN
@@ -37,15 +38,6 @@ def scenes(folder):
         path.write_text((folder / "room.xml").read_text())
         paths.append(path)
     return paths
-
-
-def read_stdout(capfdbinary, *arguments) -> tuple[int, bytes, bytes]:
-    from navbake.cli.main import main
-
-    with pytest.raises(SystemExit) as done:
-        main([str(argument) for argument in arguments])
-    out, err = capfdbinary.readouterr()
-    return done.value.code or 0, out, err
 
 
 @pytest.mark.parametrize("name", ["map.pgm", "map", "map.yaml", "map.jsonl", "map.gz"])
@@ -86,29 +78,29 @@ def test_a_picture_does_not_overwrite_its_grid(folder, run):
 
 
 def test_a_grid_on_stdout(folder, capfdbinary, names):
-    status, out, err = read_stdout(capfdbinary, "bake", "room.yaml", "--no-timings", "-o", "-")
+    status, out, err = run_command(capfdbinary, "bake", "room.yaml", "--no-timings", "-o", "-")
     assert status == 0
     grid = navbake.load(out)
     assert out == dumps_navgrid(grid)
     assert b"12 x 8" in err  # what is said goes beside it
-    status, out, err = read_stdout(capfdbinary, "bake", "room.yaml", "-q", "-o", "-")
+    status, out, err = run_command(capfdbinary, "bake", "room.yaml", "-q", "-o", "-")
     assert (status, err) == (0, b"") and navbake.load(out).scene_id == "room"
-    status, out, err = read_stdout(capfdbinary, "inflate", HOUSE, "--radius", 0.2, "-o", "-")
+    status, out, err = run_command(capfdbinary, "inflate", HOUSE, "--radius", 0.2, "-o", "-")
     assert status == 0 and navbake.load(out).scene_id == "house" and b"0.2 m" in err
     assert names(folder) == ["room.xml", "room.yaml"]
 
 
 def test_pictures_and_settings_on_stdout(folder, capfdbinary, names):
-    status, out, _ = read_stdout(capfdbinary, "plot", HOUSE, "-o", "-")
+    status, out, _ = run_command(capfdbinary, "plot", HOUSE, "-o", "-")
     assert status == 0 and out.startswith(b"\x89PNG")
     ends = ("--from", "0,-4.8,L0", "--to", "1,-5,L0")
-    status, out, err = read_stdout(capfdbinary, "path", HOUSE, *ends, "-o", "-")
+    status, out, err = run_command(capfdbinary, "path", HOUSE, *ends, "-o", "-")
     assert status == 0 and out.startswith(b"\x89PNG") and b"length" in err
-    status, out, _ = read_stdout(capfdbinary, "init", "room.xml", "-o", "-")
+    status, out, _ = run_command(capfdbinary, "init", "room.xml", "-o", "-")
     assert status == 0
     assert names(folder) == ["room.xml", "room.yaml"]
     (folder / "again.yaml").write_bytes(out)
-    assert read_stdout(capfdbinary, "geoms", "again.yaml")[0] == 0
+    assert run_command(capfdbinary, "geoms", "again.yaml")[0] == 0
 
 
 def test_several_scenes_of_one_name_are_laid_out_by_folder(folder, scenes, run, names):

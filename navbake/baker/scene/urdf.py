@@ -1,24 +1,20 @@
 """URDF made ready for MuJoCo: visuals kept, links not fused, mesh files found."""
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable
 from pathlib import Path
 
 from navbake.baker.scene.names import unique_name
 from navbake.errors import SceneError
+from navbake.formats.scene_files import mesh_places
 
 
-def read_urdf(
-    path: Path, is_file: Callable[[Path], bool] = Path.is_file
-) -> tuple[str, dict[str, Path]]:
+def read_urdf(path: Path) -> tuple[str, dict[str, Path]]:
     """Read a URDF: its XML for MuJoCo, and the file of each mesh by its key in that XML.
 
     Unless the file's own ``<mujoco><compiler/>`` says otherwise, visuals are kept and links that
     hang on a fixed joint keep their bodies and names, both against MuJoCo's defaults.
 
-    A mesh is looked for as it is written, then, from the URDF's folder up, by the tail of its
-    path, the longest first: that finds ``package://pkg/meshes/a.dae`` without ROS. `is_file` says
-    where one is.
+    Where a mesh is looked for: `navbake.formats.scene_files.mesh_places`.
 
     Raises:
         SceneError: the file is no XML, or a mesh is missing.
@@ -28,7 +24,7 @@ def read_urdf(
         taken: set[str] = set()
         keys: dict[Path, str] = {}
         for mesh in root.iter("mesh"):
-            found = _find_mesh(path, mesh.get("filename", ""), is_file)
+            found = _find_mesh(path, mesh.get("filename", ""))
             if found not in keys:  # MuJoCo names a mesh by the stem of its file
                 keys[found] = f"{unique_name(found.stem, taken)}.mesh"
             mesh.set("filename", keys[found])
@@ -41,14 +37,10 @@ def read_urdf(
         raise SceneError(f"broken XML in {path}: it is nested too deep") from error
 
 
-def _find_mesh(urdf: Path, filename: str, is_file: Callable[[Path], bool]) -> Path:
-    bare = Path(filename.split("://", 1)[-1])
-    folders = [urdf.parent, *urdf.absolute().parent.parents]
-    for first in range(len(bare.parts)):
-        for folder in folders:
-            candidate = folder.joinpath(*bare.parts[first:])
-            if is_file(candidate):
-                return candidate
+def _find_mesh(urdf: Path, filename: str) -> Path:
+    for place in mesh_places(urdf, filename):
+        if place.is_file():
+            return place
     raise SceneError(f"mesh {filename!r} of {urdf} not found there or in the folders above it")
 
 

@@ -94,6 +94,7 @@ function makeCharts() {
     box.append(caption, svg, chart.told);
     find("charts").append(box);
   }
+  find("distributions").hidden = !find("charts").childElementCount;
 }
 
 // The range of some bars in words. Of whole numbers, bars as wide as one have one number.

@@ -51,6 +51,12 @@ function duration(seconds) {
   return hours ? `${whole(hours)} h ${minutes % 60} min` : `${Math.floor(seconds / 60)} min ${Math.round(seconds % 60)} s`;
 }
 
+// A time of the index, as UTC; empty where it is none.
+function moment(text) {
+  const time = new Date(text);
+  return Number.isNaN(time.getTime()) ? "" : `${time.toISOString().slice(0, 19).replace("T", " ")} UTC`;
+}
+
 function rate(count, seconds) {
   const each = count / seconds;
   if (each >= 1) return `${rounded(each)} a second`;

@@ -53,7 +53,8 @@ def describe_batch(
 
     Returns:
         ``scenes``: a list for each column; numbers into the lists beside it are -1 for none.
-        Where there are more than `MAX_SCENES`, those that failed come first.
+        Where there are more than `MAX_SCENES`, those that failed come first. Counts and ``sums``
+        are of all scenes.
     """
     given = [*rows]
     known = [row for row in given if is_row(row)]
@@ -64,14 +65,13 @@ def describe_batch(
     safe = [is_safe(row["id"]) for row in shown]
     files = [_files(row) if is_fine else () for row, is_fine in zip(shown, safe, strict=True)]
     lists = {names: number for number, names in enumerate(dict.fromkeys(files))}
+    sums, names = _sums(known)
     stages = [_stages(row) for row in shown]
-    names = [*dict.fromkeys(name for stage in stages for name in stage)][:MAX_STAGES]
     scenes: Json = {
         "id": [
             row["id"] if is_fine else _text(row["id"])
             for row, is_fine in zip(shown, safe, strict=True)
         ],
-        "safe": [int(is_fine) for is_fine in safe],
         "source": [_text(row.get("source")) for row in shown],
         "status": [STATUSES.index(row["status"]) for row in shown],
         **{name: [_number(row.get(key)) for row in shown] for name, key in NUMBERS.items()},
@@ -93,6 +93,7 @@ def describe_batch(
         "counts": [sum(row["status"] == status for row in known) for status in STATUSES],
         "work": round(measure_work(known), 3),
         "progress": None if progress is None else [progress.done, progress.total],
+        "sums": sums,
         "scenes": scenes,
         "fileLists": [*lists],
         "stageNames": [_text(name) for name in names],
@@ -100,6 +101,34 @@ def describe_batch(
         "warnings": _reasons(warnings.reasons),
         "remarks": _reasons(remarks.reasons),
     }
+
+
+def _sums(rows: Sequence[Json]) -> tuple[Json, list[str]]:
+    """What all scenes come to, and the names of stages.
+
+    ``staged`` is the time [s] of the scenes that say how long their stages took.
+    """
+    stages: dict[str, float] = {}
+    staged = 0.0
+    for row in rows:
+        own = _stages(row)
+        staged += (_number(row.get("seconds")) or 0.0) if own else 0.0
+        for name, seconds in own.items():
+            if name in stages or len(stages) < MAX_STAGES:
+                stages[name] = stages.get(name, 0.0) + seconds
+    numbers = {
+        name: float(sum(_number(row.get(key)) or 0 for row in rows))
+        for name, key in NUMBERS.items()
+    }
+    versions = dict.fromkeys(_text(row.get("version")) for row in rows)
+    return {
+        **numbers,
+        "warned": sum(bool(_texts(row.get("warnings"))) for row in rows),
+        "remarked": sum(bool(_texts(row.get("audit"))) for row in rows),
+        "versions": [version for version in versions if version][:MAX_TEXTS],
+        "stages": [*stages.values()],
+        "staged": staged,
+    }, [*stages]
 
 
 def is_row(row: Any) -> bool:

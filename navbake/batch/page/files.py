@@ -12,7 +12,7 @@ from navbake.batch.index import parse_rows, read_index
 from navbake.batch.products import GRID, THUMBNAIL
 from navbake.batch.stores.store import list_tree, read_file, write_file
 from navbake.batch.stores.urls import Folder, split_url
-from navbake.errors import printable
+from navbake.errors import FormatError, printable
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.source import write_bytes
 from navbake.navgrid.grid import NavGrid
@@ -35,14 +35,17 @@ class BatchFiles(Protocol):
         """Returns what says whether a scene has a thumbnail."""
 
     def draw_thumbnail(self, id: str) -> None:
-        """Draw a scene's thumbnail from its grid."""
+        """Draw a scene's thumbnail from its grid; a NavbakeError says why that can't be."""
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file beside the index."""
+        """Write a file beside the index; a NavbakeError says why that can't be."""
 
 
 class LocalFiles:
-    """Those of a folder on this machine."""
+    """Those of a folder on this machine.
+
+    The folder may come from a stranger: nothing is written through a link that leads out of it.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -61,12 +64,24 @@ class LocalFiles:
 
     def draw_thumbnail(self, id: str) -> None:
         """Draw a scene's thumbnail from its grid."""
+        place = self._own(f"{id}/{THUMBNAIL}")
         grid: NavGrid = read_navgrid(self._folder / id / GRID)
-        write_bytes(draw_thumbnail(grid), self._folder / id / THUMBNAIL)
+        write_bytes(draw_thumbnail(grid), place)
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file beside the index."""
-        write_bytes(content, self._folder / name)
+        write_bytes(content, self._own(name))
+
+    def _own(self, name: str) -> Path:
+        """The path of a file that is to be written."""
+        path = self._folder / name
+        real = Path(os.path.realpath(path))
+        if not real.is_relative_to(os.path.realpath(self._folder)):
+            raise FormatError(
+                f"expected a file in {self._folder}, got {path}, which leads to {real}: remove the "
+                "link"
+            )
+        return path
 
 
 class RemoteFiles:

@@ -71,28 +71,23 @@ function showAll() {
   showTable();
 }
 
-const sum = (values) => values.reduce((total, value) => total + (value || 0), 0);
-
 function showFacts() {
-  const [ok, failed, left] = content.counts, facts = [], ended = ok + failed;
+  const [ok, failed] = content.counts, sums = content.sums, facts = [], ended = ok + failed;
   if (content.work > 0) facts.push(["time", duration(content.work)], ["rate", rate(ended, content.work)]);
-  const seconds = scenes.seconds.filter((value) => value !== null);
-  if (seconds.length) facts.push(["time of all scenes", duration(sum(seconds))]);
-  if (ok) facts.push(["free area", withUnit(sum(scenes.freeArea), "m\u00b2")], ["cells", whole(sum(scenes.cells))], ["rooms", whole(sum(scenes.rooms))]);
-  const warned = scenes.warnings.filter((list) => list.length).length, remarked = scenes.remarks.filter((list) => list.length).length;
-  if (warned) facts.push(["with warnings", counted(warned, "scene")]);
-  if (remarked) facts.push(["with remarks of the audit", counted(remarked, "scene")]);
-  const versions = [...new Set(scenes.version.filter(Boolean))];
-  if (versions.length) facts.push(["navbake", versions.join(", ")]);
+  if (sums.seconds > 0) facts.push(["time of all scenes", duration(sums.seconds)]);
+  if (ok) facts.push(["free area", withUnit(sums.freeArea, "m\u00b2")], ["cells", whole(sums.cells)], ["rooms", whole(sums.rooms)]);
+  if (sums.warned) facts.push(["with warnings", counted(sums.warned, "scene")]);
+  if (sums.remarked) facts.push(["with remarks of the audit", counted(sums.remarked, "scene")]);
+  if (sums.versions.length) facts.push(["navbake", sums.versions.join(", ")]);
   find("facts").replaceChildren(...facts.map(([name, value]) => fact(name, value)));
   const notes = [];
-  if (content.total > scenes.id.length) notes.push(`Of ${whole(content.total)} scenes, the page shows ${whole(scenes.id.length)}; those that failed come first.`);
+  if (content.total > scenes.id.length) notes.push(`These are sums of all ${counted(content.total, "scene")}. Below, the page shows ${whole(scenes.id.length)} of them, those that failed first.`);
   if (content.noRows) notes.push(`${counted(content.noRows, "line")} of the index ${content.noRows === 1 ? "is" : "are"} none of a batch's.`);
   find("notes").textContent = notes.join(" ");
 }
 
 function showProgress() {
-  find("made").textContent = `as of ${new Date(content.made).toLocaleString("sv")}`;
+  find("made").textContent = `as of ${moment(content.made)}`;
   if (!content.progress) return;
   const [done, total] = content.progress;
   find("progress").hidden = false;
@@ -101,11 +96,11 @@ function showProgress() {
 }
 
 function showTimes() {
-  const sums = content.stageNames.map((_, k) => sum(scenes.stages.map((stages) => stages[k])));
-  if (!sums.some((seconds) => seconds > 0)) return;
+  const { stages, staged } = content.sums;
+  if (!stages.some((seconds) => seconds > 0)) return;
   const box = element("details"), head = element("summary");
   head.append(element("h2", "Where the time went"));
-  box.append(head, stageBars(sums, sum(scenes.seconds.filter((_, i) => scenes.stages[i].length))));
+  box.append(head, stageBars(stages, staged));
   find("times").append(box);
 }
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from urllib.parse import quote
 
 import orjson
 
@@ -43,13 +45,17 @@ def write_page(folder: Folder, *, progress: Progress | None = None) -> None:
 def write_page_beside(folder: Path, path: Path) -> None:
     """Write the page of a batch to another place; its links lead from there to the folder.
 
+    A name that is no UTF-8 is its bytes in a link, as browsers have it.
+
     Raises:
         FormatError: it can't be written.
     """
-    write_bytes(_render(folder, path_from(folder, path.parent), None), path)
+    base = quote(os.fsencode(path_from(folder, path.parent)))
+    write_bytes(_render(folder, base, None), path)
 
 
 def _render(folder: Folder, base: str, progress: Progress | None) -> bytes:
+    """The page; `base` is the link that leads to the folder."""
     files = files_of(folder)
     content = describe_batch(files.read_rows().values(), files.find_thumbnails(), progress)
     content["title"] = files.name() or "batch"

@@ -8,11 +8,11 @@ let active = 0, waiting; // place in `shown` that the keys move; timer of pictur
 // Where a file of a scene is. A name with `:` or `..` stays one in its folder.
 function hrefOf(i, file) {
   const parts = `${scenes.id[i]}/${file}`.split("/").map(encodeURIComponent);
-  const base = content.base.split("/").map((part) => (part === ".." || part === "." ? part : encodeURIComponent(part)));
-  return [...(content.base.startsWith("/") ? [] : ["."]), ...base, ...parts].join("/");
+  return [...(content.base.startsWith("/") ? [] : ["."]), content.base, ...parts].join("/");
 }
 
 function makeHeads() {
+  find("table").style.setProperty("--all", `${scenes.id.length * ROW}px`); // it isn't lower for what is chosen
   const heads = [["id", "scene", ""], ["status", "status", ""], ...Object.entries(COLUMNS).map(([key, [name, unit]]) => [key, name, unit])];
   find("heads").append(element("span", "", { role: "columnheader", "aria-label": "picture", class: "picture" }));
   for (const [key, name, unit] of heads) {
@@ -154,10 +154,10 @@ function sceneParts(i) {
     parts.push(links);
   }
   if (scenes.error[i] !== NEVER) parts.push(element("p", summary(i), { class: "reason" }));
-  const facts = element("dl"), ended = new Date(scenes.ended[i]);
+  const facts = element("dl"), ended = moment(scenes.ended[i]);
   const rows = [["status", `${mark} ${status}`], ...Object.entries(COLUMNS).map(([key, [name, unit]]) => [name, withUnit(scenes[key][i], unit)])];
-  rows.push(["ended", Number.isNaN(ended.getTime()) ? "" : ended.toLocaleString("sv")], ["source", scenes.source[i]], ["version", scenes.version[i]]);
-  for (const [name, value] of rows) if (value) facts.append(fact(name, value));
+  rows.push(["ended", ended], ["version", scenes.version[i]], ["source", scenes.source[i]]);
+  for (const [name, value] of rows) if (value) facts.append(fact(name, value, name === "source" ? "whole" : ""));
   parts.push(facts);
   for (const [kind, title] of [["warnings", "Warnings"], ["remarks", "Audit"]]) {
     if (!scenes[kind][i].length) continue;
@@ -172,15 +172,15 @@ function sceneParts(i) {
 // The page of a scene first, then pictures.
 const rank = (file) => ["report.html", "picture.png"].indexOf(file) >>> 0;
 
-function fact(name, value) {
-  const box = element("div");
+function fact(name, value, kind = "") {
+  const box = element("div", undefined, { class: kind });
   box.append(element("dt", name), element("dd", value));
   return box;
 }
 
 // Stages of the bake, and what else the whole time went into: products, the audit, files.
 function stageBars(seconds, whole) {
-  const baked = sum(seconds), total = Math.max(whole || 0, baked), list = element("ul", undefined, { class: "stages" });
+  const baked = seconds.reduce((all, each) => all + (each || 0), 0), total = Math.max(whole || 0, baked), list = element("ul", undefined, { class: "stages" });
   [...content.stageNames.map((name, k) => [name, seconds[k] || 0]), ["besides the bake", total - baked]].filter(([, each]) => each > 0).sort((a, b) => b[1] - a[1]).forEach(([name, each]) => {
     const line = element("li"), bar = element("span", "", { class: "share" });
     bar.style.setProperty("width", `${(100 * each) / total}%`);

@@ -8,7 +8,6 @@ from pathlib import Path
 from xml.parsers import expat
 
 from navbake.batch.file_states import describe_files
-from navbake.batch.inputs import find_inputs
 from navbake.batch.stores.store import (
     Entry,
     Listing,
@@ -21,6 +20,7 @@ from navbake.batch.stores.store import (
 from navbake.batch.stores.urls import is_url, join, parent, shown, split_url
 from navbake.config.yaml_text import read_yaml
 from navbake.errors import ConfigError, SceneError
+from navbake.formats.scene_files import find_inputs
 from navbake.types import Json
 
 

@@ -48,7 +48,11 @@ class Isolation(NamedTuple):
         help="Compile scenes in a process of its own: a crash of MuJoCo is an error then.",
     )
     seconds: float | None = Option(
-        None, "--isolate-seconds", min=0.0, help="How long that may take [s].  [default: 60]"
+        None,
+        "--isolate-seconds",
+        metavar="SECONDS",
+        min=0.0,
+        help="How long that may take [s].  [default: 60]",
     )
     memory: float | None = Option(
         None,
@@ -60,7 +64,6 @@ class Isolation(NamedTuple):
 
 
 def bake(
-    isolation: Isolation,
     configs: list[Path] = Argument(
         ..., metavar="CONFIG", help="Settings (YAML), or a scene file for default settings."
     ),
@@ -68,7 +71,7 @@ def bake(
         None,
         "-o",
         "--output",
-        metavar="OUT",
+        metavar="FILE|FOLDER",
         help="File to write (.json or .json.gz), - for stdout, or a folder: one that exists, or a "
         "new one that ends in /.  [default: the settings' output, or <id>.grid.json in the "
         "current folder]",
@@ -81,10 +84,14 @@ def bake(
         "one id, in folders as the CONFIGs are]",
     ),
     overrides: Overrides = None,
-    threads: int | None = Option(None, min=1, help="Number of threads.  [default: all cores]"),
+    threads: int | None = Option(
+        None, metavar="N", min=1, help="Number of threads.  [default: all cores]"
+    ),
     no_timings: bool = Option(
         False, "--no-timings", help="Leave out timings, so that two bakes give the same bytes."
     ),
+    *,
+    isolation: Isolation,
 ) -> None:
     """Bake scenes into navigation grids.
 

@@ -47,7 +47,7 @@ class PerScene(NamedTuple):
     """What one scene may take."""
 
     time_limit: float | None = Option(
-        None, "--time-limit", metavar="S", min=0.001, help="How long a scene may take [s]."
+        None, "--time-limit", metavar="SECONDS", min=0.001, help="How long a scene may take [s]."
     )
     memory_limit: float | None = Option(
         None,
@@ -57,7 +57,10 @@ class PerScene(NamedTuple):
         help="Memory that a scene may take beyond what its process starts with, on Linux [GiB].",
     )
     retries: int = Option(
-        0, min=0, help="How often a scene that crashed or exceeded a limit is tried again."
+        0,
+        metavar="N",
+        min=0,
+        help="How often a scene that crashed or exceeded a limit is tried again.",
     )
 
 
@@ -93,7 +96,9 @@ class Machines(NamedTuple):
     """Where the worker processes are."""
 
     executor: Literal["embedded", "ray"] = Option(
-        "embedded", help="Where workers run: embedded, on this machine; ray, on a Ray cluster."
+        "embedded",
+        metavar="embedded|ray",
+        help="Where workers run: embedded, on this machine; ray, on a Ray cluster.",
     )
     ray_address: str | None = Option(
         None,
@@ -104,9 +109,6 @@ class Machines(NamedTuple):
 
 
 def batch(
-    per_scene: PerScene,
-    wholly: Wholly,
-    machines: Machines,
     sources: list[str] = Argument(
         ...,
         metavar="SOURCE",
@@ -132,6 +134,10 @@ def batch(
         "voxels:EDGE[:ENDING], picture[:LAYER...], report. May be repeated.",
     ),
     overrides: Overrides = None,
+    *,
+    wholly: Wholly,
+    per_scene: PerScene,
+    machines: Machines,
 ) -> None:
     """Bake many scenes in several processes; what is done already is skipped.
 

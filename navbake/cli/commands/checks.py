@@ -32,7 +32,7 @@ class Sample(NamedTuple):
 
     sample: int = Option(SAMPLE, metavar="N", help="How many cells to look at, >= 1.")
     every: bool = Option(False, "--all", help="Look at all cells.")
-    seed: int = Option(0, min=0, help="Seed of the sample and of the paths.")
+    seed: int = Option(0, metavar="N", min=0, help="Seed of the sample and of the paths.")
 
 
 def verify(
@@ -46,13 +46,14 @@ def verify(
     ),
     radius: float | None = Option(
         None,
-        metavar="R",
+        metavar="METRES",
         help="Radius of the agent on free cells and paths [m]; a grid that isn't inflated, or for "
         "less, is inflated for it.  [default: that of the grid]",
     ),
-    paths: int = Option(0, min=0, metavar="N", help="Sweep the agent along this many paths."),
+    paths: int = Option(0, metavar="N", min=0, help="Sweep the agent along this many paths."),
     tolerance: float = Option(
         1e-4,
+        metavar="METRES",
         help="What touches by less than this is free [m], > 0, at most a quarter of a cell.",
     ),
     as_json: AsJson = False,

@@ -20,19 +20,24 @@ from navbake.formats.source import write_files
 class MapOptions(NamedTuple):
     """Options of maps."""
 
-    level: int | None = Option(None, min=0, help="Only this level; 0 is the lowest.")
+    level: int | None = Option(None, metavar="N", min=0, help="Only this level; 0 is the lowest.")
     radius: float | None = Option(
-        None, metavar="R", help="Inflate for an agent of this radius first [m]."
+        None, metavar="METRES", help="Inflate for an agent of this radius first [m]."
     )
     mode: str | None = Option(
         None,
+        metavar="trinary|scale|raw",
         help="trinary (free, occupied, unknown), scale or raw (with costs).  [default: trinary]",
     )
     image: str | None = Option(
-        None, help="pgm or png.  [default: pgm; png with --mode scale, which needs transparency]"
+        None,
+        metavar="pgm|png",
+        help="pgm or png.  [default: pgm; png with --mode scale, which needs transparency]",
     )
     inflation: float | None = Option(
-        None, metavar="R", help="Costs by nav2's formula, up to this distance from obstacles [m]."
+        None,
+        metavar="METRES",
+        help="Costs by nav2's formula, up to this distance from obstacles [m].",
     )
     zone: list[str] | None = Option(
         None,
@@ -43,11 +48,15 @@ class MapOptions(NamedTuple):
         None, metavar="GEOJSON", help="Polygons of a mask; all of them unless --zone names some."
     )
     height: float | None = Option(
-        None, metavar="H", help="How far walls rise over the highest floor [m].  [default: 2.5]"
+        None,
+        metavar="METRES",
+        help="How far walls rise over the highest floor [m].  [default: 2.5]",
     )
     flat: bool | None = Option(None, "--flat", help="Lay the floors of a level at its ground.")
     scaling: float | None = Option(
-        None, help="How fast these costs fall, nav2's cost_scaling_factor [1/m].  [default: 10]"
+        None,
+        metavar="FACTOR",
+        help="How fast these costs fall, nav2's cost_scaling_factor [1/m].  [default: 10]",
     )
 
 
@@ -55,7 +64,10 @@ class ShapeOptions(NamedTuple):
     """Options of meshes and graphs."""
 
     tolerance: float | None = Option(
-        None, min=0, help="How far a mesh may be off the floor [m].  [default: 0.001]"
+        None,
+        metavar="METRES",
+        min=0,
+        help="How far a mesh may be off the floor [m].  [default: 0.001]",
     )
     up: str | None = Option(None, metavar="y|z", help="Upward axis of an OBJ.  [default: y]")
     cut_corners: bool | None = Option(
@@ -98,9 +110,11 @@ def extrude(
         Path,
         Option("-o", "--output", metavar="XML", help="Scene to write; its settings go beside it."),
     ],
-    level: int | None = Option(None, min=0, help="Only this level; 0 is the lowest."),
+    level: int | None = Option(None, metavar="N", min=0, help="Only this level; 0 is the lowest."),
     height: float | None = Option(
-        None, metavar="H", help="How far walls rise over the highest floor [m].  [default: 2.5]"
+        None,
+        metavar="METRES",
+        help="How far walls rise over the highest floor [m].  [default: 2.5]",
     ),
     flat: bool = Option(False, "--flat", help="Lay the floors of a level at its ground."),
     origin: str | None = Option(

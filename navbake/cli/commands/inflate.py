@@ -19,32 +19,38 @@ from navbake.cli.printing import say_unless_quiet
 
 def inflate(
     grid: GridFile,
-    radius: float = Option(..., metavar="R", help="Radius of the agent [m]."),
+    radius: float = Option(..., metavar="METRES", help="Radius of the agent [m]."),
     output: Path = Option(
         ...,
         "-o",
         "--output",
-        metavar="OUT",
+        metavar="FILE",
         help="File to write (.json or .json.gz), - for stdout; not GRID itself.",
     ),
     clearance: float | None = Option(
         None,
-        metavar="C",
+        metavar="METRES",
         help="Distance beyond the radius within which cells cost more [m].  "
         "[default: 0; with nav2 costs, up to where the cost falls to 1]",
     ),
     mode: str = Option(
-        "exact", help="exact (its disc meets no occupied cell) or minos (the original client's)."
+        "exact",
+        metavar="exact|minos",
+        help="exact (its disc meets no occupied cell) or minos (the original client's).",
     ),
     costs: str = Option(
-        "step", help="Cost of cells within the clearance: step (10), or nav2 (exponential)."
+        "step",
+        metavar="step|nav2",
+        help="Cost of cells within the clearance: step (10), or nav2 (exponential).",
     ),
     scaling: float | None = Option(
         None,
+        metavar="FACTOR",
         help="How fast nav2 costs fall, its cost_scaling_factor [1/m].  [default: 10]",
     ),
     ledges: str | None = Option(
         None,
+        metavar="avoid|ignore",
         help="avoid (no drop of more than a step within the radius) or ignore.  [default: avoid]",
     ),
 ) -> None:

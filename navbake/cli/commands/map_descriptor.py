@@ -23,17 +23,21 @@ SQUARE = 0.1  # edge of a square unless given [m]
 class Squares(NamedTuple):
     """Options that lay the descriptor's squares over a level."""
 
-    level: int | None = Option(None, min=0, help="Which level; 0 is the lowest.  [default: 0]")
+    level: int | None = Option(
+        None, metavar="N", min=0, help="Which level; 0 is the lowest.  [default: 0]"
+    )
     corner: tuple[float, float] | None = Option(
         None, metavar="X Y", help="Lower left corner [m].  [default: the level's]"
     )
     rows: int | None = Option(
-        None, min=1, help="Squares up.  [default: the whole level; decoding: 20]"
+        None, metavar="N", min=1, help="Squares up.  [default: the whole level; decoding: 20]"
     )
     cols: int | None = Option(
-        None, min=1, help="Squares across.  [default: the whole level; decoding: 15]"
+        None, metavar="N", min=1, help="Squares across.  [default: the whole level; decoding: 15]"
     )
-    square: float | None = Option(None, help="Edge of a square [m].  [default: 0.1]")
+    square: float | None = Option(
+        None, metavar="METRES", help="Edge of a square [m].  [default: 0.1]"
+    )
 
     @property
     def shape(self) -> tuple[int, int] | None:

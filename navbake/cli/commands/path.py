@@ -29,7 +29,7 @@ def path(
         "positions to reach the cheapest of them.",
     ),
     radius: float | None = Option(
-        None, metavar="R", help="Inflate the grid for this agent radius first [m]."
+        None, metavar="METRES", help="Inflate the grid for this agent radius first [m]."
     ),
     smooth: bool = Option(True, help="Straighten the path, or follow the cells' centres."),
     as_json: AsJson = False,

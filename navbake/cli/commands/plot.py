@@ -19,7 +19,7 @@ def plot(
         ..., "-o", "--output", metavar="PNG|SVG", help="Picture to write; - for a PNG on stdout."
     ),
     level: int | None = Option(
-        None, min=0, help="Draw only this level; 0 is the lowest.  [default: all]"
+        None, metavar="N", min=0, help="Draw only this level; 0 is the lowest.  [default: all]"
     ),
     layers: list[str] | None = Option(
         None,

@@ -26,7 +26,9 @@ class Address(NamedTuple):
         help="Address of this machine to listen at. Only this machine can reach the default; "
         "0.0.0.0 lets others in, too.",
     )
-    port: int = Option(8080, min=0, max=65535, help="Port to listen at; 0 for any free one.")
+    port: int = Option(
+        8080, metavar="PORT", min=0, max=65535, help="Port to listen at; 0 for any free one."
+    )
     no_open: bool = Option(False, "--no-open", help="Only print the link.")
 
 

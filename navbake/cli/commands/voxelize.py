@@ -18,7 +18,7 @@ Triple = tuple[float, float, float]  # navbake.types would load numpy
 class Box(NamedTuple):
     """Options that place the grid."""
 
-    res: float = Option(0.1, help="Edge of a voxel [m].")
+    res: float = Option(0.1, metavar="METRES", help="Edge of a voxel [m].")
     position: Triple | None = Option(
         None, "--center", metavar="X Y Z", help="Centre [m].  [default: of the scene's box]"
     )

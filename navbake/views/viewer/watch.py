@@ -3,55 +3,22 @@
 from __future__ import annotations
 
 import os
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-PERIOD = 0.5  # between two looks [s]
-XML_SUFFIXES = (".xml", ".mjcf", ".urdf")
-FOLDERS = ("meshdir", "texturedir", "assetdir")  # of MJCF's <compiler>
-SIDES = ("right", "left", "up", "down", "front", "back")
-FILES = ("file", "filename", *(f"file{side}" for side in SIDES))
-PACKAGE = "package://"
-MOST_BYTES = 64 << 20  # of an XML file that is looked into
+from navbake.formats.scene_files import find_inputs
 
+PERIOD = 0.5  # between two looks [s]
 State = dict[Path, tuple[int, int] | None]
 
 
 def find_files(paths: Iterable[Path]) -> list[Path]:
-    """Files and, of MJCF and URDF among them, the files that these name: includes, meshes, ….
+    """Files and, of scenes among them, all that these name: includes, meshes, textures, ….
 
-    A broken file names none. Names are taken by the folders that MuJoCo may look into, so that
-    some of what is listed may not be there.
+    Of a file that isn't there, all places where it is looked for: somebody may put it there.
     """
-    found: dict[Path, None] = {}
-    waiting = [(Path(path), Path(path).parent) for path in paths]
-    folders: dict[str, None] = {"": None}
-    named: list[tuple[Path, str]] = []
-    while waiting:
-        path, home = waiting.pop(0)
-        if path in found:
-            continue
-        found[path] = None
-        for element in _elements_of(path):
-            folders |= dict.fromkeys(element.get(key, "") for key in FOLDERS)
-            for name in filter(None, map(element.get, FILES)):
-                if element.tag == "include":
-                    waiting.append((home / name, home))
-                else:
-                    named.append((home, name.removeprefix(PACKAGE)))
-    for home, name in named:
-        found |= dict.fromkeys(home / folder / name for folder in folders)
-    return list(found)
-
-
-def _elements_of(path: Path) -> Iterable[ElementTree.Element]:
-    try:
-        if path.suffix.lower() not in XML_SUFFIXES or path.stat().st_size > MOST_BYTES:
-            return ()
-        return list(ElementTree.parse(path).iter())
-    except (OSError, ElementTree.ParseError, ValueError):
-        return ()
+    found = (find_inputs(path, looks=True, missing=True) for path in paths)
+    return [*dict.fromkeys(path for of_one in found for path in of_one)]
 
 
 def read_state(paths: Iterable[Path]) -> State:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import mujoco
@@ -110,12 +111,14 @@ def test_readers_see_whole_grids_while_one_writes():
             if not np.array_equal(np.isinf(grid.weights), grid.occupancy != 0):
                 broken.append(grid)
 
-    reader = threading.Thread(target=read)
-    reader.start()
-    for step in range(20):
-        known.append(baker.update(bodies={"chair": [1 + step * 0.05, 1.2, 0.45]}).grid)
-    stop.set()
-    reader.join()
+    with ThreadPoolExecutor(1) as pool:
+        reader = pool.submit(read)
+        try:
+            for step in range(20):
+                known.append(baker.update(bodies={"chair": [1 + step * 0.05, 1.2, 0.45]}).grid)
+        finally:
+            stop.set()
+    reader.result()  # or what it raised
     assert not broken
     assert len({id(grid) for grid in known}) == len(known)
 

@@ -129,7 +129,7 @@ def test_numbers_whose_squares_are_none_are_refused(load):
     with pytest.raises(SceneError, match=r"geom 'geom 1' has a pose or size beyond 1e\+100 m, in"):
         load(solid)
     field = '<asset><hfield name="h" nrow="2" ncol="2" size="1e200 1 1 1"/></asset>'
-    with pytest.raises(SceneError, match=r"hfield 'h' has a size beyond 1e\+100 m, in"):
+    with pytest.raises(SceneError, match=r"geom 'geom 0' has a pose or size beyond 1e\+100 m, in"):
         load('<geom type="hfield" hfield="h"/>', field)
 
 

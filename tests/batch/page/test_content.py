@@ -68,7 +68,6 @@ def test_columns_have_what_the_rows_have():
 def test_names_that_lead_out_have_no_links_and_no_pictures():
     hostile = ["..", "/etc", "a/../../b", "C:\\x", "javascript:alert(1)", "a\ud800", ""]
     made = describe(*({**OK, "id": name} for name in hostile))
-    assert made["scenes"]["safe"] == [0] * len(hostile)
     assert made["scenes"]["thumbnail"] == [0] * len(hostile)
     assert made["fileLists"] == [[]]
     made = describe({**OK, "files": {"../../secret": {}, "grid.json.gz": {}, "notes.html": {}}})
@@ -125,6 +124,20 @@ def test_long_texts_are_cut_and_many_scenes_too(monkeypatch):
     made = describe(OK, LEFT, BAD)
     assert made["scenes"]["id"] == ["b", "houses/a"]
     assert (made["total"], made["counts"]) == (3, [1, 1, 1])
+
+
+def test_sums_are_of_all_scenes_also_of_those_that_are_not_shown(monkeypatch):
+    monkeypatch.setattr(content, "MAX_SCENES", 1)
+    other = {**OK, "version": "0.2.0", "stages": {"doors": 0.5, "rooms": 0.5}, "audit": []}
+    made = describe(BAD, OK, other, {**OK, "stages": None, "cells": 10**14, "free_area": "1"})
+    assert made["scenes"]["id"] == ["b"] and made["stageNames"] == ["scene", "rooms", "doors"]
+    assert made["sums"] == {
+        **{"freeArea": 25.0, "cells": 1e14 + 800, "levels": 3, "rooms": 6, "doors": 0},
+        **{"seconds": 3.0, "warned": 3, "remarked": 2, "versions": ["0.1.0", "0.2.0"]},
+        **{"stages": [0.5, 0.75, 0.5], "staged": 2.0},
+    }
+    made = describe(*({**OK, "cells": 10**15 - 1} for _ in range(20_000)))
+    assert made["sums"]["cells"] == pytest.approx(2e19)  # more than JSON's writer takes as whole
 
 
 def test_time_is_that_in_which_any_scene_was_baked():

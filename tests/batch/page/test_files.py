@@ -6,10 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from batch_in_process import Told, stay_in_process
 from batch_scenes import draw_room
-from navbake.batch import batch as module
 from navbake.batch.batch import Batch, Means, run_batch
-from navbake.batch.crew import DONE, Ended
 from navbake.batch.manifest import list_jobs
 from navbake.batch.page.page import LivePage, draw_thumbnails, write_page
 from navbake.batch.stores.store import list_tree, read_file, remove_files
@@ -19,32 +18,17 @@ pytest.importorskip("fsspec")
 FOLDER = "memory://pages/out"
 
 
-class Silent:
-    def begin(self, total, skipped):
-        pass
-
-    def hear(self, event, scene):
-        pass
-
-    def end_scene(self, row):
-        pass
-
-
 def test_a_store_has_thumbnails_and_the_page(tmp_path, monkeypatch):
-    def do_jobs(jobs, work, count, **options):
-        for number, job in enumerate(jobs):
-            yield Ended(number, DONE, work(job), 0.0)
-
-    monkeypatch.setattr(module, "do_jobs", do_jobs)
+    stay_in_process(monkeypatch)
     for name in ("first", "second"):
         (tmp_path / f"{name}.xml").write_text(draw_room(1))
     jobs = list_jobs([str(tmp_path / "*.xml")])
     batch = Batch(jobs, FOLDER, {"grid": {"cell_size": 0.2}}, thumbnails=True)
-    run_batch(batch, Means(), Silent())
+    run_batch(batch, Means(), Told())
     thumbnail = f"{FOLDER}/first/thumbnail.png"
     drawn = read_file(thumbnail, 1 << 20)
     remove_files([thumbnail])
-    assert run_batch(batch, Means(), Silent()).skipped == 2
+    assert run_batch(batch, Means(), Told()).skipped == 2
     assert draw_thumbnails(FOLDER, lambda share: None) == 0
     assert read_file(thumbnail, 1 << 20) == drawn
     remove_files([f"{FOLDER}/second/thumbnail.png"])
@@ -57,5 +41,5 @@ def test_a_store_has_thumbnails_and_the_page(tmp_path, monkeypatch):
     LivePage(FOLDER, 2).refresh(1)
     assert "index.html" not in list_tree(FOLDER)
     # what is baked anew without a page has no old thumbnail
-    run_batch(Batch(jobs, FOLDER, {}), Means(), Silent())
+    run_batch(Batch(jobs, FOLDER, {}), Means(), Told())
     assert not any(Path(name).name == "thumbnail.png" for name in list_tree(FOLDER))

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
+import sys
 import threading
-from base64 import b64decode
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 
@@ -15,9 +14,11 @@ import pytest
 from browser import errors_of, needs_browser, open_browser, requests_of, strangers_of, wait_until
 from grid_maps import level_from
 from navbake.batch.index import NAME as INDEX
-from navbake.batch.page.page import draw_thumbnails, write_page
+from navbake.batch.page import content
+from navbake.batch.page.page import draw_thumbnails, write_page, write_page_beside
 from navbake.batch.products import GRID, THUMBNAIL
-from report_pages import content_of_batch
+from navbake.errors import FormatError
+from report_pages import check_policy, content_of_batch
 
 COUNT = 300
 HOSTILE_ID = "odd #1 & 100% 'é'"  # may be the name of a folder
@@ -107,20 +108,12 @@ def first_row(driver):
 def test_the_policy_allows_the_pages_own_script_and_style_and_pictures_beside_it(folder):
     page = (folder / "index.html").read_text("utf-8")
     assert page.count("</script>") == 2 and "alert" not in page and "<b>" not in page
-    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', page).group(1)
-    rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
+    rules = check_policy(page)
     assert rules.keys() == {
         *("default-src", "img-src", "style-src", "script-src", "base-uri", "form-action")
     }
     assert {rules[name] for name in ("default-src", "base-uri", "form-action")} == {"'none'"}
     assert rules["img-src"] == "'self' file: data:"
-    for rule, pattern in (
-        ("style-src", "<style>(.*?)</style>"),
-        ("script-src", "<script>(.*?)</script>"),
-    ):
-        [text] = re.findall(pattern, page, re.DOTALL)
-        digest = b64decode(rules[rule].strip("'").removeprefix("sha256-"))
-        assert digest == hashlib.sha256(text.encode()).digest()
     shown = content_of_batch(folder / "index.html")
     assert shown["scenes"]["error"][-1] != -1 and shown["noRows"] == 0
 
@@ -140,6 +133,48 @@ def test_no_thumbnail_is_drawn_outside_of_the_folder(tmp_path):
     (tmp_path / "batch" / INDEX).write_text(json.dumps(row) + "\n")
     assert draw_thumbnails(tmp_path / "batch", lambda share: None) == 0
     assert [path.name for path in (tmp_path / "outside").iterdir()] == [GRID]
+
+
+def test_nothing_is_written_through_links_that_lead_out(tmp_path):
+    for name in ("batch/b", "outside", "batch/c"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "batch" / "a").symlink_to(tmp_path / "outside", target_is_directory=True)
+    (tmp_path / "batch" / "b" / THUMBNAIL).symlink_to(tmp_path / "outside" / "b.png")
+    (tmp_path / "batch" / "d").symlink_to("c", target_is_directory=True)
+    for name in ("outside", "batch/b", "batch/c"):
+        level_from("..").save(tmp_path / name / GRID)
+    rows = [{"id": name, "status": "ok", "files": {GRID: {}}} for name in "abd"]
+    text = "".join(json.dumps(row) + "\n" for row in rows)
+    (tmp_path / "batch" / INDEX).write_text(text)
+    assert draw_thumbnails(tmp_path / "batch", lambda share: None) == 2
+    assert (tmp_path / "batch" / "c" / THUMBNAIL).is_file()
+    (tmp_path / "batch" / "index.html").symlink_to(tmp_path / "outside" / "index.html")
+    with pytest.raises(FormatError, match=r"leads to .*outside.*: remove the link"):
+        write_page(tmp_path / "batch")
+    assert [path.name for path in (tmp_path / "outside").iterdir()] == [GRID]
+
+
+@needs_browser
+@pytest.mark.skipif(sys.platform != "linux", reason="names are Unicode there")
+def test_links_lead_to_a_folder_whose_name_is_no_utf_8(tmp_path):
+    folder = tmp_path / "b\udcff %20#ä"
+    try:
+        (folder / "a").mkdir(parents=True)
+    except OSError:
+        pytest.skip("this file system takes UTF-8 only")
+    level_from("..").save(folder / "a" / GRID)
+    (folder / INDEX).write_text('{"id": "a", "status": "ok", "files": {"grid.json.gz": {}}}\n')
+    draw_thumbnails(folder, lambda share: None)
+    (tmp_path / "pages").mkdir()
+    write_page_beside(folder, tmp_path / "pages" / "page.html")
+    with open_browser() as driver:
+        open_page(driver, (tmp_path / "pages" / "page.html").as_uri())
+        driver.execute_script("openScene(0)")
+        picture = driver.find_element("css selector", "#scene img")
+        wait_until(partial(driver.execute_script, LOADED, picture), "its picture")
+        link = driver.find_element("css selector", "#scene a").get_attribute("href")
+        assert link == f"{folder.as_uri()}/a/{GRID}"
+        assert errors_of(driver) == []
 
 
 @needs_browser
@@ -206,6 +241,42 @@ def test_only_rows_in_sight_are_elements_and_keys_move_through_all(folder):
         assert driver.find_element("id", "scene-name").text == "scene-001"
         picture = driver.find_element("css selector", "#scene img")
         wait_until(partial(driver.execute_script, LOADED, picture), "its picture")
+        assert errors_of(driver) == []
+
+
+@needs_browser
+def test_a_page_of_few_scenes_has_no_empty_parts(tmp_path):
+    (tmp_path / INDEX).write_text("")
+    write_page(tmp_path)
+    size = "const box = find(arguments[0]).getBoundingClientRect(); return box.height"
+    with open_browser() as driver:
+        open_page(driver, (tmp_path / "index.html").as_uri())
+        assert count(driver) == "0 scenes"
+        assert not driver.find_element("id", "distributions").is_displayed()
+        assert driver.execute_script(size, "table") < 60
+        (tmp_path / INDEX).write_text('{"id": "a", "status": "failed", "seconds": 1}\n')
+        write_page(tmp_path)
+        open_page(driver, (tmp_path / "index.html").as_uri())
+        assert 80 < driver.execute_script(size, "table") < 120
+        assert 50 < driver.execute_script(size, "charts") < 200  # one as wide as four is too high
+        assert errors_of(driver) == []
+
+
+@needs_browser
+def test_a_page_of_too_many_scenes_has_the_sums_of_all_and_says_so(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(content, "MAX_SCENES", 40)
+    (tmp_path / INDEX).write_bytes((folder / INDEX).read_bytes())
+    write_page(tmp_path)
+    with open_browser() as driver:
+        open_page(driver, (tmp_path / "index.html").as_uri())
+        facts = driver.find_element("id", "facts").text.split("\n")
+        assert facts[facts.index("free area") + 1] == "40,236 m²"
+        assert facts[facts.index("with warnings") + 1] == "6 scenes"
+        notes = driver.find_element("id", "notes").text
+        assert "all 303 scenes" in notes and "shows 40 of them" in notes
+        assert count(driver) == "40 scenes"
+        made = driver.find_element("id", "made").text
+        assert re.fullmatch(r"as of \d{4}-\d\d-\d\d \d\d:\d\d:\d\d UTC", made)
         assert errors_of(driver) == []
 
 

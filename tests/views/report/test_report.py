@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
-from base64 import b64decode
 
 import numpy as np
 import pytest
@@ -20,7 +18,7 @@ from navbake.views.report import cells
 from navbake.views.report.report import render_report, write_report
 from navbake.views.report.verification import read_verification
 from project_paths import ROOT
-from report_pages import content_of, picture_of, text_of, unpack
+from report_pages import check_policy, content_of, picture_of, text_of, unpack
 
 
 @pytest.fixture(scope="module")
@@ -121,16 +119,8 @@ def test_names_can_neither_end_an_element_nor_run():
 
 def test_the_policy_allows_the_pages_own_script_and_style_only(house):
     page = render_report(house).decode()
-    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', page).group(1)
-    rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
+    rules = check_policy(page)
     assert rules["default-src"] == "'none'"
-    for rule, pattern in (
-        ("style-src", "<style>(.*?)</style>"),
-        ("script-src", "<script>(.*?)</script>"),
-    ):
-        [text] = re.findall(pattern, page, re.DOTALL)
-        digest = b64decode(rules[rule].strip("'").removeprefix("sha256-"))
-        assert digest == hashlib.sha256(text.encode()).digest()
     assert "://" not in re.sub(r'id="content">.*?</script>', "", page, flags=re.DOTALL)
 
 

@@ -1,0 +1,56 @@
+"""Runs batches from tests, and lets them do their jobs in the tests' own process."""
+
+from __future__ import annotations
+
+import pickle
+
+from navbake.batch import batch as module
+from navbake.batch.batch import Batch, Means, run_batch
+from navbake.batch.crew import DONE, Ended
+from navbake.batch.manifest import list_jobs
+from navbake.batch.stores.urls import as_folder
+
+ONE = Means()
+
+
+class Told:
+    """Notes the rows of the scenes that a batch bakes."""
+
+    def __init__(self):
+        self.rows = []
+
+    def begin(self, total, skipped):
+        pass
+
+    def hear(self, event, scene):
+        pass
+
+    def end_scene(self, row):
+        self.rows.append(row)
+
+
+def run_sources(*sources, settings, out="out", means=ONE, **options):
+    """Run a batch; the ids of what it baked, and its result.
+
+    Args:
+        sources: what names its scenes.
+        options: more of the `Batch`.
+    """
+    told = Told()
+    result = run_batch(Batch(list_jobs(sources), as_folder(out), settings, **options), means, told)
+    return [row["id"] for row in told.rows], result
+
+
+def stay_in_process(monkeypatch, after=lambda: None):
+    """Let batches do their jobs here, one after another, and as packed as for a worker.
+
+    Args:
+        after: is called when the batch has taken what became of a job.
+    """
+
+    def do_jobs(jobs, work, count, **options):
+        for number, job in enumerate(jobs):
+            yield Ended(number, DONE, work(pickle.loads(pickle.dumps(job))), 0.0)
+            after()
+
+    monkeypatch.setattr(module, "do_jobs", do_jobs)
