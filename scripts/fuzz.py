@@ -26,7 +26,6 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -236,33 +235,33 @@ class Run:
         self.patience = PATIENCE
 
     def all(self, kinds: list[str], processes: int) -> None:
-        """Use inputs of all kinds, a chunk of each in turn, until all are or the time is up."""
-        chunks = self._chunks(kinds)
-        workers = [threading.Thread(target=self._work, args=(chunks,)) for _ in range(processes)]
+        """Use inputs of all kinds, chunk by chunk, until all are or the time is up."""
+        workers = [threading.Thread(target=self._work, args=(kinds,)) for _ in range(processes)]
         for worker in workers:
             worker.start()
         for worker in workers:
             worker.join()
 
-    def _chunks(self, kinds: list[str]) -> Iterator[Chunk]:
-        """Chunks of all kinds in turn; a kind is one process's at a time."""
-        left = list(kinds)
-        while free := [kind for kind in left if kind not in self._busy]:
-            for kind in free:
-                tally = self.tallies[kind]
-                is_late = self._seconds is not None and tally.seconds > self._seconds
-                if tally.next >= self._stop or is_late:
-                    left.remove(kind)
-                elif kind not in self._busy:
-                    self._busy.add(kind)
-                    stop = min(self._stop, tally.next + CHUNK)
-                    yield Chunk(kind, self.seed, range(tally.next, stop))
+    def _take_chunk(self, kinds: list[str]) -> Chunk | None:
+        """A chunk of the kind that is least far; a kind is one process's at a time."""
+        free = [kind for kind in kinds if kind not in self._busy and not self._is_done(kind)]
+        if not free:
+            return None
+        kind = min(free, key=lambda kind: self.tallies[kind].next)
+        self._busy.add(kind)
+        begin = self.tallies[kind].next
+        return Chunk(kind, self.seed, range(begin, min(self._stop, begin + CHUNK)))
 
-    def _work(self, chunks: Iterator[Chunk]) -> None:
+    def _is_done(self, kind: str) -> bool:
+        tally = self.tallies[kind]
+        is_late = self._seconds is not None and tally.seconds > self._seconds
+        return is_late or tally.next >= self._stop
+
+    def _work(self, kinds: list[str]) -> None:
         child: Child | None = None
         while True:
             with self._lock:
-                chunk = next(chunks, None)
+                chunk = self._take_chunk(kinds)
             if chunk is None:
                 break
             begin, numbers = time.monotonic(), chunk.numbers

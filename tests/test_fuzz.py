@@ -9,6 +9,7 @@ import io
 import json
 import os
 import struct
+import threading
 import time
 import zipfile
 
@@ -322,6 +323,36 @@ def test_the_script_counts_and_goes_on(tmp_path, monkeypatch, capsys):
     assert [one["next"] for one in told["kinds"].values()] == [10] * 4
     code, again = run_script(monkeypatch, capsys, *options, "--inputs", "40")
     assert (code, again) == (0, printed)  # nothing is left to do
+
+
+def test_no_chunk_is_lost_among_processes(monkeypatch):
+    """Also where all kinds that are left are others' at the moment."""
+    begun, first = [], threading.Event()
+
+    class Fake:
+        num_done = fuzz.CHUNK
+
+        def __init__(self, patience):
+            pass
+
+        def use(self, chunk, counts, findings):
+            begun.append(chunk)
+            # the first process is at its chunk until the second has had its turn
+            first.wait(0.3) if len(begun) == 1 else first.set()
+            counts["read"] += len(chunk.numbers)
+            return ""
+
+        def end(self):
+            pass
+
+    monkeypatch.setattr(fuzz, "Child", Fake)
+    tallies = {kind: fuzz.Tally() for kind in ("yaml", "ply")}
+    fuzz.Run(0, None, tallies, 5 * fuzz.CHUNK, None).all(["yaml"], 2)
+    assert tallies["yaml"].counts["read"] == 5 * fuzz.CHUNK
+    fuzz.Run(0, None, tallies, 5 * fuzz.CHUNK, None).all(["yaml", "ply"], 3)
+    assert [tally.counts["read"] for tally in tallies.values()] == [5 * fuzz.CHUNK] * 2
+    kinds = [chunk.kind for chunk in begun]
+    assert kinds.count("yaml") == kinds.count("ply") == 5
 
 
 # npz never unpickles
