@@ -3,7 +3,8 @@
 Inputs are good files with changes that know the format, by a seed and a number, so that each can
 be made again. They are used in child processes: what kills one, takes more time or memory than
 `fuzzing.measure.exceeds` allows, or contradicts itself once it is read, is a finding. MuJoCo's
-compiler may crash or take long (docs/limits.md): such inputs are counted apart. Findings are
+compiler may crash or take long (docs/limits.md): what MuJoCo does with the file by itself is
+measured apart then, and only what is left of the time and the memory is navbake's. Findings are
 printed, and kept as files if a folder is given.
 
     python scripts/fuzz.py --count 1000                     # of each kind
@@ -17,6 +18,7 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
+import os
 import sys
 import tempfile
 import threading
@@ -24,7 +26,6 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -32,14 +33,15 @@ from random import Random
 from typing import Any, NamedTuple
 
 from fuzzing.kind import Input, check_message
-from fuzzing.kinds import KINDS
-from fuzzing.measure import Cost, Meter, exceeds
-from navbake.baker.scene.guard.child import limit_memory
+from fuzzing.kinds import KINDS, SKIPPED
+from fuzzing.measure import Cost, Meter, exceeds, measures_memory
+from navbake.baker.scene.guard.child import end_with_parent, limit_memory
 from navbake.errors import NavbakeError
 from navbake.files import write_whole
 
 LOADING = 300.0  # in which a child is ready; kernels may have to be compiled [s]
 PATIENCE = 300.0  # in which an input is done, where others use the processor, too [s]
+ALONE_PATIENCE = 60.0  # what MuJoCo alone doesn't end in that time, navbake can't help [s]
 CHECK_SECONDS = 5.0  # of the processor, for what is done with what was read
 MOST_GIB = 4.0  # that a child may reserve beyond what it starts with
 CHUNK = 1000  # inputs of a kind before it is another one's turn, and the state is written
@@ -50,11 +52,12 @@ SHOWN = 10  # findings of a kind that are printed in full
 
 
 class Chunk(NamedTuple):
-    """Inputs that one child uses one by one."""
+    """Inputs that one child uses one by one; if `is_alone`, MuJoCo uses them without navbake."""
 
     kind: str
     seed: int
     numbers: range
+    is_alone: bool = False
 
 
 @dataclass
@@ -64,7 +67,7 @@ class Tally:
     Attributes:
         next: the number of the first input that was not used yet.
         counts: how many were ``read``, ``refused``, a ``finding``, or (``native``) more than
-            MuJoCo's compiler could take.
+            MuJoCo could take without navbake.
         findings: what was wrong, by number.
         seconds: how long it took; with several processes, of each.
     """
@@ -85,6 +88,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--first", type=int, default=0, help="number of the first input")
     parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument(
+        "--patience", type=float, default=PATIENCE, help="for one input [s]  [default: 300]"
+    )
     parser.add_argument("--state", type=Path, help="file by which a run goes on where one ended")
     parser.add_argument("--keep", type=Path, help="folder for the inputs of findings")
     given = parser.parse_args()
@@ -95,7 +101,12 @@ def main() -> None:
     tallies = _read_state(given.state, given.seed)
     for kind in kinds:
         tallies.setdefault(kind, Tally(next=given.first))
+    for kind, reason in SKIPPED.items():
+        print(f"{kind} is skipped: {reason}", flush=True)
+    if not measures_memory():
+        print("memory is not checked: /proc/self/clear_refs can't be written", flush=True)
     run = Run(given.seed, given.state, tallies, given.first + count, given.seconds)
+    run.patience = given.patience
     run.all(kinds, given.processes)
     sys.exit(1 if _report(run, kinds, given) else 0)
 
@@ -161,10 +172,26 @@ def use_input(kind: str, made: Input, folder: Path) -> str:
             check_message(error)
         except AssertionError as problem:
             return str(problem)
-        return exceeds(cost, made, value) or REFUSED
+        return _judge_cost(kind, path, made, value, cost) or REFUSED
     except Exception:
         return traceback.format_exc()
-    return _check(kind, value) or exceeds(cost, made, value) or READ
+    return _check(kind, value) or _judge_cost(kind, path, made, value, cost) or READ
+
+
+def _judge_cost(kind: str, path: Path, made: Input, value: Any, cost: Cost) -> str:
+    """What took too much, "" for nothing; "native" if it didn't without MuJoCo's own part.
+
+    MuJoCo's part is what it takes for the same file by itself. It is measured only now, so that it
+    costs nothing in the usual case.
+    """
+    what, native = exceeds(cost, made, value), KINDS[kind].native
+    if not what or native is None:
+        return what
+    meter = Meter()
+    native(path)
+    alone = meter.read()
+    own = Cost(cost.seconds - alone.seconds, cost.memory - alone.memory)
+    return exceeds(own, made, value) or NATIVE
 
 
 def _check(kind: str, value: Any) -> str:
@@ -205,47 +232,52 @@ class Run:
         self.seed, self.tallies = seed, tallies
         self._state, self._stop, self._seconds = state, stop, seconds
         self._lock, self._busy = threading.Lock(), set[str]()
+        self.patience = PATIENCE
 
     def all(self, kinds: list[str], processes: int) -> None:
-        """Use inputs of all kinds, a chunk of each in turn, until all are or the time is up."""
-        chunks = self._chunks(kinds)
-        workers = [threading.Thread(target=self._work, args=(chunks,)) for _ in range(processes)]
+        """Use inputs of all kinds, chunk by chunk, until all are or the time is up."""
+        workers = [threading.Thread(target=self._work, args=(kinds,)) for _ in range(processes)]
         for worker in workers:
             worker.start()
         for worker in workers:
             worker.join()
 
-    def _chunks(self, kinds: list[str]) -> Iterator[Chunk]:
-        """Chunks of all kinds in turn; a kind is one process's at a time."""
-        left = list(kinds)
-        while free := [kind for kind in left if kind not in self._busy]:
-            for kind in free:
-                tally = self.tallies[kind]
-                is_late = self._seconds is not None and tally.seconds > self._seconds
-                if tally.next >= self._stop or is_late:
-                    left.remove(kind)
-                elif kind not in self._busy:
-                    self._busy.add(kind)
-                    stop = min(self._stop, tally.next + CHUNK)
-                    yield Chunk(kind, self.seed, range(tally.next, stop))
+    def _take_chunk(self, kinds: list[str]) -> Chunk | None:
+        """A chunk of the kind that is least far; a kind is one process's at a time."""
+        free = [kind for kind in kinds if kind not in self._busy and not self._is_done(kind)]
+        if not free:
+            return None
+        kind = min(free, key=lambda kind: self.tallies[kind].next)
+        self._busy.add(kind)
+        begin = self.tallies[kind].next
+        return Chunk(kind, self.seed, range(begin, min(self._stop, begin + CHUNK)))
 
-    def _work(self, chunks: Iterator[Chunk]) -> None:
+    def _is_done(self, kind: str) -> bool:
+        tally = self.tallies[kind]
+        is_late = self._seconds is not None and tally.seconds > self._seconds
+        return is_late or tally.next >= self._stop
+
+    def _work(self, kinds: list[str]) -> None:
         child: Child | None = None
         while True:
             with self._lock:
-                chunk = next(chunks, None)
+                chunk = self._take_chunk(kinds)
             if chunk is None:
                 break
             begin, numbers = time.monotonic(), chunk.numbers
             counts: Counter[str] = Counter()
             findings: dict[int, str] = {}
             while len(numbers):
-                child = child or Child()
-                is_alive = child.use(Chunk(chunk.kind, chunk.seed, numbers), counts, findings)
+                child = child or Child(self.patience)
+                ending = child.use(Chunk(chunk.kind, chunk.seed, numbers), counts, findings)
                 numbers = numbers[child.num_done :]
-                if not is_alive:
+                if ending:
                     child.end()
                     child = None
+                    one = Chunk(chunk.kind, chunk.seed, numbers[:1])
+                    what = judge_ending(one, ending, min(self.patience, ALONE_PATIENCE))
+                    _count(what, numbers[0], counts, findings)
+                    numbers = numbers[1:]
             self._add(chunk, counts, findings, time.monotonic() - begin)
         if child is not None:
             child.end()
@@ -266,6 +298,23 @@ class Run:
                 write_whole(text.encode(), self._state)
 
 
+def _count(what: str, number: int, counts: Counter[str], findings: dict[int, str]) -> None:
+    counts[what if what in FINE else "finding"] += 1
+    if what not in FINE:
+        findings[number] = what
+
+
+def judge_ending(chunk: Chunk, ending: str, patience: float = ALONE_PATIENCE) -> str:
+    """What it is that an input ended its process: "native" if MuJoCo alone does so as well."""
+    if KINDS[chunk.kind].native is None:
+        return ending
+    child = Child(patience)
+    try:
+        return NATIVE if child.use(Chunk(*chunk[:3], is_alone=True), Counter(), {}) else ending
+    finally:
+        child.end()
+
+
 def _read_state(path: Path | None, seed: int) -> dict[str, Tally]:
     if path is None or not path.exists():
         return {}
@@ -280,40 +329,38 @@ def _read_state(path: Path | None, seed: int) -> dict[str, Tally]:
 
 
 class Child:
-    """A process that uses inputs, until one ends it."""
+    """A process that uses inputs, until one ends it; it ends with the thread that made it."""
 
-    def __init__(self) -> None:
+    def __init__(self, patience: float = PATIENCE) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_run_child, args=(theirs,))
+        self._process = context.Process(target=run_child, args=(theirs, os.getpid()))
         self._process.start()
         theirs.close()
         self.num_done = 0
-        self._patience = LOADING
+        self._patience, self._limit = LOADING, patience
 
-    def use(self, chunk: Chunk, counts: Counter[str], findings: dict[int, str]) -> bool:
-        """Use a chunk's inputs, and say whether the process goes on; `num_done` of them are."""
+    def use(self, chunk: Chunk, counts: Counter[str], findings: dict[int, str]) -> str:
+        """Use a chunk's inputs, `num_done` of them; says what ended the process, "" for nothing.
+
+        That came of the input after these.
+        """
         self.num_done = 0
         self._pipe.send(chunk)
         while True:
             is_alive, what = self._next()
-            if what == DONE:
-                return True
-            if what == READY:
-                continue
-            if KINDS[chunk.kind].is_native and (not is_alive or what.startswith("took")):
-                what = NATIVE
-            counts[what if what in FINE else "finding"] += 1
-            if what not in FINE:
-                findings[chunk.numbers[self.num_done]] = what
-            self.num_done += 1
             if not is_alive:
-                return False
+                return what
+            if what == DONE:
+                return ""
+            if what != READY:
+                _count(what, chunk.numbers[self.num_done], counts, findings)
+                self.num_done += 1
 
     def _next(self) -> tuple[bool, str]:
         if not self._pipe.poll(self._patience):
             return False, f"not done after {self._patience:g} s"
-        self._patience = PATIENCE
+        self._patience = self._limit
         try:
             return True, self._pipe.recv()
         except (EOFError, ConnectionResetError):
@@ -325,8 +372,9 @@ class Child:
         self._process.join()
 
 
-def _run_child(pipe: Connection) -> None:
+def run_child(pipe: Connection, parent: int) -> None:
     """Use the inputs of chunks one by one, and send how each went."""
+    end_with_parent(parent)
     limit_memory(MOST_GIB)
     warm: set[str] = set()
     with tempfile.TemporaryDirectory() as name:
@@ -338,16 +386,26 @@ def _run_child(pipe: Connection) -> None:
             except EOFError:
                 return
             for number in range(3) if chunk.kind not in warm else ():
-                if not KINDS[chunk.kind].is_native:  # loads what is loaded lazily
+                if KINDS[chunk.kind].native is None:  # loads what is loaded lazily
                     _make_and_use(chunk.kind, -1, number, folder)
             warm.add(chunk.kind)
             pipe.send(READY)
             for number in chunk.numbers:
-                what = _make_and_use(chunk.kind, chunk.seed, number, folder)
+                if chunk.is_alone:
+                    what = _use_alone(chunk.kind, chunk.seed, number, folder)
+                else:
+                    what = _make_and_use(chunk.kind, chunk.seed, number, folder)
                 if what.startswith("took"):  # a second time, when all is loaded
                     what = _make_and_use(chunk.kind, chunk.seed, number, folder)
                 pipe.send(what)
             pipe.send(DONE)
+
+
+def _use_alone(kind: str, seed: int, number: int, folder: Path) -> str:
+    native = KINDS[kind].native
+    if native is not None:
+        native(_write_input(make_input(kind, seed, number), folder))
+    return READ
 
 
 def _make_and_use(kind: str, seed: int, number: int, folder: Path) -> str:

@@ -9,6 +9,8 @@ import io
 import json
 import os
 import struct
+import threading
+import time
 import zipfile
 
 import numpy as np
@@ -31,7 +33,7 @@ from navbake.formats.npz import encode_npz, read_npy, read_npz
 from navbake.voxels.grid import VoxelGrid
 
 EXAMPLES = int(os.environ.get("NAVBAKE_EXAMPLES", "30"))  # inputs of each kind
-IN_PROCESS = [kind for kind in KINDS if not KINDS[kind].is_native]  # MuJoCo may crash
+IN_PROCESS = [kind for kind in KINDS if KINDS[kind].native is None]  # MuJoCo may crash
 
 VOXELS = VoxelGrid(
     values=np.ones((2, 2, 2), dtype=np.uint8), origin=(0.0, 0.0, 0.0), res=0.5, names={1: "a"}
@@ -112,6 +114,9 @@ FOUND = [
     ("nav2", Input(MAP % (b"0.1", b"3.14159", b"0.6", b"raw"), ".yaml", {  # 3 s
         "map.png": encode_png(np.zeros((700_000, 2), dtype=np.uint8))})),
     ("manifest", Input(b'{"scene": "/"}', ".jsonl")),
+    *[("manifest", Input(json.dumps({"scene": "a", **row}).encode(), ".jsonl")) for row in (
+        {"id": "/" * 9999}, {"id": ["a" * 9999]}, {"settings": "a" * 9999}, {"a" * 9999: 1},
+        {"agent." + "a" * 9999: 1})],  # long lines
     ("index", Input(b'{"id": "a", "x": ' + b"[" * 100_000, ".jsonl")),
     ("index", Input(b'{"id": "a", "seconds": NaN}\n{"id": "b", "seconds": 1e999}', ".jsonl")),
 ]  # fmt: skip
@@ -123,6 +128,37 @@ def test_what_was_found(tmp_path, kind, made):
     if what.startswith("took"):  # kernels may have been compiled
         what = fuzz.use_input(kind, made, tmp_path)
     assert what in fuzz.FINE
+
+
+def table_of(*ids):
+    """A list as Parquet."""
+    from pyarrow import parquet, table
+
+    file = io.BytesIO()
+    parquet.write_table(table({"scene": ["a.xml"] * len(ids), "id": [*ids]}), file)
+    return file.getvalue()
+
+
+def required_column():
+    """A list whose footer says that no value of a column is null, but counts nulls.
+
+    pyarrow ends the process when it is asked what the footer says of the column.
+    """
+    content = table_of("a")
+    assert b"\x25\x02\x18\x02id" in content
+    return content.replace(b"\x25\x02\x18\x02id", b"\x25\x00\x18\x02id")
+
+
+@pytest.mark.parametrize("number", range(9))
+def test_what_was_found_in_parquet(tmp_path, number):
+    pytest.importorskip("pyarrow")
+    from fuzzing import tables
+
+    content = {7: required_column, 8: lambda: table_of("/" * 9999)}.get(
+        number, lambda: tables.make_bomb(number)
+    )()
+    fuzz.use_input("parquet", Input(table_of("a"), ".parquet"), tmp_path)  # loads pyarrow
+    assert fuzz.use_input("parquet", Input(content, ".parquet"), tmp_path) == "refused"
 
 
 @pytest.mark.parametrize("kind", IN_PROCESS)
@@ -204,6 +240,70 @@ def test_memory_is_that_of_one_input():
     assert measure.Meter().read().memory < 10 << 20  # not that of those before
 
 
+@pytest.mark.parametrize(
+    ("navbake_takes", "mujoco_takes", "what"),
+    [(0.0, 0.0, "read"), (0.3, 0.0, "took 0.3 s"), (0.3, 0.2, "took 0.3 s"), (0.0, 0.3, "native")],
+)
+def test_what_mujoco_takes_is_not_ours(tmp_path, monkeypatch, navbake_takes, mujoco_takes, what):
+    def be_busy(seconds):
+        begin = time.process_time()
+        while time.process_time() < begin + seconds:
+            pass
+
+    def read(path):
+        be_busy(navbake_takes + mujoco_takes)
+
+    monkeypatch.setattr(measure, "FREE_SECONDS", 0.1)
+    slow = Kind(KINDS["yaml"].make, read, native=lambda path: be_busy(mujoco_takes))
+    monkeypatch.setitem(KINDS, "odd", slow)
+    assert fuzz.use_input("odd", Input(b"", ".txt"), tmp_path).startswith(what)
+
+
+@pytest.mark.parametrize(
+    ("kind", "alone", "what"),
+    [("yaml", "it died", "it died"), ("mjb", "", "it died"), ("mjb", "not done", fuzz.NATIVE)],
+)
+def test_who_ended_a_process(monkeypatch, kind, alone, what):
+    class Child:
+        def __init__(self, patience):
+            self.is_ended = False
+            children.append(self)
+
+        def use(self, chunk, counts, findings):
+            assert chunk.is_alone
+            return alone
+
+        def end(self):
+            self.is_ended = True
+
+    children = []
+    monkeypatch.setattr(fuzz, "Child", Child)
+    assert fuzz.judge_ending(fuzz.Chunk(kind, 0, range(1)), "it died") == what
+    assert all(child.is_ended for child in children)
+
+
+def test_children_end_with_the_script(monkeypatch):
+    called = []
+
+    class Closed:
+        def send(self, what):
+            called.append(what)
+
+        def recv(self):
+            raise EOFError
+
+    monkeypatch.setattr(fuzz, "end_with_parent", called.append)
+    monkeypatch.setattr(fuzz, "limit_memory", called.append)
+    fuzz.run_child(Closed(), 123)
+    assert called == [123, fuzz.MOST_GIB, fuzz.READY]
+
+
+def test_the_script_says_that_memory_is_not_checked(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(measure, "CLEAR", tmp_path / "none" / "clear_refs")
+    _, printed = run_script(monkeypatch, capsys, "--only", "descriptor", "--count", "1")
+    assert printed.startswith("memory is not checked: ") and printed.count("\n") == 2
+
+
 def run_script(monkeypatch, capsys, *arguments):
     monkeypatch.setattr("sys.argv", ["fuzz", *arguments])
     with pytest.raises(SystemExit) as done:
@@ -223,6 +323,36 @@ def test_the_script_counts_and_goes_on(tmp_path, monkeypatch, capsys):
     assert [one["next"] for one in told["kinds"].values()] == [10] * 4
     code, again = run_script(monkeypatch, capsys, *options, "--inputs", "40")
     assert (code, again) == (0, printed)  # nothing is left to do
+
+
+def test_no_chunk_is_lost_among_processes(monkeypatch):
+    """Also where all kinds that are left are others' at the moment."""
+    begun, first = [], threading.Event()
+
+    class Fake:
+        num_done = fuzz.CHUNK
+
+        def __init__(self, patience):
+            pass
+
+        def use(self, chunk, counts, findings):
+            begun.append(chunk)
+            # the first process is at its chunk until the second has had its turn
+            first.wait(0.3) if len(begun) == 1 else first.set()
+            counts["read"] += len(chunk.numbers)
+            return ""
+
+        def end(self):
+            pass
+
+    monkeypatch.setattr(fuzz, "Child", Fake)
+    tallies = {kind: fuzz.Tally() for kind in ("yaml", "ply")}
+    fuzz.Run(0, None, tallies, 5 * fuzz.CHUNK, None).all(["yaml"], 2)
+    assert tallies["yaml"].counts["read"] == 5 * fuzz.CHUNK
+    fuzz.Run(0, None, tallies, 5 * fuzz.CHUNK, None).all(["yaml", "ply"], 3)
+    assert [tally.counts["read"] for tally in tallies.values()] == [5 * fuzz.CHUNK] * 2
+    kinds = [chunk.kind for chunk in begun]
+    assert kinds.count("yaml") == kinds.count("ply") == 5
 
 
 # npz never unpickles

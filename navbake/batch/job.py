@@ -58,6 +58,11 @@ def check_id(name: str, place: str) -> None:
             )
 
 
+def shorten(text: str) -> str:
+    """What a list says, as far as a message shows it: one line of a terminal, not a page."""
+    return text if len(text) <= MAX_BYTES else f"{text[:MAX_BYTES]}…"
+
+
 def check_unique(jobs: Sequence[Job]) -> None:
     """Refuse two jobs whose outputs would be one folder, also where case doesn't count.
 
@@ -71,11 +76,11 @@ def check_unique(jobs: Sequence[Job]) -> None:
         other = seen.setdefault(folded, job)
         if other is not job and (other.id, other.source) == (job.id, job.source):
             raise ConfigError(
-                f"expected each scene once, got {job.source} at {other.place} and at {job.place}: "
-                "name it once, or give each an `id` of its own in a list"
+                f"expected each scene once, got {shorten(job.source)} at {other.place} and at "
+                f"{job.place}: name it once, or give each an `id` of its own in a list"
             )
         if other is not job:
             raise ConfigError(
-                f"expected unique ids, got {other.id!r} at {other.place} and {job.id!r} at "
-                f"{job.place}: give each an `id` of its own"
+                f"expected unique ids, got {shorten(repr(other.id))} at {other.place} and "
+                f"{shorten(repr(job.id))} at {job.place}: give each an `id` of its own"
             )

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePath, PurePosixPath
 from typing import Any
 
-from navbake.batch.job import Job, check_id, check_unique
+from navbake.batch.job import Job, check_id, check_unique, shorten
 from navbake.batch.settings import check_shared, nest
 from navbake.batch.stores.store import is_pattern, match_files, read_file
 from navbake.batch.stores.urls import Folder, is_url, join, parent, plain_path, shown, split_url
@@ -139,7 +139,7 @@ def _entry(row: Json, folder: Folder, place: str) -> Entry:
         if key not in BakeConfig.model_fields:
             raise ConfigError(
                 f"expected `id`, `scene`, `config` or a setting such as `agent.radius`, got "
-                f"`{key}` at {place}"
+                f"`{shorten(key)}` at {place}"
             )
     unknown = find_unknown_key(settings, SECTIONS)
     if unknown is not None:

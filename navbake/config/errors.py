@@ -33,6 +33,7 @@ OTHER_WORDS = {
 }
 """What other tools call a setting, and its key here."""
 MAX_SHOWN = 60  # characters of a value in a message
+MAX_KEY = 200  # characters of a key in a message
 MAX_ITEMS = 6  # of a list that is shown
 NESTED = (Mapping, list, tuple, set)
 MAX_ERRORS = 3  # errors in a message
@@ -113,9 +114,12 @@ def _unknown_key(loc: Location, sections: Sections) -> str:
     meant = OTHER_WORDS.get(unknown, "")
     if meant and section in ("", meant.rpartition(".")[0]):
         near = [meant]
+    shown = _dotted(loc)
+    if len(shown) > MAX_KEY:
+        shown = f"{shown[:MAX_KEY]}…"
     if near:
-        return f"unknown key `{_dotted(loc)}`, the nearest known one is `{near[0]}`,"
-    return f"unknown key `{_dotted(loc)}`, known are {', '.join(known)},"
+        return f"unknown key `{shown}`, the nearest known one is `{near[0]}`,"
+    return f"unknown key `{shown}`, known are {', '.join(known)},"
 
 
 def _keys(sections: Sections, section: str) -> dict[str, str]:

@@ -36,14 +36,15 @@ class Kind(NamedTuple):
         read: reads the file, and gives what it holds; raises what users would see.
         check: does with it what users do, and raises an AssertionError where it contradicts
             itself; None for nothing.
-        is_native: whether MuJoCo's compiler reads it, which may end the process or take its time:
-            see `navbake.baker.scene.guard`.
+        native: what MuJoCo does with the file, by MuJoCo alone, where its compiler is a part of
+            reading it; that may end the process or take its time, see `navbake.baker.scene.guard`.
+            None for files that only navbake reads.
     """
 
     make: Callable[[Random], Input]
     read: Callable[[Path], Any]
     check: Callable[[Any], None] | None = None
-    is_native: bool = False
+    native: Callable[[Path], object] | None = None
 
 
 def is_one_in(number: int, data: bytes) -> bool:

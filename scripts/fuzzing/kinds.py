@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from importlib.util import find_spec
 
 from fuzzing import grids, maps, meshes, scenes, settings, voxel_files
 from fuzzing.kind import Kind
@@ -40,7 +41,14 @@ KINDS: dict[str, Kind] = {
     "obj": Kind(meshes.make_obj, meshes.read_mesh, meshes.check_parts),
     "gltf": Kind(meshes.make_gltf, meshes.read_mesh, meshes.check_parts),
     "dae": Kind(meshes.make_dae, meshes.read_mesh, meshes.check_parts),
-    "mjcf": Kind(scenes.make_mjcf, scenes.read_scene, scenes.check_scene, is_native=True),
-    "urdf": Kind(scenes.make_urdf, scenes.read_scene, scenes.check_scene, is_native=True),
-    "mjb": Kind(scenes.make_mjb, scenes.read_scene, scenes.check_scene, is_native=True),
+    "mjcf": Kind(scenes.make_mjcf, scenes.read_scene, scenes.check_scene, scenes.compile_alone),
+    "urdf": Kind(scenes.make_urdf, scenes.read_scene, scenes.check_scene, scenes.compile_alone),
+    "mjb": Kind(scenes.make_mjb, scenes.read_scene, scenes.check_scene, scenes.compile_alone),
 }
+SKIPPED: dict[str, str] = {}  # kinds that can't be made here, and why
+if find_spec("pyarrow") is None:
+    SKIPPED["parquet"] = 'it needs pyarrow: pip install "navbake[batch]"'
+else:
+    from fuzzing import tables
+
+    KINDS["parquet"] = Kind(tables.make_parquet, settings.read_manifest, settings.check_jobs)

@@ -36,6 +36,11 @@ class Cost(NamedTuple):
     memory: int
 
 
+def measures_memory() -> bool:
+    """Whether this system tells how much memory a process had at most since it was asked last."""
+    return _reset_peak() != sys.maxsize
+
+
 class Meter:
     """Measures from where it is made to `read`; memory on Linux only, where it is 0 else."""
 
@@ -71,7 +76,7 @@ def exceeds(cost: Cost, made: Input, value: Any) -> str:
     The honest size of an input is the most of
 
     - the bytes of its files,
-    - the bytes that they unpack to, where they are packed (gzip, zip, PNG), and
+    - the bytes that they unpack to, where they are packed (gzip, zip, PNG, Parquet), and
     - the bytes of what reading gives: arrays, texts, objects. Few bytes of runs, or of an octree,
       may rightly stand for millions of cells, as far as docs/files.md says how many.
 
@@ -105,6 +110,8 @@ def _unpacked(data: bytes) -> int:
                 packed.append(data[place + 8 : place + 8 + length])
             place += 12 + length
         return _inflated(b"".join(packed))
+    if data.startswith(b"PAR1"):
+        return _table_bytes(data)
     if data.startswith(b"PK"):
         try:
             with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -112,6 +119,25 @@ def _unpacked(data: bytes) -> int:
         except Exception:  # broken, in any of many ways
             return len(data)
     return len(data)
+
+
+def _table_bytes(data: bytes) -> int:
+    """What the pages of Parquet unpack to; texts that rows share count once."""
+    from pyarrow import BufferReader, parquet  # where there is none, no input is Parquet
+
+    size = 0
+    try:
+        schema = parquet.ParquetFile(BufferReader(data)).schema
+        texts = [one.path for one in map(schema.column, range(len(schema)))
+                 if one.physical_type == "BYTE_ARRAY"]  # fmt: skip
+        file = parquet.ParquetFile(BufferReader(data), read_dictionary=texts)
+        for batch in file.iter_batches(1000):
+            size += batch.nbytes
+            if size > MOST:
+                break
+    except Exception:  # broken there
+        pass
+    return max(size, len(data))
 
 
 def _length(file: Any) -> int:

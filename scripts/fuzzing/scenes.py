@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import xml.etree.ElementTree as ElementTree
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from random import Random
@@ -17,6 +18,7 @@ from fuzzing.images import bomb, grey_png, header, join_png, mutate_png
 from fuzzing.kind import Input
 from fuzzing.meshes import ENTITIES, make_obj, make_stl
 from fuzzing.mutations import cut, mutate_bytes, mutate_text
+from navbake.baker.scene.model import catch_warnings
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.scene import SceneSettings
 from navbake.formats.scene_files import find_inputs
@@ -39,9 +41,8 @@ MJCF = (
 <geom type="capsule" size=".1 .5"/></default></default>
 <worldbody><frame pos="1 0 0"><geom class="c" fromto="0 0 0 1 0 0"/></frame>
 <geom type="cylinder" size=".3 1" zaxis="1 0 1"/><geom type="ellipsoid" size=".3 .2 .1"/>
-<body><joint type="slide"/><geom type="box" size="1 1 1" density="500"/>
-<composite type="cable" curve="s" count="5 1 1" size="1" initial="none">
-<geom type="capsule" size=".02" rgba=".8 .2 .1 1"/></composite></body></worldbody>
+<body><joint type="slide"/><geom type="box" size="1 1 1" density="500"/></body>
+<flexcomp name="f" type="grid" count="3 3 1" spacing=".1 .1 .1" dim="2" rigid="true"/></worldbody>
 <contact><exclude body1="world" body2="world"/></contact></mujoco>""",
 )
 PART = '<mujoco><worldbody><geom name="part" type="box" size="3 3 .1"/></worldbody></mujoco>'
@@ -53,6 +54,7 @@ ixy="0" ixz="0" iyz="0"/></inertial></link><link name="b"><collision><geometry>
 <parent link="a"/><child link="b"/><axis xyz="0 0 1"/><limit lower="0" upper="1" effort="1"
 velocity="1"/></joint></robot>"""
 VALUES = (
+    *("0.5", "-0.01", "2", "1e-7", "1e4", "3", "7", "-1.5", "1e6", "0.001"),
     *("", "0", "-1", "1e308", "-1e308", "nan", "inf", "1e-320", "0 0 0", "1 2 3 4 5 6 7 8 9", "x"),
     *("2147483647", "2147483648", "4294967296", "9223372036854775808", "100000", "mesh", "plane"),
     *("hfield", "sdf", "true", "h.png", "m.obj", "part.xml", "input.xml", "..", "/dev/zero", "no"),
@@ -131,14 +133,14 @@ def _mutate_xml(text: str, rng: Random) -> bytes:
             break
         parent = rng.choice(parents)
         at = rng.randrange(len(parent))
-        child, kind = parent[at], rng.randrange(8)
-        if kind < 4 and child.attrib:
-            child.set(rng.choice(list(child.attrib)), rng.choice(VALUES))
-        elif kind == 4:
+        child, kind = parent[at], rng.randrange(12)
+        if kind < 8 and child.attrib:
+            _change_value(child, rng)
+        elif kind == 8:
             parent.remove(child)
-        elif kind == 5:
-            parent.insert(at, copy.deepcopy(rng.choice(list(root.iter())[1:])))
-        elif kind == 6:
+        elif kind == 9:
+            parent.insert(at, copy.deepcopy(rng.choice(list(parent))))
+        elif kind == 10:
             _wrap(parent, at, rng)
         else:
             child.tag = rng.choice([element.tag for element in root.iter()])
@@ -150,6 +152,16 @@ def _mutate_xml(text: str, rng: Random) -> bytes:
     if chance < 0.18:
         data = rng.choice(ENTITIES) + data.replace(b'name="', b'name="&a9;', 1)
     return cut(data, rng)
+
+
+def _change_value(element: ElementTree.Element, rng: Random) -> None:
+    """Another value of an attribute, or of one word of it, so that the count stays right."""
+    key = rng.choice(list(element.attrib))
+    words = element.attrib[key].split() or [""]
+    if rng.random() < 0.5:
+        words = [""]
+    words[rng.randrange(len(words))] = rng.choice(VALUES)
+    element.set(key, " ".join(words))
 
 
 def _wrap(parent: ElementTree.Element, at: int, rng: Random) -> None:
@@ -167,6 +179,23 @@ def read_scene(path: Path) -> Scene:
     """Load a scene, and list the files that it is made of, as a batch does."""
     find_inputs(path)
     return load_scene(SceneSettings(path=path))
+
+
+def compile_alone(path: Path) -> None:
+    """Do what MuJoCo does for `read_scene`, without navbake: compile a file, and pose the model."""
+    with suppress(Exception), catch_warnings():  # what it refuses, it refuses
+        model = _load_alone(path)
+        mujoco.mj_kinematics(model, mujoco.MjData(model))
+
+
+def _load_alone(path: Path) -> Any:
+    if path.suffix == ".mjb":
+        return mujoco.MjModel.from_binary_path(str(path))
+    spec = mujoco.MjSpec.from_file(str(path))
+    for mesh in spec.meshes:
+        if hasattr(mesh, "octree_maxdepth"):
+            mesh.octree_maxdepth = 0  # as navbake has it
+    return spec.compile()
 
 
 def check_scene(scene: Scene) -> None:

@@ -8,6 +8,7 @@ import json
 import os
 from collections.abc import Sequence
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -23,6 +24,7 @@ from navbake.batch.job import Job
 from navbake.batch.manifest import list_jobs
 from navbake.batch.page.content import describe_batch
 from navbake.batch.settings import settings_of
+from navbake.batch.table import encode_rows
 from navbake.batch.work import Order
 from navbake.config.settings import BakeConfig, settings_digest, settings_to_state
 from navbake.types import Json
@@ -211,9 +213,11 @@ def read_rows(path: Path) -> dict[str, Json]:
 
 
 def check_rows(rows: dict[str, Json]) -> None:
-    """A row says that a scene is done, or does not; the page of a batch shows all."""
+    """A row says that a scene is done, or does not; the page and the table of a batch show all."""
     folder = Path("/output")
     orjson.dumps(describe_batch(rows.values(), lambda id: True))
+    if find_spec("pyarrow") is not None:
+        attempt(lambda: encode_rows(rows.values()))
     for row in rows.values():
         order = Order(Job("input", __file__, {}, "a list"), {}, (), (), folder)
         attempt(lambda order=order, row=row: find_done([order], {"input": row}))

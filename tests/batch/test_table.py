@@ -13,7 +13,8 @@ from batch_scenes import draw_room
 from command_line import run_command
 from navbake.batch import table
 from navbake.batch.manifest import list_jobs
-from navbake.batch.table import encode_rows
+from navbake.batch.parquet_sizes import list_pages, read_chunks
+from navbake.batch.table import encode_rows, read_table
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError
 
 pyarrow = pytest.importorskip("pyarrow")
@@ -85,11 +86,74 @@ def test_broken_and_huge_files_are_refused(tmp_path, monkeypatch):
         (tmp_path / "list.parquet").write_bytes(broken)
         with pytest.raises(ConfigError, match=r"list\.parquet"):
             list_jobs(["list.parquet"])
-    monkeypatch.setattr(table, "MAX_UNPACKED", 10)
+    monkeypatch.setattr(table, "FREE_UNPACKED", 10)
+    monkeypatch.setattr(table, "UNPACKED_PER_BYTE", 0)
     (tmp_path / "list.parquet").write_bytes(content)
     with pytest.raises(
-        ConfigError, match=r"list\.parquet is too large: expected 10 bytes unpacked"
+        ConfigError, match=r"list\.parquet is too large: expected at most 10 bytes unpacked"
     ):
+        list_jobs(["list.parquet"])
+
+
+@pytest.mark.parametrize(
+    ("limit", "value", "message"),
+    [
+        ("FREE_VALUES", -(10**6), "values"),
+        ("FREE_ROWS", -(10**6), "rows"),
+        ("FREE_TEXT", -(10**6), "bytes of"),
+        ("FREE_PAGES", 1, "1 pages"),
+        ("MAX_COLUMNS", 1, "1 columns"),
+    ],
+)
+def test_what_a_list_stands_for_is_limited(monkeypatch, limit, value, message):
+    write([{"scene": "a.xml", "id": "a"}])
+    monkeypatch.setattr(table, limit, value)
+    monkeypatch.setattr(table, "BYTES_PER_PAGE", 10**6)
+    with pytest.raises(ConfigError, match=rf"list\.parquet is too large: .*{message}"):
+        list_jobs(["list.parquet"])
+
+
+LAYOUTS = [
+    {},
+    {"row_group_size": 300},
+    {"use_dictionary": False, "data_page_version": "2.0"},
+    {"dictionary_pagesize_limit": 500, "data_page_size": 1000, "compression": "zstd"},
+    {"use_dictionary": False, "column_encoding": {"scene": "DELTA_BYTE_ARRAY", "id": "PLAIN"}},
+]
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_pages_are_found_and_all_rows_read_however_a_list_is_laid_out(layout):
+    rows = [
+        {"scene": f"house_{k}.xml", "id": f"{k:04}", "settings": {"scene": {"exclude": {
+            "bodies": [f"body_{k}", "lamp"], "geoms": []}}}} for k in range(1500)
+    ]  # fmt: skip
+    file = io.BytesIO()
+    parquet.write_table(pyarrow.Table.from_pylist(rows), file, **layout)
+    content = file.getvalue()
+    assert [row["id"] for _, row in read_table(content, "list")] == [row["id"] for row in rows]
+    assert [
+        row["settings"]["scene"]["exclude"]["bodies"] for _, row in read_table(content, "")
+    ] == [row["settings"]["scene"]["exclude"]["bodies"] for row in rows]
+    # the oracle: what the footer of a good file says
+    metadata = parquet.ParquetFile(io.BytesIO(content)).metadata
+    chunks = read_chunks(content)
+    assert len(chunks) == metadata.num_row_groups
+    for group, found in enumerate(chunks):
+        for number, chunk in enumerate(found):
+            pages, told = [*list_pages(content, chunk)], metadata.row_group(group).column(number)
+            assert sum(page.values for page in pages) == told.num_values
+            size = sum(page.unpacked for page in pages)
+            assert size < told.total_uncompressed_size < size + 200 * len(pages)
+            is_delta = "DELTA_BYTE_ARRAY" in told.encodings
+            assert any(page.is_delta for page in pages) == is_delta
+
+
+def test_texts_that_rows_share_count_for_each(monkeypatch):
+    long = "a" * 1000
+    write([{"scene": f"a{k}.xml", "agent.radius": None, "id": f"{long}"} for k in range(100)])
+    monkeypatch.setattr(table, "FREE_TEXT", 0)
+    with pytest.raises(ConfigError, match=r"list\.parquet is too large: .* bytes of text"):
         list_jobs(["list.parquet"])
 
 

@@ -29,6 +29,7 @@ from navbake.errors import SceneError
 from navbake.threads import run_in_bands
 from navbake.types import Float, Int, Int32
 
+LARGEST = 1e100  # of places and sizes, whose squares have to be numbers, too [m]
 SOLIDS = range(constants.SPHERE, constants.BOX + 1)  # and capsule, ellipsoid, cylinder between
 TYPE_NAMES = dict(enumerate("plane hfield sphere capsule ellipsoid cylinder box mesh sdf".split()))  # noqa: SIM905
 
@@ -173,6 +174,7 @@ class _Collector:
         self._kinds, self._shapes = model.geom_type.tolist(), model.geom_dataid.tolist()
         numbers = np.hstack([data.geom_xpos, data.geom_xmat, model.geom_size])
         self._is_finite = np.isfinite(numbers).all(axis=1).tolist()
+        self._is_near = (np.abs(numbers) <= LARGEST).all(axis=1).tolist()
         self.notes: list[str] = []
 
     def add(self, geom: int, mesh_mode: str) -> str:
@@ -180,6 +182,8 @@ class _Collector:
         name, kind, shape = self._names[geom].geom, self._kinds[geom], self._shapes[geom]
         if not self._is_finite[geom]:
             raise SceneError(f"geom {name!r} has a pose or size that is no number")
+        if not self._is_near[geom]:
+            raise SceneError(f"geom {name!r} has a pose or size beyond {LARGEST:g} m")
         if kind in SOLIDS:
             self._solids.append(geom)
             return "solid"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -68,7 +69,10 @@ class HiddenRoom:
         if bounds is None or not np.isfinite(bounds).all():
             return False
         x0, y0, x1, y1 = (float(v) for v in bounds[:, :2].ravel())
-        spacing = max(SPACING, float(np.sqrt((x1 - x0) * (y1 - y0) / MOST_LINES)))
+        width, depth = x1 - x0, y1 - y0
+        # what is long and thin needs no more lines for its length than others for their area
+        by_area, by_length = math.sqrt(width * depth / MOST_LINES), max(width, depth) / MOST_LINES
+        spacing = max(SPACING, by_area, by_length)
         lattice = Lattice.cover((x0, y0, x1, y1), spacing)
         mesh = mesh_shapes(self._model, self._data, geom, "surface", self._meshes)
         has_room = _find_room(_cast(mesh, lattice), _cast(hull, lattice), self._agent.height)

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from navbake.baker.scene.hidden_room import HiddenRoom
+from navbake.baker.scene import hidden_room
+from navbake.baker.scene.hidden_room import MOST_LINES, HiddenRoom
 from navbake.config.settings import AgentSettings, FloorSettings
 
 
@@ -22,3 +23,27 @@ def test_boxes_are_large_or_not_however_large(half, is_large):
     room = HiddenRoom(model, data, None, AgentSettings(), FloorSettings())
     with np.errstate(all="raise"):
         assert room.is_large(0) == is_large
+
+
+@pytest.mark.parametrize(
+    ("width", "depth"), [(1e7, 1e-6), (1e9, 1.0), (1.0, 1e6), (3000.0, 2000.0)]
+)
+def test_no_shape_is_looked_at_along_too_many_lines(monkeypatch, width, depth):
+    """A mesh may be as long and as thin as it likes."""
+    seen = []
+
+    def cast(shapes, lattice):
+        seen.append(lattice)
+        raise InterruptedError
+
+    bounds = np.array([[0.0, 0.0, 0.0], [width, depth, 3.0]])
+    shapes = SimpleNamespace(bounds=lambda: bounds)
+    monkeypatch.setattr(hidden_room, "mesh_shapes", lambda *arguments: shapes)
+    monkeypatch.setattr(hidden_room, "_cast", cast)
+    box = np.array([[0.0, 0.0, 0.0, 3.0, 3.0, 3.0]])
+    model = SimpleNamespace(geom_aabb=box, geom_dataid=[0])
+    data = SimpleNamespace(geom_xmat=np.eye(3).ravel()[None])
+    room = HiddenRoom(model, data, None, AgentSettings(), FloorSettings())
+    with pytest.raises(InterruptedError):
+        room.is_in_hull(0)
+    assert seen[0].width * seen[0].height <= 3 * MOST_LINES

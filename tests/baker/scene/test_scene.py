@@ -124,6 +124,15 @@ def test_flex_and_skin_are_named(load):
     assert "skin can't be baked and is left out: coat" in warnings
 
 
+def test_numbers_whose_squares_are_none_are_refused(load):
+    solid = '<geom size="1"/><geom type="ellipsoid" pos="2 0 0" size="1e200 1 1"/>'
+    with pytest.raises(SceneError, match=r"geom 'geom 1' has a pose or size beyond 1e\+100 m, in"):
+        load(solid)
+    field = '<asset><hfield name="h" nrow="2" ncol="2" size="1e200 1 1 1"/></asset>'
+    with pytest.raises(SceneError, match=r"geom 'geom 0' has a pose or size beyond 1e\+100 m, in"):
+        load('<geom type="hfield" hfield="h"/>', field)
+
+
 def test_warnings_of_mujoco_become_ours(load, capfd, tmp_path):
     before = mujoco.get_mju_user_warning()
     world = '<geom size="1"/><body><geom size="1" pos="nan 0 0"/></body>'
