@@ -175,7 +175,7 @@ def encode_rows(rows: Iterable[Json]) -> bytes:
     cells = [_cells(row) for row in rows]
     try:
         table = pyarrow.Table.from_pylist(cells, schema=schema)
-    except (pyarrow.ArrowException, TypeError, ValueError) as error:
+    except (pyarrow.ArrowException, ArithmeticError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())[:200]
         raise NavbakeError(f"a row of the index doesn't fit into {NAME}: {reason}") from error
     file = io.BytesIO()
