@@ -171,10 +171,8 @@ def encode_rows(rows: Iterable[Json]) -> bytes:
     import pyarrow  # the extra `batch`
     from pyarrow import parquet  # the extra `batch`
 
-    schema = _schema(pyarrow)
-    cells = [_cells(row) for row in rows]
     try:
-        table = pyarrow.Table.from_pylist(cells, schema=schema)
+        table = pyarrow.Table.from_pylist([_cells(row) for row in rows], schema=_schema(pyarrow))
     except (pyarrow.ArrowException, ArithmeticError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())[:200]
         raise NavbakeError(f"a row of the index doesn't fit into {NAME}: {reason}") from error
@@ -203,8 +201,11 @@ def _schema(pyarrow: Any) -> Any:
 
 def _cells(row: Json) -> Json:
     cells = dict(row)
-    if isinstance(row.get("stages"), Mapping):
-        cells["stages"] = [*row["stages"].items()]
+    stages = row.get("stages")
+    if isinstance(stages, Mapping):
+        cells["stages"] = [*stages.items()]
+    elif stages is not None:  # pyarrow ends the process where such a list has nulls
+        raise TypeError("expected an object as `stages`")
     for key in ("inputs", "files"):
         if isinstance(row.get(key), Mapping):
             cells[key] = [_file_of(path, state) for path, state in row[key].items()]

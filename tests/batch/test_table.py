@@ -191,9 +191,9 @@ def test_all_tables_have_the_same_columns():
     one = parquet.read_schema(io.BytesIO(encode_rows([])))
     other = parquet.read_schema(io.BytesIO(encode_rows([{"id": "a", "status": "left"}])))
     assert one == other
-    for levels in ("many", 10**20):
+    for odd in ({"levels": "many"}, {"levels": 10**20}, {"stages": [None]}, {"stages": "none"}):
         with pytest.raises(NavbakeError, match=r"a row of the index doesn't fit into index\.par"):
-            encode_rows([{"id": "a", "levels": levels}])
+            encode_rows([{"id": "a", **odd}])
 
 
 def test_without_pyarrow_nothing_is_baked(tmp_path, monkeypatch, run):

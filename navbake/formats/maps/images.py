@@ -19,6 +19,9 @@ MAX_BYTES = 1 << 30  # of an image file
 MAX_PIXELS = 80_000_000  # below the number from which Pillow warns of a decompression bomb
 FREE_PIXELS = 32_000_000  # that any file may unpack to
 PIXELS_PER_BYTE = 256  # and this much more for each of its bytes
+# Bytes of pixels that a byte of a file stands for at most, by Pillow's name of how they are coded:
+# deflate repeats 258 bytes by two bits. Runs of a BMP stand for any number.
+MOST_PER_BYTE = {"raw": 1, "ppm": 1, "ppm_plain": 1, "zip": 1032}
 BEGINNINGS = {"PPM": (b"P2", b"P5", b"P3", b"P6"), "PNG": (b"\x89PNG",), "BMP": (b"BM",)}
 
 
@@ -53,6 +56,8 @@ def open_image(source: str | PathLike[str], kinds: tuple[str, ...] = tuple(BEGIN
             # of many pixels, which are counted here
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             image = Image.open(io.BytesIO(data), formats=kinds)
+        if _least_bytes(image) > len(data):
+            raise ValueError("it is cut off")
         num_pixels = image.width * image.height
         if num_pixels <= min(MAX_PIXELS, FREE_PIXELS + PIXELS_PER_BYTE * len(data)):
             image.load()
@@ -62,6 +67,15 @@ def open_image(source: str | PathLike[str], kinds: tuple[str, ...] = tuple(BEGIN
         raise FormatError(f"{path_name(name)} is no image that can be read: {why}") from error
     size = f"{image.width} × {image.height}"
     raise FormatError(f"too many pixels in {path_name(name)}: {size} in {len(data):,} bytes")
+
+
+def _least_bytes(image: Any) -> float:
+    """The bytes that a file of as many pixels has at least: memory is reserved for all of them."""
+    coding, bands = image.tile[0][0] if image.tile else "", len(image.getbands())
+    # one band may be of single bits; several take a byte each in a PNG, one or more in a BMP
+    bits = 1 if bands == 1 else 8 * (bands if coding == "zip" else 1)
+    num_bytes = image.width * image.height * bits / 8
+    return num_bytes / MOST_PER_BYTE[coding] if coding in MOST_PER_BYTE else 0.0
 
 
 def read_pixels(source: str | PathLike[str]) -> Pixels:
