@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from navbake.batch import remote
-from navbake.batch.file_states import are_unchanged, has_no_other, path_from
+from navbake.batch.file_states import Places, are_unchanged, has_no_other
 from navbake.batch.settings import settings_of
 from navbake.batch.work import OK, Order, key_of
 from navbake.errors import NavbakeError
-from navbake.formats.scene_files import Search
+from navbake.formats.scene_files import Folders, Search
 from navbake.types import Json
 
 
@@ -26,11 +26,17 @@ def find_done(orders: Sequence[Order], known: Mapping[str, Json]) -> set[str]:
     here: list[Order] = []
     for order in orders:
         (on_stores if remote.is_remote(order) else here).append(order)
-    done = {order.job.id for order in here if _is_done(order, known.get(order.job.id))}
-    return done | remote.find_done(on_stores, known)
+    done = remote.find_done(on_stores, known)
+    if here:  # all have one output folder
+        assert isinstance(here[0].folder, Path)
+        places, listed = Places(here[0].folder), Folders(here[0].folder)
+        for order in here:
+            if _is_done(order, known.get(order.job.id), places, listed):
+                done.add(order.job.id)
+    return done
 
 
-def _is_done(order: Order, row: Json | None) -> bool:
+def _is_done(order: Order, row: Json | None, places: Places, listed: Folders) -> bool:
     if row is None or row.get("status") != OK:
         return False
     try:
@@ -40,15 +46,15 @@ def _is_done(order: Order, row: Json | None) -> bool:
         assert isinstance(order.folder, Path)
         return bool(
             row["key"] == key_of(order, config)
-            and row["named"] == [path_from(path, order.folder) for path in config.inputs]
+            and row["named"] == [places.of_file(path) for path in config.inputs]
             and are_unchanged(row["inputs"], order.folder)
-            and has_no_other(_sought(row), row["inputs"], order.folder)
+            and has_no_other(_sought(row).present(listed), row["inputs"], places)
             and are_unchanged(row["files"], order.place)
         )
     except (NavbakeError, KeyError, TypeError, AttributeError):  # or no row of a batch's
         return False
 
 
-def _sought(row: Json) -> Iterator[str]:
+def _sought(row: Json) -> Search:
     """Where files of a scene were looked for: one that is new there may be meant instead."""
-    return Search(tuple(row["sought"]["folders"]), tuple(row["sought"]["names"])).places()
+    return Search(tuple(row["sought"]["folders"]), tuple(row["sought"]["names"]))

@@ -28,7 +28,8 @@ def describe_files(
     Raises:
         OSError: one can't be read.
     """
-    return {path_from(path, folder): _describe(path, may_change) for path in paths}
+    places = Places(folder)
+    return {places.of_file(path): _describe(path, may_change) for path in paths}
 
 
 def are_unchanged(stated: Mapping[str, Json], folder: Path) -> bool:
@@ -43,29 +44,76 @@ def are_unchanged(stated: Mapping[str, Json], folder: Path) -> bool:
         return False
 
 
-def has_no_other(places: Iterable[str], known: Container[str], folder: Path) -> bool:
-    """Whether there are files at none of some places but the known ones.
+def has_no_other(found: Iterable[str], known: Container[str], places: Places) -> bool:
+    """Whether there are files at none of some paths but the known ones.
 
     Args:
-        places: paths from the folder.
-        known: paths of files from the folder, as `describe_files` gives them.
-        folder: the folder.
+        found: paths from the folder of the places.
+        known: paths of files from that folder, as `describe_files` gives them.
+        places: of the folder.
     """
-    for place in places:
-        if os.path.normpath(place).replace(os.sep, "/") in known:  # as most are, and this is quick
-            continue
-        path = os.path.join(folder, place)
-        if os.path.isfile(path) and path_from(path, folder) not in known:
-            return False
+    for name in found:
+        if name not in known:  # as most are, and this is quick
+            path = os.path.join(places.folder, name)
+            if places.of_file(path) not in known and os.path.isfile(path):
+                return False
     return True
 
 
-def path_from(path: str | os.PathLike[str], folder: Path) -> str:
-    """A path relative to a folder, with slashes; absolute where there is no such path."""
-    try:
-        return os.path.relpath(path, folder).replace(os.sep, "/")
-    except ValueError:  # another drive on Windows
-        return Path(path).absolute().as_posix()
+class Places:
+    """Paths relative to a folder, with slashes; absolute where there is no such path.
+
+    The system, too, finds a file by such a path, joined to the folder, whatever is a link. For it
+    takes ``..`` from where a link leads to. So the folder counts as where it really is, and so does
+    what a path has before its last ``..``. Links after that stay: if one leads elsewhere some day,
+    the file is another one. What a path shares with the folder as it is written is followed for
+    both, so that links above both don't matter.
+
+    What links are is kept: make another object if they may have changed.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
+        self.folder = os.path.abspath(folder)
+        self._real = os.path.realpath(folder)
+        self._known: dict[str, str] = {}
+
+    def of_folder(self, path: str | os.PathLike[str]) -> str:
+        """The path of a folder or a file."""
+        text = os.fspath(path)
+        if text not in self._known:
+            self._known[text] = self._find(text)
+        return self._known[text]
+
+    def of_file(self, path: str | os.PathLike[str]) -> str:
+        """The path of a file; quick where that of its folder was asked for."""
+        above, name = os.path.split(path)
+        if name in ("", os.curdir, os.pardir):  # no file
+            return self.of_folder(path)
+        folder = self.of_folder(above)
+        return name if folder == os.curdir else f"{folder.rstrip('/')}/{name}"
+
+    def _find(self, text: str) -> str:
+        try:
+            path = _without_turns(text)
+            shared = os.path.commonpath([path, self.folder])
+            path = os.path.join(os.path.realpath(shared), os.path.relpath(path, shared))
+            return os.path.relpath(path, self._real).replace(os.sep, "/")
+        except ValueError:  # another drive on Windows
+            return Path(text).absolute().as_posix()
+
+
+def path_from(path: str | os.PathLike[str], folder: str | os.PathLike[str]) -> str:
+    """A path relative to a folder, see `Places`."""
+    return Places(folder).of_folder(path)
+
+
+def _without_turns(path: str) -> str:
+    """The absolute path of the same place without ``..``."""
+    parts = Path(path).parts
+    if os.pardir not in parts:
+        return os.path.abspath(path)
+    last = len(parts) - parts[::-1].index(os.pardir)
+    return os.path.abspath(os.path.join(os.path.realpath(Path(*parts[:last])), *parts[last:]))
 
 
 def _is_unchanged(known: Json, path: Path) -> bool:

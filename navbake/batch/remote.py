@@ -73,6 +73,7 @@ def make_remote(order: Order, make: Callable[[Order], Json]) -> Json:
     """
     settings = _settings_here(order)  # before the bake, see `work._make`
     with scratch_folder() as scratch:
+        scratch = Path(os.path.realpath(scratch))  # as paths from the output folder lead to it
         mirror = Mirror(scratch / "in")
         try:
             near = _bring(order, mirror)
@@ -200,9 +201,9 @@ def _settings_here(order: Order) -> Json:
 
 def _inputs(order: Order, near: Order, stated: Json, mirror: Mirror) -> Json:
     """The states of a scene's files, by their URLs where they are on a store."""
-    inputs = {}
+    inputs, folder = {}, os.path.realpath(near.folder)
     for name, state in stated.items():
-        path = os.path.normpath(os.path.join(near.folder, name))
+        path = os.path.normpath(os.path.join(folder, name))
         url, entry = mirror.url_of(path), mirror.entry(path)
         if url is None:
             inputs[_name_path(path, order)] = state

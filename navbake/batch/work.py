@@ -15,7 +15,7 @@ from navbake import samples
 from navbake._version import __version__
 from navbake.auditor.audit import audit
 from navbake.baker.pipeline import run_bake
-from navbake.batch.file_states import describe_files, path_from
+from navbake.batch.file_states import Places, describe_files
 from navbake.batch.full import FullError, telling_full
 from navbake.batch.job import Job
 from navbake.batch.products import GRID, Product, remove_products, write_thumbnail
@@ -124,7 +124,7 @@ def _make(order: Order) -> Json:
     looked = [look_for_inputs(name) for name in named]  # the scene is the first
     inputs = [path for found, _ in looked for path in found if os.path.isfile(path)]
     assert isinstance(order.folder, Path)
-    stated = describe_files(inputs, order.folder)
+    stated, places = describe_files(inputs, order.folder), Places(order.folder)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the row has those that matter
         result = run_bake(config, threads=1)
@@ -150,9 +150,9 @@ def _make(order: Order) -> Json:
         "warnings": list(grid.warnings),
         "audit": [str(remark) for remark in audit(grid).remarks],
         "inputs": stated,
-        "named": [path_from(path, order.folder) for path in named],
+        "named": [places.of_file(path) for path in named],
         "sought": {
-            "folders": [path_from(path, order.folder) for path in looked[0][1].folders],
+            "folders": [places.of_folder(path) for path in looked[0][1].folders],
             "names": list(looked[0][1].names),
         },
         "files": describe_files(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import unicodedata
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 from urllib.parse import unquote
@@ -56,17 +58,99 @@ class Search(NamedTuple):
     folders: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
 
-    def places(self) -> Iterator[str]:
-        """All paths at which a file would be one of the scene's."""
-        for name in self.names:
-            yield from self.places_of(name)
-
     def places_of(self, name: str) -> Iterator[str]:
         """All paths at which a name would be found."""
-        # `strippath` of a compiler leaves out the folders of names
-        for each in dict.fromkeys((name, os.path.basename(name))):
+        for each in _variants(name):
             for folder in self.folders:
                 yield os.path.join(folder, each)
+
+    def present(self, listed: Folders) -> Iterator[str]:
+        """Those paths of all names at which something may be, as far as listings of folders say.
+
+        `os.path.isfile` says whether a file is there. Names and folders are many, and few of the
+        names are in a folder. So the names are kept as a tree of their parts, and each folder's
+        listing is met with the tree: what is in both is followed.
+        """
+        tree = _Branch()
+        for name in dict.fromkeys(each for name in self.names for each in _variants(name)):
+            if os.path.isabs(name) or os.path.splitdrive(name)[0]:
+                yield name  # whatever the folder
+            else:
+                tree.add(name)
+        for folder in self.folders:
+            left = [(folder, tree)]
+            while left:  # no recursion: a stranger's name may have any number of parts
+                place, branch = left.pop()
+                here = listed.content(place)
+                for key in branch.parts if here is None else branch.parts.keys() & here:
+                    for part, deeper in branch.parts[key].items():
+                        path = part if place == os.curdir else os.path.join(place, part)
+                        if deeper.is_end:
+                            yield path
+                        if deeper.parts:
+                            left.append((path, deeper))
+
+
+@dataclass(slots=True)
+class _Branch:
+    """Names of files that begin alike.
+
+    Attributes:
+        is_end: whether one of them ends here.
+        parts: how the others go on, up to the next slash: first by `_key`, then as it is written.
+    """
+
+    is_end: bool = False
+    parts: dict[str, dict[str, _Branch]] = field(default_factory=dict)
+
+    def add(self, name: str) -> None:
+        branch = self
+        for part in name.split("/"):
+            if part not in ("", os.curdir):
+                branch = branch.parts.setdefault(_key(part), {}).setdefault(part, _Branch())
+        branch.is_end = True
+
+
+class Folders:
+    """What is in folders, each of which is listed once.
+
+    Args:
+        base: that relative paths of folders count from.
+    """
+
+    def __init__(self, base: str | os.PathLike[str] = "") -> None:
+        self._base = base
+        self._content: dict[str, frozenset[str] | None] = {}
+
+    def content(self, folder: str) -> frozenset[str] | None:
+        """The keys of the names in a folder; None if it can't be listed, but may have files."""
+        if folder not in self._content:
+            self._content[folder] = self._list(folder)
+        return self._content[folder]
+
+    def _list(self, folder: str) -> frozenset[str] | None:
+        try:
+            names = os.listdir(os.path.join(self._base, folder) or os.curdir)
+        except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: no path at all
+            return frozenset()
+        except OSError:  # one that may be entered, but not read
+            return None
+        return frozenset((os.pardir, *map(_key, names)))
+
+
+def _key(name: str) -> str:
+    """What is the same for all ways of writing a name that any file system takes for the same.
+
+    Many don't tell capitals from small letters, some compose accents.
+    """
+    if name.isascii():
+        return name.lower()
+    return unicodedata.normalize("NFD", unicodedata.normalize("NFD", name).casefold())
+
+
+def _variants(name: str) -> Iterable[str]:
+    """What a name may mean: `strippath` of a compiler leaves out the folders of names."""
+    return dict.fromkeys((name, os.path.basename(name)))
 
 
 def find_inputs(
@@ -103,8 +187,11 @@ def look_for_inputs(
         found = {*meshes, *_buffers(meshes, files, missing)}
     else:
         search = _search(scene, root, files, looks)
-        places = ([*map(Path, search.places_of(name))] for name in search.names)
-        found = {path for each in places for path in _found(each, files, missing)}
+        if files is HERE and not missing:  # the same, and quick
+            found = {Path(place) for place in search.present(Folders()) if os.path.isfile(place)}
+        else:
+            places = ([*map(Path, search.places_of(name))] for name in search.names)
+            found = {path for each in places for path in _found(each, files, missing)}
     return [scene, *sorted(found - {scene})], search
 
 

@@ -421,3 +421,42 @@ def test_a_new_file_that_a_scene_may_mean_instead_is_noticed(scenes, here):
         (scenes / name).write_text(CHEST.format(height=2))  # which one MuJoCo takes, who knows
         assert run(ALL[2])[0] == ["meshed.mjcf"]
         assert run(ALL[2])[0] == []
+
+
+def test_the_output_folder_may_be_a_link_to_another_depth(scenes, here):
+    target = scenes.parent / "scratch" / "of" / "mine"
+    target.mkdir(parents=True)
+    Path("out").symlink_to(target)
+    rows = run(*ALL)[1].rows
+    assert (target / "first" / "grid.json.gz").is_file()
+    assert rows[0]["source"] == "../../../scenes/first.xml"
+    for row in rows:
+        assert all((target / name).is_file() for name in (row["source"], *row["inputs"]))
+    assert run(*ALL)[0] == []
+    assert run(*ALL, out=str(target))[0] == []
+    (scenes / "chest.obj").write_text(CHEST.format(height=2))
+    assert run(*ALL)[0] == ["meshed.mjcf"]
+    write_page_beside(Path("out"), scenes / "page.html")
+    packed = re.search(r'type="application/json"[^>]*>([^<]+)', Path("scenes/page.html").read_text())
+    assert packed is None or "../out" in packed[1]
+
+
+def test_scenes_may_be_reached_through_links(scenes, here):
+    text = MESHED.replace("chest.obj", "../chest.obj")
+    for name in ("deep/one", "deep/two"):
+        (scenes / name).mkdir(parents=True)
+        (scenes / name / "meshed.xml").write_text(text)
+        (scenes / name / "floor.xml").write_text(FLOOR.format(half=2))
+    shutil.move(scenes / "chest.obj", scenes / "deep")
+    Path("link").symlink_to(scenes / "deep" / "one")  # beside which is no chest.obj
+    row = run("link/meshed.xml")[1].rows[0]
+    assert row["source"] == "../link/meshed.xml" and len(row["inputs"]) == 3
+    assert all(Path("out", name).is_file() for name in row["inputs"])
+    assert run("link/meshed.xml")[0] == []
+    (scenes / "deep" / "chest.obj").write_text(CHEST.format(height=2))
+    assert run("link/meshed.xml")[0] == ["meshed"]
+    Path("link").unlink()
+    Path("link").symlink_to(scenes / "deep" / "two")
+    (scenes / "deep" / "two" / "floor.xml").write_text(FLOOR.format(half=3))
+    assert run("link/meshed.xml")[0] == ["meshed"]
+    assert run("link/meshed.xml")[0] == []

@@ -11,7 +11,6 @@ from urllib.parse import quote
 
 import orjson
 
-from navbake.batch.file_states import path_from
 from navbake.batch.journal import stamp
 from navbake.batch.page.content import Progress, describe_batch, is_row, is_safe
 from navbake.batch.page.files import files_of
@@ -50,7 +49,11 @@ def write_page_beside(folder: Path, path: Path) -> None:
     Raises:
         FormatError: it can't be written.
     """
-    base = quote(os.fsencode(path_from(folder, path.parent)))
+    try:  # as it is written: browsers know nothing of links in a file system
+        base = os.path.relpath(folder, path.parent).replace(os.sep, "/")
+    except ValueError:  # another drive on Windows
+        base = folder.absolute().as_posix()
+    base = quote(os.fsencode(base))
     write_bytes(_render(folder, base, None), path)
 
 
