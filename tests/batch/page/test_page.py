@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import sys
 import threading
@@ -18,7 +19,7 @@ from navbake.batch.page import content
 from navbake.batch.page.page import draw_thumbnails, write_page, write_page_beside
 from navbake.batch.products import GRID, THUMBNAIL
 from navbake.errors import FormatError
-from report_pages import check_policy, content_of_batch
+from report_pages import check_policy, content_of_batch, content_of_page
 
 COUNT = 300
 HOSTILE_ID = "odd #1 & 100% 'é'"  # may be the name of a folder
@@ -152,6 +153,17 @@ def test_nothing_is_written_through_links_that_lead_out(tmp_path):
     with pytest.raises(FormatError, match=r"leads to .*outside.*: remove the link"):
         write_page(tmp_path / "batch")
     assert [path.name for path in (tmp_path / "outside").iterdir()] == [GRID]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links may be refused")
+def test_links_lead_through_links_of_the_file_system_as_browsers_follow_them(tmp_path):
+    (tmp_path / "far" / "away" / "out").mkdir(parents=True)
+    (tmp_path / "far" / "away" / "out" / INDEX).write_text("")
+    (tmp_path / "out").symlink_to(tmp_path / "far" / "away" / "out")
+    (tmp_path / "pages").symlink_to(tmp_path / "far" / "away")
+    write_page_beside(tmp_path / "out", tmp_path / "pages" / "page.html")
+    page = (tmp_path / "far" / "away" / "page.html").read_bytes()
+    assert content_of_page(page)["base"] == "../out"
 
 
 @needs_browser
