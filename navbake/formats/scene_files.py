@@ -58,11 +58,11 @@ class Search(NamedTuple):
     folders: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
 
-    def places_of(self, name: str) -> Iterator[str]:
+    def places_of(self, name: str) -> Iterator[Path]:
         """All paths at which a name would be found."""
         for each in _variants(name):
             for folder in self.folders:
-                yield os.path.join(folder, each)
+                yield from _meant(Path(folder, each))
 
     def present(self, listed: Folders) -> Iterator[str]:
         """Those paths of all names at which something may be, as far as listings of folders say.
@@ -72,9 +72,9 @@ class Search(NamedTuple):
         listing is met with the tree: what is in both is followed.
         """
         tree = _Branch()
-        for name in dict.fromkeys(each for name in self.names for each in _variants(name)):
+        for name in dict.fromkeys(each for whole in self.names for each in _variants(whole)):
             if os.path.isabs(name) or os.path.splitdrive(name)[0]:
-                yield name  # whatever the folder
+                yield from map(str, _meant(Path(name)))  # whatever the folder
             else:
                 tree.add(name)
         for folder in self.folders:
@@ -84,11 +84,11 @@ class Search(NamedTuple):
                 here = listed.content(place)
                 for key in branch.parts if here is None else branch.parts.keys() & here:
                     for part, deeper in branch.parts[key].items():
-                        path = part if place == os.curdir else os.path.join(place, part)
-                        if deeper.is_end:
-                            yield path
-                        if deeper.parts:
-                            left.append((path, deeper))
+                        for path in listed.at(place, part):
+                            if deeper.is_end:
+                                yield path
+                            if deeper.parts:
+                                left.append((path, deeper))
 
 
 @dataclass(slots=True)
@@ -128,6 +128,16 @@ class Folders:
             self._content[folder] = self._list(folder)
         return self._content[folder]
 
+    def at(self, folder: str, part: str) -> tuple[str, ...]:
+        """What a part of a path may mean in a folder; ``..`` of a link has two, see `_meant`."""
+        if folder == os.curdir:
+            return (part,)
+        path = os.path.join(folder, part)
+        if part != os.pardir or os.path.basename(folder) == os.pardir:
+            return (path,)
+        above = os.path.dirname(folder) or os.curdir
+        return (path, above) if os.path.islink(os.path.join(self._base, folder)) else (above,)
+
     def _list(self, folder: str) -> frozenset[str] | None:
         try:
             names = os.listdir(os.path.join(self._base, folder) or os.curdir)
@@ -146,6 +156,19 @@ def _key(name: str) -> str:
     if name.isascii():
         return name.lower()
     return unicodedata.normalize("NFD", unicodedata.normalize("NFD", name).casefold())
+
+
+def _meant(*paths: Path) -> Iterator[Path]:
+    """Paths, and as MuJoCo reads them: it drops a folder before ``..``, even where that is a link.
+
+    The system goes on from where the link leads to.
+    """
+    for path in paths:
+        yield path
+        if os.pardir in path.parts:
+            short = os.path.normpath(path)
+            if os.path.realpath(short) != os.path.realpath(path):
+                yield Path(short)
 
 
 def _variants(name: str) -> Iterable[str]:
@@ -190,7 +213,7 @@ def look_for_inputs(
         if files is HERE and not missing:  # the same, and quick
             found = {Path(place) for place in search.present(Folders()) if os.path.isfile(place)}
         else:
-            places = ([*map(Path, search.places_of(name))] for name in search.names)
+            places = ([*search.places_of(name)] for name in search.names)
             found = {path for each in places for path in _found(each, files, missing)}
     return [scene, *sorted(found - {scene})], search
 
@@ -244,13 +267,13 @@ def _search(scene: Path, root: ElementTree.Element | None, files: Files, looks: 
         for element in () if root is None else root.iter():
             for key in LOOK_FOLDERS if looks else FOLDERS:
                 if key in element.attrib:
-                    for home in (scene.parent, file.parent):
-                        folders[home / _slashed(element.attrib[key])] = None
+                    name = _slashed(element.attrib[key])
+                    folders |= dict.fromkeys(_meant(scene.parent / name, file.parent / name))
             if element.tag in left_out:
                 continue
             for name in _names_of(element, looks):
                 names[name] = None
-                for path in (scene.parent / name, file.parent / name):
+                for path in _meant(scene.parent / name, file.parent / name):
                     is_xml = path.suffix.lower() in XML_SUFFIXES or element.tag in MODELS
                     if is_xml and files.has(path) and os.path.realpath(path) not in seen:
                         seen.add(os.path.realpath(path))

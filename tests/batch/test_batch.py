@@ -445,15 +445,17 @@ def test_scenes_may_be_reached_through_links(scenes, here):
         (scenes / name / "meshed.xml").write_text(text)
         (scenes / name / "floor.xml").write_text(FLOOR.format(half=2))
         shutil.copy(scenes / "wood.png", scenes / name)
-    shutil.move(scenes / "chest.obj", scenes / "deep")
-    Path("link").symlink_to(scenes / "deep" / "one")  # beside which is no chest.obj
+    shutil.copy(scenes / "chest.obj", scenes / "deep")  # where the system takes `..` to be
+    shutil.move(scenes / "chest.obj", ".")  # where MuJoCo does
+    Path("link").symlink_to(scenes / "deep" / "one")
     row = run("link/meshed.xml")[1].rows[0]
     assert row.get("error") is None
-    assert row["source"] == "../link/meshed.xml" and len(row["inputs"]) == 3
+    assert row["source"] == "../link/meshed.xml" and len(row["inputs"]) == 4
     assert all(Path("out", name).is_file() for name in row["inputs"])
     assert run("link/meshed.xml")[0] == []
-    (scenes / "deep" / "chest.obj").write_text(CHEST.format(height=2))
-    assert run("link/meshed.xml")[0] == ["meshed"]
+    for folder in (scenes / "deep", Path()):
+        (folder / "chest.obj").write_text(CHEST.format(height=2))
+        assert run("link/meshed.xml")[0] == ["meshed"]
     Path("link").unlink()
     Path("link").symlink_to(scenes / "deep" / "two")
     (scenes / "deep" / "two" / "floor.xml").write_text(FLOOR.format(half=3))

@@ -176,7 +176,8 @@ def test_names_are_found_in_folders_as_if_each_were_looked_for(tree, folders, na
     names = [str(tree / "at" / name.strip("/")) if name[0] == "/" else name for name in names]
     search = Search(tuple(folders), tuple(names))
     found = {tree / place for place in search.present(Folders(tree)) if (tree / place).is_file()}
-    each = (tree / place for name in names for place in search.places_of(name))
+    slow = Search(tuple(str(tree / folder) for folder in folders), search.names)
+    each = (place for name in names for place in slow.places_of(name))
     assert {os.path.realpath(path) for path in found} == {
         os.path.realpath(path) for path in each if path.is_file()
     }
@@ -214,7 +215,9 @@ def test_what_is_found_is_what_a_slow_search_finds(folder):
     )
     (folder / "parts" / "part.xml").write_text("<mujoco/>")
     found = find_inputs(folder / "scene.xml")
-    assert found == find_inputs(folder / "scene.xml", FilesHere()) and len(found) == 8
+    slow = find_inputs(folder / "scene.xml", FilesHere())
+    assert {path.resolve() for path in found} == {path.resolve() for path in slow}
+    assert len(found) == 7
 
 
 @pytest.mark.parametrize("out", ["out", "far/mesh/out", "at", "at/a/A", "at/b/mesh"])
