@@ -77,12 +77,13 @@ class Search(NamedTuple):
                 yield from map(str, _meant(Path(name)))  # whatever the folder
             else:
                 tree.add(name)
-        for folder in self.folders:
+        for folder in self.folders if tree.parts else ():
             left = [(folder, tree)]
             while left:  # no recursion: a stranger's name may have any number of parts
                 place, branch = left.pop()
                 here = listed.content(place)
-                for key in branch.parts if here is None else branch.parts.keys() & here:
+                few, many = sorted((branch.parts, branch.parts if here is None else here), key=len)
+                for key in (key for key in few if key in many):
                     for part, deeper in branch.parts[key].items():
                         for path in listed.at(place, part):
                             if deeper.is_end:
