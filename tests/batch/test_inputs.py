@@ -242,3 +242,16 @@ def test_links_above_both_change_no_path_and_links_below_stay_in_it(tree, monkey
     monkeypatch.chdir(tree)
     assert path_from("at/b/a", "out") == path_from(tree / "at/b/a", "out") == "../../../at/b/a"
     assert path_from("at/b/a", "far/mesh/out") == "../../../at/b/a"
+
+
+def test_folders_and_includes_are_those_of_mujoco_where_the_scene_is_in_a_link(folder):
+    (folder / "far" / "away").mkdir(parents=True)
+    (folder / "link").symlink_to(folder / "far" / "away")
+    (folder / "link" / "scene.xml").write_text(
+        '<mujoco><compiler meshdir="../mesh"/><include file="../parts/part.xml"/>'
+        '<asset><mesh file="a.obj"/></asset></mujoco>'
+    )
+    (folder / "parts" / "part.xml").write_text('<mujoco><mesh file="own/c.obj"/></mujoco>')
+    assert names(folder, "link/scene.xml") == [
+        *("link/scene.xml", "mesh/a.obj", "parts/own/c.obj", "parts/part.xml")
+    ]
