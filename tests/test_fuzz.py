@@ -330,7 +330,7 @@ def test_no_chunk_is_lost_among_processes(monkeypatch):
     begun, first = [], threading.Event()
 
     class Fake:
-        num_done = fuzz.CHUNK
+        num_done, is_spent = fuzz.CHUNK, False
 
         def __init__(self, patience):
             pass
