@@ -70,11 +70,11 @@ def read_table(content: bytes, name: str) -> Iterator[tuple[str, Json]]:
     check_pyarrow()
     try:
         metadata = _read_metadata(content)
-        unpacked, readings = _check_claims(metadata, content, name)
+        unpacked, readings = check_claims(metadata, content, name)
         number = num_bytes = 0
         for batch in _read_batches(content, metadata, readings):
             _check_size(number + len(batch), FREE_ROWS + unpacked // BYTES_PER_ROW, "rows", name)
-            num_bytes += sum(map(_text_bytes, batch.columns))
+            num_bytes += sum(map(count_text_bytes, batch.columns))
             most = FREE_TEXT + TEXT_PER_BYTE * unpacked + TEXT_PER_ROW * (number + len(batch))
             _check_size(num_bytes, most, "bytes of text", name)
             for row in batch.to_pylist():
@@ -120,8 +120,13 @@ def _read_batches(content: bytes, metadata: Any, readings: list[Reading]) -> Ite
         yield from file.iter_batches(reading.rows_at_once, [group], use_threads=False)
 
 
-def _check_claims(metadata: Any, content: bytes, name: str) -> tuple[int, list[Reading]]:
+def check_claims(metadata: Any, content: bytes, name: str) -> tuple[int, list[Reading]]:
     """Check what the headers of pages claim, before anything is unpacked.
+
+    Args:
+        metadata: what pyarrow has of the footer.
+        content: the file.
+        name: what messages call it.
 
     Returns:
         What all pages unpack to [bytes], and how each group of rows is read.
@@ -175,8 +180,10 @@ def _check_size(size: int, most: int, what: str, name: str) -> None:
         )
 
 
-def _text_bytes(array: Any) -> int:
+def count_text_bytes(array: Any) -> int:
     """What the texts of an array of Arrow take where each value has its own [bytes].
+
+    Values of fixed length count nothing: pages say how many there are.
 
     Raises:
         TypeError: it has values of a type that Parquet hasn't.
@@ -188,15 +195,15 @@ def _text_bytes(array: Any) -> int:
         lengths = compute.binary_length(array.dictionary)
         return int(compute.sum(lengths.take(array.indices)).as_py() or 0)
     if types.is_struct(kind):
-        return sum(map(_text_bytes, array.flatten()))
+        return sum(map(count_text_bytes, array.flatten()))
     if types.is_string(kind) or types.is_binary(kind):
         return int(array.nbytes)
     if types.is_map(kind):
-        return _text_bytes(array.keys) + _text_bytes(array.items)
+        return count_text_bytes(array.keys) + count_text_bytes(array.items)
     if types.is_list(kind):
-        return _text_bytes(array.flatten())
+        return count_text_bytes(array.flatten())
     if types.is_fixed_size_binary(kind) or types.is_decimal(kind):
-        return 0  # of which pages say how many they are
+        return 0
     if types.is_primitive(kind) or types.is_null(kind):
         return 0
     raise TypeError(f"values of the type {kind}")

@@ -196,7 +196,7 @@ def claims(encodings, nested=False):
         pages = [Page(1 << 20, 0, ()), *(Page(100, 1, (one,)) for one in encodings)]
         patch.setattr(table, "list_pages", lambda content, chunk: pages)
         metadata = parquet.ParquetFile(file).metadata
-        ((texts, rows_at_once),) = table._check_claims(metadata, file.getvalue(), "list")[1]
+        ((texts, rows_at_once),) = table.check_claims(metadata, file.getvalue(), "list")[1]
     return len(texts), rows_at_once
 
 
@@ -226,16 +226,16 @@ def test_texts_of_all_types_that_parquet_has_are_counted_and_others_are_refused(
     lists = pyarrow.ListArray.from_arrays(pyarrow.array([0, 3, 4]), shared)
     maps = pyarrow.MapArray.from_arrays(pyarrow.array([0, 4]), shared.fill_null("12"), shared)
     nested = pyarrow.StructArray.from_arrays([lists, pyarrow.array([1.5, None])], ["a", "b"])
-    assert [table._text_bytes(array) for array in (shared, lists, maps, nested)] == [
+    assert [table.count_text_bytes(array) for array in (shared, lists, maps, nested)] == [
         *(10, 10, 22, 10)
     ]
-    assert table._text_bytes(lists[1:]) == 4
-    assert table._text_bytes(pyarrow.array(["four", "12"])) >= 6
+    assert table.count_text_bytes(lists[1:]) == 4
+    assert table.count_text_bytes(pyarrow.array(["four", "12"])) >= 6
     for free in (pyarrow.nulls(3), pyarrow.array([True]), pyarrow.array([b"a"], pyarrow.binary(1))):
-        assert table._text_bytes(free) == 0
+        assert table.count_text_bytes(free) == 0
     for kind in (pyarrow.large_string(), pyarrow.string_view(), pyarrow.large_binary()):
         with pytest.raises(TypeError, match="values of the type"):
-            table._text_bytes(pyarrow.array(["a"], kind))
+            table.count_text_bytes(pyarrow.array(["a"], kind))
 
 
 def test_the_index_as_a_table_says_what_the_lines_say(tmp_path, run):
