@@ -27,7 +27,7 @@ from navbake.auditor.levels import (
     check_order,
 )
 from navbake.auditor.report import ERROR, AuditReport, Remark
-from navbake.auditor.rooms import check_doors, check_room_table, check_rooms_without_door
+from navbake.auditor.rooms import check_doors, check_room_table, check_rooms_without_way_out
 from navbake.errors import FormatError
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.source import shown_type
@@ -46,7 +46,7 @@ CHECKS: dict[str, Callable[[Facts], Iterator[Remark]]] = {
     "one cell cuts off an island": check_cut_off,
     "no link reaches a level": check_unreached_levels,
     "the room table contradicts the cells": check_room_table,
-    "a room has no door": check_rooms_without_door,
+    "nothing leads out of a room": check_rooms_without_way_out,
     "a door joins what it can't": check_doors,
     "cells have no size, or no place": check_lattices,
     "levels are out of order": check_order,

@@ -85,7 +85,7 @@ def find_middles(level: SceneGrid2D) -> dict[int, Vector3]:
     return middles
 
 
-def check_rooms_without_door(facts: Facts) -> Iterator[Remark]:
+def check_rooms_without_way_out(facts: Facts) -> Iterator[Remark]:
     """Nothing leads out of a room, be all doors open."""
     for number, level in enumerate(facts.levels):
         index, passable = level.room_index, facts.passable[number]
@@ -101,9 +101,10 @@ def check_rooms_without_door(facts: Facts) -> Iterator[Remark]:
         size = count * level.lattice.cell_size**2
         for room in np.flatnonzero(~leads & (size >= MIN_FREE)).tolist():
             if room:
-                text = f"room {_name(facts, number, room)} of {size[room]:.1f} m² has no door"
+                name = _name(facts, number, room)
+                text = f"nothing leads out of room {name} ({size[room]:.1f} m²)"
                 place = facts.first(number, (index == room) & passable)
-                yield Remark("no door", REMARK, number, place, text)
+                yield Remark("no way out", REMARK, number, place, text)
 
 
 def _neighbours_across(facts: Facts, number: int) -> Iterator[tuple[Indices, Indices]]:

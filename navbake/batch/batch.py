@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -190,6 +191,7 @@ def _run(
     result = BatchResult(skipped=len(skipped))
     waiting, num_failed = [*left.values()], 0
     is_changed = False  # whether the index is
+    get_ready = partial(prepare, orders[0].products, orders[0].thumbnail) if orders else None
     try:
         if waiting:
             watch.begin(len(orders), len(skipped))
@@ -200,7 +202,7 @@ def _run(
             means.workers,
             limits=means.limits,
             retries=means.retries,
-            prepare=prepare,
+            prepare=get_ready,
             on_event=lambda event: watch.hear(event, _id_of(event, waiting)),
         )
         with closing(ended):

@@ -34,6 +34,7 @@ NO_START = "cannot start a worker process"
 MOST_TEXT = 200  # of what a worker wrote on stderr, characters
 READY, DONE, CRASHED, TOO_LONG, TOO_LARGE = "ready", "done", "crashed", "too long", "too large"
 BEGUN, AGAIN, LOST = "begun", "again", "lost"  # what happens besides, see `Event`
+TAKEN = "taken"  # what a worker says when its first job has reached it
 
 
 class JobLimits(NamedTuple):
@@ -113,7 +114,7 @@ class _Worker:
         given = (self._theirs, work, limits.memory, os.getpid(), str(self._stderr_path))
         self.process = context.Process(target=_serve, args=given, daemon=True)
         self.is_ready = False
-        self.has_begun = False  # whether it has begun a job
+        self.has_taken = False  # whether it has ever taken a job
         self.is_used = False  # whether it has done a job
         self.is_quick = False  # whether the last one was short
         self.tasks: deque[_Task] = deque()  # it is at the first; another one was given ahead
@@ -212,7 +213,7 @@ def do_jobs(
         on_event: is called in this process with what happens meanwhile.
 
     Raises:
-        NavbakeError: no worker starts.
+        NavbakeError: no worker starts, or none comes to begin a job.
 
     The workers are gone when the iterator is closed, or at the end.
     """
@@ -242,7 +243,7 @@ class SingleWorker:
         """Do a job; the process is started if there is none.
 
         Raises:
-            NavbakeError: no process starts.
+            NavbakeError: no process starts, or none comes to begin the job.
         """
         self._crew.add(_Task(number, job))
         (ended,) = self._crew.run()
@@ -380,8 +381,8 @@ class _Crew:
             worker.is_ready = True
             worker.forget_stderr()
             self._on_event(Event(READY, worker.number, seconds=worker.age))
-        elif how == BEGUN:
-            worker.has_begun = True
+        elif how == TAKEN:
+            worker.has_taken = True
         elif how == DONE and worker.task is not None:
             ended = Ended(worker.task.number, DONE, value, worker.age)
             worker.take_back()
@@ -397,7 +398,7 @@ class _Crew:
 
     def _lose(self, worker: _Worker, how: str, why: str) -> Iterator[Ended]:
         """Replace a worker, and see what becomes of its task; one given ahead was not begun."""
-        if worker.task is None or (how == CRASHED and not worker.has_begun):
+        if worker.task is None or (how == CRASHED and not worker.has_taken):
             self._lose_unbegun(worker, how, why)
             return
         seconds, (task, *ahead) = worker.age, worker.tasks
@@ -426,7 +427,7 @@ class _Crew:
         if task is not None:
             self._left.appendleft(task)
             self._on_event(lost._replace(what=AGAIN))
-        if not worker.has_begun:
+        if not worker.has_taken:
             what = "worker processes end before they begin a scene"
             self._count_failed_start(f"{what}: {why}" if worker.is_ready else f"{NO_START}: {why}")
 
@@ -473,15 +474,15 @@ def _serve(
         connection.send((CRASHED, _last_line(error)))
         return
     connection.send((READY, None))
-    has_begun = False
+    has_taken = False
     while True:
         try:
             packed = connection.recv_bytes()
         except EOFError:
             return
-        if not has_begun:  # else it is known to be able to
-            connection.send((BEGUN, None))
-            has_begun = True
+        if not has_taken:  # else it is known to be able to
+            connection.send((TAKEN, None))
+            has_taken = True
         os.ftruncate(2, 0)
         try:
             answer = DONE, do(pickle.loads(packed))

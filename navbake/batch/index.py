@@ -30,6 +30,8 @@ def only_batch(folder: Path) -> Iterator[None]:
     Raises:
         NavbakeError: another one does, or the folder can't be made or written.
     """
+    if folder.is_file():
+        raise NavbakeError(f"expected a folder to write into, got {folder}, which is a file")
     with _naming(folder):
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)

@@ -51,10 +51,9 @@ def check_id(name: str, place: str) -> None:
             and 0 < len(part.encode()) <= MAX_BYTES
         )
         if not is_fine:
-            shown = name if len(name) <= MAX_BYTES else f"{name[:MAX_BYTES]}…"
             raise ConfigError(
                 f"expected an id that can be the name of a folder on any system, or several "
-                f"between slashes, got {shown!r} at {place}: give it another `id`"
+                f"between slashes, got {shorten(repr(name))} at {place}: give it another `id`"
             )
 
 

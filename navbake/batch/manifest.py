@@ -153,8 +153,9 @@ def _is_none(value: Any) -> bool:
 
 def _text_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
     for place, line in _lines(content, source):
-        if not line.startswith("#"):
-            yield place, {"scene": line}
+        path = line.strip()
+        if not path.startswith("#"):
+            yield place, {"scene": path}
 
 
 def _csv_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
@@ -233,7 +234,7 @@ def _lines(content: bytes, source: str) -> Iterator[tuple[str, str]]:
     """Lines that aren't blank, each with its place for messages; they may end as on any system."""
     for number, line in enumerate(LINE_END.split(_text_of(content, source)), 1):
         if line.strip():
-            yield f"{source}, line {number}", line.strip()
+            yield f"{source}, line {number}", line
 
 
 def _content_of(source: str) -> tuple[bytes, str]:
@@ -250,7 +251,8 @@ def _text_of(content: bytes, name: str) -> str:
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line = 1 + content.count(b"\n", 0, error.start)
+        before = error.object[: error.start].decode()  # without a mark at the beginning
+        line = 1 + len(LINE_END.findall(before))
         raise ConfigError(f"expected UTF-8 in {name}, line {line}: {error.reason}") from error
 
 

@@ -6,6 +6,8 @@ import os
 import time
 import traceback
 import warnings
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +17,7 @@ from navbake import samples
 from navbake._version import __version__
 from navbake.auditor.audit import audit
 from navbake.baker.pipeline import run_bake
+from navbake.baker.scene.guard.scratch import scratch_folder
 from navbake.batch.file_states import describe_files, path_from
 from navbake.batch.full import FullError, telling_full
 from navbake.batch.job import Job
@@ -67,10 +70,19 @@ def key_of(order: Order, config: BakeConfig) -> str:
     return digest_settings(config, [str(product) for product in order.products])
 
 
-def prepare() -> None:
-    """Bake a sample, so that no scene pays for loading what each bake needs."""
+def prepare(products: Sequence[Product], thumbnail: bool) -> None:
+    """Make all of a sample, so that no scene pays for loading what that needs."""
     os.environ[IS_HELPER] = "1"  # all cores have a worker already
-    run_bake(load_config(samples.path("apartment"), ["grid.cell_size=0.5"]), threads=1)
+    config = load_config(samples.path("apartment"), ["grid.cell_size=0.5"])
+    grid = run_bake(config, threads=1).grid
+    with scratch_folder() as folder:
+        for product in products:
+            with suppress(NavbakeError):  # the scenes will say what is wrong
+                product.make(grid, config, folder)
+        if thumbnail:
+            write_thumbnail(grid, folder)
+        write_navgrid(grid, folder / GRID)
+    audit(grid)
 
 
 def row_of(order: Order, status: str) -> Json:

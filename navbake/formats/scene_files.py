@@ -153,8 +153,8 @@ def _search(scene: Path, root: ElementTree.Element | None, files: Files, looks: 
     left_out = () if looks else LOOKS
     left, seen = [(scene, root)], {os.path.realpath(scene)}
     while left:
-        file, root = left.pop()
-        for element in () if root is None else root.iter():
+        file, top = left.pop()
+        for element in () if top is None else top.iter():
             for key in LOOK_FOLDERS if looks else FOLDERS:
                 if key in element.attrib:
                     for home in (scene.parent, file.parent):

@@ -388,7 +388,11 @@ def with_nan(model):
         (lambda m: (trimesh.Scene(),), {}, "no triangles in <scene>"),
         (lambda m: (m, mujoco.MjData(EMPTY)), {}, "data is of another model than <scene>"),
         (lambda m: (m, m), {}, "expected a mujoco.MjData of <scene>, got MjModel"),
-        (lambda m: (m, with_nan(m)), {}, "has a pose or size that is no number, in <scene>"),
+        (
+            lambda m: (m, with_nan(m)),
+            {},
+            "has a pose or size that is infinite or no number, in <scene>",
+        ),
         (lambda m: (mujoco.MjData(m),), {}, f"{NO_SCENE}.* got MjData: give its model first"),
         (lambda m: (42,), {}, f"{NO_SCENE}.* got int"),
         (lambda m: (None,), {}, f"{NO_SCENE}.* got NoneType"),

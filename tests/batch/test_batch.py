@@ -19,10 +19,12 @@ from batch_in_process import run_sources, stay_in_process
 from batch_scenes import CHEST, draw_room, write_scenes, wrong_rows
 from navbake import files
 from navbake.batch import index as index_module
+from navbake.batch import work
 from navbake.batch.batch import Means
 from navbake.batch.crew import JobLimits
 from navbake.batch.index import NAME, only_batch, read_index
 from navbake.batch.manifest import list_jobs
+from navbake.dispatch import IS_HELPER
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError
 from project_paths import ROOT
 
@@ -343,7 +345,7 @@ def test_two_batches_never_write_into_one_folder(scenes, here):
 
 def test_a_folder_that_cannot_be_written_is_one_error(scenes, here):
     Path("out").write_text("a file")
-    with pytest.raises(NavbakeError, match="cannot write into out"):
+    with pytest.raises(NavbakeError, match="a folder to write into, got out, which is a file"):
         run(*ALL)
 
 
@@ -421,3 +423,21 @@ def test_a_new_file_that_a_scene_may_mean_instead_is_noticed(scenes, here):
         (scenes / name).write_text(CHEST.format(height=2))  # which one MuJoCo takes, who knows
         assert run(ALL[2])[0] == ["meshed.mjcf"]
         assert run(ALL[2])[0] == []
+
+
+def test_workers_make_all_that_is_asked_for_before_their_first_scene(monkeypatch):
+    """Else the first scene pays for loading it."""
+    made, folders = [], []
+
+    class Fake:
+        def make(self, grid, config, folder):
+            made.append(len(grid.rooms))
+            folders.append(folder)
+            raise ConfigError("it can't be made of the sample")
+
+    monkeypatch.setenv(IS_HELPER, "")
+    monkeypatch.setattr(work, "write_thumbnail", lambda grid, folder: folders.append(folder))
+    work.prepare((), True)
+    work.prepare((Fake(),), True)
+    assert len(folders) == 3 and len(made) == 1 and made[0] > 1
+    assert not any(folder.exists() for folder in folders)

@@ -176,7 +176,7 @@ def test_nodes_that_will_not_do_are_left_out_and_told_once(run):
 
     ended, ray, told = run(answer, [*range(9)], cpus=4)
     assert len(ended) == 9 and ("b", "do") not in ray.calls
-    assert told == ["no worker starts on node host-b: no such folder"]
+    assert told == ["no worker can work on node host-b: no such folder"]
 
 
 def test_where_no_node_will_do_it_is_one_error(run):
@@ -188,14 +188,14 @@ def test_where_no_node_will_do_it_is_one_error(run):
         return behave(actor, method, *arguments)
 
     with pytest.raises(
-        NavbakeError, match=r"no worker starts on node host.*: (no such folder|.* no memory)"
+        NavbakeError, match=r"no worker can work on node host.*: (no such folder|.* no memory)"
     ):
         run(answer, [*range(9)], cpus=4)
 
     def lose(actor, method, *arguments):
         raise LostError("ModuleNotFoundError: No module named 'navbake'")
 
-    with pytest.raises(NavbakeError, match="no worker starts: ModuleNotFoundError: No module"):
+    with pytest.raises(NavbakeError, match="no worker can work: ModuleNotFoundError: No module"):
         run(lose, [*range(9)], count=3)
 
 

@@ -181,7 +181,7 @@ class _Collector:
         """Take one geom in; returns as what."""
         name, kind, shape = self._names[geom].geom, self._kinds[geom], self._shapes[geom]
         if not self._is_finite[geom]:
-            raise SceneError(f"geom {name!r} has a pose or size that is no number")
+            raise SceneError(f"geom {name!r} has a pose or size that is infinite or no number")
         if not self._is_near[geom]:
             raise SceneError(f"geom {name!r} has a pose or size beyond {LARGEST:g} m")
         if kind in SOLIDS:

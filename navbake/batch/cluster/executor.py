@@ -250,9 +250,8 @@ class _Fleet:
             self._left.appendleft(actor.task)
         self._failed_starts += 1
         self._refusals += 1
-        line = (
-            f"no worker starts{f' on node {actor.where.name}' if actor.where.name else ''}: {why}"
-        )
+        where = f" on node {actor.where.name}" if actor.where.name else ""
+        line = f"no worker can work{where}: {why}"
         wanted = max(1, min(self._num_cpus, self._count, self._num_open))
         enough = MOST_LOSSES * wanted if self._has_worked else min(MOST_LOSSES, wanted)
         if not self._actors and self._refusals >= enough:

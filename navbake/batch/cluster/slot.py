@@ -89,7 +89,7 @@ class Slot:
         return f"compiled code can't be handed on: {ended.value}"
 
     def do(self, number: int, job: Any) -> Ended | str:
-        """Do a job; a text if no process starts here, and why."""
+        """Do a job; a text if no process here comes to do it, and why."""
         try:
             return self._worker.do(number, job)
         except NavbakeError as error:

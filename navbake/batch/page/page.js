@@ -73,7 +73,7 @@ function showAll() {
 
 function showFacts() {
   const [ok, failed] = content.counts, sums = content.sums, facts = [], ended = ok + failed;
-  if (content.work > 0) facts.push(["time", duration(content.work)], ["rate", rate(ended, content.work)]);
+  if (content.work > 0) facts.push(["time baking", duration(content.work)], ["rate", rate(ended, content.work)]);
   if (sums.seconds > 0) facts.push(["time of all scenes", duration(sums.seconds)]);
   if (ok) facts.push(["free area", withUnit(sums.freeArea, "m\u00b2")], ["cells", whole(sums.cells)], ["rooms", whole(sums.rooms)]);
   if (sums.warned) facts.push(["with warnings", counted(sums.warned, "scene")]);

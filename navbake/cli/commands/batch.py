@@ -139,10 +139,10 @@ def batch(
     per_scene: PerScene,
     machines: Machines,
 ) -> None:
-    """Bake many scenes in several processes; what is done already is skipped.
+    """Bake many scenes in several processes.
 
-    What became of each scene is in FOLDER/index.jsonl. A scene that fails, hangs or crashes costs
-    itself alone. The exit status is 1 if any failed.
+    What is done already is skipped. What became of each scene is in FOLDER/index.jsonl. A scene
+    that fails, hangs or crashes costs itself alone. The exit status is 1 if any failed.
 
     Example: navbake batch "scenes/*.xml" -o grids --jobs 8 --time-limit 300
     """

@@ -130,9 +130,9 @@ def audit(
         None, "-o", "--output", metavar="PNG|SVG", help="Draw the places; - for a PNG on stdout."
     ),
 ) -> None:
-    """Look at a grid of any program for what a person would notice, without its scene.
+    """Look at a grid of any program for what a person would notice.
 
-    The exit status is 1 if there are errors, 0 if there are only remarks.
+    It needs no scene. The exit status is 1 if there are errors, 0 if there are only remarks.
 
     Example: navbake audit house.grid.json -o remarks.png
     """

@@ -29,7 +29,9 @@ def plot(
         "repeated.  [default: occupancy and floor]",
     ),
 ) -> None:
-    """Draw a grid: a row for each level, a column for each layer; up is the world's +y.
+    """Draw a grid: a row for each level, a column for each layer.
+
+    Up is the world's +y.
 
     Example: navbake plot house.grid.json -o house.png --layer rooms --layer floor
     """

@@ -36,11 +36,12 @@ def report(
         help="Add what `navbake verify --json` printed of a grid. Once for each GRID, in order.",
     ),
 ) -> None:
-    """Make a page that shows grids in a browser, without a server or the network.
+    """Make a page that shows grids in a browser.
 
-    It shows each level's layers, tells of the cell under the pointer, and lists rooms, doors,
-    links, settings and timings. Of two grids it shows what differs, too. Of a batch's folder it
-    shows all scenes, failures by reason, and distributions of free areas and times.
+    It needs neither a server nor the network. It shows each level's layers, tells of the cell
+    under the pointer, and lists rooms, doors, links, settings and timings. Of two grids it shows
+    what differs, too. Of a batch's folder it shows all scenes, failures by reason, and
+    distributions of free areas and times.
 
     Example: navbake report before.grid.json after.grid.json -o report.html
     """

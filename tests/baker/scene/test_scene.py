@@ -136,7 +136,9 @@ def test_numbers_whose_squares_are_none_are_refused(load):
 def test_warnings_of_mujoco_become_ours(load, capfd, tmp_path):
     before = mujoco.get_mju_user_warning()
     world = '<geom size="1"/><body><geom size="1" pos="nan 0 0"/></body>'
-    with pytest.raises(SceneError, match=r"geom 'geom 1' has a pose or size that is no number, in"):
+    with pytest.raises(
+        SceneError, match=r"geom 'geom 1' has a pose or size that is infinite or no number, in"
+    ):
         load(world)
     scene = load(world, exclude={"geoms": ["geom 1"]})
     assert scene.warnings == ["MuJoCo: XML contains a 'NaN'. Please check it carefully."]
