@@ -219,21 +219,30 @@ def check_writable(path: str | PathLike[str]) -> None:
             pass
 
 
-def remove_leftovers(folder: Path) -> None:
+def modified(path: Path) -> float:
+    """When a file was written last [s since 1970]."""
+    return os.lstat(path).st_mtime
+
+
+def remove_leftovers(folder: Path, last_change: Callable[[Path], float] = modified) -> None:
     """Remove what writers that were killed left in a folder.
 
     A writer locks its temporary file for as long as it lives. So one that can be locked is a
     leftover, whichever process, thread or machine wrote it. Where files can't be locked, one is
     a leftover when it is a day old. What can't be removed stays.
+
+    Args:
+        folder: where they are.
+        last_change: since when a file is as it is [s since 1970], where none can be locked.
     """
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             if TEMPORARY.fullmatch(entry.name):
                 with suppress(OSError):
-                    _remove_leftover(entry)
+                    _remove_leftover(entry, last_change)
 
 
-def _remove_leftover(entry: os.DirEntry[str]) -> None:
+def _remove_leftover(entry: os.DirEntry[str], last_change: Callable[[Path], float]) -> None:
     if not entry.is_file(follow_symlinks=False):
         return
     if fcntl is not None:
@@ -247,7 +256,7 @@ def _remove_leftover(entry: os.DirEntry[str]) -> None:
             else:
                 os.unlink(entry.path)
                 return
-    if time.time() - entry.stat(follow_symlinks=False).st_mtime > OLD:
+    if time.time() - last_change(Path(entry.path)) > OLD:
         os.unlink(entry.path)
 
 

@@ -45,7 +45,7 @@ ALONE_PATIENCE = 60.0  # what MuJoCo alone doesn't end in that time, navbake can
 CHECK_SECONDS = 5.0  # of the processor, for what is done with what was read
 MOST_GIB = 4.0  # that a child may reserve beyond what it starts with
 CHUNK = 1000  # inputs of a kind before it is another one's turn, and the state is written
-READY, DONE = "ready", "done"
+READY, DONE, SPENT = "ready", "done", "spent"
 READ, REFUSED, NATIVE = "read", "refused", "native"
 FINE = (READ, REFUSED, NATIVE)
 SHOWN = 10  # findings of a kind that are printed in full
@@ -271,9 +271,10 @@ class Run:
                 child = child or Child(self.patience)
                 ending = child.use(Chunk(chunk.kind, chunk.seed, numbers), counts, findings)
                 numbers = numbers[child.num_done :]
-                if ending:
+                if ending or child.is_spent:
                     child.end()
                     child = None
+                if ending:
                     one = Chunk(chunk.kind, chunk.seed, numbers[:1])
                     what = judge_ending(one, ending, min(self.patience, ALONE_PATIENCE))
                     _count(what, numbers[0], counts, findings)
@@ -337,13 +338,13 @@ class Child:
         self._process = context.Process(target=run_child, args=(theirs, os.getpid()))
         self._process.start()
         theirs.close()
-        self.num_done = 0
+        self.num_done, self.is_spent = 0, False
         self._patience, self._limit = LOADING, patience
 
     def use(self, chunk: Chunk, counts: Counter[str], findings: dict[int, str]) -> str:
         """Use a chunk's inputs, `num_done` of them; says what ended the process, "" for nothing.
 
-        That came of the input after these.
+        That came of the input after these. A process that is spent uses no more.
         """
         self.num_done = 0
         self._pipe.send(chunk)
@@ -351,7 +352,8 @@ class Child:
             is_alive, what = self._next()
             if not is_alive:
                 return what
-            if what == DONE:
+            if what in (DONE, SPENT):
+                self.is_spent = what == SPENT
                 return ""
             if what != READY:
                 _count(what, chunk.numbers[self.num_done], counts, findings)
@@ -395,9 +397,13 @@ def run_child(pipe: Connection, parent: int) -> None:
                     what = _use_alone(chunk.kind, chunk.seed, number, folder)
                 else:
                     what = _make_and_use(chunk.kind, chunk.seed, number, folder)
-                if what.startswith("took"):  # a second time, when all is loaded
+                took = what.startswith("took")
+                if took:  # a second time, when all is loaded
                     what = _make_and_use(chunk.kind, chunk.seed, number, folder)
                 pipe.send(what)
+                if what == NATIVE or (took and KINDS[chunk.kind].native is not None):
+                    pipe.send(SPENT)  # MuJoCo keeps what it reserved before it gave up
+                    return
             pipe.send(DONE)
 
 

@@ -24,7 +24,8 @@ from fuzzing.archives import claimed_array, pack, pickled_array, unpack
 from fuzzing.images import grey_png, header, join_png, split_png
 from fuzzing.kind import Input, Kind
 from fuzzing.kinds import KINDS
-from navbake.errors import FormatError, NavbakeError
+from navbake.batch.table import read_table
+from navbake.errors import ConfigError, FormatError, NavbakeError
 from navbake.formats.binvox import encode_binvox
 from navbake.formats.maps.grid_npz import encode_grid_npz, read_grid_npz
 from navbake.formats.maps.images import encode_png
@@ -149,15 +150,18 @@ def required_column():
     return content.replace(b"\x25\x02\x18\x02id", b"\x25\x00\x18\x02id")
 
 
-@pytest.mark.parametrize("number", range(9))
+@pytest.mark.parametrize("number", range(13))
 def test_what_was_found_in_parquet(tmp_path, number):
     pytest.importorskip("pyarrow")
     from fuzzing import tables
 
-    content = {7: required_column, 8: lambda: table_of("/" * 9999)}.get(
+    content = {tables.BOMBS: required_column, tables.BOMBS + 1: lambda: table_of("/" * 9999)}.get(
         number, lambda: tables.make_bomb(number)
     )()
     fuzz.use_input("parquet", Input(table_of("a"), ".parquet"), tmp_path)  # loads pyarrow
+    if number < tables.BOMBS:  # not by what reads the rows
+        with pytest.raises(ConfigError, match="list is too large"):
+            list(read_table(content, "list"))
     assert fuzz.use_input("parquet", Input(content, ".parquet"), tmp_path) == "refused"
 
 
@@ -330,7 +334,7 @@ def test_no_chunk_is_lost_among_processes(monkeypatch):
     begun, first = [], threading.Event()
 
     class Fake:
-        num_done = fuzz.CHUNK
+        num_done, is_spent = fuzz.CHUNK, False
 
         def __init__(self, patience):
             pass

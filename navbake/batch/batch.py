@@ -107,11 +107,13 @@ class BatchResult:
         rows: of each scene, in the batch's order, as in the index.
         skipped: how many were done already.
         stopped: why the batch ended early, None if it didn't.
+        has_table: whether the index was written as Parquet as well.
     """
 
     rows: list[Json] = field(default_factory=list)
     skipped: int = 0
     stopped: str | None = None
+    has_table: bool = False
 
     def count(self, status: str) -> int:
         """How many scenes have a status: ``ok``, ``failed`` or ``left``."""
@@ -150,7 +152,8 @@ def run_batch(batch: Batch, means: Means, watch: Watch) -> BatchResult:
     ]
     with _index_of(batch.folder) as index:
         remove_abandoned()  # what batches that were killed left
-        index.remove(TABLE)  # it would say less than the index as soon as a scene ends
+        if not batch.has_table:
+            index.remove(TABLE)  # nobody writes it anew
         try:
             return _run(orders, index, means, watch, batch.has_table)
         finally:
@@ -187,6 +190,7 @@ def _run(
     left = {o.job.id: o for o in orders if o.job.id not in skipped}
     result = BatchResult(skipped=len(skipped))
     waiting, num_failed = [*left.values()], 0
+    is_changed = False  # whether the index is
     get_ready = partial(prepare, orders[0].products, orders[0].thumbnail) if orders else None
     try:
         if waiting:
@@ -207,6 +211,9 @@ def _run(
                 if row["status"] == LEFT:  # there is no room for it, nor for the others
                     result.stopped = row["error"]
                     break
+                if not is_changed:
+                    index.remove(TABLE)  # it would say less than the index
+                    is_changed = True
                 index.add(row)
                 watch.end_scene(row)
                 num_failed += row["status"] == FAILED
@@ -222,8 +229,11 @@ def _run(
             index.finish(
                 [order.job.id for order in orders], skipped, lambda id: row_of(left[id], LEFT)
             )
+            if index.rows != [*index.known.values()]:
+                index.remove(TABLE)  # it says other than the index
             if has_table and index.rows:
                 index.write(TABLE, encode_rows(index.rows))
+                result.has_table = True
         except FullError as error:
             result.stopped = result.stopped or str(error)
         result.rows = index.rows[: len(orders)]

@@ -12,6 +12,7 @@ from typing import Any
 
 from navbake._version import __version__
 from navbake.batch.crew import AGAIN, BEGUN, LOST, READY, Event
+from navbake.batch.full import no_room, why_full
 from navbake.errors import NavbakeError
 from navbake.files import write_all
 from navbake.types import Json
@@ -82,7 +83,8 @@ class Journal:
 class LogFile:
     """A file to which lines are added, each in one write, so that several batches may share it.
 
-    All that it does raises a NavbakeError where the file can't be written.
+    All that it does raises a NavbakeError where the file can't be written, a FullError where that
+    is for want of space.
     """
 
     def __init__(self, path: Path) -> None:
@@ -107,4 +109,6 @@ class LogFile:
             os.close(self._file)
 
     def _refused(self, error: OSError) -> NavbakeError:
+        if why_full(error):
+            return no_room(f"the log {self._path}", error)
         return NavbakeError(f"cannot write the log {self._path}: {error.strerror}")

@@ -27,7 +27,9 @@ PACKED_SIZE, DATA_PLACE, DICTIONARY_PLACE = (7, INT64), (9, INT64), (11, INT64)
 UNPACKED, PACKED = (2, INT32), (3, INT32)
 DATA, DATA_V2 = (5, STRUCT), (8, STRUCT)
 COUNT, ENCODING = (1, INT32), {DATA: (2, INT32), DATA_V2: (4, INT32)}
-DELTAS = (6, 7)  # DELTA_LENGTH_BYTE_ARRAY, DELTA_BYTE_ARRAY: encodings of texts
+# Encodings of texts: those of a dictionary share whole texts, and DELTA_BYTE_ARRAY their
+# beginnings; PLAIN and DELTA_LENGTH_BYTE_ARRAY have each in full.
+DICTIONARY, DELTA_LENGTH_BYTE_ARRAY, DELTA_BYTE_ARRAY = {2, 8}, 6, 7
 
 Struct = dict[tuple[int, int], Any]
 
@@ -38,13 +40,12 @@ class Page(NamedTuple):
     Attributes:
         unpacked: its size once it is unpacked [bytes].
         values: how many values it has, nulls counted; 0 for the values of a dictionary.
-        is_delta: whether it is in an encoding that pyarrow can't read without a copy of a text for
-            each row.
+        encodings: of its values, by number; none for the values of a dictionary.
     """
 
     unpacked: int
     values: int
-    is_delta: bool
+    encodings: tuple[int, ...]
 
 
 def read_chunks(content: bytes) -> list[list[Struct]]:
@@ -81,8 +82,7 @@ def list_pages(content: bytes, chunk: Struct) -> Iterator[Page]:
             values = sum(page[COUNT] for page, _ in data)
             if min(unpacked, packed, values) < 0:
                 raise ValueError("the header of a page has negative sizes")
-            is_delta = any(page[encoding] in DELTAS for page, encoding in data)
-            yield Page(unpacked, values, is_delta)
+            yield Page(unpacked, values, tuple(page[encoding] for page, encoding in data))
             at += packed
     except LookupError as error:
         raise ValueError("the header of a page is broken") from error

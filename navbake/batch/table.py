@@ -7,10 +7,17 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.util import find_spec
-from itertools import chain
-from typing import Any
+from inspect import signature
+from typing import Any, NamedTuple
 
-from navbake.batch.parquet_sizes import list_pages, read_chunks
+from navbake.batch.parquet_sizes import (
+    DELTA_BYTE_ARRAY,
+    DELTA_LENGTH_BYTE_ARRAY,
+    DICTIONARY,
+    MAGIC,
+    list_pages,
+    read_chunks,
+)
 from navbake.batch.stores.store import INSTALL
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError
 from navbake.types import Json
@@ -22,11 +29,27 @@ FREE_UNPACKED, UNPACKED_PER_BYTE = 64 << 20, 200  # [bytes], whichever is more
 FREE_VALUES, VALUES_PER_BYTE = 1_000_000, 4  # of all columns, nulls counted; per unpacked byte
 FREE_ROWS, BYTES_PER_ROW = 10_000, 4  # unpacked
 FREE_TEXT, TEXT_PER_BYTE = 16 << 20, 8  # [bytes] of all rows, where rows share a text; unpacked
+TEXT_PER_ROW = 512  # [bytes] a long path or two that all rows share, as one of settings
 MAX_COLUMNS = 1000  # settings are fewer
 FREE_PAGES, BYTES_PER_PAGE = 1000, 8  # packed
 FREE_PARTS, BYTES_PER_PART = 100, 4  # elements of a list in the footer; packed
 ROWS_AT_ONCE = 1024
+# What pyarrow, pandas and polars note in the footer: which types of Arrow the columns were. Without
+# it texts are of one type, which pyarrow can read without copies.
+ARROW_TYPES = b"ARROW:schema"
 PANDAS_INDEX = re.compile(r"__index_level_\d+__")  # a column that nobody asked for
+
+
+class Reading(NamedTuple):
+    """How a group of rows is read.
+
+    Attributes:
+        texts: the columns whose texts can be read without a copy for each row that has them.
+        rows_at_once: how many rows may be read at once.
+    """
+
+    texts: tuple[str, ...]
+    rows_at_once: int
 
 
 def check_pyarrow() -> None:
@@ -45,29 +68,15 @@ def read_table(content: bytes, name: str) -> Iterator[tuple[str, Json]]:
         MissingDependencyError: pyarrow is not installed.
     """
     check_pyarrow()
-    import pyarrow  # the extra `batch`
-    from pyarrow import parquet  # the extra `batch`
-
-    limits = {
-        "thrift_string_size_limit": len(content) + 1,
-        "thrift_container_size_limit": FREE_PARTS + len(content) // BYTES_PER_PART,
-    }
     try:
-        metadata = parquet.ParquetFile(pyarrow.BufferReader(content), **limits).metadata
-        unpacked, rows_at_once, texts = _check_claims(metadata, content, name)
-        # texts that rows share stay shared until it is known how much they are
-        file = parquet.ParquetFile(
-            pyarrow.BufferReader(content), metadata=metadata, read_dictionary=texts, **limits
-        )
+        metadata = _read_metadata(content)
+        unpacked, readings = check_claims(metadata, content, name)
         number = num_bytes = 0
-        # group by group: each has its own texts to share, and pyarrow can't join these in structs
-        groups = range(metadata.num_row_groups)
-        for batch in chain.from_iterable(
-            file.iter_batches(rows_at_once, [group], use_threads=False) for group in groups
-        ):
-            num_bytes += sum(map(_text_bytes, batch.columns))
-            _check_size(num_bytes, FREE_TEXT + TEXT_PER_BYTE * unpacked, "bytes of text", name)
+        for batch in _read_batches(content, metadata, readings):
             _check_size(number + len(batch), FREE_ROWS + unpacked // BYTES_PER_ROW, "rows", name)
+            num_bytes += sum(map(count_text_bytes, batch.columns))
+            most = FREE_TEXT + TEXT_PER_BYTE * unpacked + TEXT_PER_ROW * (number + len(batch))
+            _check_size(num_bytes, most, "bytes of text", name)
             for row in batch.to_pylist():
                 number += 1
                 yield f"{name}, row {number}", _without_nulls(row)
@@ -78,46 +87,89 @@ def read_table(content: bytes, name: str) -> Iterator[tuple[str, Json]]:
         raise ConfigError(f"broken Parquet in {name}: {reason}") from error
 
 
-def _check_claims(metadata: Any, content: bytes, name: str) -> tuple[int, int, list[str]]:
+def _read_metadata(content: bytes) -> Any:
+    """What the footer says, without Arrow's own types: then all is read as Parquet's."""
+    size = int.from_bytes(content[-4 - MAGIC : -MAGIC], "little") + 4 + MAGIC
+    footer = content[-size:].replace(ARROW_TYPES, b"-" * len(ARROW_TYPES))
+    return _open(footer, len(content)).metadata
+
+
+def _open(content: bytes, size: int, **options: Any) -> Any:
+    """A Parquet file of pyarrow; the size is that of the whole file [bytes]."""
+    import pyarrow  # the extra `batch`
+    from pyarrow import parquet  # the extra `batch`
+
+    options["thrift_string_size_limit"] = size + 1
+    options["thrift_container_size_limit"] = FREE_PARTS + size // BYTES_PER_PART
+    # JSON as text, whose copies can be avoided; pyarrow before 21 has it so
+    if "arrow_extensions_enabled" in signature(parquet.ParquetFile).parameters:
+        options["arrow_extensions_enabled"] = False
+    return parquet.ParquetFile(pyarrow.BufferReader(content), **options)
+
+
+def _read_batches(content: bytes, metadata: Any, readings: list[Reading]) -> Iterator[Any]:
+    """The rows, some at once; texts that they share stay shared.
+
+    Group by group: each has its own texts to share, and pyarrow can't join these in structs.
+    """
+    file, texts = None, None
+    for group, reading in zip(range(metadata.num_row_groups), readings, strict=True):
+        if file is None or texts != reading.texts:
+            texts = reading.texts
+            file = _open(content, len(content), metadata=metadata, read_dictionary=texts)
+        yield from file.iter_batches(reading.rows_at_once, [group], use_threads=False)
+
+
+def check_claims(metadata: Any, content: bytes, name: str) -> tuple[int, list[Reading]]:
     """Check what the headers of pages claim, before anything is unpacked.
 
+    Args:
+        metadata: what pyarrow has of the footer.
+        content: the file.
+        name: what messages call it.
+
     Returns:
-        What all pages unpack to [bytes], how many rows may be read at once, and the columns whose
-        texts can be read without a copy for each row that has them.
+        What all pages unpack to [bytes], and how each group of rows is read.
 
     Raises:
         ConfigError: it is too much.
     """
     most_unpacked = max(FREE_UNPACKED, UNPACKED_PER_BYTE * len(content))
     most_pages = FREE_PAGES + len(content) // BYTES_PER_PAGE
-    unpacked = values = pages = fixed = longest = 0
-    texts = []
+    unpacked = values = pages = fixed = 0
+    readings = []
     _check_size(metadata.num_columns, MAX_COLUMNS, "columns", name)
-    groups = read_chunks(content)
-    for number in range(metadata.num_columns):
-        column = metadata.schema.column(number)
-        length = column.length if column.physical_type == "FIXED_LEN_BYTE_ARRAY" else 0
-        column_longest, is_delta = 0, False
-        for page in (page for group in groups for page in list_pages(content, group[number])):
-            unpacked, values, pages = unpacked + page.unpacked, values + page.values, pages + 1
-            fixed += page.values * length
-            column_longest = max(column_longest, page.unpacked)
-            is_delta |= page.is_delta
-            _check_size(unpacked, most_unpacked, "bytes unpacked", name)
-            _check_size(pages, most_pages, "pages", name)
-        if column.physical_type != "BYTE_ARRAY":
-            continue
-        if not is_delta:
-            texts.append(column.path)
-        elif column.max_repetition_level:
-            raise ConfigError(
-                f"{name} has lists of texts in an encoding of differences: save it as PLAIN"
-            )
-        else:  # pyarrow copies these for each row, and each may be as long as a page
-            longest = max(longest, column_longest)
+    columns = [metadata.schema.column(number) for number in range(metadata.num_columns)]
+    for group in read_chunks(content):
+        texts, longest = [], 0
+        for number, column in enumerate(columns):
+            length = column.length if column.physical_type == "FIXED_LEN_BYTE_ARRAY" else 0
+            encodings: set[int] = set()
+            longest_page = 0
+            for page in list_pages(content, group[number]):
+                unpacked, values, pages = unpacked + page.unpacked, values + page.values, pages + 1
+                fixed += page.values * length
+                longest_page = max(longest_page, page.unpacked)
+                encodings.update(page.encodings)
+                _check_size(unpacked, most_unpacked, "bytes unpacked", name)
+                _check_size(pages, most_pages, "pages", name)
+            if column.physical_type != "BYTE_ARRAY":
+                continue
+            if not encodings & {DELTA_BYTE_ARRAY, DELTA_LENGTH_BYTE_ARRAY}:
+                texts.append(column.path)
+            elif DELTA_BYTE_ARRAY not in encodings and not encodings & DICTIONARY:
+                continue  # its pages have each text in full
+            elif column.max_repetition_level:
+                raise ConfigError(
+                    f"{name} has lists of texts in an encoding of differences: save it as PLAIN"
+                )
+            else:  # pyarrow copies these for each row, and each may be as long as a page
+                longest = max(longest, longest_page)
+        rows_at_once = max(1, min(ROWS_AT_ONCE, FREE_TEXT // 4 // max(longest, 1)))
+        readings.append(Reading(tuple(texts), rows_at_once))
     _check_size(values, FREE_VALUES + VALUES_PER_BYTE * unpacked, "values", name)
     _check_size(fixed, FREE_TEXT + TEXT_PER_BYTE * unpacked, "bytes of fixed length", name)
-    return unpacked, max(1, min(ROWS_AT_ONCE, FREE_TEXT // 4 // max(longest, 1))), texts
+    return unpacked, readings
 
 
 def _check_size(size: int, most: int, what: str, name: str) -> None:
@@ -128,24 +180,33 @@ def _check_size(size: int, most: int, what: str, name: str) -> None:
         )
 
 
-def _text_bytes(array: Any) -> int:
-    """What the texts of an array of Arrow take where each value has its own [bytes]."""
-    import pyarrow  # the extra `batch`
-    from pyarrow import compute  # the extra `batch`
+def count_text_bytes(array: Any) -> int:
+    """What the texts of an array of Arrow take where each value has its own [bytes].
+
+    Values of fixed length count nothing: pages say how many there are.
+
+    Raises:
+        TypeError: it has values of a type that Parquet hasn't.
+    """
+    from pyarrow import compute, types  # the extra `batch`
 
     kind = array.type
-    if pyarrow.types.is_dictionary(kind):
+    if types.is_dictionary(kind):
         lengths = compute.binary_length(array.dictionary)
         return int(compute.sum(lengths.take(array.indices)).as_py() or 0)
-    if pyarrow.types.is_struct(kind):
-        return sum(map(_text_bytes, array.flatten()))
-    if pyarrow.types.is_string(kind) or pyarrow.types.is_binary(kind):
+    if types.is_struct(kind):
+        return sum(map(count_text_bytes, array.flatten()))
+    if types.is_string(kind) or types.is_binary(kind):
         return int(array.nbytes)
-    if pyarrow.types.is_map(kind):
-        return _text_bytes(array.keys) + _text_bytes(array.items)
-    if pyarrow.types.is_list(kind) or pyarrow.types.is_large_list(kind):
-        return _text_bytes(array.flatten())
-    return 0
+    if types.is_map(kind):
+        return count_text_bytes(array.keys) + count_text_bytes(array.items)
+    if types.is_list(kind):
+        return count_text_bytes(array.flatten())
+    if types.is_fixed_size_binary(kind) or types.is_decimal(kind):
+        return 0
+    if types.is_primitive(kind) or types.is_null(kind):
+        return 0
+    raise TypeError(f"values of the type {kind}")
 
 
 def _without_nulls(row: Mapping[str, Any]) -> Json:

@@ -66,12 +66,16 @@ def check_grid(grid: NavGrid) -> None:
     for state in ("open", "closed", "removed", "modelled"):
         attempt(lambda state=state: dumps_navgrid(grid.with_doors(state)))
     if is_one_in(8, written):
-        finder = navbake.PathFinder(grid)
-        for goal in (middle, (x0, y0), *(f"room:{room.id}" for room in grid.rooms[:2])):
-            attempt(lambda goal=goal: finder.find_path(middle, goal))
-        attempt(lambda: finder.random_point(np.random.default_rng(0)))
-        attempt(lambda: finder.snap(middle))
+        attempt(lambda: _plan(grid, middle, (x0, y0)))  # weights may be less than 0
         attempt(lambda: dumps_navgrid(grid.inflate(grid.levels[0].lattice.cell_size)))
+
+
+def _plan(grid: NavGrid, middle: tuple[float, float], corner: tuple[float, float]) -> None:
+    finder = navbake.PathFinder(grid)
+    for goal in (middle, corner, *(f"room:{room.id}" for room in grid.rooms[:2])):
+        attempt(lambda goal=goal: finder.find_path(middle, goal))
+    attempt(lambda: finder.random_point(np.random.default_rng(0)))
+    attempt(lambda: finder.snap(middle))
 
 
 def _check_levels(grid: NavGrid) -> None:

@@ -24,12 +24,13 @@ FIELDS = tuple(bytes([byte]) for byte in (0x15, 0x16, 0x18, 0x19, 0x1C, 0x25, 0x
 CODECS = ("none", "snappy", "gzip", "zstd", "lz4", "brotli")
 ENCODINGS = ("PLAIN", "DELTA_BYTE_ARRAY", "DELTA_LENGTH_BYTE_ARRAY")
 LONG = "a" * 1_000_000
+BOMBS = 11  # kinds of them
 NAMES = (*WORDS, "scene", "agent", "agent.radius.x", "scene.path", "a.b", "__index_level_0__")
 
 
 def make_parquet(rng: Random) -> Input:
     """A list of scenes whose columns, pages or footer are odd; now and then a bomb."""
-    data = make_bomb(rng.randrange(7)) if rng.random() < 0.02 else _write(_make_table(rng), rng)
+    data = make_bomb(rng.randrange(BOMBS)) if rng.random() < 0.02 else _write(_make_table(rng), rng)
     chance = rng.random()
     if chance < 0.3:
         data = _change_footer(data, rng)
@@ -167,7 +168,19 @@ def make_bomb(kind: int) -> bytes:
         options |= {"use_dictionary": False, "column_encoding": {"scene": "DELTA_BYTE_ARRAY"}}
     elif kind == 5:
         columns = {"scene": pyarrow.array([LONG.encode()] * 40, pyarrow.binary(len(LONG)))}
-    else:
+    elif kind == 6:
         columns = {"scene": pyarrow.array(["a.xml"] * 2_000_000).dictionary_encode()}
+    elif kind == 7:  # Arrow's own types, of texts that rows share
+        columns = {"scene": pyarrow.array([LONG] * 40, pyarrow.large_string())}
+        options |= {"use_dictionary": False, "column_encoding": {"scene": "DELTA_BYTE_ARRAY"}}
+    elif kind == 8:
+        texts = pyarrow.DictionaryArray.from_arrays(pyarrow.array([0] * 120, "int32"), [LONG])
+        columns = {"scene": pyarrow.FixedSizeListArray.from_arrays(texts, 3)}
+    elif kind == 9:
+        texts = pyarrow.array([LONG] * 40)
+        columns = {"scene": pyarrow.ExtensionArray.from_storage(pyarrow.json_(), texts)}
+    else:
+        texts = pyarrow.list_view(pyarrow.string())
+        columns = {"scene": pyarrow.array([[LONG]] * 40, texts)}
     parquet.write_table(pyarrow.table(columns), file, **options)
     return file.getvalue()

@@ -21,6 +21,7 @@ from batch_in_process import stay_in_process
 from batch_processes import PATIENCE, Watcher, digests, start, wait_for_grids, wait_until_gone
 from batch_scenes import write_scenes
 from navbake import files
+from navbake.batch import index, journal
 from navbake.batch.stores.index import TakenOverError
 from navbake.cli.commands import batch as command
 from navbake.cli.commands import warm_up
@@ -314,3 +315,123 @@ def test_a_full_disk_ends_the_batch_with_one_line(folder, run, here, monkeypatch
     assert status == 1 and out.startswith("2 left in ")
     assert err == f"navbake: stopped: cannot write into {Path('out/room')}: {why}\n"
     assert run("batch", "room.xml", "second.xml", "-o", "out", *COARSE)[0] == 0
+
+
+NO_ROOM = "No space left on device: free space and run the same command again"
+
+
+def refuse_room(*arguments, **options):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_disk_that_is_full_before_the_batch_begins(folder, run, here, monkeypatch):
+    options = ("batch", "room.xml", "-o", "out", "--parquet", *COARSE)
+    with monkeypatch.context() as patch:
+        patch.setattr(index.os, "open", refuse_room)
+        assert run(*options) == (1, "", f"navbake: cannot write into out: {NO_ROOM}\n")
+    pytest.importorskip("pyarrow")
+    assert run(*options)[0] == 0
+    table = Path("out/index.parquet").read_bytes()
+    with monkeypatch.context() as patch:  # no file can be made, and no line be added
+        patch.setattr(index, "write_whole", refuse_room)
+        patch.setattr(files, "create_temporary", refuse_room)
+        status, out, err = run(*options)
+        assert (status, err) == (1, f"navbake: stopped: cannot write into out: {NO_ROOM}\n")
+        assert out.startswith("1 skipped") and out.endswith(f": {Path('out/index.jsonl')}\n")
+        assert Path("out/index.parquet").read_bytes() == table  # which is as true as before
+        shutil.copy("room.xml", "second.xml")
+        status, out, _ = run(*options, "second.xml")
+        assert status == 1 and out.startswith("1 skipped, 1 left, ")
+        assert Path("out/index.parquet").read_bytes() == table
+    assert run(*options)[1].endswith(f", {Path('out/index.parquet')}\n")
+
+
+def test_a_table_that_can_not_be_written_anew_is_not_there(folder, run, here, monkeypatch):
+    pytest.importorskip("pyarrow")
+    shutil.copy("room.xml", "second.xml")
+    real = index.write_whole
+
+    def write(content, path):
+        if path.name == command.TABLE:
+            refuse_room()
+        real(content, path)
+
+    options = ("-o", "out", "--parquet", *COARSE)
+    assert run("batch", "room.xml", *options)[0] == 0
+    with monkeypatch.context() as patch:
+        patch.setattr(index, "write_whole", write)
+        status, out, err = run("batch", "room.xml", "second.xml", *options)
+    assert (status, err) == (1, f"navbake: stopped: cannot write into out: {NO_ROOM}\n")
+    assert out.startswith("1 baked, 1 skipped") and command.TABLE not in out
+    assert not Path("out/index.parquet").exists()
+    status, out, _ = run("batch", "second.xml", "room.xml", *options)  # only the order is another
+    assert status == 0 and Path("out/index.parquet").exists()
+    with monkeypatch.context() as patch:
+        patch.setattr(index, "write_whole", write)
+        assert run("batch", "room.xml", "second.xml", *options)[0] == 1
+    assert not Path("out/index.parquet").exists()
+
+
+def test_a_batch_without_a_table_removes_that_of_another(folder, run, here):
+    pytest.importorskip("pyarrow")
+    assert run("batch", "room.xml", "-o", "out", "--parquet", *COARSE)[0] == 0
+    assert Path("out/index.parquet").exists()
+    assert run("batch", "room.xml", "-o", "out", *COARSE)[0] == 0
+    assert not Path("out/index.parquet").exists()
+
+
+def test_no_folder_for_temporary_files_ends_the_batch_with_one_line(folder, run, monkeypatch):
+    def refuse():
+        raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/tmp']")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("tempfile.gettempdir", refuse)
+        patch.setattr(command, "_warm_up", lambda: None)
+        status, out, err = run("batch", "room.xml", "-o", "out", *COARSE)
+    assert (status, out) == (1, "") and err == (
+        "navbake: cannot write temporary files: No usable temporary directory found in ['/tmp']: "
+        "free space, or set TMPDIR to a folder that has room\n"
+    )
+    (row,) = map(json.loads, Path("out/index.jsonl").read_text().splitlines())
+    assert row["status"] == "left"
+
+
+@pytest.mark.parametrize("lines", [0, 2])
+def test_a_log_without_room_does_not_hide_what_the_batch_came_to(
+    folder, run, here, monkeypatch, lines
+):
+    count = iter(range(lines))
+
+    def write(file, data):
+        if next(count, None) is None:
+            refuse_room()
+
+    options = ("batch", "room.xml", "-o", "out", "--log", "log.jsonl", *COARSE)
+    with monkeypatch.context() as patch:
+        patch.setattr(journal, "write_all", write)
+        status, out, err = run(*options)
+    assert (status, err) == (1, f"navbake: stopped: cannot write the log log.jsonl: {NO_ROOM}\n")
+    assert out.startswith("1 baked" if lines else "1 left in ")
+    count = iter(())
+    with monkeypatch.context() as patch:
+        patch.setattr(journal, "write_all", write)
+        status, out, err = run(*options, "--json", "--set", "grid.cell_size=0.2")
+    assert (status, err) == (1, f"navbake: cannot write the log log.jsonl: {NO_ROOM}\n")
+    assert json.loads(out.splitlines()[-1])["event"] == "end"
+
+
+def test_thumbnails_without_room_are_no_fault_of_the_grids(folder, run, here, monkeypatch):
+    options = ("batch", "room.xml", "-o", "out", "--page", *COARSE)
+    assert run(*options)[0] == 0
+    Path("out/room/thumbnail.png").unlink()
+    real = files.create_temporary
+
+    def create(folder, mode=0o666):
+        return real(folder, mode) if folder.name != "room" else refuse_room()
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "create_temporary", create)
+        status, _, err = run(*options)
+    assert status == 0 and err == f"navbake: warning: cannot write thumbnails into out: {NO_ROOM}\n"
+    Path("out/room/grid.json.gz").write_bytes(b"")
+    assert run("report", "out")[2] == "navbake: warning: 1 thumbnail can't be made of its grid\n"

@@ -12,7 +12,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
-from navbake.baker.scene.guard.scratch import scratch_folder
+from navbake.baker.scene.guard.scratch import scratch_folder, short_place
 from navbake.errors import MissingDependencyError, NavbakeError
 
 ADDRESS = "RAY_ADDRESS"  # the variable that names a cluster
@@ -55,7 +55,7 @@ def connected(address: str | None, num_slots: int) -> Iterator[tuple[Any, bool]]
             yield ray, False
             return
         _check_reachable(address)
-        with scratch_folder(_short_place()) if is_own else nullcontext() as folder, _silent():
+        with scratch_folder(short_place()) if is_own else nullcontext() as folder, _silent():
             try:
                 _connect(ray, address, {} if folder is None else _own_options(folder, num_slots))
                 yield ray, is_own
@@ -123,9 +123,3 @@ def _own_options(folder: Path, num_slots: int) -> dict[str, Any]:
         "object_store_memory": STORE,
         "_temp_dir": str(folder),
     }
-
-
-def _short_place() -> Path | None:
-    """Where the folder of a cluster of one's own is: paths of sockets must be short."""
-    place = Path("/tmp")
-    return place if sys.platform != "win32" and place.is_dir() else None

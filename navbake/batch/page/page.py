@@ -11,10 +11,11 @@ from urllib.parse import quote
 
 import orjson
 
+from navbake.batch.full import no_room, why_full
 from navbake.batch.journal import stamp
 from navbake.batch.page.content import Progress, describe_batch, is_row, is_safe
 from navbake.batch.page.files import files_of
-from navbake.batch.stores.urls import Folder
+from navbake.batch.stores.urls import Folder, shown
 from navbake.errors import NavbakeError
 from navbake.formats.source import write_bytes
 from navbake.types import Json
@@ -73,6 +74,9 @@ def draw_thumbnails(folder: Folder, show: Callable[[float], None]) -> int:
 
     Args:
         show: is told which share of them is done.
+
+    Raises:
+        FullError: the folder has no room for one; the others are not tried.
     """
     files = files_of(folder)
     has_thumbnail, num_failed = files.find_thumbnails(), 0
@@ -82,7 +86,10 @@ def draw_thumbnails(folder: Folder, show: Callable[[float], None]) -> int:
         show(number / len(missing))
         try:
             files.draw_thumbnail(id)
-        except NavbakeError:  # no grid, a broken one, or a folder that can't be written
+        except NavbakeError as error:  # no grid, a broken one, or a folder that can't be written
+            why = why_full(error)
+            if why is not None:
+                raise no_room(f"thumbnails into {shown(os.fspath(folder))}", why) from error
             num_failed += 1
     return num_failed
 

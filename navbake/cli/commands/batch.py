@@ -198,7 +198,7 @@ class _Teller:
         from navbake.batch.journal import Journal, LogFile
 
         self._stack, self._as_json, self._folder = stack, wholly.as_json, folder
-        self._has_page, self._has_table = wholly.page, wholly.parquet
+        self._has_page = wholly.page
         takers: list[Callable[[Json], None]] = [print_json_line] if wholly.as_json else []
         if wholly.log is not None:
             log = LogFile(wholly.log)
@@ -275,7 +275,12 @@ class _Teller:
             "left": result.count("left"),
         }
         seconds = time.perf_counter() - self._begin
-        self._journal.end(counts, result.stopped, seconds)
+        try:
+            self._journal.end(counts, result.stopped, seconds)
+        except NavbakeError as error:  # of the log; what the batch came to is told all the same
+            if self._as_json:
+                print_error(str(error))
+            result.stopped = result.stopped or str(error)
         if self._has_page:
             draw_missing_thumbnails(self._folder)
             try:
@@ -289,7 +294,7 @@ class _Teller:
             print_error(f"stopped: {result.stopped}")
         warned = sum(bool(row.get("warnings")) for row in result.rows)
         notes = f", {warned} with warnings" if warned else ""
-        names = [INDEX, *[TABLE] * self._has_table, *[PAGE] * self._has_page]
+        names = [INDEX, *[TABLE] * result.has_table, *[PAGE] * self._has_page]
         files = ", ".join(shown(os.path.join(self._folder, name)) for name in names)
         say_unless_quiet(f"{_told(counts)}{notes} in {seconds:.1f} s: {files}")
 
@@ -300,13 +305,20 @@ def _told(counts: Json) -> str:
 
 def draw_missing_thumbnails(folder: Folder) -> None:
     """Draw the thumbnails that a batch's page lacks, as of scenes that were baked without one."""
+    from navbake.batch.full import FullError
     from navbake.batch.page.page import draw_thumbnails
     from navbake.cli.progress import stage_progress
 
-    with stage_progress(title="page", hidden=VOLUME.quiet) as show:
-        lacking = draw_thumbnails(folder, lambda share: show("thumbnails", share))
+    try:
+        with stage_progress(title="page", hidden=VOLUME.quiet) as show:
+            lacking = draw_thumbnails(folder, lambda share: show("thumbnails", share))
+    except FullError as error:
+        print_warnings([str(error)])
+        return
     if lacking:
-        print_warnings([f"{lacking} thumbnails can't be made of their grids"])
+        what = "1 thumbnail can't be made of its grid"
+        several = f"{lacking} thumbnails can't be made of their grids"
+        print_warnings([what if lacking == 1 else several])
 
 
 def _warm_up() -> None:

@@ -53,8 +53,7 @@ def open_image(source: str | PathLike[str], kinds: tuple[str, ...] = tuple(BEGIN
     data, name = read_bytes(source, begins=begins, expected=f"a {names} image", limit=MAX_BYTES)
     try:
         with warnings.catch_warnings():
-            # of many pixels, which are counted here
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            warnings.simplefilter("ignore")  # pixels are counted here; all else is read
             image = Image.open(io.BytesIO(data), formats=kinds)
         if _least_bytes(image) > len(data):
             raise ValueError("it is cut off")

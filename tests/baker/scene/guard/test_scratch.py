@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
+import time
+from pathlib import Path
 
 import pytest
 
 from navbake import files
 from navbake.baker.scene.guard import scratch
-from navbake.baker.scene.guard.scratch import remove_abandoned, scratch_folder
+from navbake.baker.scene.guard.scratch import remove_abandoned, scratch_file, scratch_folder
+from navbake.errors import NavbakeError
 from project_paths import ROOT
 
 locking = pytest.mark.skipif(files.fcntl is None, reason="nothing can be locked")
@@ -32,6 +36,7 @@ def place(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(scratch, "_swept", set())
+    monkeypatch.setattr(scratch, "short_place", lambda: None)
     return tmp_path
 
 
@@ -90,3 +95,85 @@ def test_what_others_have_there_is_left_alone(place):
     before = sorted(os.listdir(place))
     remove_abandoned()
     assert sorted(os.listdir(place)) == before and (place / "navbake-plans" / "kept").exists()
+
+
+def make_old(*paths):
+    for path in paths:
+        os.utime(path, (0, time.time() - files.OLD - 60))
+
+
+@pytest.fixture
+def long_lived(place):
+    """A folder as one of yesterday's that is still in use, and its file."""
+    folder, lock = place / f"navbake-{'0' * 16}", place / f".navbake-{'0' * 16}.tmp"
+    (folder / "logs").mkdir(parents=True)
+    lock.touch()
+    written = folder / "logs" / "today"
+    written.touch()
+    make_old(lock, folder / "logs", folder)
+    return folder, lock, written
+
+
+def test_without_locks_a_folder_is_in_use_while_something_in_it_is_written(long_lived, monkeypatch):
+    folder, lock, written = long_lived
+    monkeypatch.setattr(files, "fcntl", None)
+    remove_abandoned()
+    assert written.exists() and lock.exists()
+    make_old(written)
+    remove_abandoned()
+    assert not folder.exists() and not lock.exists()
+
+
+def test_a_folder_whose_file_was_cleaned_up_is_in_use_while_something_in_it_is_written(long_lived):
+    folder, lock, written = long_lived
+    lock.unlink()
+    remove_abandoned()
+    assert written.exists()
+    make_old(written)
+    remove_abandoned()
+    assert not folder.exists()
+
+
+@locking
+def test_all_places_of_folders_are_looked_at(place, monkeypatch):
+    (place / "short").mkdir()
+    monkeypatch.setattr(scratch, "short_place", lambda: place / "short")
+    for parent in (place, place / "short"):
+        (parent / f"navbake-{'0' * 16}").mkdir()
+        (parent / f".navbake-{'0' * 16}.tmp").touch()
+    remove_abandoned()
+    assert os.listdir(place) == ["short"] and os.listdir(place / "short") == []
+
+
+def refuse(*arguments):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def enter_folder(where=None):
+    with scratch_folder(where):
+        pytest.fail("there is none")
+
+
+@pytest.mark.parametrize("make", [scratch_file, enter_folder])
+def test_where_no_folder_takes_temporary_files_one_line_says_what_to_do(place, make, monkeypatch):
+    def refuse_all():
+        raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/tmp']")
+
+    monkeypatch.setattr("tempfile.gettempdir", refuse_all)
+    remove_abandoned()
+    with pytest.raises(NavbakeError, match=r"No usable .*: free space, or set TMPDIR") as caught:
+        make()
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("where", ["create_temporary", "Path.mkdir"])
+def test_a_folder_without_room_is_one_line(place, where, monkeypatch):
+    monkeypatch.setattr(f"{scratch.__name__}.{where}", refuse)
+    why = f"cannot write temporary files into {place}: No space left on device: free space"
+    with pytest.raises(NavbakeError) as caught:
+        enter_folder()
+    assert str(caught.value) == f"{why}, or set TMPDIR to a folder that has room"
+    with pytest.raises(NavbakeError) as caught:
+        enter_folder(Path(place))  # TMPDIR doesn't move that
+    assert str(caught.value) == why
+    assert os.listdir(place) == []
