@@ -6,7 +6,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 
 STDERR = 2  # the file descriptor that C writes to
 _LOCK = threading.Lock()  # a process has one stderr, whatever the thread
@@ -29,30 +29,29 @@ def catch_chatter() -> Iterator[list[str]]:
     printed meanwhile, by this thread or another, goes to stderr afterwards. Threads take turns.
     """
     lines: list[str] = []
-    with _LOCK:
+    with _LOCK, ExitStack() as stack:
         with suppress(AttributeError, OSError, ValueError):
             sys.stderr.flush()
-        try:
+        shown, file = STDERR, None
+        with suppress(OSError):  # there is no stderr, or no folder has room for a file
             shown = os.dup(STDERR)
-        except OSError:  # there is no stderr
+            stack.callback(os.close, shown)
+            file = stack.enter_context(tempfile.TemporaryFile())
+        if file is None:
             yield lines
             return
+        os.dup2(file.fileno(), STDERR)
         try:
-            with tempfile.TemporaryFile() as file:
-                os.dup2(file.fileno(), STDERR)
-                try:
-                    yield lines
-                finally:
-                    with suppress(AttributeError, OSError, ValueError):
-                        sys.stderr.flush()
-                    os.dup2(shown, STDERR)
-                    file.seek(0)
-                    chatter, others = _split(file.read())
-                    lines += chatter
-                    if others:
-                        os.write(STDERR, others)
+            yield lines
         finally:
-            os.close(shown)
+            with suppress(AttributeError, OSError, ValueError):
+                sys.stderr.flush()
+            os.dup2(shown, STDERR)
+            file.seek(0)
+            chatter, others = _split(file.read())
+            lines += chatter
+            if others:
+                os.write(STDERR, others)
 
 
 def _split(printed: bytes) -> tuple[list[str], bytes]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -194,6 +195,14 @@ def test_qhull_s_messages_are_caught_and_others_pass(capfd):
         os.write(2, b"a point without a hull, and no end of line")
     assert lines == []
     assert capfd.readouterr().err == "a point without a hull, and no end of line"
+
+
+def test_where_no_folder_has_room_all_is_shown(capfd, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(tempfile, "tempdir", "/no/such/folder")
+        with catch_chatter() as lines:
+            os.write(2, b"QH6154 Qhull precision error\n")
+    assert lines == [] and capfd.readouterr().err == "QH6154 Qhull precision error\n"
 
 
 def test_threads_take_turns_at_stderr(capfd):
