@@ -198,7 +198,7 @@ def loop(paths: list[str], out: str, edge: float) -> Pace:
 
     Like a batch, it does not wait for the disk.
     """
-    prepare()
+    prepare((), False)
     begin = Pace(0.0, 0.0)
     for number, path in enumerate(paths):
         if number == WARM:  # the first ones load what is left to load
