@@ -270,10 +270,13 @@ def _height_field(model: Any, hfield: int) -> Float:
     shape = int(model.hfield_nrow[hfield]), int(model.hfield_ncol[hfield])
     first = int(model.hfield_adr[hfield])
     heights = model.hfield_data[first : first + shape[0] * shape[1]].reshape(shape)
+    size = model.hfield_size[hfield]
+    name = name_at(model, model.name_hfieldadr[hfield])
     if not np.isfinite(heights).all():
-        name = name_at(model, model.name_hfieldadr[hfield])
         raise SceneError(f"hfield {name!r} has heights that are no numbers")
-    return height_field_triangles(heights.astype(np.float64), model.hfield_size[hfield])
+    if not (np.abs(size) <= LARGEST).all():  # NaN is neither
+        raise SceneError(f"hfield {name!r} has a size that is no number, or beyond {LARGEST:g} m")
+    return height_field_triangles(heights.astype(np.float64), size)
 
 
 def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, Int | Int32, Int32 | None]:

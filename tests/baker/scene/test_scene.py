@@ -480,3 +480,16 @@ def test_digest_changes_with_the_scene(load, old, new):
 
 def test_digest_changes_with_the_pose(load):
     assert load(WORLD).digest != load(WORLD, joints={"j": 1.0}).digest
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e101])
+def test_height_fields_without_a_size_are_refused(tmp_path, value):
+    """As of a broken MJB."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><asset><hfield name="hill" nrow="2" ncol="2" size="1 1 1 0.1"/></asset>'
+        '<worldbody><geom type="hfield" hfield="hill"/></worldbody></mujoco>'
+    )
+    model.hfield_size[0, 1] = value
+    mujoco.mj_saveModel(model, str(tmp_path / "a.mjb"))
+    with pytest.raises(SceneError, match="hfield 'hill' has a size that is no number, or beyond"):
+        load_scene(SceneSettings(path=tmp_path / "a.mjb"))
