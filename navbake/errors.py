@@ -41,6 +41,14 @@ class BakeWarning(UserWarning):
     """
 
 
+LONGEST = 200  # characters of a name in a message
+
+
+def shorten(text: str) -> str:
+    """A name as far as a message shows it: a message is a line of a terminal, not a page."""
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}…"
+
+
 def printable(message: str) -> str:
     """The message with all that no terminal shows escaped, as a name of a file may have it."""
     if message.isprintable():

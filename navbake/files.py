@@ -233,7 +233,8 @@ def remove_leftovers(folder: Path, last_change: Callable[[Path], float] = modifi
 
     Args:
         folder: where they are.
-        last_change: since when a file is as it is [s since 1970], where none can be locked.
+        last_change: tells when a file was written last [s since 1970]; asked where files can't be
+            locked.
     """
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:

@@ -190,7 +190,6 @@ def _run(
     left = {o.job.id: o for o in orders if o.job.id not in skipped}
     result = BatchResult(skipped=len(skipped))
     waiting, num_failed = [*left.values()], 0
-    is_changed = False  # whether the index is
     get_ready = partial(prepare, orders[0].products, orders[0].thumbnail) if orders else None
     try:
         if waiting:
@@ -206,14 +205,13 @@ def _run(
             on_event=lambda event: watch.hear(event, _id_of(event, waiting)),
         )
         with closing(ended):
-            for end in ended:
+            for number, end in enumerate(ended):
                 row = _row(waiting[end.number], end)
                 if row["status"] == LEFT:  # there is no room for it, nor for the others
                     result.stopped = row["error"]
                     break
-                if not is_changed:
+                if number == 0:
                     index.remove(TABLE)  # it would say less than the index
-                    is_changed = True
                 index.add(row)
                 watch.end_scene(row)
                 num_failed += row["status"] == FAILED

@@ -17,18 +17,18 @@ RECENT = 2_000_000_000  # age below which a file may change again without a new 
 
 
 def describe_files(
-    paths: Iterable[Path], folder: Path, *, may_change: bool = True
+    paths: Iterable[Path], places: Places, *, may_change: bool = True
 ) -> dict[str, Json]:
     """Size, time of change [ns] and sha256 of files, by their path from a folder.
 
     Args:
+        places: of the folder.
         may_change: whether others may be writing them now. Then the time of change is given as 0
             where it is too recent to prove that the content is the same later.
 
     Raises:
         OSError: one can't be read.
     """
-    places = Places(folder)
     return {places.of_file(path): _describe(path, may_change) for path in paths}
 
 

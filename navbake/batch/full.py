@@ -30,6 +30,13 @@ def no_room(what: str, error: OSError) -> FullError:
     )
 
 
+def refused(what: str, error: OSError) -> NavbakeError:
+    """The error for what the system refuses to write; a FullError where there is no room."""
+    if why_full(error):
+        return no_room(what, error)
+    return NavbakeError(f"cannot write {what}: {error.strerror}")
+
+
 @contextmanager
 def telling_full(place: str | os.PathLike[str]) -> Iterator[None]:
     """Raise a FullError that names `place` where what is written inside finds no room there."""
@@ -43,7 +50,7 @@ def telling_full(place: str | os.PathLike[str]) -> Iterator[None]:
 
 
 def why_full(error: BaseException | None) -> OSError | None:
-    """The error of the system that says so, of which another may be the consequence; or None."""
+    """The system's error that says so, be it this one or a cause of it; None if there is none."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in REMEDIES:
             return error

@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from navbake.batch.full import no_room, why_full
+from navbake.batch.full import refused
 from navbake.errors import NavbakeError
 from navbake.files import wait_for_disk, write_all, write_whole
 from navbake.types import Json
@@ -134,9 +134,7 @@ def _naming(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if why_full(error):
-            raise no_room(f"into {folder}", error) from error
-        raise NavbakeError(f"cannot write into {folder}: {error.strerror}") from error
+        raise refused(f"into {folder}", error) from error
 
 
 def order_rows(

@@ -7,7 +7,7 @@ import unicodedata
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from navbake.errors import ConfigError
+from navbake.errors import ConfigError, shorten
 from navbake.types import Json
 
 # what some file system takes for something else than a letter of a name
@@ -55,11 +55,6 @@ def check_id(name: str, place: str) -> None:
                 f"expected an id that can be the name of a folder on any system, or several "
                 f"between slashes, got {shorten(repr(name))} at {place}: give it another `id`"
             )
-
-
-def shorten(text: str) -> str:
-    """What a list says, as far as a message shows it: one line of a terminal, not a page."""
-    return text if len(text) <= MAX_BYTES else f"{text[:MAX_BYTES]}…"
 
 
 def check_unique(jobs: Sequence[Job]) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 from navbake._version import __version__
 from navbake.batch.crew import AGAIN, BEGUN, LOST, READY, Event
-from navbake.batch.full import no_room, why_full
+from navbake.batch.full import refused
 from navbake.errors import NavbakeError
 from navbake.files import write_all
 from navbake.types import Json
@@ -109,6 +109,4 @@ class LogFile:
             os.close(self._file)
 
     def _refused(self, error: OSError) -> NavbakeError:
-        if why_full(error):
-            return no_room(f"the log {self._path}", error)
-        return NavbakeError(f"cannot write the log {self._path}: {error.strerror}")
+        return refused(f"the log {self._path}", error)

@@ -14,14 +14,14 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePath, PurePosixPath
 from typing import Any
 
-from navbake.batch.job import Job, check_id, check_unique, shorten
+from navbake.batch.job import Job, check_id, check_unique
 from navbake.batch.settings import check_shared, nest
 from navbake.batch.stores.store import is_pattern, match_files, read_file
 from navbake.batch.stores.urls import Folder, is_url, join, parent, plain_path, shown, split_url
 from navbake.batch.table import read_table
 from navbake.config.errors import find_unknown_key, show_value
 from navbake.config.settings import SECTIONS, BakeConfig
-from navbake.errors import ConfigError, FormatError
+from navbake.errors import ConfigError, FormatError, shorten
 from navbake.formats.source import read_bytes
 from navbake.types import Json
 

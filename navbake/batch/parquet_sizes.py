@@ -48,16 +48,20 @@ class Page(NamedTuple):
     encodings: tuple[int, ...]
 
 
+def footer_size(content: bytes) -> int:
+    """The bytes of the footer with what follows it: its size, and the magic number."""
+    return int.from_bytes(content[-4 - MAGIC : -MAGIC], "little") + 4 + MAGIC
+
+
 def read_chunks(content: bytes) -> list[list[Struct]]:
     """What the footer says of the columns of each group of rows.
 
     Raises:
         ValueError: it is broken.
     """
-    size = int.from_bytes(content[-4 - MAGIC : -MAGIC], "little")
-    begin = len(content) - MAGIC - 4 - size
+    begin = max(len(content) - footer_size(content), 0)
     try:
-        footer, _ = _read_struct(content, max(begin, 0), 0)
+        footer, _ = _read_struct(content, begin, 0)
         return [[column[METADATA] for column in group[COLUMNS]] for group in footer[GROUPS]]
     except (LookupError, TypeError) as error:
         raise ValueError("the footer is broken") from error

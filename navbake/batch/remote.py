@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from navbake._version import __version__
 from navbake.baker.scene.guard.scratch import scratch_folder
-from navbake.batch.file_states import are_unchanged, describe_files, path_from
+from navbake.batch.file_states import Places, are_unchanged, describe_files, path_from
 from navbake.batch.full import FullError
 from navbake.batch.products import GRID, OWN, THUMBNAIL
 from navbake.batch.stores.mirror import Mirror, upload
@@ -195,7 +195,7 @@ def _settings_here(order: Order) -> Json:
     source = order.job.source
     if is_url(source) or not _is_settings(source) or not os.path.isfile(source):
         return {}
-    (state,) = describe_files([Path(source)], Path()).values()
+    (state,) = describe_files([Path(source)], Places(Path())).values()
     return {_name_path(source, order): state}
 
 

@@ -14,7 +14,7 @@ from navbake.batch.parquet_sizes import (
     DELTA_BYTE_ARRAY,
     DELTA_LENGTH_BYTE_ARRAY,
     DICTIONARY,
-    MAGIC,
+    footer_size,
     list_pages,
     read_chunks,
 )
@@ -50,6 +50,14 @@ class Reading(NamedTuple):
 
     texts: tuple[str, ...]
     rows_at_once: int
+
+
+class _Chunk(NamedTuple):
+    """A column in a group of rows: what pyarrow has of it, encodings, longest page [bytes]."""
+
+    column: Any
+    encodings: set[int]
+    longest_page: int
 
 
 def check_pyarrow() -> None:
@@ -89,8 +97,7 @@ def read_table(content: bytes, name: str) -> Iterator[tuple[str, Json]]:
 
 def _read_metadata(content: bytes) -> Any:
     """What the footer says, without Arrow's own types: then all is read as Parquet's."""
-    size = int.from_bytes(content[-4 - MAGIC : -MAGIC], "little") + 4 + MAGIC
-    footer = content[-size:].replace(ARROW_TYPES, b"-" * len(ARROW_TYPES))
+    footer = content[-footer_size(content) :].replace(ARROW_TYPES, b"-" * len(ARROW_TYPES))
     return _open(footer, len(content)).metadata
 
 
@@ -141,35 +148,42 @@ def check_claims(metadata: Any, content: bytes, name: str) -> tuple[int, list[Re
     _check_size(metadata.num_columns, MAX_COLUMNS, "columns", name)
     columns = [metadata.schema.column(number) for number in range(metadata.num_columns)]
     for group in read_chunks(content):
-        texts, longest = [], 0
+        chunks = []
         for number, column in enumerate(columns):
             length = column.length if column.physical_type == "FIXED_LEN_BYTE_ARRAY" else 0
             encodings: set[int] = set()
-            longest_page = 0
+            longest = 0
             for page in list_pages(content, group[number]):
                 unpacked, values, pages = unpacked + page.unpacked, values + page.values, pages + 1
                 fixed += page.values * length
-                longest_page = max(longest_page, page.unpacked)
+                longest = max(longest, page.unpacked)
                 encodings.update(page.encodings)
                 _check_size(unpacked, most_unpacked, "bytes unpacked", name)
                 _check_size(pages, most_pages, "pages", name)
-            if column.physical_type != "BYTE_ARRAY":
-                continue
-            if not encodings & {DELTA_BYTE_ARRAY, DELTA_LENGTH_BYTE_ARRAY}:
-                texts.append(column.path)
-            elif DELTA_BYTE_ARRAY not in encodings and not encodings & DICTIONARY:
-                continue  # its pages have each text in full
-            elif column.max_repetition_level:
-                raise ConfigError(
-                    f"{name} has lists of texts in an encoding of differences: save it as PLAIN"
-                )
-            else:  # pyarrow copies these for each row, and each may be as long as a page
-                longest = max(longest, longest_page)
-        rows_at_once = max(1, min(ROWS_AT_ONCE, FREE_TEXT // 4 // max(longest, 1)))
-        readings.append(Reading(tuple(texts), rows_at_once))
+            chunks.append(_Chunk(column, encodings, longest))
+        readings.append(_plan_reading(chunks, name))
     _check_size(values, FREE_VALUES + VALUES_PER_BYTE * unpacked, "values", name)
     _check_size(fixed, FREE_TEXT + TEXT_PER_BYTE * unpacked, "bytes of fixed length", name)
     return unpacked, readings
+
+
+def _plan_reading(chunks: list[_Chunk], name: str) -> Reading:
+    """How a group of rows is read, by what is in its columns."""
+    texts, longest = [], 0
+    for column, encodings, longest_page in chunks:
+        if column.physical_type != "BYTE_ARRAY":
+            continue
+        if not encodings & {DELTA_BYTE_ARRAY, DELTA_LENGTH_BYTE_ARRAY}:
+            texts.append(column.path)
+        elif DELTA_BYTE_ARRAY not in encodings and not encodings & DICTIONARY:
+            continue  # its pages have each text in full
+        elif column.max_repetition_level:
+            raise ConfigError(
+                f"{name} has lists of texts in an encoding of differences: save it as PLAIN"
+            )
+        else:  # pyarrow copies these for each row, and each may be as long as a page
+            longest = max(longest, longest_page)
+    return Reading(tuple(texts), max(1, min(ROWS_AT_ONCE, FREE_TEXT // 4 // max(longest, 1))))
 
 
 def _check_size(size: int, most: int, what: str, name: str) -> None:

@@ -134,9 +134,11 @@ def _make(order: Order) -> Json:
     # before the bake: what changes meanwhile is noticed by the next run
     named = [Path(path) for path in config.inputs]
     looked = [look_for_inputs(name) for name in named]  # the scene is the first
+    search = looked[0][1]
     inputs = [path for found, _ in looked for path in found if os.path.isfile(path)]
     assert isinstance(order.folder, Path)
-    stated, places = describe_files(inputs, order.folder), Places(order.folder)
+    places = Places(order.folder)
+    stated = describe_files(inputs, places)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the row has those that matter
         result = run_bake(config, threads=1)
@@ -164,11 +166,11 @@ def _make(order: Order) -> Json:
         "inputs": stated,
         "named": [places.of_file(path) for path in named],
         "sought": {
-            "folders": [places.of_folder(path) for path in looked[0][1].folders],
-            "names": list(looked[0][1].names),
+            "folders": [places.of_folder(path) for path in search.folders],
+            "names": list(search.names),
         },
         "files": describe_files(
-            [order.place / name for name in (GRID, *made)], order.place, may_change=False
+            [order.place / name for name in (GRID, *made)], Places(order.place), may_change=False
         ),
         "stages": {name: round(seconds, DIGITS) for name, seconds in result.timings.items()},
     }

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from navbake.config.yaml_text import override_key
+from navbake.errors import shorten
 from navbake.known_names import find_near
 
 EXPECTED = {
@@ -33,7 +34,6 @@ OTHER_WORDS = {
 }
 """What other tools call a setting, and its key here."""
 MAX_SHOWN = 60  # characters of a value in a message
-MAX_KEY = 200  # characters of a key in a message
 MAX_ITEMS = 6  # of a list that is shown
 NESTED = (Mapping, list, tuple, set)
 MAX_ERRORS = 3  # errors in a message
@@ -114,9 +114,7 @@ def _unknown_key(loc: Location, sections: Sections) -> str:
     meant = OTHER_WORDS.get(unknown, "")
     if meant and section in ("", meant.rpartition(".")[0]):
         near = [meant]
-    shown = _dotted(loc)
-    if len(shown) > MAX_KEY:
-        shown = f"{shown[:MAX_KEY]}…"
+    shown = shorten(_dotted(loc))
     if near:
         return f"unknown key `{shown}`, the nearest known one is `{near[0]}`,"
     return f"unknown key `{shown}`, known are {', '.join(known)},"

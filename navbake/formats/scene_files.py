@@ -65,11 +65,11 @@ class Search(NamedTuple):
                 yield from _meant(Path(folder, each))
 
     def present(self, listed: Folders) -> Iterator[str]:
-        """Those paths of all names at which something may be, as far as listings of folders say.
+        """The paths of all names that may be files, by the listings of the folders.
 
-        `os.path.isfile` says whether a file is there. Names and folders are many, and few of the
-        names are in a folder. So the names are kept as a tree of their parts, and each folder's
-        listing is met with the tree: what is in both is followed.
+        `os.path.isfile` says whether one is. Names and folders are many, and a folder has few of
+        the names. So the names are kept as a tree of their parts, and each folder's listing is
+        compared with the tree, part by part.
         """
         tree = _Branch()
         for name in dict.fromkeys(each for whole in self.names for each in _variants(whole)):
@@ -150,9 +150,9 @@ class Folders:
 
 
 def _key(name: str) -> str:
-    """What is the same for all ways of writing a name that any file system takes for the same.
+    """A name without what some file systems ignore: capitals, and how accents are composed.
 
-    Many don't tell capitals from small letters, some compose accents.
+    Names that differ in nothing else may be one file.
     """
     if name.isascii():
         return name.lower()

@@ -120,7 +120,7 @@ def test_pipes_are_not_read(folder):
     (folder / "scene.xml").write_text('<mujoco><include file="pipe.xml"/></mujoco>')
     assert names(folder, "scene.xml") == ["scene.xml"]
     assert names(folder, "pipe.xml") == ["pipe.xml"]
-    stated = describe_files([folder / "mesh" / "a.obj"], folder)
+    stated = describe_files([folder / "mesh" / "a.obj"], Places(folder))
     (folder / "mesh" / "a.obj").unlink()
     os.mkfifo(folder / "mesh" / "a.obj")
     assert not are_unchanged(stated, folder)
@@ -130,7 +130,7 @@ def test_content_is_read_where_size_and_time_prove_nothing(folder, monkeypatch):
     path = folder / "mesh" / "a.obj"
     old = time.time() - 100
     os.utime(path, (old, old))
-    stated = describe_files([path], folder)
+    stated = describe_files([path], Places(folder))
     assert list(stated) == ["mesh/a.obj"] and stated["mesh/a.obj"]["modified"] > 0
     monkeypatch.setattr(file_states, "_digest", lambda path: pytest.fail("it was read"))
     assert are_unchanged(stated, folder)
@@ -140,8 +140,8 @@ def test_content_is_read_where_size_and_time_prove_nothing(folder, monkeypatch):
     assert not are_unchanged(stated, folder)
     path.write_text(OBJ)
     assert are_unchanged(stated, folder)  # by its content
-    assert describe_files([path], folder)["mesh/a.obj"]["modified"] == 0
-    assert describe_files([path], folder, may_change=False)["mesh/a.obj"]["modified"] > 0
+    assert describe_files([path], Places(folder))["mesh/a.obj"]["modified"] == 0
+    assert describe_files([path], Places(folder), may_change=False)["mesh/a.obj"]["modified"] > 0
     path.unlink()
     assert not are_unchanged(stated, folder)
 

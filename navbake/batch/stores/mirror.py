@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from xml.parsers import expat
 
-from navbake.batch.file_states import describe_files
+from navbake.batch.file_states import Places, describe_files
 from navbake.batch.stores.store import (
     Entry,
     Listing,
@@ -141,7 +141,7 @@ class Mirror:
     def state(self, url: str) -> Json:
         """What the index notes of a file that was copied."""
         path = self.place(url)
-        (content,) = describe_files([path], self._folder).values()
+        (content,) = describe_files([path], Places(self._folder)).values()
         return state_of(self._found.get(path, Entry(None, None)), content)
 
     def told(self, text: str) -> str:

@@ -316,9 +316,10 @@ def draw_missing_thumbnails(folder: Folder) -> None:
         print_warnings([str(error)])
         return
     if lacking:
-        what = "1 thumbnail can't be made of its grid"
-        several = f"{lacking} thumbnails can't be made of their grids"
-        print_warnings([what if lacking == 1 else several])
+        what = "thumbnail can't be made of its grid"
+        if lacking > 1:
+            what = "thumbnails can't be made of their grids"
+        print_warnings([f"{lacking} {what}"])
 
 
 def _warm_up() -> None:

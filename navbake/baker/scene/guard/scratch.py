@@ -66,7 +66,7 @@ def scratch_file() -> tuple[BinaryIO, Path]:
 
 
 def short_place() -> Path | None:
-    """A folder for temporary folders whose paths must be short, as those of sockets; None if none.
+    """A folder for temporary folders whose paths must be short, as those of sockets; or None.
 
     The system's folder for such things is not always short.
     """
