@@ -51,7 +51,7 @@ class Search(NamedTuple):
     """Where the files that MJCF names are looked for: each name in each folder.
 
     Attributes:
-        folders: that come into question; most have few of the names.
+        folders: that come into question, the scene's own first; most have few of the names.
         names: of files, as they are in the XML, with slashes.
     """
 
@@ -143,7 +143,7 @@ class Folders:
         try:
             names = os.listdir(os.path.join(self._base, folder) or os.curdir)
         except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: no path at all
-            return frozenset()
+            return frozenset((os.pardir,))  # by which MuJoCo goes on, see `_meant`
         except OSError:  # one that may be entered, but not read
             return None
         return frozenset((os.pardir, *map(_key, names)))
@@ -160,21 +160,26 @@ def _key(name: str) -> str:
 
 
 def _meant(*paths: Path) -> Iterator[Path]:
-    """Paths, and as MuJoCo reads them: it drops a folder before ``..``, even where that is a link.
+    """Paths, each as MuJoCo reads it and as the system does, if that is not the same.
 
-    The system goes on from where the link leads to.
+    MuJoCo drops a folder before ``..``, even one that is missing, or a link. The system finds
+    nothing in a missing folder, and goes on from where a link leads to.
     """
     for path in paths:
-        yield path
         if os.pardir in path.parts:
             short = os.path.normpath(path)
-            if os.path.realpath(short) != os.path.realpath(path):
+            if not os.path.exists(path) or os.path.realpath(short) != os.path.realpath(path):
                 yield Path(short)
+        yield path
 
 
 def _variants(name: str) -> Iterable[str]:
-    """What a name may mean: `strippath` of a compiler leaves out the folders of names."""
-    return dict.fromkeys((name, os.path.basename(name)))
+    """What a name may mean: `strippath` of a compiler leaves out the folders of names.
+
+    MuJoCo drops those before ``..`` as well, see `_meant`.
+    """
+    short = os.path.normpath(name) if os.pardir in name.split("/") else name
+    return dict.fromkeys((name, short, os.path.basename(name)))
 
 
 def find_inputs(
