@@ -425,6 +425,25 @@ def test_a_new_file_that_a_scene_may_mean_instead_is_noticed(scenes, here):
         assert run(ALL[2])[0] == []
 
 
+def test_a_new_mesh_of_urdf_that_is_found_first_is_noticed(scenes, here):
+    near, far = scenes / "cell" / "meshes" / "chest.obj", scenes / "meshes" / "chest.obj"
+    for path in (near, far):
+        path.parent.mkdir(parents=True)
+    far.write_text(CHEST.format(height=1))
+    mesh = '<geometry><mesh filename="package://cell/meshes/chest.obj"/></geometry>'
+    (scenes / "cell" / "cell.urdf").write_text(
+        f'<robot name="cell"><link name="base"><visual>{mesh}</visual>'
+        '<collision><geometry><box size="4 4 .1"/></geometry></collision></link></robot>'
+    )
+    path = str(scenes / "cell" / "cell.urdf")
+    assert run(path)[1].count("ok") == 1
+    (scenes / "cell" / "chest.obj").write_text(CHEST.format(height=2))  # found after the other
+    assert run(path)[0] == []
+    near.write_text(CHEST.format(height=2))
+    assert run(path)[0] == ["cell"]
+    assert run(path)[0] == []
+
+
 def test_the_output_folder_may_be_a_link_to_another_depth(scenes, here):
     target = scenes.parent / "scratch" / "of" / "mine"
     target.mkdir(parents=True)
