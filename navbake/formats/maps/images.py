@@ -55,12 +55,12 @@ def open_image(source: str | PathLike[str], kinds: tuple[str, ...] = tuple(BEGIN
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # pixels are counted here; all else is read
             image = Image.open(io.BytesIO(data), formats=kinds)
-        if _least_bytes(image) > len(data):
-            raise ValueError("it is cut off")
-        num_pixels = image.width * image.height
-        if num_pixels <= min(MAX_PIXELS, FREE_PIXELS + PIXELS_PER_BYTE * len(data)):
-            image.load()
-            return image
+            if _least_bytes(image) > len(data):
+                raise ValueError("it is cut off")
+            num_pixels = image.width * image.height
+            if num_pixels <= min(MAX_PIXELS, FREE_PIXELS + PIXELS_PER_BYTE * len(data)):
+                image.load()
+                return image
     except Exception as error:  # a broken image raises whatever Pillow and zlib raise
         why = " ".join(str(error).split())[:200] or type(error).__name__
         raise FormatError(f"{path_name(name)} is no image that can be read: {why}") from error

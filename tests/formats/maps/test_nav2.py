@@ -2,7 +2,9 @@
 
 import itertools
 import math
+import struct
 import warnings
+import zlib
 
 import numpy as np
 import pytest
@@ -440,6 +442,19 @@ def test_a_broken_image_is_refused_in_a_line(tmp_path, content):
         with pytest.raises(FormatError, match=r"map\.pgm") as caught:
             navbake.from_nav2(path)
     assert "\n" not in str(caught.value) and warned == []
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+def test_frames_of_an_animation_that_make_no_sense_are_passed_over_silently(tmp_path, is_first):
+    path = write_map(tmp_path, np.full((2, 2), 254), image="map.png")
+    content = (tmp_path / "map.png").read_bytes()
+    frames = b"acTL" + bytes(8)  # of which there are none
+    place = content.index(b"IDAT" if is_first else b"IEND") - 4
+    chunk = struct.pack(">I", 8) + frames + struct.pack(">I", zlib.crc32(frames))
+    (tmp_path / "map.png").write_bytes(content[:place] + chunk + content[place:])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert kinds_of(navbake.from_nav2(path)) == ["..", ".."]
 
 
 def test_an_image_that_unpacks_to_too_much_is_refused(tmp_path):
