@@ -9,8 +9,12 @@ class NavbakeError(Exception):
     """
 
     def __str__(self) -> str:
-        """The message; what no terminal shows, as a name of a file may have it, is escaped."""
-        return printable(super().__str__())
+        """The message, in which names of files stand that may be anything.
+
+        What no terminal shows is escaped, and the middle of what nobody would read is left out.
+        """
+        text = printable(super().__str__())
+        return text if len(text) <= BEGINNING + END else f"{text[:BEGINNING]} … {text[-END:]}"
 
 
 class ConfigError(NavbakeError):
@@ -42,6 +46,7 @@ class BakeWarning(UserWarning):
 
 
 LONGEST = 200  # characters of a name in a message
+BEGINNING, END = 700, 400  # characters that stay of a message that is longer than both
 
 
 def shorten(text: str) -> str:

@@ -84,6 +84,7 @@ FOUND = [
     ("yaml", Input(b"scene: {path: a}\nrooms: {polygons: /dev/zero}", ".yaml")),  # 64 MiB
     ("yaml", Input(b"scene: {path: a}\na: !!" + b"x" * 5000, ".yaml")),  # a long line
     ("yaml", Input(b"scene: {path: a}\na: *" + b"x" * 5000, ".yaml")),
+    ("yaml", Input(b"scene: {path: a}\nrooms: {polygons: %s}" % (b"x" * 5000), ".yaml")),
     ("geojson", Input(b'{"type": "Feature", "properties": [1]}', ".geojson")),
     ("geojson", Input(b'{"type": "\\n"}', ".geojson")),  # two lines
     ("names", Input(encode_binvox(VOXELS), ".binvox", {

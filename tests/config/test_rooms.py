@@ -57,6 +57,7 @@ def test_a_geojson_file_is_read_beside_the_yaml(tmp_path):
         ({"door_width": 0}, "expected a number > 0, or auto, got 0 at `rooms.door_width`"),
         ({"min_area": -1}, "expected a number >= 0, got -1 at `rooms.min_area`"),
         ({"polygons": "none.geojson"}, "no such file: none.geojson, named at `rooms.polygons`"),
+        ({"polygons": "p" * 5000}, f"{'p' * 300}, named at `rooms.polygons`"),
         ({"polygons": [{"name": "a"}]}, "found none at `rooms.polygons[0].points`"),
         ({"polygons": [{"points": SQUARE[:2]}]}, "got a list of 2 at `rooms.polygons[0].points`"),
         ({"polygons": [{"points": [[0, 0], [1, 0], [1]]}]}, "expected 3 or more corners"),
@@ -75,6 +76,7 @@ def test_refuses(value, culprit):
         rooms(value)
     assert culprit in str(caught.value)
     assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 1500
 
 
 def test_the_template_holds_them():
