@@ -25,9 +25,9 @@ TERMINATED = 143
 
 PATIENCE = 2.0  # how long Python may take to hear of a signal, before the process is ended [s]
 DELAY = 0.05  # after which a Ctrl-C that was dropped comes again [s]
-_heard = 0  # how many signals Python has heard of
+_heard = 0  # how many times Python has heard of Ctrl-C
 _pressed = 0  # how many times Ctrl-C has not taken effect yet
-_is_terminated = False
+_is_terminated = False  # whether Python has heard of a SIGTERM
 
 
 def main() -> None:
@@ -38,7 +38,8 @@ def main() -> None:
     whatever ends a process after Ctrl-C is taken for its effect, and what was dropped is raised
     again. Another Ctrl-C ends the process at once. While MuJoCo compiles, Python hears of nothing;
     then the first one ends the process after PATIENCE, too. SIGTERM is like Ctrl-C, so that files
-    and processes that only help are removed.
+    and processes that only help are removed; but another SIGTERM changes nothing, as whatever ends
+    services may send several.
     """
     collect_seldom()
     try:
@@ -66,9 +67,9 @@ def _listen() -> None:
     """Hear of signals; where Ctrl-C is ignored, as in the background of a script, it stays so."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt)
-        sys.unraisablehook = _raise_again
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         signal.signal(signal.SIGTERM, _terminate)
+    sys.unraisablehook = _raise_again
     _start_watch()
 
 
@@ -81,16 +82,20 @@ def _start_watch() -> None:
 
 
 def _watch(reading: int) -> None:
-    came = 0
+    came: dict[int, int] = {signal.SIGINT: 0, signal.SIGTERM: 0}
+
+    def unheard() -> tuple[int, int]:
+        return came[signal.SIGINT] - _heard, 0 if _is_terminated else came[signal.SIGTERM]
+
     while True:
         number = os.read(reading, 1)[0]
-        if number not in (signal.SIGINT, signal.SIGTERM):
-            continue
-        came += 1
-        patience = PATIENCE if came - _heard < 2 else PATIENCE / 10
+        if number in came:
+            came[number] += 1
+        patience = PATIENCE if sum(unheard()) < 2 else PATIENCE / 10
         is_next, _, _ = select.select([reading], [], [], patience)
-        if not is_next and _heard < came:
-            os._exit(INTERRUPTED if number == signal.SIGINT else TERMINATED)
+        interrupts, terminations = unheard()
+        if not is_next and interrupts + terminations > 0:
+            os._exit(INTERRUPTED if interrupts > 0 else TERMINATED)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
@@ -103,23 +108,28 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:
-    global _heard, _is_terminated
-    _heard += 1
-    _is_terminated = True
-    raise SystemExit(TERMINATED)
+    global _is_terminated
+    if not _is_terminated:
+        _is_terminated = True
+        raise SystemExit(TERMINATED)
 
 
 def _raise_again(unraisable: Any) -> None:
-    """Raise a KeyboardInterrupt again, a little later, that was dropped where it came."""
-    global _pressed
+    """Raise what a signal raised again, a little later, if it was dropped where it came."""
+    global _pressed, _is_terminated
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
         _pressed = 0
-        # not here: what a hook raises is dropped, too
-        again = threading.Timer(DELAY, _thread.interrupt_main)
-        again.daemon = True
-        again.start()
+        number = signal.SIGINT
+    elif issubclass(unraisable.exc_type, SystemExit) and _is_terminated:
+        _is_terminated = False
+        number = signal.SIGTERM
     else:
         sys.__unraisablehook__(unraisable)
+        return
+    # not here: what a hook raises is dropped, too
+    again = threading.Timer(DELAY, _thread.interrupt_main, [number])
+    again.daemon = True
+    again.start()
 
 
 if __name__ == "__main__":

@@ -257,3 +257,45 @@ def test_bugs_are_no_ctrl_c():
     code = LIBRARY.replace("signal.raise_signal(signal.SIGINT)", "1 / 0").format(body="pass")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 1 and "ZeroDivisionError" in done.stderr
+
+
+TIDY = """
+import ctypes, signal, time
+from navbake import __main__ as start
+import navbake.cli.main as command_line
+start.PATIENCE = 0.1
+{before}
+def run():
+    try:
+        {begin}
+        time.sleep(20)
+    finally:
+        {meanwhile}
+        time.sleep(0.3)
+        print("tidy")
+command_line.main = run
+start.main()
+"""
+ANOTHER = "signal.raise_signal(signal.SIGTERM)"
+DROPPED = f"""@ctypes.CFUNCTYPE(None)
+def callback():
+    {ANOTHER}
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are sent as on POSIX")
+@pytest.mark.parametrize(
+    ("before", "begin", "meanwhile"),
+    [
+        ("", ANOTHER, ANOTHER),
+        ("", ANOTHER, f"[{ANOTHER} for _ in range(3)]"),
+        (DROPPED, "callback()", "pass"),  # from C, which drops what it raises
+    ],
+    ids=["another", "several", "dropped"],
+)
+def test_what_tidies_up_after_a_sigterm_is_not_ended_by_another(before, begin, meanwhile):
+    code = TIDY.format(before=before, begin=begin, meanwhile=meanwhile)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (143, "tidy\n", "")

@@ -27,6 +27,8 @@ from navbake.errors import NavbakeError, printable
 
 START_SECONDS = 300.0  # what a worker may take until it is ready; machines are busy
 MOST_FAILED_STARTS = 3  # in a row, before the crew gives up
+TICK = 1.0  # the longest wait, so that this process notices when it was stopped [s]
+LATE = 1.0  # how much longer a wait takes only where this process was stopped [s]
 PAUSE = 0.5  # after which this process hears of a SIGTERM that its whole group was sent [s]
 SHORT = 0.25  # what a worker's last job took at most, if the next is given to it ahead [s]
 MOST_AHEAD = 4096  # bytes of such a job: what any system's pipe takes while nobody reads it
@@ -348,14 +350,28 @@ class _Crew:
         worker.kill()
 
     def _heard(self) -> list[_Worker]:
-        """The workers that have something to say; [] when one's time is up."""
+        """The workers that have something to say; [] when one's time is up, or after a `TICK`."""
         by_connection: dict[Any, _Worker] = {w.connection: w for w in self._workers}
         left = [self._allowed(worker) - worker.age for worker in self._workers]
-        timeout = max(0.0, min(left, default=PAUSE))
+        timeout = min(max(0.0, min(left, default=PAUSE)), TICK)
+        begin = time.monotonic()
         if not by_connection:
             time.sleep(timeout)
-        ready = wait(list(by_connection), None if timeout == float("inf") else timeout)
+        ready = wait(list(by_connection), timeout)
+        self._forgive(time.monotonic() - begin - timeout)
         return [by_connection[connection] for connection in ready]
+
+    def _forgive(self, late: float) -> None:
+        """Let time not count in which this process was stopped: its workers were, too.
+
+        That is so after Ctrl-Z, where a container is frozen, and where a machine sleeps.
+
+        Args:
+            late: how much longer a wait took than it was to [s].
+        """
+        if late > LATE:
+            for worker in self._workers:
+                worker.begun += late
 
     def _allowed(self, worker: _Worker) -> float:
         """How long a worker may take for what it does now [s]."""

@@ -17,6 +17,7 @@ from navbake import samples
 from navbake._version import __version__
 from navbake.auditor.audit import audit
 from navbake.baker.pipeline import run_bake
+from navbake.baker.scene.guard.child import lacked_memory
 from navbake.baker.scene.guard.scratch import scratch_folder
 from navbake.batch.file_states import Places, describe_files
 from navbake.batch.full import FullError, telling_full
@@ -106,14 +107,20 @@ def do_order(order: Order) -> Json:
     except FullError as error:
         _remove_made(order)
         row = {**row_of(order, LEFT), "error": str(error)}
-    except NavbakeError as error:
-        row = fail(order, ERROR, str(error))
-    except OSError as error:
-        row = fail(order, ERROR, printable(str(error)))
     except Exception as error:
-        line = traceback.format_exception_only(error)[-1].strip()
-        row = fail(order, ERROR, printable(f"{line} (navbake should have said what is wrong)"))
+        if lacked_memory(error):
+            raise MemoryError(str(error)) from error
+        row = fail(order, ERROR, _told(error))
     return row | {"seconds": round(time.perf_counter() - begin, DIGITS)}
+
+
+def _told(error: Exception) -> str:
+    if isinstance(error, NavbakeError):
+        return str(error)
+    if isinstance(error, OSError):
+        return printable(str(error))
+    line = traceback.format_exception_only(error)[-1].strip()
+    return printable(f"{line} (navbake should have said what is wrong)")
 
 
 def fail(order: Order, how: str, why: str) -> Json:

@@ -15,7 +15,7 @@ from typer.core import TyperCommand
 
 from navbake import files
 from navbake.cli.printing import volume
-from navbake.errors import ConfigError
+from navbake.errors import ConfigError, NavbakeError
 
 
 def check_overrides(overrides: list[str] | None) -> list[str]:
@@ -101,7 +101,13 @@ def _is_same(path: Path, other: Path) -> bool:
 
 
 def write_stdout(data: bytes) -> None:
-    """Write a file's content to stdout."""
+    """Write a file's content to stdout.
+
+    Raises:
+        NavbakeError: stdout is closed.
+    """
+    if sys.stdout is None:
+        raise NavbakeError("cannot write to stdout: it is closed")
     sys.stdout.buffer.write(data)
     sys.stdout.buffer.flush()
 

@@ -120,7 +120,8 @@ def say_unless_quiet(text: object) -> None:
 
 def print_error(message: str) -> None:
     """Print one line on stderr."""
-    print(f"navbake: {printable(message)}", file=sys.stderr)
+    if sys.stderr is not None:  # else print would take stdout
+        print(f"navbake: {printable(message)}", file=sys.stderr)
 
 
 def print_causes(error: BaseException) -> None:
@@ -139,7 +140,8 @@ def print_warnings(warnings: Iterable[str]) -> None:
 
 def print_tables(*tables: Table) -> None:
     """Print tables on stdout, one under the other, at most as wide as the terminal."""
-    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else PIPE_WIDTH
+    is_terminal = sys.stdout is not None and sys.stdout.isatty()
+    width = shutil.get_terminal_size().columns if is_terminal else PIPE_WIDTH
     for index, table in enumerate(tables):
         print("\n" * (index > 0) + "\n".join(lay_out(table, width)))
 

@@ -25,7 +25,7 @@ from navbake.batch.crew import JobLimits
 from navbake.batch.index import NAME, only_batch, read_index
 from navbake.batch.manifest import list_jobs
 from navbake.dispatch import IS_HELPER
-from navbake.errors import ConfigError, MissingDependencyError, NavbakeError
+from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, SceneError
 from project_paths import ROOT
 
 SETTINGS = {"grid": {"cell_size": 0.2}}
@@ -282,6 +282,17 @@ def test_a_fault_of_a_bake_is_a_row(scenes, here, monkeypatch):
     rows = run(*ALL)[1].rows
     assert {row["how"] for row in rows} == {"error"}
     assert rows[0]["error"].startswith("ZeroDivisionError: by zero")
+
+
+def test_memory_that_a_library_lacked_is_for_the_worker_to_tell(scenes, here, monkeypatch):
+    def bake(config, threads):
+        raise SceneError("MuJoCo cannot load it") from ValueError("Could not allocate memory")
+
+    monkeypatch.setattr("navbake.batch.work.run_bake", bake)
+    assert {row["how"] for row in run(*ALL)[1].rows} == {"error"}  # nothing limits this process
+    monkeypatch.setattr("navbake.batch.work.lacked_memory", lambda error: True)
+    with pytest.raises(MemoryError, match="MuJoCo cannot load it"):
+        run(*ALL)
 
 
 def test_a_batch_ends_after_too_many_failures(scenes, here):

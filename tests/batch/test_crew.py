@@ -47,7 +47,8 @@ class Clock:
 
     def __init__(self):
         self.now = 0.0
-        self.passes = 0.0  # while the crew waits the next time [s]
+        self.passes = 0.0  # while the crew waits the next times [s]
+        self.stops = 0.0  # for which the next wait that is in vain takes longer than it was to [s]
         self.connections = []  # for which it waited last
         self.sleep = time.sleep
 
@@ -57,7 +58,11 @@ class Clock:
     def wait(self, connections, timeout):
         self.connections = connections
         if self.passes:
-            self.now, self.passes = self.now + self.passes, 0.0
+            step = min(self.passes, timeout or self.passes)
+            self.now, self.passes = self.now + step, self.passes - step
+            return []
+        if self.stops:
+            self.now, self.stops = self.now + timeout + self.stops, 0.0
             return []
         return wait(connections, 0.0 if timeout == 0.0 else None)
 
@@ -228,6 +233,29 @@ def test_a_job_that_was_done_while_nobody_looked_is_done(clock, tmp_path):
     clock.now += 1.6
     (second,) = ended
     assert (first.how, second.how, clock.now) == (DONE, DONE, 1.6)
+
+
+def test_time_in_which_all_is_stopped_does_not_count(clock):
+    def hear(event):
+        if event.what == BEGUN:
+            clock.stops = 100.0
+
+    (ended,) = do_jobs([("double", 1)], crew_jobs.work, 1, limits=JobLimits(10.0), on_event=hear)
+    assert (ended.how, ended.value) == (DONE, 2)
+    assert clock.now > 100.0 and ended.seconds < 10.0
+
+
+def test_a_wait_that_takes_a_little_longer_than_it_was_to_counts(clock):
+    def hear(event):
+        clock.stops = crew.LATE / 2 if event.what == BEGUN else 0.0
+
+    (ended,) = do_jobs([("double", 1)], crew_jobs.work, 1, on_event=hear)
+    assert ended.seconds == clock.now == crew.TICK + crew.LATE / 2
+
+
+@pytest.mark.parametrize("seconds", [1e7, float("inf")])
+def test_a_limit_may_be_longer_than_the_system_waits(seconds):
+    assert run([("double", 1)], limits=JobLimits(seconds, memory=seconds)) == [(DONE, 2)]
 
 
 def test_a_worker_that_dies_while_idle_is_replaced():

@@ -25,6 +25,7 @@ from navbake.batch import index, journal
 from navbake.batch.stores.index import TakenOverError
 from navbake.cli.commands import batch as command
 from navbake.cli.commands import warm_up
+from navbake.cli.main import main
 from navbake.errors import NavbakeError
 from navbake.files import TEMPORARY
 from navbake.formats.navgrid import read_navgrid
@@ -74,6 +75,22 @@ def test_lines_of_json_tell_of_each_scene(folder, run, here):
     assert "inputs" not in room  # which may be long
     counts = {"baked": 1, "skipped": 0, "failed": 1, "left": 0}
     assert end == {"level": "error", "event": "end", **counts, "stopped": None}
+
+
+def test_lines_of_json_need_no_stdout(folder, here, monkeypatch):
+    with monkeypatch.context() as patch, pytest.raises(SystemExit) as caught:
+        patch.setattr("sys.stdout", None)  # as Python has it after `>&-`
+        main(["batch", "room.xml", "-o", "out", "--json", *COARSE])
+    assert caught.value.code in (0, None)
+    (row,) = map(json.loads, Path("out/index.jsonl").read_text().splitlines())
+    assert row["status"] == "ok"
+
+
+@pytest.mark.parametrize("option", ["--time-limit", "--memory-limit"])
+def test_a_limit_is_a_number(folder, run, option):
+    status, out, err = run("batch", "room.xml", "-o", "out", option, "nan")
+    assert (status, out) == (2, "") and "got nan" in err and option in err
+    assert not Path("out").exists()
 
 
 def test_a_log_has_the_lines_that_json_prints(folder, run, here):

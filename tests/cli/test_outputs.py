@@ -90,6 +90,13 @@ def test_a_grid_on_stdout(folder, capfdbinary, names):
     assert names(folder) == ["room.xml", "room.yaml"]
 
 
+def test_a_closed_stdout_takes_no_grid(folder, capsys, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr("sys.stdout", None)
+        status, _, err = run_command(capsys, "inflate", HOUSE, "--radius", 0.2, "-o", "-", "-q")
+    assert (status, err) == (1, "navbake: cannot write to stdout: it is closed\n")
+
+
 def test_pictures_and_settings_on_stdout(folder, capfdbinary, names):
     status, out, _ = run_command(capfdbinary, "plot", HOUSE, "-o", "-")
     assert status == 0 and out.startswith(b"\x89PNG")

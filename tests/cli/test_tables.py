@@ -6,7 +6,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from navbake.cli.printing import print_tables, room_table
+from navbake.cli.printing import print_error, print_tables, room_table
 from navbake.cli.tables import lay_out, make_table, without_empty_columns
 from navbake.navgrid.rooms import Room
 
@@ -70,6 +70,17 @@ def test_a_terminal_gets_what_fits_and_a_pipe_everything(monkeypatch, capsys):
     print_tables(table)
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= 80 and len(lines) > 2
+
+
+def test_tables_may_be_printed_where_stdout_is_closed(monkeypatch):
+    monkeypatch.setattr("sys.stdout", None)
+    print_tables(make_table(("name", "n"), [("hall", 2)]))
+
+
+def test_errors_are_not_printed_on_stdout_where_stderr_is_closed(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr", None)
+    print_error("no such file")
+    assert capsys.readouterr().out == ""
 
 
 @pytest.mark.parametrize("name", ["\x1b[2Jroom", "room\x9b31m", "a\nb", "\u202eroom"])

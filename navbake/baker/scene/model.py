@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from navbake.baker.scene.chatter import catch_chatter
+from navbake.baker.scene.guard.child import lacked_memory
 from navbake.baker.scene.guard.oversized import refuse_oversized
 from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart, read_mesh_parts
 from navbake.baker.scene.names import unique_name
@@ -101,8 +102,7 @@ def _load_file(settings: SceneSettings, warnings: list[str]) -> tuple[Any, dict[
                 f" (an MJB fits only the MuJoCo that wrote it, this is {mujoco_version()}: save it "
                 f"again, or bake its XML)"
             )
-            load = partial(mujoco.MjModel.from_binary_path, str(path))
-            return compile_model(path, warnings, load, hint), {}
+            return compile_model(path, warnings, partial(_load_mjb, path), hint), {}
         if suffix in XML_SUFFIXES:
             return _load_xml(path, warnings, ground), {}
     except OSError as error:
@@ -160,7 +160,17 @@ def compile_model(path: Path, warnings: list[str], load: Callable[[], Any], hint
         lines = dict.fromkeys([*said, *chatter])  # each once, in order
         reason = "; ".join(" ".join(line.split()) for line in lines if line.strip())
         reason = reason.removeprefix("Error: ").removeprefix("XML Error: ")
+        hint = "" if lacked_memory(error) else hint
         raise SceneError(f"MuJoCo cannot load {path}: {reason[:400]}{hint}") from error
+
+
+def _load_mjb(path: Path) -> Any:
+    try:
+        return mujoco.MjModel.from_binary_path(str(path))
+    except ValueError:
+        # MuJoCo says the same of a file of another version and of one that it has no memory for
+        bytearray(path.stat().st_size)
+        raise
 
 
 def _build_mjcf(path: Path, ground: float | None, warnings: list[str]) -> Any:

@@ -8,6 +8,8 @@ import signal
 import sys
 from collections.abc import Callable
 
+from navbake.errors import NavbakeError
+
 try:
     import resource
 except ImportError:  # Windows limits no process that way
@@ -15,6 +17,9 @@ except ImportError:  # Windows limits no process that way
 
 GIB = 1 << 30  # bytes
 END_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
+# What errors say, whatever their type, of memory that the system refused: MuJoCo of its own
+# allocations, then of those of C++; and what the system says itself, of a library, for example
+NO_MEMORY = ("could not allocate memory", "unknown exception", "cannot allocate memory")
 
 
 def end_with_parent(parent: int | None = None) -> None:
@@ -34,7 +39,8 @@ def limit_memory(gib: float | None) -> Callable[[], None]:
     """Limit what this process may reserve from now on, on Linux, and let it leave no core dump.
 
     Args:
-        gib: how much more than it has now [GiB]; None for no limit.
+        gib: how much more than it has now [GiB]; None, or more than a process can have, for no
+            limit.
 
     Returns:
         What ends the limit of memory.
@@ -42,7 +48,7 @@ def limit_memory(gib: float | None) -> Callable[[], None]:
     if resource is None:
         return lambda: None
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    if gib is None:
+    if gib is None or gib * GIB >= sys.maxsize:
         return lambda: None
     try:
         with open("/proc/self/statm", "rb") as file:
@@ -51,9 +57,35 @@ def limit_memory(gib: float | None) -> Callable[[], None]:
         return lambda: None
     before = resource.getrlimit(resource.RLIMIT_AS)
     most, hard = pages * resource.getpagesize() + int(gib * GIB), before[1]
-    if hard == resource.RLIM_INFINITY or most < hard:
+    if most < (sys.maxsize if hard == resource.RLIM_INFINITY else hard):
         resource.setrlimit(resource.RLIMIT_AS, (most, hard))
     return lambda: resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def lacked_memory(error: BaseException) -> bool:
+    """Whether a limit of this process' memory led to an error.
+
+    Libraries turn that into errors of their own. So where there is a limit, what an error came
+    from counts, too, and so do its words, as MuJoCo has no error of a type of its own for this.
+
+    Returns:
+        Without a limit, whether it is a MemoryError: then sizes that a broken file states may
+        lead to the others.
+    """
+    if isinstance(error, MemoryError):
+        return True
+    if resource is None or resource.getrlimit(resource.RLIMIT_AS)[0] == resource.RLIM_INFINITY:
+        return False
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, MemoryError):
+            return True
+        text = str(cause).lower()
+        # navbake's own errors say the same of their cause, and name files besides
+        if not isinstance(cause, NavbakeError) and any(words in text for words in NO_MEMORY):
+            return True
+        cause = cause.__cause__ or cause.__context__
+    return False
 
 
 def ending_of(status: int) -> str:

@@ -17,7 +17,12 @@ from typing import Any, NamedTuple
 
 import mujoco
 
-from navbake.baker.scene.guard.child import end_with_parent, ending_of, limit_memory
+from navbake.baker.scene.guard.child import (
+    end_with_parent,
+    ending_of,
+    lacked_memory,
+    limit_memory,
+)
 from navbake.baker.scene.guard.oversized import refuse_oversized
 from navbake.baker.scene.guard.scratch import scratch_folder
 from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart, read_mesh_parts
@@ -128,8 +133,11 @@ def compile_job(folder: str) -> None:
         try:
             model = load_model(settings, warned)[0]
             mujoco.mj_saveModel(model, str(place / MODEL), None)
-        except NavbakeError as error:
-            failed = error
-        except MemoryError:
-            failed = SceneError(f"{settings.path} needs more than {memory:g} GiB of memory")
+        except Exception as error:
+            if lacked_memory(error):
+                failed = SceneError(f"{settings.path} needs more than {memory:g} GiB of memory")
+            elif isinstance(error, NavbakeError):
+                failed = error
+            else:
+                raise
     (place / RESULT).write_bytes(pickle.dumps((warned, failed)))
