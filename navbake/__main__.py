@@ -127,9 +127,17 @@ def _raise_again(unraisable: Any) -> None:
         sys.__unraisablehook__(unraisable)
         return
     # not here: what a hook raises is dropped, too
-    again = threading.Timer(DELAY, _thread.interrupt_main, [number])
+    again = threading.Timer(DELAY, _signal_main, [number])
     again.daemon = True
     again.start()
+
+
+def _signal_main(number: int) -> None:
+    """Send a signal to the main thread, whose waits it ends, but on Windows."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
+    else:
+        _thread.interrupt_main(number)
 
 
 if __name__ == "__main__":

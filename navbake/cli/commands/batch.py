@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 import time
@@ -11,7 +10,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from typer import Argument, BadParameter, Exit, Option
+from typer import Argument, Exit, Option
 
 from navbake.cli.commands.warm_up import (
     bakes_compile,
@@ -44,30 +43,17 @@ if TYPE_CHECKING:
 INDEX, PAGE, TABLE = "index.jsonl", "index.html", "index.parquet"
 
 
-def _number(value: float | None) -> float | None:
-    """Refuse nan, which is within all bounds."""
-    if value is not None and math.isnan(value):
-        raise BadParameter("expected a number, got nan")
-    return value
-
-
 class PerScene(NamedTuple):
     """What one scene may take."""
 
     time_limit: float | None = Option(
-        None,
-        "--time-limit",
-        metavar="SECONDS",
-        min=0.001,
-        callback=_number,
-        help="How long a scene may take [s].",
+        None, "--time-limit", metavar="SECONDS", min=0.001, help="How long a scene may take [s]."
     )
     memory_limit: float | None = Option(
         None,
         "--memory-limit",
         metavar="GIB",
         min=0.01,
-        callback=_number,
         help="Memory that a scene may take beyond what its process starts with, on Linux [GiB].",
     )
     retries: int = Option(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 
 from navbake.baker.scene.guard import child
@@ -19,7 +21,7 @@ def limited(monkeypatch):
 
 def error_of(*chain):
     """The last of some errors, each of which came of the one before it."""
-    for cause, error in zip(chain, chain[1:], strict=False):
+    for cause, error in pairwise(chain):
         error.__cause__ = cause
     return chain[-1]
 
@@ -40,13 +42,9 @@ def test_libraries_say_in_many_ways_that_memory_is_short(limited, chain):
 
 
 def test_what_was_being_handled_counts_as_the_cause(limited):
-    try:
-        try:
-            raise MemoryError
-        except MemoryError:
-            raise SceneError("broken") from None
-    except SceneError as error:
-        assert lacked_memory(error)
+    error = SceneError("broken")
+    error.__context__ = MemoryError()
+    assert lacked_memory(error)
 
 
 def test_other_errors_and_names_of_files_are_not_taken_for_it(limited):
