@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from navbake.formats.mjcf.xml_tree import MOST_DEEP, _read_leniently, read_elements
+from navbake.formats.mjcf.xml_tree import MOST_DEEP, read_leniently, read_elements
 
 BODY = (
     b'<asset><mesh name="m" file="%s"/></asset><worldbody><geom type="mesh" mesh="m"/></worldbody>'
@@ -90,7 +90,7 @@ def build(tag, attributes, children):
 @given(tree=st.recursive(st.builds(build, NAMES, st.just({}), st.just([])), trees))
 def test_both_ways_read_the_same_of_good_xml(tree):
     content = ElementTree.tostring(tree)
-    found = _read_leniently(content)
+    found = read_leniently(content)
     expected = ElementTree.fromstring(content)
     assert [(e.tag, e.attrib, len(e)) for e in found.iter()] == [
         (e.tag, e.attrib, len(e)) for e in expected.iter()
