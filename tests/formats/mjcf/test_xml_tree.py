@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from navbake.formats.mjcf.xml_tree import MOST_DEEP, read_leniently, read_elements
+from navbake.formats.mjcf.xml_tree import MOST_DEEP, read_elements, read_leniently
 
 BODY = (
     b'<asset><mesh name="m" file="%s"/></asset><worldbody><geom type="mesh" mesh="m"/></worldbody>'
