@@ -132,7 +132,7 @@ def _raise_again(unraisable: Any) -> None:
     again.start()
 
 
-def _signal_main(number: int) -> None:
+def _signal_main(number: signal.Signals) -> None:
     """Send a signal to the main thread, whose waits it ends, but on Windows."""
     if hasattr(signal, "pthread_kill"):
         signal.pthread_kill(threading.main_thread().ident or 0, number)

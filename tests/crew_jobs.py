@@ -57,6 +57,8 @@ def work(job: tuple[str, Any]) -> Any:
             if time.monotonic() > end:
                 raise TimeoutError("nobody else came")
             time.sleep(0.005)
+    elif what == "both":
+        return [work(each) for each in value]
     elif what == "touch":
         open(value, "x").close()
     elif what == "size":

@@ -304,7 +304,8 @@ class _Crew:
         waiting = len(self._left) + len(self._again)
         starting = sum(not worker.is_ready for worker in self._workers)
         while len(self._workers) < self._count and starting < waiting:
-            self._start()
+            if not self._start():
+                break
             starting += 1
         return waiting > 0 or any(worker.task is not None for worker in self._workers)
 
@@ -334,7 +335,8 @@ class _Crew:
             return
         self._left.popleft()
 
-    def _start(self) -> None:
+    def _start(self) -> bool:
+        """Start a worker; False if that must wait, while others work."""
         try:
             self._num_started += 1
             worker = _Worker(self._num_started, self._work, self._limits)
@@ -343,7 +345,10 @@ class _Crew:
         except OSError as error:
             if self._workers and self._workers[-1].process.pid is None:
                 self._remove(self._workers[-1])
+            if any(worker.has_taken for worker in self._workers):
+                return False
             self._count_failed_start(f"{NO_START}: {error.strerror}")
+        return True
 
     def _remove(self, worker: _Worker) -> None:
         self._workers.remove(worker)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import multiprocessing
 import os
 import pickle
@@ -10,6 +11,7 @@ import subprocess
 import sys
 import time
 from multiprocessing.connection import wait
+from multiprocessing.context import SpawnProcess
 
 import pytest
 
@@ -276,6 +278,26 @@ def test_workers_that_do_not_start_are_one_error(prepare, why, capfd):
     with pytest.raises(NavbakeError, match=f"cannot start a worker process: .*{why}"):
         list(do_jobs([("double", 1)], crew_jobs.work, 2, prepare=prepare))
     assert capfd.readouterr() == ("", "")
+
+
+def test_the_system_may_refuse_more_workers_while_others_work(tmp_path, monkeypatch):
+    start, started = SpawnProcess.start, []
+    both, refused = tmp_path / "both", tmp_path / "refused"
+    both.mkdir()
+    refused.mkdir()
+
+    def refuse(process):
+        started.append(process)
+        if len(started) > 2:
+            (refused / "yes").touch()
+            raise OSError(errno.EMFILE, "Too many open files")
+        start(process)
+
+    monkeypatch.setattr(SpawnProcess, "start", refuse)
+    meet, wait_for_it = ("meet", (both, 2)), ("meet", (refused, 2))
+    jobs = [("both", [meet, ("exit", 1)]), ("both", [meet, wait_for_it]), *[("double", 1)] * 5]
+    ended = run(jobs, 2)
+    assert [how for how, _ in ended] == [CRASHED, *[DONE] * 6]
 
 
 def test_workers_are_gone_when_the_jobs_are_left():
