@@ -104,9 +104,9 @@ def do_order(order: Order) -> Json:
     """Bake a scene and write all that is asked for; returns its row of the index.
 
     Files appear whole, the grid last: where there is a grid, all is there. Of a scene that fails,
-    nothing is there. What is wrong with it is in its row; a MemoryError alone is raised, also
-    for what `lacked_memory` knows, because nobody knows what state it leaves the process in. A scene for which the output has no room is
-    ``left``, with the reason as ``error``.
+    nothing is there. What is wrong with it is in its row; a MemoryError alone is raised, also for
+    what `lacked_memory` knows, because nobody knows what state it leaves the process in. A scene
+    for which the output has no room is ``left``, with the reason as ``error``.
     """
     begin = time.perf_counter()
     try:
