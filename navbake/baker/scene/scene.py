@@ -125,7 +125,7 @@ def load_scene(
         raise SceneError(_nothing_counts(settings, own))
     with _errors_name(settings):
         collected = collect_shapes(model, data, choices, parts, meshes=meshes)
-    warnings = [f"MuJoCo: {' '.join(warning.split())}" for warning in [*compiled, *warned]]
+    warnings = [" ".join(warning.split()) for warning in [*compiled, *warned]]
     warnings += [*warn_out_of_range(model, settings), *_find_unusable(model)]
     warnings += [*_find_unused_settings(settings, parts), *lying()]
     warnings += [*notes, *collected.notes]
