@@ -59,6 +59,16 @@ def test_with_doors_opens_the_gap(bake, state):
     assert grid.doors[0].state == state
 
 
+@pytest.mark.parametrize("cell_size", [0.05, 0.1, 0.2])
+@pytest.mark.parametrize(("most", "is_stuck"), [("1.57", True), ("90", False), ("180", False)])
+def test_a_door_that_opens_nothing_is_told(warnings, most, is_stuck, cell_size):
+    leaf = LEAF.replace('range="0 90"', f'range="0 {most}"')
+    found = warnings(ROOMS, leaf, grid={"cell_size": cell_size})
+    told = [text for text in found if "door 'leaf' still closes its doorway" in text]
+    assert len(told) == is_stuck
+    assert all(f"by {most}° only" in text and "angle" in text for text in told)
+
+
 def test_open_leaf_blocks_where_it_stands(bake):
     grid = bake(ROOMS, LEAF).with_doors({"leaf": "open"})
     row, col = grid.lattice.rows_cols([2.5, 1.06])
