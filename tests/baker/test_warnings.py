@@ -152,6 +152,18 @@ def test_a_mesh_that_lies_on_its_side_gets_a_hint(tmp_path, suffix):
     assert not any("scene.up" in h for h in load_scene(SceneSettings(path=upright)).warnings)
 
 
+@pytest.mark.parametrize(("scale", "is_told"), [(1.0, False), (100.0, True), (1000.0, True)])
+def test_a_mesh_that_is_probably_not_in_metres_gets_a_hint(tmp_path, scale, is_told):
+    path = tmp_path / "flat.ply"
+    trimesh.creation.box((8, 6, 2.5)).apply_scale(scale).export(path)
+    hints = [text for text in load_scene(SceneSettings(path=path)).warnings if "unit" in text]
+    assert len(hints) == is_told
+    assert all(f"{2.5 * scale:g} m high" in hint and "to 0.01" in hint for hint in hints)
+    # whoever says the unit knows
+    said = load_scene(SceneSettings(path=path, unit=1.0)).warnings
+    assert not any("unit" in text for text in said)
+
+
 @pytest.mark.skipif(not DUNGEON.exists(), reason="needs the meshes of Recast")
 def test_recasts_dungeon_lies_on_its_side():
     assert any("`scene.up`" in hint for hint in load_scene(SceneSettings(path=DUNGEON)).warnings)
