@@ -107,8 +107,8 @@ def bake(
         )
     if is_file and output != str(STDOUT) and not Path(output or "").suffix:
         raise BadParameter(
-            f"expected a name that ends in {', '.join(GRIDS)}, or a folder, got {output}: a new "
-            f"folder is written {output}/",
+            f"expected a name that ends in {', '.join(GRIDS)}, got {output}: a new folder is "
+            f"written {output}/",
             param_hint="-o",
         )
     refuse_unused(("--name", name is not None, not is_file, "files in a folder"))

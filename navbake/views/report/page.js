@@ -425,7 +425,7 @@ for (const [i, text] of ["zoom in", "zoom out", "show all"].entries()) {
   find("zoom").children[i].removeAttribute("aria-pressed");
 }
 new ResizeObserver(() => {
-  if (isFitted) fit();
+  if (isFitted && level()) fit(); // two grids may have no level in common
   draw();
 }).observe(canvas);
 showSheet();
