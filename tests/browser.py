@@ -83,13 +83,18 @@ def open_browser(
         # the path of the driver is given, so that selenium looks for none on the net
         driver = webdriver.Chrome(options=options, service=Service(str(CHROMEDRIVER)))
         try:
-            size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-            driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+            resize(driver, width, height)
             scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
             driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
             yield driver
         finally:
             driver.quit()
+
+
+def resize(driver: Any, width: int, height: int) -> None:
+    """Give the page another size [pixels]."""
+    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
 
 
 def requests_of(driver: Any) -> list[str]:

@@ -79,6 +79,11 @@ def take_input(
                 "expected a data with a mujoco.MjModel or MjSpec: give the model, too; the pose "
                 "of a file is set by `scene.keyframe` and `scene.joints`"
             )
+        if isinstance(scene, str) and scene.lstrip().startswith("<"):
+            raise ConfigError(
+                "expected a file, settings or a model, got XML text: "
+                "`mujoco.MjSpec.from_string` makes a model of it"
+            )
         config = config_with(scene, settings)
     if left_out is None or (left_out.exclude is None and left_out.robot is None):
         return BakeInput(config, opened)

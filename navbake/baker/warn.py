@@ -13,6 +13,7 @@ from navbake.baker.floors.outline import find_cropped
 from navbake.baker.floors.patch import Patch
 from navbake.baker.floors.reach import TOLD_AREA, Unreached
 from navbake.baker.floors.tops import LARGE_TOP
+from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.bodies import find_free_bodies
 from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene
@@ -22,6 +23,9 @@ from navbake.errors import printable
 from navbake.types import Int
 
 SPARSE = 64  # a first look at floors reads one row of so many
+# How far below a ground that was given the floor lies that was meant, at most: the thickness of a
+# slab with what is laid on it, so that the top of one is not taken for another storey's [m]
+NEAR_GROUND = 0.5
 MAX_MOVABLE = 3  # bodies with a free joint that a warning names at most
 
 
@@ -90,6 +94,7 @@ def warn_missing_floors(scene: Scene, floors: Floors, config: BakeConfig) -> lis
             f"{_describe_tops(scene, floors.small_starts)}; give the height of the floor that "
             "one starts from, at a place where nothing stands on it"
         )
+    warnings += _warn_high_grounds(floors, config)
     warnings += [_describe_unreached(scene, floors, part) for part in floors.unreached]
     left_out = [patch for patch in floors.left_out if patch.area >= TOLD_AREA]
     if left_out:
@@ -223,14 +228,42 @@ def _warn_hidden_ground(scene: Scene, floors: Floors, config: BakeConfig) -> lis
     return []
 
 
+def _warn_high_grounds(floors: Floors, config: BakeConfig) -> list[str]:
+    """Warn of grounds in `levels` that are a little higher than the floors that were meant.
+
+    Such a floor goes to another level, and the name to whatever lies above. A ground is told of
+    where its level has no floor within a step above it, and another has one as large as a sheet
+    has to be within `NEAR_GROUND` below it.
+    """
+    warnings = []
+    given = [] if config.levels == "auto" else [level.ground for level in config.levels]
+    step, cell_area = config.agent.traversable_floor_height, config.grid.cell_size**2
+    for level in floors.levels:
+        if level.ground not in given or np.nanmin(level.floor) <= level.ground + step + SLACK:
+            continue
+        others = [other.floor[other.standable] for other in floors.levels if other is not level]
+        z = np.concatenate([np.empty(0), *others])
+        drop = np.round((level.ground - z) * 100)  # [cm]
+        drop = drop[(drop > 0) & (drop <= NEAR_GROUND * 100)].astype(np.int64)
+        count = np.bincount(drop, minlength=1)
+        area, below = int(count.max()) * cell_area, int(count.argmax()) / 100
+        if area >= config.floors.min_area:
+            warnings.append(
+                f"{level.name!r} has no floor near its ground, {level.ground:.2f} m: one of "
+                f"{area:.1f} m² lies {below:.2f} m below it and is on another level; "
+                f"`ground: {level.ground - below:.6g}` in `levels` takes it in"
+            )
+    return warnings
+
+
 def _describe_unreached(scene: Scene, floors: Floors, part: Unreached) -> str:
     """The warning of what no step leads to on a level."""
     level, patch = floors.levels[part.level], part.patch
     name, area = scene.geoms[patch.geom].name, f"{patch.area:.1f} m²"
+    x, y, z = patch.place
     if part.whole:
-        what = f"{level.name!r} ({area} at {level.ground:.2f} m, most of it on {name!r})"
+        what = f"{level.name!r} ({area} at {z:.2f} m, most of it on {name!r})"
     else:
-        x, y, z = patch.place
         what = f"{area} of {level.name!r} (most of it on {name!r}, as at {x:.2f}, {y:.2f}, {z:.2f})"
     return (
         f"no step leads to {what}: `floors.reach: steps` leaves such "

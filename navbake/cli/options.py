@@ -4,7 +4,7 @@ import inspect
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from functools import wraps
 from pathlib import Path
@@ -139,8 +139,20 @@ def refuse_unused(*uses: tuple[str, bool, bool, str]) -> None:
 class Command(TyperCommand):
     """A command whose help calls values by their metavars alone, and has --output first.
 
-    typer prints the Python type of an argument, too, as ``<list[str]>``.
+    typer prints the Python type of an argument, too, as ``<list[str]>``. Its errors of values that
+    don't fit an option leave out what was given; here they end with it.
     """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Take the arguments apart."""
+        given = list(args)
+        try:
+            return list(super().parse_args(ctx, args))
+        except BadParameter as error:
+            value = _value_of(error.param.opts if error.param else [], given)
+            if value and value not in error.message:
+                error.message = f"{error.message}, got {value!r}"
+            raise
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the help of arguments and of options."""
@@ -152,6 +164,17 @@ class Command(TyperCommand):
             if lines:
                 with formatter.section(title):
                     formatter.write_dl(lines)
+
+
+def _value_of(names: Sequence[str], args: Sequence[str]) -> str:
+    """The value of an option among the arguments; empty if it can't be told."""
+    for before, word in zip(["", *args], args, strict=False):
+        name, _, value = word.partition("=")
+        if before in names:
+            return word
+        if name in names and value:
+            return value
+    return ""
 
 
 def prepared(command: Callable[..., None]) -> Callable[..., None]:

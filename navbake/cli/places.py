@@ -51,21 +51,53 @@ def parse_place(text: str, option: str) -> GivenPlace:
 
 
 def position_of_place(grid: NavGrid, place: GivenPlace, option: str) -> list[float]:
-    """World x, y and, where the place has z or a level, z [m]: the floor of that level there.
+    """World x, y, z [m] of a place: where it has no z, the floor of its level there.
+
+    A place without a level is on the only one that has a floor there. On a grid of one level it
+    stays x, y.
 
     Raises:
-        BadParameter: the level is open to the one below there.
+        BadParameter: the place has no level, and none or several have a floor there; or its level
+            is open to the one below there.
         QueryError: there is no such level.
     """
     x, y, z, level = place
+    if z is not None:
+        return [x, y, z]
     if level is None:
-        return [x, y] if z is None else [x, y, z]
+        if len(grid.levels) == 1:
+            return [x, y]
+        level = _only_level(grid, x, y, option)
     cell = grid.cell_at((x, y), level)
     z = grid.levels[level].ground if cell is None else float(grid.position_of(cell)[2])
     found = grid.cell_at((x, y, z))
     if found is not None and found.level != level:
         raise BadParameter(f"level {level} has no floor at {x:g}, {y:g}", param_hint=option)
     return [x, y, z]
+
+
+def _only_level(grid: NavGrid, x: float, y: float, option: str) -> int:
+    """The level that alone has a floor at x, y.
+
+    Raises:
+        BadParameter: none or several have one.
+    """
+    found = [number for number in range(len(grid.levels)) if _has_floor(grid, x, y, number)]
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        raise BadParameter(f"no level has a floor at {x:g}, {y:g}", param_hint=option)
+    spelled = [f"{x:g},{y:g},L{number}" for number in found]
+    raise BadParameter(
+        f"expected a place with a level or z, got {x:g},{y:g}, where {len(found)} levels have a "
+        f"floor: write {' or '.join(spelled)}",
+        param_hint=option,
+    )
+
+
+def _has_floor(grid: NavGrid, x: float, y: float, level: int) -> bool:
+    cell = grid.cell_at((x, y), level)
+    return cell is not None and not math.isnan(grid.levels[level].floor[cell.row, cell.col])
 
 
 def _correct(text: str) -> str:

@@ -33,6 +33,8 @@ OTHER_WORDS = {
     "step_height": "agent.traversable_floor_height",
 }
 """What other tools call a setting, and its key here."""
+SINGLE: dict[str, tuple[str, type]] = {"scene": ("path", str), "levels": ("ground", float)}
+"""Of a section, the key and type of what people write in place of a mapping."""
 MAX_SHOWN = 60  # characters of a value in a message
 MAX_ITEMS = 6  # of a list that is shown
 NESTED = (Mapping, list, tuple, set)
@@ -98,7 +100,17 @@ def _complaint(error: ErrorDetails, loc: Location, sections: Sections) -> str:
         expected = context["expected"].replace("'", "")
     got = context.get("got") or show_value(error["input"])
     where = _dotted(loc) + context.get("at", "")
+    if kind == "model_type":
+        expected = f"a mapping{_as_mapping(str(loc[0]), error['input'])}"
     return f"expected {expected or error['msg']}, got {got} at `{where}`"
+
+
+def _as_mapping(section: str, value: Any) -> str:
+    """How to write a value that stands in place of a section, or of an item of one."""
+    key, wanted = SINGLE.get(section, ("", float))
+    kinds = (int, float) if wanted is float else wanted
+    is_meant = bool(key) and isinstance(value, kinds) and not isinstance(value, bool)
+    return f" such as {{{key}: {shorten(str(value))}}}" if is_meant else ""
 
 
 def _unknown_key(loc: Location, sections: Sections) -> str:

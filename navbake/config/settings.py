@@ -46,6 +46,7 @@ from navbake.errors import ConfigError
 from navbake.types import Json
 
 YAML_SUFFIXES = (".yaml", ".yml")
+MAP_KEYS = frozenset({"image", "resolution", "origin"})  # of the YAML of a nav2 map
 
 
 def _check_bounds(value: list[float]) -> list[float]:
@@ -270,6 +271,11 @@ def parse_config(
     """
     if not isinstance(data, Mapping):
         raise ConfigError(f"expected a mapping of settings in {source}: `scene: {{path: …}}`")
+    if data.keys() >= MAP_KEYS:
+        raise ConfigError(
+            f"expected settings in {source}, got a map of nav2: `navbake convert` makes a grid of "
+            f"it, `navbake extrude` a scene"
+        )
     # null stands for a section's defaults: so what a file without `scene` lacks is `scene.path`
     data = {"scene": None, **apply_overrides(data, overrides)}
     context: dict[str, Any] = {"folder": folder, "inputs": []}

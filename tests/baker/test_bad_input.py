@@ -12,10 +12,11 @@ import mujoco
 import pytest
 import trimesh
 
+import navbake
 from navbake.baker.pipeline import run_bake
 from navbake.cli.main import main
 from navbake.config.settings import parse_config
-from navbake.errors import NavbakeError, SceneError
+from navbake.errors import ConfigError, NavbakeError, SceneError
 from project_paths import ROOT
 
 ROOM = """<mujoco><worldbody>
@@ -385,3 +386,8 @@ def test_no_floor_beside_an_endless_plane_tells_of_the_margin(tmp_path):
     )
     with pytest.raises(SceneError, match=r"without 'ground', which is endless: `grid.margin`"):
         run_bake(parse_config({"scene": {"path": str(path)}}))
+
+
+def test_xml_text_in_place_of_a_file():
+    with pytest.raises(ConfigError, match=r"got XML text: `mujoco.MjSpec.from_string`"):
+        navbake.bake("\n<mujoco/>")

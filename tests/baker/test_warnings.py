@@ -152,6 +152,41 @@ def test_a_mesh_that_lies_on_its_side_gets_a_hint(tmp_path, suffix):
     assert not any("scene.up" in h for h in load_scene(SceneSettings(path=upright)).warnings)
 
 
+@pytest.mark.parametrize(("scale", "is_told"), [(1.0, False), (100.0, True), (1000.0, True)])
+def test_a_mesh_that_is_probably_not_in_metres_gets_a_hint(tmp_path, scale, is_told):
+    path = tmp_path / "flat.ply"
+    trimesh.creation.box((8, 6, 2.5)).apply_scale(scale).export(path)
+    hints = [text for text in load_scene(SceneSettings(path=path)).warnings if "unit" in text]
+    assert len(hints) == is_told
+    assert all(f"{2.5 * scale:g} m high" in hint and "to 0.01" in hint for hint in hints)
+    # whoever says the unit knows
+    said = load_scene(SceneSettings(path=path, unit=1.0)).warnings
+    assert not any("unit" in text for text in said)
+
+
 @pytest.mark.skipif(not DUNGEON.exists(), reason="needs the meshes of Recast")
 def test_recasts_dungeon_lies_on_its_side():
     assert any("`scene.up`" in hint for hint in load_scene(SceneSettings(path=DUNGEON)).warnings)
+
+
+STOREYS = "".join(
+    box(name, -3, -3, z - 0.2, 3, 3, z) for name, z in (("low", 0.0), ("high", 2.8), ("roof", 5.6))
+)
+
+
+@pytest.mark.parametrize("ground", [2.9, 3.3, 2.8, 2.7, 4.0])
+def test_a_ground_that_is_a_little_too_high_is_told(tmp_path, ground):
+    (tmp_path / "a.xml").write_text(world(STOREYS))
+    levels = [{"ground": 0, "name": "down"}, {"ground": ground, "name": "up"}]
+    settings = {"scene": {"path": str(tmp_path / "a.xml")}, "levels": levels}
+    found = run_bake(parse_config(settings)).warnings
+    told = [text for text in found if "no floor near its ground" in text]
+    if not 2.8 < ground <= 3.3:  # right, or so far that nobody can tell what was meant
+        assert told == []
+        return
+    assert told == [
+        f"'up' has no floor near its ground, {ground:.2f} m: one of 36.0 m² lies {ground - 2.8:.2f}"
+        " m below it and is on another level; `ground: 2.8` in `levels` takes it in"
+    ]
+    [unreached] = [text for text in found if "no step leads to 'up'" in text]
+    assert "36.0 m² at 5.60 m" in unreached

@@ -103,3 +103,11 @@ def test_a_folder_that_takes_no_files(folder, run):
     (folder / "locked").mkdir(mode=0o500)
     status, _, err = run("bake", "room.yaml", "-o", "locked/a.json")
     assert (status, "Permission denied" in err) == (1, True)
+
+
+def test_a_new_folder_without_a_slash_is_told_how_to_write_it(run, names, folder):
+    before = names(folder)
+    status, _, err = run("bake", "room.yaml", "-o", "grids")
+    assert status == 2
+    assert "got grids: a new folder is written grids/" in " ".join(err.split())
+    assert names(folder) == before

@@ -89,7 +89,9 @@ def test_a_missing_grid_and_wrong_usage(run):
     assert status == 1
     assert "absent.json" in err
     assert run("house.json.gz", "-o", "a.json")[0] == 2
-    assert run("house.json.gz", "--radius", "wide", "-o", "a.json")[0] == 2
+    for given in (("--radius", "30cm"), ("--radius=30cm",)):
+        status, _, err = run("house.json.gz", *given, "-o", "a.json")
+        assert status == 2 and "30cm" in err and "--radius" in err
     for options in (("--scaling", 3), ("--mode", "minos", "--ledges", "avoid")):
         status, _, err = run("house.json.gz", "--radius", 1, *options, "-o", "a.json")
         assert status == 2 and "does nothing here" in err

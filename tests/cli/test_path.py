@@ -79,7 +79,7 @@ def test_draws_a_picture(run, tmp_path):
         (["--from", "0,0,0", "--to", "1,1,Lx"], 2, "--to"),
         (["--from", "0,0,0", "--to", "room:1:1", "--to", "0,0,0"], 2, "several goals"),
         (["--from", "0,0,0", "--to", "1,1,L7"], 1, "no level 7"),
-        (["--from", "0,0", "--to", "room:1:1"], 1, "a level"),
+        (["--from", "0,0", "--to", "room:1:1"], 2, "a level"),
         (["--from", "0,0,0", "--to", "room:nowhere"], 1, "no room 'nowhere'"),
         (["--from", "0,0,0", "--to", "room:1:1", "-o", "path.jpg"], 2, ".png"),
         (["--from", "0,0,0", "--to", "room:1:1", "--radius", "-1"], 1, "radius"),

@@ -67,6 +67,28 @@ def test_why_and_path_mean_the_same(run, at, level):
     assert json.loads(out)["path"]["levels"][0] == level
 
 
+def test_a_place_without_a_level_is_on_the_only_floor_there(run):
+    goal = ("--to", "-2.2,-3.2,L1")
+    with_level, without = (
+        run("path", HOUSE, "--from", start, *goal, "--json") for start in ("0,-4.8,L0", "0,-4.8")
+    )
+    assert with_level[0] == 0 and with_level == without
+
+
+@pytest.mark.parametrize(
+    ("option", "other", "at", "message"),
+    [
+        ("--from", "--to", "1,1", "levels have a floor: write 1,1,L0 or 1,1,L1"),
+        ("--to", "--from", "1,1", "levels have a floor: write 1,1,L0 or 1,1,L1"),
+        ("--from", "--to", "99,0", "no level has a floor at 99, 0"),
+    ],
+)
+def test_a_place_without_a_level_on_several_floors_or_none(run, option, other, at, message):
+    status, _, err = run("path", HOUSE, option, at, other, "0,-4.8,L0")
+    assert status == 2
+    assert f"{option}: " in err and message in " ".join(err.split())
+
+
 def test_why_of_a_place_below_all_floors(run):
     status, _, err = run("why", HOUSE, "--at", "1,1,-30")
     assert status == 1

@@ -204,7 +204,9 @@ REFUSED = [
     ("agent: {height: 0.2}", "< `agent.height` (0.2), got 0.25"),
     ("levels: []", "expected auto or a list of {ground: …, top: …, name: …}, got a list of 0"),
     ("levels: three", 'got "three" at `levels`'),
-    ("levels: [0.0, 3.0]", "expected a mapping, got 0.0 at `levels[0]`"),
+    ("levels: [0.0, 3.0]", "a mapping such as {ground: 0.0}, got 0.0 at `levels[0]`"),
+    ("levels: [0, 3]", "a mapping such as {ground: 3}, got 3 at `levels[1]`"),
+    ("levels: [true]", "expected a mapping, got true at `levels[0]`"),
     ("levels: [{top: 3.0}]", "expected a value, found none at `levels[0].ground`"),
     ("levels: [{ground: low}]", 'expected a number, got "low" at `levels[0].ground`'),
     ("levels: [{ground: 1, top: 1}]", "expected a number > `ground` (1), or null, got 1"),
@@ -277,6 +279,16 @@ def test_refuses(house, text, expected):
 @pytest.mark.parametrize(("text", "expected"), REFUSED_IN_SCENE)
 def test_refuses_in_scene(house, text, expected):
     assert expected in message(house(f"scene: {{{text}}}"))
+
+
+def test_a_scene_alone_is_written_as_a_mapping(house):
+    expected = 'expected a mapping such as {path: x.xml}, got "x.xml" at `scene`'
+    assert expected in message(house("scene: x.xml"))
+
+
+def test_a_map_of_nav2_is_no_settings(house):
+    text = message(house("image: a.pgm\nresolution: 0.05\norigin: [0, 0, 0]\nmode: trinary"))
+    assert "got a map of nav2: `navbake convert`" in text and "house.yaml" in text
 
 
 @pytest.mark.parametrize("text", ["grid: {}", "scene:", "scene: {}"])

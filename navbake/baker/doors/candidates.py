@@ -20,7 +20,6 @@ from navbake.config.settings import DoorSettings
 from navbake.types import Bool, Int
 
 QUARTER = np.pi / 2  # how far a hinge without limits opens [rad]
-UPRIGHT = 0.9  # least cosine between a hinge's axis and the vertical
 # The size of a leaf that no pattern names, and the rounding that is allowed for [m]
 MIN_HEIGHT = 1.5
 MIN_WIDTH, MAX_WIDTH = 0.4, 2.5
@@ -122,11 +121,14 @@ class _BodySearch:
         return under[self._counted[under]]
 
     def is_candidate(self, body: int) -> bool:
-        """Whether a pattern names it, or it moves and looks like a leaf; and it has geoms."""
+        """Whether a pattern names it, or it moves and looks like a leaf; and it has geoms.
+
+        A leaf may turn or slide about or along any axis: garage doors tilt, and rollers go up.
+        """
         if self.matches[body]:
             return len(self.geoms(body)) > 0
         joint = self._joint(body)
-        if joint < 0 or not self._settings.find or not self._moves_like_leaf(joint):
+        if joint < 0 or not self._settings.find:
             return False
         geoms = self.geoms(body)
         return len(geoms) > 0 and self._looks_like_leaf(geoms)
@@ -151,12 +153,6 @@ class _BodySearch:
         model = self._scene.model
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         return first if count == 1 and int(model.jnt_type[first]) in (HINGE, SLIDE) else -1
-
-    def _moves_like_leaf(self, joint: int) -> bool:
-        """Whether a joint is a hinge about the vertical, or a slide along the floor."""
-        axis = self._scene.data.xaxis[joint]
-        is_hinge = int(self._scene.model.jnt_type[joint]) == HINGE
-        return bool(is_hinge == (abs(axis[2]) >= UPRIGHT))
 
     def _looks_like_leaf(self, geoms: Int) -> bool:
         """Whether the largest geom is tall, thin and as wide as a door, as it is modelled."""

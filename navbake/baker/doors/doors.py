@@ -13,6 +13,7 @@ import numpy as np
 from navbake.baker.columns import cast_columns, tile_shapes
 from navbake.baker.doors.candidates import DoorCandidate, largest_side, pose_doors
 from navbake.baker.floors.levels import LevelFloor
+from navbake.baker.kernels.constants import HINGE
 from navbake.baker.occupancy.occupancy import Footprints, Occupancy, check_footprints
 from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.scene.extents import Extents, measure_geoms
@@ -28,6 +29,9 @@ SIGHT = 0.6
 # Where lines of sight begin along the leaf, as shares of its width from its middle; its ends are
 # left out, because the frame is there
 LINES = (-0.3, -0.15, 0.0, 0.15, 0.3)
+# From which share on of the cells of a closed door that its open state blocks as well it opens
+# nothing: nobody who needs a doorway gets through a quarter of it
+STUCK = 0.75
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,7 @@ class PlacedDoor:
         closed_cells: for each level, the cells that the closed door blocks, whatever else does.
         solid: as `cells`, of the cells whose squares the door meets and nothing else does; empty
             where the footprint is the square.
+        travel: by how much its joint opens it, with the unit; empty for no joint.
     """
 
     id: str
@@ -50,6 +55,7 @@ class PlacedDoor:
     cells: dict[str, list[Int]]
     closed_cells: list[Int]
     solid: dict[str, list[Int]] = field(default_factory=dict)
+    travel: str = ""
 
     def state(self, wanted: str) -> str:
         """The wanted state if the door has it, else modelled."""
@@ -110,19 +116,45 @@ def place_doors(scene: Scene, candidates: Sequence[DoorCandidate], around: Surro
         if squares is not None:
             met = {state: levels for state, (_, levels) in by_state.items()}
             solid = {state: _only_free(levels, squares) for state, levels in met.items()}
-        names = candidate.id, candidate.joint
-        placed.append(PlacedDoor(*names, rooms or (None, None), cells, blocked["closed"], solid))
+        travel = _describe_travel(scene, candidate)
+        names, sides = (candidate.id, candidate.joint), rooms or (None, None)
+        placed.append(PlacedDoor(*names, sides, cells, blocked["closed"], solid, travel))
     return Doors(placed, rejected)
 
 
 def warn_immovable_doors(doors: Sequence[PlacedDoor], state: str) -> list[str]:
-    """Warn of doors that can't be in the state that is wanted of all."""
-    return [
+    """Warn of doors that can't be in the state that is wanted of all, or that open nothing."""
+    stuck = [
+        f"the open state of door {door.id!r} still closes its doorway, as its joint opens it by "
+        f"{door.travel} only: check its range, whether the file means degrees or radians "
+        "(`<compiler angle>`), and `grid.cell_size`"
+        for door in doors
+        if _is_stuck(door)
+    ]
+    return stuck + [
         f"door {door.id!r} can't be {state}, as it has no hinge or slide of its own: it stays as "
         f"modelled"
         for door in doors
         if door.state(state) != state
     ]
+
+
+def _is_stuck(door: PlacedDoor) -> bool:
+    """Whether the door blocks nearly all of its doorway when it is open, too."""
+    if "open" not in door.cells:
+        return False
+    pairs = [*zip(door.cells["closed"], door.cells["open"], strict=True)]
+    both = sum(len(np.intersect1d(closed, opened)) for closed, opened in pairs)
+    num_closed = sum(len(closed) for closed, _ in pairs)
+    return num_closed > 0 and both >= STUCK * num_closed
+
+
+def _describe_travel(scene: Scene, candidate: DoorCandidate) -> str:
+    if not candidate.positions:
+        return ""
+    travel = abs(candidate.positions["open"] - candidate.positions["closed"])
+    is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
+    return f"{np.degrees(travel):.3g}°" if is_hinge else f"{travel:.3g} m"
 
 
 # ---------------------------------------------------------------- what a door blocks

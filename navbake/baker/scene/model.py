@@ -27,6 +27,7 @@ XML_SUFFIXES = frozenset({".xml", ".mjcf", ".urdf"})
 MJB_SUFFIX = ".mjb"
 TETRAHEDRON = np.eye(4, 3), np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
 """Vertices and faces, counter-clockwise from outside."""
+BY_MUJOCO = "MuJoCo: "  # what its warnings begin with
 _WARNING_LOCK = threading.Lock()  # MuJoCo has one hook for warnings, whatever the thread
 
 
@@ -52,7 +53,7 @@ class OpenScene(NamedTuple):
         model: the mujoco.MjModel.
         parts: the exact meshes of a mesh scene by geom id, see `Scene.parts`.
         ground: the geom of `scene.ground`; None without.
-        warnings: what MuJoCo warned of as it compiled.
+        warnings: of MuJoCo as it compiled, and of what was left out.
         data: its mujoco.MjData in the pose to bake; None for the pose that the settings ask for.
     """
 
@@ -104,19 +105,20 @@ def _load_file(settings: SceneSettings, warnings: list[str]) -> tuple[Any, dict[
             )
             return compile_model(path, warnings, partial(_load_mjb, path), hint), {}
         if suffix in XML_SUFFIXES:
-            return _load_xml(path, warnings, ground), {}
+            return _load_xml(settings, warnings), {}
     except OSError as error:
         raise SceneError(f"cannot read {path}: {error.strerror or error}") from error
     known = ", ".join(sorted({MJB_SUFFIX} | XML_SUFFIXES | MESH_SUFFIXES))
     raise SceneError(f"cannot tell what {path} is: expected one of {known}")
 
 
-def _load_xml(path: Path, warnings: list[str], ground: float | None) -> Any:
+def _load_xml(settings: SceneSettings, warnings: list[str]) -> Any:
+    path, ground = Path(settings.path), settings.ground
     if path.stat().st_size == 0:
         raise SceneError(f"{path} is empty: expected an MJCF or URDF scene")
     root = _peek_root(path)
     if root == "robot":
-        text, meshes = read_urdf(path)
+        text, meshes = read_urdf(path, settings.geoms, warnings)
         return compile_model(path, warnings, lambda: _build_urdf(text, meshes, ground, warnings))
     if root not in ("mujoco", ""):
         raise SceneError(f"expected <mujoco> or <robot> in {path}, got <{root[:40]}>")
@@ -156,7 +158,9 @@ def compile_model(path: Path, warnings: list[str], load: Callable[[], Any], hint
     except (ConfigError, SceneError):
         raise
     except Exception as error:  # mujoco raises ValueError, FatalError and UnexpectedError
-        said = [*str(error).splitlines(), *warnings] or [type(error).__name__]
+        said = [*str(error).splitlines(), *(w.removeprefix(BY_MUJOCO) for w in warnings)] or [
+            type(error).__name__
+        ]
         lines = dict.fromkeys([*said, *chatter])  # each once, in order
         reason = "; ".join(" ".join(line.split()) for line in lines if line.strip())
         reason = reason.removeprefix("Error: ").removeprefix("XML Error: ")
@@ -192,7 +196,8 @@ def compile_spec(spec: Any, ground: float | None, warnings: list[str]) -> Any:
     with python_warnings.catch_warnings(record=True) as said:  # MjSpec warns by Python's means
         python_warnings.simplefilter("always")
         model = spec.compile()
-    warnings.extend(text for each in said if (text := str(each.message)) not in warnings)
+    texts = [f"{BY_MUJOCO}{each.message}" for each in said]
+    warnings.extend(text for text in texts if text not in warnings)
     return model
 
 
@@ -258,11 +263,14 @@ def _fill_mesh(mesh: Any, vertices: Float, faces: Int) -> None:
 
 @contextmanager
 def catch_warnings() -> Iterator[list[str]]:
-    """Collect what MuJoCo warns of; otherwise it goes to stderr and ./MUJOCO_LOG.TXT."""
+    """Collect what MuJoCo warns of; otherwise it goes to stderr and ./MUJOCO_LOG.TXT.
+
+    Each warning begins with `BY_MUJOCO`.
+    """
     with _WARNING_LOCK:
         before = mujoco.get_mju_user_warning()
         warnings: list[str] = []
-        mujoco.set_mju_user_warning(warnings.append)
+        mujoco.set_mju_user_warning(lambda text: warnings.append(f"{BY_MUJOCO}{text}"))
         try:
             yield warnings
         finally:

@@ -28,6 +28,9 @@ from navbake.types import Float
 
 # Arrays of more bytes than this are hashed where they are
 LARGE_ARRAY = 1 << 20
+# A mesh that is higher is probably not in metres: few buildings are as high, and one storey in
+# centimetres or millimetres has more units than that [m]
+HIGH_MESH = 100.0
 
 
 @dataclass(frozen=True)
@@ -125,9 +128,9 @@ def load_scene(
         raise SceneError(_nothing_counts(settings, own))
     with _errors_name(settings):
         collected = collect_shapes(model, data, choices, parts, meshes=meshes)
-    warnings = [f"MuJoCo: {' '.join(warning.split())}" for warning in [*compiled, *warned]]
+    warnings = [" ".join(warning.split()) for warning in [*compiled, *warned]]
     warnings += [*warn_out_of_range(model, settings), *_find_unusable(model)]
-    warnings += [*_find_unused_settings(settings, parts), *lying()]
+    warnings += [*_find_unused_settings(settings, parts), *lying(), *_warn_unit(settings, parts)]
     warnings += [*notes, *collected.notes]
     return Scene(
         id=settings.id or stem_of(settings.path),
@@ -216,6 +219,20 @@ def _warn_lying(settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str
     return [
         f"{reason}, and `scene.up` is z: if the scene lies on its side, set it to y "
         "(z silences this)"
+    ]
+
+
+def _warn_unit(settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str]:
+    """Warn of a mesh scene that is probably not in metres, unless the settings say its unit."""
+    if not parts or "unit" in settings.model_fields_set:
+        return []
+    low = min(float(part.vertices[:, 2].min()) for part in parts.values())
+    high = max(float(part.vertices[:, 2].max()) for part in parts.values())
+    if high - low <= HIGH_MESH:
+        return []
+    return [
+        f"the mesh is {high - low:.6g} m high: if it is in centimetres, set `scene.unit` to 0.01, "
+        "in millimetres to 0.001 (1 silences this)"
     ]
 
 

@@ -105,6 +105,12 @@ def bake(
             f"with several CONFIGs, expected a folder, got {output} (a new one ends in /)",
             param_hint="-o",
         )
+    if is_file and output != str(STDOUT) and not Path(output or "").suffix:
+        raise BadParameter(
+            f"expected a name that ends in {', '.join(GRIDS)}, got {output}: a new folder is "
+            f"written {output}/",
+            param_hint="-o",
+        )
     refuse_unused(("--name", name is not None, not is_file, "files in a folder"))
     if name is not None:
         check_name(name)

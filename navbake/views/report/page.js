@@ -11,6 +11,7 @@ const BAR = 110; // longest bar of the scale [pixels]
 const HINT = "Point at a cell to read what the grid knows of it. Drag to move, scroll to zoom.";
 const state = { sheet: 0, level: 0, layer: "", hidden: new Set(), pointed: null };
 const view = { x: 0, y: 0, scale: 1 }; // world x, y [m] of the canvas' middle, pixels a metre
+let isFitted = false; // whether the view shows all of the level: until the reader moves or zooms it
 const pictures = new Map(), unpacked = new Map();
 
 const sheet = () => content.sheets[state.sheet];
@@ -235,6 +236,7 @@ function fit() {
   view.x = own.xMin + width / 2;
   view.y = own.yMax - height / 2;
   view.scale = 0.96 * Math.min(canvas.clientWidth / width, canvas.clientHeight / height);
+  isFitted = true;
 }
 
 // Zoom so that what is at the pixel stays there.
@@ -244,6 +246,7 @@ function zoom(factor, px = canvas.clientWidth / 2, py = canvas.clientHeight / 2)
   const [nx, ny] = toWorld(px, py);
   view.x += x - nx;
   view.y += y - ny;
+  isFitted = false;
   draw();
 }
 
@@ -392,6 +395,7 @@ canvas.addEventListener("pointermove", (event) => {
     }
     view.x -= (px - before[0]) / view.scale;
     view.y += (py - before[1]) / view.scale;
+    isFitted = false;
   }
   tell(...toWorld(px, py));
   draw();
@@ -420,5 +424,8 @@ for (const [i, text] of ["zoom in", "zoom out", "show all"].entries()) {
   find("zoom").children[i].setAttribute("aria-label", text);
   find("zoom").children[i].removeAttribute("aria-pressed");
 }
-new ResizeObserver(draw).observe(canvas);
+new ResizeObserver(() => {
+  if (isFitted && level()) fit(); // two grids may have no level in common
+  draw();
+}).observe(canvas);
 showSheet();

@@ -59,6 +59,36 @@ def test_with_doors_opens_the_gap(bake, state):
     assert grid.doors[0].state == state
 
 
+TILTS = """
+<body name="leaf" pos="3 1.5 2.05"><joint axis="0 1 0" range="-90 0"/>
+<geom type="box" pos="0 0 -1.03" size="0.02 0.43 1"/></body>
+"""
+GOES_UP = """
+<body name="leaf" pos="3 1.5 0"><joint type="slide" axis="0 0 1" range="0 2"/>
+<geom type="box" pos="0 0 1.02" size="0.02 0.43 1"/></body>
+"""
+
+
+@pytest.mark.parametrize("leaf", [TILTS, GOES_UP], ids=["tilts", "goes up"])
+def test_leaves_that_tilt_or_slide_up_are_doors(bake, leaf):
+    grid = bake(ROOMS, leaf)
+    (door,) = grid.doors
+    assert set(door.rooms) == {room.id for room in grid.rooms}
+    assert not in_gap(grid).any()
+    assert in_gap(grid.with_doors("open"))[1:-1].all()
+    assert grid.warnings == ()
+
+
+@pytest.mark.parametrize("cell_size", [0.05, 0.1, 0.2])
+@pytest.mark.parametrize(("most", "is_stuck"), [("1.57", True), ("90", False), ("180", False)])
+def test_a_door_that_opens_nothing_is_told(warnings, most, is_stuck, cell_size):
+    leaf = LEAF.replace('range="0 90"', f'range="0 {most}"')
+    found = warnings(ROOMS, leaf, grid={"cell_size": cell_size})
+    told = [text for text in found if "door 'leaf' still closes its doorway" in text]
+    assert len(told) == is_stuck
+    assert all(f"by {most}° only" in text and "angle" in text for text in told)
+
+
 def test_open_leaf_blocks_where_it_stands(bake):
     grid = bake(ROOMS, LEAF).with_doors({"leaf": "open"})
     row, col = grid.lattice.rows_cols([2.5, 1.06])

@@ -191,6 +191,44 @@ def test_a_missing_mesh_is_named(load):
         load("package://pkg/meshes/none.dae")
 
 
+LOOKS = """
+<robot name="r">
+  <link name="a">
+    <visual><geometry><mesh filename="package://my/meshes/none.stl"/></geometry></visual>
+    {collision}
+  </link>
+  {more}
+</robot>
+"""
+TOUCH = "<collision><geometry><box size='4 4 1'/></geometry></collision>"
+
+
+@pytest.mark.parametrize("geoms", ["auto", "collision"])
+def test_a_missing_mesh_that_is_only_seen_gives_a_warning(load, geoms):
+    scene = load(text=LOOKS.replace("{collision}", TOUCH), geoms=geoms)
+    assert [(geom.type, geom.counted) for geom in scene.geoms] == [("box", True)]
+    [warning] = scene.warnings
+    assert "mesh 'package://my/meshes/none.stl' of" in warning and "left out" in warning
+
+
+def test_a_missing_mesh_that_the_file_discards_gives_a_warning(load):
+    discard = '<mujoco><compiler discardvisual="true"/></mujoco>'
+    scene = load(text=LOOKS.replace("{collision}", TOUCH), more=discard, geoms="all")
+    assert [geom.type for geom in scene.geoms] == ["box"] and len(scene.warnings) == 1
+
+
+@pytest.mark.parametrize(("collision", "geoms"), [("", "auto"), (TOUCH, "visual"), (TOUCH, "all")])
+def test_a_missing_mesh_that_counts_is_refused_with_where_it_was_looked_for(
+    load, collision, geoms, tmp_path
+):
+    with pytest.raises(SceneError) as caught:
+        load(text=LOOKS.replace("{collision}", collision), geoms=geoms)
+    said = str(caught.value)
+    assert f"in {tmp_path / 'pkg/urdf'} or in the folders above it" in said
+    assert "'meshes/none.stl', 'none.stl'" in said
+    assert "the package 'my' beside or above the URDF" in said
+
+
 @pytest.mark.parametrize(
     ("text", "culprit"),
     [

@@ -5,7 +5,15 @@ from __future__ import annotations
 import pytest
 
 import navbake
-from browser import errors_of, needs_browser, open_browser, requests_of, strangers_of, wait_until
+from browser import (
+    errors_of,
+    needs_browser,
+    open_browser,
+    requests_of,
+    resize,
+    strangers_of,
+    wait_until,
+)
 from grid_maps import level_from
 from navbake.auditor.audit import audit
 from navbake.views.report.report import write_report
@@ -105,6 +113,28 @@ def test_the_map_zooms_and_moves(page):
         assert driver.execute_script(stays) < 1  # pixel: events have whole ones
         press(driver, "zoom", "all")
         assert driver.execute_script("return {...view}") == pytest.approx(before)
+
+
+@needs_browser
+def test_the_map_fits_a_window_that_changes_until_it_is_moved(page):
+    corners = """
+      const own = level(), right = own.xMin + own.width * own.cellSize;
+      const [x0, y0] = toPixels(own.xMin, own.yMax);
+      const [x1, y1] = toPixels(right, own.yMax - own.height * own.cellSize);
+      return Math.min(x0, y0, canvas.clientWidth - x1, canvas.clientHeight - y1);
+    """
+    with open_browser(1280, 900) as driver:
+        driver.get(page.as_uri())
+        assert driver.execute_script(corners) >= 0
+        resize(driver, 500, 900)
+        is_fitted = lambda: driver.execute_script(corners) >= 0  # noqa: E731
+        wait_until(is_fitted, "the map to fit the narrow window")
+        press(driver, "zoom", "+")
+        before = driver.execute_script("return view.scale")
+        width = driver.execute_script("return canvas.width")
+        resize(driver, 900, 900)
+        wait_until(lambda: driver.execute_script("return canvas.width") != width, "a wider map")
+        assert driver.execute_script("return view.scale") == before
 
 
 @needs_browser
