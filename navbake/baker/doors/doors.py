@@ -14,14 +14,12 @@ from navbake.baker.columns import cast_columns, tile_shapes
 from navbake.baker.doors.candidates import DoorCandidate, largest_side, pose_doors
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.occupancy.occupancy import Footprints, Occupancy, check_footprints
-from navbake.baker.rooms.rooms import Rooms
+from navbake.baker.rooms.rooms import RoomIds, Rooms
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
 from navbake.navgrid.doors import STATES
 from navbake.types import Bool, Float, Int
-
-RoomPair = tuple[str | None, str | None]
 
 # How far from each side of a closed leaf a room is looked for [m]
 SIGHT = 0.6
@@ -46,7 +44,7 @@ class PlacedDoor:
 
     id: str
     joint: str | None
-    rooms: RoomPair
+    rooms: RoomIds
     cells: dict[str, list[Int]]
     closed_cells: list[Int]
     solid: dict[str, list[Int]] = field(default_factory=dict)
@@ -186,16 +184,27 @@ def _blocked_cells(shapes: Shapes, around: Surroundings) -> tuple[list[Int], lis
 
 def _rooms_beside(
     leaf: int, extents: Extents, closed_cells: Sequence[Int], around: Surroundings
-) -> RoomPair | None:
-    """The rooms on a closed leaf's two sides, None for outside; None if they aren't two."""
+) -> RoomIds | None:
+    """The rooms on a closed leaf's two sides, None for outside; None if they aren't two.
+
+    On each side that is the last room in sight, before the floor may end: a door to a ledge joins
+    the room that the ledge is. Only where that is one room on both sides, because what is left of
+    the doorway beyond the leaf belongs to the room behind it, the outside begins where the
+    floor ends.
+    """
     sizes = [len(cells) for cells in closed_cells]
     if not any(sizes) or not np.isfinite(extents.center[leaf]).all():
         return None
     level = int(np.argmax(sizes))
     sight = _lines_of_sight(leaf, extents, around.rooms.lattice.cell_size / 2)
     rows, cols = around.rooms.lattice.rows_cols(sight)
-    one, other = (_room_in_sight(rows[side], cols[side], level, around) for side in (0, 1))
-    return (one, other) if one != other else None
+    for floor_ends in (False, True):
+        one, other = (
+            _room_in_sight(rows[side], cols[side], level, around, floor_ends) for side in (0, 1)
+        )
+        if one != other:
+            return one, other
+    return None
 
 
 def _lines_of_sight(leaf: int, extents: Extents, step: float) -> Float:
@@ -209,8 +218,13 @@ def _lines_of_sight(leaf: int, extents: Extents, step: float) -> Float:
     return points
 
 
-def _room_in_sight(rows: Int, cols: Int, level: int, around: Surroundings) -> str | None:
-    """The room that most lines of sight, (lines, steps) cells of a level, end in; None for none."""
+def _room_in_sight(
+    rows: Int, cols: Int, level: int, around: Surroundings, floor_ends: bool
+) -> str | None:
+    """The room that most lines of sight, (lines, steps) cells of a level, end in; None for none.
+
+    Where the floor ends, `floor_ends` says whether the outside begins or the room goes on.
+    """
     lattice, floor = around.rooms.lattice, around.floors[level].floor
     votes: Counter[str | None] = Counter()
     for line in zip(rows.tolist(), cols.tolist(), strict=True):
@@ -218,7 +232,8 @@ def _room_in_sight(rows: Int, cols: Int, level: int, around: Surroundings) -> st
         for row, col in zip(*line, strict=True):
             inside = 0 <= row < lattice.height and 0 <= col < lattice.width
             if not inside or np.isnan(floor[row, col]):
-                seen = None  # where the floor ends, the outside begins
+                if floor_ends:
+                    seen = None
                 continue
             room = around.rooms.room_at(level, row * lattice.width + col)
             if room is None:

@@ -12,7 +12,7 @@ import numpy as np
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.rooms import openings
 from navbake.baker.rooms.kernels import labels as kernels
-from navbake.baker.rooms.openings import Opening, RoomIndex, RoomKey
+from navbake.baker.rooms.openings import ClosedDoor, Opening, RoomIndex, RoomKey
 from navbake.baker.rooms.outdoors import find_outdoors
 from navbake.baker.rooms.overhead import Overhead
 from navbake.baker.rooms.segmentation import (
@@ -34,6 +34,9 @@ from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Room
 from navbake.types import Bool, Int, Int32
+
+RoomIds = tuple[str | None, str | None]
+"""The rooms on the two sides of a door, None for the outside."""
 
 # Close calls that a warning names
 LISTED = 5
@@ -72,9 +75,18 @@ class Rooms:
     def _ids(self) -> dict[RoomKey, str]:
         return {(room.level, room.index): room.id for room in self.table}
 
-    def with_doors(self, doors: Mapping[str, Sequence[Int]]) -> Rooms:
-        """The same rooms, with the doors between neighbours in the table; see `match_doors`."""
-        named = openings.match_doors(self.openings, doors, self.lattice)
+    def with_doors(self, doors: Mapping[str, tuple[RoomIds, Sequence[Int]]]) -> Rooms:
+        """The same rooms, with the doors between neighbours in the table; see `match_doors`.
+
+        `doors` has the ids of the rooms that each door joins, and for each level the cells that it
+        blocks when it is closed.
+        """
+        keys = {room: key for key, room in self._ids.items()}
+        closed = {
+            door: ClosedDoor(frozenset(keys[room] for room in rooms if room is not None), cells)
+            for door, (rooms, cells) in doors.items()
+        }
+        named = openings.match_doors(self.openings, closed, self.lattice)
         return replace(self, table=name_neighbours(self.table, self.openings, self.links, named))
 
 

@@ -268,10 +268,11 @@ def share_rest(
 ) -> tuple[Int32, Int32]:
     """Make rooms of what marked rooms leave of segments.
 
-    The rest of a segment is made of connected parts. Each is a room by itself, whatever share of
-    the segment is marked: a mark says where its room ends. Only a part that is too small for a
-    room (smaller than `min_area`, or nowhere half a metre wide: the gap between a drawn floor and
-    its wall, the depth of a doorway) goes to the marked room that it touches most.
+    A segment without a mark is a room as it is. The rest of one with marks is made of connected
+    parts. Each is a room by itself, whatever share of the segment is marked: a mark says where its
+    room ends. Only a part that is too small for a room goes to the marked room that it touches
+    most: one smaller than `min_area`, or nowhere half a metre wide though its segment is (the gap
+    between a drawn floor and its wall, the depth of a doorway).
 
     Args:
         owner, segment: the marked room and the segment of each cell, 0 for none.
@@ -282,22 +283,39 @@ def share_rest(
         Owners with what they take over, and new rooms in what is left, each of the same shape.
     """
     least = min_area / cell_size**2 - ROUNDING
-    part = _label_equal(np.where(owner == 0, segment, 0))
-    count = int(part.max(initial=0)) + 1
-    reach = int(SLIVER / cell_size) + 2
-    around = wall_nodes(part > 0)
-    height, width = part.shape
-    for k in range(3):  # the nodes on each edge between two parts
-        around[k : k + 2 * height - 1 : 2, 2:-1:2] |= part[:, :-1] != part[:, 1:]
-        around[2:-1:2, k : k + 2 * width - 1 : 2] |= part[:-1] != part[1:]
-    cells, peaks, _ = measure_regions(part, squared_distances(around, reach, 0, 1), count - 1)
-    # twice the distance to what is around, in half cells: the widest disc that fits
-    is_room = (cells >= least) & (peaks >= (SLIVER / cell_size) ** 2 - ROUNDING)
+    has_marks = np.zeros(int(segment.max(initial=0)) + 1, dtype=np.bool_)
+    has_marks[segment[owner > 0]] = True
+    rest = np.where(owner == 0, segment, 0)
+    part = _label_equal(np.where(has_marks[rest], rest, 0))
+    cells, wide = _measure_parts(part, cell_size)
+    is_room = (cells >= least) & wide
+    if not (is_room | (cells < least)).all():  # the rest of a ledge is as narrow as the ledge was
+        of_segment = np.zeros(len(cells), dtype=np.int32)
+        of_segment[part] = segment
+        is_room |= (cells >= least) & ~_measure_parts(segment, cell_size)[1][of_segment]
     is_room[0] = False
-    touched = _most_touched(part, owner, count)
+    touched = _most_touched(part, owner, len(cells))
     taken = np.where(is_room[part], 0, touched[part])
-    new = renumber(np.where(is_room[part], part, 0).astype(np.int32))
+    kept = np.where(has_marks[rest], 0, rest + np.int32(len(cells)) * (rest > 0))
+    new = renumber(np.where(is_room[part], part, kept).astype(np.int32))
     return np.where(owner > 0, owner, taken).astype(np.int32), new
+
+
+def _measure_parts(label: Int32, cell_size: float) -> tuple[Int, Bool]:
+    """How many cells each label has, and whether its part is somewhere half a metre wide.
+
+    Other labels are as good as walls.
+    """
+    reach = int(SLIVER / cell_size) + 2
+    around = wall_nodes(label > 0)
+    height, width = label.shape
+    for k in range(3):  # the nodes on each edge between two parts
+        around[k : k + 2 * height - 1 : 2, 2:-1:2] |= label[:, :-1] != label[:, 1:]
+        around[2:-1:2, k : k + 2 * width - 1 : 2] |= label[:-1] != label[1:]
+    distance = squared_distances(around, reach, 0, 1)
+    cells, peaks, _ = measure_regions(label, distance, int(label.max(initial=0)))
+    # twice the distance to what is around, in half cells: the widest disc that fits
+    return cells, peaks >= (SLIVER / cell_size) ** 2 - ROUNDING
 
 
 def renumber(label: Int32) -> Int32:
