@@ -117,8 +117,15 @@ class Regions:
                 lowest = min(mouths, key=lambda other: (heights[other] / cells[other], other))
                 self._join(lowest, region)
 
-    def join_small(self, least: float) -> None:
-        """Join regions of fewer cells, the smallest first, to the one they open to the widest."""
+    def join_small(self, least: float, at_edge: Int | None = None, widest: float = 0.0) -> None:
+        """Join regions of fewer cells, the smallest first, to the one they open to the widest.
+
+        What is at the edge of the grid goes on along it: a ledge round a house goes on round its
+        corners and not in at the door. So a region that is there joins others that are, if it
+        touches any. Else one with more than `widest` cells there joins none, because it is outside
+        of the walls. `at_edge` tells how many each region has.
+        """
+        edge = [0] * len(self._cells) if at_edge is None else at_edge.tolist()
         queue = [
             (cells, region)
             for region, cells in enumerate(self._cells)
@@ -131,8 +138,15 @@ class Regions:
             # what has grown since it was queued is queued again
             if self._whole[small] != small or self._cells[small] != cells or not met:
                 continue
-            to = max(met, key=lambda other: (*met[other], self._cells[other], -other))
+            among = list(met)
+            if edge[small]:
+                along = [other for other in met if edge[other]]
+                among = along or ([] if edge[small] > widest else among)
+            if not among:
+                continue
+            to = max(among, key=lambda other: (*met[other], self._cells[other], -other))
             self._join(to, small)
+            edge[to] += edge[small]
             if self._cells[to] < least:
                 heapq.heappush(queue, (self._cells[to], to))
 

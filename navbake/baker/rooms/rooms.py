@@ -13,7 +13,7 @@ from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.rooms import openings
 from navbake.baker.rooms.kernels import labels as kernels
 from navbake.baker.rooms.openings import ClosedDoor, Opening, RoomIndex, RoomKey
-from navbake.baker.rooms.outdoors import find_outdoors
+from navbake.baker.rooms.outdoors import find_edge, find_outdoors
 from navbake.baker.rooms.overhead import Overhead
 from navbake.baker.rooms.segmentation import (
     SpaceFinder,
@@ -193,14 +193,16 @@ class _Assignment:
         names: list[str | None] = []
         outdoors: set[int] = set()
         for number, level in enumerate(levels):
-            segment = self._segment_level(number, level, settings, overhead)
+            edge = find_edge(self._open[number], level.floor, overhead, agent)
+            segment = self._segment_level(number, level, settings, overhead, edge)
             owner = self._owner[number]
             if owner.any():
                 owner = give_covered(owner, self._under[number] * self._open[number], segment)
                 self._owner[number], segment = share_rest(
                     owner, segment, cell_size, settings.min_area
                 )
-            segment, outside, asked = find_outdoors(segment, level.floor, overhead, agent, scene)
+            above = level.floor, overhead, agent, scene
+            segment, outside, asked = find_outdoors(segment, edge, *above)
             self.asked_sky |= asked
             outdoors.update(room + len(names) for room in outside)
             labels.append(np.where(segment > 0, segment + len(names), 0) if names else segment)
@@ -213,13 +215,13 @@ class _Assignment:
         level: LevelFloor,
         settings: RoomSettings,
         overhead: Overhead,
+        edge: Bool,
     ) -> Int32:
         lattice, least = overhead.columns.lattice, settings.min_area
         open_cells, size = self._open[number], lattice.cell_size
         if settings.door_width != "auto":
-            return segment_rooms(open_cells, size, settings.door_width, least, level.floor)
-        holes = overhead.holes[number]
-        known = holes, self._spaces
+            return segment_rooms(open_cells, size, settings.door_width, least, level.floor, edge)
+        known = overhead.holes[number], self._spaces, edge
         rooms, close = segment_by_gaps(open_cells, size, least, level.floor, *known)
         if close:
             self.warnings.append(_describe_close(close, number, lattice))

@@ -37,6 +37,7 @@ def segment_rooms(
     door_width: float,
     min_area: float,
     floor: Float | None = None,
+    edge: Bool | None = None,
 ) -> Int32:
     """Divide the open cells of a level into rooms, at gaps no wider than a door.
 
@@ -52,7 +53,8 @@ def segment_rooms(
     does not separate rooms where its sides come only half a cell nearer to its middle than the
     walls of a room that it leads to: a corridor at an angle is not cut where the lattice makes it
     look narrow. Stairs that open to a room over their full width belong to it, at their foot
-    rather than their head.
+    rather than their head. What is too small for a room and lies along the edge of the grid over
+    more than a doorway's width is outside of the walls, and joins none through a door.
 
     Args:
         open_cells: shape (height, width): cells with a floor that no wall stands in.
@@ -60,6 +62,7 @@ def segment_rooms(
         door_width: the widest gap that separates rooms [m], > 0.
         min_area: what a room has at least [m²], >= 0.
         floor: heights of the floor, shape (height, width) [m]; None for one without stairs.
+        edge: cells at the edge of the grid, see `find_edge`; None for none.
 
     Returns:
         The room of each cell from 1, by the first cell of each in reading order; 0 for none.
@@ -86,7 +89,7 @@ def segment_rooms(
     regions.join_junctions()
     if floor is not None:
         regions.join_stairs(*_measure_slopes(label, floor[window], cell_size))
-    regions.join_small(least)
+    _join_small(regions, label, least, cell_size, None if edge is None else edge[window])
     rooms[window] = renumber(regions.wholes(least)[label])
     return rooms
 
@@ -145,6 +148,7 @@ def segment_by_gaps(
     floor: Float | None = None,
     holes: Bool | None = None,
     spaces: SpaceFinder | None = None,
+    edge: Bool | None = None,
 ) -> Segments:
     """Divide the open cells of a level into rooms, at gaps much narrower than the rooms are.
 
@@ -177,8 +181,8 @@ def segment_by_gaps(
     spaces = spaces or SpaceFinder()
     label, close = spaces.find(open_cells, seen, cell_size)
     spaces.window = window
-    label = _join_stairs_and_small(label, open_cells, cell_size, min_area, floor, window)
-    rooms[window] = renumber(label)
+    given = cell_size, min_area, floor, edge
+    rooms[window] = renumber(_join_stairs_and_small(label, open_cells, window, *given))
     first_row, first_col = window[0].start, window[1].start
     return Segments(
         rooms,
@@ -198,10 +202,11 @@ def _grow_window(window: Window, shape: tuple[int, ...]) -> Window:
 def _join_stairs_and_small(
     label: Int32,
     open_cells: Bool,
+    window: Window,
     cell_size: float,
     min_area: float,
     floor: Float | None,
-    window: Window,
+    edge: Bool | None,
 ) -> Int32:
     least = min_area / cell_size**2 - ROUNDING
     num = int(label.max(initial=0))
@@ -217,8 +222,18 @@ def _join_stairs_and_small(
     regions = Regions(label, squared_distances(wall_nodes(open_cells), reach, 0, 1), num)
     if is_stair:
         regions.join_stairs(*slopes)
-    regions.join_small(least)
+    _join_small(regions, label, least, cell_size, None if edge is None else edge[window])
     return regions.wholes(least)[label]
+
+
+def _join_small(
+    regions: Regions, label: Int32, least: float, cell_size: float, edge: Bool | None
+) -> None:
+    """See `Regions.join_small`."""
+    at_edge = None
+    if edge is not None:
+        at_edge = np.bincount(label[edge], minlength=int(label.max(initial=0)) + 1)
+    regions.join_small(least, at_edge, WIDEST / cell_size)
 
 
 def _measure_slopes(label: Int32, floor: Float, cell_size: float) -> tuple[Int, Float]:
