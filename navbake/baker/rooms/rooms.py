@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -155,11 +155,8 @@ class _Assignment:
         self.warnings: list[str] = []
         self.asked_sky = False  # see `Outdoors`
 
-    def add(self, marked: MarkedRooms, source: str, outdoors: Container[int] = ()) -> None:
-        """Give the cells that have no room yet to the rooms of a source.
-
-        `outdoors` are the numbers of those rooms that are.
-        """
+    def add(self, marked: MarkedRooms, source: str) -> None:
+        """Give the cells that have no room yet to the rooms of a source."""
         self.warnings += marked.warnings
         if not marked.names:
             return
@@ -171,7 +168,7 @@ class _Assignment:
             kernels.mark_fresh(*asked, used)
             number = np.zeros(len(used), dtype=np.int32)
             for k in np.flatnonzero(used[1:]):
-                self._rooms.append(NamedRoom(marked.names[k], source, k + 1 in outdoors))
+                self._rooms.append(NamedRoom(marked.names[k], source, k + 1 in marked.outdoors))
                 number[k + 1] = len(self._rooms)
             kernels.give_fresh(*asked, number)
             kernels.note_under(under, cover.astype(np.int32, copy=False), number)
@@ -207,7 +204,7 @@ class _Assignment:
             outdoors.update(room + len(names) for room in outside)
             labels.append(np.where(segment > 0, segment + len(names), 0) if names else segment)
             names += [None] * int(segment.max(initial=0))
-        self.add(MarkedRooms(names, labels), "auto", outdoors)
+        self.add(MarkedRooms(names, labels, outdoors=outdoors), "auto")
 
     def _segment_level(
         self,

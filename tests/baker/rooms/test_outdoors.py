@@ -112,6 +112,32 @@ def test_a_mark_in_a_room_leaves_its_door_and_outdoors(tmp_path, mark):
     np.testing.assert_array_equal(index, before.room_index)
 
 
+def test_rooms_that_went_through_a_geojson_file_are_the_same(tmp_path):
+    before = bake_front_door(tmp_path, 0.8)
+    drawn = tmp_path / "rooms.geojson"
+    drawn.write_text(json.dumps(before.to_geojson()), encoding="utf-8")
+    after = bake_front_door(tmp_path, 0.8, rooms={"from": ["polygons", "auto"], "polygons": drawn})
+    np.testing.assert_array_equal(after.room_index, before.room_index)
+    assert [(room.source, room.outdoors) for room in after.rooms] == [
+        ("polygons", True),
+        ("polygons", False),
+    ]
+    assert doors_between(after) == doors_between(before)
+
+
+@pytest.mark.parametrize("roof", ["", slab(0, 0, 6, 4, HIGH + 0.1)])
+@pytest.mark.parametrize(("out", "cell"), [(0.1, 0.1), (0.1, 0.05), (0.05, 0.05)])
+def test_a_ledge_of_a_cell_or_two_takes_no_room_outdoors(tmp_path, roof, out, cell):
+    """Its four sides are each smaller than a room; the one before the door opens to the room."""
+    grid = bake_front_door(tmp_path, out, roof, grid={"cell_size": cell})
+    ledge = (6 + 2 * out) * (4 + 2 * out) - 24
+    (area, is_out), (inside, is_in_out) = ((room.area, room.outdoors) for room in grid.rooms)
+    assert (is_out, is_in_out) == (True, False)
+    assert area == pytest.approx(ledge + 0.1, abs=0.06)
+    assert inside == pytest.approx(5.6 * 3.6 + 0.1, abs=0.06)
+    assert doors_between(grid) == [("0:1", "0:2", "door"), ("0:2", "0:1", "door")]
+
+
 def test_what_lies_beyond_nothing_reaches_the_edge(rooms):
     """The scene is larger than the garden: a mast stands away from it."""
     assert rooms(GARDEN + box("", 20, 5, 0, 20.1, 5.1, 3)) == [(26, False), (90, True)]
