@@ -223,21 +223,19 @@ def _room_in_sight(
 ) -> str | None:
     """The room that most lines of sight, (lines, steps) cells of a level, end in; None for none.
 
-    Where the floor ends, `floor_ends` says whether the outside begins or the room goes on.
+    Where the floor ends, or is in no room, `floor_ends` says whether the outside begins.
     """
-    lattice, floor = around.rooms.lattice, around.floors[level].floor
+    lattice, open_cells = around.rooms.lattice, around.rooms.open_cells[level]
+    floor = around.floors[level].floor
     votes: Counter[str | None] = Counter()
     for line in zip(rows.tolist(), cols.tolist(), strict=True):
         seen: str | None = None
         for row, col in zip(*line, strict=True):
             inside = 0 <= row < lattice.height and 0 <= col < lattice.width
-            if not inside or np.isnan(floor[row, col]):
-                if floor_ends:
-                    seen = None
-                continue
-            room = around.rooms.room_at(level, row * lattice.width + col)
-            if room is None:
+            if inside and not open_cells[row, col] and not np.isnan(floor[row, col]):
                 break  # a wall
-            seen = room
+            room = around.rooms.room_at(level, row * lattice.width + col) if inside else None
+            if room is not None or floor_ends:
+                seen = room
         votes[seen] += 1
     return max(votes, key=lambda room: (votes[room], room is not None, room or ""))

@@ -55,6 +55,7 @@ class Rooms:
         openings: where rooms of a level meet.
         links: pairs of rooms of two levels between which a step leads.
         lattice: the cells.
+        open_cells: the cells by level that may be in a room: with a floor, and no wall or window.
         warnings: what the user should know, one line each.
         asked_sky: whether they depend on which cells are under the sky, see `Outdoors`.
     """
@@ -64,6 +65,7 @@ class Rooms:
     openings: list[Opening]
     links: list[tuple[RoomKey, RoomKey]]
     lattice: Lattice
+    open_cells: list[Bool]
     warnings: list[str]
     asked_sky: bool = False
 
@@ -140,7 +142,7 @@ def find_rooms(
     links = openings.find_room_links(index, floors)
     table = name_neighbours(describe_rooms(index, named, floors, lattice), found, links, {})
     notes = assignment.warnings, assignment.asked_sky
-    return Rooms(index, table, found, links, lattice, *notes)
+    return Rooms(index, table, found, links, lattice, open_cells, *notes)
 
 
 class _Assignment:

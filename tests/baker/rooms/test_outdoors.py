@@ -59,14 +59,14 @@ def test_a_house_in_its_garden(rooms, roof):
     assert rooms(GARDEN + roof) == [(26, False), (90, True)]
 
 
-def bake_front_door(tmp_path, out, more="", **settings):
+def bake_front_door(tmp_path, out, more="", width=6, **settings):
     """A house of 6 m by 4 m with a door, on a slab that sticks out of its walls."""
     leaf = (
         '<body name="door" pos="2.5 .1 0"><joint name="hinge" type="hinge" axis="0 0 1" '
         'range="0 86"/><geom type="box" pos=".5 0 1" size=".48 .02 1"/></body>'
     )
-    ground = slab(-out, -out, 6 + out, 4 + out)
-    content = ground + house(0, 0, 6, 4, [(2.5, 3.5)]) + leaf + more
+    ground = slab(-out, -out, width + out, 4 + out)
+    content = ground + house(0, 0, width, 4, [(2.5, 3.5)]) + leaf + more
     path = tmp_path / "scene.xml"
     path.write_text(world(content), encoding="utf-8")
     return navbake.bake({"scene": {"path": str(path)}, **settings})
@@ -136,6 +136,15 @@ def test_a_ledge_of_a_cell_or_two_takes_no_room_outdoors(tmp_path, roof, out, ce
     assert area == pytest.approx(ledge + 0.1, abs=0.06)
     assert inside == pytest.approx(5.6 * 3.6 + 0.1, abs=0.06)
     assert doors_between(grid) == [("0:1", "0:2", "door"), ("0:2", "0:1", "door")]
+
+
+def test_a_ledge_that_is_too_small_for_a_room_is_none(tmp_path):
+    """Less than 1 m² in all; the door leads outside."""
+    grid = bake_front_door(tmp_path, 0.05, width=4, grid={"cell_size": 0.05})
+    (room,) = grid.rooms
+    assert (room.outdoors, room.area) == (False, pytest.approx(3.6 * 3.6 + 0.1, abs=0.06))
+    (door,) = grid.doors
+    assert set(door.rooms) == {None, "0:1"}
 
 
 def test_what_lies_beyond_nothing_reaches_the_edge(rooms):
