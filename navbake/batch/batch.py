@@ -18,7 +18,7 @@ from navbake.batch.job import Job
 from navbake.batch.journal import stamp
 from navbake.batch.products import parse_products
 from navbake.batch.remote import is_remote
-from navbake.batch.settings import check_overrides, settings_of, without_urls
+from navbake.batch.settings import check_overrides, check_settings
 from navbake.batch.stores.index import RemoteIndex
 from navbake.batch.stores.urls import Folder
 from navbake.batch.table import NAME as TABLE
@@ -138,7 +138,7 @@ def run_batch(batch: Batch, means: Means, watch: Watch) -> BatchResult:
     check_overrides(batch.overrides)
     if batch.has_table:
         check_pyarrow()
-    _check_settings(batch)
+    check_settings(batch.jobs, batch.settings, batch.overrides)
     orders = [
         Order(
             job,
@@ -159,13 +159,6 @@ def run_batch(batch: Batch, means: Means, watch: Watch) -> BatchResult:
         finally:
             if any(map(is_remote, orders)):
                 remove_abandoned()  # of workers that were killed
-
-
-def _check_settings(batch: Batch) -> None:
-    """Find out what is wrong with the settings that all scenes share before any scene fails."""
-    nobody = Job("scene", "scene.xml", {}, "the batch")
-    settings, overrides = without_urls(batch.settings, batch.overrides)
-    settings_of(nobody, settings, overrides)
 
 
 @contextmanager

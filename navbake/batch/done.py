@@ -52,7 +52,8 @@ def _is_done(order: Order, row: Json | None, places: Places, listed: Folders) ->
             and has_no_other(_candidates(row, config, listed), row["inputs"], places)
             and are_unchanged(row["files"], order.place)
         )
-    except (NavbakeError, KeyError, TypeError, AttributeError):  # or no row of a batch's
+    # or no row of a batch's
+    except (NavbakeError, KeyError, TypeError, AttributeError, ValueError):
         return False
 
 

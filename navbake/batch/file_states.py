@@ -40,7 +40,7 @@ def are_unchanged(stated: Mapping[str, Json], folder: Path) -> bool:
     """
     try:
         return all(_is_unchanged(known, folder / name) for name, known in stated.items())
-    except OSError:  # it isn't there
+    except (OSError, ValueError):  # it isn't there; no file can be called so
         return False
 
 

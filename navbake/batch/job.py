@@ -7,6 +7,7 @@ import unicodedata
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from navbake.batch.products import OWN
 from navbake.errors import ConfigError, shorten
 from navbake.types import Json
 
@@ -38,7 +39,7 @@ def check_id(name: str, place: str) -> None:
     Raises:
         ConfigError: it is empty or absolute; a part of it begins with a dot, ends with a dot or a
             space, is too long, is a name that Windows reserves, or has one of ``\:*?"<>|`` or what
-            can't be printed.
+            can't be printed; or it is the name of a file that navbake writes of another scene.
     """
     for part in name.split("/"):
         is_fine = (
@@ -55,19 +56,32 @@ def check_id(name: str, place: str) -> None:
                 f"expected an id that can be the name of a folder on any system, or several "
                 f"between slashes, got {shorten(repr(name))} at {place}: give it another `id`"
             )
+        if OWN.fullmatch(part.casefold()):
+            raise ConfigError(
+                f"expected an id without names of files that navbake writes, got {part} in "
+                f"{shorten(repr(name))} at {place}: give it another `id`"
+            )
+
+
+def fold_id(name: str) -> str:
+    """What all ids have in common that some file system takes for one.
+
+    Some compose letters with their accents, some ignore capitals. This is Unicode's canonical
+    caseless matching.
+    """
+    decomposed = unicodedata.normalize("NFD", name)
+    return unicodedata.normalize("NFD", decomposed.casefold())
 
 
 def check_unique(jobs: Sequence[Job]) -> None:
-    """Refuse two jobs whose outputs would be one folder, also where case doesn't count.
+    """Refuse two jobs whose outputs would be one folder on some file system, see `fold_id`.
 
     Raises:
         ConfigError: two have the same id.
     """
     seen: dict[str, Job] = {}
     for job in jobs:
-        # some file systems compose letters with their accents, some ignore capitals
-        folded = unicodedata.normalize("NFC", job.id).casefold()
-        other = seen.setdefault(folded, job)
+        other = seen.setdefault(fold_id(job.id), job)
         if other is not job and (other.id, other.source) == (job.id, job.source):
             raise ConfigError(
                 f"expected each scene once, got {shorten(job.source)} at {other.place} and at "

@@ -10,12 +10,12 @@ import math
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePath, PurePosixPath
 from typing import Any
 
-from navbake.batch.job import Job, check_id, check_unique
-from navbake.batch.settings import check_shared, nest
+from navbake.batch.job import Job, check_id, check_unique, fold_id
+from navbake.batch.settings import check_shared, merge, nest, of_id
 from navbake.batch.stores.store import is_pattern, match_files, read_file
 from navbake.batch.stores.urls import Folder, is_url, join, parent, plain_path, shown, split_url
 from navbake.batch.table import read_table
@@ -42,7 +42,7 @@ def list_jobs(sources: Iterable[str]) -> list[Job]:
     a scene. Each may be a URL that fsspec knows. Paths in a list are relative to it. A row has
     ``scene`` or ``config``; it may have ``id``, and settings under their keys (``agent.radius``),
     in JSON lines and Parquet also as ``"settings": {"agent": {"radius": 0.3}}``. An empty value is
-    none.
+    none. An id that is given is the grid's, too, whatever the scene's own settings say.
 
     An id that isn't given is the file's name without its ending; of names that several share,
     with as many of the folders above as tell them apart.
@@ -71,7 +71,9 @@ def _expand(source: str) -> Iterator[Entry]:
     elif is_url(source):
         yield from ((None, url, {}, shown(url)) for url in _expand_url(source))
     elif glob.has_magic(source) and not os.path.exists(source):
-        paths = sorted(glob.glob(source, recursive=True))
+        # a folder or a pipe is no scene; one that can't be read, as by a broken link, will fail
+        found = sorted(glob.glob(source, recursive=True))
+        paths = [path for path in found if os.path.isfile(path) or not os.path.exists(path)]
         if not paths:
             raise ConfigError(f"expected files that match {source}, got none")
         for path in paths:
@@ -116,13 +118,17 @@ def _read_list(source: str) -> Iterator[Entry]:
     is_empty = True
     for place, row in rows[_ending(source)](content, name):
         is_empty = False
-        yield _entry(row, folder, place)
+        try:
+            entry = _entry(row, folder, place)
+        except RecursionError as error:
+            raise ConfigError(f"the settings at {place} are nested too deeply") from error
+        yield entry
     if is_empty:
         raise ConfigError(f"expected at least one scene in {name}, got none")
 
 
 def _entry(row: Json, folder: Folder, place: str) -> Entry:
-    row = {key: value for key, value in row.items() if not _is_none(value)}
+    row = _without_nones(row)
     given = [key for key in SCENE_KEYS if key in row]
     if len(given) != 1 or not isinstance(row[given[0]], str):
         raise ConfigError(f"expected a path as `scene` or as `config` at {place}")
@@ -133,7 +139,7 @@ def _entry(row: Json, folder: Folder, place: str) -> Entry:
     if isinstance(name, bool) or not isinstance(name, str | int | None):
         got = show_value(name)
         raise ConfigError(f"expected text or a whole number as `id` at {place}, got {got}")
-    settings = nest({**nested, **row}, folder, place)
+    settings = nest([*nested.items(), *row.items()], folder, place)
     check_shared(settings, place)
     for key in settings:
         if key not in BakeConfig.model_fields:
@@ -144,7 +150,20 @@ def _entry(row: Json, folder: Folder, place: str) -> Entry:
     unknown = find_unknown_key(settings, SECTIONS)
     if unknown is not None:
         raise ConfigError(f"{unknown} at {place}")
-    return None if name is None else str(name), join(folder, path, place), settings, place
+    source = join(folder, path, place)
+    if name is None:
+        return None, source, settings, place
+    return str(name), source, merge(settings, of_id(str(name))), place
+
+
+def _without_nones(row: Mapping[str, Any]) -> Json:
+    """A row, or settings in it, without what counts as not given."""
+    found = {}
+    for key, value in row.items():
+        given = _without_nones(value) if isinstance(value, Mapping) else value
+        if given != {} and not _is_none(given):
+            found[key] = given
+    return found
 
 
 def _is_none(value: Any) -> bool:
@@ -194,7 +213,7 @@ def _csv_row(names: list[str], values: list[str], place: str) -> Json:
             f"{show_value(','.join(values))}"
         )
     row = {
-        name: value if name in TEXTS else _plain(value)
+        name: value if name in TEXTS else _plain(value, place)
         for name, value in zip(names, values, strict=False)
         if value
     }
@@ -207,10 +226,10 @@ def _csv_row(names: list[str], values: list[str], place: str) -> Json:
     return row
 
 
-def _plain(text: str) -> Any:
+def _plain(text: str, place: str) -> Any:
     """A cell of a CSV: a number, true, false, a list or an object as JSON has it, else text."""
     try:
-        return json.loads(text)
+        return _parse_json(text, place)
     except (ValueError, RecursionError):
         return text
 
@@ -218,7 +237,7 @@ def _plain(text: str) -> Any:
 def _json_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
     for place, line in _lines(content, source):
         try:
-            row = json.loads(line)
+            row = _parse_json(line, place)
         except json.JSONDecodeError as error:
             raise ConfigError(
                 f"broken JSON at {place}, column {error.colno}: {error.msg}"
@@ -228,6 +247,20 @@ def _json_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
         if not isinstance(row, dict):
             raise ConfigError(f"expected an object at {place}, got {show_value(row)}")
         yield place, row
+
+
+def _parse_json(text: str, place: str) -> Any:
+    """The value that JSON stands for; a ConfigError where an object has a key twice."""
+
+    def take(pairs: list[tuple[str, Any]]) -> Json:
+        found = dict(pairs)
+        if len(found) < len(pairs):
+            key, count = Counter(key for key, _ in pairs).most_common(1)[0]
+            got = f"`{shorten(key)}` {count} times"
+            raise ConfigError(f"expected each key once, got {got} at {place}")
+        return found
+
+    return json.loads(text, object_pairs_hook=take)
 
 
 def _lines(content: bytes, source: str) -> Iterator[tuple[str, str]]:
@@ -265,11 +298,12 @@ def _name(found: list[Entry]) -> list[str]:
             given or "/".join(path.parts[-depth:])
             for (given, *_), path, depth in zip(found, paths, depths, strict=True)
         ]
-        counts = Counter(name.casefold() for name in names)
+        folded = [fold_id(name) for name in names]
+        counts = Counter(folded)
         # the first part is the root, which is no name
         longer = [
-            depth + (given is None and counts[name.casefold()] > 1 and depth < len(path.parts) - 1)
-            for (given, *_), path, depth, name in zip(found, paths, depths, names, strict=True)
+            depth + (given is None and counts[name] > 1 and depth < len(path.parts) - 1)
+            for (given, *_), path, depth, name in zip(found, paths, depths, folded, strict=True)
         ]
         if longer == depths:
             return names

@@ -53,7 +53,9 @@ class Product(NamedTuple):
 
 
 def parse_products(texts: Sequence[str]) -> tuple[Product, ...]:
-    """Read ``KIND`` or ``KIND:VALUE:…``, each once.
+    """Read ``KIND`` or ``KIND:VALUE:…``, each once, in an order that doesn't depend on the given.
+
+    So the same products in another order are known to be made already.
 
     Raises:
         ConfigError: there is no such kind, or its values are wrong.
@@ -71,7 +73,7 @@ def parse_products(texts: Sequence[str]) -> tuple[Product, ...]:
     if sum(product.kind == "picture" for product in distinct) > 1:
         asked = ", ".join(str(product) for product in distinct if product.kind == "picture")
         raise ConfigError(f"expected one picture, with all its layers, to make, got {asked}")
-    return distinct
+    return tuple(sorted(distinct))
 
 
 def write_thumbnail(grid: NavGrid, folder: Path) -> None:

@@ -25,9 +25,9 @@ from navbake.batch.stores.store import (
     remove_files,
     state_of,
 )
-from navbake.batch.stores.urls import is_url, parent, shown, split_url
+from navbake.batch.stores.urls import is_url, join, parent, shown, split_url
 from navbake.config.settings import YAML_SUFFIXES
-from navbake.config.yaml_text import override_key
+from navbake.config.yaml_text import override_key, parse_yaml
 from navbake.errors import NavbakeError
 from navbake.files import TEMPORARY
 from navbake.types import Json
@@ -163,13 +163,27 @@ def _bring(order: Order, mirror: Mirror) -> Order:
         source = str(path)
     overrides = []
     for text in order.overrides:
-        name = text.partition("=")[2].strip()
-        if _is_outlines(text) and is_url(name):
+        name = _outlines_given(text, order.job.source)
+        if name is not None:
             text = f"{'.'.join(POLYGONS)}={json.dumps(str(mirror.fetch(name)))}"
         overrides.append(text)
     job = order.job._replace(source=source, settings=_bring_outlines(order.job.settings, mirror))
     settings = _bring_outlines(order.settings, mirror)
     return order._replace(job=job, settings=settings, overrides=tuple(overrides))
+
+
+def _outlines_given(override: str, source: str) -> str | None:
+    """The URL of the outlines that an override names; None where it names none on a store."""
+    if not _is_outlines(override):
+        return None
+    name = parse_yaml(override.partition("=")[2], f"--set {override}")
+    if not isinstance(name, str):
+        return None
+    # as on this machine: see `settings_of`
+    is_beside = is_url(source) and _is_settings(source) and not os.path.isabs(name)
+    if is_beside and not is_url(name):
+        return join(parent(source), name, f"--set {override}")
+    return name if is_url(name) else None
 
 
 def _is_settings(source: str) -> bool:

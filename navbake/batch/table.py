@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import io
-import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from inspect import signature
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ from navbake.batch.parquet_sizes import (
     read_chunks,
 )
 from navbake.batch.stores.store import INSTALL
-from navbake.errors import ConfigError, MissingDependencyError, NavbakeError
+from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, shorten
 from navbake.types import Json
 
 NAME = "index.parquet"
@@ -69,7 +69,7 @@ def check_pyarrow() -> None:
 def read_table(content: bytes, name: str) -> Iterator[tuple[str, Json]]:
     """The rows of a Parquet file, each with its place for messages.
 
-    What is null, or NaN as pandas has it, is left out, also in structs.
+    What is not given is null, or NaN as pandas has it.
 
     Raises:
         ConfigError: it is no Parquet, or stands for more than its size allows.
@@ -85,9 +85,11 @@ def read_table(content: bytes, name: str) -> Iterator[tuple[str, Json]]:
             num_bytes += sum(map(count_text_bytes, batch.columns))
             most = FREE_TEXT + TEXT_PER_BYTE * unpacked + TEXT_PER_ROW * (number + len(batch))
             _check_size(num_bytes, most, "bytes of text", name)
+            _check_columns(batch.schema.names, name)
             for row in batch.to_pylist():
                 number += 1
-                yield f"{name}, row {number}", _without_nulls(row)
+                asked = {k: value for k, value in row.items() if not PANDAS_INDEX.fullmatch(k)}
+                yield f"{name}, row {number}", asked
     except NavbakeError:
         raise
     except Exception as error:  # pyarrow raises its own, and what Python has for odd values
@@ -223,15 +225,11 @@ def count_text_bytes(array: Any) -> int:
     raise TypeError(f"values of the type {kind}")
 
 
-def _without_nulls(row: Mapping[str, Any]) -> Json:
-    found = {}
-    for key, value in row.items():
-        if isinstance(value, Mapping):
-            value = _without_nulls(value) or None
-        is_nan = isinstance(value, float) and math.isnan(value)
-        if value is not None and not is_nan and not PANDAS_INDEX.fullmatch(key):
-            found[key] = value
-    return found
+def _check_columns(columns: Sequence[str], name: str) -> None:
+    for column, count in Counter(columns).items():
+        if count > 1:
+            got = f"`{shorten(column)}` {count} times"
+            raise ConfigError(f"expected each column once, got {got} in {name}")
 
 
 def encode_rows(rows: Iterable[Json]) -> bytes:

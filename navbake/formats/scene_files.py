@@ -8,19 +8,23 @@ import unicodedata
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
+from navbake.formats.mjcf.xml_tree import read_elements
+
 XML_SUFFIXES = (".xml", ".mjcf", ".urdf")
-MODELS = ("include", "model", "attach")  # elements whose file is MJCF, whatever its name
+MODELS = ("include", "model", "attach")  # elements whose file is XML, whatever its name
+MOST_FILES = 10_000  # of XML, that a scene is followed to: links may make any number of one
 LOOKS = ("texture", "skin")  # what changes how a scene looks, and no cell
 # attributes of a compiler that say where files are; of looks as well
 FOLDERS = ("meshdir", "assetdir")
 LOOK_FOLDERS = (*FOLDERS, "texturedir")
-# attributes that name a file; of looks as well, of which a cube has one a side
-NAMES = ("file",)
-LOOK_NAMES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
+# attributes that name a file, in MJCF and in URDF that it attaches; of looks as well, of which a
+# cube has one a side
+NAMES = ("file", "filename")
+LOOK_NAMES = (*NAMES, "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
 
 
 class Files(Protocol):
@@ -190,8 +194,10 @@ def find_inputs(
     In MJCF these are all that an element names as its ``file``, in included files and attached
     models as well, but for textures and skins. Which folder a name counts from depends on the
     compiler's settings and on MuJoCo's version, so it is looked for in all that come into question:
-    one file too many costs a bake that was not needed, one too few a stale grid. XML that is broken
-    names nothing. Of URDF they are the meshes, of glTF the files of numbers beside it.
+    one file too many costs a bake that was not needed, one too few a stale grid. Folders that these
+    count from are the scene's, the file's, and that of the attached model which includes it. XML
+    that MuJoCo's parser refuses names nothing after its error. Of URDF they are the meshes, of glTF
+    the files of numbers beside it.
 
     Args:
         scene: its file.
@@ -267,25 +273,39 @@ def _search(scene: Path, root: ElementTree.Element | None, files: Files, looks: 
     names: dict[str, None] = {}
     folders = {scene.parent: None}
     left_out = () if looks else LOOKS
-    left, seen = [(scene, root)], {os.path.realpath(scene)}
+    left, seen = [(scene, root, scene.parent)], {_place(scene, scene.parent)}
     while left:
-        file, top = left.pop()
+        file, top, home = left.pop()
+        bases = dict.fromkeys((scene.parent, home, file.parent))
         for element in () if top is None else top.iter():
             for key in LOOK_FOLDERS if looks else FOLDERS:
                 if key in element.attrib:
                     name = _slashed(element.attrib[key])
-                    folders |= dict.fromkeys(_meant(scene.parent / name, file.parent / name))
+                    folders |= dict.fromkeys(places_from(bases, name))
             if element.tag in left_out:
                 continue
             for name in _names_of(element, looks):
                 names[name] = None
-                for path in _meant(scene.parent / name, file.parent / name):
+                for path in places_from(bases, name):
                     is_xml = path.suffix.lower() in XML_SUFFIXES or element.tag in MODELS
-                    if is_xml and files.has(path) and os.path.realpath(path) not in seen:
-                        seen.add(os.path.realpath(path))
-                        folders[path.parent] = None
-                        left.append((path, _root(path, files)))
+                    if not is_xml or len(seen) == MOST_FILES or not files.has(path):
+                        continue
+                    folders[path.parent] = None
+                    base = home if element.tag == "include" else path.parent
+                    if _place(path, base) not in seen:
+                        seen.add(_place(path, base))
+                        left.append((path, _root(path, files), base))
     return Search(tuple(map(str, folders)), tuple(names))
+
+
+def _place(path: Path, home: Path) -> tuple[str, ...]:
+    """What makes XML another one: names in it count from where it is reached, even by a link."""
+    return os.path.normpath(path), os.path.realpath(path), os.path.normpath(home)
+
+
+def places_from(folders: Iterable[Path], name: str) -> Iterator[Path]:
+    """The paths that a name in MJCF may mean, as it counts from any of some folders."""
+    return _meant(*(folder / _slashed(name) for folder in folders))
 
 
 def _found(places: list[Path], files: Files, missing: bool) -> list[Path]:
@@ -303,13 +323,13 @@ def _slashed(name: str) -> str:
     return name.replace("\\", "/")
 
 
-def _root(path: Path, files: Files) -> Any:
+def _root(path: Path, files: Files) -> ElementTree.Element | None:
     """The root element of an XML file; None where it is broken or missing."""
     if not files.has(path):
         return None
     files.bring(path)
     try:
         # who reads a pipe may wait for ever
-        return ElementTree.parse(path).getroot() if os.path.isfile(path) else None
-    except (OSError, ElementTree.ParseError, ValueError, LookupError, RecursionError):
+        return read_elements(path.read_bytes()) if os.path.isfile(path) else None
+    except OSError:
         return None

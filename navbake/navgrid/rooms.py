@@ -133,10 +133,12 @@ def measure_rooms(level: SceneGrid2D, number: int) -> list[Room]:
 
     They are sorted by index, have the id ``level:index``, and neither name nor neighbours.
     """
+    index = level.room_index.ravel()
+    if not index.any():  # as in maps of other programs, which may be large
+        return []
     x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
     floor = level.floor
     z = np.where(np.isnan(floor), level.ground, floor)
-    index = level.room_index.ravel()
     # bincount with weights sums the coordinates of all rooms' cells in one pass
     count = np.bincount(index)
     sums = [np.bincount(index, values.ravel()) for values in (x, y, z)]

@@ -17,13 +17,14 @@ import pytest
 import navbake
 from batch_in_process import run_sources, stay_in_process
 from batch_scenes import CHEST, draw_room, write_scenes, wrong_rows
-from navbake import files
+from navbake import bake, files
 from navbake.batch import index as index_module
 from navbake.batch import work
 from navbake.batch.batch import Means
 from navbake.batch.crew import JobLimits
 from navbake.batch.index import NAME, only_batch, read_index
 from navbake.batch.manifest import list_jobs
+from navbake.config.settings import load_config
 from navbake.dispatch import IS_HELPER
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError
 from project_paths import ROOT
@@ -226,6 +227,60 @@ def test_products_are_made_missed_and_removed(scenes, here):
     assert run("scenes/first.xml", products=["report", "report"])[0] == ["first"]
     left = {path.name for path in Path("out/first").iterdir()}
     assert left == {"grid.json.gz", "report.html", "notes.txt"}
+
+
+def test_the_order_of_products_changes_nothing(scenes, here):
+    make = ["picture", "nav2", "voxels:0.5:npz", "nav2:0.3", "inflated:0.3"]
+    run("scenes/first.xml", products=make)
+    before = Path("out/index.jsonl").read_bytes()
+    assert run("scenes/first.xml", products=make[::-1])[0] == []
+    assert Path("out/index.jsonl").read_bytes() == before
+    _, result = run("scenes/first.xml", out="other", products=make[::-1])
+    files, other = json.loads(before)["files"], result.rows[0]["files"]
+    assert [*other] == [*files] and len(files) == 8
+    assert digests("other") == digests("out")
+
+
+def test_outlines_of_an_override_are_beside_each_scenes_settings(scenes, here):
+    for name, half in (("a", 1), ("b", 0.5)):
+        folder = scenes / name
+        folder.mkdir()
+        corners = [[-half, -half], [half, -half], [half, half], [-half, half], [-half, -half]]
+        outline = {"type": "Polygon", "coordinates": [corners]}
+        plan = {"type": "Feature", "properties": {"name": name}, "geometry": outline}
+        (folder / "plan.geojson").write_text(json.dumps(plan))
+        (folder / f"{name}.yaml").write_text("scene: {path: ../first.xml}\n")
+    sources = ("scenes/a/a.yaml", "scenes/b/b.yaml")
+    for override in ("rooms.polygons=plan.geojson", "rooms={polygons: plan.geojson}"):
+        names, result = run(*sources, out=f"out{len(override)}", overrides=[override])
+        assert names == ["a", "b"] and result.count("ok") == 2, result.rows
+        for name in names:
+            config = load_config(f"scenes/{name}/{name}.yaml", [override, "grid.cell_size=0.2"])
+            found = navbake.load(f"out{len(override)}/{name}/grid.json.gz").rooms
+            assert [room.name for room in found] == [room.name for room in bake(config).rooms]
+            assert name in {room.name for room in found}
+    message = r"no\.geojson.*, named at `rooms\.polygons`"
+    for name in ("no.geojson", os.path.abspath("no.geojson")):
+        sources = ALL if name == "no.geojson" else ("scenes/a/a.yaml",)
+        with pytest.raises(ConfigError, match=message):
+            run(*sources, out="no", overrides=[f"rooms.polygons={name}"])
+    assert not Path("no").exists()
+
+
+def test_an_index_with_names_that_no_file_can_have_is_no_row(scenes, here):
+    known = run("scenes/first.xml")[1].rows[0]
+    for name in ("a\0b", "\ud800"):
+        sought = {"folders": [name], "names": known["sought"]["names"]}
+        odd = [
+            {**known, "inputs": {**known["inputs"], name: {"size": 1, "modified": 0}}},
+            {**known, "files": {name: {"size": 1, "modified": 0}}},
+            {**known, "sought": sought},
+        ]
+        for row in odd[:2]:
+            Path("out/index.jsonl").write_text(json.dumps(row) + "\n")
+            assert run("scenes/first.xml")[0] == ["first"]
+        Path("out/index.jsonl").write_text(json.dumps(odd[2]) + "\n")
+        assert run("scenes/first.xml")[1].count("ok") == 1
 
 
 @pytest.mark.parametrize(

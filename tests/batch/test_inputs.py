@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import time
+from pathlib import Path
+from unittest.mock import patch
 
 import mujoco
 import pytest
@@ -14,6 +16,7 @@ from hypothesis import strategies as st
 
 from navbake.batch import file_states
 from navbake.batch.file_states import Places, are_unchanged, describe_files, has_no_other, path_from
+from navbake.formats import scene_files
 from navbake.formats.scene_files import FilesHere, Folders, Search, find_inputs
 
 OBJ = "v 0 0 0\n"
@@ -93,6 +96,82 @@ def test_a_missing_folder_before_dots_is_dropped_as_by_mujoco(folder, folders, n
     files = {folder / "scene.xml", folder / "part.xml"}
     files.add(folder / ("deep/mesh" if "deep" in folders else "mesh") / "a.obj")
     assert found >= {os.path.realpath(path) for path in files}
+
+
+ROBOT = (
+    "<mujoco>%s<worldbody><body name='b'><geom type='mesh' mesh='m'/></body></worldbody></mujoco>"
+)
+MESH = '<asset><mesh name="m" file="a.obj"/></asset>'
+URDF = (
+    '<robot name="u"><link name="world"/><joint name="j" type="fixed"><parent link="world"/>'
+    '<child link="b"/></joint><link name="b"><collision><geometry><mesh filename="%s"/>'
+    "</geometry></collision></link></robot>"
+)
+
+
+@pytest.mark.parametrize(
+    ("files", "mesh"),
+    [
+        ({"x/r.xml": ROBOT % MESH}, "x/a.obj"),
+        (  # what an attached model includes counts from the model's folder
+            {
+                "x/r.xml": ROBOT % '<include file="inc/c.xml"/>',
+                "x/inc/c.xml": f'<mujoco><compiler meshdir="own"/>{MESH}</mujoco>',
+            },
+            "x/own/a.obj",
+        ),
+        (
+            {
+                "x/r.xml": ROBOT % '<include file="inc/c.xml"/>',
+                "x/inc/c.xml": '<mujoco><include file="y.xml"/></mujoco>',
+                "x/y.xml": f"<mujoco>{MESH}</mujoco>",
+            },
+            "x/a.obj",
+        ),
+        ({"x/r.xml": URDF % "a.obj"}, "x/a.obj"),
+        ({"x/r.xml": URDF % "own/a.obj"}, "x/own/a.obj"),
+        # one that is reached by a link counts from where the link is
+        ({"far/r.xml": ROBOT % MESH, "x/r.xml": Path("../far/r.xml")}, "x/a.obj"),
+    ],
+)
+def test_files_of_attached_models_are_found_as_by_mujoco(folder, files, mesh):
+    for name, content in {**files, mesh: None}.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if content is None:
+            export_box(path)
+        elif isinstance(content, Path):
+            path.symlink_to(content)
+        else:
+            path.write_text(content)
+    attach = '<attach model="r" body="b" prefix="p"/>'
+    (folder / "scene.xml").write_text(
+        f'<mujoco><asset><model name="r" file="x/r.xml"/></asset><worldbody><body>{attach}</body>'
+        "</worldbody></mujoco>"
+    )
+    try:
+        mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
+    except ValueError as error:
+        pytest.fail(f"MuJoCo: {error}")
+    assert {"x/r.xml", mesh, *files} - {"far/r.xml"} <= {*names(folder, "scene.xml")}
+
+
+def test_links_to_their_own_folder_end(folder):
+    (folder / "loop").symlink_to(folder)
+    (folder / "again").symlink_to(folder)
+    (folder / "scene.xml").write_text(
+        '<mujoco><include file="loop/scene.xml"/><include file="again/scene.xml"/>'
+        '<asset><mesh file="mesh/a.obj"/></asset></mujoco>'
+    )
+    with patch.object(scene_files, "MOST_FILES", 100):
+        assert "mesh/a.obj" in names(folder, "scene.xml")
+
+
+def test_xml_that_python_refuses_names_its_files(folder):
+    (folder / "scene.xml").write_bytes(
+        b'<mujoco><!-- 45\xb0 -- --><asset><mesh file="mesh/a.obj"/></asset></mujoco>'
+    )
+    assert names(folder, "scene.xml") == ["scene.xml", "mesh/a.obj"]
 
 
 def test_looks_are_found_where_they_are_asked_for(folder):

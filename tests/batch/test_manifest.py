@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 
 import pytest
 
+from navbake.batch import manifest
 from navbake.batch.job import Job, check_unique
 from navbake.batch.manifest import list_jobs
-from navbake.batch.settings import merge, nest, read_shared, settings_of
+from navbake.batch.settings import merge, nest, of_id, read_shared, settings_of
 from navbake.errors import ConfigError
 
 
@@ -35,6 +38,21 @@ def test_patterns_come_sorted_and_names_are_as_long_as_needed(folder):
     assert ids("a/b/kitchen.xml", "b/kitchen.xml") == ["a/b/kitchen", f"{folder.name}/b/kitchen"]
 
 
+def test_a_pattern_leaves_out_what_is_no_file(folder):
+    (folder / "a" / "meshes").mkdir()
+    (folder / "a" / "gone.xml").symlink_to("no.xml")
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(folder / "a" / "pipe.xml")
+    assert ids("a/*") == ["gone", "hall", "kitchen"]  # a scene that is gone fails by itself
+    with pytest.raises(ConfigError, match=r"files that match a/m\*, got none"):
+        list_jobs(["a/m*"])
+
+
+def test_names_that_some_file_system_takes_for_one_get_the_folders_above(folder):
+    (folder / "list.txt").write_text("u/a/\u00e9.xml\nu/b/e\u0301.xml\nu/b/E.xml\n")
+    assert ids("list.txt") == ["a/\u00e9", "b/e\u0301", "E"]
+
+
 def test_lists_name_scenes_beside_themselves(folder):
     (folder / "a" / "list.txt").write_text("# mine\nhall.xml\n\n../b/kitchen.xml\n")
     assert [job.source for job in list_jobs(["a/list.txt"])] == ["a/hall.xml", "a/../b/kitchen.xml"]
@@ -44,9 +62,11 @@ def test_lists_name_scenes_beside_themselves(folder):
     )
     jobs = list_jobs(["list.csv"])
     assert [job.id for job in jobs] == ["001", "1e3", "K, 2"]
-    assert jobs[0].settings == {"agent": {"radius": 0.2}, "scene": {"geoms": "all"}}
-    assert jobs[1].settings == {"rooms": {"polygons": str(folder / "plan.geojson")}}
-    assert jobs[2].settings == {"agent": {"radius": 1}}
+    assert [job.settings for job in jobs] == [
+        {"agent": {"radius": 0.2}, "scene": {"geoms": "all", "id": "001"}},
+        {"rooms": {"polygons": str(folder / "plan.geojson")}, "scene": {"id": "1e3"}},
+        {"agent": {"radius": 1}, "scene": {"id": "K, 2"}},
+    ]
     (folder / "list.jsonl").write_text(
         '{"scene": "a/hall.xml", "id": "big\u2028"}\n'.replace("\u2028", "")
         + '\n{"config": "b/kitchen.yaml", "settings": {"agent": {"radius": 0.3}}, "id": 7,'
@@ -54,7 +74,7 @@ def test_lists_name_scenes_beside_themselves(folder):
     )
     jobs = list_jobs(["list.jsonl"])
     assert [job.id for job in jobs] == ["big", "7"]
-    assert jobs[1].settings == {"agent": {"radius": 0.3, "height": 2}}
+    assert jobs[1].settings == {"agent": {"radius": 0.3, "height": 2}, "scene": {"id": "7"}}
     assert jobs[1].place == "list.jsonl, line 3"
 
 
@@ -86,6 +106,35 @@ def test_lists_name_scenes_beside_themselves(folder):
         ("a.jsonl", '{"scene": 3}\n', "expected a path"),
         ("a.jsonl", '{"scene": "a.xml", "settings": 3}', "expected an object as `settings`"),
         ("a.csv", "scene\n\xff\n", "expected UTF-8 in a.csv, line 2"),
+        (
+            "a.jsonl",
+            '{"scene": "a.xml", "agent.radius": 1, "agent.radius": 2}',
+            "expected each key once, got `agent.radius` 2 times at a.jsonl, line 1",
+        ),
+        (
+            "a.jsonl",
+            '{"scene": "a.xml", "settings": {"agent": {"height": 1, "radius": 1, "radius": 2}}}',
+            "expected each key once, got `radius` 2 times at a.jsonl, line 1",
+        ),
+        *(
+            (
+                "a.jsonl",
+                f'{{"scene": "a.xml", "settings": {settings}, "agent.radius": 0.2}}',
+                "expected each setting once, got `agent.radius` twice at a.jsonl, line 1",
+            )
+            for settings in ('{"agent": {"radius": 0.3}}', '{"agent.radius": 0.2}')
+        ),
+        ("a.csv", "scene,names,names \na.xml,a,b\n", "once, got `names` twice at a.csv, line 2"),
+        (
+            "a.csv",
+            'scene,agent\na.xml,"{""radius"":1,""radius"":2}"\n',
+            "expected each key once, got `radius` 2 times at a.csv, line 2",
+        ),
+        ("a.csv", "scene,rooms,rooms.min_area\na.xml,none,2\n", "once, got `rooms` twice at a.cs"),
+        *(
+            ("a.csv", f"scene,{key}\na.xml,2\n", f"a setting such as .* got `{key}` at a.csv, li")
+            for key in ("agent..radius", "agent.radius=3")
+        ),
     ],
 )
 def test_broken_lists_name_the_line(folder, name, text, message):
@@ -106,7 +155,7 @@ def test_lists_of_any_system_are_read(folder, end, mark):
         (folder / name).write_bytes((mark + end.join([*lines, ""])).encode())
         jobs = list_jobs([name])
         assert [(job.id, job.source) for job in jobs] == [("a", "a.xml"), ("b", "b.xml")]
-        assert [job.settings for job in jobs] == [{}, {}]
+        assert all(not job.settings or job.settings == of_id(job.id) for job in jobs)
         assert jobs[1].place == f"{name}, line {len(lines)}"
 
 
@@ -115,6 +164,27 @@ def test_a_cell_that_is_nested_too_deep_is_text(folder):
     (folder / "a.csv").write_text(f"scene,agent.radius\na.xml,{deep}\n")
     [job] = list_jobs(["a.csv"])
     assert job.settings == {"agent": {"radius": deep}}
+
+
+@pytest.mark.parametrize("none", ["null", '""', "NaN", "{}", '{"a": null}'])
+def test_what_is_not_given_is_left_out_of_settings_too(folder, none):
+    agent = f'"agent": {{"radius": {none}, "height": 2}}'
+    row = f'"settings": {{{agent}, "grid": {{"margin": {none}}}}}'
+    (folder / "a.jsonl").write_text(f'{{"scene": "a.xml", {row}}}')
+    assert [job.settings for job in list_jobs(["a.jsonl"])] == [{"agent": {"height": 2}}]
+    cell = row.partition(": ")[2].replace('"', '""')
+    (folder / "a.csv").write_text(f'scene,settings\na.xml,"{cell}"\n')
+    assert [job.settings for job in list_jobs(["a.csv"])] == [{"agent": {"height": 2}}]
+
+
+def test_settings_that_are_nested_too_deep_are_refused(folder, monkeypatch):
+    deep = {}
+    for _ in range(sys.getrecursionlimit()):  # which the JSON of some Pythons can be
+        deep = {"a": deep}
+    monkeypatch.setattr(manifest, "_parse_json", lambda text, place: {"scene": "a", "b": deep})
+    (folder / "a.jsonl").write_text("{}")
+    with pytest.raises(ConfigError, match=r"settings at a\.jsonl, line 1 are nested too deeply"):
+        list_jobs(["a.jsonl"])
 
 
 def test_a_table_without_rows_is_named(folder):
@@ -140,6 +210,7 @@ def test_sources_that_name_nothing_are_refused(folder):
     [
         *("..", "../a", "/a", "a//b", "a/", ".a", "a.", " a", "a ", "a\\b", "C:a", "a\nb", "*"),
         *("NUL", "nul.txt", "index.jsonl", "a" * 201, "ä" * 101, "a\u202eb"),
+        *("a/grid.json.gz", "a/Nav2-0.3_1.PGM/b", "a/thumbnail.png", "report.html"),
     ],
 )
 def test_ids_cannot_leave_the_folder(folder, name):
@@ -164,7 +235,8 @@ def test_ids_may_have_letters_of_all_languages():
 
 
 @pytest.mark.parametrize(
-    ("one", "other"), [("a", "A"), ("Stra\u00dfe", "STRASSE"), ("é", "e\u0301")]
+    ("one", "other"),
+    [("a", "A"), ("Stra\u00dfe", "STRASSE"), ("é", "e\u0301"), ("\u0390", "\u03aa\u0301")],
 )
 def test_ids_that_some_file_system_takes_for_one_are_refused(one, other):
     with pytest.raises(ConfigError, match=r"expected unique ids, got .* at 1 and .* at 2"):
@@ -183,7 +255,8 @@ def test_a_scene_has_the_settings_of_the_batch_its_own_and_those_of_its_row(fold
     (folder / "a" / "own.yaml").write_text(
         "scene: {path: hall.xml}\nagent: {radius: 0.2}\ngrid:\noutput: a.grid.json\n"
     )
-    job = Job("own", "a/own.yaml", nest({"agent.traversable_floor_height": 0.1}, ""), "here")
+    row = nest([("agent.traversable_floor_height", 0.1)], Path())
+    job = Job("own", "a/own.yaml", row, "here")
     config = settings_of(job, read_shared("all.yaml"), ["agent.max_slope=30"])
     assert str(config.scene.path) == "a/hall.xml" and config.scene.id == "own"
     assert config.agent.model_dump() == {
@@ -199,13 +272,60 @@ def test_a_scene_has_the_settings_of_the_batch_its_own_and_those_of_its_row(fold
 
 
 def test_settings_are_laid_over_each_other_section_by_section():
-    below = {"a": {"b": 1, "c": 2}, "d": 3}
-    assert merge(below, {"a": {"b": 5}, "d": {"e": 1}}) == {"a": {"b": 5, "c": 2}, "d": {"e": 1}}
-    assert merge(below, {"a": None, "d": None}) == {"a": {"b": 1, "c": 2}, "d": None}
-    assert nest({"scene.joints.door.hinge": 1, "a": {"b": 2}, "a.c": 3}, "") == {
+    below = {"a": {"b": 1, "c": 2}, "d": 3, "e": None}
+    above = {"a": {"b": 5}, "d": 4, "e": {"f": 1}}
+    assert merge(below, above) == {"a": {"b": 5, "c": 2}, "d": 4, "e": {"f": 1}}
+    assert merge(below, {"a": None, "d": None}) == {**below, "d": None}
+    assert merge(below, {"a": {}, "d": {}, "g": {}}) == {**below, "g": {}}
+    given = {"scene.joints.door.hinge": 1, "a": {"b": 2}, "a.c": 3, "d": None, "d.e": 1, "d ": None}
+    assert nest(given.items(), Path()) == {
         "scene": {"joints": {"door.hinge": 1}},
         "a": {"b": 2, "c": 3},
+        "d": {"e": 1},
     }
+
+
+@pytest.mark.parametrize(
+    ("shared", "own", "row", "message"),
+    [
+        ({"rooms": "none"}, "", {"rooms": {"min_area": 2}}, "`rooms` is .none., .* `rooms.min_a"),
+        ({"rooms": "none"}, "rooms: {min_area: 2}", {}, "`rooms` is .none., .* `rooms.min_area`"),
+        ({}, "names: false", {"names": {"walls": "w"}}, "`names` is false, .* `names.walls`"),
+        ({}, "scene: {meshes: hull}", {"scene": {"meshes": {"a": "shell"}}}, "`scene.meshes` is"),
+    ],
+)
+def test_keys_do_not_undo_a_short_form(folder, shared, own, row, message):
+    (folder / "own.yaml").write_text(f"{own}\n")
+    with pytest.raises(ConfigError, match=f"{message}.* in the settings of here: write"):
+        settings_of(Job("own", "own.yaml", row, "here"), shared, [])
+
+
+def test_a_short_form_stays_until_another_value_replaces_it(folder):
+    for own, sources in (("agent: {radius: 1}", []), ("rooms: {}", []), ("rooms: auto", ["auto"])):
+        (folder / "own.yaml").write_text(f"scene: {{path: a/hall.xml}}\n{own}\n")
+        config = settings_of(Job("own", "own.yaml", {}, "here"), {"rooms": "none"}, [])
+        assert config.rooms.sources == sources
+
+
+@pytest.mark.parametrize("scene", ["other.xml", "[1]", "[]", "false", "''"])
+def test_shared_settings_name_no_scene_in_any_form(folder, scene):
+    (folder / "all.yaml").write_text(f"scene: {scene}\n")
+    with pytest.raises(ConfigError, match=r"expected settings as `scene` in all\.yaml, got .*nam"):
+        read_shared("all.yaml")
+    (folder / "all.yaml").write_text("scene:\n")
+    assert read_shared("all.yaml") == {"scene": None}
+
+
+def test_an_id_of_a_row_is_that_of_the_grid(folder):
+    (folder / "own.yaml").write_text("scene: {path: a/hall.xml, id: mine}\n")
+    (folder / "list.csv").write_text(
+        "config,scene,id\nown.yaml,,k/7\nown.yaml,,\n,a/hall.xml,b/8\n,b/kitchen.xml,\n"
+    )
+    jobs = list_jobs(["list.csv"])
+    assert [job.id for job in jobs] == ["k/7", "own", "b/8", "kitchen"]
+    found = [settings_of(job, {"scene": {"geoms": "all"}}, []).scene for job in jobs]
+    assert [scene.id for scene in found] == ["k_7", "mine", "b_8", "kitchen"]
+    assert {scene.geoms for scene in found} == {"all"}
 
 
 @pytest.mark.parametrize(

@@ -215,6 +215,23 @@ def test_outlines_may_be_named_by_an_override(rooms):
     assert run("rooms/plain.xml", out="remote", overrides=[override])[0] == []
 
 
+def test_outlines_of_an_override_are_beside_settings_on_a_store(rooms, memory):
+    for text in ("scene: {path: plain.xml}\n", "scene: {path: mjcf/room.xml}\n"):
+        Path("rooms/own.yaml").write_text(text)
+        memory.pipe_file("/s/rooms/own.yaml", text.encode())
+        overrides = ["rooms.polygons=plan.geojson"]
+        _, near = run("rooms/own.yaml", overrides=overrides)
+        for again in (["own"], []):
+            names, result = run("memory://s/rooms/own.yaml", out="remote", overrides=overrides)
+            assert names == again and result.count("ok") == near.count("ok") == 1, result.rows
+        assert grids("remote") == grids("out")
+    inside = ["rooms.polygons=[{points: [[0, 0], [1, 0], [1, 1]]}]"]
+    assert run("memory://s/rooms/own.yaml", overrides=inside)[1].count("ok") == 1
+    away = ["rooms.polygons=../../../plan.geojson"]
+    _, result = run("memory://s/rooms/own.yaml", overrides=away)
+    assert "what is on a store names no file elsewhere" in result.rows[0]["error"]
+
+
 def test_a_file_url_is_a_path_of_this_machine(rooms, tmp_path):
     names, result = run(f"file://{tmp_path}/rooms/plain.xml", out=f"file://{tmp_path}/out")
     assert names == ["plain"] and result.rows[0]["source"] == "../rooms/plain.xml"

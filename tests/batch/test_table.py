@@ -52,13 +52,15 @@ def test_a_table_is_a_list_as_a_csv_is():
         *(("001", "a.xml"), ("b", "b.xml"), ("1e3", "c.xml"))
     ]
     assert [job.settings for job in jobs] == [
-        {"agent": {"radius": 0.2}, "grid": {"margin": 1.0}},
-        *({}, {}),
+        {"agent": {"radius": 0.2}, "grid": {"margin": 1.0}, "scene": {"id": "001"}},
+        *({}, {"scene": {"id": "1e3"}}),
     ]
     assert jobs[2].place == "list.parquet, row 3"
     (row,) = [json.loads('{"scene": "a.xml", "id": 7, "scene.exclude": {"bodies": ["x"]}}')]
     write([row])
-    assert list_jobs(["list.parquet"])[0].settings == {"scene": {"exclude": {"bodies": ["x"]}}}
+    assert list_jobs(["list.parquet"])[0].settings == {
+        "scene": {"exclude": {"bodies": ["x"]}, "id": "7"}
+    }
     assert list_jobs(["list.parquet"])[0].id == "7"
 
 
@@ -76,6 +78,14 @@ def test_a_table_is_a_list_as_a_csv_is():
 def test_wrong_rows_are_named(row, message):
     write([row], "l.parquet")
     with pytest.raises(ConfigError, match=message):
+        list_jobs(["l.parquet"])
+
+
+def test_a_column_that_stands_twice_is_refused():
+    arrays = [pyarrow.array(["a.xml"]), pyarrow.array([0.2]), pyarrow.array([0.4])]
+    names = ["scene", "agent.radius", "agent.radius"]
+    parquet.write_table(pyarrow.Table.from_arrays(arrays, names), "l.parquet")
+    with pytest.raises(ConfigError, match=r"once, got `agent\.radius` 2 times in l\.parquet"):
         list_jobs(["l.parquet"])
 
 

@@ -160,6 +160,7 @@ def test_settings_and_products_reach_the_scenes(folder, run, here):
 
 
 def test_wrong_uses_are_one_line(folder, run):
+    before = {path.name for path in folder.iterdir()}
     for arguments, message in (
         (("no/*.xml", "-o", "out"), "expected files that match"),
         (("room.xml", "-o", "out", "--make", "grid"), "expected one of inflated:RADIUS"),
@@ -168,6 +169,13 @@ def test_wrong_uses_are_one_line(folder, run):
     ):
         status, out, err = run("batch", *arguments)
         assert (status, out, err.count("\n")) == (1, "", 1) and message in err, arguments
+    for arguments, message in (
+        (("-o", ""), "expected a folder, got nothing"),
+        (("-o", "out", "--log", "-"), "expected a file, got -: --json prints the same"),
+    ):
+        status, out, err = run("batch", "room.xml", *arguments)
+        assert (status, out) == (2, "") and message in " ".join(err.split()), arguments
+    assert {path.name for path in folder.iterdir()} <= before
 
 
 def test_a_cluster_is_asked_for_by_name(folder, run, monkeypatch):

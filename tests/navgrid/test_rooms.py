@@ -1,5 +1,7 @@
 """The room table of a file, and what is told of files without one."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -78,6 +80,17 @@ def test_files_without_a_table():
 def test_no_rooms():
     assert make_level([[0, 0]]).rooms == ()
     assert make_level([[1, 0]], navbake={"rooms": []}).rooms == ()
+
+
+def test_a_large_map_without_rooms_takes_no_memory_for_them():
+    level = make_level(np.zeros((1000, 1000)))
+    assert not level.room_index.any()
+    tracemalloc.start()
+    try:
+        assert level.rooms == ()
+        assert tracemalloc.get_traced_memory()[1] < 3e6  # places of cells would take 24 MB
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from typer import Argument, Exit, Option
+from typer import Argument, BadParameter, Exit, Option
 
 from navbake.cli.commands.warm_up import (
     bakes_compile,
@@ -20,7 +20,7 @@ from navbake.cli.commands.warm_up import (
     take_code,
     why_not_shared,
 )
-from navbake.cli.options import Overrides, check_output, refuse_unused
+from navbake.cli.options import STDOUT, Overrides, check_output, refuse_unused
 from navbake.cli.printing import (
     VOLUME,
     print_error,
@@ -157,6 +157,10 @@ def batch(
     refuse_unused(
         ("--ray-address", machines.ray_address is not None, is_ray, "--executor ray"),
     )
+    if not output:
+        raise BadParameter("expected a folder, got nothing: . is the current one", param_hint="-o")
+    if wholly.log == STDOUT:
+        raise BadParameter("expected a file, got -: --json prints the same", param_hint="--log")
     jobs = list_jobs(sources)
     if wholly.log is not None:
         own = (os.path.join(output, name) for name in (INDEX, PAGE, TABLE))

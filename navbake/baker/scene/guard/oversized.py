@@ -2,9 +2,8 @@
 
 MuJoCo compiles within this process: where it crashes, the process ends without a word, and while
 it works, Ctrl-C waits. What it will have to make can be seen in the XML: pixels of textures,
-copies by `replicate`, points of height fields and of composites. Python's parser looks for these;
-what it cannot read, MuJoCo judges. Of images (PNG) of textures and height fields, the header is
-read: a few bytes may unpack to gigabytes.
+copies by `replicate`, points of height fields and of composites. Of images (PNG) of textures and
+height fields, the header is read: a few bytes may unpack to gigabytes.
 """
 
 from __future__ import annotations
@@ -19,6 +18,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from navbake.errors import SceneError
+from navbake.formats.mjcf.xml_tree import read_elements
+from navbake.formats.scene_files import LOOK_FOLDERS, places_from
 
 MAX_TEXTURE = 1 << 30  # bytes of all textures; from 2**31 on, MuJoCo's own numbers overflow
 CHANNELS = 3  # bytes of a pixel unless given
@@ -30,7 +31,6 @@ MAX_POINTS = 100_000_000  # of a height field, pixels of an image
 MOST_PIXELS = {"texture": (32_000_000, 256), "hfield": (4_000_000, 16)}
 PNG = b"\x89PNG\r\n\x1a\n"
 PNG_SIZE = slice(16, 24)  # where a PNG has its width and height
-FOLDERS = ("meshdir", "texturedir", "assetdir")  # attributes of a compiler that say where files are
 MAX_FLEX = 1_000_000  # points of a flexcomp, parts of a composite
 MAX_SIZE = 100_000_000  # of what <size> asks for, but for memory in bytes
 # Tags that ask for something, or for another file; to find none in a file's bytes takes a small
@@ -40,9 +40,16 @@ SIZES = ("nkey", "nuserdata", "nuser_body", "nuser_geom", "nuser_jnt", "nuser_si
 
 
 class Place(NamedTuple):
-    """Where an element stands: its file, and how often `replicate` makes it."""
+    """Where an element stands.
+
+    Attributes:
+        file: that it is in.
+        home: the folder of the scene, or of the attached model that includes the file.
+        copies: how often `replicate` makes it.
+    """
 
     file: Path
+    home: Path
     copies: int
 
 
@@ -53,7 +60,7 @@ def refuse_oversized(path: Path) -> None:
     as it is made, in nested ones by the product of their counts.
     """
     num_copies, num_bytes = 0, 0
-    elements = [*_elements(path, path.parent, 1, set())]
+    elements = [*_elements(path)]
     folders = _asset_folders(path, elements)
     for element, place in elements:
         tag, where = element.tag, f"in {place.file}"
@@ -78,56 +85,55 @@ def refuse_oversized(path: Path) -> None:
                 _check(f"as `{name}` of <size>", _number(element, name, 0), MAX_SIZE, where)
 
 
-def _elements(
-    file: Path, home: Path, copies: int, seen: set[Path]
-) -> Iterator[tuple[ElementTree.Element, Place]]:
-    """The elements of files that ask for something, with how often each is made.
+def _elements(scene: Path) -> Iterator[tuple[ElementTree.Element, Place]]:
+    """The elements of files that ask for something, with where each stands.
 
     A file counts once: MuJoCo includes none twice.
     """
-    waiting = _root_of(file, copies, seen)
+    seen: set[Path] = set()
+    waiting = _root_of(Place(scene, scene.parent, 1), seen)
     while waiting:
-        element, (file, copies) = waiting.pop()
+        element, place = waiting.pop()
+        yield element, place
         if element.tag in ("include", "model") and element.get("file"):
-            # MuJoCo looks beside the main file; newer versions beside the including one, too
-            beside = [folder / element.attrib["file"] for folder in (home, file.parent)]
-            included = next((other for other in beside if os.path.isfile(other)), None)
-            if included is not None and included.resolve() not in seen:
-                waiting += _root_of(included, copies, seen)
-        yield element, Place(file, copies)
+            # which of these MuJoCo takes depends on its version
+            bases = dict.fromkeys((scene.parent, place.home, place.file.parent))
+            for file in places_from(bases, element.attrib["file"]):
+                if os.path.isfile(file) and file.resolve() not in seen:
+                    home = place.home if element.tag == "include" else file.parent
+                    waiting += _root_of(Place(file, home, place.copies), seen)
         if element.tag == "replicate":
-            copies *= max(_number(element, "count", 1), 1)
-        waiting += [(child, Place(file, copies)) for child in reversed(element)]
+            place = place._replace(copies=place.copies * max(_number(element, "count", 1), 1))
+        waiting += [(child, place) for child in reversed(element)]
 
 
-def _root_of(file: Path, copies: int, seen: set[Path]) -> list[tuple[ElementTree.Element, Place]]:
-    """The outermost element of a file; none if Python can't read it, or nothing in it asks.
+def _root_of(place: Place, seen: set[Path]) -> list[tuple[ElementTree.Element, Place]]:
+    """The outermost element of a file; none if it has none, or nothing in it asks.
 
     What is made several times asks always.
     """
-    seen.add(file.resolve())
+    seen.add(place.file.resolve())
     try:
-        data = file.read_bytes()
-        if copies == 1 and not ASKING.search(data):
-            return []
-        root = ElementTree.fromstring(data)
-    except (ElementTree.ParseError, ValueError, LookupError, OSError, RecursionError):
+        data = place.file.read_bytes()
+    except OSError:
         return []  # MuJoCo says what is wrong with it
-    return [(root, Place(file, copies))]
+    root = read_elements(data) if place.copies > 1 or ASKING.search(data) else None
+    return [] if root is None else [(root, place)]
 
 
 def _asset_folders(
     path: Path, elements: list[tuple[ElementTree.Element, Place]]
 ) -> dict[Path, None]:
     """Where the files of textures and height fields may be; which it is depends on MuJoCo."""
-    homes = dict.fromkeys([path.parent, *(place.file.parent for _, place in elements)])
+    places = (folder for _, place in elements for folder in (place.home, place.file.parent))
+    homes = dict.fromkeys([path.parent, *places])
     named = (
-        home / element.attrib[key]
+        folder
         for element, _ in elements
         if element.tag == "compiler"
-        for key in FOLDERS
+        for key in LOOK_FOLDERS
         if key in element.attrib
-        for home in homes
+        for folder in places_from(homes, element.attrib[key])
     )
     return homes | dict.fromkeys(named)
 
@@ -136,7 +142,8 @@ def _check_images(element: ElementTree.Element, folders: Iterable[Path], where: 
     """Refuse images with more pixels than files of their size may have."""
     for name in [value for key, value in element.attrib.items() if key.startswith("file")]:
         # `strippath` of a compiler leaves out the folders of names
-        files = [folder / tail for folder in folders for tail in {name, Path(name).name}]
+        tails = (name, Path(name).name)
+        files = [file for tail in tails for file in places_from(folders, tail)]
         pixels, num_bytes = max(map(_image_size, files))
         free, by_byte = MOST_PIXELS[element.tag]
         most = min(MAX_POINTS, free + by_byte * num_bytes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 
 import pytest
@@ -131,6 +132,30 @@ def test_images_that_unpack_to_much_are_refused(tmp_path, kind, most, folder):
         refuse_oversized(path)
     image.unlink()
     refuse_oversized(path)
+
+
+@pytest.mark.parametrize("comment", ["<!-- a -- b -->", '<!-- "a -->', "<!-- \udcb0 -->"])
+def test_looks_into_xml_that_python_refuses(tmp_path, comment):
+    path = scene(tmp_path, assets=texture(60_000, 60_000))
+    content = path.read_bytes().replace(b"<asset>", os.fsencode(comment) + b"<asset>")
+    assert content.count(b"<!--") == 1
+    path.write_bytes(content)
+    with pytest.raises(SceneError, match="bytes of textures"):
+        refuse_oversized(path)
+
+
+def test_what_an_attached_model_includes_counts_from_its_folder(tmp_path):
+    """As MuJoCo has it, whichever folder the including file is in."""
+    (tmp_path / "robot" / "parts").mkdir(parents=True)
+    for name, text in (
+        ("robot/robot.xml", '<mujoco><include file="parts/arm.xml"/></mujoco>'),
+        ("robot/parts/arm.xml", '<mujoco><include file="skin.xml"/></mujoco>'),
+        ("robot/skin.xml", f"<mujoco><asset>{texture(60_000, 60_000)}</asset></mujoco>"),
+    ):
+        (tmp_path / name).write_text(text)
+    path = scene(tmp_path, assets='<model name="r" file="robot/robot.xml"/>')
+    with pytest.raises(SceneError, match=r"bytes of textures, got .*skin\.xml"):
+        refuse_oversized(path)
 
 
 def test_leaves_broken_xml_to_mujoco(tmp_path):

@@ -1,0 +1,1 @@
+"""MJCF as MuJoCo's parser reads it."""
