@@ -121,11 +121,12 @@ class Regions:
         """Join regions of fewer cells, the smallest first, to the one they open to the widest.
 
         What is at the edge of the grid goes on along it: a ledge round a house goes on round its
-        corners and not in at the door. So a region that is there joins others that are, if it
-        touches any. Else one with more than `widest` cells there joins none, because it is outside
-        of the walls. `at_edge` tells how many each region has.
+        corners and not in at the door. So a region that is there joins the one that has most cells
+        there, if it touches any. One with more than `widest` cells there only joins one that has
+        as well, because it is outside of the walls. `at_edge` tells how many each region has.
         """
-        edge = [0] * len(self._cells) if at_edge is None else at_edge.tolist()
+        none_there = [0] * len(self._cells)
+        edge = list(none_there) if at_edge is None else at_edge.tolist()
         queue = [
             (cells, region)
             for region, cells in enumerate(self._cells)
@@ -138,13 +139,10 @@ class Regions:
             # what has grown since it was queued is queued again
             if self._whole[small] != small or self._cells[small] != cells or not met:
                 continue
-            among = list(met)
-            if edge[small]:
-                along = [other for other in met if edge[other]]
-                among = along or ([] if edge[small] > widest else among)
-            if not among:
+            there = edge if edge[small] else none_there
+            to = max(met, key=lambda other: (there[other], *met[other], self._cells[other], -other))
+            if edge[small] > widest >= edge[to]:
                 continue
-            to = max(among, key=lambda other: (*met[other], self._cells[other], -other))
             self._join(to, small)
             edge[to] += edge[small]
             if self._cells[to] < least:
