@@ -125,7 +125,7 @@ def test_rooms_that_went_through_a_geojson_file_are_the_same(tmp_path):
     assert doors_between(after) == doors_between(before)
 
 
-@pytest.mark.parametrize("roof", ["", slab(0, 0, 6, 4, HIGH + 0.1)])
+@pytest.mark.parametrize("roof", ["", slab(0, 0, 6, 4, HIGH + 0.1)], ids=["open", "roofed"])
 @pytest.mark.parametrize(("out", "cell"), [(0.1, 0.1), (0.1, 0.05), (0.05, 0.05)])
 def test_a_ledge_of_a_cell_or_two_takes_no_room_outdoors(tmp_path, roof, out, cell):
     """Its four sides are each smaller than a room; the one before the door opens to the room."""
