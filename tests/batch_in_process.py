@@ -54,3 +54,4 @@ def stay_in_process(monkeypatch, after=lambda: None):
             after()
 
     monkeypatch.setattr(module, "do_jobs", do_jobs)
+    monkeypatch.setattr(module, "UNSHARED", ())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -13,19 +13,21 @@ from navbake.baker.scene.guard.scratch import remove_abandoned
 from navbake.batch.crew import DONE, Ended, Event, JobLimits, do_jobs
 from navbake.batch.done import find_done
 from navbake.batch.full import FullError
-from navbake.batch.index import Index, only_batch
+from navbake.batch.index import WAS, Index, made_row, only_batch
 from navbake.batch.job import Job
 from navbake.batch.journal import stamp
 from navbake.batch.products import parse_products
-from navbake.batch.remote import is_remote
+from navbake.batch.remote import check_shared, is_remote
 from navbake.batch.settings import check_overrides, check_settings
 from navbake.batch.stores.index import RemoteIndex
 from navbake.batch.stores.urls import Folder
 from navbake.batch.table import NAME as TABLE
 from navbake.batch.table import check_pyarrow, encode_rows
-from navbake.batch.work import DIGITS, FAILED, LEFT, Order, do_order, fail, prepare, row_of
+from navbake.batch.work import DIGITS, FAILED, LEFT, OK, Order, do_order, fail, prepare, row_of
 from navbake.files import remove_leftovers
 from navbake.types import Json
+
+UNSHARED = ("memory",)  # schemes of URLs whose files no other process has
 
 
 class Batch(NamedTuple):
@@ -127,10 +129,12 @@ def run_batch(batch: Batch, means: Means, watch: Watch) -> BatchResult:
     files, settings and products, and what it made is still there. One that fails, hangs or
     crashes its worker costs itself alone. Where the folder has no room for one, the batch stops.
     However the batch ends, short of being killed, the index has a row for each scene, in order, as
-    far as there is room for it; ``left`` is one that the batch did not come to.
+    far as there is room for it; ``left`` is one that the batch did not come to. Its row keeps the
+    one of when it was made last: what that says may still hold.
 
     Raises:
-        ConfigError: a product, an override or a shared setting is wrong.
+        ConfigError: a product, an override or a shared setting is wrong, or a file is in a
+            process's own memory.
         NavbakeError: the folder can't be written, another batch writes into it, or no worker
             process starts.
     """
@@ -150,6 +154,7 @@ def run_batch(batch: Batch, means: Means, watch: Watch) -> BatchResult:
         )
         for job in batch.jobs
     ]
+    check_shared(orders, UNSHARED)
     with _index_of(batch.folder) as index:
         remove_abandoned()  # what batches that were killed left
         if not batch.has_table:
@@ -179,7 +184,7 @@ def _run(
     watch: Watch,
     has_table: bool,
 ) -> BatchResult:
-    skipped = find_done(orders, index.known)
+    skipped = find_done(orders, {id: made_row(row) for id, row in index.known.items()})
     left = {o.job.id: o for o in orders if o.job.id not in skipped}
     result = BatchResult(skipped=len(skipped))
     waiting, num_failed = [*left.values()], 0
@@ -218,7 +223,9 @@ def _run(
     finally:
         try:
             index.finish(
-                [order.job.id for order in orders], skipped, lambda id: row_of(left[id], LEFT)
+                [order.job.id for order in orders],
+                skipped,
+                lambda id: _left_row(left[id], index.known),
             )
             if index.rows != [*index.known.values()]:
                 index.remove(TABLE)  # it says other than the index
@@ -233,6 +240,16 @@ def _run(
             if row["status"] == LEFT and isinstance(left[row["id"]].folder, Path):
                 remove_leftovers(left[row["id"]].place)
     return result
+
+
+def _left_row(order: Order, known: Mapping[str, Json]) -> Json:
+    """The row of a scene that the batch did not come to.
+
+    What was made of it before is still there, unless a worker had begun to write it anew: then its
+    files tell so. So the same command as before finds it done.
+    """
+    was = made_row(known.get(order.job.id, {}))
+    return row_of(order, LEFT) | ({WAS: was} if was.get("status") == OK else {})
 
 
 def _id_of(event: Event, orders: Sequence[Order]) -> str | None:

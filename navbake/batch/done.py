@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from navbake.batch import remote
-from navbake.batch.file_states import Places, are_unchanged, has_no_other
+from navbake.batch.file_states import Places, are_unchanged, has_no_other, list_candidates
 from navbake.batch.settings import settings_of
 from navbake.batch.work import OK, Order, key_of
-from navbake.config.settings import BakeConfig
 from navbake.errors import NavbakeError
-from navbake.formats.scene_files import Folders, Search, find_inputs
+from navbake.formats.scene_files import Folders
 from navbake.types import Json
 
 
@@ -49,20 +48,11 @@ def _is_done(order: Order, row: Json | None, places: Places, listed: Folders) ->
             row["key"] == key_of(order, config)
             and row["named"] == [places.of_file(path) for path in config.inputs]
             and are_unchanged(row["inputs"], order.folder)
-            and has_no_other(_candidates(row, config, listed), row["inputs"], places)
+            and has_no_other(
+                list_candidates(row["sought"], config.inputs[0], listed), row["inputs"], places
+            )
             and are_unchanged(row["files"], order.place)
         )
     # or no row of a batch's
     except (NavbakeError, KeyError, TypeError, AttributeError, ValueError):
         return False
-
-
-def _candidates(row: Json, config: BakeConfig, listed: Folders) -> Iterable[str]:
-    """Paths at which a scene's files are now: one that is new may be meant instead of another.
-
-    Of MJCF the index has the names and the folders, so it isn't read again.
-    """
-    sought = row["sought"]
-    if sought["folders"]:
-        return Search(tuple(sought["folders"]), tuple(sought["names"])).present(listed)
-    return map(os.path.abspath, find_inputs(Path(config.inputs[0])))

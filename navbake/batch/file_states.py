@@ -10,6 +10,7 @@ from collections.abc import Container, Iterable, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
+from navbake.formats.scene_files import Folders, Search, find_inputs
 from navbake.types import Json
 
 CHUNK = 1 << 20
@@ -58,6 +59,19 @@ def has_no_other(found: Iterable[str], known: Container[str], places: Places) ->
             if places.of_file(path) not in known and os.path.isfile(path):
                 return False
     return True
+
+
+def list_candidates(sought: Json, scene: str | os.PathLike[str], listed: Folders) -> Iterable[str]:
+    """Paths at which a scene's files are now: one that is new may be meant instead of another.
+
+    Args:
+        sought: the names and the folders that the index has of MJCF, so that it isn't read again.
+        scene: the path of what is read else.
+        listed: the folders' contents.
+    """
+    if sought["folders"]:
+        return Search(tuple(sought["folders"]), tuple(sought["names"])).present(listed)
+    return map(os.path.abspath, find_inputs(Path(scene)))
 
 
 class Places:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import errno
 import os
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from navbake.errors import NavbakeError
 
@@ -39,14 +41,26 @@ def refused(what: str, error: OSError) -> NavbakeError:
 
 @contextmanager
 def telling_full(place: str | os.PathLike[str]) -> Iterator[None]:
-    """Raise a FullError that names `place` where what is written inside finds no room there."""
+    """Raise a FullError that names `place` where what is written inside finds no room there.
+
+    Products may need the folder for temporary files, too: that one is full is another error.
+    """
     try:
         yield
     except (OSError, NavbakeError) as error:
         why = why_full(error)
-        if why is None or isinstance(error, FullError):
+        if why is None or isinstance(error, FullError) or _is_temporary(why, place):
             raise
         raise no_room(f"into {os.fspath(place)}", why) from error
+
+
+def _is_temporary(error: OSError, place: str | os.PathLike[str]) -> bool:
+    """Whether an error is of a file in the folder for temporary files, in which `place` isn't."""
+    if not isinstance(error.filename, str):
+        return False
+    folder = Path(os.path.realpath(tempfile.gettempdir()))
+    file, place = (Path(os.path.realpath(path)) for path in (error.filename, place))
+    return file.is_relative_to(folder) and not place.is_relative_to(folder)
 
 
 def why_full(error: BaseException | None) -> OSError | None:

@@ -21,6 +21,8 @@ except ImportError:  # Windows has no such locks: there, two batches in one fold
 
 NAME = "index.jsonl"
 LOCK = ".navbake-batch.lock"
+WAS = "was"  # of the row of a scene that is left: the one of when it was made last
+CHUNK = 1 << 20  # bytes that are read at once
 
 
 @contextmanager
@@ -77,7 +79,7 @@ class Index:
         self.rows: list[Json] = []
         with _naming(folder):
             self._file = os.open(self._path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666)
-            content = self._path.read_bytes()
+            content = self._read()
             self.known = parse_rows(content)
             if content and not content.endswith(b"\n"):
                 os.write(self._file, b"\n")  # ends a line that was cut off
@@ -100,11 +102,11 @@ class Index:
 
         Where they can't be written, `rows` has them, and the lines stay as they were.
         """
-        # from the file: Ctrl-C may come between any two statements of Python
-        added = parse_rows(self._path.read_bytes()[self._begin :])
-        own, others = order_rows(ids, self.known, added, skipped, left)
-        self.rows = [*own, *others]
         with _naming(self._path.parent):
+            # from the file: Ctrl-C may come between any two statements of Python
+            added = parse_rows(self._read()[self._begin :])
+            own, others = order_rows(ids, self.known, added, skipped, left)
+            self.rows = [*own, *others]
             write_whole(join_rows(self.rows), self._path)
 
     def write(self, name: str, content: bytes) -> None:
@@ -121,6 +123,12 @@ class Index:
         """Wait until the folder's disk has all that was made: scenes don't wait for it."""
         with _naming(self._path.parent):
             wait_for_disk(self._path.parent)
+
+    def _read(self) -> bytes:
+        """All lines; also where somebody removed the file, of which this batch still has them."""
+        os.lseek(self._file, 0, os.SEEK_SET)  # what is added goes to the end all the same
+        pieces = iter(lambda: os.read(self._file, CHUNK), b"")
+        return b"".join(pieces)
 
     def close(self) -> None:
         """Give the file back; its lines stay."""
@@ -145,8 +153,14 @@ def order_rows(
     left: Callable[[str], Json],
 ) -> tuple[list[Json], list[Json]]:
     """The rows of a batch's scenes in its order, and those of other scenes; see `Index.finish`."""
-    own = {id: added.get(id) or (known[id] if id in skipped else left(id)) for id in ids}
+    own = {id: added.get(id) or (made_row(known[id]) if id in skipped else left(id)) for id in ids}
     return [*own.values()], [row for id, row in known.items() if id not in own]
+
+
+def made_row(row: Json) -> Json:
+    """What is known of a scene's making: its row, or the one that it keeps as `WAS`."""
+    was = row.get(WAS)
+    return was if isinstance(was, dict) and was.get("id") == row.get("id") else row
 
 
 def parse_rows(content: bytes) -> dict[str, Json]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,9 +23,12 @@ from navbake.navgrid.grid import NavGrid
 from navbake.views.layers import LAYERS
 
 GRID = "grid.json.gz"  # of every scene, written last: where it is, all is there
+PICTURE, REPORT = "picture.png", "report.html"
 THUMBNAIL = "thumbnail.png"  # no product: it can be made of the grid at any time
+NOTE = ".navbake-made"  # of a scene's folder, see `remove_products`
+MAX_NOTE = 1 << 20  # bytes that are read of it
 PICTURE_LAYERS = ("rooms", "floor")
-# all names that a product has ever had; other files in a scene's folder are the user's
+# all names that a product has ever had
 OWN = re.compile(
     r"grid\.json\.gz|inflated-[\d.e+-]+\.json\.gz|nav2[\d._e+-]*\.(?:yaml|pgm)"
     r"|voxels-[\d.e+-]+\.\w+|picture\.png|report\.html|thumbnail\.png"
@@ -46,6 +49,10 @@ class Product(NamedTuple):
     def make(self, grid: NavGrid, config: BakeConfig, folder: Path) -> list[str]:
         """Write its files, each whole or not at all, and return their names."""
         return KINDS[self.kind].make(grid, config, self.values, folder)
+
+    def names(self, grid: NavGrid) -> list[str]:
+        """The names of the files that `make` writes."""
+        return KINDS[self.kind].names(grid, self.values)
 
     def __str__(self) -> str:
         """As `parse_products` reads it."""
@@ -84,14 +91,38 @@ def write_thumbnail(grid: NavGrid, folder: Path) -> None:
 
 
 def remove_products(folder: Path) -> None:
-    """Remove what was made of a scene, and what a writer that was killed left; nothing else."""
-    with suppress(OSError), os.scandir(folder) as entries:
-        # the grid first: where it is, all is there
-        for name in sorted((entry.name for entry in entries), key=lambda name: name != GRID):
-            if OWN.fullmatch(name):
-                with suppress(OSError):
-                    os.unlink(folder / name)
+    """Remove what was made of a scene, and what a writer that was killed left; nothing else.
+
+    What a file is called doesn't tell who made it: a scene's folder may be the user's own, with a
+    picture beside the scene. So the names of all that is made besides the grid are noted there, in
+    `NOTE`, before it is made: whoever was killed meanwhile, and whatever became of the index, the
+    next one knows. `GRID` needs no note: it is what each scene of a batch is asked for.
+    """
+    # the grid first: where it is, all is there; the note last, as it tells of the others
+    for name in (GRID, *sorted(read_note(folder)), NOTE):
+        with suppress(OSError):
+            os.unlink(folder / name)
     remove_leftovers(folder)
+
+
+def read_note(folder: Path) -> set[str]:
+    """The names of what was made of a scene besides its grid."""
+    with suppress(OSError):
+        if os.path.isfile(folder / NOTE):  # who reads a pipe may wait for ever
+            with open(folder / NOTE, "rb") as file:
+                return parse_note(file.read(MAX_NOTE))
+    return set()
+
+
+def parse_note(content: bytes) -> set[str]:
+    """The names in a note; one that no product has counts as none, whoever wrote it there."""
+    names = content.decode(errors="replace").split("\n")
+    return {name for name in names if OWN.fullmatch(name)}
+
+
+def encode_note(names: Iterable[str]) -> bytes:
+    """A note as `parse_note` reads it: a name a line."""
+    return "".join(f"{name}\n" for name in sorted(names)).encode()
 
 
 def _numbers(values: Sequence[str], text: str) -> tuple[str, ...]:
@@ -130,20 +161,36 @@ def _check_picture(values: Sequence[str], text: str) -> tuple[str, ...]:
 def _make_inflated(
     grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path
 ) -> list[str]:
-    name = f"inflated-{'-'.join(values)}.json.gz"
+    (name,) = _name_inflated(grid, values)
     clearance = float(values[1]) if len(values) > 1 else None
     write_navgrid(grid.inflate(float(values[0]), clearance), folder / name)
     return [name]
 
 
+def _name_inflated(grid: NavGrid, values: Sequence[str]) -> list[str]:
+    return [f"inflated-{'-'.join(values)}.json.gz"]
+
+
 def _make_nav2(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> list[str]:
     from navbake.formats.maps.nav2 import encode_nav2  # only who wants maps loads it
 
-    path = folder / f"{'-'.join(('nav2', *values))}.yaml"
+    path = folder / _nav2_of_one_level(values)
     files = encode_nav2(grid, path, radius=float(values[0]) if values else None)
     for file, content in files.items():
         write_bytes(content, file)
     return [file.name for file in files]
+
+
+def _name_nav2(grid: NavGrid, values: Sequence[str]) -> list[str]:
+    from navbake.formats.maps.nav2 import YAMLS  # only who wants maps loads it
+    from navbake.formats.maps.paths import level_paths  # as above
+
+    paths = level_paths(grid, Path(_nav2_of_one_level(values)), None, YAMLS).values()
+    return [path.with_suffix(suffix).name for path in paths for suffix in (".pgm", ".yaml")]
+
+
+def _nav2_of_one_level(values: Sequence[str]) -> str:
+    return f"{'-'.join(('nav2', *values))}.yaml"
 
 
 def _make_voxels(
@@ -152,10 +199,14 @@ def _make_voxels(
     from navbake.baker.voxelize.voxelizer import Voxelizer  # loads more of the baker than a bake
 
     edge, ending = values
-    name = f"voxels-{edge}.{ending}"
+    (name,) = _name_voxels(grid, values)
     voxels = Voxelizer(config).create(res=float(edge), align=f".{ending}" in OCTREES)
     write_voxels(voxels, folder / name)
     return [name]
+
+
+def _name_voxels(grid: NavGrid, values: Sequence[str]) -> list[str]:
+    return [f"voxels-{'.'.join(values)}"]
 
 
 def _make_picture(
@@ -163,8 +214,8 @@ def _make_picture(
 ) -> list[str]:
     from navbake.views.plot import plot_grid  # loads Pillow
 
-    plot_grid(grid, folder / "picture.png", layers=tuple(values) or PICTURE_LAYERS)
-    return ["picture.png"]
+    plot_grid(grid, folder / PICTURE, layers=tuple(values) or PICTURE_LAYERS)
+    return [PICTURE]
 
 
 def _make_report(
@@ -172,8 +223,8 @@ def _make_report(
 ) -> list[str]:
     from navbake.views.report.report import write_report  # only who wants a report loads it
 
-    write_report(grid, folder / "report.html", audits=[audit(grid)])
-    return ["report.html"]
+    write_report(grid, folder / REPORT, audits=[audit(grid)])
+    return [REPORT]
 
 
 class Kind(NamedTuple):
@@ -181,12 +232,14 @@ class Kind(NamedTuple):
 
     Attributes:
         make: writes it and returns the names of its files.
+        names: the same names, for which nothing is written.
         check: checks the values and gives them their shortest form.
         least, most: how many values it takes.
         usage: how it is asked for.
     """
 
     make: Callable[[NavGrid, BakeConfig, Sequence[str], Path], list[str]]
+    names: Callable[[NavGrid, Sequence[str]], list[str]]
     check: Callable[[Sequence[str], str], tuple[str, ...]]
     least: int
     most: int
@@ -194,9 +247,18 @@ class Kind(NamedTuple):
 
 
 KINDS: dict[str, Kind] = {
-    "inflated": Kind(_make_inflated, _numbers, 1, 2, "inflated:RADIUS[:CLEARANCE]"),
-    "nav2": Kind(_make_nav2, _numbers, 0, 1, "nav2[:RADIUS]"),
-    "voxels": Kind(_make_voxels, _check_voxels, 1, 2, "voxels:EDGE[:ENDING]"),
-    "picture": Kind(_make_picture, _check_picture, 0, len(LAYERS), "picture[:LAYER…]"),
-    "report": Kind(_make_report, lambda values, text: (), 0, 0, "report"),
+    "inflated": Kind(_make_inflated, _name_inflated, _numbers, 1, 2, "inflated:RADIUS[:CLEARANCE]"),
+    "nav2": Kind(_make_nav2, _name_nav2, _numbers, 0, 1, "nav2[:RADIUS]"),
+    "voxels": Kind(_make_voxels, _name_voxels, _check_voxels, 1, 2, "voxels:EDGE[:ENDING]"),
+    "picture": Kind(
+        _make_picture,
+        lambda grid, values: [PICTURE],
+        _check_picture,
+        0,
+        len(LAYERS),
+        "picture[:LAYER…]",
+    ),
+    "report": Kind(
+        _make_report, lambda grid, values: [REPORT], lambda values, text: (), 0, 0, "report"
+    ),
 }

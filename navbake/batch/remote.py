@@ -5,16 +5,30 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from navbake._version import __version__
 from navbake.baker.scene.guard.scratch import scratch_folder
-from navbake.batch.file_states import Places, are_unchanged, describe_files, path_from
+from navbake.batch.file_states import (
+    Places,
+    are_unchanged,
+    describe_files,
+    has_no_other,
+    list_candidates,
+    path_from,
+)
 from navbake.batch.full import FullError
-from navbake.batch.products import GRID, OWN, THUMBNAIL
+from navbake.batch.products import (
+    GRID,
+    MAX_NOTE,
+    NOTE,
+    THUMBNAIL,
+    encode_note,
+    parse_note,
+)
 from navbake.batch.stores.mirror import Mirror, upload
 from navbake.batch.stores.store import (
     Entry,
@@ -22,14 +36,17 @@ from navbake.batch.stores.store import (
     is_unchanged,
     list_folder,
     list_tree,
+    read_if_there,
     remove_files,
     state_of,
+    write_file,
 )
 from navbake.batch.stores.urls import is_url, join, parent, shown, split_url
 from navbake.config.settings import YAML_SUFFIXES
 from navbake.config.yaml_text import override_key, parse_yaml
-from navbake.errors import NavbakeError
+from navbake.errors import ConfigError, NavbakeError
 from navbake.files import TEMPORARY
+from navbake.formats.scene_files import Folders
 from navbake.types import Json
 
 if TYPE_CHECKING:
@@ -41,6 +58,17 @@ POLYGONS = ("rooms", "polygons")  # the one setting that names a file
 def is_remote(order: Order) -> bool:
     """Whether a scene, its outlines of rooms, or the output folder is on a store."""
     return is_url(order.folder) or any(map(is_url, _named(order)))
+
+
+def check_shared(orders: Iterable[Order], unshared: Collection[str]) -> None:
+    """Raise a ConfigError for a URL of one of some schemes, whose files processes don't share."""
+    for order in orders:
+        for url in filter(is_url, (str(order.folder), *_named(order))):
+            if url.partition("://")[0].lower() in unshared:
+                raise ConfigError(
+                    f"expected files that all processes share, got {shown(url)}: each process has "
+                    "a memory of its own"
+                )
 
 
 def name_source(order: Order) -> str:
@@ -87,29 +115,39 @@ def make_remote(order: Order, make: Callable[[Order], Json]) -> Json:
         row |= {
             "source": name_source(order),
             "key": remote_key_of(order),
-            "named": [],
-            "sought": {},
+            **_looked_here(order, near, row, mirror),
             "inputs": {**_inputs(order, near, row["inputs"], mirror), **settings},
         }
         if isinstance(order.folder, str):
             place = f"{order.folder}/{order.job.id}"
-            remove_products_at(place)
-            names = [*(name for name in row["files"] if name != GRID), GRID]
+            names = [name for name in row["files"] if name != GRID]
             if order.thumbnail:  # it is no product, so the row doesn't name it
-                names.insert(0, THUMBNAIL)
-            entries = upload({name: near.place / name for name in names}, place)
+                names.append(THUMBNAIL)
+            # what is there still is the user's, see `work._write_products`
+            free = {*names} - remove_products_at(place)
+            if free:
+                write_file(f"{place}/{NOTE}", encode_note(free))
+            entries = upload({name: near.place / name for name in (*names, GRID)}, place)
+            if len(free) < len(names):
+                write_file(f"{place}/{NOTE}", encode_note(names))
             row["files"] = {
                 name: state_of(entries[name], state) for name, state in row["files"].items()
             }
     return row
 
 
-def remove_products_at(place: str) -> None:
-    """Remove from a store what was made of a scene, and what a writer that was killed left."""
+def remove_products_at(place: str) -> set[str]:
+    """Do on a store what `products.remove_products` does on this machine.
+
+    Returns:
+        The names of the files that are left.
+    """
     found = list_folder(place)
-    names = [name for name in found if OWN.fullmatch(name) or TEMPORARY.fullmatch(name)]
-    # the grid first: where it is, all is there
-    remove_files(f"{place}/{name}" for name in sorted(names, key=lambda name: name != GRID))
+    noted = read_if_there(f"{place}/{NOTE}", MAX_NOTE) if NOTE in found else None
+    others = [*sorted(parse_note(noted or b"")), *filter(TEMPORARY.fullmatch, found)]
+    names = [name for name in (GRID, *others, NOTE) if name in found]
+    remove_files(f"{place}/{name}" for name in names)
+    return found.keys() - set(names)
 
 
 def remove_remote_products(order: Order) -> None:
@@ -133,6 +171,9 @@ def find_done(orders: Sequence[Order], known: Mapping[str, Json]) -> set[str]:
         listing.load({parent(url) for order in todo for url in _remote_inputs(order, rows)})
     folder = todo[0].folder
     made = list_tree(folder, is_own=True) if isinstance(folder, str) else {}
+    base = folder if isinstance(folder, Path) else Path()
+    places, listed = Places(base), Folders(base)
+    todo = [order for order in todo if _is_found(order, rows[order.job.id], places, listed)]
     return {o.job.id for o in todo if _is_done(o, rows[o.job.id], listing, made)}
 
 
@@ -229,6 +270,21 @@ def _inputs(order: Order, near: Order, stated: Json, mirror: Mirror) -> Json:
     return inputs
 
 
+def _looked_here(order: Order, near: Order, row: Json, mirror: Mirror) -> Json:
+    """The scene, and where its files were looked for, if that is on this machine.
+
+    A store is not asked whether it has a new file that may be meant instead.
+    """
+    if is_url(order.job.source):
+        return {"named": [], "sought": {}}
+    folder = os.path.realpath(near.folder)
+    stated: Json = {"named": row["named"][:1], "sought": row["sought"]["folders"]}
+    for key, paths in stated.items():
+        full = (os.path.normpath(os.path.join(folder, path)) for path in paths)
+        stated[key] = [_name_path(path, order) for path in full if mirror.url_of(path) is None]
+    return {**stated, "sought": {**row["sought"], "folders": stated["sought"]}}
+
+
 def _name_path(path: str, order: Order) -> str:
     if is_url(path):
         return shown(path)
@@ -293,4 +349,19 @@ def _is_done(order: Order, row: Json, listing: Listing, made: Mapping[str, Entry
             for name, state in row["files"].items()
         )
     except (NavbakeError, KeyError, TypeError, AttributeError):  # or no row of a batch's
+        return False
+
+
+def _is_found(order: Order, row: Json, places: Places, listed: Folders) -> bool:
+    """Whether this machine has no file that a scene of its own may mean instead of a known one."""
+    if is_url(order.job.source):
+        return True
+    try:
+        scene = os.path.join(places.folder, row["named"][0])
+        if not os.path.isfile(scene):  # who reads a pipe may wait for ever
+            return False
+        here = [os.path.join(places.folder, name) for name in row["inputs"] if not is_url(name)]
+        known = {*row["inputs"], *map(places.of_file, here)}
+        return has_no_other(list_candidates(row["sought"], scene, listed), known, places)
+    except (NavbakeError, KeyError, TypeError, AttributeError, IndexError, ValueError):
         return False

@@ -21,7 +21,15 @@ from navbake.baker.scene.guard.scratch import scratch_folder
 from navbake.batch.file_states import Places, describe_files
 from navbake.batch.full import FullError, telling_full
 from navbake.batch.job import Job
-from navbake.batch.products import GRID, Product, remove_products, write_thumbnail
+from navbake.batch.products import (
+    GRID,
+    NOTE,
+    THUMBNAIL,
+    Product,
+    encode_note,
+    remove_products,
+    write_thumbnail,
+)
 from navbake.batch.remote import is_remote, make_remote, name_source, remove_remote_products
 from navbake.batch.settings import digest_settings, settings_of
 from navbake.batch.stores.urls import Folder
@@ -31,6 +39,7 @@ from navbake.errors import NavbakeError, printable
 from navbake.files import without_waiting
 from navbake.formats.navgrid import write_navgrid
 from navbake.formats.scene_files import look_for_inputs
+from navbake.formats.source import write_bytes
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
 
@@ -147,13 +156,7 @@ def _make(order: Order) -> Json:
     # without waiting: the batch does, once, when all is done
     with telling_full(order.place), without_waiting():
         order.place.mkdir(parents=True, exist_ok=True)
-        remove_products(order.place)
-        made = [
-            name for product in order.products for name in product.make(grid, config, order.place)
-        ]
-        if order.thumbnail:
-            write_thumbnail(grid, order.place)
-        write_navgrid(grid, order.place / GRID)
+        made = _write_products(order, grid, config)
     return {
         **row_of(order, OK),
         "version": __version__,
@@ -174,6 +177,26 @@ def _make(order: Order) -> Json:
         ),
         "stages": {name: round(seconds, DIGITS) for name, seconds in result.timings.items()},
     }
+
+
+def _write_products(order: Order, grid: NavGrid, config: BakeConfig) -> list[str]:
+    """Write all that is asked for in place of what was made before; the names of the products."""
+    place = order.place
+    remove_products(place)
+    names = [name for product in order.products for name in product.names(grid)]
+    if order.thumbnail:
+        names.append(THUMBNAIL)
+    # what is there still is the user's, and stays so until it is replaced
+    free = [name for name in names if not os.path.lexists(place / name)]
+    if free:
+        write_bytes(encode_note(free), place / NOTE)
+    made = [name for product in order.products for name in product.make(grid, config, place)]
+    if order.thumbnail:
+        write_thumbnail(grid, place)
+    if len(free) < len(names):
+        write_bytes(encode_note(names), place / NOTE)
+    write_navgrid(grid, place / GRID)
+    return made
 
 
 def _measure(grid: NavGrid) -> Json:

@@ -11,19 +11,22 @@ import shutil
 import sys
 from functools import partial
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
 import navbake
 from batch_in_process import run_sources, stay_in_process
 from batch_scenes import CHEST, draw_room, write_scenes, wrong_rows
-from navbake import bake, files
+from navbake import bake, files, samples
+from navbake.baker.pipeline import run_bake
 from navbake.batch import index as index_module
-from navbake.batch import work
+from navbake.batch import products, work
 from navbake.batch.batch import Means
 from navbake.batch.crew import JobLimits
 from navbake.batch.index import NAME, only_batch, read_index
 from navbake.batch.manifest import list_jobs
+from navbake.batch.products import NOTE
 from navbake.config.settings import load_config
 from navbake.dispatch import IS_HELPER
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError
@@ -210,7 +213,7 @@ def test_products_are_made_missed_and_removed(scenes, here):
         *("voxels:0.5", "voxels:0.5:bt", "voxels:0.5:ot", "voxels:0.5:npz"),
     ]
     run("scenes/first.xml", products=make)
-    assert {path.name for path in Path("out/first").iterdir()} == names_in_docs()
+    assert {path.name for path in Path("out/first").iterdir()} == names_in_docs() | {NOTE}
     inflated = navbake.load("out/first/grid.json.gz").inflate(0.3)
     inflated.save("inflated.json.gz")
     assert (
@@ -226,7 +229,98 @@ def test_products_are_made_missed_and_removed(scenes, here):
     Path("out/first/notes.txt").write_text("mine")
     assert run("scenes/first.xml", products=["report", "report"])[0] == ["first"]
     left = {path.name for path in Path("out/first").iterdir()}
-    assert left == {"grid.json.gz", "report.html", "notes.txt"}
+    assert left == {"grid.json.gz", "report.html", "notes.txt", NOTE}
+
+
+def test_files_of_the_user_in_a_scene_s_folder_stay(tmp_path, monkeypatch, here):
+    monkeypatch.chdir(tmp_path)
+    place = Path("houses", "0001")
+    place.mkdir(parents=True)
+    (place / "scene.xml").write_text(draw_room(0))
+    Path("list.csv").write_text("scene,id\nhouses/0001/scene.xml,houses/0001\n")
+    names = ("thumbnail.png", "picture.png", "report.html", "nav2.pgm", "voxels-0.1.npz")
+    for name in names:
+        (place / name).write_text("mine")
+    before = {path.name: path.read_bytes() for path in place.iterdir()}
+
+    def made():
+        """What is there besides the user's files, which are as they were."""
+        now = {path.name: path.read_bytes() for path in place.iterdir()}
+        assert before.items() <= now.items()
+        return now.keys() - before.keys()
+
+    grid = {"grid.json.gz"}
+    again = ["agent.radius=0.1"]
+    assert run("list.csv", out=".")[1].count("ok") == 1 and made() == grid
+    assert run("list.csv", out=".", overrides=again)[1].count("ok") == 1 and made() == grid
+    run("list.csv", out=".", products=["inflated:0.3"])
+    assert made() == {*grid, "inflated-0.3.json.gz", NOTE}
+    Path(NAME).unlink()
+    assert run("list.csv", out=".")[0] == ["houses/0001"] and made() == grid
+    for name in ("nav2.pgm", "thumbnail.png"):  # which are asked for now
+        before.pop(name)
+    run("list.csv", out=".", products=["nav2"], thumbnails=True)
+    assert made() == {*grid, "nav2.pgm", "nav2.yaml", "thumbnail.png", NOTE}
+    before.pop("scene.xml")
+    (place / "scene.xml").write_text("<mujoco>")
+    assert run("list.csv", out=".")[1].count("failed") == 1 and made() == {"scene.xml"}
+
+
+def test_a_user_s_file_is_replaced_whole_or_stays(scenes, here, monkeypatch):
+    Path("out/first").mkdir(parents=True)
+    Path("out/first/report.html").write_text("mine")
+    with monkeypatch.context() as patch:
+        patch.setattr(products.Product, "make", Mock(side_effect=NavbakeError("broken")))
+        assert run(ALL[0], products=["nav2", "report"])[1].count("failed") == 1
+    assert os.listdir("out/first") == ["report.html"]
+    assert Path("out/first/report.html").read_text() == "mine"
+
+
+@pytest.mark.parametrize("then", ["made anew", "fails", "is lost"])
+def test_what_a_killed_worker_made_is_removed_whatever_the_index_says(
+    scenes, here, monkeypatch, then
+):
+    Path("out/first").mkdir(parents=True)
+    Path("out/first/picture.png").write_text("mine")
+    with monkeypatch.context() as patch:
+        patch.setattr(work, "write_navgrid", Mock(side_effect=KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            run(ALL[0], products=["nav2", "report"], thumbnails=True)
+    made = {"nav2.pgm", "nav2.yaml", "report.html", "thumbnail.png", NOTE}
+    assert {*os.listdir("out/first")} == made | {"picture.png"}
+    Path("out", NAME).unlink()
+    if then == "is lost":  # with its worker: the batch's own process clears up
+        job = list_jobs([ALL[0]])[0]
+        row = work.fail(work.Order(job, SETTINGS, (), (), Path("out")), "too long", "60 s")
+        assert row["status"] == "failed"
+    if then == "fails":
+        Path(ALL[0]).write_text("<mujoco>")
+    if then != "is lost":
+        run(ALL[0])
+    grid = {"grid.json.gz"} if then == "made anew" else set()
+    assert {*os.listdir("out/first")} == {"picture.png"} | grid
+
+
+def test_a_note_of_a_stranger_names_nothing_but_products(tmp_path):
+    (tmp_path / "a").mkdir()
+    for name in ("b.txt", "a/b.txt", "a/report.html", "a/nav2.yaml"):
+        (tmp_path / name).write_text("mine")
+    note = tmp_path / "a" / NOTE
+    note.write_bytes(b"../b.txt\nb.txt\n\n.\nreport.html\n\xff\n")
+    products.remove_products(tmp_path / "a")
+    assert sorted(os.listdir(tmp_path / "a")) == ["b.txt", "nav2.yaml"]
+    assert (tmp_path / "b.txt").exists()
+
+
+@pytest.mark.parametrize("num_levels", [1, 2])
+def test_the_names_of_products_are_known_before_they_are_made(tmp_path, num_levels):
+    path = samples.path("apartment" if num_levels == 1 else "house")
+    config = load_config(path, ["grid.cell_size=0.5"])
+    grid = run_bake(config, threads=1).grid
+    assert min(len(grid.levels), 2) == num_levels
+    texts = ("inflated:0.3", "inflated:.3:0.1", "nav2", "nav2:0.3", "voxels:0.5:npz", "picture")
+    for product in products.parse_products([*texts, "voxels:1", "report"]):
+        assert {*product.names(grid)} == {*product.make(grid, config, tmp_path)}
 
 
 def test_the_order_of_products_changes_nothing(scenes, here):
@@ -388,6 +482,80 @@ def test_an_interrupted_batch_leaves_a_true_index(scenes, monkeypatch):
     assert list(Path("out/second").iterdir()) == []
 
 
+def test_an_interrupted_run_forgets_nothing_that_still_holds(scenes, monkeypatch):
+    stay_in_process(monkeypatch)
+    run(*ALL, products=["nav2"])
+    index, made = Path("out", NAME).read_bytes(), digests("out")
+    bake = Mock(side_effect=KeyboardInterrupt)
+    for radius in (0.1, 0.15):  # however often
+        with monkeypatch.context() as patch:
+            patch.setattr(work, "run_bake", bake)
+            with pytest.raises(KeyboardInterrupt):
+                run(*ALL, products=["nav2"], overrides=[f"agent.radius={radius}"])
+        rows = [*read_index(Path("out")).values()]
+        assert [row["status"] for row in rows] == ["left"] * 3
+        assert all({*row} == {"id", "status", "source", "was"} for row in rows)
+    run("scenes/meshed.mjcf.xml", products=["nav2"])  # the others' rows stay
+    status = {name: row["status"] for name, row in read_index(Path("out")).items()}
+    assert status == {"meshed.mjcf": "ok", "first": "left", "second": "left"}
+    names, result = run(*ALL, products=["nav2"])
+    assert names == [] and result.skipped == 3 and digests("out") == made
+    assert Path("out", NAME).read_bytes() == index
+
+
+def test_a_scene_that_an_interrupted_run_began_is_baked_again(scenes, monkeypatch):
+    stay_in_process(monkeypatch)
+    run(*ALL)
+    made = digests("out")
+    real = work.write_navgrid
+
+    def write(grid, path):
+        """Interrupt the second scene before its grid is there."""
+        if path.parent.name == "second":
+            raise KeyboardInterrupt
+        real(grid, path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(work, "write_navgrid", write)
+        with pytest.raises(KeyboardInterrupt):
+            run(*ALL, overrides=["agent.radius=0.1"])
+    assert run(*ALL)[0] == ["first", "second"]
+    assert digests("out") == made
+
+
+def test_a_scene_that_failed_since_is_not_done(scenes, here):
+    run(*ALL)
+    text = Path(ALL[0]).read_text()
+    Path(ALL[0]).write_text("<mujoco>")
+    means = Means(max_failures=0)
+    names, result = run(*ALL, means=means, overrides=["agent.radius=0.1"])
+    assert names == ["first"]
+    assert [row["status"] for row in result.rows] == ["failed", "left", "left"]
+    Path(ALL[0]).write_text(text)
+    assert run(*ALL)[0] == ["first"]
+
+
+def test_an_index_that_somebody_removes_is_written_whole_at_the_end(scenes, monkeypatch):
+    stay_in_process(monkeypatch, after=lambda: Path("out", NAME).unlink(missing_ok=True))
+    result = run(*ALL)[1]
+    assert result.count("ok") == 3 and [*read_index(Path("out")).values()] == result.rows
+    assert run(*ALL)[0] == []
+
+
+@pytest.mark.parametrize(
+    ("source", "out", "overrides"),
+    [
+        ("scenes/first.xml", "memory://a/b", []),
+        ("MEMORY://a/first.xml", "out", []),
+        ("scenes/first.xml", "out", ["rooms.polygons=memory://a/plan.geojson"]),
+    ],
+)
+def test_files_in_a_process_s_own_memory_are_refused(scenes, source, out, overrides):
+    with pytest.raises(ConfigError, match=r"that all processes share, got (?i:memory)://a/"):
+        run(source, out=out, overrides=overrides)
+    assert not Path("out").exists()
+
+
 def test_two_batches_never_write_into_one_folder(scenes, here):
     Path("out").mkdir()
     with (
@@ -433,6 +601,24 @@ def test_a_folder_that_takes_no_more_files_stops_the_batch(scenes, here, monkeyp
     assert list(read_index(Path("out")).values()) == result.rows
     assert os.listdir(place) == []
     assert run(*ALL, products=["report"])[0] == ["second", "meshed.mjcf"]
+
+
+def test_a_product_without_room_in_the_temporary_folder_stops_no_batch(
+    scenes, here, tmp_path, monkeypatch
+):
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
+
+    def make(*arguments):
+        try:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(tmp_path / "tmp" / "a"))
+        except OSError as error:
+            raise NavbakeError("no room in tmp") from error
+
+    monkeypatch.setattr(products.Product, "make", make)
+    result = run(*ALL[:2], products=["report"])[1]
+    assert result.stopped is None
+    assert [row["error"] for row in result.rows] == ["no room in tmp"] * 2
 
 
 def test_the_index_has_what_was_made_where_it_can_not_be_put_in_order(scenes, here, monkeypatch):

@@ -12,6 +12,8 @@ import time
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from threading import Timer
+from unittest.mock import Mock
 
 import pytest
 from hypothesis import given
@@ -22,9 +24,10 @@ from batch_scenes import CHEST, draw_room
 from navbake.batch import remote
 from navbake.batch.index import LOCK, NAME
 from navbake.batch.manifest import list_jobs
+from navbake.batch.products import NOTE
 from navbake.batch.settings import read_shared
 from navbake.batch.stores import index as remote_index
-from navbake.batch.stores import store
+from navbake.batch.stores import mirror, store
 from navbake.batch.stores.index import PARTS, RemoteIndex
 from navbake.batch.stores.mirror import Mirror
 from navbake.batch.stores.store import (
@@ -55,6 +58,7 @@ MESHED = """<mujoco>
   <include file="floor.part"/>
   <geom type="mesh" mesh="chest"/><geom type="mesh" mesh="lid" pos="-1 -1 0"/>
 </worldbody></mujoco>"""
+INFLATED = "inflated-0.3.json.gz"
 SIDES = ("right", "left", "up", "down", "front", "back")
 URDF = """<robot name="r"><link name="base">
 <visual><geometry><mesh filename="package://rooms/shared/chest.obj"/></geometry></visual>
@@ -152,7 +156,7 @@ def test_scenes_on_a_store_give_the_bytes_of_local_ones(rooms):
     _, near = run(*(f"rooms/{name}" for name in rooms), products=make)
     assert [row["status"] for row in near.rows] == ["ok"] * 4, near.rows
     _, result = run(*(f"memory://s/rooms/{name}" for name in rooms), out="remote", products=make)
-    assert grids("remote") == grids("out") and len(grids("remote")) == 20
+    assert grids("remote") == grids("out") and len(grids("remote")) == 24
     _, result = run(
         *(f"memory://s/rooms/{name}" for name in rooms), out="memory://b/c", products=make
     )
@@ -348,6 +352,73 @@ def test_ten_thousand_scenes_are_asked_for_in_few_calls(memory, monkeypatch):
     assert all(listing.entry(url).size == 1 for url in urls)
     assert listing.entry("memory://many/00000/no.xml") is None
     assert calls == ["find"]
+
+
+def test_files_of_the_user_in_a_scene_s_folder_on_a_store_stay(memory):
+    Path("a.xml").write_text(draw_room(0))
+    users = dict.fromkeys(("thumbnail.png", "picture.png", "nav2.yaml"), b"mine")
+    for name, content in users.items():
+        memory.pipe_file(f"/out/a/{name}", content)
+    for options in ({}, {"overrides": ["agent.radius=0.1"]}, {"products": ["inflated:0.3"]}):
+        assert run("a.xml", out="memory://out", **options)[1].count("ok") == 1
+        files = grids_at("memory://out")
+        assert users.items() <= {Path(name).name: data for name, data in files.items()}.items()
+    assert {*files} == {f"a/{name}" for name in (*users, "grid.json.gz", NOTE, INFLATED)}
+    run("a.xml", out="memory://out", products=["nav2"])
+    assert run("a.xml", out="memory://out")[0] == ["a"]
+    assert {*grids_at("memory://out")} == {"a/thumbnail.png", "a/picture.png", "a/grid.json.gz"}
+    Path("a.xml").write_text("<mujoco>")
+    run("a.xml", out="memory://out")
+    assert {*grids_at("memory://out")} == {"a/thumbnail.png", "a/picture.png"}
+
+
+@pytest.mark.parametrize("last", ["nav2.yaml", "grid.json.gz"])
+def test_what_a_killed_upload_left_on_a_store_is_removed(memory, monkeypatch, last):
+    Path("a.xml").write_text(draw_room(0))
+    with monkeypatch.context() as patch:
+        patch.setattr(mirror, "write_file", partial(write_until, last))
+        with pytest.raises(KeyboardInterrupt):
+            run("a.xml", out="memory://out", products=["nav2"])
+    assert len([name for name in list_tree("memory://out") if "nav2" in name]) == 2
+    assert run("a.xml", out="memory://out")[0] == ["a"]
+    assert {*list_tree("memory://out")} == {NAME, "a/grid.json.gz"}
+
+
+def write_until(last, url, content):
+    """Write a file on a store; as a process that is killed after the last one."""
+    write_file(url, content)
+    if url.endswith(last):
+        raise KeyboardInterrupt
+
+
+def test_an_interrupted_run_on_a_store_keeps_what_was_known(memory, monkeypatch):
+    for name in ("a.xml", "b.xml"):
+        Path(name).write_text(draw_room(0))
+    sources, others = ("a.xml", "b.xml"), ["agent.radius=0.1"]
+    run(*sources, out="memory://out")
+    before = read_file(f"memory://out/{NAME}", 1 << 20)
+    with monkeypatch.context() as patch:
+        patch.setattr("navbake.batch.work.run_bake", Mock(side_effect=KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            run(*sources, out="memory://out", overrides=others)
+    assert run(*sources, out="memory://out")[0] == []
+    assert read_file(f"memory://out/{NAME}", 1 << 20) == before
+
+
+def test_a_new_file_here_is_noticed_where_the_grids_are_on_a_store(rooms):
+    Path("link").symlink_to("rooms")
+    for folder in ("rooms", "link"):
+        sources = [f"{folder}/{name}" for name in ("mjcf/room.xml", "arm/arm.urdf", "set.yaml")]
+        assert len(run(*sources, out="memory://out")[0]) == 3
+        assert run(*sources, out="memory://out")[0] == []
+    Path("rooms/mjcf/chest.obj").write_text(CHEST.format(height=2))
+    assert run(*sources, out="memory://out")[0] == ["room", "set"]
+    Path("rooms/arm/rooms/shared").mkdir(parents=True)
+    Path("rooms/arm/rooms/shared/other.obj").write_text(CHEST.format(height=2))
+    assert run(*sources, out="memory://out")[0] == []
+    Path("rooms/arm/rooms/shared/chest.obj").write_text(CHEST.format(height=2))
+    assert run(*sources, out="memory://out")[0] == ["arm"]
+    assert run(*sources, out="memory://out")[0] == []
 
 
 # ---------------------------------------------------------------- what goes wrong
@@ -664,6 +735,25 @@ def test_what_a_store_refuses_once_is_written_later(memory, quick, monkeypatch):
     index.finish(["a"], [], lambda id: {})
     index.close()
     assert read_file(f"memory://out/{NAME}", 99) == b'{"id":"a"}\n'
+
+
+def test_a_folder_that_is_given_back_is_not_waited_for(memory, quick):
+    memory.pipe_file(f"/out/{LOCK}", b'{"token": "other"}')
+    Timer(0.1, memory.rm_file, [f"/out/{LOCK}"]).start()
+    begin = time.monotonic()
+    RemoteIndex("memory://out").close()
+    assert time.monotonic() - begin < remote_index.PATIENCE / 2
+    assert list(list_tree("memory://out")) == []
+
+
+def test_a_row_that_can_not_be_written_is_told_and_keeps_others_away(memory, quick):
+    index = RemoteIndex("memory://out")
+    index.add({"id": "a", "n": float("nan")})
+    tokens = set()
+    wait_until(lambda: tokens.add(memory.cat_file(f"/out/{LOCK}")) or len(tokens) > 3)
+    with pytest.raises(ValueError, match="JSON"):
+        index.finish(["a"], [], lambda id: {})
+    index.close()
 
 
 # ---------------------------------------------------------------- temporary folders

@@ -9,8 +9,16 @@ from typing import Protocol
 
 from navbake.batch.index import NAME as INDEX
 from navbake.batch.index import parse_rows, read_index
-from navbake.batch.products import GRID, THUMBNAIL
-from navbake.batch.stores.store import list_tree, read_file, write_file
+from navbake.batch.products import (
+    GRID,
+    MAX_NOTE,
+    NOTE,
+    THUMBNAIL,
+    encode_note,
+    parse_note,
+    read_note,
+)
+from navbake.batch.stores.store import list_tree, read_file, read_if_there, write_file
 from navbake.batch.stores.urls import Folder, split_url
 from navbake.errors import FormatError, printable
 from navbake.formats.navgrid import read_navgrid
@@ -64,9 +72,11 @@ class LocalFiles:
 
     def draw_thumbnail(self, id: str) -> None:
         """Draw a scene's thumbnail from its grid."""
-        place = self._own(f"{id}/{THUMBNAIL}")
+        place, note = self._own(f"{id}/{THUMBNAIL}"), self._own(f"{id}/{NOTE}")
         grid: NavGrid = read_navgrid(self._folder / id / GRID)
-        write_bytes(draw_thumbnail(grid), place)
+        drawn = draw_thumbnail(grid)
+        write_bytes(encode_note({*read_note(note.parent), THUMBNAIL}), note)
+        write_bytes(drawn, place)
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file beside the index."""
@@ -108,7 +118,10 @@ class RemoteFiles:
         """Draw a scene's thumbnail from its grid."""
         place = f"{self._folder}/{id}"
         grid: NavGrid = read_navgrid(read_file(f"{place}/{GRID}", MAX_BYTES))
-        write_file(f"{place}/{THUMBNAIL}", draw_thumbnail(grid))
+        drawn = draw_thumbnail(grid)
+        noted = read_if_there(f"{place}/{NOTE}", MAX_NOTE) or b""
+        write_file(f"{place}/{NOTE}", encode_note({*parse_note(noted), THUMBNAIL}))
+        write_file(f"{place}/{THUMBNAIL}", drawn)
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file beside the index."""

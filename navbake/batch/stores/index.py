@@ -138,7 +138,10 @@ class RemoteIndex:
         end = time.monotonic() + PATIENCE
         while found and not _is_of_dead(found) and time.monotonic() < end:
             time.sleep(INTERVAL / 4)
-            if self._read_token() not in (found, b""):
+            now = self._read_token()
+            if now is None and write_first(self._lock, self._next_token()):
+                return
+            if now not in (found, b"", None):
                 raise NavbakeError(
                     f"another batch writes into {shown(self._folder)}: wait for it, or choose "
                     "another folder"
@@ -154,9 +157,10 @@ class RemoteIndex:
         stated = {"token": self._token, "beat": self._beats, "host": platform.node()}
         return json.dumps({**stated, "ids": owner_of_ids(), "pid": os.getpid()}).encode()
 
-    def _read_token(self) -> bytes:
+    def _read_token(self) -> bytes | None:
+        """The token; None where it was given back, nothing where the store refuses it."""
         try:
-            return read_if_there(self._lock, MAX_TOKEN) or b""  # it was given back meanwhile
+            return read_if_there(self._lock, MAX_TOKEN)
         except NavbakeError:
             return b""
 
@@ -181,7 +185,7 @@ class RemoteIndex:
 
     def _keep_writing(self) -> None:
         while not self._end.wait(INTERVAL):
-            with suppress(NavbakeError):  # what the store refused is tried again
+            with suppress(Exception):  # it is tried again, and told at the end
                 self._write_part()
 
     def _write_part(self) -> None:
