@@ -122,8 +122,8 @@ class Regions:
 
         What is at the edge of the grid goes on along it: a ledge round a house goes on round its
         corners and not in at the door. So a region that is there joins the one that has most cells
-        there, if it touches any. One with more than `widest` cells there only joins one that has
-        as well, because it is outside of the walls. `at_edge` tells how many each region has.
+        there, if it touches any; all that have `widest` are as good. One with more only joins one
+        with more, because it is outside of the walls. `at_edge` tells how many each region has.
         """
         none_there = [0] * len(self._cells)
         edge = list(none_there) if at_edge is None else at_edge.tolist()
@@ -140,7 +140,12 @@ class Regions:
             if self._whole[small] != small or self._cells[small] != cells or not met:
                 continue
             there = edge if edge[small] else none_there
-            to = max(met, key=lambda other: (there[other], *met[other], self._cells[other], -other))
+            to = max(
+                met,
+                key=lambda other: (
+                    min(there[other], widest), *met[other], self._cells[other], -other
+                ),
+            )  # fmt: skip
             if edge[small] > widest >= edge[to]:
                 continue
             self._join(to, small)
