@@ -322,7 +322,7 @@ class Stages:
     @cached_property
     def room_table(self) -> list[Json]:
         """The table of rooms as a file states it, with the doors between them."""
-        closed = {door.id: door.closed_cells for door in self.doors.placed}
+        closed = {door.id: (door.rooms, door.closed_cells) for door in self.doors.placed}
         return [room.to_json() for room in self.rooms.with_doors(closed).table]
 
     @cached_property

@@ -55,6 +55,7 @@ class RoomPolygon(Settings):
     level: Annotated[
         Annotated[int, Field(ge=0)] | Name, expects("a level's number from 0, or its name")
     ] = setting(0, "its level: a number, 0 is the lowest, or a name")
+    outdoors: bool = setting(False, "whether it is outdoors: true or false")
     points: Outline = Field(description="its outline [[x, y], …], world frame [m]; no default")
     rings: list[Outline] = setting([], "holes in it and parts apart from it, [[[x, y], …], …] [m]")
 

@@ -28,7 +28,7 @@ def test_short_forms():
 
 def test_polygons():
     room = rooms({"polygons": [{"name": "廊", "level": "upper", "points": SQUARE}]}).polygons[0]
-    assert (room.name, room.level, room.rings) == ("廊", "upper", [])
+    assert (room.name, room.level, room.rings, room.outdoors) == ("廊", "upper", [], False)
     assert room.points == [[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0]]
 
 

@@ -15,14 +15,12 @@ from navbake.baker.doors.candidates import DoorCandidate, largest_side, pose_doo
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.kernels.constants import HINGE
 from navbake.baker.occupancy.occupancy import Footprints, Occupancy, check_footprints
-from navbake.baker.rooms.rooms import Rooms
+from navbake.baker.rooms.rooms import RoomIds, Rooms
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
 from navbake.navgrid.doors import STATES
 from navbake.types import Bool, Float, Int
-
-RoomPair = tuple[str | None, str | None]
 
 # How far from each side of a closed leaf a room is looked for [m]
 SIGHT = 0.6
@@ -51,7 +49,7 @@ class PlacedDoor:
 
     id: str
     joint: str | None
-    rooms: RoomPair
+    rooms: RoomIds
     cells: dict[str, list[Int]]
     closed_cells: list[Int]
     solid: dict[str, list[Int]] = field(default_factory=dict)
@@ -218,16 +216,27 @@ def _blocked_cells(shapes: Shapes, around: Surroundings) -> tuple[list[Int], lis
 
 def _rooms_beside(
     leaf: int, extents: Extents, closed_cells: Sequence[Int], around: Surroundings
-) -> RoomPair | None:
-    """The rooms on a closed leaf's two sides, None for outside; None if they aren't two."""
+) -> RoomIds | None:
+    """The rooms on a closed leaf's two sides, None for outside; None if they aren't two.
+
+    On each side that is the last room in sight, before the floor may end: a door to a ledge joins
+    the room that the ledge is. Only where that is one room on both sides, because what is left of
+    the doorway beyond the leaf belongs to the room behind it, the outside begins where the
+    floor ends.
+    """
     sizes = [len(cells) for cells in closed_cells]
     if not any(sizes) or not np.isfinite(extents.center[leaf]).all():
         return None
     level = int(np.argmax(sizes))
     sight = _lines_of_sight(leaf, extents, around.rooms.lattice.cell_size / 2)
     rows, cols = around.rooms.lattice.rows_cols(sight)
-    one, other = (_room_in_sight(rows[side], cols[side], level, around) for side in (0, 1))
-    return (one, other) if one != other else None
+    for floor_ends in (False, True):
+        one, other = (
+            _room_in_sight(rows[side], cols[side], level, around, floor_ends) for side in (0, 1)
+        )
+        if one != other:
+            return one, other
+    return None
 
 
 def _lines_of_sight(leaf: int, extents: Extents, step: float) -> Float:
@@ -241,20 +250,24 @@ def _lines_of_sight(leaf: int, extents: Extents, step: float) -> Float:
     return points
 
 
-def _room_in_sight(rows: Int, cols: Int, level: int, around: Surroundings) -> str | None:
-    """The room that most lines of sight, (lines, steps) cells of a level, end in; None for none."""
-    lattice, floor = around.rooms.lattice, around.floors[level].floor
+def _room_in_sight(
+    rows: Int, cols: Int, level: int, around: Surroundings, floor_ends: bool
+) -> str | None:
+    """The room that most lines of sight, (lines, steps) cells of a level, end in; None for none.
+
+    Where the floor ends, or is in no room, `floor_ends` says whether the outside begins.
+    """
+    lattice, open_cells = around.rooms.lattice, around.rooms.open_cells[level]
+    floor = around.floors[level].floor
     votes: Counter[str | None] = Counter()
     for line in zip(rows.tolist(), cols.tolist(), strict=True):
         seen: str | None = None
         for row, col in zip(*line, strict=True):
             inside = 0 <= row < lattice.height and 0 <= col < lattice.width
-            if not inside or np.isnan(floor[row, col]):
-                seen = None  # where the floor ends, the outside begins
-                continue
-            room = around.rooms.room_at(level, row * lattice.width + col)
-            if room is None:
+            if inside and not open_cells[row, col] and not np.isnan(floor[row, col]):
                 break  # a wall
-            seen = room
+            room = around.rooms.room_at(level, row * lattice.width + col) if inside else None
+            if room is not None or floor_ends:
+                seen = room
         votes[seen] += 1
     return max(votes, key=lambda room: (votes[room], room is not None, room or ""))

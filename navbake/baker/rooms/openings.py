@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,16 @@ class Opening:
     cells: Int
 
 
+class ClosedDoor(NamedTuple):
+    """A closed door: the rooms that it joins, and the cells that it blocks on each level.
+
+    `rooms` are two, or fewer for a door that leads out of all of them, or joins none.
+    """
+
+    rooms: frozenset[RoomKey]
+    cells: Sequence[Int]
+
+
 def find_openings(index: Sequence[RoomIndex], floors: Floors, max_step: float) -> list[Opening]:
     """Find where neighbouring cells belong to two rooms and are a step or a slope apart.
 
@@ -68,13 +79,14 @@ def find_room_links(index: Sequence[RoomIndex], floors: Floors) -> list[tuple[Ro
 
 
 def match_doors(
-    openings: Sequence[Opening], doors: Mapping[str, Sequence[Int]], lattice: Lattice
+    openings: Sequence[Opening], doors: Mapping[str, ClosedDoor], lattice: Lattice
 ) -> dict[int, list[str]]:
-    """Find the opening that each door is in; `doors` has each door's closed cells, by level.
+    """Find the opening that each door is in; `doors` are by id.
 
-    That is the one of whose cells most are within 0.4 m of cells that the closed door blocks; of
-    two as good, the nearer. A door in no opening is left out; an opening may have
-    several. The result has the sorted ids of each opening's doors, by its number.
+    That is, of the openings between the two rooms that the door joins, the one of whose cells most
+    are within 0.4 m of cells that the closed door blocks; of two as good, the nearer. A door in no
+    opening is left out; an opening may have several. The result has the sorted ids of each
+    opening's doors, by its number.
     """
     if not doors:
         return {}
@@ -83,7 +95,7 @@ def match_doors(
     firsts, lasts = np.moveaxis(boxes.reshape(-1, 2, 2), 1, 0)
     on_level = np.array([opening.level for opening in openings], dtype=np.int64)
     found: dict[int, list[str]] = {}
-    for door, levels in sorted(doors.items()):
+    for door, (rooms, levels) in sorted(doors.items()):
         scores: list[tuple[int, float, int]] = []
         for level, cells in enumerate(levels):
             if not len(cells):
@@ -92,6 +104,8 @@ def match_doors(
             # boxes are compared first, because distances between all cells take long
             near = ((firsts <= last + reach) & (lasts >= first - reach)).all(axis=1)
             for number in np.flatnonzero(near & (on_level == level)).tolist():
+                if {(level, room) for room in openings[number].rooms} != rooms:
+                    continue
                 distance = _distances(openings[number].cells, cells, lattice.width)
                 within = int(np.count_nonzero(distance <= reach))
                 scores.append((within, -float(distance.mean()), -number))

@@ -46,21 +46,34 @@ class Outdoors(NamedTuple):
     asked_sky: bool
 
 
+def find_edge(open_cells: Bool, floor: Float, overhead: Overhead, agent: AgentSettings) -> Bool:
+    """Mark the open cells of a level at the edge of the grid, or at what lies before it.
+
+    That is floor beyond which there is nothing up to that edge, or ground that is too steep to
+    stand on, such as the bank of a ditch. Walls and pillars are left out.
+    """
+    is_empty = np.isnan(overhead.top).reshape(floor.shape)
+    steep = _is_steep(floor, overhead, agent)
+    edge = _edge_cells(is_empty | steep, np.ones((2, 2), dtype=np.bool_)) & open_cells
+    cell = np.flatnonzero(edge)
+    edge[edge] = ~_is_under_top(cell, floor, overhead.columns.at(cell))
+    return edge
+
+
 def find_outdoors(
-    segment: Int32, floor: Float, overhead: Overhead, agent: AgentSettings, scene: Scene
+    segment: Int32, edge: Bool, floor: Float, overhead: Overhead, agent: AgentSettings, scene: Scene
 ) -> Outdoors:
     """Find the segments of a level that are outdoors, and unite those that touch.
 
-    They reach the edge of the grid (or floor beyond which there is nothing up to that edge, or
-    ground that is too steep to stand on, such as the bank of a ditch) in one piece that is wider
-    than any door, walls and pillars left out; and at least half of their cells have nothing above
-    an agent's head, or lie under eaves, 1.2 m from where the scene ends at most. What walls
-    enclose is a room, with a ceiling or without one: a gap parts it from what is outdoors, and
-    doors at the edge are too narrow. Walls part two pieces of outdoors, too; a ditch
-    does not, nor what stands on endless ground, because one walks round it.
+    They reach the edge of the grid in one piece that is wider than any door; and at least half of
+    their cells have nothing above an agent's head, or lie under eaves, 1.2 m from where the scene
+    ends at most. What walls enclose is a room, with a ceiling or without one: a gap parts it from
+    what is outdoors, and doors at the edge are too narrow. Walls part two pieces of outdoors, too;
+    a ditch does not, nor what stands on endless ground, because one walks round it.
 
     Args:
         segment: the segment of each cell, 0 for none.
+        edge: the cells at the edge, of the same shape, see `find_edge`.
         floor: heights of the floor, of the same shape, NaN for none [m].
         scene: with its bounds, and ground that goes on beyond them.
     """
@@ -68,9 +81,7 @@ def find_outdoors(
     count = int(segment.max(initial=0)) + 1
     steep = _is_steep(floor, overhead, agent)
     is_empty = np.isnan(overhead.top).reshape(lattice.shape)
-    edge = _edge_cells(is_empty | steep, np.ones((2, 2), dtype=np.bool_)) & (segment > 0)
-    cell = np.flatnonzero(edge)
-    edge[edge] = ~_is_under_top(cell, floor, overhead.columns.at(cell))
+    edge = edge & (segment > 0)
     candidates = _longest_runs(segment, edge, count) * lattice.cell_size > EDGE_LENGTH
     if not candidates.any():
         return Outdoors(segment, set(), False)

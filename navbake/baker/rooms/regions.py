@@ -117,8 +117,16 @@ class Regions:
                 lowest = min(mouths, key=lambda other: (heights[other] / cells[other], other))
                 self._join(lowest, region)
 
-    def join_small(self, least: float) -> None:
-        """Join regions of fewer cells, the smallest first, to the one they open to the widest."""
+    def join_small(self, least: float, at_edge: Int | None = None, widest: float = 0.0) -> None:
+        """Join regions of fewer cells, the smallest first, to the one they open to the widest.
+
+        What is at the edge of the grid goes on along it: a ledge round a house goes on round its
+        corners and not in at the door. So a region that is there joins the one that has most cells
+        there, if it touches any; all that have `widest` are as good. One with more only joins one
+        with more, because it is outside of the walls. `at_edge` tells how many each region has.
+        """
+        none_there = [0] * len(self._cells)
+        edge = list(none_there) if at_edge is None else at_edge.tolist()
         queue = [
             (cells, region)
             for region, cells in enumerate(self._cells)
@@ -131,8 +139,17 @@ class Regions:
             # what has grown since it was queued is queued again
             if self._whole[small] != small or self._cells[small] != cells or not met:
                 continue
-            to = max(met, key=lambda other: (*met[other], self._cells[other], -other))
+            there = edge if edge[small] else none_there
+            to = max(
+                met,
+                key=lambda other: (
+                    min(there[other], widest), *met[other], self._cells[other], -other
+                ),
+            )  # fmt: skip
+            if edge[small] > widest >= edge[to]:
+                continue
             self._join(to, small)
+            edge[to] += edge[small]
             if self._cells[to] < least:
                 heapq.heappush(queue, (self._cells[to], to))
 

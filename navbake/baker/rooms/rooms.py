@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -12,8 +12,8 @@ import numpy as np
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.rooms import openings
 from navbake.baker.rooms.kernels import labels as kernels
-from navbake.baker.rooms.openings import Opening, RoomIndex, RoomKey
-from navbake.baker.rooms.outdoors import find_outdoors
+from navbake.baker.rooms.openings import ClosedDoor, Opening, RoomIndex, RoomKey
+from navbake.baker.rooms.outdoors import find_edge, find_outdoors
 from navbake.baker.rooms.overhead import Overhead
 from navbake.baker.rooms.segmentation import (
     SpaceFinder,
@@ -35,6 +35,9 @@ from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Room
 from navbake.types import Bool, Int, Int32
 
+RoomIds = tuple[str | None, str | None]
+"""The rooms on the two sides of a door, None for the outside."""
+
 # Close calls that a warning names
 LISTED = 5
 MAX_ROOMS = np.iinfo(np.uint16).max  # of a level
@@ -52,6 +55,7 @@ class Rooms:
         openings: where rooms of a level meet.
         links: pairs of rooms of two levels between which a step leads.
         lattice: the cells.
+        open_cells: the cells by level that may be in a room: with a floor, and no wall or window.
         warnings: what the user should know, one line each.
         asked_sky: whether they depend on which cells are under the sky, see `Outdoors`.
     """
@@ -61,6 +65,7 @@ class Rooms:
     openings: list[Opening]
     links: list[tuple[RoomKey, RoomKey]]
     lattice: Lattice
+    open_cells: list[Bool]
     warnings: list[str]
     asked_sky: bool = False
 
@@ -72,9 +77,18 @@ class Rooms:
     def _ids(self) -> dict[RoomKey, str]:
         return {(room.level, room.index): room.id for room in self.table}
 
-    def with_doors(self, doors: Mapping[str, Sequence[Int]]) -> Rooms:
-        """The same rooms, with the doors between neighbours in the table; see `match_doors`."""
-        named = openings.match_doors(self.openings, doors, self.lattice)
+    def with_doors(self, doors: Mapping[str, tuple[RoomIds, Sequence[Int]]]) -> Rooms:
+        """The same rooms, with the doors between neighbours in the table; see `match_doors`.
+
+        `doors` has the ids of the rooms that each door joins, and for each level the cells that it
+        blocks when it is closed.
+        """
+        keys = {room: key for key, room in self._ids.items()}
+        closed = {
+            door: ClosedDoor(frozenset(keys[room] for room in rooms if room is not None), cells)
+            for door, (rooms, cells) in doors.items()
+        }
+        named = openings.match_doors(self.openings, closed, self.lattice)
         return replace(self, table=name_neighbours(self.table, self.openings, self.links, named))
 
 
@@ -128,7 +142,7 @@ def find_rooms(
     links = openings.find_room_links(index, floors)
     table = name_neighbours(describe_rooms(index, named, floors, lattice), found, links, {})
     notes = assignment.warnings, assignment.asked_sky
-    return Rooms(index, table, found, links, lattice, *notes)
+    return Rooms(index, table, found, links, lattice, open_cells, *notes)
 
 
 class _Assignment:
@@ -143,11 +157,8 @@ class _Assignment:
         self.warnings: list[str] = []
         self.asked_sky = False  # see `Outdoors`
 
-    def add(self, marked: MarkedRooms, source: str, outdoors: Container[int] = ()) -> None:
-        """Give the cells that have no room yet to the rooms of a source.
-
-        `outdoors` are the numbers of those rooms that are.
-        """
+    def add(self, marked: MarkedRooms, source: str) -> None:
+        """Give the cells that have no room yet to the rooms of a source."""
         self.warnings += marked.warnings
         if not marked.names:
             return
@@ -159,7 +170,7 @@ class _Assignment:
             kernels.mark_fresh(*asked, used)
             number = np.zeros(len(used), dtype=np.int32)
             for k in np.flatnonzero(used[1:]):
-                self._rooms.append(NamedRoom(marked.names[k], source, k + 1 in outdoors))
+                self._rooms.append(NamedRoom(marked.names[k], source, k + 1 in marked.outdoors))
                 number[k + 1] = len(self._rooms)
             kernels.give_fresh(*asked, number)
             kernels.note_under(under, cover.astype(np.int32, copy=False), number)
@@ -181,19 +192,21 @@ class _Assignment:
         names: list[str | None] = []
         outdoors: set[int] = set()
         for number, level in enumerate(levels):
-            segment = self._segment_level(number, level, settings, overhead)
+            edge = find_edge(self._open[number], level.floor, overhead, agent)
+            segment = self._segment_level(number, level, settings, overhead, edge)
             owner = self._owner[number]
             if owner.any():
                 owner = give_covered(owner, self._under[number] * self._open[number], segment)
                 self._owner[number], segment = share_rest(
                     owner, segment, cell_size, settings.min_area
                 )
-            segment, outside, asked = find_outdoors(segment, level.floor, overhead, agent, scene)
+            above = level.floor, overhead, agent, scene
+            segment, outside, asked = find_outdoors(segment, edge, *above)
             self.asked_sky |= asked
             outdoors.update(room + len(names) for room in outside)
             labels.append(np.where(segment > 0, segment + len(names), 0) if names else segment)
             names += [None] * int(segment.max(initial=0))
-        self.add(MarkedRooms(names, labels), "auto", outdoors)
+        self.add(MarkedRooms(names, labels, outdoors=outdoors), "auto")
 
     def _segment_level(
         self,
@@ -201,13 +214,13 @@ class _Assignment:
         level: LevelFloor,
         settings: RoomSettings,
         overhead: Overhead,
+        edge: Bool,
     ) -> Int32:
         lattice, least = overhead.columns.lattice, settings.min_area
         open_cells, size = self._open[number], lattice.cell_size
         if settings.door_width != "auto":
-            return segment_rooms(open_cells, size, settings.door_width, least, level.floor)
-        holes = overhead.holes[number]
-        known = holes, self._spaces
+            return segment_rooms(open_cells, size, settings.door_width, least, level.floor, edge)
+        known = overhead.holes[number], self._spaces, edge
         rooms, close = segment_by_gaps(open_cells, size, least, level.floor, *known)
         if close:
             self.warnings.append(_describe_close(close, number, lattice))

@@ -37,6 +37,7 @@ def segment_rooms(
     door_width: float,
     min_area: float,
     floor: Float | None = None,
+    edge: Bool | None = None,
 ) -> Int32:
     """Divide the open cells of a level into rooms, at gaps no wider than a door.
 
@@ -52,7 +53,8 @@ def segment_rooms(
     does not separate rooms where its sides come only half a cell nearer to its middle than the
     walls of a room that it leads to: a corridor at an angle is not cut where the lattice makes it
     look narrow. Stairs that open to a room over their full width belong to it, at their foot
-    rather than their head.
+    rather than their head. What is too small for a room and lies along the edge of the grid over
+    more than a doorway's width is outside of the walls, and joins none through a door.
 
     Args:
         open_cells: shape (height, width): cells with a floor that no wall stands in.
@@ -60,6 +62,7 @@ def segment_rooms(
         door_width: the widest gap that separates rooms [m], > 0.
         min_area: what a room has at least [m²], >= 0.
         floor: heights of the floor, shape (height, width) [m]; None for one without stairs.
+        edge: cells at the edge of the grid, see `find_edge`; None for none.
 
     Returns:
         The room of each cell from 1, by the first cell of each in reading order; 0 for none.
@@ -86,7 +89,7 @@ def segment_rooms(
     regions.join_junctions()
     if floor is not None:
         regions.join_stairs(*_measure_slopes(label, floor[window], cell_size))
-    regions.join_small(least)
+    _join_small(regions, label, least, cell_size, None if edge is None else edge[window])
     rooms[window] = renumber(regions.wholes(least)[label])
     return rooms
 
@@ -145,6 +148,7 @@ def segment_by_gaps(
     floor: Float | None = None,
     holes: Bool | None = None,
     spaces: SpaceFinder | None = None,
+    edge: Bool | None = None,
 ) -> Segments:
     """Divide the open cells of a level into rooms, at gaps much narrower than the rooms are.
 
@@ -177,8 +181,8 @@ def segment_by_gaps(
     spaces = spaces or SpaceFinder()
     label, close = spaces.find(open_cells, seen, cell_size)
     spaces.window = window
-    label = _join_stairs_and_small(label, open_cells, cell_size, min_area, floor, window)
-    rooms[window] = renumber(label)
+    given = cell_size, min_area, floor, edge
+    rooms[window] = renumber(_join_stairs_and_small(label, open_cells, window, *given))
     first_row, first_col = window[0].start, window[1].start
     return Segments(
         rooms,
@@ -198,10 +202,11 @@ def _grow_window(window: Window, shape: tuple[int, ...]) -> Window:
 def _join_stairs_and_small(
     label: Int32,
     open_cells: Bool,
+    window: Window,
     cell_size: float,
     min_area: float,
     floor: Float | None,
-    window: Window,
+    edge: Bool | None,
 ) -> Int32:
     least = min_area / cell_size**2 - ROUNDING
     num = int(label.max(initial=0))
@@ -217,8 +222,18 @@ def _join_stairs_and_small(
     regions = Regions(label, squared_distances(wall_nodes(open_cells), reach, 0, 1), num)
     if is_stair:
         regions.join_stairs(*slopes)
-    regions.join_small(least)
+    _join_small(regions, label, least, cell_size, None if edge is None else edge[window])
     return regions.wholes(least)[label]
+
+
+def _join_small(
+    regions: Regions, label: Int32, least: float, cell_size: float, edge: Bool | None
+) -> None:
+    """See `Regions.join_small`."""
+    at_edge = None
+    if edge is not None:
+        at_edge = np.bincount(label[edge], minlength=int(label.max(initial=0)) + 1)
+    regions.join_small(least, at_edge, WIDEST / cell_size)
 
 
 def _measure_slopes(label: Int32, floor: Float, cell_size: float) -> tuple[Int, Float]:
@@ -268,10 +283,11 @@ def share_rest(
 ) -> tuple[Int32, Int32]:
     """Make rooms of what marked rooms leave of segments.
 
-    The rest of a segment is made of connected parts. Each is a room by itself, whatever share of
-    the segment is marked: a mark says where its room ends. Only a part that is too small for a
-    room (smaller than `min_area`, or nowhere half a metre wide: the gap between a drawn floor and
-    its wall, the depth of a doorway) goes to the marked room that it touches most.
+    A segment without a mark is a room as it is. The rest of one with marks is made of connected
+    parts. Each is a room by itself, whatever share of the segment is marked: a mark says where its
+    room ends. Only a part that is too small for a room goes to the marked room that it touches
+    most: one smaller than `min_area`, or nowhere half a metre wide though its segment is (the gap
+    between a drawn floor and its wall, the depth of a doorway).
 
     Args:
         owner, segment: the marked room and the segment of each cell, 0 for none.
@@ -282,22 +298,39 @@ def share_rest(
         Owners with what they take over, and new rooms in what is left, each of the same shape.
     """
     least = min_area / cell_size**2 - ROUNDING
-    part = _label_equal(np.where(owner == 0, segment, 0))
-    count = int(part.max(initial=0)) + 1
-    reach = int(SLIVER / cell_size) + 2
-    around = wall_nodes(part > 0)
-    height, width = part.shape
-    for k in range(3):  # the nodes on each edge between two parts
-        around[k : k + 2 * height - 1 : 2, 2:-1:2] |= part[:, :-1] != part[:, 1:]
-        around[2:-1:2, k : k + 2 * width - 1 : 2] |= part[:-1] != part[1:]
-    cells, peaks, _ = measure_regions(part, squared_distances(around, reach, 0, 1), count - 1)
-    # twice the distance to what is around, in half cells: the widest disc that fits
-    is_room = (cells >= least) & (peaks >= (SLIVER / cell_size) ** 2 - ROUNDING)
+    has_marks = np.zeros(int(segment.max(initial=0)) + 1, dtype=np.bool_)
+    has_marks[segment[owner > 0]] = True
+    rest = np.where(owner == 0, segment, 0)
+    part = _label_equal(np.where(has_marks[rest], rest, 0))
+    cells, wide = _measure_parts(part, cell_size)
+    is_room = (cells >= least) & wide
+    if not (is_room | (cells < least)).all():  # the rest of a ledge is as narrow as the ledge was
+        of_segment = np.zeros(len(cells), dtype=np.int32)
+        of_segment[part] = segment
+        is_room |= (cells >= least) & ~_measure_parts(segment, cell_size)[1][of_segment]
     is_room[0] = False
-    touched = _most_touched(part, owner, count)
+    touched = _most_touched(part, owner, len(cells))
     taken = np.where(is_room[part], 0, touched[part])
-    new = renumber(np.where(is_room[part], part, 0).astype(np.int32))
+    kept = np.where(has_marks[rest], 0, rest + np.int32(len(cells)) * (rest > 0))
+    new = renumber(np.where(is_room[part], part, kept).astype(np.int32))
     return np.where(owner > 0, owner, taken).astype(np.int32), new
+
+
+def _measure_parts(label: Int32, cell_size: float) -> tuple[Int, Bool]:
+    """How many cells each label has, and whether its part is somewhere half a metre wide.
+
+    Other labels are as good as walls.
+    """
+    reach = int(SLIVER / cell_size) + 2
+    around = wall_nodes(label > 0)
+    height, width = label.shape
+    for k in range(3):  # the nodes on each edge between two parts
+        around[k : k + 2 * height - 1 : 2, 2:-1:2] |= label[:, :-1] != label[:, 1:]
+        around[2:-1:2, k : k + 2 * width - 1 : 2] |= label[:-1] != label[1:]
+    distance = squared_distances(around, reach, 0, 1)
+    cells, peaks, _ = measure_regions(label, distance, int(label.max(initial=0)))
+    # twice the distance to what is around, in half cells: the widest disc that fits
+    return cells, peaks >= (SLIVER / cell_size) ** 2 - ROUNDING
 
 
 def renumber(label: Int32) -> Int32:

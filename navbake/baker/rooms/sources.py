@@ -1,7 +1,7 @@
 """Rooms marked by floor geoms, by sites and by polygons."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, field
 from fnmatch import translate
 from functools import lru_cache
@@ -48,12 +48,14 @@ class MarkedRooms:
         labels: the number of each cell's room by level, shape (height, width), 0 for none.
         covered: the same of cells whose floor lies on the room's, up to a step higher, as on a
             podium; [] where the source has no such cells.
+        outdoors: the numbers of those that are.
     """
 
     names: list[str | None]
     labels: list[Int32]
     warnings: list[str] = field(default_factory=list)
     covered: list[Int32] = field(default_factory=list)
+    outdoors: Set[int] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -151,7 +153,9 @@ class RoomMarkers:
                     f"{self.levels[level].name}, whose {_span(self.levels[level], lattice)}"
                 )
             labels[level][mask & (labels[level] == 0)] = number + 1
-        return MarkedRooms([polygon.name for polygon in polygons], labels, warnings)
+        outdoors = {number for number, polygon in enumerate(polygons, 1) if polygon.outdoors}
+        names = [polygon.name for polygon in polygons]
+        return MarkedRooms(names, labels, warnings, outdoors=outdoors)
 
     def _no_rooms(self) -> list[Int32]:
         return [np.zeros(level.floor.shape, dtype=np.int32) for level in self.levels]

@@ -75,13 +75,14 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
     """Read the polygons of a GeoJSON file: a FeatureCollection, or a single Feature.
 
     Coordinates are world x, y in metres; a third one is left out. Of the properties, ``name``
-    (text) and ``level`` (a number from 0, or a name; 0 if missing) count. A feature whose ``kind``
-    is another than ``room`` (as `to_geojson` writes for doors and walkable areas) is left out. A
-    MultiPolygon is one room. Rings may be closed or not. Errors name the feature.
+    (text), ``level`` (a number from 0, or a name; 0 if missing) and ``outdoors`` (false if missing)
+    count. A feature whose ``kind`` is another than ``room`` (as `to_geojson` writes for doors and
+    walkable areas) is left out. A MultiPolygon is one room. Rings may be closed or not. Errors name
+    the feature.
 
     Returns:
-        ``name``, ``level``, ``points`` (the first outline) and ``rings`` (holes and further
-        parts) of each.
+        ``name``, ``level``, ``outdoors``, ``points`` (the first outline) and ``rings`` (holes and
+        further parts) of each.
     """
     content = _parse(Path(path))
     kind = content.get("type") if isinstance(content, dict) else None
@@ -136,10 +137,15 @@ def _read_feature(feature: Any, number: int, path: str | os.PathLike[str]) -> Js
     if not is_number and not (isinstance(level, str) and level):
         expected = "a level's number from 0, or its name, at `properties.level`"
         raise FormatError(f"expected {expected}, got {_shown(level)} in {where}")
+    outdoors = properties.get("outdoors")
+    if outdoors is not None and not isinstance(outdoors, bool):
+        expected = "true or false at `properties.outdoors`"
+        raise FormatError(f"expected {expected}, got {_shown(outdoors)} in {where}")
     rings = [_read_ring(ring, where) for polygon in _polygons(feature, where) for ring in polygon]
     if not rings:
         raise FormatError(f"expected an outline, got none in {where}")
-    return {"name": name, "level": level, "points": rings[0], "rings": rings[1:]}
+    about = {"name": name, "level": level, "outdoors": bool(outdoors)}
+    return {**about, "points": rings[0], "rings": rings[1:]}
 
 
 def _polygons(feature: Json, where: str) -> list[list[Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -56,6 +57,94 @@ def rooms(tmp_path):
 def test_a_house_in_its_garden(rooms, roof):
     """Outdoors is one region round it, a roof or none."""
     assert rooms(GARDEN + roof) == [(26, False), (90, True)]
+
+
+def bake_front_door(tmp_path, out, more="", width=6, **settings):
+    """A house of 6 m by 4 m with a door, on a slab that sticks out of its walls."""
+    leaf = (
+        '<body name="door" pos="2.5 .1 0"><joint name="hinge" type="hinge" axis="0 0 1" '
+        'range="0 86"/><geom type="box" pos=".5 0 1" size=".48 .02 1"/></body>'
+    )
+    ground = slab(-out, -out, width + out, 4 + out)
+    content = ground + house(0, 0, width, 4, [(2.5, 3.5)]) + leaf + more
+    path = tmp_path / "scene.xml"
+    path.write_text(world(content), encoding="utf-8")
+    return navbake.bake({"scene": {"path": str(path)}, **settings})
+
+
+def doors_between(grid):
+    """Which rooms doors join, as the doors, the table of rooms and the graph tell alike."""
+    told = {(*ends, door.id) for door in grid.doors for ends in permutations(door.rooms)}
+    neighbours = {(room.id, n.room, n.door) for room in grid.rooms for n in room.neighbours}
+    assert neighbours == {way for way in told if None not in way} | {
+        way for way in neighbours if way[2] is None
+    }
+    for state, passable in (("open", True), ("closed", False)):
+        ways = [w for w in grid.with_doors(state).to_graph("rooms").ways if w.door]
+        assert {(*ends, w.door) for w in ways for ends in permutations(w.rooms)} == told
+        assert all(way.passable is passable for way in ways)
+    return sorted(told)
+
+
+@pytest.mark.parametrize("out", [0.2, 0.3, 0.5, 0.8])
+def test_a_door_to_a_ledge_joins_it_to_the_room(tmp_path, out):
+    grid = bake_front_door(tmp_path, out)
+    assert [room.outdoors for room in grid.rooms] == [True, False]
+    ledge = (6 + 2 * out) * (4 + 2 * out) - 24
+    assert grid.rooms[0].area == pytest.approx(ledge + 0.1, abs=0.01)  # with half the doorway
+    assert doors_between(grid) == [("0:1", "0:2", "door"), ("0:2", "0:1", "door")]
+
+
+@pytest.mark.parametrize("mark", ["polygon", "site"])
+def test_a_mark_in_a_room_leaves_its_door_and_outdoors(tmp_path, mark):
+    """The ledge is nowhere half a metre wide, with the mark as without it."""
+    before = bake_front_door(tmp_path, 0.3)
+    site = '<site name="room_q" type="box" pos="4.5 2.5 1" size=".5 .5 1"/>'
+    polygon = {"name": "room_q", "points": [[4, 2], [5, 2], [5, 3], [4, 3]]}
+    if mark == "site":
+        after = bake_front_door(tmp_path, 0.3, site)
+    else:
+        after = bake_front_door(tmp_path, 0.3, rooms={"polygons": [polygon]})
+    assert doors_between(after) == doors_between(before)
+    marked = after.rooms[-1]
+    assert (marked.id, marked.area, marked.outdoors) == ("room_q", 1.0, False)
+    index = np.where(after.room_index == marked.index, 2, after.room_index)
+    np.testing.assert_array_equal(index, before.room_index)
+
+
+def test_rooms_that_went_through_a_geojson_file_are_the_same(tmp_path):
+    before = bake_front_door(tmp_path, 0.8)
+    drawn = tmp_path / "rooms.geojson"
+    drawn.write_text(json.dumps(before.to_geojson()), encoding="utf-8")
+    after = bake_front_door(tmp_path, 0.8, rooms={"from": ["polygons", "auto"], "polygons": drawn})
+    np.testing.assert_array_equal(after.room_index, before.room_index)
+    assert [(room.source, room.outdoors) for room in after.rooms] == [
+        ("polygons", True),
+        ("polygons", False),
+    ]
+    assert doors_between(after) == doors_between(before)
+
+
+@pytest.mark.parametrize("roof", ["", slab(0, 0, 6, 4, HIGH + 0.1)], ids=["open", "roofed"])
+@pytest.mark.parametrize(("out", "cell"), [(0.1, 0.1), (0.1, 0.05), (0.05, 0.05)])
+def test_a_ledge_of_a_cell_or_two_takes_no_room_outdoors(tmp_path, roof, out, cell):
+    """Its four sides are each smaller than a room; the one before the door opens to the room."""
+    grid = bake_front_door(tmp_path, out, roof, grid={"cell_size": cell})
+    ledge = (6 + 2 * out) * (4 + 2 * out) - 24
+    (area, is_out), (inside, is_in_out) = ((room.area, room.outdoors) for room in grid.rooms)
+    assert (is_out, is_in_out) == (True, False)
+    assert area == pytest.approx(ledge + 0.1, abs=0.06)
+    assert inside == pytest.approx(5.6 * 3.6 + 0.1, abs=0.06)
+    assert doors_between(grid) == [("0:1", "0:2", "door"), ("0:2", "0:1", "door")]
+
+
+def test_a_ledge_that_is_too_small_for_a_room_is_none(tmp_path):
+    """Less than 1 m² in all; the door leads outside."""
+    grid = bake_front_door(tmp_path, 0.05, width=4, grid={"cell_size": 0.05})
+    (room,) = grid.rooms
+    assert (room.outdoors, room.area) == (False, pytest.approx(3.6 * 3.6 + 0.1, abs=0.06))
+    (door,) = grid.doors
+    assert set(door.rooms) == {None, "0:1"}
 
 
 def test_what_lies_beyond_nothing_reaches_the_edge(rooms):

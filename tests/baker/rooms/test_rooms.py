@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from navbake.baker.pipeline import run_bake
-from navbake.baker.rooms.openings import Opening, match_doors
+from navbake.baker.rooms.openings import ClosedDoor, Opening, match_doors
 from navbake.baker.rooms.segmentation import share_rest
 from navbake.config.settings import load_config, parse_config
 from navbake.navgrid.lattice import Lattice
@@ -244,6 +244,26 @@ def test_what_marks_leave_is_rooms_by_itself():
     assert not new.any() and (taken[2:, 10:] == 2).all()
 
 
+@pytest.mark.parametrize("ring", [1, 2, 4])
+def test_a_mark_changes_no_other_space(ring):
+    """Cells of 0.1 m: a room, and a narrow ring round its walls, which are two cells thick."""
+    segment = np.ones((40, 60), dtype=np.int32)
+    segment[ring:-ring, ring:-ring] = 0
+    room = (slice(ring + 2, -ring - 2), slice(ring + 2, -ring - 2))
+    segment[room] = 2
+    owner = np.zeros_like(segment)
+    owner[10:20, 10:20] = 1
+    taken, new = share_rest(owner, segment, 0.1, 1.0)
+    np.testing.assert_array_equal(taken, owner)
+    np.testing.assert_array_equal(new, np.where(owner > 0, 0, segment))
+    # reaching over the wall, it takes its own cells; the rest of the ring is as wide as ever
+    owner[10:20, :20] = 1
+    owner[segment == 0] = 0
+    taken, new = share_rest(owner, segment, 0.1, 1.0)
+    np.testing.assert_array_equal(taken, owner)
+    np.testing.assert_array_equal(new, np.where(owner > 0, 0, segment))
+
+
 def test_storeys_are_linked_by_steps():
     config = ROOT / "configs" / "house.yaml"
     grid = run_bake(load_config(config)).grid
@@ -263,15 +283,19 @@ def test_doors_go_to_the_opening_they_are_in():
         Opening(0, (1, 2), np.array([5010, 5011])),
         Opening(1, (1, 3), np.array([5010, 5011])),
     ]
-    none = np.empty(0, dtype=np.int64)
+    none, rooms = np.empty(0, dtype=np.int64), frozenset({(0, 1), (0, 2)})
     doors = {
-        "first": [np.array([1109, 1110]), none],  # a row further
-        "second": [np.array([5010]), none],
-        "upper": [none, np.array([5011, 5012])],
-        "double": [np.array([5011]), none],
-        "cupboard": [np.array([9000]), none],
+        "first": (rooms, [np.array([1109, 1110]), none]),  # a row further
+        "second": (rooms, [np.array([5010]), none]),
+        "upper": (frozenset({(1, 1), (1, 3)}), [none, np.array([5011, 5012])]),
+        "double": (rooms, [np.array([5011]), none]),
+        "cupboard": (rooms, [np.array([9000]), none]),
+        # beside an opening that is none between its own rooms
+        "front": (frozenset({(0, 1)}), [np.array([1010]), none]),
+        "third": (frozenset({(0, 1), (0, 3)}), [np.array([1010]), none]),
     }
-    assert match_doors(openings, doors, lattice) == {
+    closed = {name: ClosedDoor(*door) for name, door in doors.items()}
+    assert match_doors(openings, closed, lattice) == {
         0: ["first"],
         1: ["double", "second"],
         2: ["upper"],

@@ -32,7 +32,7 @@ def test_reads_polygons_with_holes_and_parts(tmp_path):
     features = [
         feature([SQUARE, HOLE], name="küche", level=1.0),
         feature([[SQUARE], [[[9, 9, 5.0], [10, 9, 5.0], [9, 10, 5.0]]]], "MultiPolygon"),
-        feature([SQUARE], name="客厅", level="roof"),
+        feature([SQUARE], name="客厅", level="roof", outdoors=True),
     ]
     kitchen, parts, living = read(tmp_path, {"type": "FeatureCollection", "features": features})
     assert (kitchen["name"], kitchen["level"]) == ("küche", 1)
@@ -41,6 +41,7 @@ def test_reads_polygons_with_holes_and_parts(tmp_path):
     assert (parts["name"], parts["level"]) == (None, 0)
     assert parts["rings"] == [[[9, 9], [10, 9], [9, 10]]]
     assert (living["name"], living["level"]) == ("客厅", "roof")
+    assert [room["outdoors"] for room in (kitchen, parts, living)] == [False, False, True]
 
 
 def test_reads_a_single_feature(tmp_path):
@@ -58,6 +59,7 @@ def test_reads_a_single_feature(tmp_path):
         (feature([SQUARE], level=-1), "got -1 in feature 0"),
         (feature([SQUARE], level=True), "got True in feature 0"),
         (feature([SQUARE], level=0.5), "got 0.5 in feature 0"),
+        (feature([SQUARE], outdoors="yes"), "true or false at `properties.outdoors`, got yes"),
         (feature([SQUARE], name=7), "expected text at `properties.name`, got 7"),
         (feature([[[0, 0], [1, 0], [0, 0]]], name="wc"), r"got 2 in feature 0 \('wc'\)"),
         (feature([[[0, 0], [1, 1], [1, 0], [0, 1]]], name="wc"), "sides that cross.*'wc'"),

@@ -323,7 +323,8 @@ def measure_gaps(scan, gaps, chosen, parent):
     Behind a gap, at each depth, a line runs along it as far as the region reaches, but on either
     side no further than the gap is wide, times `REACH`. Of that length, the gap is a share,
     together with other openings in its line to the same region, which also count as its width.
-    The line begins straight behind the gap's ends, at right angles to it.
+    The line begins straight behind the gap's ends, at right angles to it. A region that ends before
+    the first depth is measured where it ends.
 
     Args:
         scan: `Scan`.
@@ -349,8 +350,14 @@ def measure_gaps(scan, gaps, chosen, parent):
             for side in range(2):
                 own, other = (above, below) if side == 0 else (below, above)
                 for depth in range(len(scan.depths)):
+                    rows, lean = scan.depths[depth], scan.leans[depth]
+                    if depth == 0:
+                        behind = _count_behind(scan, gaps, k, side)
+                        lean = lean if behind == rows else np.int64(0)
+                        rows = behind
+                    line = side, rows, lean, own, other
                     share, met, count = _measure_line(
-                        scan, gaps, k, (side, depth, own, other), parent, met, (start[i], count)
+                        scan, gaps, k, line, parent, met, (start[i], count)
                     )
                     shares[i, side] = min(shares[i, side], share)
         start[i + 1] = count
@@ -358,19 +365,32 @@ def measure_gaps(scan, gaps, chosen, parent):
 
 
 @njit(cache=True)
+def _count_behind(scan, gaps, k, side):
+    """How many open rows lie behind gap k in its middle, 1 to the first depth."""
+    rows = len(scan.is_open)
+    col = (gaps.first[k] + gaps.last[k]) // 2
+    ends = gaps.top[k] if side == 0 else gaps.bottom[k]
+    row, way = (ends[0] + ends[1]) // 2, -1 if side == 0 else 1
+    for count in range(1, scan.depths[0] + 1):
+        if not 0 <= row + way * count < rows or not scan.is_open[row + way * count, col]:
+            return max(count - 1, 1)
+    return scan.depths[0]
+
+
+@njit(cache=True)
 def _measure_line(scan, gaps, k, line, parent, met, noted):
     """The share that gap k has of a line behind it, and the regions met so far.
 
-    `line` is its side (0 above, 1 below), the number of its depth, and the regions on its side
-    and on the other one.
+    `line` is its side (0 above, 1 below), how many rows behind the gap it is and how many columns
+    it leans on the way up so far, and the regions on its side and on the other one.
     """
-    side, depth, own, other = line
+    side, depth, rise, own, other = line
     begin, count = noted
     label, is_open, shift = scan.label, scan.is_open, scan.shift
     rows, cols = label.shape
     # from the gap to the line behind it, and on the other side to that before it
-    down = -scan.depths[depth] if side == 0 else scan.depths[depth]
-    lean = scan.leans[depth] if side == 0 else -scan.leans[depth]
+    down = -depth if side == 0 else depth
+    lean = rise if side == 0 else -rise
     width = gaps.last[k] - gaps.first[k] + 1
     length, through = width, width
     for end in range(2):
