@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-import unicodedata
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from navbake.batch.products import OWN
 from navbake.errors import ConfigError, shorten
+from navbake.formats.scene_files import fold_name
 from navbake.types import Json
 
 # what some file system takes for something else than a letter of a name
@@ -63,25 +63,15 @@ def check_id(name: str, place: str) -> None:
             )
 
 
-def fold_id(name: str) -> str:
-    """What all ids have in common that some file system takes for one.
-
-    Some compose letters with their accents, some ignore capitals. This is Unicode's canonical
-    caseless matching.
-    """
-    decomposed = unicodedata.normalize("NFD", name)
-    return unicodedata.normalize("NFD", decomposed.casefold())
-
-
 def check_unique(jobs: Sequence[Job]) -> None:
-    """Refuse two jobs whose outputs would be one folder on some file system, see `fold_id`.
+    """Refuse two jobs whose outputs would be one folder on some file system, see `fold_name`.
 
     Raises:
         ConfigError: two have the same id.
     """
     seen: dict[str, Job] = {}
     for job in jobs:
-        other = seen.setdefault(fold_id(job.id), job)
+        other = seen.setdefault(fold_name(job.id), job)
         if other is not job and (other.id, other.source) == (job.id, job.source):
             raise ConfigError(
                 f"expected each scene once, got {shorten(job.source)} at {other.place} and at "

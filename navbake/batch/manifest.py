@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePath, PurePosixPath
 from typing import Any
 
-from navbake.batch.job import Job, check_id, check_unique, fold_id
+from navbake.batch.job import Job, check_id, check_unique
 from navbake.batch.settings import check_shared, merge, nest, of_id
 from navbake.batch.stores.store import is_pattern, match_files, read_file
 from navbake.batch.stores.urls import Folder, is_url, join, parent, plain_path, shown, split_url
@@ -22,6 +22,7 @@ from navbake.batch.table import read_table
 from navbake.config.errors import find_unknown_key, show_value
 from navbake.config.settings import SECTIONS, BakeConfig
 from navbake.errors import ConfigError, FormatError, shorten
+from navbake.formats.scene_files import fold_name
 from navbake.formats.source import read_bytes
 from navbake.types import Json
 
@@ -298,7 +299,7 @@ def _name(found: list[Entry]) -> list[str]:
             given or "/".join(path.parts[-depth:])
             for (given, *_), path, depth in zip(found, paths, depths, strict=True)
         ]
-        folded = [fold_id(name) for name in names]
+        folded = [fold_name(name) for name in names]
         counts = Counter(folded)
         # the first part is the root, which is no name
         longer = [

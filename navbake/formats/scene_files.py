@@ -102,7 +102,8 @@ class _Branch:
 
     Attributes:
         is_end: whether one of them ends here.
-        parts: how the others go on, up to the next slash: first by `_key`, then as it is written.
+        parts: how the others go on, up to the next slash: first by `fold_name`, then as it is
+            written.
     """
 
     is_end: bool = False
@@ -112,7 +113,7 @@ class _Branch:
         branch = self
         for part in name.split("/"):
             if part not in ("", os.curdir):
-                branch = branch.parts.setdefault(_key(part), {}).setdefault(part, _Branch())
+                branch = branch.parts.setdefault(fold_name(part), {}).setdefault(part, _Branch())
         branch.is_end = True
 
 
@@ -150,13 +151,14 @@ class Folders:
             return frozenset((os.pardir,))  # by which MuJoCo goes on, see `_meant`
         except OSError:  # one that may be entered, but not read
             return None
-        return frozenset((os.pardir, *map(_key, names)))
+        return frozenset((os.pardir, *map(fold_name, names)))
 
 
-def _key(name: str) -> str:
+def fold_name(name: str) -> str:
     """A name without what some file systems ignore: capitals, and how accents are composed.
 
-    Names that differ in nothing else may be one file.
+    Names that differ in nothing else may be one file. This is Unicode's canonical caseless
+    matching.
     """
     if name.isascii():
         return name.lower()
@@ -280,8 +282,7 @@ def _search(scene: Path, root: ElementTree.Element | None, files: Files, looks: 
         for element in () if top is None else top.iter():
             for key in LOOK_FOLDERS if looks else FOLDERS:
                 if key in element.attrib:
-                    name = _slashed(element.attrib[key])
-                    folders |= dict.fromkeys(places_from(bases, name))
+                    folders |= dict.fromkeys(places_from(bases, element.attrib[key]))
             if element.tag in left_out:
                 continue
             for name in _names_of(element, looks):
@@ -292,8 +293,9 @@ def _search(scene: Path, root: ElementTree.Element | None, files: Files, looks: 
                         continue
                     folders[path.parent] = None
                     base = home if element.tag == "include" else path.parent
-                    if _place(path, base) not in seen:
-                        seen.add(_place(path, base))
+                    place = _place(path, base)
+                    if place not in seen:
+                        seen.add(place)
                         left.append((path, _root(path, files), base))
     return Search(tuple(map(str, folders)), tuple(names))
 
