@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from navbake.cli.tables import Table, lay_out, make_table, without_empty_columns
 from navbake.errors import printable
@@ -138,10 +138,14 @@ def print_warnings(warnings: Iterable[str]) -> None:
         print_error(f"warning: {warning}")
 
 
+def is_terminal(stream: TextIO | None) -> bool:
+    """Whether a stream is one of a terminal; None is a closed one."""
+    return stream is not None and stream.isatty()
+
+
 def print_tables(*tables: Table) -> None:
     """Print tables on stdout, one under the other, at most as wide as the terminal."""
-    is_terminal = sys.stdout is not None and sys.stdout.isatty()
-    width = shutil.get_terminal_size().columns if is_terminal else PIPE_WIDTH
+    width = shutil.get_terminal_size().columns if is_terminal(sys.stdout) else PIPE_WIDTH
     for index, table in enumerate(tables):
         print("\n" * (index > 0) + "\n".join(lay_out(table, width)))
 

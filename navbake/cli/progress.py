@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from navbake import dispatch
+from navbake.cli.printing import is_terminal
 from navbake.errors import printable
 from navbake.lazy import lazy
 
@@ -22,7 +23,7 @@ def stage_progress(title: str, hidden: bool = False) -> Iterator[Callable[[str, 
 
     One more tells how many kernels of how many are compiled, where some are not.
     """
-    if hidden or sys.stderr is None or not sys.stderr.isatty():
+    if hidden or not is_terminal(sys.stderr):
         yield lambda stage, fraction: None
         return
     screen = console.Console(stderr=True, markup=False, highlight=False, emoji=False)
@@ -57,7 +58,7 @@ def batch_progress(hidden: bool = False) -> Iterator[Callable[[int, int, int], N
     It is told how many scenes ended, how many of these failed, and how many there are to do. What
     is printed on stderr meanwhile stands above it.
     """
-    if hidden or sys.stderr is None or not sys.stderr.isatty():
+    if hidden or not is_terminal(sys.stderr):
         yield lambda done, failed, total: None
         return
     screen = console.Console(stderr=True, markup=False, highlight=False, emoji=False)

@@ -23,6 +23,7 @@ from navbake.cli.commands.warm_up import (
 from navbake.cli.options import STDOUT, Overrides, check_output, refuse_unused
 from navbake.cli.printing import (
     VOLUME,
+    is_terminal,
     print_error,
     print_json_line,
     print_warnings,
@@ -226,8 +227,7 @@ class _Teller:
 
             self._page = LivePage(self._folder, self._total)
         # on a terminal, lines and a bar would run into each other
-        shows_json = self._as_json and sys.stdout is not None and sys.stdout.isatty()
-        hidden = VOLUME.quiet or shows_json
+        hidden = VOLUME.quiet or (self._as_json and is_terminal(sys.stdout))
         self._show = self._stack.enter_context(batch_progress(hidden))
         self._show(0, 0, self._total)
 
