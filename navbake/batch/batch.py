@@ -17,7 +17,7 @@ from navbake.batch.index import WAS, Index, made_row, only_batch
 from navbake.batch.job import Job
 from navbake.batch.journal import stamp
 from navbake.batch.products import parse_products
-from navbake.batch.remote import check_shared, is_remote
+from navbake.batch.remote import is_remote, refuse_unshared
 from navbake.batch.settings import check_overrides, check_settings
 from navbake.batch.stores.index import RemoteIndex
 from navbake.batch.stores.urls import Folder
@@ -154,7 +154,7 @@ def run_batch(batch: Batch, means: Means, watch: Watch) -> BatchResult:
         )
         for job in batch.jobs
     ]
-    check_shared(orders, UNSHARED)
+    refuse_unshared(orders, UNSHARED)
     with _index_of(batch.folder) as index:
         remove_abandoned()  # what batches that were killed left
         if not batch.has_table:

@@ -65,9 +65,10 @@ def list_candidates(sought: Json, scene: str | os.PathLike[str], listed: Folders
     """Paths at which a scene's files are now: one that is new may be meant instead of another.
 
     Args:
-        sought: the names and the folders that the index has of MJCF, so that it isn't read again.
-        scene: the path of what is read else.
-        listed: the folders' contents.
+        sought: the names and the folders in which MJCF was looked for, as the index has them;
+            without folders, of a scene of another kind, the scene is read again.
+        scene: its path.
+        listed: what is in the folders.
     """
     if sought["folders"]:
         return Search(tuple(sought["folders"]), tuple(sought["names"])).present(listed)

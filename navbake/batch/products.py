@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
@@ -120,9 +120,35 @@ def parse_note(content: bytes) -> set[str]:
     return {name for name in names if OWN.fullmatch(name)}
 
 
+def write_note(folder: Path, names: Iterable[str]) -> None:
+    """Note the names of what is made of a scene besides its grid."""
+    write_bytes(encode_note(names), folder / NOTE)
+
+
 def encode_note(names: Iterable[str]) -> bytes:
     """A note as `parse_note` reads it: a name a line."""
     return "".join(f"{name}\n" for name in sorted(names)).encode()
+
+
+@contextmanager
+def noting(
+    names: Collection[str], there: Container[str], write: Callable[[set[str]], None]
+) -> Iterator[None]:
+    """Note files before they are made inside, so that `remove_products` knows them.
+
+    A file that is there already is the user's. It is noted only after it is replaced.
+
+    Args:
+        names: of the files that are made.
+        there: names of files that are there.
+        write: writes a note.
+    """
+    free = {name for name in names if name not in there}
+    if free:
+        write(free)
+    yield
+    if len(free) < len(names):
+        write({*names})
 
 
 def _numbers(values: Sequence[str], text: str) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,25 +22,17 @@ from navbake.batch.file_states import (
     path_from,
 )
 from navbake.batch.full import FullError
-from navbake.batch.products import (
-    GRID,
-    MAX_NOTE,
-    NOTE,
-    THUMBNAIL,
-    encode_note,
-    parse_note,
-)
+from navbake.batch.products import GRID, NOTE, THUMBNAIL, noting
 from navbake.batch.stores.mirror import Mirror, upload
+from navbake.batch.stores.notes import read_note_at, write_note_at
 from navbake.batch.stores.store import (
     Entry,
     Listing,
     is_unchanged,
     list_folder,
     list_tree,
-    read_if_there,
     remove_files,
     state_of,
-    write_file,
 )
 from navbake.batch.stores.urls import is_url, join, parent, shown, split_url
 from navbake.config.settings import YAML_SUFFIXES
@@ -60,7 +53,7 @@ def is_remote(order: Order) -> bool:
     return is_url(order.folder) or any(map(is_url, _named(order)))
 
 
-def check_shared(orders: Iterable[Order], unshared: Collection[str]) -> None:
+def refuse_unshared(orders: Iterable[Order], unshared: Collection[str]) -> None:
     """Raise a ConfigError for a URL of one of some schemes, whose files processes don't share."""
     for order in orders:
         for url in filter(is_url, (str(order.folder), *_named(order))):
@@ -123,13 +116,9 @@ def make_remote(order: Order, make: Callable[[Order], Json]) -> Json:
             names = [name for name in row["files"] if name != GRID]
             if order.thumbnail:  # it is no product, so the row doesn't name it
                 names.append(THUMBNAIL)
-            # what is there still is the user's, see `work._write_products`
-            free = {*names} - remove_products_at(place)
-            if free:
-                write_file(f"{place}/{NOTE}", encode_note(free))
-            entries = upload({name: near.place / name for name in (*names, GRID)}, place)
-            if len(free) < len(names):
-                write_file(f"{place}/{NOTE}", encode_note(names))
+            there = remove_products_at(place)
+            with noting(names, there, partial(write_note_at, place)):
+                entries = upload({name: near.place / name for name in (*names, GRID)}, place)
             row["files"] = {
                 name: state_of(entries[name], state) for name, state in row["files"].items()
             }
@@ -143,8 +132,8 @@ def remove_products_at(place: str) -> set[str]:
         The names of the files that are left.
     """
     found = list_folder(place)
-    noted = read_if_there(f"{place}/{NOTE}", MAX_NOTE) if NOTE in found else None
-    others = [*sorted(parse_note(noted or b"")), *filter(TEMPORARY.fullmatch, found)]
+    noted = read_note_at(place) if NOTE in found else set()
+    others = [*sorted(noted), *filter(TEMPORARY.fullmatch, found)]
     names = [name for name in (GRID, *others, NOTE) if name in found]
     remove_files(f"{place}/{name}" for name in names)
     return found.keys() - set(names)

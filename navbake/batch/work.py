@@ -8,6 +8,7 @@ import traceback
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,11 +25,11 @@ from navbake.batch.full import FullError, telling_full
 from navbake.batch.job import Job
 from navbake.batch.products import (
     GRID,
-    NOTE,
     THUMBNAIL,
     Product,
-    encode_note,
+    noting,
     remove_products,
+    write_note,
     write_thumbnail,
 )
 from navbake.batch.remote import is_remote, make_remote, name_source, remove_remote_products
@@ -40,7 +41,6 @@ from navbake.errors import NavbakeError, printable
 from navbake.files import without_waiting
 from navbake.formats.navgrid import write_navgrid
 from navbake.formats.scene_files import look_for_inputs
-from navbake.formats.source import write_bytes
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
 
@@ -193,15 +193,11 @@ def _write_products(order: Order, grid: NavGrid, config: BakeConfig) -> list[str
     names = [name for product in order.products for name in product.names(grid)]
     if order.thumbnail:
         names.append(THUMBNAIL)
-    # what is there still is the user's, and stays so until it is replaced
-    free = [name for name in names if not os.path.lexists(place / name)]
-    if free:
-        write_bytes(encode_note(free), place / NOTE)
-    made = [name for product in order.products for name in product.make(grid, config, place)]
-    if order.thumbnail:
-        write_thumbnail(grid, place)
-    if len(free) < len(names):
-        write_bytes(encode_note(names), place / NOTE)
+    there = [name for name in names if os.path.lexists(place / name)]
+    with noting(names, there, partial(write_note, place)):
+        made = [name for product in order.products for name in product.make(grid, config, place)]
+        if order.thumbnail:
+            write_thumbnail(grid, place)
     write_navgrid(grid, place / GRID)
     return made
 

@@ -9,16 +9,9 @@ from typing import Protocol
 
 from navbake.batch.index import NAME as INDEX
 from navbake.batch.index import parse_rows, read_index
-from navbake.batch.products import (
-    GRID,
-    MAX_NOTE,
-    NOTE,
-    THUMBNAIL,
-    encode_note,
-    parse_note,
-    read_note,
-)
-from navbake.batch.stores.store import list_tree, read_file, read_if_there, write_file
+from navbake.batch.products import GRID, NOTE, THUMBNAIL, read_note, write_note
+from navbake.batch.stores.notes import read_note_at, write_note_at
+from navbake.batch.stores.store import list_tree, read_file, write_file
 from navbake.batch.stores.urls import Folder, split_url
 from navbake.errors import FormatError, printable
 from navbake.formats.navgrid import read_navgrid
@@ -75,7 +68,7 @@ class LocalFiles:
         place, note = self._own(f"{id}/{THUMBNAIL}"), self._own(f"{id}/{NOTE}")
         grid: NavGrid = read_navgrid(self._folder / id / GRID)
         drawn = draw_thumbnail(grid)
-        write_bytes(encode_note({*read_note(note.parent), THUMBNAIL}), note)
+        write_note(note.parent, {*read_note(note.parent), THUMBNAIL})
         write_bytes(drawn, place)
 
     def write(self, name: str, content: bytes) -> None:
@@ -119,8 +112,7 @@ class RemoteFiles:
         place = f"{self._folder}/{id}"
         grid: NavGrid = read_navgrid(read_file(f"{place}/{GRID}", MAX_BYTES))
         drawn = draw_thumbnail(grid)
-        noted = read_if_there(f"{place}/{NOTE}", MAX_NOTE) or b""
-        write_file(f"{place}/{NOTE}", encode_note({*parse_note(noted), THUMBNAIL}))
+        write_note_at(place, {*read_note_at(place), THUMBNAIL})
         write_file(f"{place}/{THUMBNAIL}", drawn)
 
     def write(self, name: str, content: bytes) -> None:
