@@ -201,12 +201,6 @@ def test_run_time_leaves_the_baker_alone(name):
         assert not belongs(found, NEVER_AT_RUN_TIME), f"{name} imports {found}"
 
 
-def test_no_folder_has_more_than_16_modules():
-    for folder in {path.parent for path in MODULES.values()}:
-        count = sum(path.name != "__init__.py" for path in folder.glob("*.py"))
-        assert count <= 16, f"{folder} has {count} modules"
-
-
 @pytest.mark.parametrize("name", MODULES)
 def test_an_import_inside_a_function_says_what_it_saves(name):
     """In a comment beside it or above it, or once for the module: ``# Functions import …``."""
