@@ -43,6 +43,8 @@ VERIFIER_SHARES += ("navbake.baker.scene.bodies", "navbake.baker.scene.chatter")
 VERIFIER_LEAVES = ("shapes", "bounds")
 LIGHT = ("navgrid", "formats", "runtime", "voxels", "arena", "views", "files", "errors", "types")
 LIGHT += ("auditor", "tensors")
+# from below: what pictures and pages are made of knows nothing of them
+BELOW_VIEWS = ("navgrid", "formats", "runtime", "tensors", "voxels", "arena", "auditor", "verifier")
 NEVER_AT_RUN_TIME = ("mujoco", "fcl", "trimesh", "navbake.baker")
 
 
@@ -56,12 +58,13 @@ def find_modules(package: Path) -> dict[str, Path]:
     }
 
 
-def imports(path: Path) -> set[str]:
-    """Names of all modules that a file imports, at the top or later, but not for types only."""
+def imports(path: Path, *, with_types: bool = False) -> set[str]:
+    """Names of all modules that a file imports, at the top or later; for types only if asked."""
     skipped: set[ast.AST] = set()
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING":
+        is_for_types = isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
+        if is_for_types and not with_types:
             skipped.update(child for part in node.body for child in ast.walk(part))
         if node in skipped:
             continue
@@ -189,6 +192,12 @@ def test_kernels_import_kernels_alone(name):
 def test_kernels_keep_the_wrapper_that_python_calls_them_by(name):
     # without it, a call from Python doesn't raise: the process crashes
     assert "no_cpython_wrapper" not in MODULES[name].read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if belongs(name, BELOW_VIEWS)])
+def test_what_lies_below_imports_no_views(name):
+    found = imports(MODULES[name], with_types=True)
+    assert not any(belongs(each, ("navbake.views",)) for each in found), found
 
 
 def test_errors_import_nothing_at_all():

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.views.colors import rgb_of
+from navbake.navgrid.colors import rgb_of
 
 # From 0.22 to 1, at places whose colours look equally far apart to people who see no red, no green,
 # or both

@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 
 from navbake.errors import QueryError
 from navbake.navgrid.cells import check_level
-from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.navgrid.islands import clearance, islands_of
-from navbake.views.color_scale import height_scale, linear_scale
-from navbake.views.colors import (
+from navbake.navgrid.colors import (
     ACROSS,
     DARKER,
     DOOR,
@@ -26,13 +23,18 @@ from navbake.views.colors import (
     OCCUPIED,
     ROOMS,
     UP,
+    WALL,
+    choose_colors,
+    find_neighbours,
     rgb_of,
 )
-from navbake.views.door_marks import doorway_cells, find_door_marks
+from navbake.navgrid.door_lines import doorway_cells, find_door_lines
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.navgrid.islands import clearance, islands_of
+from navbake.views.color_scale import height_scale, linear_scale
 from navbake.views.names import label_doors, label_rooms
 from navbake.views.panel import Panel, paint
-from navbake.views.regions import choose_colors, find_neighbours
-from navbake.views.room_cells import WALL, RoomCells
+from navbake.views.room_cells import RoomCells
 
 if TYPE_CHECKING:
     from navbake.verifier.report import Finding
@@ -88,7 +90,7 @@ def _show_occupancy(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
     area = np.count_nonzero(level.free) * level.lattice.cell_size**2
     title = f"occupancy, {area:.1f} m\N{SUPERSCRIPT TWO} free"
-    doors = find_door_marks(grid, number)
+    doors = find_door_lines(grid, number)
     return Panel(title, _color_occupancy(level), legend=_legend_of(level), doors=doors)
 
 
@@ -157,7 +159,7 @@ def _show_rooms(grid: NavGrid, number: int) -> Panel:
         ("doorway", DOORWAY): (cells.doorway & ~cells.door).any(),
     }
     legend = tuple(entry for entry, is_there in entries.items() if is_there)
-    labels, doors = label_rooms(grid, number), find_door_marks(grid, number)
+    labels, doors = label_rooms(grid, number), find_door_lines(grid, number)
     return Panel("rooms", cells.paint(), legend=legend, labels=labels, doors=doors)
 
 
@@ -167,7 +169,7 @@ def _show_doors(grid: NavGrid, number: int) -> Panel:
     rgb[doorway_cells(grid, number, blocked=False)] = rgb_of(DOORWAY)
     rgb[doorway_cells(grid, number, blocked=True)] = rgb_of(DOOR)
     legend = (("door", DOOR), ("doorway", DOORWAY), *_legend_of(level))
-    marks = find_door_marks(grid, number)
+    marks = find_door_lines(grid, number)
     return Panel("doors", rgb, legend=legend, labels=label_doors(marks), doors=marks)
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from navbake.navgrid.door_lines import DoorLine
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.rooms import Room
 from navbake.types import Bool
-from navbake.views.door_marks import DoorMark
 from navbake.views.panel import Label
 
 MAX_SIDE = 400  # cells of a room that are looked at for a name's place, along its longer side
@@ -28,7 +28,7 @@ def label_rooms(grid: NavGrid, number: int) -> tuple[Label, ...]:
     return tuple(labels)
 
 
-def label_doors(marks: tuple[DoorMark, ...]) -> tuple[Label, ...]:
+def label_doors(marks: tuple[DoorLine, ...]) -> tuple[Label, ...]:
     """The doors' ids and widths, each in the middle of its doorway."""
     return tuple(
         Label(

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.navgrid.door_lines import DoorLine
 from navbake.views.color_scale import ColorScale
-from navbake.views.door_marks import DoorMark
 
 LIT, SHADED = 0.3, 0.35  # most that relief mixes white or black into a colour
 BAND_CELLS = 1 << 20  # painted at once
@@ -35,7 +35,7 @@ class Panel(NamedTuple):
     scale: ColorScale | None = None  # of the values
     legend: tuple[tuple[str, str], ...] = ()  # meanings and their colours
     labels: tuple[Label, ...] = ()
-    doors: tuple[DoorMark, ...] = ()
+    doors: tuple[DoorLine, ...] = ()
     relief: float = 0.0  # a step of values that gets 3/4 of the most light or shade; 0: no relief
 
 

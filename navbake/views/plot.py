@@ -15,11 +15,11 @@ from PIL import Image
 from navbake.errors import MissingDependencyError, QueryError
 from navbake.formats.source import write_bytes
 from navbake.navgrid.cells import check_level
+from navbake.navgrid.colors import DOOR, DOORWAY, ROUTE
+from navbake.navgrid.door_lines import DoorLine
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.paths.path import Path as Route
 from navbake.views.color_scale import ColorScale, nice_step
-from navbake.views.colors import DOOR, DOORWAY, ROUTE
-from navbake.views.door_marks import DoorMark
 from navbake.views.drawing import footer
 from navbake.views.drawing.fonts import FONT, Text, find_text
 from navbake.views.drawing.label_boxes import Written, place_labels
@@ -333,7 +333,7 @@ def _draw_map(ax: Any, panel: Panel, bounds: tuple[float, float, float, float]) 
     ax.set(xlim=limits[0], ylim=limits[1])
 
 
-def _draw_doors(ax: Any, doors: Sequence[DoorMark]) -> None:
+def _draw_doors(ax: Any, doors: Sequence[DoorLine]) -> None:
     """Draw doors from jamb to jamb: closed ones full, others hollow."""
     for door in doors:
         x, y = zip(door.start, door.end, strict=True)
@@ -341,7 +341,7 @@ def _draw_doors(ax: Any, doors: Sequence[DoorMark]) -> None:
             ax.plot(x, y, color=color, linewidth=width, solid_capstyle="butt")
 
 
-def _drawn_state(door: DoorMark) -> str:
+def _drawn_state(door: DoorLine) -> str:
     return "closed" if door.state == "closed" else "open"
 
 

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.navgrid.grid import NavGrid
-from navbake.types import Bool
-from navbake.views.colors import (
+from navbake.navgrid.colors import (
     DOOR,
     DOORWAY,
     FREE,
     NO_FLOOR,
     OCCUPIED,
-    OUTDOORS,
-    ROOMS,
+    color_rooms,
     darkened,
     rgb_of,
 )
-from navbake.views.door_marks import doorway_cells
-from navbake.views.regions import choose_colors, find_neighbours
-
-WALL = 0.6  # rooms with no more than this between them are neighbours [m]
+from navbake.navgrid.door_lines import doorway_cells
+from navbake.navgrid.grid import NavGrid
+from navbake.types import Bool
 
 
 class RoomCells(NamedTuple):
@@ -66,26 +61,3 @@ class RoomCells(NamedTuple):
         code[self.door[rows]] = len(self.colors) - 1
         painted: NDArray[np.uint8] = self.colors.take(code, axis=0)
         return painted
-
-
-def color_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
-    """A colour for each room of a level by its index, shape (n + 1, 3), uint8; 0 is no room.
-
-    Rooms on both sides of a wall, and those that open to each other, have different colours.
-    """
-    level = grid.levels[number]
-    index = level.room_index
-    count = int(index.max(initial=0))
-    rooms = [r for r in grid.rooms if r.level == number and r.index <= count]
-    index_of = {room.id: room.index for room in rooms}
-    pairs = find_neighbours(index, math.ceil(WALL / level.lattice.cell_size))
-    for room in rooms:
-        others = [index_of.get(neighbour.room, room.index) for neighbour in room.neighbours]
-        pairs.update((room.index, other) for other in others if other != room.index)
-    outdoors = {room.index for room in rooms if room.outdoors}
-    pairs = {pair for pair in pairs if not outdoors.intersection(pair)}
-    palette = np.array([rgb_of(color) for color in ROOMS], dtype=np.uint8)
-    colors = palette[choose_colors(count, pairs, len(palette))]
-    for room_index in outdoors:
-        colors[room_index] = rgb_of(OUTDOORS)
-    return colors

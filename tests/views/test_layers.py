@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from navbake.errors import QueryError
-from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
-from navbake.verifier.report import FLOOR_OFF, FREE_TOUCHES, Finding
-from navbake.views.colors import (
+from navbake.navgrid.colors import (
     DOOR,
     DOORWAY,
     DOWN,
@@ -17,6 +15,8 @@ from navbake.views.colors import (
     UP,
     rgb_of,
 )
+from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+from navbake.verifier.report import FLOOR_OFF, FREE_TOUCHES, Finding
 from navbake.views.layers import DISAGREEMENTS, LAYERS, make_panel, make_panels
 from navbake.views.panel import Panel, light_of, paint
 from navbake.views.plot import render_png

@@ -12,8 +12,8 @@ from PIL import Image
 
 from grid_maps import level_from
 from level_maps import stairs
+from navbake.navgrid.colors import FREE, NO_FLOOR, OCCUPIED, rgb_of
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
-from navbake.views.colors import FREE, NO_FLOOR, OCCUPIED, rgb_of
 from navbake.views.layers import make_panels
 from navbake.views.notebook import LEVEL_SIDE, MAX_LEVELS, PICTURE_SIDE, draw_png, show_html
 

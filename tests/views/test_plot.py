@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from navbake.errors import MissingDependencyError, NavbakeError, QueryError
+from navbake.navgrid.colors import DOOR, FREE, MARKS, NO_FLOOR, OCCUPIED, ROUTE
 from navbake.navgrid.doors import to_runs
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.runtime.paths.path import Path as Route
-from navbake.views.colors import DOOR, FREE, MARKS, NO_FLOOR, OCCUPIED, ROUTE
 from navbake.views.layers import make_panel, paint
 from navbake.views.plot import Mark, plot_grid, render_png, render_svg
 

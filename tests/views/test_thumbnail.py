@@ -10,7 +10,7 @@ from PIL import Image
 import navbake
 from grid_maps import level_from
 from level_maps import stairs
-from navbake.views.colors import FREE, OCCUPIED, rgb_of
+from navbake.navgrid.colors import FREE, OCCUPIED, rgb_of
 from navbake.views.notebook import draw_levels
 from navbake.views.thumbnail import COLORS, SIDE, draw_thumbnail
 from project_paths import ROOT

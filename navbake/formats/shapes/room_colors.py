@@ -4,9 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.formats.shapes.floor_mesh import FloorMesh
+from navbake.navgrid.colors import FREE, color_rooms, rgb_of
 from navbake.navgrid.grid import NavGrid
-from navbake.views.colors import FREE, rgb_of
-from navbake.views.room_cells import color_rooms
 
 
 def color_mesh(grid: NavGrid, mesh: FloorMesh) -> list[NDArray[np.uint8]]:

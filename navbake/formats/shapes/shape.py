@@ -10,10 +10,10 @@ import numpy as np
 
 from navbake.errors import MissingDependencyError, QueryError
 from navbake.formats.shapes.outlines import place_corners, trace_outlines
+from navbake.navgrid.door_lines import find_ends
 from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.types import Float, Json
-from navbake.views.door_marks import find_ends
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
@@ -91,7 +91,7 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
     parts of their own, so polygons are valid.
 
     A door is a line from jamb to jamb, where its leaf is when it is closed (else, as it is now);
-    see `navbake.views.door_marks.find_ends`.
+    see `navbake.navgrid.door_lines.find_ends`.
 
     Args:
         grid: a grid of one or several levels.
@@ -124,7 +124,7 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
 def door_line(grid: NavGrid, door: Door, level: int) -> Float | None:
     """Where a door is on a level, as pictures draw it: both ends, shape (2, 2), world x, y [m].
 
-    None where it has no cells there; see `navbake.views.door_marks.find_ends`.
+    None where it has no cells there; see `navbake.navgrid.door_lines.find_ends`.
     """
     ends = find_ends(grid, door, level)
     return None if ends is None else np.array(ends)

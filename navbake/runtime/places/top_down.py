@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from navbake.errors import QueryError
 from navbake.navgrid.cells import check_level
+from navbake.navgrid.colors import FREE, NO_FLOOR, OCCUPIED, rgb_of
 from navbake.runtime.flat_grid import FlatGrid
 from navbake.runtime.places.checks import REAL
-from navbake.views.colors import FREE, NO_FLOOR, OCCUPIED, rgb_of
 
 MAX_PIXELS = 1 << 28
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from navbake.navgrid.colors import rgb_of
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
-from navbake.views.colors import rgb_of
 from navbake.views.report.cells import thinning
 from navbake.views.report.difference import (
     ALIKE,

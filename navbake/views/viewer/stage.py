@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from navbake.navgrid.colors import ROUTE, rgb_of
 from navbake.types import Float
-from navbake.views.colors import ROUTE, rgb_of
 from navbake.views.viewer.choices import Choices
 from navbake.views.viewer.exhibit import Exhibit, Route, Told
 from navbake.views.viewer.mesh.render import write_surfaces

@@ -14,7 +14,7 @@ from navbake.types import Bool, Float, Int
 DECIMALS = 6  # of ends: micrometres
 
 
-class DoorMark(NamedTuple):
+class DoorLine(NamedTuple):
     """A door on a level: the line that its leaf covers when it is closed."""
 
     id: str
@@ -33,11 +33,11 @@ class DoorMark(NamedTuple):
         return (self.start[0] + self.end[0]) / 2, (self.start[1] + self.end[1]) / 2
 
 
-def find_door_marks(grid: NavGrid, number: int) -> tuple[DoorMark, ...]:
+def find_door_lines(grid: NavGrid, number: int) -> tuple[DoorLine, ...]:
     """The doors of a level; see `find_ends`."""
     ends = [(door, find_ends(grid, door, number)) for door in grid.doors]
     return tuple(
-        DoorMark(door.id, door.like or door.state, *found) for door, found in ends if found
+        DoorLine(door.id, door.like or door.state, *found) for door, found in ends if found
     )
 
 

@@ -1,12 +1,69 @@
-"""Colours for regions of a map, such that neighbours differ."""
+"""The colours of pictures and meshes, as ``#rrggbb``, and which room has which.
 
+They are chosen so that people who see no red or no green tell them apart, too:
+`tests/navgrid/test_colors.py` measures how far apart they stay. What is free is light, what is
+blocked is dark, so that a picture printed in grey still reads.
+"""
+
+import math
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.navgrid.grid import NavGrid
 from navbake.types import Int
+
+FREE, OCCUPIED, NO_FLOOR = "#f7f3e8", "#3b4252", "#b9c0cc"
+DOOR = "#c8440a"  # where a door blocks the way
+DOORWAY = "#ff9f5a"  # where it would, were it closed
+ROUTE = "#1864ab"
+MARKS = ("#d24bff", "#0f875a", "#a5a50f", "#780f96", "#f07896", "#4b4b00")  # by kind
+
+OUTDOORS = "#e2ecba"
+ROOMS = ("#a6ceb0", "#cec4f6", "#ecec88", "#60b09c", "#b092f6", "#c0f0f8")
+BLOCKED_SHARE = 0.55  # of `OCCUPIED` in the colour of a room where something stands in it
+DARKER = "#6b6f78"  # stands in the legend for all rooms' darker colours
+
+WALL = 0.6  # rooms with no more than this between them are neighbours [m]
+
+UP, DOWN, ACROSS = MARKS[1], MARKS[3], MARKS[0]  # where a link leads
+
+
+def rgb_of(color: str) -> tuple[int, int, int]:
+    """Red, green and blue, 0 to 255, of a colour like ``#f7f3e8``."""
+    red, green, blue = bytes.fromhex(color.removeprefix("#"))
+    return red, green, blue
+
+
+def darkened(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The colours of rooms, shape (…, 3), where something stands in them."""
+    mixed = rgb * (1 - BLOCKED_SHARE) + np.array(rgb_of(OCCUPIED)) * BLOCKED_SHARE
+    return np.round(mixed).astype(np.uint8)
+
+
+def color_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
+    """A colour for each room of a level by its index, shape (n + 1, 3), uint8; 0 is no room.
+
+    Rooms on both sides of a wall, and those that open to each other, have different colours.
+    """
+    level = grid.levels[number]
+    index = level.room_index
+    count = int(index.max(initial=0))
+    rooms = [r for r in grid.rooms if r.level == number and r.index <= count]
+    index_of = {room.id: room.index for room in rooms}
+    pairs = find_neighbours(index, math.ceil(WALL / level.lattice.cell_size))
+    for room in rooms:
+        others = [index_of.get(neighbour.room, room.index) for neighbour in room.neighbours]
+        pairs.update((room.index, other) for other in others if other != room.index)
+    outdoors = {room.index for room in rooms if room.outdoors}
+    pairs = {pair for pair in pairs if not outdoors.intersection(pair)}
+    palette = np.array([rgb_of(color) for color in ROOMS], dtype=np.uint8)
+    colors = palette[choose_colors(count, pairs, len(palette))]
+    for room_index in outdoors:
+        colors[room_index] = rgb_of(OUTDOORS)
+    return colors
 
 
 def find_neighbours(index: NDArray[Any], reach: int) -> set[tuple[int, int]]:

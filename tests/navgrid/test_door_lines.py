@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import navbake
+from navbake.navgrid.door_lines import find_door_lines
 from navbake.navgrid.doors import to_runs
 from navbake.navgrid.grid import SceneGrid2D
-from navbake.views.door_marks import find_door_marks
 from project_paths import ROOT
 
 
@@ -30,7 +30,7 @@ def level_with_door(rows, cells, state="closed", solid=None, radius=0.0):
 def test_a_mark_runs_along_the_leaf():
     solid = [(2, col) for col in range(3, 9)]
     level = level_with_door(["." * 12] * 6, solid, solid=solid)
-    [mark] = find_door_marks(level, 0)
+    [mark] = find_door_lines(level, 0)
     assert mark.start == pytest.approx((0.3, 0.35)) and mark.end == pytest.approx((0.9, 0.35))
     assert mark.width == pytest.approx(0.6) and mark.middle == pytest.approx((0.6, 0.35))
     assert mark.state == "closed"
@@ -38,7 +38,7 @@ def test_a_mark_runs_along_the_leaf():
 
 def test_a_slanted_leaf():
     solid = [(n, n) for n in range(2, 9)]
-    [mark] = find_door_marks(level_with_door(["." * 12] * 12, solid, solid=solid), 0)
+    [mark] = find_door_lines(level_with_door(["." * 12] * 12, solid, solid=solid), 0)
     (x0, y0), (x1, y1) = mark.start, mark.end
     assert (y1 - y0) / (x1 - x0) == pytest.approx(-1)  # rows run against y
     assert mark.width == pytest.approx(0.7 * 2**0.5)  # from corner to corner
@@ -48,23 +48,23 @@ def test_without_the_leaf_it_runs_from_wall_to_wall():
     # 2 cells wide and 4 deep, as a radius of 0.2 m leaves of a door of 0.6 m
     rows = ["..........", "####..####", "####..####", "####..####", "####..####", ".........."]
     cells = [(row, col) for row in range(1, 5) for col in (4, 5)]
-    [mark] = find_door_marks(level_with_door(rows, cells, radius=0.2), 0)
+    [mark] = find_door_lines(level_with_door(rows, cells, radius=0.2), 0)
     assert mark.start == pytest.approx((0.2, 0.3)) and mark.end == pytest.approx((0.8, 0.3))
     turned = ["".join(column) for column in zip(*rows, strict=True)]
     cells = [(col, row) for row, col in cells]
-    [mark] = find_door_marks(level_with_door(turned, cells, radius=0.2), 0)
+    [mark] = find_door_lines(level_with_door(turned, cells, radius=0.2), 0)
     assert mark.start[0] == pytest.approx(mark.end[0]) and mark.width == pytest.approx(0.6)
 
 
 def test_one_cell_and_none():
-    [mark] = find_door_marks(level_with_door(["...."] * 3, [(1, 1)], solid=[(1, 1)]), 0)
+    [mark] = find_door_lines(level_with_door(["...."] * 3, [(1, 1)], solid=[(1, 1)]), 0)
     assert mark.width == pytest.approx(0.1)
-    assert find_door_marks(level_with_door(["...."] * 3, []), 0) == ()
+    assert find_door_lines(level_with_door(["...."] * 3, []), 0) == ()
 
 
 def test_doors_of_a_house_are_as_wide_as_they_are():
     grid = navbake.load(ROOT / "tests" / "golden" / "house.grid.json.gz")
-    marks = [mark for number in range(2) for mark in find_door_marks(grid, number)]
+    marks = [mark for number in range(2) for mark in find_door_lines(grid, number)]
     assert {mark.id for mark in marks} == {door.id for door in grid.doors}
     assert all(mark.state == "open" for mark in marks)
     assert all(0.75 <= mark.width <= 1.05 for mark in marks)

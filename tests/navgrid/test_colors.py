@@ -8,12 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from color_vision import VISIONS, difference, lab_difference
+from navbake.navgrid import colors
+from navbake.navgrid.colors import choose_colors, darkened, find_neighbours, rgb_of
 from navbake.navgrid.grid import SceneGrid2D
-from navbake.views import colors
 from navbake.views.color_scale import HEIGHT_STEP, STOPS, height_scale, linear_scale
-from navbake.views.colors import darkened, rgb_of
 from navbake.views.layers import make_panel, paint
-from navbake.views.regions import choose_colors, find_neighbours
 
 AT_A_GLANCE = 8.0  # CIEDE2000; 1 is barely seen beside each other
 KINDS = {
