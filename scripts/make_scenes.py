@@ -538,7 +538,7 @@ def furnish_bedroom(scene: Scene) -> None:
     rug = add_body(scene.world, "rug_wavy", (-3.37, 0.97, 0.004))
     add_geom(rug, "rug_wavy_field", "hfield", "rug", hfield="rug_wavy")
     add_hanging_lamp(scene, "bedroom_lamp", (-3.23, 1.93), 2.03, 2.5)
-    box = add_free_body(scene, "toy_box", (-2.26, 1.43, 0.16), mass=1.5)
+    box = add_body(scene.world, "toy_box", (-2.26, 1.43, 0.16))
     add_geom(box, "toy_box_box", "box", "accent", size=(0.17, 0.14, 0.16))
 
 
@@ -714,6 +714,8 @@ def furnish_house(scene: Scene) -> None:
         add_chair(scene, f"dining_chair_{i}", (x, y, 0), yaw)
     add_cupboard(scene, "sofa", (-0.78, -3.63, 0), (0.07, -2.13, 0.44), "fabric")
     add_cupboard(scene, "counter", (-4.73, -3.76, 0), (-1.27, -3.16, 0.92), "white")
+    # nobody stands under the upper treads, so that all of them are floors of the lower storey
+    add_cupboard(scene, "stair_cupboard", (3.74, 0.243, 0), (4.77, 1.837, 1.2))
     add_round_table(scene, "kitchen_table", (-2.93, -1.17, 0), 0.47, 0.74)
     add_hanging_lamp(scene, "living_lamp", (1.53, -0.93), 1.98, 2.75)
     add_bed(scene, "bed_1", (-3.843, -2.723, 3.0))

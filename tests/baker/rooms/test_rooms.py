@@ -272,8 +272,9 @@ def test_storeys_are_linked_by_steps():
     assert len(links) == 4  # two stairs, both ways
     assert all((b, a) in links for a, b in links)
     assert all(rooms[a].level != rooms[b].level for a, b in links)
-    # three rooms and the ground outside; a gallery round the stairs and two bedrooms
-    assert [room.level for room in grid.rooms] == [0, 0, 0, 0, 1, 1, 1]
+    # three rooms and the ground outside; a gallery round the stairs, its end beside
+    # the open stair, and two bedrooms
+    assert [room.level for room in grid.rooms] == [0, 0, 0, 0, 1, 1, 1, 1]
 
 
 def test_doors_go_to_the_opening_they_are_in():

@@ -85,7 +85,7 @@ def test_a_glb_has_an_object_a_level_and_a_material_a_room(tmp_path):
         [gltf["materials"][p["material"]]["name"] for p in mesh["primitives"]]
         for mesh in gltf["meshes"]
     ]
-    assert rooms == [["0:1", "0:2", "0:3", "0:4"], ["1:1", "1:2", "1:3"]]
+    assert rooms == [["0:1", "0:2", "0:3", "0:4"], ["1:1", "1:2", "1:3", "1:4"]]
     colors = [m["pbrMetallicRoughness"]["baseColorFactor"] for m in gltf["materials"]]
     assert len({tuple(color) for color in colors}) >= 3  # as the pictures have them
     for accessor in gltf["accessors"]:
