@@ -1,10 +1,19 @@
-"""Makes `oracles` importable: the independent calculations that several tests share."""
+"""What all tests share: `oracles` can be imported, and Hypothesis has no deadlines.
+
+How long an example takes says something of the machine, not of the code. `.ci/run` chooses
+Hypothesis's own profile `ci`, which has none either.
+"""
 
 import signal
 import sys
 from pathlib import Path
 
+from hypothesis import settings
+
 sys.path.insert(0, str(Path(__file__).parent))
+
+settings.register_profile("navbake", deadline=None)
+settings.load_profile("navbake")
 
 # A shell's background jobs ignore Ctrl-C, and so would the commands that tests start and interrupt
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

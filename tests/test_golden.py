@@ -61,6 +61,7 @@ def test_sample_is_what_it_was(name, tmp_path):
     if change:
         pytest.fail(f"{name} (scripts/make_golden.py {name} keeps the change): {change}")
     assert content == gzip.decompress(path.read_bytes())
+    assert not baked.warnings  # what people start from warns of nothing
 
 
 def test_change_in_one_cell_shows_where():
