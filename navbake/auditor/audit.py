@@ -17,8 +17,7 @@ from navbake.auditor.cells import (
     check_weights,
 )
 from navbake.auditor.facts import Facts
-from navbake.auditor.floors import check_floors, check_jumps
-from navbake.auditor.islands import check_cut_off, check_unreached_levels
+from navbake.auditor.floors import check_cut_off, check_floors, check_jumps, check_unreached_levels
 from navbake.auditor.levels import (
     check_agent,
     check_boxes,

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 
 from navbake.auditor.facts import Facts
-from navbake.auditor.inflation import find_reasons
 from navbake.auditor.report import ERROR, REMARK, Remark, remark_on_cells
+from navbake.navgrid.grid_base import GridBase
 from navbake.types import Bool, Int32
 
 MANY = 100  # cells that a grid has at least, if it is to say something that all are free
@@ -128,3 +129,38 @@ def _otherwise_parted(stored: NDArray[Any], own: Int32) -> Bool:
         first[order[np.unique(side[order], return_index=True)[1]]] = True
     is_same = is_first[0] & is_first[1]
     return ~is_same[pair].reshape(own.shape)
+
+
+def find_reasons(grid: GridBase, number: int, reach: float) -> Bool:
+    """The cells of a level that have something within reach [m] for which they may be closed.
+
+    That is a cell that is occupied or has no floor, a floor more than a step higher or lower, a
+    floor of another level less than the agent's height away, or the edge of the level. They are
+    looked for in a square, so that more cells have a reason than an inflation closes, never less.
+    """
+    level = grid.levels[number]
+    cells = min(math.ceil(reach / level.lattice.cell_size) + 1, max(level.shape))
+    floor, size = level.floor, 2 * cells + 1
+    blocks = (level.occupancy != 0) | np.isnan(floor) | _near_levels(grid, number)
+    found: Bool = maximum_filter(blocks, size, mode="constant", cval=True)
+    high = maximum_filter(np.where(np.isnan(floor), -np.inf, floor), size)
+    low = minimum_filter(np.where(np.isnan(floor), np.inf, floor), size)
+    with np.errstate(invalid="ignore"):  # where there is no floor
+        found |= (high - floor > grid.max_step) | (floor - low > grid.max_step)
+    return found
+
+
+def _near_levels(grid: GridBase, number: int) -> Bool:
+    """The cells of a level where another one has a floor less than the agent's height away."""
+    level = grid.levels[number]
+    near, own = np.zeros(level.shape, dtype=np.bool_), level.floor
+    known = own[~np.isnan(own)]
+    for other in grid.levels:
+        if other is level or not len(known):
+            continue
+        floor, body = other.floor, grid.agent_height
+        at = np.argwhere((floor > known.min() - body) & (floor < known.max() + body))
+        rows, cols = level.lattice.rows_cols(other.lattice.positions(at[:, 0], at[:, 1]))
+        inside = (rows >= 0) & (cols >= 0) & (rows < level.height) & (cols < level.width)
+        near[rows[inside], cols[inside]] = True
+    return near

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.ndimage import label
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from navbake.auditor.inflation import Inflation, read_inflation
-from navbake.auditor.parts import Steps, find_steps, number_islands
 from navbake.errors import FormatError
 from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import SceneGrid2D
@@ -15,6 +17,149 @@ from navbake.navgrid.grid_base import GridBase
 from navbake.navgrid.lattice import FARTHEST
 from navbake.navgrid.rooms import Room
 from navbake.types import Bool, Float, Int, Int32, Json, Vector3
+
+
+class Steps(NamedTuple):
+    """Marked cells of a level beside each other that lie more than a step apart.
+
+    Attributes:
+        down: flat ids of those whose neighbour in the next row does.
+        right: of those whose neighbour in the next column does.
+    """
+
+    down: Int
+    right: Int
+
+
+def find_steps(mask: Bool, floor: Float, limit: float) -> Steps:
+    """Find the steps between marked cells of a level that are higher than a limit [m].
+
+    Cells without a floor are at no height, so that nothing lies a step above or below them.
+    """
+    floors = floor[mask]
+    none = np.empty(0, dtype=np.int64)
+    low, high = np.fmin.reduce(floors, initial=np.nan), np.fmax.reduce(floors, initial=np.nan)
+    with np.errstate(invalid="ignore"):  # floors that are infinite are told as such
+        if not high - low > limit:
+            return Steps(none, none)
+        width = mask.shape[1]
+        is_down = (np.abs(floor[:-1] - floor[1:]) > limit) & mask[:-1] & mask[1:]
+        is_right = (np.abs(floor[:, :-1] - floor[:, 1:]) > limit) & mask[:, :-1] & mask[:, 1:]
+    rows, cols = np.nonzero(is_right)
+    return Steps(np.flatnonzero(is_down), rows * width + cols)
+
+
+def number_islands(masks: list[Bool], steps: list[Steps], links: Int) -> list[Int32]:
+    """Number the connected parts of all levels' marked cells from 1, the largest first; 0 for none.
+
+    Neighbours by an edge hang together unless there is a step between them; so do the ends of a
+    link. These are the parts of an image, unlike in a bake: a check shares no code with what it
+    checks. Where there are steps, the image has a pixel for each pair of neighbours. Of parts of one size, that with the lowest cell comes first.
+
+    Args:
+        masks: the marked cells of each level, shape (height, width).
+        steps: between them, see `find_steps`.
+        links: level, cell, level and cell of each, shape (n, 4).
+    """
+    parts, before = [], 0
+    for mask, between in zip(masks, steps, strict=True):
+        part, count = _label_level(mask, between)
+        if before:
+            part[mask] += before
+        parts.append(part)
+        before += count
+    root = _join(parts, links, before)
+    size = np.zeros(before + 1, dtype=np.int64)
+    for part in parts:
+        size += np.bincount(part.ravel(), minlength=before + 1)
+    whole = np.zeros_like(size)
+    np.add.at(whole, root, size)
+    roots = np.flatnonzero(root == np.arange(before + 1))[1:]  # without 0, which is no part
+    number = np.zeros(before + 1, dtype=np.int32)
+    number[roots[np.argsort(-whole[roots], kind="stable")]] = np.arange(1, len(roots) + 1)
+    number = number[root]
+    if np.array_equal(number, np.arange(before + 1)):
+        return parts
+    return [number[part] for part in parts]
+
+
+def _label_level(mask: Bool, steps: Steps) -> tuple[Int32, int]:
+    """The parts of one level, numbered by their first cells, 0 for none; and how many there are."""
+    if not len(steps.down) and not len(steps.right):
+        part, count = label(mask, output=np.int32)
+        return part, count
+    height, width = mask.shape
+    joints = np.zeros((2 * height - 1, 2 * width - 1), dtype=np.bool_)
+    joints[::2, ::2] = mask
+    joints[1::2, ::2] = mask[:-1] & mask[1:]
+    joints[::2, 1::2] = mask[:, :-1] & mask[:, 1:]
+    rows, cols = np.divmod(steps.down, width)
+    joints[2 * rows + 1, 2 * cols] = False
+    rows, cols = np.divmod(steps.right, width)
+    joints[2 * rows, 2 * cols + 1] = False
+    part, count = label(joints, output=np.int32)
+    return np.ascontiguousarray(part[::2, ::2]), count
+
+
+def _join(parts: list[Int32], links: Int, count: int) -> Int:
+    """The lowest of the parts that hang together over links, for each part from 0 on."""
+    ends = np.zeros((2, len(links)), dtype=np.int64)
+    for number, part in enumerate(parts):
+        for end, (level, cell) in zip(ends, ((0, 1), (2, 3)), strict=True):
+            here = links[:, level] == number
+            end[here] = part.ravel()[links[here, cell]]
+    ends = ends[:, (ends > 0).all(axis=0)]  # a blocked end joins nothing
+    pairs = coo_array((np.ones(ends.shape[1]), tuple(ends)), shape=(count + 1, count + 1))
+    _, group = connected_components(pairs, directed=False)
+    _, first = np.unique(group, return_index=True)
+    root: Int = first[group]
+    return root
+
+
+MODES = ("exact", "minos")
+MOST_INFLATED = 10_000.0  # the largest radius, and the largest clearance [m]
+
+
+class Inflation(NamedTuple):
+    """What a grid's metadata say under `inflation`.
+
+    Attributes:
+        reach: how far from a cell's centre may be what closed it [m]; None if nothing is said of
+            any inflation.
+        broken: what is wrong with it, in words; None if nothing is.
+    """
+
+    reach: float | None
+    broken: str | None
+
+
+def read_inflation(grid: GridBase) -> Inflation:
+    """Read what a grid's metadata say of its inflation; what can't be read counts as nothing."""
+    stated = grid.metadata.get("inflation")
+    if stated is None:
+        return Inflation(None, None)
+    if not isinstance(stated, list):
+        return Inflation(None, f"`inflation` is {stated!r}, expected a list of what was done")
+    reaches, broken = [], None
+    for number, entry in enumerate(stated):
+        reach = _reach_of(entry)
+        if reach is not None:
+            reaches.append(reach)
+        elif broken is None:
+            broken = f"`inflation[{number}]` is {entry!r}, expected its radius [m] and mode"
+    return Inflation(max(reaches, default=None), broken)
+
+
+def _reach_of(entry: Any) -> float | None:
+    """Radius and clearance in all [m]; None for what `inflate` doesn't write."""
+    if not isinstance(entry, dict) or entry.get("mode") not in MODES:
+        return None
+    lengths: list[Any] = [entry.get("radius"), entry.get("clearance", 0)]
+    are_numbers = all(type(length) in (int, float) for length in lengths)
+    if not are_numbers or not all(0 <= length <= MOST_INFLATED for length in lengths):
+        return None
+    return float(sum(lengths))
+
 
 SLACK = 1e-6  # metres that a step may be over the highest one
 

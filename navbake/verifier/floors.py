@@ -1,7 +1,9 @@
-"""Whether each floor is a surface, and whether no place to stand was left out."""
+"""Whether each floor is a surface, and whether a place to stand, or a whole floor, is missing."""
 
 from __future__ import annotations
 
+from collections import deque
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -199,3 +201,180 @@ class FloorCheck:
                 if any(is_same_height(s.z, floor) for s in beside):
                     return True
         return False
+
+
+STRIDE = 0.15  # distance of the places that are looked at [m]
+MOST_PLACES = 20_000  # of one search
+# A search calls a sheet a storey where it is clearly as large as a floor, where more than half of
+# its outline has walls, and where clearly less than a quarter of it drops, as a top's would. A
+# ground may be over a cellar or a pipe, up to the same share
+CLEARLY_LARGE = 1.25
+WALLED, DROPS, COVERS = 0.5, 0.2, 0.2
+MIN_WALL = 1.5  # parapets are lower than walls [m]
+REACHED = 3.0  # area of the floors that steps lead to, if it is to count as reached [m²]
+SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))
+
+Node = tuple[int, int, int]
+"""Row and column on the lowest level's lattice, and the number of the surface in its column."""
+
+
+@dataclass
+class Sheet:
+    """What a search from one place found.
+
+    Attributes:
+        place: where it began, x, y, z [m].
+        geom: the name of the geom there.
+        reached: whether steps lead to a floor of the grid.
+        area: [m²].
+        inner: of that, what is farther from the outline than floors are shrunk by.
+        over: of the area, what lies over a place to stand that isn't its own.
+        walls, drops, edges: how many edges of its outline have a wall, drop to another floor; and
+            all. What drops to the sheet itself, as beside its own stairs, makes it no top.
+    """
+
+    place: Vector3
+    geom: str
+    reached: bool = False
+    area: float = 0.0
+    inner: float = 0.0
+    over: float = 0.0
+    walls: int = 0
+    drops: int = 0
+    edges: int = 0
+
+    def why_floor(self, min_area: float) -> str | None:
+        """Why it is a floor by itself, in words; None if it isn't."""
+        is_large = self.inner >= CLEARLY_LARGE * min_area
+        if not is_large or self.drops > DROPS * self.edges:
+            return None
+        if self.walls > WALLED * self.edges:
+            return "it has walls all round"
+        return "there is nothing to stand on under it" if self.over <= COVERS * self.area else None
+
+
+class SheetSearch:
+    """Searches for all that hangs together by steps with places to stand that no level has.
+
+    Tops of furniture, shelves and roofs are no floors, and no level has them. So a place to stand
+    that no level has is a fault only where steps lead to it, or where it is as large as a floor,
+    without drops, and either has walls round most of it (a storey), or lies over nothing that one
+    could stand on (a ground). What is neither is counted, and reported in a note.
+    """
+
+    def __init__(self, check: FloorCheck, agent: Agent, cell_size: float, shrink: float) -> None:
+        self._check, self._agent, self._shrink = check, agent, shrink
+        self._stride = max(1, round(STRIDE / cell_size))
+        self._edge = self._stride * cell_size
+        self._seen: set[Node] = set()
+
+    def from_place(self, row: int, col: int, z: float, *, exact: bool = False) -> Sheet | None:
+        """The sheet of a place, by row and column of the lowest level.
+
+        None if it was found before, or is as narrow as furniture. Places are looked at every
+        `STRIDE`, so what is narrower may be missed; `exact` begins at this very place.
+        """
+        if not exact:
+            row, col = (v - v % self._stride for v in (row, col))
+        start = self._near(row, col, z)
+        if start is None or (not exact and (row, col, start) in self._seen):
+            return None
+        first = self._check.standable_at(0, row, col)[start]
+        if not exact and (
+            self._is_known(row, col, first.z)
+            or self._is_narrow(row, col, first.z)
+            or not self._check.is_sure(0, row, col, first.z)
+        ):
+            return None
+        x, y = self._check.center(0, row, col)
+        sheet = Sheet((x, y, first.z), self._check.name(first.number))
+        own = self._search((row, col, start), sheet)
+        places = {(r, c) for r, c, _ in own}
+        reach = int(self._shrink / self._edge) + 1
+        span = [k * self._stride for k in range(-reach, reach + 1)]
+        inner = [
+            (r, c) for r, c in places if all((r + i, c + j) in places for i in span for j in span)
+        ]
+        over = {(r, c) for r, c, n in own if any((r, c, k) not in own for k in range(n))}
+        areas = [len(found) * self._edge**2 for found in (places, inner, over)]
+        sheet.area, sheet.inner, sheet.over = areas
+        return sheet
+
+    def _is_narrow(self, row: int, col: int, z: float) -> bool:
+        """Whether it ends within two strides on two sides or more."""
+        ways = [(2 * self._stride * dr, 2 * self._stride * dc) for dr, dc in SIDES]
+        return sum(self._near(row + dr, col + dc, z) is None for dr, dc in ways) >= 2
+
+    def _search(self, start: Node, sheet: Sheet) -> set[Node]:
+        """Search from place to place; the places that no level has, as far as they were found.
+
+        It goes on over floors of the grid, until these are large enough to be a floor: what
+        stands on the floor may be one by its lower parts, without steps that lead there.
+        """
+        own, known, queue = {start}, set[Node](), deque([start])
+        below: list[Node] = []
+        self._seen.add(start)
+        while queue and len(own) < MOST_PLACES and not sheet.reached:
+            row, col, number = queue.popleft()
+            z = self._check.standable_at(0, row, col)[number].z
+            for dr, dc in SIDES:
+                r, c = row + dr * self._stride, col + dc * self._stride
+                # of what lies beside the grid, no floors are known
+                is_beside = not self._check.is_within(r, c)
+                beside = None if is_beside else self._near(r, c, z)
+                is_own = (row, col, number) in own
+                if beside is None:
+                    if is_own:
+                        below += self._note_edge(sheet, (row, col), (dr, dc), z)
+                    continue
+                node = (r, c, beside)
+                if node in own or node in known:
+                    continue
+                if self._is_known(r, c, self._check.standable_at(0, r, c)[beside].z):
+                    if is_own and not self._walks(row, col, dr, dc, z):
+                        below += self._note_edge(sheet, (row, col), (dr, dc), z)
+                        continue
+                    known.add(node)
+                    sheet.reached = len(known) * self._edge**2 >= REACHED
+                else:
+                    own.add(node)
+                    self._seen.add(node)
+                queue.append(node)
+        sheet.drops = sum(node not in own for node in below)
+        return own
+
+    def _near(self, row: int, col: int, z: float) -> int | None:
+        """The surface of a column that is a step at most from a height; None for none."""
+        heights = [surface.z for surface in self._check.standable_at(0, row, col)]
+        gaps = [abs(height - z) for height in heights]
+        best = min(range(len(gaps)), key=gaps.__getitem__, default=None)
+        return best if best is not None and gaps[best] <= self._agent.step - OFF else None
+
+    def _is_known(self, row: int, col: int, z: float) -> bool:
+        floors = self._check.floors_at(0, row, col)
+        return any(is_same_height(z, floor) for floor in floors)
+
+    def _walks(self, row: int, col: int, dr: int, dc: int, z: float) -> bool:
+        """Whether steps from cell to cell lead over a stride."""
+        for _ in range(self._stride):
+            row, col = row + dr, col + dc
+            beside = self._near(row, col, z)
+            if beside is None:
+                return False
+            z = self._check.standable_at(0, row, col)[beside].z
+        return True
+
+    def _note_edge(
+        self, sheet: Sheet, here: tuple[int, int], way: tuple[int, int], z: float
+    ) -> list[Node]:
+        """Note how a sheet ends, at a wall or not; the place that it drops to, if it drops."""
+        sheet.edges += 1
+        low, high = z + self._agent.step, z + max(self._agent.height, MIN_WALL)
+        for k in range(1, self._stride + 1):
+            row, col = here[0] + k * way[0], here[1] + k * way[1]
+            line = self._check.line_at(0, row, col)
+            if any(begin < low and end > high for begin, end in line.solid):
+                sheet.walls += 1
+                return []
+        lower = [s for s in self._check.standable_at(0, row, col) if s.z < z]
+        return [(row, col, len(lower) - 1)] if lower else []

@@ -9,8 +9,7 @@ import mujoco
 import numpy as np
 
 from navbake.types import Float, Vector3
-from navbake.verifier.mesh_parts import CAVITY, SOLID
-from navbake.verifier.obstacles import CONVEX, HALF_SPACE, HEIGHT_FIELD, Obstacles
+from navbake.verifier.obstacles import CAVITY, CONVEX, HALF_SPACE, HEIGHT_FIELD, SOLID, Obstacles
 
 GEOM = mujoco.mjtGeom
 UP, DOWN = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])

@@ -10,8 +10,7 @@ import numpy as np
 from navbake.types import Bool, Float, Int, Vector3
 from navbake.verifier.agent import Agent
 from navbake.verifier.lines import Lines
-from navbake.verifier.mesh_parts import UNCLEAR
-from navbake.verifier.obstacles import is_enclosing
+from navbake.verifier.obstacles import UNCLEAR, is_enclosing
 from navbake.verifier.probes import (
     APART,
     DISPUTED,

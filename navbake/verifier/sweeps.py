@@ -15,7 +15,7 @@ from navbake.types import Float, Int
 from navbake.verifier.agent import Agent
 from navbake.verifier.probes import TOUCHES, Column, Probes, depth_of
 from navbake.verifier.report import PATH_TOUCHES, Finding, SweepCounts
-from navbake.verifier.surroundings import Surroundings
+from navbake.verifier.sample import Surroundings
 
 MOST_TRIES = 20  # a path, to find two places that are apart
 CORNER = 1e-6  # a line is no longer than this in a cell whose corner it runs through [m]

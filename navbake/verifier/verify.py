@@ -17,24 +17,21 @@ from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.grid_base import GridBase
 from navbake.types import Bool
 from navbake.verifier.agent import Agent, inflate_for
-from navbake.verifier.doors import pose_doors
-from navbake.verifier.floors import FloorCheck
+from navbake.verifier.floors import FloorCheck, SheetSearch
 from navbake.verifier.lines import CRACK, Lines
-from navbake.verifier.lost import SheetSearch
-from navbake.verifier.mesh_parts import UNCLEAR
-from navbake.verifier.obstacles import Obstacles, build_obstacles
+from navbake.verifier.obstacles import UNCLEAR, Obstacles, build_obstacles
 from navbake.verifier.occupancy import OccupancyCheck
 from navbake.verifier.probes import Probes
 from navbake.verifier.report import PLACE_LOST, Finding, LevelCounts, VerifyReport
 from navbake.verifier.sample import (
     LevelSample,
+    Surroundings,
     baked_volume,
     states_floors,
     take_sample,
     volume_for,
 )
-from navbake.verifier.source import SceneSource, find_source
-from navbake.verifier.surroundings import Surroundings
+from navbake.verifier.source import SceneSource, find_source, pose_doors
 from navbake.verifier.sweeps import sweep_paths
 
 SAMPLE = 100_000  # cells that are looked at unless told otherwise

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from navbake.auditor.parts import find_steps, number_islands
+from navbake.auditor.facts import find_steps, number_islands
 
 STEP = 0.25
 HEIGHTS = (0.0, 0.1, 0.3, 5.0, np.inf, np.nan)  # steps and none between them

@@ -184,7 +184,7 @@ class Exhibit:
             if not chosen.doors:
                 return draw_scene(scene, with_hidden=chosen.with_hidden)
             # loads MuJoCo, which moves the doors
-            from navbake.verifier.doors import pose_doors
+            from navbake.verifier.source import pose_doors
 
             grid: Any = self.grid.with_doors(dict(chosen.doors))
             posed = pose_doors(scene, grid)
