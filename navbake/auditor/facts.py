@@ -54,7 +54,9 @@ def number_islands(masks: list[Bool], steps: list[Steps], links: Int) -> list[In
 
     Neighbours by an edge hang together unless there is a step between them; so do the ends of a
     link. These are the parts of an image, unlike in a bake: a check shares no code with what it
-    checks. Where there are steps, the image has a pixel for each pair of neighbours. Of parts of one size, that with the lowest cell comes first.
+    checks. Where there are steps, the image has a pixel for each pair of neighbours.
+
+    Of parts of one size, that with the lowest cell comes first.
 
     Args:
         masks: the marked cells of each level, shape (height, width).
