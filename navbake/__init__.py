@@ -105,7 +105,7 @@ OPERATIONS |= {
     "grid.at": "navbake.runtime.places.place:place_at",
     "grid.block": "navbake.runtime.blocks.block:block",
     "grid.convert": "navbake.formats.convert:write_as",
-    "grid.describe_cell": "navbake.views.why:describe_cell",
+    "grid.describe_cell": "navbake.views.describe:describe_cell",
     "grid.inflate": "navbake.runtime.inflation.inflate:inflate",
     "grid.inflate_footprint": "navbake.runtime.inflation.footprint:inflate_footprint",
     "grid.save": "navbake.formats.navgrid:write_navgrid",

@@ -109,7 +109,9 @@ def requests_of(driver: Any) -> list[str]:
             "Network.requestWillBeSent": lambda sent: sent["request"]["url"],
             "Network.webSocketCreated": lambda sent: sent["url"],
         }.get(message["method"], lambda sent: None)(message["params"])
-        if url is not None and not url.startswith(("data:", "blob:", "chrome:", "about:")):
+        if url is not None and not url.startswith(
+            ("data:", "blob:", "chrome:", "chrome-untrusted:", "about:")
+        ):
             found.append(url)
     return found
 

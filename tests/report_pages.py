@@ -44,18 +44,15 @@ def check_policy(page):
 
 
 def text_of(packed):
-    """Undo `packing.to_text`."""
+    """Undo `to_text`."""
     return zlib.decompress(b64decode(packed))
 
 
 def unpack(packed, shape):
-    """Undo `packing.pack`."""
-    planes = np.frombuffer(text_of(packed["data"]), dtype=np.uint8).reshape(packed["bytes"], -1)
-    values = sum(plane.astype(np.int64) << 8 * i for i, plane in enumerate(planes)).reshape(shape)
-    limit = 1 << 8 * packed["bytes"]
-    if packed["deltas"]:
-        values = np.cumsum(values, axis=1) % limit
-    return np.where(values == limit - 1, -1, values)
+    """Undo `pack`."""
+    differences = np.frombuffer(text_of(packed["data"]), dtype=f"<u{packed['bytes']}")
+    values = np.cumsum(differences, dtype=differences.dtype).astype(np.int64)
+    return values.reshape(shape) - 1
 
 
 def picture_of(layer):

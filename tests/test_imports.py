@@ -27,7 +27,7 @@ DOORS = {
     "mujoco": ("baker.scene", "verifier"),
     "fcl": ("baker.occupancy", "verifier"),
     "trimesh": ("baker.scene",),
-    "matplotlib": ("views.plot", "views.drawing"),
+    "matplotlib": ("views.plot",),
     "typer": ("cli",),
     "rich": ("cli",),
 }
@@ -252,7 +252,7 @@ def test_importing_navbake_loads_none_of_its_dependencies():
 def test_the_run_time_loads_no_baker():
     code = "import navbake\nnavbake.load, navbake.SceneGrid2D, navbake.MultiLevelGrid"
     code += "\nnavbake.VoxelGrid, navbake.load_voxels, navbake.ExploredMap"
-    loaded = loaded_after(code + "\nimport navbake.views.info, navbake.views.plot")
+    loaded = loaded_after(code + "\nimport navbake.views.describe, navbake.views.plot")
     assert "navbake.navgrid.grid" in loaded
     assert loaded.isdisjoint(["mujoco", "fcl", "trimesh", "navbake.baker.pipeline"])
 

@@ -85,7 +85,7 @@ def parse_products(texts: Sequence[str]) -> tuple[Product, ...]:
 
 def write_thumbnail(grid: NavGrid, folder: Path) -> None:
     """Write a small picture of a grid into its scene's folder, for the batch's page."""
-    from navbake.views.thumbnail import draw_thumbnail  # loads Pillow
+    from navbake.views.notebook import draw_thumbnail  # loads Pillow
 
     write_bytes(draw_thumbnail(grid), folder / THUMBNAIL)
 

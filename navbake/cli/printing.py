@@ -160,7 +160,7 @@ def geom_table(geoms: Iterable[GeomReport]) -> Table:
 
 
 def summary_table(facts: Json) -> Table:
-    """A row for each fact about the whole grid, from `navbake.views.info.describe`."""
+    """A row for each fact about the whole grid, from `navbake.views.describe.describe`."""
     return make_table(
         ("", ""),
         [
@@ -181,7 +181,7 @@ def summary_table(facts: Json) -> Table:
 
 
 def level_table(facts: Json) -> Table:
-    """A row for each level, from `navbake.views.info.describe`; rooms only if there are any."""
+    """A row for each level, from `navbake.views.describe.describe`; rooms only if there are any."""
     columns = dict(LEVEL_COLUMNS)
     if any(level["num_rooms"] for level in facts["levels"]):
         columns["rooms"] = "{num_rooms}"
@@ -240,7 +240,7 @@ def door_table(doors: Iterable[Door], levels: Sequence[str]) -> Table:
 
 
 def cell_table(facts: Json) -> Table:
-    """A row for each fact about a cell, from `navbake.views.why.describe_cell`."""
+    """A row for each fact about a cell, from `navbake.views.describe.describe_cell`."""
     room, weight, floor = facts["room"], facts["weight"], facts["floor"]
     blocked = "no floor here" if floor is None else "blocked"
     return make_table(

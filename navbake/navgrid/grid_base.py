@@ -371,7 +371,7 @@ class GridBase(Exports):
             level: which level, 0 is the lowest; may be left out where there is but one.
 
         Returns:
-            See `navbake.views.why.describe_cell`.
+            See `navbake.views.describe.describe_cell`.
 
         Raises:
             QueryError: there is no such level, or the position is no number or beside the grid.

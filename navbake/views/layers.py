@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,34 +25,95 @@ from navbake.navgrid.colors import (
     UP,
     WALL,
     choose_colors,
+    color_rooms,
+    darkened,
     find_neighbours,
     rgb_of,
 )
-from navbake.navgrid.door_lines import doorway_cells, find_door_lines
+from navbake.navgrid.door_lines import DoorLine, doorway_cells, find_door_lines
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
-from navbake.views.color_scale import height_scale, linear_scale
-from navbake.views.names import label_doors, label_rooms
-from navbake.views.panel import Panel, paint
-from navbake.views.room_cells import RoomCells
+from navbake.navgrid.rooms import Room
+from navbake.types import Bool
+from navbake.views.color_scale import ColorScale, height_scale, linear_scale
 
 if TYPE_CHECKING:
     from navbake.verifier.report import Finding
 
-__all__ = ["DISAGREEMENTS", "LAYERS", "make_panel", "make_panels", "paint"]
-
 RELIEF = 0.04  # a step that is lit or shaded well [m]
 RELIEF_SLOPE = 0.3  # or one of a cell, at this slope, so that large cells of hills aren't all dark
+LIT, SHADED = 0.3, 0.35  # most that relief mixes white or black into a colour
+BAND_CELLS = 1 << 20  # painted at once
+MAX_SIDE = 400  # cells of a room that are looked at for a name's place, along its longer side
 OCCUPANCY = {"free": FREE, "occupied": OCCUPIED, "no floor": NO_FLOOR}
+PALETTE = np.array([rgb_of(color) for color in OCCUPANCY.values()], dtype=np.uint8)
 DISAGREEMENTS = "disagreements"  # the layer that shows what a verification found
 
+Legend = tuple[tuple[str, str], ...]
+"""Meanings and their colours."""
 
-def make_panels(
-    grid: NavGrid, layer: str, *, findings: Sequence[Finding] | None = None
-) -> list[Panel]:
-    """Show a layer of all levels, lowest first; see `make_panel`."""
-    numbers = range(len(grid.levels))
-    return [make_panel(grid, layer, number, findings=findings) for number in numbers]
+
+class Label(NamedTuple):
+    """A name on a picture."""
+
+    text: str
+    fallback: str  # written in its place if no font has its letters
+    x: float  # of its middle, world frame [m]
+    y: float
+    width: float  # of what it names at this place [m]
+    height: float  # of the same [m]
+    number: int = 0  # written where there is no space for the name
+
+
+class Panel(NamedTuple):
+    """One layer of one level; cells whose value is finite are coloured by that, not by `rgb`."""
+
+    title: str
+    rgb: NDArray[np.uint8]  # shape (height, width, 3)
+    values: NDArray[np.float32] | None = None  # shape (height, width)
+    scale: ColorScale | None = None  # of the values
+    legend: Legend = ()
+    labels: tuple[Label, ...] = ()
+    doors: tuple[DoorLine, ...] = ()
+    relief: float = 0.0  # a step of values that gets 3/4 of the most light or shade; 0: no relief
+
+
+def paint(panel: Panel) -> NDArray[np.uint8]:
+    """The colour of each cell, shape (height, width, 3), row 0 at the largest y."""
+    if panel.values is None or panel.scale is None:
+        return panel.rgb
+    painted = panel.rgb.copy()
+    # in bands: the numbers in between take ten times the memory of a picture
+    band = max(BAND_CELLS // panel.values.shape[1], 1)
+    for first in range(0, len(painted), band):
+        rows = slice(first, first + band)
+        values = panel.values[rows]
+        shown = np.isfinite(values)
+        colors = panel.scale.color(values[shown])
+        if panel.relief:
+            above = min(first, 1)  # light falls on the first row by the one above it
+            lit = light_of(panel.values[first - above : first + band], panel.relief)[above:]
+            lit = lit[shown][:, None]
+            share = np.where(lit > 0, lit * LIT, -lit * SHADED)
+            colors = np.round(colors * (1 - share) + (lit > 0) * 255 * share).astype(np.uint8)
+        painted[rows][shown] = colors
+    return painted
+
+
+def light_of(heights: NDArray[Any], step: float) -> NDArray[np.float32]:
+    """How the light falls on floors, from -1, in shade, to 1, lit: shape (height, width).
+
+    The light comes from the upper left, as on maps. A cell that is higher than its neighbours
+    above and to the left is lit, one that is lower lies in shade, by 3/4 where it is higher or
+    lower by `step`. Where there is no floor beside it, it is neither. So a step of 2 cm shows as
+    a line, whatever the scale of colours spans.
+    """
+    rise = np.zeros(heights.shape, dtype=np.float32)
+    finite = np.where(np.isfinite(heights), heights, np.nan)
+    rise[1:] += np.nan_to_num(np.diff(finite, axis=0))
+    rise[:, 1:] += np.nan_to_num(np.diff(finite, axis=1))
+    lit: NDArray[np.float32] = np.tanh(rise / np.float32(step))
+    return lit
 
 
 def make_panel(
@@ -90,8 +151,8 @@ def _show_occupancy(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
     area = np.count_nonzero(level.free) * level.lattice.cell_size**2
     title = f"occupancy, {area:.1f} m\N{SUPERSCRIPT TWO} free"
-    doors = find_door_lines(grid, number)
-    return Panel(title, _color_occupancy(level), legend=_legend_of(level), doors=doors)
+    rgb, legend = _occupancy(level)
+    return Panel(title, rgb, legend=legend, doors=find_door_lines(grid, number))
 
 
 def _show_floor(grid: NavGrid, number: int) -> Panel:
@@ -132,7 +193,8 @@ def _show_free(
     scale = linear_scale(shown[np.isfinite(shown)], label, dark_high=dark_high)
     if len(scale.ticks) == 1:  # nothing to tell apart, so a number says it
         title = f"{title}: {scale.ticks[0].text}"
-    return Panel(title, _color_occupancy(level), shown, scale, _legend_of(level)[1:])
+    rgb, legend = _occupancy(level)
+    return Panel(title, rgb, shown, scale, legend[1:])
 
 
 def _show_islands(grid: NavGrid, number: int) -> Panel:
@@ -143,9 +205,9 @@ def _show_islands(grid: NavGrid, number: int) -> Panel:
     # an island may span several levels, and has one colour on all of them
     pairs = set().union(*(find_neighbours(each, reach) for each in islands))
     palette = np.array([rgb_of(color) for color in ROOMS], dtype=np.uint8)
-    rgb = _color_occupancy(level)
+    rgb, legend = _occupancy(level)
     rgb[level.free] = palette[choose_colors(count, pairs, len(palette))[island[level.free]]]
-    return Panel("islands", rgb, legend=_legend_of(level)[1:])
+    return Panel("islands", rgb, legend=legend[1:])
 
 
 def _show_rooms(grid: NavGrid, number: int) -> Panel:
@@ -159,23 +221,28 @@ def _show_rooms(grid: NavGrid, number: int) -> Panel:
         ("doorway", DOORWAY): (cells.doorway & ~cells.door).any(),
     }
     legend = tuple(entry for entry, is_there in entries.items() if is_there)
-    labels, doors = label_rooms(grid, number), find_door_lines(grid, number)
+    labels, doors = _label_rooms(grid, number), find_door_lines(grid, number)
     return Panel("rooms", cells.paint(), legend=legend, labels=labels, doors=doors)
 
 
 def _show_doors(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
-    rgb = _color_occupancy(level)
+    rgb, legend = _occupancy(level)
     rgb[doorway_cells(grid, number, blocked=False)] = rgb_of(DOORWAY)
     rgb[doorway_cells(grid, number, blocked=True)] = rgb_of(DOOR)
-    legend = (("door", DOOR), ("doorway", DOORWAY), *_legend_of(level))
-    marks = find_door_lines(grid, number)
-    return Panel("doors", rgb, legend=legend, labels=label_doors(marks), doors=marks)
+    legend = (("door", DOOR), ("doorway", DOORWAY), *legend)
+    lines = find_door_lines(grid, number)
+    widths = [f"{line.width:.1f} m" for line in lines]
+    labels = tuple(
+        Label(f"{line.id} {width}", width, *line.middle, 0.0, 0.0, place)
+        for place, (line, width) in enumerate(zip(lines, widths, strict=True), 1)
+    )
+    return Panel("doors", rgb, legend=legend, labels=labels, doors=lines)
 
 
 def _show_links(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
-    rgb = _color_occupancy(level)
+    rgb, legend = _occupancy(level)
     links = grid.link_array
     ends = np.concatenate([links, links[:, [2, 3, 0, 1]]])
     ends = ends[ends[:, 0] == number]
@@ -186,14 +253,14 @@ def _show_links(grid: NavGrid, number: int) -> Panel:
         (DOWN, ends[:, 2] < number),
     ):
         rgb[rows[leads], cols[leads]] = rgb_of(color)
-    legend = (("leads up", UP), ("leads down", DOWN), ("steep, same level", ACROSS))
-    return Panel("links", rgb, legend=(*legend, *_legend_of(level)))
+    ways = (("leads up", UP), ("leads down", DOWN), ("steep, same level", ACROSS))
+    return Panel("links", rgb, legend=(*ways, *legend))
 
 
 def _show_disagreements(grid: NavGrid, number: int, findings: Sequence[Finding]) -> Panel:
     """Show the cells where a verification found that grid and scene disagree, by kind."""
     level = grid.levels[number]
-    rgb = _color_occupancy(level)
+    rgb, legend = _occupancy(level)
     kinds = color_kinds(finding.kind for finding in findings)
     here = [finding for finding in findings if finding.level == number]
     for finding in here:
@@ -201,7 +268,7 @@ def _show_disagreements(grid: NavGrid, number: int, findings: Sequence[Finding])
         if 0 <= row < level.height and 0 <= col < level.width:
             rgb[row, col] = rgb_of(kinds[finding.kind])
     title = f"{len(here)} disagreement{'' if len(here) == 1 else 's'}"
-    return Panel(title, rgb, legend=(*kinds.items(), *_legend_of(level)))
+    return Panel(title, rgb, legend=(*kinds.items(), *legend))
 
 
 def color_kinds(kinds: Iterable[str]) -> dict[str, str]:
@@ -222,23 +289,91 @@ LAYERS: dict[str, Callable[[NavGrid, int], Panel]] = {
 """How each layer of a level is shown, by the layer's name."""
 
 
-def _color_occupancy(level: SceneGrid2D) -> NDArray[np.uint8]:
-    """Colours of the cells by whether an agent can stand in them, shape (height, width, 3)."""
-    palette = np.array([rgb_of(color) for color in OCCUPANCY.values()], dtype=np.uint8)
-    painted: NDArray[np.uint8] = palette[_kinds(level)]
-    return painted
+def _occupancy(level: SceneGrid2D) -> tuple[NDArray[np.uint8], Legend]:
+    """Colours of cells, shape (height, width, 3), and what they mean; free stands first, always."""
+    kind = np.where(level.free, 0, np.where(np.isnan(level.floor_height), 2, 1))
+    there = np.bincount(kind.ravel(), minlength=len(OCCUPANCY)) > 0
+    legend = [entry for n, entry in enumerate(OCCUPANCY.items()) if n == 0 or there[n]]
+    return PALETTE[kind], tuple(legend)
 
 
-def _kinds(level: SceneGrid2D) -> NDArray[np.uint8]:
-    """Which of `OCCUPANCY` each cell is, shape (height, width)."""
-    is_blocked = np.where(np.isnan(level.floor_height), np.uint8(2), np.uint8(1))
-    return np.where(level.free, np.uint8(0), is_blocked)
+class RoomCells(NamedTuple):
+    """What the colour of a cell in a picture of rooms follows from; arrays (height, width)."""
+
+    colors: NDArray[np.uint8]  # shape (2 n + 3, 3): see `paint`
+    room_index: NDArray[np.uint16]
+    free: Bool
+    floor: NDArray[np.float32]  # NaN for none
+    doorway: Bool  # where a closed door would stand
+    door: Bool  # where one stands now
+
+    @classmethod
+    def of(cls, grid: NavGrid, number: int) -> RoomCells:
+        """The cells of one level."""
+        level = grid.levels[number]
+        rooms = color_rooms(grid, number)
+        colors = np.stack([darkened(rooms), rooms], axis=1).reshape(-1, 3)
+        colors[:2] = rgb_of(OCCUPIED), rgb_of(FREE)
+        more = [rgb_of(color) for color in (NO_FLOOR, DOORWAY, DOOR)]
+        return cls(
+            np.concatenate([colors, more]).astype(np.uint8),
+            level.room_index,
+            level.free,
+            level.floor_height,
+            doorway_cells(grid, number, blocked=False),
+            doorway_cells(grid, number, blocked=True),
+        )
+
+    def paint(self, rows: slice = slice(None)) -> NDArray[np.uint8]:
+        """Colours of some rows, shape (number of rows, width, 3).
+
+        A room has two colours, for occupied and for free cells; the last three are no floor, a
+        doorway, and a door in the way.
+        """
+        code = self.room_index[rows] * np.intp(2) + self.free[rows]
+        code[np.isnan(self.floor[rows])] = len(self.colors) - 3
+        code[self.doorway[rows]] = len(self.colors) - 2
+        code[self.door[rows]] = len(self.colors) - 1
+        painted: NDArray[np.uint8] = self.colors.take(code, axis=0)
+        return painted
 
 
-def _legend_of(level: SceneGrid2D) -> tuple[tuple[str, str], ...]:
-    """What there is of `OCCUPANCY` on a level; free is always first."""
-    there = np.bincount(_kinds(level).ravel(), minlength=len(OCCUPANCY)) > 0
-    there[0] = True
-    return tuple(
-        entry for entry, is_there in zip(OCCUPANCY.items(), there, strict=True) if is_there
-    )
+def _label_rooms(grid: NavGrid, number: int) -> tuple[Label, ...]:
+    """The names of a level's rooms, each where the largest disc fits into the room."""
+    # Imported here, as scipy takes longer to load than most pictures to draw.
+    from scipy.ndimage import find_objects
+
+    level = grid.levels[number]
+    boxes = find_objects(level.room_index.astype(np.int32))
+    labels = []
+    for room in grid.rooms:
+        if room.level == number and room.index <= len(boxes) and boxes[room.index - 1]:
+            box = boxes[room.index - 1]
+            labels.append(_place_name(level, level.room_index[box] == room.index, box, room))
+    return tuple(labels)
+
+
+def _place_name(level: SceneGrid2D, mask: Bool, box: tuple[slice, slice], room: Room) -> Label:
+    """Put a room's name into the middle of the runs of its cells through the disc's centre."""
+    from scipy.ndimage import distance_transform_edt  # as above
+
+    stride = max(1, -(-max(mask.shape) // MAX_SIDE))
+    mask = mask[::stride, ::stride]
+    space = distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+    row, col = np.unravel_index(int(np.argmax(space)), space.shape)
+    first, last = _run(mask[row], int(col))
+    top, bottom = _run(mask[:, (first + last) // 2], int(row))
+    middle = box[0].start + row * stride, box[1].start + (first + last) / 2 * stride
+    x, y = level.lattice.positions(*middle)
+    edge = level.lattice.cell_size * stride
+    half = min(int(row) - top, bottom - int(row))  # the name's middle is in this row
+    size = (last - first + 1) * edge, (2 * half + 1) * edge
+    fallback = f"{room.level}:{room.index}"
+    return Label(room.name or fallback, fallback, float(x), float(y), *size, room.index)
+
+
+def _run(line: Bool, at: int) -> tuple[int, int]:
+    """The first and the last of the true values in a row that hold a place."""
+    others = np.flatnonzero(~np.pad(line, 1)) - 1
+    after = int(np.searchsorted(others, at))
+    return int(others[after - 1]) + 1, int(others[after]) - 1

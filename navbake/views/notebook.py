@@ -1,6 +1,6 @@
-"""What a notebook shows of a grid: a small picture of each level, with a line of facts.
+"""Small pictures of a grid, for notebooks and for pages of many grids.
 
-Pillow draws it, which navbake has for textures anyway, so no extra is needed.
+Pillow draws them, which navbake has for textures anyway, so no extra is needed.
 """
 
 from __future__ import annotations
@@ -9,20 +9,21 @@ import html
 import io
 import math
 from base64 import b64encode
-from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
 
 from navbake.errors import printable
-from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.views.room_cells import RoomCells
+from navbake.navgrid.grid import NavGrid
+from navbake.views.layers import RoomCells
 
 PICTURE_SIDE = 800  # longest side of the picture of all levels [pixels]
 LEVEL_SIDE = 400  # longest side of a level's picture in HTML [pixels]
 MAX_LEVELS = 16  # that are shown; the facts count them all
 MAX_NAME = 60  # letters of a scene's or a level's name
 BETWEEN = "white"  # no colour of a cell
+THUMBNAIL_SIDE = 240  # longest side of a thumbnail [pixels]
+THUMBNAIL_COLORS = 64  # of which each pixel has one: a byte a pixel, a third of true colours
 BAND_CELLS = 1 << 20  # painted at once, so that a large grid takes little memory
 
 
@@ -33,26 +34,31 @@ def show_html(grid: NavGrid) -> str:
     them, doors red, open doorways orange. The pictures are inside, and at most `LEVEL_SIDE` pixels
     long; names are escaped. The same grid gives the same text.
     """
-    facts = [_facts_of(level) for level in grid.levels]
     scale = _scale_for(grid, LEVEL_SIDE)
+    num_rooms = [int(np.count_nonzero(np.bincount(v.room_index.ravel())[1:])) for v in grid.levels]
+    areas = [np.count_nonzero(v.free) * v.lattice.cell_size**2 for v in grid.levels]
     figures = []
-    for number, name in enumerate(grid.level_names[:MAX_LEVELS]):
+    for number, level in enumerate(grid.levels[:MAX_LEVELS]):
         picture = b64encode(_to_png(_draw_level(grid, number, scale))).decode("ascii")
-        caption = f"<b>{_short(name)}</b>: {facts[number].text}"
+        name = _short(grid.level_names[number])
+        facts = (
+            f"{level.width} × {level.height} cells, ground {level.ground:.2f} m, "
+            f"{_counted(num_rooms[number], 'room')}, {areas[number]:.1f} m² free"
+        )
         figures.append(
             '<figure style="margin:0">'
-            f'<img style="image-rendering:pixelated" alt="{_short(name)}" '
+            f'<img style="image-rendering:pixelated" alt="{name}" '
             f'src="data:image/png;base64,{picture}">'
-            f"<figcaption>{caption}</figcaption></figure>"
+            f"<figcaption><b>{name}</b>: {facts}</figcaption></figure>"
         )
     count = len(grid.levels)
     if count > MAX_LEVELS:
         figures.append(f"and {count - MAX_LEVELS} more")
     whole = [
-        f"{count} level{'s' if count > 1 else ''}",
+        _counted(count, "level"),
         f"cells of {grid.levels[0].lattice.cell_size:g} m",
-        _counted(sum(fact.num_rooms for fact in facts), "room"),
-        f"{sum(fact.free_area for fact in facts):.1f} m² free",
+        _counted(sum(num_rooms), "room"),
+        f"{sum(areas):.1f} m² free",
         f"agent of {grid.agent_radius:g} m radius, {grid.agent_height:g} m high",
     ]
     return (
@@ -65,6 +71,21 @@ def show_html(grid: NavGrid) -> str:
 def draw_png(grid: NavGrid) -> bytes:
     """One picture of the levels, row by row from the lowest: at most `PICTURE_SIDE` pixels long."""
     return _to_png(draw_levels(grid, PICTURE_SIDE))
+
+
+def draw_thumbnail(grid: NavGrid) -> bytes:
+    """A small picture of the levels as PNG, of at most `THUMBNAIL_COLORS` colours.
+
+    Cells have the colours of `RoomCells`. The same grid gives the same bytes.
+    """
+    image = draw_levels(grid, THUMBNAIL_SIDE)
+    if image.getcolors(THUMBNAIL_COLORS) is None:
+        image = image.quantize(
+            THUMBNAIL_COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE
+        )
+    else:  # few colours stay as they are
+        image = image.convert("P", palette=Image.Palette.ADAPTIVE, colors=THUMBNAIL_COLORS)
+    return _to_png(image)
 
 
 def draw_levels(grid: NavGrid, side: int) -> Image.Image:
@@ -82,26 +103,6 @@ def draw_levels(grid: NavGrid, side: int) -> Image.Image:
     for number, level in enumerate(levels):
         sheet.paste(level, (number % columns * width, number // columns * height))
     return sheet
-
-
-class Facts(NamedTuple):
-    """What is said of a level."""
-
-    text: str
-    num_rooms: int
-    free_area: float  # [m2]
-
-
-def _facts_of(level: SceneGrid2D) -> Facts:
-    num_rooms = int(np.count_nonzero(np.bincount(level.room_index.ravel())[1:]))
-    free_area = np.count_nonzero(level.free) * level.lattice.cell_size**2
-    parts = [
-        f"{level.width} × {level.height} cells",
-        f"ground {level.ground:.2f} m",
-        _counted(num_rooms, "room"),
-        f"{free_area:.1f} m² free",
-    ]
-    return Facts(", ".join(parts), num_rooms, free_area)
 
 
 def _counted(count: int, noun: str) -> str:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Sequence
+import textwrap
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,27 +14,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image
 
-from navbake.errors import MissingDependencyError, QueryError
+from navbake.errors import MissingDependencyError, QueryError, printable
 from navbake.formats.source import write_bytes
 from navbake.navgrid.cells import check_level
 from navbake.navgrid.colors import DOOR, DOORWAY, ROUTE
-from navbake.navgrid.door_lines import DoorLine
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.paths.path import Path as Route
-from navbake.views.color_scale import ColorScale, nice_step
-from navbake.views.drawing import footer
-from navbake.views.drawing.fonts import FONT, Text, find_text
-from navbake.views.drawing.label_boxes import Written, place_labels
-from navbake.views.drawing.layout import (
-    BAR,
-    BAR_GAP,
-    HEADING,
-    MARGIN,
-    Layout,
-    plan_layout,
-)
-from navbake.views.layers import color_kinds, make_panel
-from navbake.views.panel import Panel, paint
+from navbake.views.color_scale import ColorScale
+from navbake.views.layers import Label, Panel, color_kinds, make_panel, paint
 
 # Functions import matplotlib when they draw: it is an extra, and takes half a second to load.
 
@@ -41,10 +30,24 @@ DEFAULT_LAYERS = ("occupancy", "floor")
 DPI = 150  # of a PNG: 1.5 pixels for each of a README's
 MAX_PIXELS = 65_000  # Agg draws at most 65,536 a side
 MAX_CELLS = 1800  # along a side; of more, several are drawn as one, in their mean colour
-HEADING_POINTS, TITLE_POINTS, TICK_POINTS = 10.5, 9.0, 7.5
+MAX_COLUMNS = 3
+WIDE = 2.4  # maps so much wider than high lie below each other
+
+# Lengths in inches. A picture is 8.3 inches wide at most, 830 pixels of a README at 100 an inch:
+# letters of 8 points are 11 pixels high there.
+WIDTH, MAX_HEIGHT, MIN_WIDTH = 8.3, 290.0, 4.6
+MARGIN, HEADING = 0.12, 0.4
+LEFT, RIGHT, BELOW, TITLE = 0.42, 0.14, 0.3, 0.27  # round a map
+BAR, BAR_GAP, BAR_NUMBERS = 0.1, 0.08, 0.46  # the bar of a colour scale and its numbers
+MAX_MAP_HEIGHT, MIN_MAP, MIN_PANEL = 5.6, 0.02, 2.3
+
+HEADING_POINTS, TITLE_POINTS, LEGEND_POINTS, TICK_POINTS = 10.5, 9.0, 8.0, 7.5
+NAME_POINTS, NUMBER_POINTS = (9.0, 8.0, 7.0), (8.0, 7.0, 6.0)  # sizes that are tried
+POINT = 12  # half a side of what a point's name keeps clear of [pixels]
+MOST_LETTERS, MOST_KEYS = 40, 40  # of a name on a map; names in the key to numbers
+KEY_LETTERS = 130  # a line of the key
+FONT = "DejaVu Sans"  # comes with matplotlib
 INK, FAINT = "#222222", "#9aa0a8"
-MOST_KEYS = 40  # entries of the key to the numbers in small rooms
-NUM_TICKS, TICK_INCHES = 5, 0.35  # most steps on an axis, and the least length of one
 DOOR_STROKES = {  # colours and widths [points], from below
     "closed": (("#ffffff", 4.2), (DOOR, 2.6)),
     "open": ((DOOR, 3.8), ("#ffffff", 1.6)),
@@ -75,9 +78,8 @@ def plot_grid(
     It is an SVG if the name ends in ``.svg``, else a PNG; see `render_png` for the arguments.
     """
     path = Path(path)
-    form = "svg" if path.name.lower().endswith(".svg") else "png"
-    content = _render(grid, form, level, layers, route, marks)
-    write_bytes(content, path)
+    render = render_svg if path.name.lower().endswith(".svg") else render_png
+    write_bytes(render(grid, level=level, layers=layers, route=route, marks=marks), path)
     return path
 
 
@@ -131,6 +133,7 @@ def _render(
 ) -> bytes:
     try:
         from matplotlib import rc_context
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as error:
         message = 'plots need matplotlib: pip install "navbake[plot]"'
@@ -141,223 +144,188 @@ def _render(
     if not layers:
         raise QueryError("expected at least one layer to draw, got none")
     shown = [(number, make_panel(grid, layer, number)) for number in chosen for layer in layers]
-    view = _View.of(grid, chosen)
-    layout, lines, written = _plan(view, shown, len(layers), route, marks)
+    panels = [panel for _, panel in shown]
+    kinds = color_kinds(mark.kind for mark in marks)
+    bounds = np.array([grid.levels[number].lattice.bounds for number in chosen])
+    view = (*bounds[:, :2].min(axis=0).tolist(), *bounds[:, 2:].max(axis=0).tolist())
+    texts = [grid.scene_id or "", *kinds, *(panel.title for panel in panels)]
+    texts += [label.text for panel in panels for label in panel.labels]
     # ids in an SVG are hashes, salted at random unless told not to; letters are drawn as shapes,
-    # so that a picture looks alike where its fonts are missing
-    with rc_context({"svg.hashsalt": "navbake", "svg.fonttype": "path", "font.family": FONT}):
-        dpi = min(DPI, MAX_PIXELS / max(layout.height, layout.width))
-        figure = Figure(figsize=(layout.width, layout.height), dpi=dpi, facecolor="white")
-        _write_heading(figure, layout, grid)
-        for place, (number, panel) in enumerate(shown):
-            ax = _draw_panel(figure, panel, layout, place, view)
-            _draw_map(ax, panel, grid.levels[number].lattice.bounds)
-            _draw_doors(ax, panel.doors)
+    # so that a picture looks alike where its fonts are missing; no name is markup
+    settings = {"svg.hashsalt": "navbake", "svg.fonttype": "path", "text.parse_math": False}
+    families, missing = _find_fonts("".join(texts))
+    settings |= {"font.family": families, "text.color": INK}
+    with rc_context(settings), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from font")
+        figure: Any = Figure(facecolor="white")
+        FigureCanvasAgg(figure)
+        axes = _add_axes(figure, view, panels, len(layers))
+        _write_heading(figure, grid)
+        keys: dict[str, None] = {}
+        for ax, (number, panel) in zip(axes, shown, strict=True):
+            _draw_panel(ax, panel, grid.levels[number].lattice.bounds)
             if route is not None:
                 _draw_route(ax, route, number)
-            _draw_marks(ax, marks, number)
-            _write_names(ax, written[place], layout)
-        footer.draw_footer(figure, lines, MARGIN)
+            for mark in marks:
+                if mark.level in (number, -1):
+                    style = {"color": kinds[mark.kind], "markersize": 5, "mew": 1.2}
+                    ax.plot(mark.x, mark.y, "s", markerfacecolor="none", **style)
+            labels = [
+                label._replace(text=label.fallback) if missing & {*label.text} else label
+                for label in panel.labels
+            ]
+            keys |= dict.fromkeys(_write_names(ax, labels))
+        _draw_legend(figure, panels, kinds, list(keys), with_route=route is not None)
         content = io.BytesIO()
         metadata = {"Software": None} if form == "png" else {"Creator": None, "Date": None}
-        figure.savefig(content, format=form, dpi=dpi, metadata=metadata)
+        # the legend hangs below the figure, which grows by it
+        box = figure.get_tightbbox().padded(MARGIN)
+        figure.savefig(content, format=form, dpi=figure.dpi, metadata=metadata, bbox_inches=box)
     return content.getvalue()
 
 
-class _View(NamedTuple):
-    """The part of the world that all panels show [m]: the bounds of all levels."""
+def _find_fonts(text: str) -> tuple[list[str], set[str]]:
+    """Families of installed fonts that have the letters of a text, and letters that none has."""
+    from matplotlib import font_manager
 
-    x: float  # of the lower left corner
-    y: float
-    width: float
-    height: float
-
-    @classmethod
-    def of(cls, grid: NavGrid, levels: Sequence[int]) -> _View:
-        bounds = np.array([grid.levels[number].lattice.bounds for number in levels])
-        x, y = bounds[:, :2].min(axis=0).tolist()
-        right, top = bounds[:, 2:].max(axis=0).tolist()
-        return cls(x, y, right - x, top - y)
-
-
-def _plan(
-    view: _View,
-    shown: Sequence[tuple[int, Panel]],
-    num_layers: int,
-    route: Route | None,
-    marks: Sequence[Mark],
-) -> tuple[Layout, list[list[footer.Entry]], list[list[Written]]]:
-    """Where the panels lie, what the lines below them say, and which names are where."""
-    panels = [panel for _, panel in shown]
-    scales = [[p.scale for p in panels[layer::num_layers]] for layer in range(num_layers)]
-    bars = [any(scale and len(scale.ticks) > 1 for scale in column) for column in scales]
-    num_levels = len(shown) // num_layers
-    extent = view.width, view.height
-    # the maps' scale doesn't follow from the footer but in very high pictures
-    first = plan_layout(extent, num_levels, bars, footer=footer.LINE)
-    scale = first.map_size[0] / view.width
-    written = [
-        place_labels(panel.labels, (view.x, view.y), scale, first.map_size) for panel in panels
-    ]
-    entries = _legend(panels, scale, route, marks)
-    lines = footer.flow(entries, first.width - 2 * MARGIN)
-    lines += footer.flow(_keys(written), first.width - 2 * MARGIN)
-    height = footer.footer_height(lines)
-    layout = plan_layout(extent, num_levels, bars, footer=height)
-    return layout, lines, written
+    families, missing = [FONT], {letter for letter in printable(text) if letter > "~"}
+    # a Last Resort font has a box for every letter
+    fonts = [f for f in font_manager.fontManager.ttflist if not f.name.startswith("Last Resort")]
+    for font in sorted(fonts, key=lambda font: (font.name != FONT, font.name, font.fname)):
+        if not missing:
+            break
+        try:
+            known = {*map(chr, font_manager.get_font(font.fname).get_charmap())}
+        except (OSError, RuntimeError):  # matplotlib's list names a font that was removed
+            continue
+        if missing & known and font.name not in families:
+            families.append(font.name)
+        missing -= known
+    return families, missing
 
 
-def _legend(
-    panels: Sequence[Panel], scale: float, route: Route | None, marks: Sequence[Mark]
-) -> list[footer.Entry]:
-    entries = [footer.scale_entry(scale), footer.north_entry()]
-    kinds = dict(entry for panel in panels for entry in panel.legend)
-    states = {_drawn_state(mark) for panel in panels for mark in panel.doors}
-    if states:  # lines stand for them in the legend
-        kinds = {kind: color for kind, color in kinds.items() if color not in (DOOR, DOORWAY)}
-    kinds |= color_kinds(mark.kind for mark in marks)
-    entries += [footer.color_entry(find_text(kind), color) for kind, color in kinds.items()]
-    entries += [
-        footer.line_entry(Text(f"door, {state}"), strokes)
-        for state, strokes in DOOR_STROKES.items()
-        if state in states
-    ]
-    if route is not None:
-        entries.append(footer.line_entry(Text("path, from o to x"), ROUTE_STROKES))
-    return entries
+def _needs_bar(panel: Panel) -> bool:
+    return panel.scale is not None and len(panel.scale.ticks) > 1
 
 
-def _keys(written: Sequence[Sequence[Written]]) -> list[footer.Entry]:
-    """What the numbers in small rooms mean."""
-    names = dict.fromkeys(f"{w.number}: {w.name}" for ws in written for w in ws if w.name)
-    keys = [footer.Entry(find_text(name), 0.0, None) for name in list(names)[:MOST_KEYS]]
-    if len(names) > MOST_KEYS:
-        keys.append(footer.Entry(Text(f"and {len(names) - MOST_KEYS} more"), 0.0, None))
-    return keys
+def _add_axes(
+    figure: Any, view: tuple[float, float, float, float], panels: Sequence[Panel], num_layers: int
+) -> list[Any]:
+    """Give a figure its size and each panel a place: the layers of a level in a row, if they fit.
+
+    Levels of one layer lie beside each other. Corridors lie below each other, as wide as the
+    picture.
+    """
+    wide, high = view[2] - view[0], view[3] - view[1]
+    in_line = num_layers if num_layers > 1 else len(panels)
+    columns = 1 if wide > WIDE * high else min(in_line, MAX_COLUMNS)
+    rows_each = math.ceil(in_line / columns)  # of a level, or of all
+    rows = rows_each * (len(panels) // in_line)
+    places = [divmod(number % in_line, columns) for number in range(len(panels))]
+    around_y = TITLE + BELOW
+    around_x = np.full(columns, LEFT + RIGHT)
+    for (_, column), panel in zip(places, panels, strict=True):
+        if _needs_bar(panel):
+            around_x[column] = LEFT + RIGHT + BAR_GAP + BAR + BAR_NUMBERS
+    most_wide = (WIDTH - 2 * MARGIN - around_x.sum()) / columns
+    most_high = min(MAX_MAP_HEIGHT, (MAX_HEIGHT - HEADING) / rows - around_y)
+    scale = min(most_wide / wide, max(most_high, MIN_MAP) / high)
+    size = max(wide * scale, MIN_MAP), max(high * scale, MIN_MAP)
+    slots = np.maximum(size[0] + around_x, min(MIN_PANEL, (WIDTH - 2 * MARGIN) / columns))
+    width = max(slots.sum(), MIN_WIDTH - 2 * MARGIN)
+    height = rows * (size[1] + around_y) + HEADING
+    figure.set_size_inches(width, height)
+    figure.set_dpi(min(DPI, MAX_PIXELS / max(width, height)))
+    axes = []
+    for number, (row, column) in enumerate(places):
+        left = slots[:column].sum() + LEFT
+        top = height - HEADING - (number // in_line * rows_each + row) * (size[1] + around_y)
+        bottom = top - TITLE - size[1]
+        place = left / width, bottom / height, size[0] / width, size[1] / height
+        axes.append(figure.add_axes(place, xlim=view[::2], ylim=view[1::2]))
+        axes[-1].panel_width = slots[column] - LEFT - RIGHT  # what its title has
+    return axes
 
 
-def _write_heading(figure: Any, layout: Layout, grid: NavGrid) -> None:
-    cell_size = grid.levels[0].lattice.cell_size
-    facts = Text(f"cells of {cell_size:g} m")
-    width = layout.width - 2 * MARGIN
-    name = find_text(grid.scene_id or "grid")
-    name = name.cut(HEADING_POINTS, width - facts.size(TICK_POINTS)[0] - 0.3)
-    y = layout.height - HEADING / 2
-    place = {"transform": figure.dpi_scale_trans, "va": "center_baseline", "color": INK}
-    style = name.style(HEADING_POINTS) | place
-    figure.text(MARGIN, y, name.text, fontweight="bold", **style)
-    style = facts.style(TICK_POINTS) | place
-    figure.text(layout.width - MARGIN, y, facts.text, ha="right", **style)
+def _write_heading(figure: Any, grid: NavGrid) -> None:
+    y = 1 - HEADING / 2 / figure.get_figheight()
+    facts = f"cells of {grid.levels[0].lattice.cell_size:g} m, axes in metres"
+    figure.text(1, y, facts, ha="right", va="center_baseline", fontsize=TICK_POINTS)
+    style = {"fontsize": HEADING_POINTS, "fontweight": "bold", "va": "center_baseline"}
+    name = figure.text(0, y, printable(grid.scene_id or "grid"), **style)
+    _cut(name, figure.get_figwidth() - 2.6)
 
 
-def _draw_panel(figure: Any, panel: Panel, layout: Layout, place: int, view: _View) -> Any:
-    """Make the axes of a panel, with title and colour bar."""
-    width, height = layout.map_size
-    corner = layout.corners[place]
-    title = find_text(panel.title).cut(TITLE_POINTS, layout.title_widths[place])
-    figure.text(
-        corner[0],
-        corner[1] + height + 0.08,
-        title.text,
-        transform=figure.dpi_scale_trans,
-        color=INK,
-        **title.style(TITLE_POINTS),
-    )
-    ax = figure.add_axes(_share(layout, (*corner, width, height)))
-    ax.set_xlim(view.x, view.x + view.width)
-    ax.set_ylim(view.y, view.y + view.height)
-    for axis, low, length, inches in (
-        (ax.xaxis, view.x, view.width, width),
-        (ax.yaxis, view.y, view.height, height),
-    ):
-        ticks, names = _ticks(low, length, inches)
-        axis.set_ticks(ticks, names)
+def _cut(text: Any, width: float) -> None:
+    """Leave out the end of a text that is wider than so much [inches]."""
+    whole, dpi = text.get_text(), text.get_figure().dpi
+    kept = len(whole)
+    while kept > 1 and text.get_window_extent().width > width * dpi:
+        kept = min(kept - 1, int(kept * width * dpi / text.get_window_extent().width))
+        text.set_text(f"{whole[:kept].rstrip()}…")
+
+
+def _draw_panel(ax: Any, panel: Panel, bounds: tuple[float, float, float, float]) -> None:
+    """Draw title, cells and doors, and the colour bar of a panel."""
+    from matplotlib.ticker import MaxNLocator
+
+    width = ax.get_window_extent().width
+    title = ax.set_title(printable(panel.title), loc="left", fontsize=TITLE_POINTS, pad=5)
+    _cut(title, ax.panel_width)
+    for axis, length in ((ax.xaxis, width), (ax.yaxis, ax.get_window_extent().height)):
+        steps = max(min(5, int(length / DPI / 0.35)), 1)
+        axis.set_major_locator(MaxNLocator(steps, steps=[1, 2, 5, 10]))
+        axis.set_visible(length > 0.2 * DPI)
     ax.tick_params(labelsize=TICK_POINTS, length=2.5, width=0.6, color=FAINT, labelcolor=INK, pad=2)
-    for spine in ax.spines.values():
-        spine.set(edgecolor=FAINT, linewidth=0.6)
-    if panel.scale is not None and len(panel.scale.ticks) > 1:
-        _draw_bar(figure, panel.scale, layout, (corner[0] + width + BAR_GAP, corner[1]))
-    return ax
-
-
-def _share(layout: Layout, box: tuple[float, float, float, float]) -> list[float]:
-    """A box of left, bottom, width and height [inches] as shares of the figure."""
-    across, up = layout.width, layout.height
-    return [box[0] / across, box[1] / up, box[2] / across, box[3] / up]
-
-
-def _ticks(low: float, length: float, inches: float) -> tuple[list[float], list[str]]:
-    """A few round numbers along an axis; the last one has the unit."""
-    count = max(min(NUM_TICKS, int(inches / TICK_INCHES)), 1)
-    step = nice_step(length / count)
-    digits = max(0, -math.floor(math.log10(step) + 1e-9))
-    first, last = math.ceil(low / step - 1e-9), math.floor((low + length) / step + 1e-9)
-    numbers = list(range(first, last + 1)) if inches > 0.2 else []
-    names = [
-        f"{number * step + 0.0:.{digits}f}".replace("-", "\N{MINUS SIGN}") for number in numbers
-    ]
-    if names:
-        names[-1] += " m"
-    return [number * step for number in numbers], names
-
-
-def _draw_bar(figure: Any, scale: ColorScale, layout: Layout, corner: tuple[float, float]) -> None:
-    """Draw a colour scale to the right of a map, the highest value on top."""
-    height = max(layout.map_size[1], 0.4)
-    ax = figure.add_axes(_share(layout, (*corner, BAR, height)))
-    ax.imshow(scale.bar(256)[:, None], origin="lower", aspect="auto", extent=(0, 1, 0, 1))
-    ax.set_xticks([])
-    few = [
-        tick for tick in scale.ticks if height > 0.8 or tick in (scale.ticks[0], scale.ticks[-1])
-    ]
-    names = [tick.text.replace("-", "\N{MINUS SIGN}") for tick in few]
-    ax.set_yticks([tick.position for tick in few], names)
-    ax.yaxis.tick_right()
-    ax.tick_params(labelsize=TICK_POINTS, length=2, width=0.6, color=FAINT, labelcolor=INK, pad=2)
-    for spine in ax.spines.values():
-        spine.set_visible(False)
-
-
-def _draw_map(ax: Any, panel: Panel, bounds: tuple[float, float, float, float]) -> None:
-    """Draw the cells, row 0, the one of the largest y, on top."""
+    ax.spines[:].set(edgecolor=FAINT, linewidth=0.6)
+    if panel.scale is not None and _needs_bar(panel):
+        _draw_bar(ax, panel.scale)
     image = Image.fromarray(paint(panel))
     image = image.reduce(max(1, -(-max(image.size) // MAX_CELLS)))
     x_min, y_min, x_max, y_max = bounds
     limits = ax.get_xlim(), ax.get_ylim()
     # nearest: cells have sharp edges; the others average where several share a pixel
-    pixels = ax.get_window_extent().width / max(np.ptp(limits[0]), 1e-12) * (x_max - x_min)
+    pixels = width / max(np.ptp(limits[0]), 1e-12) * (x_max - x_min)
     how = "nearest" if image.width <= pixels else "antialiased"
-    ax.imshow(
-        np.asarray(image), extent=(x_min, x_max, y_min, y_max), aspect="auto", interpolation=how
-    )
+    extent = (x_min, x_max, y_min, y_max)
+    ax.imshow(np.asarray(image), extent=extent, aspect="auto", interpolation=how)
     ax.set(xlim=limits[0], ylim=limits[1])
-
-
-def _draw_doors(ax: Any, doors: Sequence[DoorLine]) -> None:
-    """Draw doors from jamb to jamb: closed ones full, others hollow."""
-    for door in doors:
+    for door in panel.doors:
         x, y = zip(door.start, door.end, strict=True)
-        for color, width in DOOR_STROKES[_drawn_state(door)]:
-            ax.plot(x, y, color=color, linewidth=width, solid_capstyle="butt")
+        ax.plot(x, y, **_strokes(DOOR_STROKES[_drawn_state(door.state)]), solid_capstyle="butt")
 
 
-def _drawn_state(door: DoorLine) -> str:
-    return "closed" if door.state == "closed" else "open"
+def _draw_bar(ax: Any, scale: ColorScale) -> None:
+    """Draw a colour scale to the right of a map, the highest value on top."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import ListedColormap
+
+    figure, box = ax.get_figure(), ax.get_position()
+    across, up = figure.get_size_inches()
+    height = max(box.height, 0.4 / up)
+    place = box.x1 + BAR_GAP / across, box.y0, BAR / across, height
+    few = [tick for tick in scale.ticks if height * up > 0.8] or [scale.ticks[0], scale.ticks[-1]]
+    bar = figure.colorbar(
+        ScalarMappable(cmap=ListedColormap(scale.bar(256) / 255)), cax=figure.add_axes(place)
+    )
+    bar.set_ticks(
+        [tick.position for tick in few],
+        labels=[tick.text.replace("-", "\N{MINUS SIGN}") for tick in few],
+    )
+    bar.ax.tick_params(labelsize=TICK_POINTS, length=2, width=0.6, color=FAINT, pad=2)
+    bar.outline.set_visible(False)
 
 
-def _write_names(ax: Any, names: Sequence[Written], layout: Layout) -> None:
-    from matplotlib.patheffects import withStroke
+def _strokes(strokes: Iterable[tuple[str, float]]) -> dict[str, Any]:
+    """The style of a line of several strokes over each other: their colours and widths [points]."""
+    from matplotlib.patheffects import Stroke
 
-    width, height = layout.map_size
-    halo = [withStroke(linewidth=2, foreground="white", alpha=0.65)]
-    middle = {"ha": "center", "va": "center", "multialignment": "center"}
-    for name in names:
-        style = name.text.style(name.points) | middle | {"transform": ax.transAxes, "color": INK}
-        written = ax.text(name.x / width, name.y / height, name.text.text, **style)
-        if name.is_beside:  # it may lie over anything
-            written.set_bbox({"facecolor": "white", "alpha": 0.85, "pad": 1, "edgecolor": "none"})
-        else:
-            written.set_path_effects(halo)
+    drawn = [Stroke(linewidth=width, foreground=color) for color, width in strokes]
+    return {"path_effects": drawn, "linewidth": max(width for _, width in strokes)}
+
+
+def _drawn_state(state: str) -> str:
+    return "closed" if state == "closed" else "open"
 
 
 def _draw_route(ax: Any, route: Route, level: int) -> None:
@@ -365,18 +333,135 @@ def _draw_route(ax: Any, route: Route, level: int) -> None:
     on_level = route.levels == level
     x = np.where(on_level, route.positions[:, 0], np.nan)
     y = np.where(on_level, route.positions[:, 1], np.nan)
-    for color, width in ROUTE_STROKES:
-        ax.plot(x, y, color=color, linewidth=width, solid_joinstyle="round")
+    ax.plot(x, y, **_strokes(ROUTE_STROKES), solid_joinstyle="round")
     for end, marker in ((0, "o"), (-1, "X")):
         if on_level[end]:
             style = {"color": ROUTE, "markeredgecolor": "white", "markersize": 8, "clip_on": False}
             ax.plot(x[end], y[end], marker, **style)
 
 
-def _draw_marks(ax: Any, marks: Sequence[Mark], level: int) -> None:
-    """Draw the marks of a level, one colour for each kind."""
-    here = [mark for mark in marks if mark.level in (level, -1)]
-    for kind, color in color_kinds(mark.kind for mark in marks).items():
-        places = np.array([(mark.x, mark.y) for mark in here if mark.kind == kind])
-        if len(places):
-            ax.plot(*places.T, "s", color=color, markersize=5, markerfacecolor="none", mew=1.2)
+def _write_names(ax: Any, labels: Sequence[Label]) -> Iterator[str]:
+    """Write names on a map, those of large rooms first, none over another; yields the key.
+
+    A name stands in the middle of its room, in one line or two, as large as fits; that of a point
+    stands beside it. Where it doesn't fit, a number does, which the key explains. Where not even
+    that fits, nothing does.
+    """
+    from matplotlib.patheffects import withStroke
+    from matplotlib.transforms import Bbox
+
+    to_pixels, frame = ax.transData, ax.get_window_extent()
+    scale = frame.width / np.ptp(ax.get_xlim())  # pixels a metre
+    points = [to_pixels.transform((label.x, label.y)) for label in labels if not label.width]
+    taken = [Bbox([at - POINT, at + POINT]) for at in points]
+    halo = [withStroke(linewidth=2, foreground="white", alpha=0.65)]
+    for label in sorted(labels, key=lambda label: -label.width * label.height):
+        whole = printable(label.text)
+        name = whole if len(whole) <= MOST_LETTERS else f"{whole[:MOST_LETTERS]}…"
+        middle = to_pixels.transform((label.x, label.y))
+        room = label.width * scale or np.inf, label.height * scale or np.inf
+        sizes = NAME_POINTS if label.width else NAME_POINTS[-1:]
+        forms = [(text, size) for size in sizes for text in _broken(name)]
+        forms += [(str(label.number), size) for size in NUMBER_POINTS]
+        written = ax.text(label.x, label.y, "", ha="center", va="center", linespacing=1.05)
+        box = None
+        for text, size in forms:
+            written.set(text=text, fontsize=size)
+            extent = written.get_window_extent()
+            if extent.width > room[0] or extent.height > room[1]:
+                continue
+            half = np.array([extent.width, extent.height]) / 2 + 3
+            places = [middle] if label.width else _beside(middle, half)
+            moved = (Bbox([at - half, at + half]) for at in places)
+            kept = (_moved_into(box, frame) for box in moved)
+            free = (box for box in kept if box and not any(box.overlaps(each) for each in taken))
+            box = next(free, None)
+            if box is not None:
+                break
+        if box is None:
+            written.remove()
+            continue
+        taken.append(box)
+        written.set_position(to_pixels.inverted().transform((box.p0 + box.p1) / 2))
+        if label.width:
+            written.set_path_effects(halo)
+        else:  # it may lie over anything
+            written.set_bbox({"facecolor": "white", "alpha": 0.85, "pad": 1, "edgecolor": "none"})
+        if written.get_text() == str(label.number):
+            yield f"{label.number}: {whole}"
+
+
+def _broken(text: str) -> list[str]:
+    """A text in one line, and in two if it has words to break between."""
+    letters = " " if " " in text.strip() else "_-"
+    breaks = [at for at, letter in enumerate(text) if letter in letters and at > 0]
+    if not breaks:
+        return [text]
+    at = min(breaks, key=lambda at: abs(at - len(text) / 2))
+    kept = "" if text[at] == " " else text[at]
+    return [text, f"{text[:at]}{kept}\n{text[at + 1 :]}"]
+
+
+def _beside(middle: Any, half: Any) -> list[Any]:
+    """Middles of boxes above, below, to the right and to the left of a point [pixels]."""
+    across, up = half + POINT + 1
+    return [middle + way for way in ((0, up), (0, -up), (across, 0), (-across, 0))]
+
+
+def _moved_into(box: Any, frame: Any) -> Any:
+    """A box, moved so that it lies in a frame; None where it is too large [pixels]."""
+    if box.width > frame.width or box.height > frame.height:
+        return None
+    low = np.clip(box.p0, frame.p0, frame.p1 - (box.p1 - box.p0))
+    return box.translated(*(low - box.p0))
+
+
+def _draw_legend(
+    figure: Any,
+    panels: Sequence[Panel],
+    kinds: dict[str, str],
+    keys: list[str],
+    *,
+    with_route: bool,
+) -> None:
+    """Say below the maps what colours, lines and numbers mean, as wide as the figure."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    meanings = dict(entry for panel in panels for entry in panel.legend)
+    states = {_drawn_state(door.state) for panel in panels for door in panel.doors}
+    if states:  # lines stand for them in the legend
+        meanings = {name: c for name, c in meanings.items() if c not in (DOOR, DOORWAY)}
+    entries: list[Any] = [
+        Patch(facecolor=color, edgecolor="#777777", linewidth=0.5, label=printable(name))
+        for name, color in (meanings | kinds).items()
+    ]
+    lines = {
+        f"door, {state}": strokes for state, strokes in DOOR_STROKES.items() if state in states
+    }
+    if with_route:
+        lines["path, from o to x"] = ROUTE_STROKES
+    entries += [Line2D([], [], label=name, **_strokes(line)) for name, line in lines.items()]
+    more = [f"and {len(keys) - MOST_KEYS} more"] if len(keys) > MOST_KEYS else []
+    key = "   ".join(entry.replace(" ", "\N{NO-BREAK SPACE}") for entry in keys[:MOST_KEYS] + more)
+    width = figure.get_window_extent().width
+    for columns in range(len(entries), 0, -1):
+        legend = figure.legend(
+            handles=entries,
+            ncols=columns,
+            loc="upper left",
+            bbox_to_anchor=(0, 0),
+            frameon=False,
+            fontsize=LEGEND_POINTS,
+            handlelength=1.6,
+            handletextpad=0.5,
+            columnspacing=1.4,
+            borderpad=0,
+        )
+        if legend.get_window_extent().width <= width or columns == 1:
+            break
+        legend.remove()
+    if key:
+        lines_of_key = textwrap.fill(key, int(KEY_LETTERS * width / DPI / WIDTH))
+        legend.set_title(lines_of_key, {"size": LEGEND_POINTS})
+        legend.set_alignment("left")

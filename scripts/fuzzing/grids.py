@@ -18,8 +18,7 @@ from fuzzing.mutations import cut, dump_tree, gzip_bomb, mutate_bytes, mutate_tr
 from navbake.formats.maps.grid_npz import encode_grid_npz, read_grid_npz
 from navbake.formats.navgrid import dumps_navgrid
 from navbake.navgrid.grid import NavGrid
-from navbake.views.info import describe
-from navbake.views.why import describe_column
+from navbake.views.describe import describe, describe_column
 
 
 def make_navgrid(rng: Random) -> Input:

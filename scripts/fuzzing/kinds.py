@@ -13,7 +13,7 @@ from navbake.formats.maps.procthor import read_procthor
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.npz import read_npy
 from navbake.formats.shapes.geojson import read_room_outlines
-from navbake.views.report.verification import read_verification
+from navbake.views.report.report import read_verification
 
 make_bt, make_ot = (partial(voxel_files.make_octree, kind) for kind in ("bt", "ot"))
 

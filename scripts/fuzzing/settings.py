@@ -29,7 +29,7 @@ from navbake.batch.work import Order
 from navbake.config.settings import BakeConfig, settings_digest, settings_to_state
 from navbake.types import Json
 from navbake.verifier.report import FREE_TOUCHES, Finding, LevelCounts, SweepCounts, VerifyReport
-from navbake.views.report.content import verify_marks, verify_tables
+from navbake.views.report.report import verify_marks, verify_tables
 
 POLYGONS = ("rooms.geojson", "rooms.geojson", "no.geojson", ".", "/dev/zero", "input.yaml", "\0")
 FEW = 20  # jobs of a list that are looked at

@@ -17,8 +17,7 @@ from navbake.navgrid.colors import (
 )
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.verifier.report import FLOOR_OFF, FREE_TOUCHES, Finding
-from navbake.views.layers import DISAGREEMENTS, LAYERS, make_panel, make_panels
-from navbake.views.panel import Panel, light_of, paint
+from navbake.views.layers import DISAGREEMENTS, LAYERS, Panel, light_of, make_panel, paint
 from navbake.views.plot import render_png
 
 ROOMS = """
@@ -73,14 +72,14 @@ def room(index, name):
 
 
 def test_rooms():
-    (panel,) = make_panels(make_level(), "rooms")
+    panel = make_panel(make_level(), "rooms", 0)
     colors = {tuple(map(int, rgb)) for rgb in panel.rgb.reshape(-1, 3)}
     assert len(colors) == 6  # two rooms, a table, a door, no room, no floor
     a, b = panel.rgb[1, 1], panel.rgb[1, 5]
     assert (panel.rgb[1:4, 1:4] == a).all()
     assert (panel.rgb[3, 6] < b).any()
     assert tuple(panel.rgb[2, 4]) == rgb_of(DOORWAY)
-    [closed] = make_panels(make_level(state="closed"), "rooms")
+    closed = make_panel(make_level(state="closed"), "rooms", 0)
     assert tuple(closed.rgb[2, 4]) == rgb_of(DOOR)
     assert ("door", DOOR) in closed.legend and ("doorway", DOORWAY) not in closed.legend
     assert tuple(panel.rgb[0, 0]) == rgb_of(OCCUPIED)
@@ -91,15 +90,15 @@ def test_rooms():
 def test_free_cells_of_no_room_are_not_shown_as_walls():
     level = make_level()
     level.attributes["roomIndex"][1, 1] = 0
-    [panel] = make_panels(level, "rooms")
+    panel = make_panel(level, "rooms", 0)
     assert tuple(panel.rgb[1, 1]) == rgb_of(FREE)
     assert ("free, no room", FREE) in panel.legend
-    [panel] = make_panels(make_level(), "rooms")
+    panel = make_panel(make_level(), "rooms", 0)
     assert not any(name == "free, no room" for name, _ in panel.legend)
 
 
 def test_names_stand_in_their_rooms():
-    (panel,) = make_panels(make_level(), "rooms")
+    panel = make_panel(make_level(), "rooms", 0)
     one, other = panel.labels
     assert (one.x, one.y) == pytest.approx((1.25, 1.25))
     assert (one.width, one.height) == pytest.approx((1.5, 1.5))
@@ -109,21 +108,21 @@ def test_names_stand_in_their_rooms():
 
 def test_clearance_and_islands_need_not_be_in_the_file():
     level = make_level()
-    (computed,) = make_panels(level, "clearance")
+    computed = make_panel(level, "clearance", 0)
     assert computed.values[2, 2] == pytest.approx(0.75)
     assert np.isnan(computed.values[0, 0])
     stored = np.where(level.free, np.float32(7), 0)
     level.attributes["clearance"] = stored
-    assert make_panels(level, "clearance")[0].values[2, 2] == 7
-    (islands,) = make_panels(level, "island")
+    assert make_panel(level, "clearance", 0).values[2, 2] == 7
+    islands = make_panel(level, "island", 0)
     level.attributes["island"] = np.where(level.free, 1, 0).astype(np.uint16)
-    np.testing.assert_array_equal(make_panels(level, "island")[0].rgb, islands.rgb)
+    np.testing.assert_array_equal(make_panel(level, "island", 0).rgb, islands.rgb)
 
 
 def test_weights():
     level = make_level()
     level.weights[1, 1] = 10.0
-    (panel,) = make_panels(level, "weights")
+    panel = make_panel(level, "weights", 0)
     assert panel.values[1, 1] == 10
     assert np.isnan(panel.values[3, 6])
     assert tuple(panel.rgb[3, 6]) == rgb_of(OCCUPIED)
@@ -137,7 +136,6 @@ def test_every_layer_of_every_level_is_drawn():
     assert len(pictures) == len(LAYERS)
     assert all(picture.startswith(b"\x89PNG") for picture in pictures)
     assert render_png(grid, layers=["rooms"]) in pictures  # the same bytes again
-    assert all(len(make_panels(grid, layer)) == 2 for layer in LAYERS)
 
 
 @pytest.mark.parametrize("name", ["$x_{ [b]$", "客厅", "\U0001f3e0\U000e0fff", "a" * 300, "  "])
@@ -149,7 +147,7 @@ def test_any_name_is_drawn_without_a_complaint(name, recwarn):
 
 def test_refuses():
     with pytest.raises(QueryError, match=r"expected one of occupancy, floor, .* got 'heat'"):
-        make_panels(make_level(), "heat")
+        make_panel(make_level(), "heat", 0)
     with pytest.raises(QueryError, match="at least one layer"):
         render_png(make_level(), layers=[])
 
@@ -157,8 +155,11 @@ def test_refuses():
 def test_a_level_alone_has_no_name_in_its_title():
     level = make_level()
     grid = MultiLevelGrid(grids=[make_level(), make_level()], cell_size=0.5)
-    assert make_panels(level, "rooms")[0].title == "rooms"
-    assert [p.title for p in make_panels(grid, "rooms")] == ["level 0: rooms", "level 1: rooms"]
+    assert make_panel(level, "rooms", 0).title == "rooms"
+    assert [make_panel(grid, "rooms", number).title for number in range(2)] == [
+        "level 0: rooms",
+        "level 1: rooms",
+    ]
     with pytest.raises(QueryError, match="no level 2: expected 0 to 1"):
         make_panel(grid, "rooms", 2)
 
@@ -166,14 +167,14 @@ def test_a_level_alone_has_no_name_in_its_title():
 def test_the_outdoors_have_a_colour_of_their_own():
     level = make_level()
     level.metadata["navbake"]["rooms"][0]["outdoors"] = True
-    [panel] = make_panels(level, "rooms")
+    panel = make_panel(level, "rooms", 0)
     assert tuple(panel.rgb[1, 1]) == rgb_of(OUTDOORS) != tuple(panel.rgb[1, 5])
 
 
 def test_doors_are_where_they_stand_and_would_stand():
     level = make_level()
     level.metadata["navbake"]["doors"][0]["cells"]["open"] = [[0, [23, 1]]]
-    [panel] = make_panels(level, "doors")
+    panel = make_panel(level, "doors", 0)
     assert tuple(panel.rgb[2, 4]) == rgb_of(DOORWAY)
     assert tuple(panel.rgb[2, 1]) == rgb_of(DOOR)  # cell 23 of rows of 11
     assert [label.text for label in panel.labels] == ["d 0.5 m"]
@@ -186,7 +187,7 @@ def test_links_lead_up_and_down():
     levels = [make_level(), make_level()]
     metadata = {"navbake": {"links": [[0, 12, 1, 13]]}}
     grid = MultiLevelGrid(grids=levels, cell_size=0.5, metadata=metadata)
-    below, above = make_panels(grid, "links")
+    below, above = (make_panel(grid, "links", number) for number in range(2))
     assert tuple(below.rgb[1, 1]) == rgb_of(UP)
     assert tuple(above.rgb[1, 2]) == rgb_of(DOWN)
     assert (below.rgb == rgb_of(UP)).all(axis=2).sum() == 1
@@ -214,14 +215,14 @@ def test_disagreements_are_where_they_were_found():
 def test_paint_colours_values_and_leaves_the_rest():
     level = make_level()
     level.weights[1, 1] = 10.0
-    [panel] = make_panels(level, "weights")
+    panel = make_panel(level, "weights", 0)
     painted = paint(panel)
     assert painted.dtype == np.uint8 and painted.shape == panel.rgb.shape
     cheap, dear = panel.scale.bar(2)
     assert (painted[1, 1] == dear).all() and (painted[1, 2] == cheap).all()
     assert (painted[0, 0] == rgb_of(OCCUPIED)).all() and (painted[0, 10] == rgb_of(NO_FLOOR)).all()
     assert cheap.sum() > dear.sum()  # what costs much is dark
-    assert (panel.rgb == make_panels(level, "weights")[0].rgb).all()  # it is not painted over
+    assert (panel.rgb == make_panel(level, "weights", 0).rgb).all()  # it is not painted over
 
 
 def test_bands_are_painted_as_the_whole(monkeypatch):
@@ -231,7 +232,7 @@ def test_bands_are_painted_as_the_whole(monkeypatch):
     panel = make_panel(level, "floor", 0)
     whole = paint(panel)
     for size in (1, 11, 22, 40):
-        monkeypatch.setattr("navbake.views.panel.BAND_CELLS", size)
+        monkeypatch.setattr("navbake.views.layers.BAND_CELLS", size)
         np.testing.assert_array_equal(paint(panel), whole)
 
 

@@ -10,18 +10,30 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import navbake
 from grid_maps import level_from
 from level_maps import stairs
 from navbake.navgrid.colors import FREE, NO_FLOOR, OCCUPIED, rgb_of
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
-from navbake.views.layers import make_panels
-from navbake.views.notebook import LEVEL_SIDE, MAX_LEVELS, PICTURE_SIDE, draw_png, show_html
+from navbake.views.layers import make_panel
+from navbake.views.notebook import (
+    LEVEL_SIDE,
+    MAX_LEVELS,
+    PICTURE_SIDE,
+    THUMBNAIL_COLORS,
+    THUMBNAIL_SIDE,
+    draw_levels,
+    draw_png,
+    draw_thumbnail,
+    show_html,
+)
+from project_paths import GOLDEN
 
 PICTURE = re.compile(r'src="data:image/png;base64,([A-Za-z0-9+/=]+)"')
 
 
 def read(png):
-    return np.asarray(Image.open(io.BytesIO(png)))
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
 
 
 def pictures_of(text):
@@ -45,7 +57,7 @@ def test_a_cell_is_a_square_of_its_colour():
     level.attributes["floorHeight"] = np.array([[0, 0, 0], [np.nan, 0, 0]], dtype=np.float32)
     level.weights[1, 0] = np.inf
     side = PICTURE_SIDE // 3
-    expected = make_panels(level, "rooms")[0].rgb.repeat(side, axis=0).repeat(side, axis=1)
+    expected = make_panel(level, "rooms", 0).rgb.repeat(side, axis=0).repeat(side, axis=1)
     np.testing.assert_array_equal(read(draw_png(level)), expected)
     side = LEVEL_SIDE // 3
     [picture] = pictures_of(show_html(level))
@@ -118,3 +130,24 @@ def test_methods_give_the_same_every_time():
     # the names that notebooks ask for
     for name, draw in (("_repr_html_", show_html), ("_repr_png_", draw_png)):
         assert getattr(grid, name)() == draw(grid) == draw(level_from("..#\n..."))
+
+
+def test_few_colours_stay_as_they_are():
+    grid = stairs("##00", "0000", "0000")
+    np.testing.assert_array_equal(
+        read(draw_thumbnail(grid)), np.asarray(draw_levels(grid, THUMBNAIL_SIDE))
+    )
+    picture = read(draw_thumbnail(level_from("..#")))
+    assert max(picture.shape) <= THUMBNAIL_SIDE
+    assert tuple(map(int, picture[0, 0])) == rgb_of(FREE)
+    assert tuple(map(int, picture[0, -1])) == rgb_of(OCCUPIED)
+
+
+def test_a_large_grid_becomes_small_and_has_about_its_colours():
+    grid = navbake.load(GOLDEN / "apartment.grid.json.gz")
+    png = draw_thumbnail(grid)
+    picture, true = read(png), np.asarray(draw_levels(grid, THUMBNAIL_SIDE)).astype(int)
+    assert max(picture.shape) <= THUMBNAIL_SIDE and len(png) < 5000
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) <= THUMBNAIL_COLORS
+    assert np.abs(picture - true).mean() < 3
+    assert draw_thumbnail(grid) == png

@@ -2,6 +2,7 @@
 
 import io
 import sys
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from navbake.navgrid.colors import DOOR, FREE, MARKS, NO_FLOOR, OCCUPIED, ROUTE
 from navbake.navgrid.doors import to_runs
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.runtime.paths.path import Path as Route
-from navbake.views.layers import make_panel, paint
+from navbake.views import plot
+from navbake.views.layers import Label, make_panel, paint
 from navbake.views.plot import Mark, plot_grid, render_png, render_svg
 
 pytest.importorskip("matplotlib")
@@ -241,3 +243,85 @@ def test_large_grids_are_drawn_in_bounded_detail():
     rows, cols = find(image, FREE, slice(0, image.shape[0] // 2))
     line = image[rows.min() + 40, cols.min() : cols.max() + 1]
     assert line.sum(axis=1).min() < color(FREE).sum() - 30
+
+
+MAP = (4.0, 3.0)  # inches, and metres
+
+
+def written(*labels):
+    """What is written on a map of 4 by 3 m: each text, its box [m], and the key."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=MAP, dpi=plot.DPI)
+    FigureCanvasAgg(figure)
+    ax = figure.add_axes([0, 0, 1, 1], xlim=(0, MAP[0]), ylim=(0, MAP[1]))
+    key = list(plot._write_names(ax, labels))
+    # a box is the letters', without that of a point's name around them
+    boxes = [text.get_window_extent().transformed(ax.transData.inverted()) for text in ax.texts]
+    return [text.get_text() for text in ax.texts], boxes, key
+
+
+def room(text, x, y, width, height, number=1):
+    return Label(text, "0:1", x, y, width, height, number)
+
+
+def test_a_name_stands_in_the_middle_of_its_room():
+    [text], [box], key = written(room("hall", 2.0, 1.5, 3.0, 2.0))
+    assert (text, key) == ("hall", [])
+    assert ((box.p0 + box.p1) / 2).tolist() == pytest.approx([2.0, 1.5], abs=0.03)
+
+
+def test_a_name_is_broken_then_a_number_then_nothing():
+    [text], [box], _ = written(room("living room", 2.0, 1.5, 3.0, 2.0))
+    width, height = box.width, box.height
+    assert written(room("living room", 2.0, 1.5, width * 0.7, 1.0))[0] == ["living\nroom"]
+    [text], [smaller], _ = written(room("living room", 2.0, 1.5, width * 0.9, height * 1.1))
+    assert text == "living room" and smaller.width < width
+    texts, _, key = written(room("living room", 2.0, 1.5, width / 5, height, number=7))
+    assert (texts, key) == (["7"], ["7: living room"])
+    assert written(room("living room", 2.0, 1.5, 0.01, height))[0] == []
+
+
+def test_names_of_large_rooms_come_first_and_others_keep_clear():
+    one = room("a large room", 2.0, 1.5, 3.0, 2.0, 1)
+    other = room("another", 2.1, 1.52, 2.0, 1.0, 2)
+    for labels in ((one, other), (other, one)):
+        assert written(*labels)[0] == ["a large room"]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_names_lie_over_no_other_and_on_the_map(seed):
+    rng = np.random.default_rng(seed)
+    labels = []
+    for number in range(20):
+        x, y = rng.uniform(0, 4), rng.uniform(0, 3)
+        size = (0.0, 0.0) if rng.random() < 0.3 else rng.uniform(0.02, 2, 2)
+        labels.append(room("name " * int(rng.integers(1, 5)), x, y, *map(float, size), number))
+    texts, boxes, _ = written(*labels)
+    assert texts
+    for one, other in combinations(boxes, 2):
+        assert not one.overlaps(other)
+    for box in boxes:
+        assert (box.p0 >= 0).all() and (box.p1 <= MAP).all()
+        for label in labels:
+            if not label.width:  # a point stays in sight
+                assert not box.contains(label.x, label.y)
+
+
+@pytest.mark.parametrize(("width", "levels", "layers"), [(400, 1, 3), (2, 150, 1), (30, 4, 5)])
+def test_maps_are_apart_and_in_the_picture(width, levels, layers):
+    from matplotlib.figure import Figure
+
+    figure, panel = Figure(), make_panel(make_level(), "floor", 0)
+    axes = plot._add_axes(figure, (0, 0, width, 10), [panel] * (levels * layers), layers)
+    assert figure.get_figwidth() <= plot.WIDTH and figure.get_figheight() <= plot.MAX_HEIGHT + 1
+    boxes = [ax.get_position() for ax in axes]
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+    assert all((box.p0 >= 0).all() and (box.p1 <= 1).all() for box in boxes)
+
+
+def test_letters_that_no_font_has_are_known():
+    families, missing = plot._find_fonts("\u043a\u0443\u0445\u043d\u044f a\U000e0fff")
+    assert families == [plot.FONT]
+    assert missing <= {"\U000e0fff", "\\"}

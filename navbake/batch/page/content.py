@@ -1,4 +1,4 @@
-"""What the page of a batch says: the rows of its index, in columns, checked and in few bytes.
+"""What the page of a batch says: the rows of its index, checked, grouped by what went wrong.
 
 An index may come from a stranger. A number that is none, or a text that is none, is left out; a
 name that could lead out of the folder has no links.
@@ -7,15 +7,18 @@ name that could lead out of the folder has no links.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from navbake.batch.job import check_id
-from navbake.batch.page.reasons import Grouping, Reasons
 from navbake.batch.products import OWN
 from navbake.errors import ConfigError, printable
 from navbake.types import Json
+from navbake.views.color_scale import nice_step
 
 STATUSES = ("ok", "failed", "left")
 # of each scene, by its name on the page
@@ -27,11 +30,25 @@ NUMBERS = {
     "doors": "doors",
     "seconds": "seconds",
 }
+CHARTS = ("freeArea", "cells", "rooms", "seconds")
+NUM_BINS = 24  # bars of a chart, about
+SKEWED = 20  # so many times the median at the most: then bars have equal ratios, not widths
+REASONS = ("failures", "warnings", "remarks")
 MAX_SCENES = 100_000  # on a page; it says how many more there are
 MAX_TEXT = 1000  # characters of an error, a warning or a remark
-MAX_TEXTS = 50  # warnings of a scene, and remarks
-MAX_STAGES = 64
+MAX_TEXTS = 50  # warnings of a scene, remarks, and stages
 MOST = 1e15  # of a number; beyond it, JavaScript's are not exact
+
+SETTING = re.compile(r"(`[^`]*`)")
+QUOTED = re.compile(r"""(?<!\w)'[^']*'(?!\w)|(?<!\w)"[^"]*"(?!\w)""")
+WORD = re.compile(r"[^\s`'\"(),;:=<>\[\]{}]+")
+FILE = re.compile(
+    r"(?i)\.(xml|mjcf|urdf|mjb|ya?ml|json|jsonl|gz|obj|stl|ply|glb|gltf|dae|msh|skn|png|hdr|bin|npz"
+    r"|txt|csv)$"
+)
+THOUSANDS = re.compile(r"(?<=\d),(?=\d{3}(?!\d))")  # commas within a number
+# with a unit: 5cm, 30%
+NUMERIC = re.compile(r"[-+±]?(\d+(\.\d+)*|\.\d+)([eE][-+]?\d+)?[a-zA-Z%²³°]{0,3}")
 
 
 class Progress(NamedTuple):
@@ -52,83 +69,39 @@ def describe_batch(
         progress: how far the batch is, None if it has ended.
 
     Returns:
-        ``scenes``: a list for each column; numbers into the lists beside it are -1 for none.
-        Where there are more than `MAX_SCENES`, those that failed come first. Counts and ``sums``
-        are of all scenes.
+        ``scenes``: where there are more than `MAX_SCENES`, those that failed come first; counts
+        and ``sums`` are of all. ``groups``: of each kind of `REASONS`, which group each text is
+        in. ``edges``: of the bars of each chart.
     """
     given = [*rows]
-    known = [row for row in given if is_row(row)]
-    shown = known
-    if len(known) > MAX_SCENES:
-        shown = sorted(known, key=lambda row: row["status"] != "failed")[:MAX_SCENES]
-    errors, warnings, remarks = Grouping(), Grouping(), Grouping()
-    safe = [is_safe(row["id"]) for row in shown]
-    files = [_files(row) if is_fine else () for row, is_fine in zip(shown, safe, strict=True)]
-    lists = {names: number for number, names in enumerate(dict.fromkeys(files))}
-    sums, names = _sums(known)
-    stages = [_stages(row) for row in shown]
-    scenes: Json = {
-        "id": [
-            row["id"] if is_fine else _text(row["id"])
-            for row, is_fine in zip(shown, safe, strict=True)
-        ],
-        "source": [_text(row.get("source")) for row in shown],
-        "status": [STATUSES.index(row["status"]) for row in shown],
-        **{name: [_number(row.get(key)) for row in shown] for name, key in NUMBERS.items()},
-        "error": [_error(row, errors) for row in shown],
-        "warnings": [warnings.numbers(_texts(row.get("warnings"))) for row in shown],
-        "remarks": [remarks.numbers(_texts(row.get("audit"))) for row in shown],
-        "files": [lists[of_scene] for of_scene in files],
-        "thumbnail": [
-            int(is_fine and row["status"] == "ok" and has_thumbnail(row["id"]))
-            for row, is_fine in zip(shown, safe, strict=True)
-        ],
-        "stages": [[stage.get(name) for name in names] if stage else [] for stage in stages],
-        "ended": [_text(row.get("ended")) for row in shown],
-        "version": [_text(row.get("version")) for row in shown],
-    }
-    return {
-        "total": len(known),
-        "noRows": len(given) - len(known),
-        "counts": [sum(row["status"] == status for row in known) for status in STATUSES],
-        "work": round(measure_work(known), 3),
-        "progress": None if progress is None else [progress.done, progress.total],
-        "sums": sums,
-        "scenes": scenes,
-        "fileLists": [*lists],
-        "stageNames": [_text(name) for name in names],
-        "errors": _reasons(errors.reasons),
-        "warnings": _reasons(warnings.reasons),
-        "remarks": _reasons(remarks.reasons),
-    }
-
-
-def _sums(rows: Sequence[Json]) -> tuple[Json, list[str]]:
-    """What all scenes come to, and the names of stages.
-
-    ``staged`` is the time [s] of the scenes that say how long their stages took.
-    """
+    scenes = [_read_row(row) for row in given if is_row(row)]
+    shown = sorted(scenes, key=lambda scene: scene["status"] != "failed")
+    shown = (scenes if len(scenes) <= MAX_SCENES else shown)[:MAX_SCENES]
+    for scene in shown:
+        is_safe_ok = scene["isSafe"] and scene["status"] == "ok"
+        scene["thumbnail"] = is_safe_ok and has_thumbnail(scene["id"])
     stages: dict[str, float] = {}
-    staged = 0.0
-    for row in rows:
-        own = _stages(row)
-        staged += (_number(row.get("seconds")) or 0.0) if own else 0.0
-        for name, seconds in own.items():
-            if name in stages or len(stages) < MAX_STAGES:
+    for scene in scenes:
+        for name, seconds in scene["stages"].items():
+            if name in stages or len(stages) < MAX_TEXTS:
                 stages[name] = stages.get(name, 0.0) + seconds
-    numbers = {
-        name: float(sum(_number(row.get(key)) or 0 for row in rows))
-        for name, key in NUMBERS.items()
-    }
-    versions = dict.fromkeys(_text(row.get("version")) for row in rows)
+    versions = dict.fromkeys(scene["version"] for scene in scenes if scene["version"])
+    sums: Json = {key: float(sum(scene[key] or 0 for scene in scenes)) for key in NUMBERS}
+    sums |= {kind: sum(bool(scene[kind]) for scene in scenes) for kind in REASONS}
+    sums |= {"versions": [*versions][:MAX_TEXTS], "stages": stages}
+    # the time [s] of the scenes that say how long their stages took
+    sums["staged"] = float(sum(scene["seconds"] or 0 for scene in scenes if scene["stages"]))
     return {
-        **numbers,
-        "warned": sum(bool(_texts(row.get("warnings"))) for row in rows),
-        "remarked": sum(bool(_texts(row.get("audit"))) for row in rows),
-        "versions": [version for version in versions if version][:MAX_TEXTS],
-        "stages": [*stages.values()],
-        "staged": staged,
-    }, [*stages]
+        "total": len(scenes),
+        "noRows": len(given) - len(scenes),
+        "counts": {status: sum(s["status"] == status for s in scenes) for status in STATUSES},
+        "work": round(measure_work(scenes), 3),
+        "progress": progress and list(progress),
+        "sums": sums,
+        "scenes": shown,
+        "groups": {kind: _group(text for s in shown for text in s[kind]) for kind in REASONS},
+        "edges": {key: _edges([s[key] for s in shown if s[key] is not None]) for key in CHARTS},
+    }
 
 
 def is_row(row: Any) -> bool:
@@ -147,14 +120,34 @@ def is_safe(name: str) -> bool:
     return True
 
 
-def measure_work(rows: Iterable[Json]) -> float:
+def _read_row(row: Json) -> Json:
+    """What a row says of its scene, as far as it can be taken."""
+    safe, files, stages = is_safe(row["id"]), row.get("files"), row.get("stages")
+    reason = ": ".join(filter(None, (_text(row.get("how")), _text(row.get("error")))))
+    taken = {_text(name): _number(each) for name, each in stages.items()} if _is(stages) else {}
+    names = [name for name in files if OWN.fullmatch(name)] if safe and _is(files) else []
+    return {
+        "id": row["id"] if safe else _text(row["id"]),
+        "isSafe": safe,
+        "status": row["status"],
+        **{name: _number(row.get(key)) for name, key in NUMBERS.items()},
+        "failures": [reason] if row["status"] == "failed" else [],
+        "warnings": _texts(row.get("warnings")),
+        "remarks": _texts(row.get("audit")),
+        "files": names,  # what was made of it; others are no business of the page
+        "stages": {name: seconds for name, seconds in taken.items() if seconds is not None},
+        **{key: _text(row.get(key)) for key in ("source", "ended", "version")},
+    }
+
+
+def measure_work(scenes: Iterable[Json]) -> float:
     """How long at least one scene was being baked [s], however often the batch went on.
 
     That is the length of the union of the times from when each was begun to when it ended.
     """
     spans = []
-    for row in rows:
-        end, seconds = _time(row.get("ended")), _number(row.get("seconds"))
+    for scene in scenes:
+        end, seconds = _time(scene.get("ended")), _number(scene.get("seconds"))
         if end is not None and seconds is not None:
             spans.append((end - max(seconds, 0.0), end))
     total, reached = 0.0, -math.inf
@@ -162,6 +155,57 @@ def measure_work(rows: Iterable[Json]) -> float:
         total += max(0.0, end - max(begin, reached))
         reached = max(reached, end)
     return total
+
+
+def _edges(values: Sequence[float]) -> list[float]:
+    """The edges of bars for some numbers: as wide as one another, or in equal ratios."""
+    if not values:
+        return []
+    least, most = float(min(values)), float(max(values))
+    if least > 0 and most > SKEWED * float(np.median(values)):
+        return [*np.geomspace(least, most, NUM_BINS + 1).tolist()[:-1], most]
+    step = nice_step((most - least or abs(most) or 1) / (NUM_BINS - 4))
+    if all(float(value).is_integer() for value in values):
+        step = max(step, 1.0)
+    first = math.floor(least / step + 1e-9)
+    last = max(math.floor(most / step + 1e-9), first) + 1
+    return [round(number * step, 12) for number in range(first, last + 1)]
+
+
+def _group(texts: Iterable[str]) -> dict[str, str]:
+    """The group of each text: what it has in common with others, or itself where it is alone."""
+    folded = {text: fold(text) for text in texts}
+    members: dict[str, list[str]] = {}
+    for text, group in folded.items():
+        members.setdefault(group, []).append(text)
+    return {text: group if members[group][1:] else text for text, group in folded.items()}
+
+
+def fold(text: str) -> str:
+    """A text without what differs from scene to scene, so that alike ones are the same.
+
+    What is quoted, paths, names of files and words with digits in them become ``…``, numbers
+    become ``#``. What stands between backticks is a setting and stays.
+    """
+    parts = SETTING.split(text)
+    parts[::2] = [WORD.sub(_fold_word, THOUSANDS.sub("", QUOTED.sub("…", p))) for p in parts[::2]]
+    return "".join(parts)
+
+
+def _fold_word(match: re.Match[str]) -> str:
+    word = match.group()
+    core = word.rstrip(".!?")
+    if "/" in core or "\\" in core or FILE.search(core):
+        folded = "…"
+    elif NUMERIC.fullmatch(core):
+        folded = "#"
+    else:
+        folded = "…" if any(letter.isdecimal() for letter in core) else core
+    return folded + word[len(core) :]
+
+
+def _is(value: Any) -> bool:
+    return isinstance(value, dict)
 
 
 def _time(text: Any) -> float | None:
@@ -172,34 +216,9 @@ def _time(text: Any) -> float | None:
         return None
 
 
-def _error(row: Json, errors: Grouping) -> int:
-    if row["status"] != "failed":
-        return -1
-    return errors.number(_text(row.get("error")), _text(row.get("how")))
-
-
-def _reasons(reasons: Reasons) -> Json:
-    return {"texts": reasons.texts, "group": reasons.group, "groups": reasons.groups}
-
-
-def _files(row: Json) -> tuple[str, ...]:
-    """What was made of a scene; other files are no business of the page."""
-    files = row.get("files")
-    return tuple(name for name in files if OWN.fullmatch(name)) if isinstance(files, dict) else ()
-
-
-def _stages(row: Json) -> Mapping[str, float]:
-    stages = row.get("stages")
-    if not isinstance(stages, dict):
-        return {}
-    taken = {name: _number(seconds) for name, seconds in stages.items()}
-    return {name: seconds for name, seconds in taken.items() if seconds is not None}
-
-
-def _texts(value: Any) -> Sequence[str]:
-    if not isinstance(value, list):
-        return ()
-    return [_text(each) for each in value[:MAX_TEXTS] if isinstance(each, str)]
+def _texts(value: Any) -> list[str]:
+    given = value[:MAX_TEXTS] if isinstance(value, list) else []
+    return [_text(each) for each in given if isinstance(each, str)]
 
 
 def _text(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""Writes the page of a batch, from the index in its folder."""
+"""Writes the page of a batch, from the index in its folder: on this machine, or on a store."""
 
 from __future__ import annotations
 
@@ -12,19 +12,26 @@ from urllib.parse import quote
 import orjson
 
 from navbake.batch.full import no_room, why_full
+from navbake.batch.index import NAME as INDEX
+from navbake.batch.index import parse_rows, read_index
 from navbake.batch.journal import stamp
 from navbake.batch.page.content import Progress, describe_batch, is_row, is_safe
-from navbake.batch.page.files import files_of
-from navbake.batch.stores.urls import Folder, shown
-from navbake.errors import NavbakeError
+from navbake.batch.products import GRID, NOTE, THUMBNAIL, read_note, write_note
+from navbake.batch.stores.notes import read_note_at, write_note_at
+from navbake.batch.stores.store import list_tree, read_file, write_file
+from navbake.batch.stores.urls import Folder, shown, split_url
+from navbake.errors import FormatError, NavbakeError, printable
+from navbake.formats.navgrid import read_navgrid
 from navbake.formats.source import write_bytes
+from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
-from navbake.views.report.packing import to_text
-from navbake.views.report.page import make_page
+from navbake.views.notebook import draw_thumbnail
+from navbake.views.page.page import make_page, to_text
 
 NAME = "index.html"
-HERE = "navbake.batch.page"
-SCRIPTS = ("common.js", "charts.js", "scenes.js", "page.js")
+PACKAGE = "navbake.batch.page"  # where the page's script is
+PICTURES = "'self' file: data:"  # thumbnails are beside the page
+MAX_BYTES = 4 << 30  # of an index, and of a grid
 EVERY = 15.0  # how often the page of a batch that runs is written anew [s]
 SHARE = 0.01  # of the time that this may take
 
@@ -39,7 +46,11 @@ def write_page(folder: Folder, *, progress: Progress | None = None) -> None:
     Raises:
         NavbakeError: the index can't be read, or the page can't be written.
     """
-    files_of(folder).write(NAME, _render(folder, ".", progress))
+    content = _render(folder, ".", progress)
+    if isinstance(folder, Path):
+        write_bytes(content, _own(folder, NAME))
+    else:
+        write_file(f"{folder}/{NAME}", content)
 
 
 def write_page_beside(folder: Path, path: Path) -> None:
@@ -54,38 +65,51 @@ def write_page_beside(folder: Path, path: Path) -> None:
         base = os.path.relpath(folder, path.parent).replace(os.sep, "/")
     except ValueError:  # another drive on Windows
         base = folder.absolute().as_posix()
-    base = quote(os.fsencode(base))
-    write_bytes(_render(folder, base, None), path)
+    write_bytes(_render(folder, quote(os.fsencode(base)), None), path)
 
 
 def _render(folder: Folder, base: str, progress: Progress | None) -> bytes:
     """The page; `base` is the link that leads to the folder."""
-    files = files_of(folder)
-    content = describe_batch(files.read_rows().values(), files.find_thumbnails(), progress)
-    content["title"] = files.name() or "batch"
-    content["made"] = stamp()
-    content["base"] = base
+    if isinstance(folder, Path):
+        name = folder.resolve().name
+    else:  # a password has no part in it
+        name = "".join(split_url(folder).path[-1:])
+    content = describe_batch(_read_rows(folder).values(), _find_thumbnails(folder), progress)
+    content |= {"title": printable(name) or "batch", "made": stamp(), "base": base}
     packed = {"title": f"{content['title']}: batch", "packed": to_text(orjson.dumps(content))}
-    return make_page(packed, HERE, SCRIPTS)
+    return make_page(packed, PACKAGE, "batch.js", PICTURES)
+
+
+def _read_rows(folder: Folder) -> dict[str, Json]:
+    if isinstance(folder, Path):
+        return read_index(folder)
+    return parse_rows(read_file(f"{folder}/{INDEX}", MAX_BYTES))
+
+
+def _find_thumbnails(folder: Folder) -> Callable[[str], bool]:
+    """Returns what says whether a scene has a thumbnail; of a store, from one listing."""
+    if isinstance(folder, Path):
+        return lambda id: os.path.isfile(folder / id / THUMBNAIL)
+    found = list_tree(folder, is_own=True)
+    return lambda id: f"{id}/{THUMBNAIL}" in found
 
 
 def draw_thumbnails(folder: Folder, show: Callable[[float], None]) -> int:
     """Draw the thumbnails that are missing, from the grids; returns how many are missing still.
 
     Args:
-        show: is told which share of them is done.
+        show: is called with the share of them that is done.
 
     Raises:
         FullError: the folder has no room for one; the others are not tried.
     """
-    files = files_of(folder)
-    has_thumbnail, num_failed = files.find_thumbnails(), 0
-    missing = [id for id, row in files.read_rows().items() if _is_done(id, row)]
-    missing = [id for id in missing if not has_thumbnail(id)]
+    has_thumbnail, num_failed = _find_thumbnails(folder), 0
+    rows = {id: row for id, row in _read_rows(folder).items() if is_row(row) and is_safe(id)}
+    missing = [id for id, row in rows.items() if row["status"] == "ok" and not has_thumbnail(id)]
     for number, id in enumerate(missing):
         show(number / len(missing))
         try:
-            files.draw_thumbnail(id)
+            _draw_thumbnail(folder, id)
         except NavbakeError as error:  # no grid, a broken one, or a folder that can't be written
             why = why_full(error)
             if why is not None:
@@ -94,8 +118,30 @@ def draw_thumbnails(folder: Folder, show: Callable[[float], None]) -> int:
     return num_failed
 
 
-def _is_done(id: str, row: Json) -> bool:
-    return is_row(row) and row["status"] == "ok" and is_safe(id)
+def _draw_thumbnail(folder: Folder, id: str) -> None:
+    grid: NavGrid
+    if isinstance(folder, Path):
+        place, note = _own(folder, f"{id}/{THUMBNAIL}"), _own(folder, f"{id}/{NOTE}")
+        grid = read_navgrid(folder / id / GRID)
+        write_note(note.parent, {*read_note(note.parent), THUMBNAIL})
+        write_bytes(draw_thumbnail(grid), place)
+        return
+    grid = read_navgrid(read_file(f"{folder}/{id}/{GRID}", MAX_BYTES))
+    write_note_at(f"{folder}/{id}", {*read_note_at(f"{folder}/{id}"), THUMBNAIL})
+    write_file(f"{folder}/{id}/{THUMBNAIL}", draw_thumbnail(grid))
+
+
+def _own(folder: Path, name: str) -> Path:
+    """The path of a file that is to be written.
+
+    The folder may come from a stranger: nothing is written through a link that leads out of it.
+    """
+    path, real = folder / name, Path(os.path.realpath(folder / name))
+    if not real.is_relative_to(os.path.realpath(folder)):
+        raise FormatError(
+            f"expected a file in {folder}, got {path}, which leads to {real}: remove the link"
+        )
+    return path
 
 
 class LivePage:
@@ -113,7 +159,7 @@ class LivePage:
         begin = time.monotonic()
         if begin < self._next:
             return
-        with suppress(NavbakeError):  # told at the end, if it can't be written then
+        with suppress(NavbakeError):  # raised at the end, if it can't be written then
             write_page(self._folder, progress=Progress(done, self._total))
         end = time.monotonic()
         self._next = end + max(EVERY, (end - begin) / SHARE)

@@ -203,7 +203,7 @@ def _limits(isolation: Isolation) -> CompileLimits | None:
 
 
 def _print_result(result: BakeResult, target: Path) -> None:
-    from navbake.views.info import describe
+    from navbake.views.describe import describe
 
     if target != STDOUT:
         say(target)

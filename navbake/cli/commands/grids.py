@@ -16,7 +16,7 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
 
     Example: navbake info house.grid.json
     """
-    from navbake.views.info import describe
+    from navbake.views.describe import describe
 
     content = navbake.load(grid)
     facts = describe(content)
@@ -60,7 +60,7 @@ def why(
 
     Example: navbake why house.grid.json --at 1.5,0.2,L0
     """
-    from navbake.views.why import describe_column
+    from navbake.views.describe import describe_column
 
     x, y, z, level = parse_place(at, "--at")
     content = navbake.load(grid)

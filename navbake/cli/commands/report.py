@@ -47,8 +47,7 @@ def report(
     """
     from navbake.auditor.audit import audit
     from navbake.formats.source import write_bytes
-    from navbake.views.report.report import render_report
-    from navbake.views.report.verification import read_verification
+    from navbake.views.report.report import read_verification, render_report
 
     if any(os.path.isdir(path) for path in grids):
         refuse_unused(

@@ -1,6 +1,5 @@
-"""A report on grids: one page that needs neither a server nor the network.
+"""A report on grids.
 
-`report.py` writes it. `content.py` gathers what it says of a grid, `cells.py` what it says of each
-cell, `pictures.py` what it shows, `difference.py` what differs between two grids. `page.html`,
-`page.css` and `page.js` are the page.
+`report.py` writes it and gathers facts and tables, `maps.py` what it shows of each level,
+`difference.py` what differs between two grids; `body.html` and `report.js` show it.
 """

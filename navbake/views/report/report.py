@@ -2,21 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from navbake.errors import QueryError, printable
-from navbake.formats.source import write_bytes
+import numpy as np
+
+from navbake.errors import FormatError, QueryError, printable
+from navbake.formats.json_path import shown
+from navbake.formats.source import read_object, write_bytes
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
-from navbake.views.report.changes import describe_changes
-from navbake.views.report.content import describe_grid
-from navbake.views.report.page import make_page
+from navbake.views.describe import describe
+from navbake.views.page.page import make_page, table
+from navbake.views.report.difference import describe_changes, flatten
+from navbake.views.report.maps import describe_map
 
 if TYPE_CHECKING:
     from navbake.auditor.report import AuditReport
+
+PACKAGE = "navbake.views.report"  # where the page's script is
+WAYS = {"link": "steps"}  # as `navbake rooms` has it
+MAX_BYTES = 64 << 20  # of a verification
+PRINTED = "what `navbake verify --json` prints"
+WHOLE = {"ok": bool, "checked": int, "cells": int, "findings": list}
+FINDING = {"kind": str, "level": int, "position": list, "text": str}
 
 
 def write_report(
@@ -48,7 +60,7 @@ def render_report(
     """Make a report as one HTML page: maps to zoom, and tables. The same grids, the same bytes.
 
     Each level has its layers, and what is known of the cell under the pointer; floors and
-    clearances are rounded to a millimetre. Of levels of more than `cells.MAX_SHOWN` cells, every
+    clearances are rounded to a millimetre. Of levels of more than `maps.MAX_SHOWN` cells, every
     n-th row and column is shown. With two grids, a third sheet shows what differs.
 
     Args:
@@ -62,27 +74,26 @@ def render_report(
             verification is of another grid, as far as its scene's name and the cells tell.
     """
     grids = [grids] if not isinstance(grids, Sequence) else list(grids)
+    num = len(grids)
     if not grids:
         raise QueryError("expected at least one grid to report on, got none")
     for what, given in (("names", names), ("audits", audits), ("verifications", verifications)):
-        if given is not None and len(given) != len(grids):
-            raise QueryError(f"expected as many {what} as grids, {len(grids)}, got {len(given)}")
-    for grid, verification in zip(grids, verifications or (), strict=bool(verifications)):
-        _check_is_of(grid, verification)
-    shown = _tell_apart(names or [grid.scene_id or "grid" for grid in grids])
-    sheets = [
-        describe_grid(grid, name, audit, verification)
-        for grid, name, audit, verification in zip(
-            grids,
-            shown,
-            audits or [None] * len(grids),
-            verifications or [None] * len(grids),
-            strict=True,
-        )
+        if given is not None and len(given) != num:
+            raise QueryError(f"expected as many {what} as grids, {num}, got {len(given)}")
+    audits, verifications = audits or [None] * num, verifications or [None] * num
+    called = [printable(name) for name in names or [grid.scene_id or "grid" for grid in grids]]
+    called = [  # numbered where two are the same
+        name if called.count(name) == 1 else f"{name} ({called[: i + 1].count(name)})"
+        for i, name in enumerate(called)
     ]
-    if len(grids) == 2:
-        sheets.append(describe_changes(grids[0], grids[1], shown))
-    return make_page({"title": ", ".join(shown), "sheets": sheets})
+    for grid, verification in zip(grids, verifications, strict=True):
+        _check_is_of(grid, verification)
+    sheets = [
+        _describe_grid(*each) for each in zip(grids, called, audits, verifications, strict=True)
+    ]
+    if num == 2:
+        sheets.append(describe_changes(grids[0], grids[1], called))
+    return make_page({"title": ", ".join(called), "sheets": sheets}, PACKAGE, "report.js")
 
 
 def _check_is_of(grid: NavGrid, verification: Json | None) -> None:
@@ -97,10 +108,219 @@ def _check_is_of(grid: NavGrid, verification: Json | None) -> None:
         )
 
 
-def _tell_apart(names: Sequence[str]) -> list[str]:
-    """Names in print, numbered where two are the same."""
-    shown = [printable(name) for name in names]
-    return [
-        name if shown.count(name) == 1 else f"{name} ({shown[: i + 1].count(name)})"
-        for i, name in enumerate(shown)
+def read_verification(path: str | os.PathLike[str]) -> Json:
+    """Read a verification's JSON, see `navbake.verifier.report.VerifyReport.to_json`.
+
+    Raises:
+        FormatError: it is none, or can't be read.
+    """
+    report, name = read_object(path, expected=PRINTED, limit=MAX_BYTES)
+    _check(report, WHOLE, "", name)
+    for number, finding in enumerate(report["findings"]):
+        _check(finding, FINDING, f"findings[{number}].", name)
+        position = finding["position"]
+        if len(position) != 3 or not all(type(v) in (int, float) for v in position):
+            raise FormatError(f"expected [x, y, z] at `findings[{number}].position` in {name}")
+    checked: Json = report
+    return checked
+
+
+def _check(value: Any, kinds: dict[str, type], where: str, name: str) -> None:
+    if not isinstance(value, dict):
+        raise FormatError(f"expected {PRINTED} in {name}, got {shown(value)}")
+    for key, kind in kinds.items():
+        if type(value.get(key)) is not kind:
+            raise FormatError(
+                f"expected {kind.__name__} at `{where}{key}` in {name}, got {shown(value.get(key))}"
+            )
+
+
+def _describe_grid(
+    grid: NavGrid, name: str, audit: AuditReport | None, verification: Json | None
+) -> Json:
+    """A sheet of the page: everything that it shows of a grid."""
+    facts = describe(grid)
+    names = {room.id: room.name or room.id for room in grid.rooms}
+    marks = [*_audit_marks(audit), *verify_marks(verification, len(grid.levels))]
+    levels = [
+        {
+            **describe_map(grid, number),
+            "marks": [mark for mark in marks if mark["level"] in (number, None)],
+            "rooms": {str(r.index): names[r.id] for r in grid.rooms if r.level == number},
+        }
+        for number in range(len(grid.levels))
     ]
+    timings = [
+        (key.removesuffix("Millis"), f"{value:.1f}")
+        for key, value in grid.timings.items()
+        if isinstance(value, int | float)
+    ]
+    tables = [
+        _levels_table(facts),
+        _rooms_table(grid, names),
+        _doors_table(grid, names),
+        _links_table(grid),
+        *_audit_tables(audit),
+        *verify_tables(verification),
+        table("Settings", ("setting", "value"), flatten(grid.navbake.get("settings"))),
+        table("Timings", ("stage", "ms"), timings, numbers=(1,)),
+        table("Made by", ("what", "version or digest"), list(facts["made_by"].items())),
+    ]
+    return {
+        "name": name,
+        "facts": _facts(grid, facts),
+        "warnings": facts["warnings"],
+        "levels": levels,
+        "tables": [made for made in tables if made["rows"]],
+    }
+
+
+def _facts(grid: NavGrid, facts: Json) -> list[tuple[str, str]]:
+    area = sum(level["free_area"] for level in facts["levels"])
+    shown = [
+        ("scene", facts["scene_id"] or "not named"),
+        ("levels", str(len(facts["levels"]))),
+        ("cells", f"{sum(lv['width'] * lv['height'] for lv in facts['levels']):,}"),
+        ("cell size", f"{facts['cell_size']:g} m"),
+        ("free", f"{area:.2f} m²"),
+        ("rooms", str(len(grid.rooms))),
+        ("doors", str(len(facts["doors"]))),
+        ("islands", str(facts["num_islands"])),
+        ("agent", f"{grid.agent_radius:g} m radius, {grid.agent_height:g} m high"),
+        ("highest step", f"{grid.max_step:g} m"),
+    ]
+    shown += [
+        ("inflated to", "{radius:g} m, clearance {clearance:g} m ({mode})".format_map(entry))
+        for entry in facts["inflated"]
+        if all(isinstance(entry[key], int | float) for key in ("radius", "clearance"))
+    ]
+    return shown
+
+
+def _levels_table(facts: Json) -> Json:
+    columns = ("level", "name", "cells", "ground [m]", "floors [m]", "floor [m²]", "free [m²]")
+    rows = [
+        (
+            number,
+            level["name"],
+            f"{level['width']} x {level['height']}",
+            f"{level['ground']:.3f}",
+            "none"
+            if level["floor_min"] is None
+            else f"{level['floor_min']:.3f} to {level['floor_max']:.3f}",
+            f"{level['floor_area']:.2f}",
+            f"{level['free_area']:.2f}",
+            level["num_islands"],
+            level["num_rooms"],
+        )
+        for number, level in enumerate(facts["levels"])
+    ]
+    return table("Levels", (*columns, "islands", "rooms"), rows, numbers=(0, 2, 3, 5, 6, 7, 8))
+
+
+def _rooms_table(grid: NavGrid, names: dict[str, str]) -> Json:
+    rows = []
+    for room in grid.rooms:
+        opens_to = [
+            f"{names.get(near.room, near.room)} ({near.door or WAYS.get(near.kind, near.kind)})"
+            for near in room.neighbours
+        ]
+        where = ", ".join(f"{value:.2f}" for value in room.centroid)
+        kind = "outdoors" if room.outdoors else ""
+        level = grid.level_names[room.level] if len(grid.levels) > 1 else ""
+        area = f"{room.area:.2f}"
+        rows.append(
+            (room.id, room.name, level, area, where, room.source, kind, ", ".join(opens_to))
+        )
+    columns = ("id", "name", "level", "m²", "centre x, y, z [m]", "from", "", "opens to")
+    return table("Rooms", columns, rows, numbers=(3,))
+
+
+def _doors_table(grid: NavGrid, names: dict[str, str]) -> Json:
+    rows = []
+    for door in grid.doors:
+        joins = " - ".join(names.get(room, room) if room else "outside" for room in door.rooms)
+        state = f"{door.state} ({door.like})" if door.like else door.state
+        levels = ", ".join(grid.level_names[level] for level in door.levels)
+        rows.append((door.id, levels if len(grid.levels) > 1 else "", joins, state, door.joint))
+    return table("Doors", ("id", "levels", "joins", "is", "joint"), rows)
+
+
+def _links_table(grid: NavGrid) -> Json:
+    """How many steps lead from level to level, and where their middle is."""
+    links = grid.link_array
+    rows = []
+    for level, other in np.unique(links[:, ::2], axis=0).tolist():
+        own = links[(links[:, 0] == level) & (links[:, 2] == other)]
+        lattice = grid.levels[level].lattice
+        x, y = lattice.positions(*np.divmod(own[:, 1], lattice.width)).mean(axis=0).tolist()
+        names = grid.level_names[level], grid.level_names[other]
+        rows.append((*names, len(own), f"{x:.2f}, {y:.2f}"))
+    columns = ("from", "to", "steps", "mean place x, y [m]")
+    return table("Links between levels", columns, rows, numbers=(2,))
+
+
+def _audit_marks(audit: AuditReport | None) -> Iterator[Json]:
+    for remark in audit.remarks if audit else ():
+        if remark.place is not None:
+            yield {
+                "level": remark.level,
+                "x": remark.place[0],
+                "y": remark.place[1],
+                "kind": f"audit: {remark.check}",
+                "text": remark.text,
+            }
+
+
+def _audit_tables(audit: AuditReport | None) -> Iterator[Json]:
+    if audit is None:
+        return
+    rows = [
+        (
+            remark.severity,
+            remark.check,
+            "" if remark.level is None else remark.level,
+            "" if remark.place is None else ", ".join(f"{v:.2f}" for v in remark.place),
+            remark.text,
+        )
+        for remark in audit.remarks
+    ]
+    rows = rows or [("", "", "", "", f"{len(audit.checks)} checks, nothing to say")]
+    yield table("Audit", ("how bad", "check", "level", "x, y, z [m]", "what"), rows)
+
+
+def verify_marks(verification: Json | None, num_levels: int) -> Iterator[Json]:
+    """What a verification found, as marks on the map."""
+    for finding in (verification or {}).get("findings", ()):
+        x, y, _ = finding["position"]
+        if not 0 <= finding["level"] < num_levels:
+            raise FormatError(
+                f"expected levels below {num_levels} in the verification, got {finding['level']}"
+            )
+        yield {
+            "level": finding["level"],
+            "x": x,
+            "y": y,
+            "kind": f"verify: {finding['kind']}",
+            "text": finding["text"],
+        }
+
+
+def verify_tables(verification: Json | None) -> Iterator[Json]:
+    """What a verification found, as a table."""
+    if verification is None:
+        return
+    rows = [
+        (
+            finding["kind"],
+            finding["level"],
+            ", ".join(f"{v:.3f}" for v in finding["position"]),
+            finding.get("geom") or "",
+            finding["text"],
+        )
+        for finding in verification["findings"]
+    ]
+    looked_at = f"{verification['checked']:,} of {verification['cells']:,} cells looked at"
+    rows = rows or [("none", "", "", "", looked_at)]
+    title = f"Verification: {'agrees' if verification['ok'] else 'disagrees'}, {looked_at}"
+    yield table(title, ("disagreement", "level", "x, y, z [m]", "geom", "what"), rows)

@@ -13,8 +13,7 @@ from navbake.navgrid.grid import NavGrid
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.paths.path import Path
 from navbake.types import Float, Json
-from navbake.views.layers import DISAGREEMENTS, LAYERS, make_panel
-from navbake.views.panel import Panel, paint
+from navbake.views.layers import DISAGREEMENTS, LAYERS, Panel, make_panel, paint
 from navbake.views.viewer.choices import CUT_OVER, Choices
 from navbake.views.viewer.mesh.cut import cut_drawing
 from navbake.views.viewer.mesh.drawing import Drawing, Surface, draw_scene
@@ -61,7 +60,7 @@ class Told(NamedTuple):
     """What is told of a cell.
 
     Attributes:
-        facts: as `navbake.views.why.describe_cell` has them.
+        facts: as `navbake.views.describe.describe_cell` has them.
         clicked: name of the geom that was clicked, None for none.
         lit: what blocks the cell, or else was clicked: triangles, shape (n, 3, 3) [m].
     """

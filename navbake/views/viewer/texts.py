@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
 from navbake.views.color_scale import ColorScale
-from navbake.views.panel import Panel
+from navbake.views.layers import Panel
 from navbake.views.viewer.choices import Choices
 from navbake.views.viewer.exhibit import Counts, Route, Told
 

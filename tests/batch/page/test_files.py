@@ -34,8 +34,8 @@ def test_a_store_has_thumbnails_and_the_page(tmp_path, monkeypatch):
     remove_files([f"{FOLDER}/second/thumbnail.png"])
     write_page(FOLDER)
     shown = content_of_page(read_file(f"{FOLDER}/index.html", 1 << 24))
-    assert shown["scenes"]["id"] == ["first", "second"]
-    assert shown["scenes"]["thumbnail"] == [1, 0]
+    made = [(scene["id"], scene["thumbnail"]) for scene in shown["scenes"]]
+    assert made == [("first", True), ("second", False)]
     assert (shown["title"], shown["base"]) == ("out", ".")
     remove_files([f"{FOLDER}/index.html"])
     LivePage(FOLDER, 2).refresh(1)

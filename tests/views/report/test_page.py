@@ -17,7 +17,7 @@ from browser import (
 from grid_maps import level_from
 from navbake.auditor.audit import audit
 from navbake.views.report.report import write_report
-from project_paths import ROOT
+from project_paths import GOLDEN
 
 POINT = """
   const box = canvas.getBoundingClientRect(), [px, py] = toPixels(arguments[0], arguments[1]);
@@ -35,7 +35,7 @@ LOOK = """
 
 @pytest.fixture(scope="module")
 def house():
-    return navbake.bake(ROOT / "configs" / "house.yaml")
+    return navbake.load(GOLDEN / "house.grid.json.gz")
 
 
 @pytest.fixture(scope="module")

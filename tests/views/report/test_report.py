@@ -7,6 +7,9 @@ import re
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
 
 import navbake
 from grid_maps import house_from, level_from
@@ -14,16 +17,18 @@ from navbake.auditor.audit import audit
 from navbake.errors import FormatError, NavbakeError, QueryError
 from navbake.navgrid.islands import clearance, islands_of
 from navbake.views.layers import LAYERS, make_panel, paint
-from navbake.views.report import cells
-from navbake.views.report.report import render_report, write_report
-from navbake.views.report.verification import read_verification
-from project_paths import ROOT
+from navbake.views.page.page import pack
+from navbake.views.report import maps
+from navbake.views.report.report import read_verification, render_report, write_report
+from project_paths import GOLDEN
 from report_pages import check_policy, content_of, picture_of, text_of, unpack
 
 
 @pytest.fixture(scope="module")
 def house():
-    return navbake.bake(ROOT / "configs" / "house.yaml")
+    grid = navbake.load(GOLDEN / "house.grid.json.gz")
+    grid.timings = {"createMillis": 12.0}  # goldens have none
+    return grid
 
 
 def test_cells_are_told_as_the_grid_has_them(house):
@@ -44,7 +49,7 @@ def test_cells_are_told_as_the_grid_has_them(house):
         np.testing.assert_array_equal(weights[arrays["weight"]], level.weights)
         lists = json.loads(text_of(packed["nameLists"]))
         for cell, entry in level.user_data.items():
-            kept = {key: sorted(entry[key]) for key in cells.KINDS if entry.get(key)}
+            kept = {key: sorted(entry[key]) for key in maps.KINDS if entry.get(key)}
             which = int(arrays["names"].flat[cell])
             assert (lists[which] if which >= 0 else {}) == kept
         assert np.count_nonzero(arrays["names"] >= 0) == len(level.user_data)
@@ -125,7 +130,7 @@ def test_the_policy_allows_the_pages_own_script_and_style_only(house):
 
 
 def test_large_levels_show_every_nth_cell(monkeypatch):
-    monkeypatch.setattr(cells, "MAX_SHOWN", 6)
+    monkeypatch.setattr(maps, "MAX_SHOWN", 6)
     level = level_from("..#..\n#...#\n.....")
     [sheet] = content_of(render_report(level))["sheets"]
     [shown] = sheet["levels"]
@@ -213,3 +218,21 @@ def test_wrong_arguments_are_named(tmp_path):
         render_report(level, names=["a", "b"])
     with pytest.raises(NavbakeError, match=r"cannot write .*nowhere"):
         write_report(level, tmp_path / "nowhere" / "report.html")
+
+
+@given(
+    arrays.arrays(
+        np.int64,
+        arrays.array_shapes(min_dims=2, max_dims=2, max_side=6),
+        elements=st.one_of(st.integers(-1, 300), st.integers(-1, 2**32 - 2)),
+    )
+)
+def test_packed_numbers_come_back(values):
+    np.testing.assert_array_equal(unpack(pack(values), values.shape), values)
+
+
+@pytest.mark.parametrize(
+    ("highest", "size"), [(0, 1), (254, 1), (255, 2), (65534, 2), (65535, 4), (2**32 - 2, 4)]
+)
+def test_numbers_take_as_few_bytes_as_hold_them(highest, size):
+    assert pack(np.array([[-1, highest]]))["bytes"] == size

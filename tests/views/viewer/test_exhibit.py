@@ -7,8 +7,7 @@ import pytest
 
 import navbake
 from navbake.errors import QueryError
-from navbake.views.layers import DISAGREEMENTS
-from navbake.views.panel import Panel
+from navbake.views.layers import DISAGREEMENTS, Panel
 from navbake.views.viewer import texts
 from navbake.views.viewer.choices import INSPECT, ROUTE, first_choices, keep_choices
 from navbake.views.viewer.exhibit import Exhibit

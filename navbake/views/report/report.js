@@ -1,7 +1,4 @@
-"use strict";
-// What the page shows is in #content. Names come from files: they are only ever set as text.
-const content = JSON.parse(document.getElementById("content").textContent);
-const find = (id) => document.getElementById(id);
+// A map of each level, and tables.
 const canvas = find("canvas"), pen = canvas.getContext("2d");
 const GOLDEN = 137.5; // degrees of hue between the colours of kinds of marks
 const NEAR = 9; // how near the pointer is to a mark that it points at [pixels]
@@ -17,39 +14,9 @@ const pictures = new Map(), unpacked = new Map();
 const sheet = () => content.sheets[state.sheet];
 const level = () => sheet().levels[state.level];
 const layers = () => level().layers;
-const fixed = (value, digits) => (Number(value.toFixed(digits)) + 0).toFixed(digits); // never -0
 const layer = () => layers().find((each) => each.name === state.layer) || layers()[0];
 
-function element(tag, text, attributes = {}) {
-  const made = document.createElement(tag);
-  if (text !== undefined) made.textContent = text;
-  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-  return made;
-}
-
-// --- arrays -----------------------------------------------------------------------------------
-
-// Undo packing.to_text.
-function inflate(text) {
-  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-  return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate")));
-}
-
-// Undo packing.pack: zlib, planes of bytes, differences along rows. The largest number is none: -1.
-async function unpack(packed, rows, cols) {
-  const planes = new Uint8Array(await inflate(packed.data).arrayBuffer());
-  const count = rows * cols, mask = 2 ** (8 * packed.bytes) - 1, values = new Float64Array(count);
-  for (let row = 0; row < rows; row++) {
-    let before = 0;
-    for (let i = row * cols; i < (row + 1) * cols; i++) {
-      let value = 0;
-      for (let plane = packed.bytes - 1; plane >= 0; plane--) value = value * 256 + planes[plane * count + i];
-      if (packed.deltas) before = value = (before + value) % (mask + 1);
-      values[i] = value === mask ? -1 : value;
-    }
-  }
-  return values;
-}
+// --- cells ------------------------------------------------------------------------------------
 
 // The cells of a level, unpacked once: it takes a moment, so it waits until the level is shown.
 function cellsOf(shown) {
@@ -58,19 +25,22 @@ function cellsOf(shown) {
 }
 
 async function unpackCells(shown) {
-  const cells = shown.cells, rows = Math.ceil(shown.height / cells.every), cols = Math.ceil(shown.width / cells.every);
-  const made = { cols };
-  for (const key of ["floor", "clearance", "room", "island", "weight", "names"]) made[key] = await unpack(cells[key], rows, cols);
+  const cells = shown.cells, made = { cols: Math.ceil(shown.width / cells.every) };
+  for (const key of ["floor", "clearance", "room", "island", "weight", "names"]) made[key] = await unpack(cells[key]);
   made.nameLists = await inflate(cells.nameLists).json();
   shown.unpacked = made;
   return made;
 }
 
-// --- words ------------------------------------------------------------------------------------
+// Row and column of a place, null beside the level.
+function cellAt(shown, x, y) {
+  const col = Math.floor((x - shown.xMin) / shown.cellSize), row = Math.floor((shown.yMax - y) / shown.cellSize);
+  return row < 0 || col < 0 || row >= shown.height || col >= shown.width ? null : [row, col];
+}
 
 function describe(shown, x, y) {
-  const col = Math.floor((x - shown.xMin) / shown.cellSize), row = Math.floor((shown.yMax - y) / shown.cellSize);
-  if (row < 0 || col < 0 || row >= shown.height || col >= shown.width) return "outside of the grid";
+  const [row, col] = cellAt(shown, x, y) || [];
+  if (row === undefined) return "outside of the grid";
   const lines = [`row ${row}, col ${col}, cell ${col + row * shown.width}`];
   const cells = shown.cells, arrays = shown.unpacked;
   if (!arrays) return lines[0];
@@ -78,12 +48,12 @@ function describe(shown, x, y) {
   const floor = arrays.floor[at], weight = cells.weights[arrays.weight[at]], free = weight !== null;
   const height = floor < 0 ? "no floor" : `floor ${fixed(cells.floorFrom + floor * cells.floorStep, 3)} m`;
   lines[0] += `: ${height}, ${free ? "free" : "blocked"}`;
-  const facts = [];
-  if (free && weight !== 1) facts.push(`weight ${weight}`);
-  if (free) facts.push(`clearance ${(arrays.clearance[at] / 1000).toFixed(2)} m`, `island ${arrays.island[at]}`);
+  const known = [];
+  if (free && weight !== 1) known.push(`weight ${weight}`);
+  if (free) known.push(`clearance ${(arrays.clearance[at] / 1000).toFixed(2)} m`, `island ${arrays.island[at]}`);
   const room = arrays.room[at];
-  if (room > 0) facts.push(`room ${shown.rooms[room] || room}`);
-  if (facts.length) lines.push(facts.join(", "));
+  if (room > 0) known.push(`room ${shown.rooms[room] || room}`);
+  if (known.length) lines.push(known.join(", "));
   const names = arrays.names[at] < 0 ? {} : arrays.nameLists[arrays.names[at]];
   const standing = ["doors", "objects", "walls"].filter((key) => names[key]).map((key) => `${key}: ${names[key].join(", ")}`);
   const all = ["doors", "objects", "walls"].flatMap((key) => names[key] || []);
@@ -117,12 +87,10 @@ function describedLevels() {
 }
 
 function changeAt(x, y) {
-  const own = level();
-  if (!own.change) return "";
-  const col = Math.floor((x - own.xMin) / own.cellSize), row = Math.floor((own.yMax - y) / own.cellSize);
-  if (!own.changes || row < 0 || col < 0 || row >= own.height || col >= own.width) return "";
-  const cols = Math.ceil(own.width / own.every);
-  return own.kinds[own.changes[Math.floor(row / own.every) * cols + Math.floor(col / own.every)]];
+  const own = level(), cell = cellAt(own, x, y);
+  if (!own.changes?.length || !cell) return "";
+  const [row, col] = cell.map((each) => Math.floor(each / own.every));
+  return own.kinds[own.changes[row * Math.ceil(own.width / own.every) + col]];
 }
 
 // --- drawing ----------------------------------------------------------------------------------
@@ -173,24 +141,21 @@ function draw() {
 function drawDoor(door) {
   const closed = door.state === "closed";
   pen.setLineDash(closed ? [] : [3, 3]);
-  for (const [color, width] of [["#fff", 4], ["#b02a1e", closed ? 3 : 2]]) {
-    pen.strokeStyle = color;
-    pen.lineWidth = width;
-    pen.beginPath();
-    pen.moveTo(...toPixels(...door.start)); pen.lineTo(...toPixels(...door.end));
-    pen.stroke();
-  }
+  stroke([[toPixels(...door.start), toPixels(...door.end)]], [["#fff", 4], ["#b02a1e", closed ? 3 : 2]]);
   pen.setLineDash([]);
 }
 
 function drawPointer(x, y) {
   const [px, py] = toPixels(x, y);
-  for (const [color, width] of [["#fff", 3], ["#000", 1]]) {
-    pen.strokeStyle = color;
-    pen.lineWidth = width;
+  stroke([[[px - 8, py], [px + 8, py]], [[px, py - 8], [px, py + 8]]], [["#fff", 3], ["#000", 1]]);
+}
+
+// Lines, each in several colours and widths over each other.
+function stroke(lines, strokes) {
+  for (const [color, width] of strokes) {
+    Object.assign(pen, { strokeStyle: color, lineWidth: width });
     pen.beginPath();
-    pen.moveTo(px - 8, py); pen.lineTo(px + 8, py);
-    pen.moveTo(px, py - 8); pen.lineTo(px, py + 8);
+    for (const [from, to] of lines) { pen.moveTo(...from); pen.lineTo(...to); }
     pen.stroke();
   }
 }
@@ -252,16 +217,6 @@ function zoom(factor, px = canvas.clientWidth / 2, py = canvas.clientHeight / 2)
 
 // --- the page ---------------------------------------------------------------------------------
 
-function buttons(box, entries, isOn, choose) {
-  find(box).replaceChildren(...entries.map(([value, text]) => {
-    const attribute = find(box).getAttribute("role") === "tablist" ? "aria-selected" : "aria-pressed";
-    const made = element("button", text, { type: "button", [attribute]: String(isOn(value)) });
-    if (attribute === "aria-selected") made.setAttribute("role", "tab");
-    made.addEventListener("click", () => choose(value));
-    return made;
-  }));
-}
-
 function showSheet() {
   const own = sheet();
   buttons("grids", content.sheets.length > 1 ? content.sheets.map((each, i) => [i, each.name]) : [], (i) => i === state.sheet, (i) => {
@@ -269,11 +224,7 @@ function showSheet() {
     forget();
     showSheet();
   });
-  find("facts").replaceChildren(...own.facts.map(([name, value]) => {
-    const box = element("div");
-    box.append(element("dt", name), element("dd", value));
-    return box;
-  }));
+  find("facts").replaceChildren(...facts(own.facts));
   find("warnings").replaceChildren(...own.warnings.map((text) => element("li", text)));
   find("tables").replaceChildren(...own.tables.map(showTable));
   document.querySelector(".map").hidden = own.levels.length === 0;
@@ -304,7 +255,7 @@ function showLevel() {
   for (const [, each] of describedLevels()) cellsOf(each).then(retell);
   if (shown.change && !shown.changes) {
     shown.changes = [];
-    unpack(shown.change, Math.ceil(shown.height / shown.every), Math.ceil(shown.width / shown.every)).then((values) => { shown.changes = values; retell(); });
+    unpack(shown.change).then((values) => { shown.changes = values; retell(); });
   }
 }
 
@@ -354,25 +305,10 @@ function showMarks() {
 }
 
 function showTable(made) {
-  const box = element("details"), head = element("summary"), scroll = element("div", undefined, { class: "scroll", tabindex: "0", role: "group", "aria-label": made.title });
-  box.open = made.rows.length <= 40;
-  const total = made.rows.length + made.more;
-  head.append(element("h2", made.title), element("span", ` ${total}`, { class: "count" }));
-  const table = element("table"), top = element("tr"), body = element("tbody");
-  const kind = (i) => (made.numbers.includes(i) ? { class: "number" } : {});
-  made.columns.forEach((text, i) => top.append(element("th", text, { scope: "col", ...kind(i) })));
-  for (const row of made.rows) {
-    const line = element("tr");
-    row.forEach((text, i) => line.append(element("td", text, kind(i))));
-    body.append(line);
-  }
-  const above = element("thead");
-  above.append(top);
-  table.append(above, body);
-  scroll.append(table);
-  box.append(head, scroll);
+  const box = element("div", undefined, { class: "scroll", tabindex: "0", role: "group", "aria-label": made.title });
+  box.append(table(made.columns, made.rows, made.numbers));
   if (made.more) box.append(element("p", `and ${made.more} more`));
-  return box;
+  return folder(made.title, made.rows.length + made.more, box, made.rows.length <= 40);
 }
 
 // --- the pointer and the keys -----------------------------------------------------------------
@@ -417,13 +353,11 @@ canvas.addEventListener("keydown", (event) => {
 
 find("title").textContent = content.title;
 forget();
-buttons("zoom", [["in", "+"], ["out", "\u2212"], ["fit", "all"]], () => false, (what) => {
-  if (what === "fit") { fit(); draw(); } else zoom(what === "in" ? 1.5 : 1 / 1.5);
-});
-for (const [i, text] of ["zoom in", "zoom out", "show all"].entries()) {
-  find("zoom").children[i].setAttribute("aria-label", text);
-  find("zoom").children[i].removeAttribute("aria-pressed");
-}
+find("zoom").append(
+  button("+", () => zoom(1.5), { "aria-label": "zoom in" }),
+  button("\u2212", () => zoom(1 / 1.5), { "aria-label": "zoom out" }),
+  button("all", () => { fit(); draw(); }, { "aria-label": "show all" }),
+);
 new ResizeObserver(() => {
   if (isFitted && level()) fit(); // two grids may have no level in common
   draw();

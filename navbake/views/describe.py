@@ -1,9 +1,13 @@
-"""Summarises what a grid holds: levels, areas, doors, and what made it."""
+"""Describes a grid, and one of its cells, in values that JSON can hold; from the file alone."""
 
 import numpy as np
 
+from navbake.errors import QueryError
+from navbake.navgrid.cells import check_positions
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import find_islands
+from navbake.navgrid.user_data import NAMES, names_in
+from navbake.runtime.places.place import place_at
 from navbake.types import Int32, Json
 
 MADE_BY = {
@@ -81,3 +85,65 @@ def _describe_level(level: SceneGrid2D, island: Int32) -> Json:
 def _rounded(value: float) -> float:
     """To a millionth, finer than float32 heights are, so that 2.8 is not 2.799999952."""
     return round(float(value), 6) + 0.0  # + 0.0 turns -0.0 into 0.0
+
+
+def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -> Json:
+    """Describe the cell at a position; the grid's method says what it takes and raises.
+
+    Returns:
+        ``level``, ``row``, ``col``, ``cell`` (its id), ``center`` (world x, y [m]), ``floor``
+        (world z [m], None for none), ``free``, ``occupied``, ``weight`` (None for infinite),
+        ``room`` (its entry in the grid's `rooms`, else its index, None for none), ``island``
+        (from 1, the largest; None where it isn't free), ``doors``, ``objects``, ``walls``: names
+        of what stands in the cell; ``blockers``: names of what blocks it, as far as the file
+        states them.
+    """
+    place = place_at(grid, (x, y), level)
+    if place is None:
+        x0, y0, x1, y1 = grid.levels[level or 0].lattice.bounds
+        raise QueryError(
+            f"{x:g}, {y:g} lies beside level {level or 0}: "
+            f"it spans x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
+        )
+    number, row, col = place.cell
+    here = grid.levels[number]
+    cell = row * here.width + col
+    entry = here.user_data.get(cell, {})
+    names = {key: sorted(names_in(entry, key)) for key in NAMES}
+    standing = sorted(set().union(*names.values()))
+    index = int(here.room_index[row, col])
+    rooms = (room.to_json() for room in grid.rooms if (room.level, room.index) == (number, index))
+    return {
+        "level": number,
+        "row": row,
+        "col": col,
+        "cell": cell,
+        "center": [float(v) for v in here.lattice.positions(row, col)],
+        "floor": place.floor,
+        "free": place.free,
+        "occupied": place.occupied,
+        "weight": place.weight if place.free else None,
+        "room": next(rooms, index or None),
+        "island": place.island,
+        **names,
+        # a file lists blockers only where they differ from all that stands in the cell
+        "blockers": [] if place.free else sorted(names_in(entry, "blockers")) or standing,
+    }
+
+
+def describe_column(grid: NavGrid, x: float, y: float) -> list[Json]:
+    """Describe the cell at a world position [m] on each level that spans it, lowest first.
+
+    Raises:
+        QueryError: the position is no number, or beside all levels.
+    """
+    check_positions((x, y), 1)
+    found, beside = [], []
+    for level in range(len(grid.levels)):
+        try:
+            found.append(describe_cell(grid, x, y, level))
+        except QueryError as error:
+            beside.append(str(error))
+    if not found:
+        raise QueryError("; ".join(beside))
+    return found

@@ -1,0 +1,162 @@
+"""What a report shows of a level: pictures of its layers, and what is known of each cell."""
+
+import io
+from base64 import b64encode
+from collections.abc import MutableMapping
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+from PIL import Image
+
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.navgrid.islands import clearance, islands_of
+from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.user_data import NAMES, Shared, UserData, collector_off, names_in
+from navbake.types import Float, Int, Json
+from navbake.views.layers import LAYERS, make_panel, paint
+from navbake.views.page.page import pack, to_text
+
+KINDS = (*NAMES, "blockers")  # keys of a cell's user data that list names
+MILLIMETRE = 1e-3  # to which floors and clearances are rounded [m]
+MOST_STEPS = 2**31  # that a page counts of heights
+MAX_SHOWN = 4_000_000  # cells of a level that a page holds; of larger ones only every n-th
+NONE = -1  # stands for no value in what is packed
+BAR = 64  # colours of the bar beside a layer
+PALETTE = 256  # most colours of a picture that numbers them, one byte a pixel
+
+
+def thinning(level: SceneGrid2D) -> int:
+    """Every which row and column of a level a page shows; 1 for all."""
+    step = 1
+    while -(-level.height // step) * -(-level.width // step) > MAX_SHOWN:
+        step += 1
+    return step
+
+
+def describe_place(name: str, lattice: Lattice) -> Json:
+    """Where a map lies in the world."""
+    return {
+        "name": name,
+        "width": lattice.width,
+        "height": lattice.height,
+        "cellSize": lattice.cell_size,
+        "xMin": lattice.x_min,
+        "yMax": lattice.y_max,
+    }
+
+
+def describe_map(grid: NavGrid, number: int) -> Json:
+    """The map of one level: its place, its layers, and its cells."""
+    level = grid.levels[number]
+    return {
+        **describe_place(grid.level_names[number], level.lattice),
+        "cells": _describe_cells(grid, number),
+        "layers": [_draw_layer(grid, number, layer) for layer in LAYERS],
+    }
+
+
+def _describe_cells(grid: NavGrid, number: int) -> Json:
+    """What is known of the cells of one level, packed by `pack`.
+
+    Returns:
+        ``every``, see `thinning`; ``floor`` and ``clearance`` in steps of a millimetre from
+        ``floorFrom`` and 0, floors that are far apart in larger ones, ``floorStep`` [m];
+        ``room``, ``island``; ``weight`` and ``names`` as numbers into the
+        lists ``weights`` (None for infinite) and ``nameLists``, which is JSON, compressed. An entry
+        of it holds the names of what stands in a cell, and of what blocks it, by `KINDS`.
+    """
+    level = grid.levels[number]
+    every = thinning(level)
+    shown = np.s_[::every, ::every]
+    floor, free = level.floor[shown], level.free[shown]
+    finite = floor[np.isfinite(floor)]
+    floor_from = float(finite.min()) if finite.size else 0.0
+    floor_step = max(MILLIMETRE, float(np.ptp(finite)) / MOST_STEPS if finite.size else 0.0)
+    away = clearance(level)[shown].astype(np.float64)
+    weights, weight = np.unique(np.where(free, level.weights[shown], np.inf), return_inverse=True)
+    names, name_lists = _number_names(level)
+    return {
+        "every": every,
+        "floor": pack(_to_steps(floor - floor_from, floor_step)),
+        "floorFrom": floor_from,
+        "floorStep": floor_step,
+        "clearance": pack(_to_steps(np.where(free, away, 0), MILLIMETRE)),
+        "room": pack(level.room_index[shown].astype(np.int64)),
+        "island": pack(islands_of(grid)[number][shown].astype(np.int64)),
+        "weight": pack(weight),
+        "weights": [value if np.isfinite(value) else None for value in weights.tolist()],
+        "names": pack(names[shown]),
+        "nameLists": to_text(orjson.dumps(name_lists)),
+    }
+
+
+def _to_steps(metres: Float, step: float) -> Int:
+    """Metres >= 0 as whole steps, `NONE` where they are not finite, int64."""
+    finite = np.isfinite(metres)
+    return np.where(finite, np.round(np.where(finite, metres, 0) / step), NONE).astype(np.int64)
+
+
+def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
+    """Which entry of the list of names each cell has, -1 for none, shape (height, width)."""
+    found: dict[bytes, int] = {}  # by an entry's JSON: most cells have the entry of others
+    lists: list[Json] = []
+
+    def number_of(entry: Json) -> int:
+        key = orjson.dumps(entry, default=str)
+        if key not in found:
+            names = {kind: sorted(names_in(entry, kind)) for kind in KINDS}
+            names = {kind: some for kind, some in names.items() if some}
+            found[key] = len(lists) if names else NONE
+            lists.extend([names] if names else [])
+        return found[key]
+
+    numbers = np.full(level.height * level.width, NONE, dtype=np.int64)
+    source = UserData.of(level.user_data).source
+    if isinstance(source, Shared):
+        cells, number, entries = source
+    else:
+        with collector_off():
+            table = source if isinstance(source, MutableMapping) else source.read()
+        cells, entries = np.fromiter(table, np.int64, len(table)), list(table.values())
+        number = np.arange(len(table))
+    if len(cells):
+        numbers[cells] = np.fromiter(map(number_of, entries), np.int64, len(entries))[number]
+    return numbers.reshape(level.shape), lists
+
+
+def to_png(rgb: NDArray[np.uint8]) -> str:
+    """A picture, shape (rows, cols, 3), as the URL of a PNG that holds all of it."""
+    number = rgb.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype=np.uint32)
+    colors, index = np.unique(number, return_inverse=True)
+    if len(colors) <= PALETTE:
+        image = Image.fromarray(index.reshape(number.shape).astype(np.uint8), mode="L")
+        image.putpalette(
+            np.stack([colors >> 16, colors >> 8 & 255, colors & 255], 1).astype(np.uint8).tobytes()
+        )
+    else:
+        image = Image.fromarray(rgb)
+    content = io.BytesIO()
+    image.save(content, format="PNG", optimize=True)
+    return "data:image/png;base64," + b64encode(content.getvalue()).decode("ascii")
+
+
+def _draw_layer(grid: NavGrid, number: int, layer: str) -> Json:
+    panel = make_panel(grid, layer, number)
+    every = thinning(grid.levels[number])
+    scale = None
+    if panel.scale is not None:
+        scale = {
+            "label": panel.scale.label,
+            "colors": [f"#{bytes(color).hex()}" for color in panel.scale.bar(BAR)],
+            "ticks": [tick._asdict() for tick in panel.scale.ticks],
+        }
+    return {
+        "name": layer,
+        "title": panel.title.removeprefix(f"{grid.level_names[number]}: "),
+        "png": to_png(paint(panel)[::every, ::every]),
+        "legend": panel.legend,
+        "scale": scale,
+        "labels": [label._asdict() for label in panel.labels],
+        "doors": [door._asdict() for door in panel.doors],
+    }
