@@ -152,7 +152,7 @@ def _render(
     texts += [label.text for panel in panels for label in panel.labels]
     # ids in an SVG are hashes, salted at random unless told not to; letters are drawn as shapes,
     # so that a picture looks alike where its fonts are missing; no name is markup
-    settings = {"svg.hashsalt": "navbake", "svg.fonttype": "path", "text.parse_math": False}
+    settings: Any = {"svg.hashsalt": "navbake", "svg.fonttype": "path", "text.parse_math": False}
     families, missing = _find_fonts("".join(texts))
     settings |= {"font.family": families, "text.color": INK}
     with rc_context(settings), warnings.catch_warnings():

@@ -122,10 +122,10 @@ def is_safe(name: str) -> bool:
 
 def _read_row(row: Json) -> Json:
     """What a row says of its scene, as far as it can be taken."""
-    safe, files, stages = is_safe(row["id"]), row.get("files"), row.get("stages")
+    safe = is_safe(row["id"])
+    files, stages = (v if isinstance(v, dict) else {} for v in map(row.get, ("files", "stages")))
     reason = ": ".join(filter(None, (_text(row.get("how")), _text(row.get("error")))))
-    taken = {_text(name): _number(each) for name, each in stages.items()} if _is(stages) else {}
-    names = [name for name in files if OWN.fullmatch(name)] if safe and _is(files) else []
+    taken = {_text(name): _number(each) for name, each in stages.items()}
     return {
         "id": row["id"] if safe else _text(row["id"]),
         "isSafe": safe,
@@ -134,7 +134,8 @@ def _read_row(row: Json) -> Json:
         "failures": [reason] if row["status"] == "failed" else [],
         "warnings": _texts(row.get("warnings")),
         "remarks": _texts(row.get("audit")),
-        "files": names,  # what was made of it; others are no business of the page
+        # what was made of it; other files are no business of the page
+        "files": [name for name in files if safe and OWN.fullmatch(name)],
         "stages": {name: seconds for name, seconds in taken.items() if seconds is not None},
         **{key: _text(row.get(key)) for key in ("source", "ended", "version")},
     }
@@ -202,10 +203,6 @@ def _fold_word(match: re.Match[str]) -> str:
     else:
         folded = "…" if any(letter.isdecimal() for letter in core) else core
     return folded + word[len(core) :]
-
-
-def _is(value: Any) -> bool:
-    return isinstance(value, dict)
 
 
 def _time(text: Any) -> float | None:
