@@ -10,9 +10,9 @@ kernels with a hot loop take the arrays out of their tuples first and hand them 
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from navbake.compiled import kernel, part
 from navbake.types import Bool, Float, Int, Int32
 
 EDGE = 1e-6  # of a cell: how far inside of its edges a point is put
@@ -164,7 +164,7 @@ class Rect(NamedTuple):
     height: int
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def level_of(start, cell):
     """The level of a flat id."""
     level = 0
@@ -173,13 +173,13 @@ def level_of(start, cell):
     return level
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def rect_of(layout, level):
     """The cells of a level."""
     return Rect(layout.start[level], layout.width[level], layout.height[level])
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def find_slot(link_cell, cell):
     """Where a cell is in ``links.cell``, by binary search; -1 if no link leads from it."""
     low, high = 0, link_cell.shape[0]
@@ -192,7 +192,7 @@ def find_slot(link_cell, cell):
     return low if low < link_cell.shape[0] and link_cell[low] == cell else -1
 
 
-@njit(cache=True)
+@part
 def center(layout, cell):
     """World x, y of a cell's centre [m]."""
     level = level_of(layout.start, cell)
@@ -201,7 +201,7 @@ def center(layout, cell):
     return layout.x_min[level] + (col + 0.5) * size, layout.y_max[level] - (row + 0.5) * size
 
 
-@njit(cache=True)
+@kernel
 def put_into(layout, cell, x, y):
     """The point of a cell's square nearest to x, y, EDGE inside of its edges."""
     middle_x, middle_y = center(layout, cell)
@@ -210,7 +210,7 @@ def put_into(layout, cell, x, y):
     return x, min(max(y, middle_y - half), middle_y + half)
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def in_cells(layout, level, x, y):
     """A world position [m] in a level's own units: u in columns, v in rows, from its corner."""
     size = layout.cell_size[level]

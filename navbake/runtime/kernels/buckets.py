@@ -12,7 +12,8 @@ stack; freed entries are reused, so the queue stays small, and in the processor'
 import math
 
 import numpy as np
-from numba import njit
+
+from navbake.compiled import kernel, part
 
 DIAGONAL = math.sqrt(2.0)
 SHARE = 0.5  # of the cheapest step: up to 1, few cells are expanded twice
@@ -20,7 +21,7 @@ MAX_BUCKETS = 1 << 16
 SPARE, USED, OPEN = 0, 1, 2  # first entry to use again, entries ever used, entries in the queue
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def bucket_width(size, least, most, longest_link):
     """Width of the buckets, and how many of them a circle needs: a power of two.
 
@@ -37,13 +38,13 @@ def bucket_width(size, least, most, longest_link):
     return width, count
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def make_queue(num_buckets):
     """The first entry of each bucket, int32, and the counters of an empty queue, int64."""
     return np.full(num_buckets, -1, np.int32), np.array([-1, 0, 0])
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def push(head, state, entry_cell, entry_next, bucket, cell):
     """Put a cell into a bucket; the caller has checked that an entry is left."""
     slot = bucket & (head.shape[0] - 1)  # the remainder, as the number is a power of two
@@ -58,7 +59,7 @@ def push(head, state, entry_cell, entry_next, bucket, cell):
     state[OPEN] += 1
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def pop(head, state, entry_cell, entry_next, bucket):
     """Take a cell out of a bucket; -1 if it is empty."""
     slot = bucket & (head.shape[0] - 1)

@@ -7,12 +7,12 @@ not summed up, because a link may lead to a level whose cells lie elsewhere.
 """
 
 import numpy as np
-from numba import njit
 
+from navbake.compiled import kernel, part
 from navbake.runtime.kernels.arrays import center, find_slot, level_of, put_into
 
 
-@njit(cache=True)
+@part
 def cross(layout, links, passable, floor, max_step, cell, down, across):
     """The passable cell over one edge of a cell, -1 for none; of `down`, `across` one is 0, one ±1.
 
@@ -38,7 +38,7 @@ def cross(layout, links, passable, floor, max_step, cell, down, across):
     return np.int64(-1)
 
 
-@njit(cache=True)
+@kernel
 def walk_line(space, room, cell, x0, y0, x1, y1):
     """Walk from a point in a cell straight to another: to which cell, and what share of the way.
 
@@ -82,7 +82,7 @@ def walk_line(space, room, cell, x0, y0, x1, y1):
         leaving = leaving and not passable[cell]
 
 
-@njit(cache=True)
+@part
 def _beside(layout, cell, down, across):
     """The neighbour on the same level, -1 beyond its rim."""
     level = level_of(layout.start, cell)
@@ -93,7 +93,7 @@ def _beside(layout, cell, down, across):
     return np.int64(-1)
 
 
-@njit(cache=True)
+@kernel
 def is_in_sight(space, room, cell, x0, y0, target, x1, y1):
     """Whether a straight line between points in two cells meets passable cells only.
 

@@ -8,14 +8,14 @@ again, so the costs are exact.
 import math
 
 import numpy as np
-from numba import njit
 
+from navbake.compiled import kernel
 from navbake.runtime.kernels.arrays import find_slot, level_of
 from navbake.runtime.kernels.buckets import DIAGONAL, OPEN, USED, make_queue, pop, push
 from navbake.runtime.kernels.moves import COL_STEP, ROW_STEP
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def find_field(graph, goals, field, entries):
     """Write the cost from every cell to the nearest of some free goals into `field`, inf before.
 

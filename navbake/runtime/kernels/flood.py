@@ -5,12 +5,12 @@ cell of the grid.
 """
 
 import numpy as np
-from numba import njit
 
+from navbake.compiled import kernel
 from navbake.runtime.kernels.arrays import find_slot, level_of
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def floods(space, origin, is_goal):
     """Whether steps over passable cells and links lead from a passable cell to one of a mask.
 

@@ -15,14 +15,14 @@ Arrays have the shape (rows, cols), `floor` (levels, rows, cols) and float32 [m]
 """
 
 import numpy as np
-from numba import njit
 
+from navbake.compiled import kernel, part
 from navbake.runtime.kernels.moves import EAST, NORTH, SOUTH, WEST
 
 TILE = 16  # edge of the squares of cells whose floors are compared first
 
 
-@njit(cache=True)
+@kernel
 def dilate(occupied, half_width):
     """Find the cells near an occupied one, by a shape that is as wide as a table says.
 
@@ -55,7 +55,7 @@ def dilate(occupied, half_width):
     return near
 
 
-@njit(cache=True)
+@part
 def _column_distances(occupied, far):
     """Distance of each cell to the nearest occupied one of its column, at most `far`, int32."""
     rows, cols = occupied.shape
@@ -70,7 +70,7 @@ def _column_distances(occupied, far):
     return column
 
 
-@njit(cache=True)
+@kernel
 def squared_distances(occupied, reach):
     """Squared distance from each cell's centre to that of the nearest occupied one, int64.
 
@@ -93,7 +93,7 @@ def squared_distances(occupied, reach):
     return squares
 
 
-@njit(cache=True)
+@kernel
 def refine_window(occupied, has_floor, radius, far, reach, least, weights):
     """Weigh each cell by the cells of a window around it, as the original client does.
 
@@ -108,7 +108,7 @@ def refine_window(occupied, has_floor, radius, far, reach, least, weights):
             weights[row, col] = _weigh(occupied, has_floor, row, col, inner, outer, reach, least)
 
 
-@njit(cache=True)
+@part
 def _weigh(occupied, has_floor, row, col, inner, outer, reach, least):
     rows, cols = occupied.shape
     weight = 1.0
@@ -126,7 +126,7 @@ def _weigh(occupied, has_floor, row, col, inner, outer, reach, least):
     return np.inf if within > 0 and with_floor / within < least else weight
 
 
-@njit(cache=True)
+@kernel
 def block_near_holes(has_floor, todo, offsets, squares, least, blocked):
     """Block cells of `todo` with a share under `least` of cells with a floor, within any distance.
 
@@ -152,7 +152,7 @@ def block_near_holes(has_floor, todo, offsets, squares, least, blocked):
                 blocked[row, col] = True
 
 
-@njit(cache=True)
+@kernel
 def block_below_floors(floor, slopes, ranges, level, offsets, reach, step, top, blocked):
     """Block cells of a level from which a floor that they meet is more than a step higher [m].
 
@@ -181,7 +181,7 @@ def block_below_floors(floor, slopes, ranges, level, offsets, reach, step, top, 
                             )
 
 
-@njit(cache=True)
+@part
 def _range_near(low, high, row, col, tiles):
     """The lowest and the highest floor of a level in the tiles around one."""
     lowest, highest = np.inf, -np.inf
@@ -192,7 +192,7 @@ def _range_near(low, high, row, col, tiles):
     return lowest, highest
 
 
-@njit(cache=True)
+@part
 def _block_lower(floor, slopes, level, upper, row, col, offsets, step, limit, blocked):
     """Block the cells of a level round a higher floor of another one, or the same."""
     _, rows, cols = floor.shape
@@ -208,7 +208,7 @@ def _block_lower(floor, slopes, level, upper, row, col, offsets, step, limit, bl
             blocked[r, c] = not is_walk
 
 
-@njit(cache=True)
+@part
 def _is_slope(floor, slopes, step, level, row, col, other, to_row, to_col):
     """Whether the straight way from a cell of a level to one of another is one walk on a slope.
 
@@ -236,7 +236,7 @@ def _is_slope(floor, slopes, step, level, row, col, other, to_row, to_col):
     return level == other and num_slopes > 0
 
 
-@njit(cache=True)
+@part
 def _walk_corner(floor, slopes, step, level, row, col, by_row, by_col, to_row, to_col):
     """As `_walk_edge`, over a cell on the way."""
     between, first = _walk_edge(floor, slopes, step, level, row, col, by_row, by_col)
@@ -246,7 +246,7 @@ def _walk_corner(floor, slopes, step, level, row, col, by_row, by_col, to_row, t
     return reached, max(first, second)
 
 
-@njit(cache=True)
+@part
 def _walk_edge(floor, slopes, step, level, row, col, to_row, to_col):
     """The level on which a step or a slope leads to a neighbour, -1 for none; 1 if by a slope."""
     if to_row == row:
@@ -266,7 +266,7 @@ def _walk_edge(floor, slopes, step, level, row, col, to_row, to_col):
     return -1, 0
 
 
-@njit(cache=True)
+@kernel
 def block_above_drops(floor, slopes, ranges, level, offsets, reach, step, blocked):
     """Block cells of a level that meet a column whose floor is more than a step lower [m].
 
@@ -295,7 +295,7 @@ def block_above_drops(floor, slopes, ranges, level, offsets, reach, step, blocke
                         _block_higher(floor, slopes, level, row, col, offsets, step, blocked)
 
 
-@njit(cache=True)
+@part
 def _grown(tile_row, tile_col, reach, shape):
     """First and last rows and columns, the last ones excluded, of a tile and what is round it."""
     row, col = tile_row * TILE, tile_col * TILE
@@ -307,7 +307,7 @@ def _grown(tile_row, tile_col, reach, shape):
     )
 
 
-@njit(cache=True)
+@part
 def _num_above(own, tile_row, tile_col, reach, limit):
     """How many cells within reach of a tile are higher than a limit."""
     row0, row1, col0, col1 = _grown(tile_row, tile_col, reach, own.shape)
@@ -318,7 +318,7 @@ def _num_above(own, tile_row, tile_col, reach, limit):
     return num
 
 
-@njit(cache=True)
+@part
 def _block_upper_cells(floor, slopes, level, tile, offsets, reach, bottom, step, blocked):
     """Block the cells round a tile, whose lowest floor is `bottom`, that meet a drop in it."""
     own, (tile_row, tile_col) = floor[level], tile
@@ -342,7 +342,7 @@ def _block_upper_cells(floor, slopes, level, tile, offsets, reach, bottom, step,
                     break
 
 
-@njit(inline="always")
+@part(inline="always")
 def _is_drop(floor, row, col, height, step):
     """Whether a column is a drop from a height."""
     is_below = False
@@ -354,7 +354,7 @@ def _is_drop(floor, row, col, height, step):
     return is_below
 
 
-@njit(cache=True)
+@part
 def _may_be_drop(floor, row, col, lowest, highest, step):
     """Whether a column may be a drop from some height in a range."""
     is_below = False
@@ -366,7 +366,7 @@ def _may_be_drop(floor, row, col, lowest, highest, step):
     return is_below
 
 
-@njit(cache=True)
+@part
 def _block_higher(floor, slopes, level, row, col, offsets, step, blocked):
     """Block the cells round a column from which it is a drop."""
     _, rows, cols = floor.shape
@@ -381,7 +381,7 @@ def _block_higher(floor, slopes, level, row, col, offsets, step, blocked):
             blocked[r, c] = not is_walk
 
 
-@njit(cache=True)
+@part
 def _leads_down(floor, slopes, step, level, row, col, to_row, to_col):
     """Whether a slope leads to the highest of the floors of a column that are below a cell's."""
     height, highest, below = floor[level, row, col], -np.inf, -1
@@ -392,7 +392,7 @@ def _leads_down(floor, slopes, step, level, row, col, to_row, to_col):
     return _is_slope(floor, slopes, step, level, row, col, below, to_row, to_col)
 
 
-@njit(cache=True)
+@kernel
 def block_across(floor, occupied, ranges, level, offsets, overlap, reach, blocked):
     """Decide again for the cells of a level near which another one has floors as high as theirs.
 
@@ -418,7 +418,7 @@ def block_across(floor, occupied, ranges, level, offsets, overlap, reach, blocke
                         )
 
 
-@njit(cache=True)
+@kernel
 def tile_ranges(floor):
     """The lowest and the highest floor in each tile of each level; inf and -inf for none."""
     levels, rows, cols = floor.shape
@@ -442,7 +442,7 @@ def tile_ranges(floor):
     return low, high
 
 
-@njit(cache=True)
+@part
 def _tiles_meet(low, high, level, row, col, tiles, overlap):
     """Whether some other level may have a floor as high as this tile's, within some tiles."""
     bottom, top = low[level, row, col] - overlap, high[level, row, col] + overlap
@@ -456,7 +456,7 @@ def _tiles_meet(low, high, level, row, col, tiles, overlap):
     return False
 
 
-@njit(cache=True)
+@part
 def _meets_any(floor, occupied, level, row, col, offsets, overlap):
     levels, rows, cols = floor.shape
     height = floor[level, row, col]
@@ -476,7 +476,7 @@ def _meets_any(floor, occupied, level, row, col, offsets, overlap):
     return False
 
 
-@njit(cache=True)
+@kernel
 def meets_runs(occupied, runs):
     """Find the cells at which a shape of runs (row, first column, last column) meets something."""
     rows, cols = occupied.shape

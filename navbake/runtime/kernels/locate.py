@@ -8,12 +8,13 @@ block many such waits overlap.
 import math
 
 import numpy as np
-from numba import njit
+
+from navbake.compiled import kernel, part
 
 BLOCK = 512  # positions; what a block needs stays in the processor's first cache
 
 
-@njit(cache=True)
+@kernel
 def locate(layout, floors, positions):
     """Find the cells whose floors are the nearest at or below positions, shape (n, 3) [m].
 
@@ -31,7 +32,7 @@ def locate(layout, floors, positions):
     return cells, -1
 
 
-@njit(cache=True)
+@kernel
 def stand_on(layout, floors, free, max_drop, positions):
     """Mark the positions at most `max_drop` above a free floor [m]; then as `locate`."""
     answers = np.zeros(len(positions), dtype=np.bool_)
@@ -48,7 +49,7 @@ def stand_on(layout, floors, free, max_drop, positions):
     return answers, -1
 
 
-@njit(cache=True)
+@part
 def _locate_block(layout, floors, positions, cells, z):
     """`locate` for at most BLOCK positions; cells and their heights are written."""
     at = np.empty(BLOCK, dtype=np.int64)
@@ -75,7 +76,7 @@ def _locate_block(layout, floors, positions, cells, z):
     return -1
 
 
-@njit(cache=True)
+@kernel
 def locate_on(layout, level, positions, cells):
     """Write the flat ids of a level's cells that finite positions are in, -1 beside the level."""
     first, rows, cols = layout.start[level], layout.height[level], layout.width[level]

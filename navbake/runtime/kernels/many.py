@@ -3,15 +3,14 @@
 A plain loop over the kernels for one position: a call from Python costs more than most answers.
 """
 
-from numba import njit
-
+from navbake.compiled import kernel
 from navbake.runtime.kernels.arrays import put_into
 from navbake.runtime.kernels.crossing import walk_line
 from navbake.runtime.kernels.nearest import nearest_cell
 from navbake.runtime.kernels.slide import slide
 
 
-@njit(cache=True)
+@kernel
 def nearest_each(wanted, levels, points, farthest, cells, distances):
     """`nearest_cell` of points, shape (n, 3) [m], each on its own level within its own distance.
 
@@ -21,7 +20,7 @@ def nearest_each(wanted, levels, points, farthest, cells, distances):
         cells[i], distances[i] = nearest_cell(wanted, levels[i], points[i], farthest[i])
 
 
-@njit(cache=True)
+@kernel
 def step_each(space, no_rooms, cells, ends, sliding, points):
     """Walk from points in cells straight to ends, all x, y [m], and slide on where that is asked.
 

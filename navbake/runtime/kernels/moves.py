@@ -7,9 +7,9 @@ place of looking at floors and corners again.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from navbake.compiled import kernel, part
 from navbake.types import Bool, Float
 
 # Directions: east, north, west, south, then north-east, north-west, south-west, south-east. North
@@ -40,7 +40,7 @@ class Footing(NamedTuple):
     slopes: NDArray[np.uint8]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def find_moves(footing, rect, window, moves):
     """Write the moves of a window of a level: rows and columns, the last ones excluded.
 
@@ -81,7 +81,7 @@ def find_moves(footing, rect, window, moves):
             moves[cell] = found
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _on_slope(cell, down, across, floor, max_step, slopes):
     """Whether some edge of a corner is more than a step, so that only a slope can join it."""
     if slopes.shape[0] == 0:
@@ -95,7 +95,7 @@ def _on_slope(cell, down, across, floor, max_step, slopes):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _joined(a, b, free, floor, max_step, slopes):
     if not free[b]:
         return False

@@ -9,8 +9,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from navbake.compiled import kernel, part
 from navbake.runtime.kernels.arrays import Layout, center, in_cells
 from navbake.runtime.kernels.crossing import is_in_sight
 from navbake.types import Bool, Float
@@ -39,7 +39,7 @@ class Wanted(NamedTuple):
     height: float
 
 
-@njit(cache=True)
+@kernel
 def nearest_cell(wanted, level, point, farthest):
     """The cell of a level nearest to x, y, z within `farthest`, -1 for none, and its distance [m].
 
@@ -75,7 +75,7 @@ def nearest_cell(wanted, level, point, farthest):
     return best[1], math.sqrt(best[0])
 
 
-@njit(cache=True)
+@part
 def _look(wanted, level, point, span, best):
     """The better of the best so far and every `stride`-th cell of a row: squared distance, id."""
     row, first, last, stride = span
@@ -102,7 +102,7 @@ def _look(wanted, level, point, span, best):
     return d2_best, found
 
 
-@njit(cache=True)
+@part
 def _is_elsewhere(wanted, level, cell, z):
     """Whether another level, but not this one, has a clear floor near a height in the column."""
     layout, floor = wanted.layout, wanted.floor
@@ -119,7 +119,7 @@ def _is_elsewhere(wanted, level, cell, z):
     return False
 
 
-@njit(cache=True)
+@kernel
 def first_in_sight(space, room, cell, x, y, candidates):
     """The first of some cells whose centre is in sight of x, y in a cell, -1 for none.
 

@@ -13,8 +13,8 @@ width of the buckets changes the time, not the answer.
 import math
 
 import numpy as np
-from numba import njit
 
+from navbake.compiled import kernel, part
 from navbake.runtime.kernels.arrays import center, find_slot, in_cells, level_of
 from navbake.runtime.kernels.buckets import DIAGONAL, OPEN, USED, make_queue, pop, push
 from navbake.runtime.kernels.moves import COL_STEP, ROW_STEP
@@ -29,7 +29,7 @@ START, LINK, NONE = 8, 9, 15
 NO_ROOM = -2
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _goal_box(layout, goals):
     """The box round goals by level: first and last row, first and last column, (num_levels, 4)."""
     x0, x1, y0, y1 = np.inf, -np.inf, np.inf, -np.inf
@@ -45,7 +45,7 @@ def _goal_box(layout, goals):
     return box
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _lower_bound(row, col, box, scale):
     """What a route from a cell to the goals' box costs at least: the octile distance."""
     a = max(box[0] - row, row - box[1], 0.0)
@@ -53,7 +53,7 @@ def _lower_bound(row, col, box, scale):
     return scale * (max(a, b) + (DIAGONAL - 1.0) * min(a, b))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def find_route(graph, origin, goals, number, visits, entries):
     """Find the cheapest route from a free cell to the cheapest of several free goals.
 
@@ -139,7 +139,7 @@ def find_route(graph, origin, goals, number, visits, entries):
     return reached, count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def trace_route(layout, links, visits, reached):
     """The flat ids of the route that a search has found, from its origin to the goal."""
     route = np.empty(256, np.int64)

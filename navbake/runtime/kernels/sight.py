@@ -9,14 +9,14 @@ leave out those that it only touches.
 import math
 
 import numpy as np
-from numba import njit
 
+from navbake.compiled import part
 from navbake.runtime.kernels.moves import EAST, SOUTH
 
 TOUCH = 1e-9  # of a cell: what is this near a line is touched
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _cut_to_band(a, b, low, high):
     """The part of a line with v from `low` to `high`: its smallest and largest u."""
     (u0, v0), (u1, v1) = a, b
@@ -28,7 +28,7 @@ def _cut_to_band(a, b, low, high):
     return min(ua, ub), max(ua, ub)
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def is_walkable(a, b, rect, moves, anywhere):
     """Whether an agent may be anywhere in all cells that a line touches, and step between them.
 
@@ -58,7 +58,7 @@ def is_walkable(a, b, rect, moves, anywhere):
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def crossed_cells(a, b, rect):
     """The cells that a line runs through, in order, and the share of it before each, 1 at the end.
 
@@ -89,7 +89,7 @@ def crossed_cells(a, b, rect):
     return cells[:count], enter[: count + 1]
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def line_cost(a, b, rect, weight):
     """The length of a line in cells, each part times the weight of the cell that it is in."""
     cells, enter = crossed_cells(a, b, rect)

@@ -8,8 +8,8 @@ every cell that is reached, the point that is the nearest to the end is a candid
 import math
 
 import numpy as np
-from numba import njit
 
+from navbake.compiled import kernel, part
 from navbake.runtime.kernels.arrays import in_cells, level_of, put_into
 from navbake.runtime.kernels.buckets import DIAGONAL
 from navbake.runtime.kernels.crossing import cross
@@ -17,7 +17,7 @@ from navbake.runtime.kernels.crossing import cross
 ROUNDING = 1.09  # a walk over eight neighbours is at most so much longer than a straight line
 
 
-@njit(cache=True)
+@kernel
 def slide(space, cell, x0, y0, x1, y1):
     """Continue from x0, y0 in a cell, where a straight walk to x1, y1 ended, to the nearest point.
 
@@ -64,7 +64,7 @@ def slide(space, cell, x0, y0, x1, y1):
     return best[1], best[2], best[3]
 
 
-@njit(cache=True)
+@part
 def _find_neighbours(layout, links, passable, floor, max_step, cell, around):
     """The cells that steps lead to, -1 for none: over edges, then over corners past both sides."""
     steps = ((0, 1), (-1, 0), (0, -1), (1, 0))
@@ -83,7 +83,7 @@ def _find_neighbours(layout, links, passable, floor, max_step, cell, around):
                 around[4 + way] = one
 
 
-@njit(cache=True)
+@part
 def _make_window(layout, x, y, reach):
     """The cells of each level within `reach` rows and columns of a point.
 
@@ -105,7 +105,7 @@ def _make_window(layout, x, y, reach):
     return window
 
 
-@njit(cache=True)
+@part
 def _slot(layout, window, cell):
     """Index of a cell in a window, -1 outside."""
     level = level_of(layout.start, cell)

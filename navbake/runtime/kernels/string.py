@@ -9,8 +9,8 @@ search, Bentley and Yao 1976), so that few lines have to be looked at. A funnel 
 import math
 
 import numpy as np
-from numba import njit
 
+from navbake.compiled import kernel, part
 from navbake.runtime.kernels.arrays import in_cells, rect_of
 from navbake.runtime.kernels.sight import crossed_cells, is_walkable, line_cost
 from navbake.runtime.kernels.sweep import disc_passes
@@ -20,7 +20,7 @@ IN_LINE = 1e-9  # metres that a point of a straight line may be off it
 GAIN = 1e-9  # share of its cost by which rounding may make a straight line dearer
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def can_pass(a, b, level, graph, off_center):
     """Whether an agent can move along a line between two points x, y of a level [m].
 
@@ -41,7 +41,7 @@ def can_pass(a, b, level, graph, off_center):
     return disc_passes(start, end, rect, before, radius, is_closed)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def pull_string(line, graph, off_center):
     """Mark the few points of a route whose connecting lines stay free, see `can_pass`.
 
@@ -79,7 +79,7 @@ def pull_string(line, graph, off_center):
     return kept
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _merge_in_line(line, kept):
     """Unmark points on the straight line between those before and after, but for ends of links."""
     points, num = line.points, line.points.shape[0]
@@ -100,7 +100,7 @@ def _merge_in_line(line, kept):
         here = after
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _cost(a, b, level, graph):
     """What a straight line between two points of a level costs, its length in cells."""
     start = in_cells(graph.layout, level, a[0], a[1])
@@ -108,7 +108,7 @@ def _cost(a, b, level, graph):
     return line_cost(start, end, rect_of(graph.layout, level), graph.weight)
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _is_shortcut(i, j, line, spent, graph, off_center):
     """Whether the straight line between two points of a route is free and no dearer."""
     a, b, level = line.points[i], line.points[j], line.levels[i]
@@ -119,7 +119,7 @@ def _is_shortcut(i, j, line, spent, graph, off_center):
     return _cost(a, b, level, graph) <= (spent[j] - spent[i]) * (1.0 + GAIN)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def lay_on_floor(line, layout, floors, tolerance):
     """Lay lines between points on the floor: with points in between where its height bends.
 
@@ -161,7 +161,7 @@ def lay_on_floor(line, layout, floors, tolerance):
     return out[:count].copy(), on[:count].copy()
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _profile(a, b, level, layout, floors):
     """The floor under a line, its ends in cells: shares of it and heights there, (n, 2)."""
     rect = rect_of(layout, level)
@@ -186,18 +186,18 @@ def _profile(a, b, level, layout, floors):
     return line[:count]
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _cell_of(u, v, rect):
     return rect.first + math.floor(v) * rect.width + math.floor(u)
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _height(cell, level, floors):
     z = floors.z[cell]
     return floors.ground[level] if math.isnan(z) else z
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _next_bend(profile, here, tolerance):
     """The last point to whose straight line all points before it are near enough.
 

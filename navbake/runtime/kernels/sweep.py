@@ -10,14 +10,14 @@ Ends of lines are pairs u, v in the level's own units, columns and rows, as in `
 import math
 
 import numpy as np
-from numba import njit
 
+from navbake.compiled import part
 from navbake.types import Bool, Int32
 
 TOUCH = 1e-9  # share of a radius by which a disc may be over what it touches
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def disc_passes(a, b, rect, solid_before, radius, is_closed):
     """Whether an open disc meets no solid square of a level while it moves along a line.
 
@@ -48,7 +48,7 @@ def disc_passes(a, b, rect, solid_before, radius, is_closed):
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _farthest(u0, v0, u1, v1, low, high, reach):
     """The largest u of a swept disc between two v that it reaches."""
     # Towards larger v the edge first moves out, up to the middle of the disc at the line's

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pytest
 
@@ -17,6 +18,9 @@ from navbake.baker.scene.kernels.triangles import (
     take_corners,
     unit_normal,
 )
+
+# parts of kernels as functions that Python can call
+unit_normal = numba.njit(unit_normal.py_func)
 
 
 @pytest.fixture(params=range(10))

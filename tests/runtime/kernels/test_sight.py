@@ -1,11 +1,17 @@
 """Lines over cells: what they touch and what they cost, against looking at every cell."""
 
+import numba
 import numpy as np
 import pytest
 
 from navbake.runtime.kernels.arrays import Rect
 from navbake.runtime.kernels.moves import EAST, SOUTH, Footing, find_moves
 from navbake.runtime.kernels.sight import crossed_cells, is_walkable, line_cost
+
+# parts of kernels as functions that Python can call
+crossed_cells = numba.njit(crossed_cells.py_func)
+is_walkable = numba.njit(is_walkable.py_func)
+line_cost = numba.njit(line_cost.py_func)
 
 WIDTH, HEIGHT = 9, 7
 RECT = Rect(first=0, width=WIDTH, height=HEIGHT)

@@ -2,11 +2,15 @@
 
 import math
 
+import numba
 import numpy as np
 import pytest
 
 from navbake.runtime.kernels.arrays import Rect
 from navbake.runtime.kernels.sweep import count_solid, disc_passes
+
+# parts of kernels as functions that Python can call
+disc_passes = numba.njit(disc_passes.py_func)
 
 WIDTH, HEIGHT = 12, 9
 
