@@ -36,6 +36,7 @@ from navbake.batch.remote import is_remote, make_remote, name_source, remove_rem
 from navbake.batch.settings import digest_settings, settings_of
 from navbake.batch.stores.urls import Folder
 from navbake.config.settings import BakeConfig, load_config
+from navbake.dispatch import IS_HELPER
 from navbake.errors import NavbakeError, printable
 from navbake.files import without_waiting
 from navbake.formats.navgrid import write_navgrid
@@ -81,6 +82,7 @@ def key_of(order: Order, config: BakeConfig) -> str:
 
 def prepare(products: Sequence[Product], thumbnail: bool) -> None:
     """Make all of a sample, so that no scene pays for loading what that needs."""
+    os.environ[IS_HELPER] = "1"  # all cores have a worker already
     config = load_config(samples.path("apartment"), ["grid.cell_size=0.5"])
     grid = run_bake(config, threads=1).grid
     with scratch_folder() as folder:

@@ -17,7 +17,9 @@ from navbake.navgrid.islands import clearance
 from navbake.types import Bool, Int
 
 if TYPE_CHECKING:
-    from navbake.navgrid.grid import SceneGrid2D
+    from typing_extensions import Self
+
+    from navbake.navgrid.grid import NavGrid, SceneGrid2D
 
 # The layers of a block: cells that the thing is in; where an agent can't stand; where it can't
 # step diagonally; where it can't be beside the cell's centre. From the second on, each includes
@@ -160,3 +162,34 @@ def _grown(window: Window, by: int, level: SceneGrid2D) -> Window:
     row0, row1, col0, col1 = window
     rows = max(row0 - by, 0), min(row1 + by, level.height)
     return *rows, max(col0 - by, 0), min(col1 + by, level.width)
+
+
+class Block:
+    """Cells that are blocked until `free` is called, or as a context manager, until its end.
+
+    Attributes:
+        cells: flat ids of the cells where an agent can't stand because of the block, by level,
+            each ascending, int64; including cells that were not free before.
+    """
+
+    def __init__(self, grid: NavGrid, layers: list[Layers]) -> None:
+        self.cells = [of_level[BLOCKED] for of_level in layers]
+        self._held: list[tuple[SceneGrid2D, BlockState, Layers]] = []
+        for level, of_level in zip(grid.levels, layers, strict=True):
+            if any(len(ids) for ids in of_level):
+                if level.block_state is None:
+                    level.block_state = BlockState(level)
+                level.block_state.hold(level, of_level)
+                self._held.append((level, level.block_state, of_level))
+
+    def free(self) -> None:
+        """Free the cells, except those that other blocks hold. Further calls do nothing."""
+        for level, state, of_level in self._held:
+            state.release(level, of_level)
+        self._held.clear()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.free()

@@ -25,9 +25,9 @@ from navbake.types import Bool, Int, Int32, Json
 if TYPE_CHECKING:
     from typing_extensions import Self
 
+    from navbake.navgrid.block_state import Block
     from navbake.navgrid.grid import SceneGrid2D
-    from navbake.runtime.blocks.block import Block
-    from navbake.runtime.places.place import Place
+    from navbake.runtime.place import Place
     from navbake.tensors.grid_tensors import GridTensors
 
 Table = TypeVar("Table")
@@ -219,7 +219,7 @@ class GridBase(Exports):
     def at(self, position: ArrayLike, level: int | None = None) -> Place | None:
         """Floor, room, island, weight and occupancy at a world position [m]; None for no cell.
 
-        See `navbake.runtime.places.place.place_at`.
+        See `navbake.runtime.place.place_at`.
         """
         found: Place | None = operation("grid.at")(self, position, level)
         return found
@@ -227,7 +227,7 @@ class GridBase(Exports):
     def values_at(self, layer: str, positions: ArrayLike, level: int | None = None) -> NDArray[Any]:
         """One layer at world positions, shape (..., 3) [m], by its name: ``floor``, ``room``, ….
 
-        See `navbake.runtime.places.place.values_at`.
+        See `navbake.runtime.place.values_at`.
         """
         values: NDArray[Any] = operation("grid.values_at")(self, layer, positions, level)
         return values
@@ -267,7 +267,7 @@ class GridBase(Exports):
         ``exact``: a cell stays free if the open disc of the radius round its centre meets no
         occupied cell's square, and no floor more than a step higher or lower. So no baked geometry
         is ever hit, and the radius replaces the baked one. See
-        `navbake.runtime.inflation.inflate` for steps, other levels, the edges of the grid and cells
+        `navbake.runtime.inflation` for steps, other levels, the edges of the grid and cells
         without floor. ``minos``: the weights that the original client's ``refine`` gives,
         cell for cell.
 
@@ -314,7 +314,7 @@ class GridBase(Exports):
         Returns:
             For each level, shape (num_headings, height, width), bool: whether the cell is free
             and the polygon, its origin on the cell's centre, meets no occupied cell's square;
-            see `navbake.runtime.inflation.footprint`.
+            see `navbake.runtime.footprint`.
 
         Raises:
             QueryError: the polygon is none, or there is no heading.

@@ -14,8 +14,10 @@ from navbake.navgrid.cells import Cell, Cells, check_positions
 from navbake.navgrid.islands import step_limit
 from navbake.types import Bool, Float, Int
 
+REAL = int | float | np.integer | np.floating
+
 if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid, SceneGrid2D
+    from navbake.navgrid.grid import NavGrid
     from navbake.runtime.kernels.arrays import Floors, Layout, Links, Space
 
 
@@ -35,7 +37,7 @@ class FlatGrid:
         free: by flat id, shape (n,), bool.
         weight: cost of a cell, shape (n,), float64, inf where it isn't free.
         slopes: by flat id, uint8, to which neighbours a link leads on the same level: bits EAST
-            and SOUTH of `navbake.runtime.kernels.moves`; empty where none does.
+            and SOUTH of `navbake.runtime.kernels.arrays`; empty where none does.
     """
 
     layout: Layout
@@ -81,25 +83,28 @@ class FlatGrid:
         return self._cells_at(check_positions(positions, self.num_levels, level), level)
 
     def _cells_at(self, p: Float, level: int | None) -> Int:
-        from navbake.runtime.kernels.locate import locate, locate_on  # saves numba at start-up
+        from navbake.runtime.kernels.places import locate  # saves numba at start-up
 
-        points = np.ascontiguousarray(p.reshape(-1, p.shape[-1]))
-        if level is not None or p.shape[-1] == 2:
-            cells = np.empty(len(points), dtype=np.int64)
-            locate_on(self.layout, level or 0, points, cells)
-        else:
-            cells, _ = locate(self.layout, self.floors, points)
+        on, points = as_points(p, level)
+        cells: Int = locate(self.layout, self.floors, on, points)
         return cells.reshape(p.shape[:-1])
 
     def locate(
         self, position: ArrayLike, level: int | None = None, what: str = "position"
     ) -> tuple[Float, int | None]:
         """One position as float64, and the flat id of its cell, None for none."""
+        p = self.check_one(position, level, what)
+        cell = int(self._cells_at(p, level))
+        return p, cell if cell >= 0 else None
+
+    def check_one(
+        self, position: ArrayLike, level: int | None = None, what: str = "position"
+    ) -> Float:
+        """One position as float64, shape (2,) or (3,)."""
         p = check_positions(position, self.num_levels, level)
         if p.ndim != 1:
             raise QueryError(f"expected one {what}, got an array of shape {p.shape}")
-        cell = int(self._cells_at(p, level))
-        return p, cell if cell >= 0 else None
+        return p
 
     def cell_at(self, position: ArrayLike, level: int | None = None) -> int | None:
         """The flat id of the cell that one position is in; None for none."""
@@ -138,6 +143,18 @@ class FlatGrid:
         return Space(self.layout, self.links, self.floors._replace(max_step=math.inf), clear)
 
 
+def check_distance(distance: float, name: str = "max_distance") -> None:
+    """Raise QueryError for anything but a number >= 0."""
+    if not (isinstance(distance, REAL) and distance >= 0):
+        raise QueryError(f"expected a {name} >= 0 m, got {distance!r}")
+
+
+def as_points(p: Float, level: int | None) -> tuple[int, Float]:
+    """Checked positions as kernels take them: the level, -1 for any, and positions (n, 2 or 3)."""
+    on = 0 if level is None and p.shape[-1] == 2 else -1 if level is None else int(level)
+    return on, np.ascontiguousarray(p.reshape(-1, p.shape[-1]))
+
+
 def flatten(grid: NavGrid) -> FlatGrid:
     """Copy the levels of a grid into one row of cells; later changes of the grid don't matter."""
     from navbake.runtime.kernels.arrays import Floors, Layout, Links  # saves numba at start-up
@@ -153,7 +170,14 @@ def flatten(grid: NavGrid) -> FlatGrid:
         cell_size=np.array([v.cell_size for v in lattices], dtype=np.float64),
     )
     floors = Floors(
-        z=np.concatenate([_flat_floor(level) for level in levels]),
+        z=np.concatenate(
+            [
+                level.floor.ravel()
+                if level.uses_cell_floors
+                else np.full(level.width * level.height, level.ground)
+                for level in levels
+            ]
+        ),
         ground=np.array([level.ground for level in levels], dtype=np.float64),
         max_step=step_limit(grid) * grid.unit,
     )
@@ -168,12 +192,6 @@ def flatten(grid: NavGrid) -> FlatGrid:
     return replace(flat, links=links._replace(length=_link_lengths(flat)))
 
 
-def _flat_floor(level: SceneGrid2D) -> Float:
-    if not level.uses_cell_floors:
-        return np.full(level.width * level.height, level.ground)
-    return level.floor.ravel()
-
-
 def _link_lists(links: Int, start: Int) -> tuple[Int, Int, Int]:
     """Links as lists by cell, each link both ways and once."""
     a = start[links[:, 0]] + links[:, 1]
@@ -186,7 +204,7 @@ def _link_lists(links: Int, start: Int) -> tuple[Int, Int, Int]:
 
 def _find_slopes(links: Int, layout: Layout) -> NDArray[np.uint8]:
     """The `slopes` of a FlatGrid."""
-    from navbake.runtime.kernels.moves import EAST, SOUTH  # saves numba at start-up
+    from navbake.runtime.kernels.arrays import EAST, SOUTH  # saves numba at start-up
 
     own = links[links[:, 0] == links[:, 2]]
     if not len(own):

@@ -2,17 +2,23 @@
 
 from functools import cached_property
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from navbake.errors import QueryError
 from navbake.navgrid.grid import NavGrid
+from navbake.runtime.following import Drive, Follower
 from navbake.runtime.grid_cache import GridCache
-from navbake.runtime.many import ManyPlaces
-from navbake.runtime.paths.planner import Planner
-from navbake.runtime.paths.search import Search
-from navbake.runtime.questions.draws import DrawQuestions
-from navbake.runtime.questions.paths import PathQuestions
-from navbake.runtime.questions.places import PlaceQuestions
+from navbake.runtime.passage import Passage, find_passage
+from navbake.runtime.paths import Goal, Path, Planner
+from navbake.runtime.places import ManyPlaces
+from navbake.runtime.search import Search
+from navbake.runtime.spawns import SpawnQuestions
+from navbake.runtime.why_not import why_not
+from navbake.types import Float
 
 
-class PathFinder(PathQuestions, PlaceQuestions, DrawQuestions):
+class PathFinder(SpawnQuestions):
     """Answers an agent's questions about ways through a grid, and about places on it.
 
     A path steps over the edges and corners of free cells and over links between levels. Floors of
@@ -50,7 +56,7 @@ class PathFinder(PathQuestions, PlaceQuestions, DrawQuestions):
             QueryError: a weight is negative.
         """
         cache = GridCache(grid, cut_corners=self._cut_corners)
-        for name in ("many", "_spawner"):
+        for name in ("many", "_kept"):
             self.__dict__.pop(name, None)
         self.grid, self._cache = grid, cache
         self._planner = Planner(cache)
@@ -64,3 +70,128 @@ class PathFinder(PathQuestions, PlaceQuestions, DrawQuestions):
     def search(self) -> Search:
         """The cells and the steps between them, with what is blocked now."""
         return self._cache.search
+
+    def find_path(
+        self, start: ArrayLike, goal: Goal, *, level: int | None = None, smooth: bool = True
+    ) -> Path | None:
+        """Find the cheapest path.
+
+        Args:
+            start: world position [m].
+            goal: see `PathFinder`.
+            smooth: pull the path straight where that stays free; else it runs through the
+                cells' centres. It begins and ends at the positions themselves unless they are
+                nearer to obstacles than the agent may be.
+
+        Returns:
+            None where there is no path: `why_not` tells the reason.
+        """
+        return self._planner.find_path(start, goal, level, smooth=smooth)
+
+    def why_not(self, start: ArrayLike, goal: Goal, *, level: int | None = None) -> str | None:
+        """Say why there is no path: in one sentence, with positions and figures.
+
+        It names a start or goal that isn't free, and the nearest cell that is; or else the islands
+        of both, how near these come, and the first of these that is between them: cells that are
+        blocked for now, doors, a gap that is too narrow for the agent (known of inflated grids),
+        steps between levels that can't be taken, the names of what stands there.
+
+        Args:
+            start: world position [m].
+            goal: see `PathFinder`.
+
+        Returns:
+            None if there is a path.
+        """
+        return why_not(self._cache, *self._planner.find_ends(start, goal, level))
+
+    def distance_field(
+        self, goal: Goal, *, level: int | None = None, weighted: bool = True
+    ) -> list[Float]:
+        """Find what the cheapest path from every cell to the goal costs.
+
+        Args:
+            goal: see `PathFinder`.
+            weighted: count steps by their weights, as `find_path` does; else by their lengths
+                alone, so that the shortest path counts [m].
+
+        Returns:
+            One array a level, shape (height, width), float64, inf where no path leads to the
+            goal; read-only. The last few goals' fields are kept, so asking again costs nothing.
+        """
+        field, flat = self._planner.field(goal, level, weighted=weighted), self._cache.flat
+        return [field[flat.cells_of(k)].reshape(v.shape) for k, v in enumerate(self.grid.levels)]
+
+    def distances(
+        self, starts: ArrayLike, goal: Goal, *, level: int | None = None, weighted: bool = True
+    ) -> Float:
+        """Find what the cheapest paths from many starts to the goal cost.
+
+        Args:
+            starts: world positions [m], shape (..., 3).
+            goal: see `PathFinder`.
+            weighted: see `distance_field`.
+
+        Returns:
+            Shape (...), float64; inf where there is no path.
+        """
+        cells = self._cache.flat.cells_at(starts, level)
+        field = self._planner.field(goal, level, weighted=weighted)
+        return np.where(cells >= 0, field[cells], np.inf)
+
+    def max_radius(
+        self, start: ArrayLike, goal: Goal, *, level: int | None = None, ledges: str = "avoid"
+    ) -> Passage | None:
+        """Find the widest agent that gets from a place to a goal, and its bottleneck.
+
+        ``find_path`` finds a path on ``grid.inflate(radius)`` for every radius up to this one, and
+        for none that is larger. What is blocked now counts. On an inflated grid, the answer is
+        that of the grid before, if it can be told from the file.
+
+        Args:
+            start: world position [m].
+            goal: position, several of them or ``room:NAME``, see `PathFinder`.
+            ledges: see `SceneGrid2D.inflate`.
+
+        Returns:
+            The radius [m] and the bottleneck's place. None where no agent gets there, however
+            narrow.
+
+        Raises:
+            QueryError: start or goal is beside the grid or in something; the goal is an object.
+        """
+        return find_passage(self._cache, start, goal, level, ledges)
+
+    def follow(
+        self,
+        path: Path,
+        *,
+        speed: float = 0.5,
+        acceleration: float = 1.0,
+        turn_rate: float = 1.5,
+        lookahead: float = 0.4,
+        tolerance: float = 0.05,
+    ) -> Follower:
+        """Follow a path with a mobile base: velocities or waypoints, step by step.
+
+        The base keeps to the path within some centimetres, so plan it on a grid that is inflated
+        for a radius by so much larger than the base's.
+
+        Args:
+            path: that `find_path` of this finder has found.
+            speed: the highest [m/s].
+            acceleration: with which the base brakes [m/s²].
+            turn_rate: the highest [rad/s].
+            lookahead: how far ahead on the path the base heads for [m].
+            tolerance: the base has arrived where its goal is as near as this [m].
+
+        Returns:
+            Ask its `command` or its `waypoint` as often as the base is steered.
+
+        Raises:
+            QueryError: the path is none, or a number is not > 0.
+        """
+        if not isinstance(path, Path):
+            raise QueryError(f"expected a path that find_path has found, got {path!r}")
+        drive = Drive(speed, acceleration, turn_rate, lookahead, tolerance)
+        return Follower(self._cache, self._planner, path, drive)

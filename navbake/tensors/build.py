@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from navbake.errors import MissingDependencyError, QueryError
 from navbake.navgrid.islands import clearance
+from navbake.runtime.flat_grid import check_distance
 from navbake.runtime.grid_cache import GridCache
-from navbake.runtime.paths.onward import find_onward
-from navbake.runtime.paths.planner import Planner
-from navbake.runtime.places.checks import check_distance
-from navbake.runtime.places.navigable import MAX_DROP
+from navbake.runtime.paths import Planner
+from navbake.runtime.places import MAX_DROP
 from navbake.tensors.grid_tensors import GridTensors, Shape, register_pytree
 from navbake.tensors.thresholds import (
     first_in_cell,
@@ -27,7 +26,7 @@ from navbake.tensors.thresholds import (
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
     from navbake.runtime.flat_grid import FlatGrid
-    from navbake.runtime.paths.goals import Goal
+    from navbake.runtime.paths import Goal
 
 Floating = np.dtype[np.floating]
 FINEST = 8  # how many numbers of the dtype a cell is wide, at least
@@ -276,7 +275,7 @@ def _goal_fields(scenes: list[_Scene], shape: Shape, dtype: Floating) -> dict[st
         ids = scene.padded_ids(number, shape)
         for goal, field in enumerate(scene.fields):
             cost[goal, number] = scene.pad(field, shape, np.inf)
-            onward[goal, number] = scene.pad(ids[find_onward(scene.cache.search, field)], shape, -1)
+            onward[goal, number] = scene.pad(ids[scene.cache.search.onward(field)], shape, -1)
     return {"cost": cost.ravel(), "onward": onward.ravel()}
 
 

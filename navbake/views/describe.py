@@ -7,7 +7,7 @@ from navbake.navgrid.cells import check_positions
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import find_islands
 from navbake.navgrid.user_data import NAMES, names_in
-from navbake.runtime.places.place import place_at
+from navbake.runtime.place import place_at
 from navbake.types import Int32, Json
 
 MADE_BY = {

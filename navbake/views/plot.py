@@ -19,7 +19,7 @@ from navbake.formats.source import write_bytes
 from navbake.navgrid.cells import check_level
 from navbake.navgrid.colors import DOOR, DOORWAY, ROUTE
 from navbake.navgrid.grid import NavGrid
-from navbake.runtime.paths.path import Path as Route
+from navbake.runtime.paths import Path as Route
 from navbake.views.color_scale import ColorScale
 from navbake.views.layers import Label, Panel, color_kinds, make_panel, paint
 

@@ -6,7 +6,7 @@ import pytest
 import navbake
 from navbake.errors import QueryError
 from navbake.runtime.path_finder import PathFinder
-from navbake.runtime.paths.goals import cells_around
+from navbake.runtime.paths import cells_around
 from oracles.ways import make_level, random_grid, stack
 from project_paths import GOLDEN
 

@@ -11,7 +11,7 @@ from navbake.errors import MissingDependencyError, NavbakeError, QueryError
 from navbake.navgrid.colors import DOOR, FREE, MARKS, NO_FLOOR, OCCUPIED, ROUTE
 from navbake.navgrid.doors import to_runs
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
-from navbake.runtime.paths.path import Path as Route
+from navbake.runtime.paths import Path as Route
 from navbake.views import plot
 from navbake.views.layers import Label, make_panel, paint
 from navbake.views.plot import Mark, plot_grid, render_png, render_svg

@@ -12,6 +12,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 
 from navbake.baker.kernels.arrays import Band, Crossings, Prism, Probe
 from navbake.baker.kernels.constants import SAME, TOUCH
@@ -42,7 +43,7 @@ from navbake.baker.kernels.tiles import (
     center_of,
     tile_window,
 )
-from navbake.compiled import UNCOUNTED, kernel, part
+from navbake.compiled import UNCOUNTED
 from navbake.types import Bool, Float, Int
 
 
@@ -87,7 +88,7 @@ class TileQuestion(NamedTuple):
     probe: Probe
 
 
-@part
+@njit(cache=True)
 def _make_tile_cells():
     square = (TILE, TILE)
     return TileCells(
@@ -104,13 +105,13 @@ def _make_tile_cells():
     )
 
 
-@part(inline="always")
+@njit(inline="always")
 def _reach(lattice, footprint):
     """How far from its centre a cell looks for geoms: a hair beyond, see `facet_meets_prism`."""
     return max(lattice.cell_size / 2, footprint.square, footprint.radius) + 2.0 * TOUCH
 
 
-@part(inline="always")
+@njit(inline="always")
 def _column(lattice, row, col, cells, reach):
     """All of a cell's column; NaN heights where there is no floor."""
     x, y = center_of(lattice, row, col)
@@ -118,7 +119,7 @@ def _column(lattice, row, col, cells, reach):
     return Prism(x, y, cells.floor[cell], cells.ceiling[cell], reach, reach)
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def count_candidates(lattice, solids, planes, tiles, groups, footprint, cells, first, end):
     """Count for each cell with a floor the geoms whose boxes meet its column: an upper bound.
 
@@ -149,7 +150,7 @@ def count_candidates(lattice, solids, planes, tiles, groups, footprint, cells, f
                             slot[row * lattice.width + col + 1] += 1
 
 
-@part(inline="always")
+@njit(inline="always")
 def _volumes(asked, column):
     """What is asked about in a cell's column."""
     footprint, probe = asked.footprint, asked.probe
@@ -163,7 +164,7 @@ def _volumes(asked, column):
     )
 
 
-@part(inline="always")
+@njit(inline="always")
 def _add(cells, cell, count, geom, flags):
     """Insert an entry into a cell's list, which is sorted by geom; the list's new length."""
     if not flags & STANDS:
@@ -179,7 +180,7 @@ def _add(cells, cell, count, geom, flags):
     return count + 1
 
 
-@part(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def _begin(asked, planes, cells, here):
     """Note what is known of a tile's cells, and list the planes in them."""
     lattice, window, crossings, footprint, _ = asked
@@ -213,7 +214,7 @@ def _begin(asked, planes, cells, here):
             here.length[r, c], here.by_line[r, c], here.known[r, c] = count, by_line, known
 
 
-@part(inline="always")
+@njit(inline="always")
 def _ask_lines(asked, window, boxes, i, geom, cells, here):
     """Ask the lines of the cells near a solid or a group of triangles, by its box.
 
@@ -243,7 +244,7 @@ def _ask_lines(asked, window, boxes, i, geom, cells, here):
             _note_open(here, r, c, wanted & ~flags, volumes)
 
 
-@part(inline="always")
+@njit(inline="always")
 def _note_open(here, r, c, flags, volumes):
     """Note that flags are still asked about a cell."""
     for k, volume in enumerate(volumes):
@@ -253,7 +254,7 @@ def _note_open(here, r, c, flags, volumes):
             here.band[k, 1] = max(here.band[k, 1], volume.high)
 
 
-@part(inline="always")
+@njit(inline="always")
 def _cells_open_between(here, low, high):
     """The cells about which something is still asked between two heights, a bit each."""
     cells = 0
@@ -263,7 +264,7 @@ def _cells_open_between(here, low, high):
     return cells
 
 
-@part(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def _list_geom(asked, shapes, tiles, groups, is_solid, n, cells, here):
     """Add a geom to the lists of the cells over a tile that it stands in or blocks.
 
@@ -317,7 +318,7 @@ def _list_geom(asked, shapes, tiles, groups, is_solid, n, cells, here):
                 here.length[r, c] = _add(cells, cell, here.length[r, c], geom, here.flags[r, c])
 
 
-@part(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def _list_tile(tile, asked, shapes, tiles, groups, cells, here):
     """List what stands in the cells of a tile or blocks them."""
     _begin(asked, shapes[2], cells, here)
@@ -327,7 +328,7 @@ def _list_tile(tile, asked, shapes, tiles, groups, cells, here):
             _list_geom(asked, shapes, tiles, groups, is_solid, n, cells, here)
 
 
-@kernel(nogil=True)
+@njit(cache=True, nogil=True)
 def list_geoms(lattice, crossings, shapes, tiles, groups, footprint, probe, cells, first, end):
     """List for each cell with a floor the geoms that stand in it or block it.
 
@@ -344,7 +345,7 @@ def list_geoms(lattice, crossings, shapes, tiles, groups, footprint, probe, cell
         _list_tile(tile, asked, shapes, tiles, groups, cells, here)
 
 
-@kernel(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def describe_floors(floors, crossings, min_up, support):
     """Find which geom carries each cell's floor, and how far below the next floor lies.
 
@@ -370,7 +371,7 @@ def describe_floors(floors, crossings, min_up, support):
                 support.gap[cell] = floor - z[i]
 
 
-@kernel(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def count_supports(support, standable, limit, covering, counts):
     """Count the cells of one storey by the geom that carries their floor.
 
@@ -391,7 +392,7 @@ def count_supports(support, standable, limit, covering, counts):
         counts.stood_on[geom] |= standable[i]
 
 
-@kernel(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def mark_cells(start, chosen, marked):
     """Mark the cells with a chosen entry in their lists; see `LevelContents` for `start`."""
     for cell in range(marked.shape[0]):
@@ -399,7 +400,7 @@ def mark_cells(start, chosen, marked):
             marked[cell] |= chosen[i]
 
 
-@kernel(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def measure_over_floors(listed, floors, extents, base, rise, area, upper_area):
     """Measure how a storey's geoms stand over its floors, into four (geoms,) arrays.
 

@@ -5,11 +5,10 @@ high bits down. Equal hashes are no proof, so lists are compared.
 """
 
 import numpy as np
+from numba import njit
 
-from navbake.compiled import kernel, part
 
-
-@kernel
+@njit(cache=True)
 def number_lists(start, value, number):
     """Number ragged lists so that equal ones share a number, by first appearance.
 
@@ -39,7 +38,7 @@ def number_lists(start, value, number):
     return first[:count].copy()
 
 
-@part(inline="always")
+@njit(inline="always")
 def _are_equal(start, value, a, b):
     if start[a + 1] - start[a] != start[b + 1] - start[b]:
         return False

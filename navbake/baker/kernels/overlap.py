@@ -11,10 +11,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from navbake.baker.kernels.arrays import Prism
 from navbake.baker.kernels.constants import OPEN_SURFACE, TOUCH
-from navbake.compiled import UNCOUNTED, part
+from navbake.compiled import UNCOUNTED
 from navbake.types import Float
 
 # A triangle has at most nine corners when six planes have clipped it
@@ -31,13 +32,13 @@ class Polygons(NamedTuple):
     other: Float
 
 
-@part
+@njit(cache=True)
 def make_polygons():
     """Empty room for two polygons, (12, 3) float64 each."""
     return Polygons(np.empty((MOST_CORNERS, 3)), np.empty((MOST_CORNERS, 3)))
 
 
-@part(inline="always")
+@njit(inline="always")
 def outside(boxes, i, prism):
     """Whether a box is beside a prism; touching is beside it."""
     reach = max(prism.square, prism.radius)
@@ -51,7 +52,7 @@ def outside(boxes, i, prism):
     )
 
 
-@part(inline="always")
+@njit(inline="always")
 def facet_meets_prism(facets, t, prism, polygons):
     """Does a triangle meet a prism, or, if it encloses nothing, the prism with its edges?
 
@@ -66,7 +67,7 @@ def facet_meets_prism(facets, t, prism, polygons):
     return triangle_meets_prism(facets.corners[t], asked, polygons)
 
 
-@part(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def clip(points, num, out, axis, limit, sign):
     """Keep the part of a polygon where ``sign * (coordinate - limit) >= 0``.
 
@@ -90,14 +91,14 @@ def clip(points, num, out, axis, limit, sign):
     return kept
 
 
-@part(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def clip_between(points, num, spare, axis, band, out):
     """Keep the part of a polygon between two limits of a coordinate; `out` may be `points`."""
     num = clip(points, num, spare, axis, band[0], 1.0)
     return clip(spare, num, out, axis, band[1], -1.0)
 
 
-@part(inline="always")
+@njit(inline="always")
 def _disc_meets_polygon(points, num, prism):
     """Whether a polygon, seen from above, comes nearer to the disc's middle than its radius."""
     left, right = False, False
@@ -119,7 +120,7 @@ def _disc_meets_polygon(points, num, prism):
     return (left or right) and not (left and right)
 
 
-@part(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def triangle_meets_prism(corners, prism, polygons):
     """Does a triangle, (3, 3) float64 [m], meet a prism? The polygons are scratch."""
     one, other = polygons.one, polygons.other
@@ -135,7 +136,7 @@ def triangle_meets_prism(corners, prism, polygons):
     return False
 
 
-@part(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def plane_meets_prism(planes, p, prism):
     """Does the half-space behind an infinite plane meet a prism?"""
     pos, mat = planes.pos[p], planes.mat[p]
@@ -148,7 +149,7 @@ def plane_meets_prism(planes, p, prism):
     return depth - reach < 0.0
 
 
-@part(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def line_is_blocked(crossings, cell, band, only):
     """Whether a cell's line proves that something is between two heights.
 

@@ -14,11 +14,12 @@ twice as far from all edges as RIM is told without.
 import math
 
 import numpy as np
+from numba import njit
 
 from navbake.baker.kernels.hits import AT_EDGE, INSIDE, RIM
 from navbake.baker.kernels.tiles import cell_center, centers_between
 from navbake.baker.scene.kernels.triangles import is_upright, unit_normal
-from navbake.compiled import UNCOUNTED, part
+from navbake.compiled import UNCOUNTED
 
 # Edges shorter than this tell nothing without their own length [m]
 SHORT = 1e-6
@@ -28,7 +29,7 @@ NEVER_FAR = (np.inf, np.inf, np.inf)
 NARROW = 4
 
 
-@part(inline="always")
+@njit(inline="always")
 def is_beside(boxes, i, x, y):
     """Whether a line is beside the i-th box by more than RIM."""
     return (
@@ -39,7 +40,7 @@ def is_beside(boxes, i, x, y):
     )
 
 
-@part(inline="always")
+@njit(inline="always")
 def _far_of_edge(corners, t, i, j):
     """The edge function of a line that is twice as far from an edge as RIM."""
     dx, dy = corners[t, j, 0] - corners[t, i, 0], corners[t, j, 1] - corners[t, i, 1]
@@ -47,7 +48,7 @@ def _far_of_edge(corners, t, i, j):
     return 2.0 * RIM * length if length > SHORT else np.inf
 
 
-@part(inline="always")
+@njit(inline="always")
 def _cross_triangle(corners, t, x, y, far):
     """Where the line at (x, y) crosses a triangle, and whether it does.
 
@@ -84,7 +85,7 @@ def _cross_triangle(corners, t, x, y, far):
     return place, z
 
 
-@part(inline="always")
+@njit(inline="always")
 def hit_triangle(facets, t, x, y, far, hits, at, writing):
     """Note that a line crosses a triangle that isn't upright, at a place of the hits.
 
@@ -105,7 +106,7 @@ def hit_triangle(facets, t, x, y, far, hits, at, writing):
     return 1
 
 
-@part(inline="always")
+@njit(inline="always")
 def _span_of_row(corners, t, left, right, y, far):
     """Between which x a triangle may be crossed at some y, within (left, right) [m].
 
@@ -129,7 +130,7 @@ def _span_of_row(corners, t, left, right, y, far):
     return low, high
 
 
-@part(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def raster_triangles(facets, listed, is_crossed, lattice, rows, hits, end, writing):
     """Note that the lines of the centres that triangles cover cross them.
 

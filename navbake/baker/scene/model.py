@@ -36,6 +36,16 @@ def mujoco_version() -> str:
     return str(mujoco.__version__)
 
 
+@cache
+def mujoco_library() -> str:
+    """Path of MuJoCo's shared library, whose rays the kernels call."""
+    folder = Path(mujoco.__file__).parent
+    for pattern in ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll"):
+        for path in sorted(folder.glob(pattern)):
+            return str(path)
+    raise SceneError(f"MuJoCo's shared library is not in {folder}: reinstall mujoco")
+
+
 class OpenScene(NamedTuple):
     """A scene's compiled model, before geoms are chosen.
 

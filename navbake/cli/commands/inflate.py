@@ -59,7 +59,7 @@ def inflate(
     Example: navbake inflate house.grid.json --radius 0.3 -o wide.grid.json
     """
     from navbake.formats.navgrid import dumps_navgrid  # loads numpy
-    from navbake.runtime.inflation.inflate import SCALING, check_arguments  # loads numpy
+    from navbake.runtime.inflation import SCALING, check_arguments  # loads numpy
 
     refuse_unused(
         ("--scaling", scaling is not None, costs == "nav2", "--costs nav2"),

@@ -13,7 +13,7 @@ from navbake.cli.places import PLACE, PLACE_HELP, parse_place, position_of_place
 from navbake.cli.printing import print_json, say
 
 if TYPE_CHECKING:
-    from navbake.runtime.paths import path as paths
+    from navbake.runtime import paths
 
 NAMED = ("room:", "object:")
 

@@ -1,13 +1,12 @@
 """Covers cells of one label by rectangles: greedily, the largest from each corner, row by row."""
 
 import numpy as np
-
-from navbake.compiled import kernel, part
+from numba import njit
 
 FIRST_CAPACITY = 1024
 
 
-@kernel
+@njit(cache=True)
 def cover(labels):
     """Cover all cells whose label isn't 0 by rectangles of one label that don't overlap.
 
@@ -48,7 +47,7 @@ def cover(labels):
     return found[:num].copy()
 
 
-@part
+@njit(cache=True)
 def _largest(labels, reach, row, col):
     """Rows and columns of the rectangle with the most cells whose upper left one is given."""
     least, most_cells = reach[row, col], 0
@@ -66,7 +65,7 @@ def _largest(labels, reach, row, col):
     return best_rows, best_cols
 
 
-@part
+@njit(cache=True)
 def _take(reach, row, col, rows, cols):
     """Mark a rectangle as covered; runs from the left now end at it."""
     for r in range(row, row + rows):

@@ -42,7 +42,7 @@ from navbake.formats.values import number as finite_number
 from navbake.formats.values import vector
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
-from navbake.runtime.inflation.inflate import SCALING
+from navbake.runtime.inflation import SCALING
 from navbake.types import Json
 
 MODES = ("trinary", "scale", "raw")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from navbake.errors import QueryError
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.runtime.inflation.inflate import SCALING, nav2_costs
+from navbake.runtime.inflation import SCALING, nav2_costs
 from navbake.types import Float, Vector3
 
 UNKNOWN, FREE, INSCRIBED, OCCUPIED = -1, 0, 99, 100

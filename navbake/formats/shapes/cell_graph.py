@@ -15,7 +15,7 @@ from navbake.errors import MissingDependencyError
 from navbake.formats.source import Files, write_files
 from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
-from navbake.runtime.paths.search import Search
+from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 sparse = lazy("scipy.sparse")
 
 # a cell's neighbours by their place in a row of the matrix: row and column steps, bit of its moves
-# (see `navbake.runtime.kernels.moves`)
+# (see `navbake.runtime.kernels.arrays`)
 WAYS = (
     (-1, -1, 5), (-1, 0, 1), (-1, 1, 4), (0, -1, 2), (0, 1, 0), (1, -1, 6), (1, 0, 3), (1, 1, 7),
 )  # fmt: skip

@@ -16,8 +16,8 @@ from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.rooms import Room
 from navbake.runtime.flat_grid import FlatGrid
-from navbake.runtime.paths.search import Search
-from navbake.runtime.places.room_map import map_rooms
+from navbake.runtime.grid_cache import map_rooms
+from navbake.runtime.search import Search
 from navbake.types import Float, Int, Vector3
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
 
 def _find_openings(search: Search, number: Any) -> Iterator[_Opening]:
     """Where steps lead between neighbouring cells of two rooms."""
-    from navbake.runtime.kernels.moves import EAST, SOUTH  # numba loads slowly
+    from navbake.runtime.kernels.arrays import EAST, SOUTH  # numba loads slowly
 
     flat, moves = search.flat, search.graph.moves
     for level in range(flat.num_levels):

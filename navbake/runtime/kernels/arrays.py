@@ -7,15 +7,23 @@ Looking an array up in a tuple counts a reference, which costs more than a step 
 kernels with a hot loop take the arrays out of their tuples first and hand them on one by one.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from navbake.compiled import kernel, part
 from navbake.types import Bool, Float, Int, Int32
 
 EDGE = 1e-6  # of a cell: how far inside of its edges a point is put
+DIAGONAL = math.sqrt(2.0)  # length of a diagonal step, in cells
+# Directions: east, north, west, south, then north-east, north-west, south-west, south-east. North
+# is row - 1. Bit d of a cell's moves is set where a step leads that way.
+EAST, NORTH, WEST, SOUTH = 1, 2, 4, 8
+SOUTH_WEST, SOUTH_EAST = 64, 128
+ROW_STEP = np.array([0, -1, 0, 1, -1, -1, 1, 1])
+COL_STEP = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 
 
 class Layout(NamedTuple):
@@ -85,11 +93,11 @@ class Graph(NamedTuple):
     """The steps of an agent and what they cost: the length [m] times the target's weight.
 
     Attributes:
-        moves: by cell, see `navbake.runtime.kernels.moves`.
+        moves: by cell, a bit for each direction, see `navbake.runtime.kernels.routes`.
         weight: by cell, inf where it isn't free.
         same_weight: the weight of all free cells, 0 where they differ.
         least_weight: the smallest weight of a free cell, >= 0.
-        bucket, num_buckets: of the queue, see `navbake.runtime.kernels.buckets.bucket_width`.
+        bucket, num_buckets: of the queue, see `navbake.runtime.kernels.routes`.
     """
 
     layout: Layout
@@ -109,7 +117,7 @@ class OffCenter(NamedTuple):
         anywhere: by cell: free, wherever in the cell the agent is.
         by_squares: by cell: so, or free and in the way of nothing but solid squares of its own
             level, so that a sweep of the disc decides.
-        solid_before: see `navbake.runtime.kernels.sweep`.
+        solid_before: see `navbake.runtime.kernels.lines.disc_passes`.
         radius: of the agent [m]; 0 if only free cells count.
         is_closed: whether all beyond a level's cells is solid.
     """
@@ -122,7 +130,7 @@ class OffCenter(NamedTuple):
 
 
 class Entries(NamedTuple):
-    """Memory for the entries of a queue, see `navbake.runtime.kernels.buckets`; of one length."""
+    """Memory for the entries of a queue, see `navbake.runtime.kernels.routes`; of one length."""
 
     cell: Int32
     next: Int32
@@ -132,7 +140,7 @@ class Visits(NamedTuple):
     """How a search reached the cells; kept from search to search, so that none has to clear it.
 
     Attributes:
-        mark: by cell, see `navbake.runtime.kernels.route`.
+        mark: by cell, see `navbake.runtime.kernels.routes`.
         cost: by cell, valid where `mark` is of this search.
         link_from: by index in ``links.cell``: where the link that was taken leads from.
     """
@@ -164,7 +172,7 @@ class Rect(NamedTuple):
     height: int
 
 
-@part
+@njit(cache=True, error_model="numpy")
 def level_of(start, cell):
     """The level of a flat id."""
     level = 0
@@ -173,13 +181,13 @@ def level_of(start, cell):
     return level
 
 
-@part
+@njit(cache=True, error_model="numpy")
 def rect_of(layout, level):
     """The cells of a level."""
     return Rect(layout.start[level], layout.width[level], layout.height[level])
 
 
-@part
+@njit(cache=True, error_model="numpy")
 def find_slot(link_cell, cell):
     """Where a cell is in ``links.cell``, by binary search; -1 if no link leads from it."""
     low, high = 0, link_cell.shape[0]
@@ -192,7 +200,7 @@ def find_slot(link_cell, cell):
     return low if low < link_cell.shape[0] and link_cell[low] == cell else -1
 
 
-@part
+@njit(cache=True, error_model="numpy")
 def center(layout, cell):
     """World x, y of a cell's centre [m]."""
     level = level_of(layout.start, cell)
@@ -201,7 +209,14 @@ def center(layout, cell):
     return layout.x_min[level] + (col + 0.5) * size, layout.y_max[level] - (row + 0.5) * size
 
 
-@kernel
+@njit(cache=True, error_model="numpy")
+def floor_at(floors, level, cell):
+    """World z of a cell's floor, or of the level's ground where it has none [m]."""
+    z = floors.z[cell]
+    return floors.ground[level] if math.isnan(z) else z
+
+
+@njit(cache=True, error_model="numpy")
 def put_into(layout, cell, x, y):
     """The point of a cell's square nearest to x, y, EDGE inside of its edges."""
     middle_x, middle_y = center(layout, cell)
@@ -210,7 +225,7 @@ def put_into(layout, cell, x, y):
     return x, min(max(y, middle_y - half), middle_y + half)
 
 
-@part
+@njit(cache=True, error_model="numpy")
 def in_cells(layout, level, x, y):
     """A world position [m] in a level's own units: u in columns, v in rows, from its corner."""
     size = layout.cell_size[level]

@@ -8,21 +8,44 @@ searches no farther than the best so far, which is quicker for the few cells tha
 Floors of several levels are compared cell by cell, but only in tiles whose ranges of heights make
 a conflict possible: one step of a min-max pyramid.
 
-Arrays have the shape (rows, cols), `floor` (levels, rows, cols) and float32 [m], NaN for none;
-`occupied` is uint8. `offsets` are the steps from an agent's cell to the cells that it meets,
-(n, 2) int64, and `reach` is the longest of them along an axis; `ranges` are those of `tile_ranges`.
-`slopes` are those of `navbake.runtime.inflation.surroundings`. `blocked` is bool and written.
+Arrays have the shape (rows, cols), those of `Storeys` (levels, rows, cols); `offsets` are the steps
+from an agent's cell to the cells that it meets, (n, 2) int64. `blocked` is bool and written.
 """
 
-import numpy as np
+from typing import NamedTuple
 
-from navbake.compiled import kernel, part
-from navbake.runtime.kernels.moves import EAST, NORTH, SOUTH, WEST
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from navbake.runtime.kernels.arrays import EAST, NORTH, SOUTH, WEST
 
 TILE = 16  # edge of the squares of cells whose floors are compared first
+SLAB = 0.3  # [m] how thick the floor of a level above may be
 
 
-@kernel
+class Storeys(NamedTuple):
+    """The cells of one level and of those around it, in a window of the scene's lattice.
+
+    Attributes:
+        floor: world z of the floor [m], NaN for none, shape (levels, rows, cols).
+        occupied: `SceneGrid2D.solid`, and 1 beyond a level's rectangle, of the same shape.
+        slopes: which neighbours, on any level, links join that are more than a step apart: bits
+            EAST, NORTH, WEST and SOUTH; of the same shape, (0, 0, 0) where there are none.
+        level: the one level's index in the arrays.
+        step: by how much floors of neighbours may differ [m].
+        height: of the agent [m].
+    """
+
+    floor: NDArray[np.float32]
+    occupied: NDArray[np.uint8]
+    slopes: NDArray[np.uint8]
+    level: int
+    step: float
+    height: float
+
+
+@njit(cache=True)
 def dilate(occupied, half_width):
     """Find the cells near an occupied one, by a shape that is as wide as a table says.
 
@@ -55,7 +78,7 @@ def dilate(occupied, half_width):
     return near
 
 
-@part
+@njit(cache=True)
 def _column_distances(occupied, far):
     """Distance of each cell to the nearest occupied one of its column, at most `far`, int32."""
     rows, cols = occupied.shape
@@ -70,7 +93,7 @@ def _column_distances(occupied, far):
     return column
 
 
-@kernel
+@njit(cache=True)
 def squared_distances(occupied, reach):
     """Squared distance from each cell's centre to that of the nearest occupied one, int64.
 
@@ -93,7 +116,7 @@ def squared_distances(occupied, reach):
     return squares
 
 
-@kernel
+@njit(cache=True)
 def refine_window(occupied, has_floor, radius, far, reach, least, weights):
     """Weigh each cell by the cells of a window around it, as the original client does.
 
@@ -108,7 +131,7 @@ def refine_window(occupied, has_floor, radius, far, reach, least, weights):
             weights[row, col] = _weigh(occupied, has_floor, row, col, inner, outer, reach, least)
 
 
-@part
+@njit(cache=True)
 def _weigh(occupied, has_floor, row, col, inner, outer, reach, least):
     rows, cols = occupied.shape
     weight = 1.0
@@ -126,7 +149,7 @@ def _weigh(occupied, has_floor, row, col, inner, outer, reach, least):
     return np.inf if within > 0 and with_floor / within < least else weight
 
 
-@kernel
+@njit(cache=True)
 def block_near_holes(has_floor, todo, offsets, squares, least, blocked):
     """Block cells of `todo` with a share under `least` of cells with a floor, within any distance.
 
@@ -152,18 +175,88 @@ def block_near_holes(has_floor, todo, offsets, squares, least, blocked):
                 blocked[row, col] = True
 
 
-@kernel
-def block_below_floors(floor, slopes, ranges, level, offsets, reach, step, top, blocked):
-    """Block cells of a level from which a floor that they meet is more than a step higher [m].
+@njit(cache=True)
+def block_by_floors(storeys, offsets, counts_higher, counts_lower, blocked):
+    """Add what other levels and floors block to `blocked`, and free what other levels free.
 
-    The floor of another level that is `top` higher [m] or more is not in the way, nor is one that
-    a slope leads up to.
+    `blocked` holds what the level's own occupied cells block. Floors more than a step higher count
+    if `counts_higher`, lower ones if `counts_lower`.
     """
-    levels, rows, cols = floor.shape
-    low, high = ranges
+    ranges, reach = _tile_ranges(storeys.floor), 0
+    for k in range(offsets.shape[0]):
+        reach = max(reach, abs(offsets[k, 0]), abs(offsets[k, 1]))
     tiles = (reach + TILE - 1) // TILE
+    if storeys.floor.shape[0] > 1:
+        _block_across(storeys, ranges, offsets, tiles, blocked)
+    if counts_higher:
+        _block_below_floors(storeys, ranges, offsets, tiles, blocked)
+    if counts_lower:
+        _block_above_drops(storeys, ranges, offsets, reach, blocked)
+
+
+@njit(cache=True)
+def _block_across(storeys, ranges, offsets, tiles, blocked):
+    """Decide again for the cells of a level near which another one has floors as high as theirs.
+
+    Cells that are occupied themselves stay as they are.
+    """
+    # What counts in a column that an agent meets, by whose floors are as high as the agent's:
+    #   own level's only, or none   the own level
+    #   own and others'             the own level and these others
+    #   only others'                these others
+    floor, occupied, level = storeys.floor, storeys.occupied, storeys.level
+    (low, high), overlap = ranges, storeys.height - storeys.step
+    levels, rows, cols = floor.shape
+    for tile_row in range(low.shape[1]):
+        for tile_col in range(low.shape[2]):
+            bottom = low[level, tile_row, tile_col] - overlap
+            top = high[level, tile_row, tile_col] + overlap
+            may_meet = False
+            for other in range(levels):
+                lowest, highest = _range_near(low[other], high[other], tile_row, tile_col, tiles)
+                may_meet |= other != level and lowest < top and highest > bottom
+            if not may_meet:
+                continue
+            for row in range(tile_row * TILE, min((tile_row + 1) * TILE, rows)):
+                for col in range(tile_col * TILE, min((tile_col + 1) * TILE, cols)):
+                    if not np.isnan(floor[level, row, col]) and not occupied[level, row, col]:
+                        blocked[row, col] = _meets_any(
+                            floor, occupied, level, row, col, offsets, overlap
+                        )
+
+
+@njit(cache=True)
+def _meets_any(floor, occupied, level, row, col, offsets, overlap):
+    levels, rows, cols = floor.shape
+    height = floor[level, row, col]
+    for k in range(offsets.shape[0]):
+        r, c = row + offsets[k, 0], col + offsets[k, 1]
+        if r < 0 or r >= rows or c < 0 or c >= cols:
+            continue
+        is_covered = False
+        for other in range(levels):
+            if other != level and abs(floor[other, r, c] - height) < overlap:
+                is_covered = True
+                if occupied[other, r, c]:
+                    return True
+        own_counts = not is_covered or abs(floor[level, r, c] - height) < overlap
+        if own_counts and occupied[level, r, c]:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _block_below_floors(storeys, ranges, offsets, tiles, blocked):
+    """Block cells of a level from which a floor that they meet is more than a step higher.
+
+    The floor of another level that is higher than an agent and a slab is not in the way, nor is
+    one that a slope leads up to.
+    """
+    floor, slopes, level, step = storeys.floor, storeys.slopes, storeys.level, storeys.step
+    low, high = ranges
+    levels, rows, cols = floor.shape
     for upper in range(levels):
-        limit = np.inf if upper == level else top
+        limit = np.inf if upper == level else storeys.height + SLAB
         for tile_row in range(low.shape[1]):
             for tile_col in range(low.shape[2]):
                 lowest, highest = _range_near(low[level], high[level], tile_row, tile_col, tiles)
@@ -175,40 +268,98 @@ def block_below_floors(floor, slopes, ranges, level, offsets, reach, step, top, 
                 for row in range(tile_row * TILE, min((tile_row + 1) * TILE, rows)):
                     for col in range(tile_col * TILE, min((tile_col + 1) * TILE, cols)):
                         height = floor[upper, row, col]
-                        if height - lowest > step and height - highest < limit:
-                            _block_lower(
-                                floor, slopes, level, upper, row, col, offsets, step, limit, blocked
-                            )
+                        if not (height - lowest > step and height - highest < limit):
+                            continue
+                        for k in range(offsets.shape[0]):  # block the cells round it
+                            r, c = row - offsets[k, 0], col - offsets[k, 1]
+                            if not (0 <= r < rows and 0 <= c < cols) or blocked[r, c]:
+                                continue
+                            if step < height - floor[level, r, c] < limit:
+                                blocked[r, c] = slopes.shape[0] == 0 or not _is_slope(
+                                    floor, slopes, step, level, r, c, upper, row, col
+                                )
 
 
-@part
-def _range_near(low, high, row, col, tiles):
-    """The lowest and the highest floor of a level in the tiles around one."""
-    lowest, highest = np.inf, -np.inf
-    for r in range(max(row - tiles, 0), min(row + tiles + 1, low.shape[0])):
-        for c in range(max(col - tiles, 0), min(col + tiles + 1, low.shape[1])):
-            lowest = min(lowest, low[r, c])
-            highest = max(highest, high[r, c])
-    return lowest, highest
+@njit(cache=True)
+def _block_above_drops(storeys, ranges, offsets, reach, blocked):
+    """Block cells of a level that meet a column whose floor is more than a step lower.
+
+    A column is a drop for an agent where some level's floor lies more than a step below its own,
+    no level's within a step of it, and no slope leads down there.
+    """
+    floor, slopes, level, step = storeys.floor, storeys.slopes, storeys.level, storeys.step
+    low, high = ranges
+    levels, rows, cols = floor.shape
+    tiles = (reach + TILE - 1) // TILE
+    for tile_row in range(low.shape[1]):
+        for tile_col in range(low.shape[2]):
+            lowest, highest = _range_near(low[level], high[level], tile_row, tile_col, tiles)
+            limit = low[:, tile_row, tile_col].min() + step
+            if not limit < highest:
+                continue
+            row0, row1 = tile_row * TILE, min((tile_row + 1) * TILE, rows)
+            col0, col1 = tile_col * TILE, min((tile_col + 1) * TILE, cols)
+            # Few cells round the tile that are high enough, or few columns in it that may be low
+            # enough: the fewer are looked at one by one.
+            top, left = max(row0 - reach, 0), max(col0 - reach, 0)
+            bottom, right = min(row0 + TILE + reach, rows), min(col0 + TILE + reach, cols)
+            num_above = 0
+            for row in range(top, bottom):
+                for col in range(left, right):
+                    num_above += floor[level, row, col] > limit
+            if num_above < TILE * TILE:
+                for row in range(top, bottom):
+                    for col in range(left, right):
+                        if blocked[row, col] or not floor[level, row, col] > limit:
+                            continue
+                        for k in range(offsets.shape[0]):
+                            r, c = row + offsets[k, 0], col + offsets[k, 1]
+                            # columns of other tiles have their own turn
+                            if (
+                                row0 <= r < row1
+                                and col0 <= c < col1
+                                and _is_drop(floor, slopes, step, level, row, col, r, c)
+                            ):
+                                blocked[row, col] = True
+                                break
+                continue
+            for row in range(row0, row1):
+                for col in range(col0, col1):
+                    # a column that carries agents of all heights near it is no drop
+                    carries, is_below = False, False
+                    for other in range(levels):
+                        z = floor[other, row, col]
+                        carries |= highest - step <= z <= lowest + step
+                        is_below |= z < highest - step
+                    if carries or not is_below:
+                        continue
+                    for k in range(offsets.shape[0]):
+                        r, c = row - offsets[k, 0], col - offsets[k, 1]
+                        if 0 <= r < rows and 0 <= c < cols and not blocked[r, c]:
+                            blocked[r, c] = _is_drop(floor, slopes, step, level, r, c, row, col)
 
 
-@part
-def _block_lower(floor, slopes, level, upper, row, col, offsets, step, limit, blocked):
-    """Block the cells of a level round a higher floor of another one, or the same."""
-    _, rows, cols = floor.shape
-    height, own = floor[upper, row, col], floor[level]
-    for k in range(offsets.shape[0]):
-        r, c = row - offsets[k, 0], col - offsets[k, 1]
-        if not (0 <= r < rows and 0 <= c < cols) or blocked[r, c]:
-            continue
-        if step < height - own[r, c] < limit:
-            is_walk = slopes.shape[0] > 0 and _is_slope(
-                floor, slopes, step, level, r, c, upper, row, col
-            )
-            blocked[r, c] = not is_walk
+@njit(cache=True)
+def _is_drop(floor, slopes, step, level, row, col, to_row, to_col):
+    """Whether a column is a drop from a cell of a level.
+
+    A slope has to lead to the highest of the column's floors that are below the cell's.
+    """
+    height, highest, below, is_below = floor[level, row, col], -np.inf, -1, False
+    for other in range(floor.shape[0]):
+        lower = floor[other, to_row, to_col]
+        if abs(lower - height) <= step:
+            return False
+        is_below |= lower - height < -step
+        if highest < lower < height:
+            highest, below = lower, other
+    return is_below and (
+        slopes.shape[0] == 0
+        or not _is_slope(floor, slopes, step, level, row, col, below, to_row, to_col)
+    )
 
 
-@part
+@njit(cache=True)
 def _is_slope(floor, slopes, step, level, row, col, other, to_row, to_col):
     """Whether the straight way from a cell of a level to one of another is one walk on a slope.
 
@@ -236,7 +387,7 @@ def _is_slope(floor, slopes, step, level, row, col, other, to_row, to_col):
     return level == other and num_slopes > 0
 
 
-@part
+@njit(cache=True)
 def _walk_corner(floor, slopes, step, level, row, col, by_row, by_col, to_row, to_col):
     """As `_walk_edge`, over a cell on the way."""
     between, first = _walk_edge(floor, slopes, step, level, row, col, by_row, by_col)
@@ -246,7 +397,7 @@ def _walk_corner(floor, slopes, step, level, row, col, by_row, by_col, to_row, t
     return reached, max(first, second)
 
 
-@part
+@njit(cache=True)
 def _walk_edge(floor, slopes, step, level, row, col, to_row, to_col):
     """The level on which a step or a slope leads to a neighbour, -1 for none; 1 if by a slope."""
     if to_row == row:
@@ -266,160 +417,8 @@ def _walk_edge(floor, slopes, step, level, row, col, to_row, to_col):
     return -1, 0
 
 
-@kernel
-def block_above_drops(floor, slopes, ranges, level, offsets, reach, step, blocked):
-    """Block cells of a level that meet a column whose floor is more than a step lower [m].
-
-    A column is a drop for an agent where some level's floor lies more than a step below its own,
-    no level's within a step of it, and no slope leads down there.
-    """
-    low, high = ranges
-    tiles = (reach + TILE - 1) // TILE
-    for tile_row in range(low.shape[1]):
-        for tile_col in range(low.shape[2]):
-            lowest, highest = _range_near(low[level], high[level], tile_row, tile_col, tiles)
-            bottom = low[:, tile_row, tile_col].min()
-            if not bottom < highest - step:
-                continue
-            # Few cells that are high enough, or few columns that may be low enough: the fewer are
-            # looked at one by one.
-            if _num_above(floor[level], tile_row, tile_col, reach, bottom + step) < TILE * TILE:
-                tile = tile_row, tile_col
-                _block_upper_cells(
-                    floor, slopes, level, tile, offsets, reach, bottom, step, blocked
-                )
-                continue
-            for row in range(tile_row * TILE, min((tile_row + 1) * TILE, floor.shape[1])):
-                for col in range(tile_col * TILE, min((tile_col + 1) * TILE, floor.shape[2])):
-                    if _may_be_drop(floor, row, col, lowest, highest, step):
-                        _block_higher(floor, slopes, level, row, col, offsets, step, blocked)
-
-
-@part
-def _grown(tile_row, tile_col, reach, shape):
-    """First and last rows and columns, the last ones excluded, of a tile and what is round it."""
-    row, col = tile_row * TILE, tile_col * TILE
-    return (
-        max(row - reach, 0),
-        min(row + TILE + reach, shape[0]),
-        max(col - reach, 0),
-        min(col + TILE + reach, shape[1]),
-    )
-
-
-@part
-def _num_above(own, tile_row, tile_col, reach, limit):
-    """How many cells within reach of a tile are higher than a limit."""
-    row0, row1, col0, col1 = _grown(tile_row, tile_col, reach, own.shape)
-    num = 0
-    for row in range(row0, row1):
-        for col in range(col0, col1):
-            num += own[row, col] > limit
-    return num
-
-
-@part
-def _block_upper_cells(floor, slopes, level, tile, offsets, reach, bottom, step, blocked):
-    """Block the cells round a tile, whose lowest floor is `bottom`, that meet a drop in it."""
-    own, (tile_row, tile_col) = floor[level], tile
-    row0, row1, col0, col1 = _grown(tile_row, tile_col, reach, own.shape)
-    for row in range(row0, row1):
-        for col in range(col0, col1):
-            height = own[row, col]
-            if blocked[row, col] or not height - bottom > step:
-                continue
-            for k in range(offsets.shape[0]):
-                r, c = row + offsets[k, 0], col + offsets[k, 1]
-                # columns of other tiles have their own turn
-                if r // TILE != tile_row or c // TILE != tile_col:
-                    continue
-                if r >= own.shape[0] or c >= own.shape[1]:
-                    continue
-                if _is_drop(floor, r, c, height, step) and not (
-                    slopes.shape[0] > 0 and _leads_down(floor, slopes, step, level, row, col, r, c)
-                ):
-                    blocked[row, col] = True
-                    break
-
-
-@part(inline="always")
-def _is_drop(floor, row, col, height, step):
-    """Whether a column is a drop from a height."""
-    is_below = False
-    for other in range(floor.shape[0]):
-        rise = floor[other, row, col] - height
-        if abs(rise) <= step:
-            return False
-        is_below = is_below or rise < -step
-    return is_below
-
-
-@part
-def _may_be_drop(floor, row, col, lowest, highest, step):
-    """Whether a column may be a drop from some height in a range."""
-    is_below = False
-    for other in range(floor.shape[0]):
-        height = floor[other, row, col]
-        if highest - step <= height <= lowest + step:
-            return False  # it carries agents of all heights in the range
-        is_below = is_below or height < highest - step
-    return is_below
-
-
-@part
-def _block_higher(floor, slopes, level, row, col, offsets, step, blocked):
-    """Block the cells round a column from which it is a drop."""
-    _, rows, cols = floor.shape
-    for k in range(offsets.shape[0]):
-        r, c = row - offsets[k, 0], col - offsets[k, 1]
-        if not (0 <= r < rows and 0 <= c < cols) or blocked[r, c]:
-            continue
-        if _is_drop(floor, row, col, floor[level, r, c], step):
-            is_walk = slopes.shape[0] > 0 and _leads_down(
-                floor, slopes, step, level, r, c, row, col
-            )
-            blocked[r, c] = not is_walk
-
-
-@part
-def _leads_down(floor, slopes, step, level, row, col, to_row, to_col):
-    """Whether a slope leads to the highest of the floors of a column that are below a cell's."""
-    height, highest, below = floor[level, row, col], -np.inf, -1
-    for other in range(floor.shape[0]):
-        lower = floor[other, to_row, to_col]
-        if highest < lower < height:
-            highest, below = lower, other
-    return _is_slope(floor, slopes, step, level, row, col, below, to_row, to_col)
-
-
-@kernel
-def block_across(floor, occupied, ranges, level, offsets, overlap, reach, blocked):
-    """Decide again for the cells of a level near which another one has floors as high as theirs.
-
-    Floors less than `overlap` apart are as high [m]. Cells that are occupied themselves stay as
-    they are.
-    """
-    # What counts in a column that an agent meets, by whose floors are as high as the agent's:
-    #   own level's only, or none   the own level
-    #   own and others'             the own level and these others
-    #   only others'                these others
-    _, rows, cols = floor.shape
-    low, high = ranges
-    tiles = (reach + TILE - 1) // TILE
-    for tile_row in range(low.shape[1]):
-        for tile_col in range(low.shape[2]):
-            if not _tiles_meet(low, high, level, tile_row, tile_col, tiles, overlap):
-                continue
-            for row in range(tile_row * TILE, min((tile_row + 1) * TILE, rows)):
-                for col in range(tile_col * TILE, min((tile_col + 1) * TILE, cols)):
-                    if not np.isnan(floor[level, row, col]) and not occupied[level, row, col]:
-                        blocked[row, col] = _meets_any(
-                            floor, occupied, level, row, col, offsets, overlap
-                        )
-
-
-@kernel
-def tile_ranges(floor):
+@njit(cache=True)
+def _tile_ranges(floor):
     """The lowest and the highest floor in each tile of each level; inf and -inf for none."""
     levels, rows, cols = floor.shape
     shape = (levels, (rows + TILE - 1) // TILE, (cols + TILE - 1) // TILE)
@@ -442,41 +441,18 @@ def tile_ranges(floor):
     return low, high
 
 
-@part
-def _tiles_meet(low, high, level, row, col, tiles, overlap):
-    """Whether some other level may have a floor as high as this tile's, within some tiles."""
-    bottom, top = low[level, row, col] - overlap, high[level, row, col] + overlap
-    for other in range(low.shape[0]):
-        if other == level:
-            continue
-        for r in range(max(row - tiles, 0), min(row + tiles + 1, low.shape[1])):
-            for c in range(max(col - tiles, 0), min(col + tiles + 1, low.shape[2])):
-                if low[other, r, c] < top and high[other, r, c] > bottom:
-                    return True
-    return False
+@njit(cache=True)
+def _range_near(low, high, row, col, tiles):
+    """The lowest and the highest floor of a level in the tiles around one."""
+    lowest, highest = np.inf, -np.inf
+    for r in range(max(row - tiles, 0), min(row + tiles + 1, low.shape[0])):
+        for c in range(max(col - tiles, 0), min(col + tiles + 1, low.shape[1])):
+            lowest = min(lowest, low[r, c])
+            highest = max(highest, high[r, c])
+    return lowest, highest
 
 
-@part
-def _meets_any(floor, occupied, level, row, col, offsets, overlap):
-    levels, rows, cols = floor.shape
-    height = floor[level, row, col]
-    for k in range(offsets.shape[0]):
-        r, c = row + offsets[k, 0], col + offsets[k, 1]
-        if r < 0 or r >= rows or c < 0 or c >= cols:
-            continue
-        is_covered = False
-        for other in range(levels):
-            if other != level and abs(floor[other, r, c] - height) < overlap:
-                is_covered = True
-                if occupied[other, r, c]:
-                    return True
-        own_counts = not is_covered or abs(floor[level, r, c] - height) < overlap
-        if own_counts and occupied[level, r, c]:
-            return True
-    return False
-
-
-@kernel
+@njit(cache=True)
 def meets_runs(occupied, runs):
     """Find the cells at which a shape of runs (row, first column, last column) meets something."""
     rows, cols = occupied.shape

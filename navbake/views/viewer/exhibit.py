@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from navbake.errors import QueryError
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.path_finder import PathFinder
-from navbake.runtime.paths.path import Path
+from navbake.runtime.paths import Path
 from navbake.types import Float, Json
 from navbake.views.layers import DISAGREEMENTS, LAYERS, Panel, make_panel, paint
 from navbake.views.viewer.choices import CUT_OVER, Choices

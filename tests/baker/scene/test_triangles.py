@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 
@@ -18,9 +17,6 @@ from navbake.baker.scene.kernels.triangles import (
     take_corners,
     unit_normal,
 )
-
-# parts of kernels as functions that Python can call
-unit_normal = numba.njit(unit_normal.py_func)
 
 
 @pytest.fixture(params=range(10))

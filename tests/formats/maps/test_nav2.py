@@ -20,7 +20,7 @@ from navbake.errors import FormatError, QueryError
 from navbake.formats.maps.images import Pixels
 from navbake.formats.maps.nav2 import MapRules, read_values
 from navbake.formats.maps.occupancy import level_from_values, values_of
-from navbake.runtime.inflation.inflate import nav2_costs
+from navbake.runtime.inflation import nav2_costs
 from project_paths import SHARED_DATA
 
 

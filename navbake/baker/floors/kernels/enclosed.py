@@ -3,14 +3,15 @@
 import math
 
 import numpy as np
+from numba import njit
 
 from navbake.baker.floors.kernels.sheets import count_planes_over, look_up, neighbour
 from navbake.baker.kernels.constants import CLOSED_SURFACE, SAME, SLACK
 from navbake.baker.kernels.tiles import cell_center
-from navbake.compiled import UNCOUNTED, kernel, part
+from navbake.compiled import UNCOUNTED
 
 
-@part(inline="always")
+@njit(inline="always")
 def _find_holder(crossings, i, last):
     """The geom of a closed surface that holds the i-th surface, the one that ends lowest; or -1."""
     z, normal, geom, closed = crossings.z, crossings.normal, crossings.geom, crossings.closed
@@ -26,7 +27,7 @@ def _find_holder(crossings, i, last):
     return np.int32(-1)
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def find_holders(lattice, crossings, planes, limits, holder, first_cell, end):
     """Find the surfaces that an agent could stand on if closed meshes held nothing inside.
 
@@ -51,7 +52,7 @@ def find_holders(lattice, crossings, planes, limits, holder, first_cell, end):
                 previous = z
 
 
-@kernel
+@njit(cache=True)
 def count_ends(lattice, cells, heights, footing, step, at_cell):
     """Count the edges of a sheet, and those beyond which a footing goes on at its height.
 

@@ -9,15 +9,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE, SAME, SLACK
 from navbake.baker.kernels.tiles import cell_center
-from navbake.compiled import UNCOUNTED, kernel, part
+from navbake.compiled import UNCOUNTED
 from navbake.navgrid.kernels.union_find import find_root, unite
 from navbake.types import Bool, Float, Int, Int32
 
 
-@part(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def count_planes_over(planes, x, y, z):
     """How many infinite planes have a point behind them."""
     count = 0
@@ -32,7 +33,7 @@ def count_planes_over(planes, x, y, z):
     return count
 
 
-@part(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def look_up(crossings, i, last):
     """How many solids of a column hold the i-th surface, and the height of the next one above.
 
@@ -56,7 +57,7 @@ def look_up(crossings, i, last):
     return surfaces, others, above
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable, count, cell0, end):
     """Tell which crossings are floor-like and which are standable, into two (n,) bool arrays.
 
@@ -109,7 +110,7 @@ class Surfaces(NamedTuple):
     footing: Float
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def list_surfaces(crossings, marks, places, before, found, writing, first, end):
     """List the surfaces that `mark_surfaces` marked; twice: to count, then to write.
 
@@ -145,7 +146,7 @@ def list_surfaces(crossings, marks, places, before, found, writing, first, end):
                 footing += 1
 
 
-@part
+@njit(cache=True)
 def neighbour(lattice, cell, way):
     """The next cell east (0), south (1), west (2) or north (3), or -1."""
     width, col = lattice.width, cell % lattice.width
@@ -158,7 +159,7 @@ def neighbour(lattice, cell, way):
     return cell - width
 
 
-@part(inline="always")
+@njit(inline="always")
 def neighbours(lattice, cell):
     """The next cells east, south, west and north, each -1 for none."""
     width, num = lattice.width, lattice.width * lattice.height
@@ -169,7 +170,7 @@ def neighbours(lattice, cell):
     return east, south, west, cell - width
 
 
-@kernel(nogil=True)
+@njit(cache=True, nogil=True)
 def join_by_steps(lattice, start, z, group, step):
     """Label the connected parts of standable surfaces: of one group, neighbours a step apart.
 
@@ -203,7 +204,7 @@ def join_by_steps(lattice, start, z, group, step):
     return part, size[:count].copy()
 
 
-@part(inline="always")
+@njit(inline="always")
 def _slope_joins(dz, one, other, step):
     """Whether slopes join two surfaces of neighbouring cells that are `dz` apart.
 
@@ -218,7 +219,7 @@ def _slope_joins(dz, one, other, step):
     return abs(dz - one) <= step + SLACK and abs(dz - other) <= step + SLACK
 
 
-@kernel
+@njit(cache=True)
 def join_by_slopes(lattice, start, z, normal, step):
     """Find the pairs of surfaces in neighbouring cells that their slopes join, but no step does.
 
@@ -251,7 +252,7 @@ def join_by_slopes(lattice, start, z, normal, step):
     return pairs
 
 
-@kernel(nogil=True)
+@njit(cache=True, nogil=True)
 def group_members(part, size):
     """List the members of each part, given the part of each surface, int32, and the parts' sizes.
 
@@ -268,7 +269,7 @@ def group_members(part, size):
     return start, member
 
 
-@kernel(nogil=True)
+@njit(cache=True, nogil=True)
 def find_links(lattice, start, z, level, step):
     """Pairs of surfaces in neighbouring cells, a step apart, on different levels.
 
@@ -302,7 +303,7 @@ def find_links(lattice, start, z, level, step):
     return pairs
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def count_options(footing, candidate, floor, lowest, highest, count, cell0, end):
     """Count the heights at which a level's floor may go on in each cell, into (cells,) int64.
 
@@ -317,7 +318,7 @@ def count_options(footing, candidate, floor, lowest, highest, count, cell0, end)
                     count[cell] += 1
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def list_options(footing, candidate, lowest, highest, start, height, cell0, end):
     """Write the heights that `count_options` counts, (options,) float64 [m].
 
@@ -333,7 +334,7 @@ def list_options(footing, candidate, lowest, highest, start, height, cell0, end)
                 place += 1
 
 
-@kernel(nogil=True)
+@njit(cache=True, nogil=True)
 def grow_floor(lattice, start, height, floor, step):
     """Let a level's floor go on under things, ring by ring, in place.
 
@@ -372,7 +373,7 @@ class Rings(NamedTuple):
     seen: Bool
 
 
-@part(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def _grow(lattice, start, height, floor, step, rings):
     """See `grow_floor`; one patch of cells after the other."""
     for cell in range(floor.shape[0]):
@@ -380,7 +381,7 @@ def _grow(lattice, start, height, floor, step, rings):
             _grow_patch(lattice, start, height, floor, step, rings, cell)
 
 
-@part(inline="always")
+@njit(inline="always")
 def _grow_patch(lattice, start, height, floor, step, rings, cell):
     """Let a floor go on in the cells with heights that hang together with one of them."""
     ring, following, queued, value, beside, seen = rings
@@ -422,7 +423,7 @@ def _grow_patch(lattice, start, height, floor, step, rings, cell):
         ring, following = following, ring
 
 
-@part(inline="always")
+@njit(inline="always")
 def _around(lattice, cell):
     """The next cells east, south, west and north, less than 0 for none; see `neighbour`."""
     width, col = lattice.width, cell % lattice.width
@@ -432,7 +433,7 @@ def _around(lattice, cell):
     return east, south, west, cell - width
 
 
-@part(inline="always")
+@njit(inline="always")
 def _list_beside(lattice, cell, floor, beside):
     """Write the floors of a cell's neighbours that have one; returns how many they are."""
     count = 0
@@ -443,7 +444,7 @@ def _list_beside(lattice, cell, floor, beside):
     return count
 
 
-@part(inline="always")
+@njit(inline="always")
 def nearest_height(heights, beside, step):
     """The height at which a floor goes on in a cell, or NaN."""
     best, best_gap = math.nan, step + SLACK

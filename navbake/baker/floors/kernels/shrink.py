@@ -5,8 +5,9 @@ only until enough have survived, that is cheaper than a transform of the whole l
 """
 
 import numpy as np
+from numba import njit
 
-from navbake.compiled import UNCOUNTED, kernel
+from navbake.compiled import UNCOUNTED
 
 
 def near_offsets(limit: float, shorter: int) -> np.ndarray:
@@ -40,7 +41,7 @@ def east_rim(offsets: np.ndarray) -> np.ndarray:
     return rim
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def mark_inner(cells, offsets, rim, width, height, needed, mask, counted, inner):
     """Mark the cells of a set whose neighbours at all offsets belong to it, until enough are found.
 

@@ -3,15 +3,16 @@
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from navbake.baker.kernels.contents import count_candidates, list_geoms
 from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS
-from navbake.compiled import UNCOUNTED, kernel
+from navbake.compiled import UNCOUNTED
 from navbake.types import Int, Int32
 
 
-@kernel(nogil=True)
+@njit(cache=True, nogil=True)
 def count_in_tiles(lattice, solids, planes, lists, footprint, cells, listed, begin, end):
     """`count_candidates` for the tiles ``listed[begin:end]``; `lists` are tiles and groups."""
     tiles, groups = lists
@@ -19,7 +20,7 @@ def count_in_tiles(lattice, solids, planes, lists, footprint, cells, listed, beg
         count_candidates(lattice, solids, planes, tiles, groups, footprint, cells, tile, tile + 1)
 
 
-@kernel(nogil=True)
+@njit(cache=True, nogil=True)
 def list_in_tiles(lattice, crossings, shapes, lists, footprint, probe, cells, listed, begin, end):
     """`list_geoms` for the tiles ``listed[begin:end]``; `lists` are tiles and groups."""
     tiles, groups = lists
@@ -60,7 +61,7 @@ class EntryPool(NamedTuple):
     flags: NDArray[np.uint8]
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def compare_entries(pool, cells, new, changed, marked):
     """Tell which cells have other entries now.
 
@@ -86,7 +87,7 @@ def compare_entries(pool, cells, new, changed, marked):
                 marked[pool.geom[j]] = True
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def put_entries(pool, cells, new, changed, used):
     """Write the entries of changed cells behind the `used` part; returns how much is used now."""
     start, geom, flags = new
@@ -100,7 +101,7 @@ def put_entries(pool, cells, new, changed, used):
     return used
 
 
-@kernel(nogil=True)
+@njit(cache=True, nogil=True)
 def take_entries(pool, cells):
     """The entries of some cells."""
     start = np.zeros(cells.shape[0] + 1, np.int64)
@@ -115,7 +116,7 @@ def take_entries(pool, cells):
     return Entries(start, geom, flags)
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def mark_geoms(pool, cells, marked):
     """Mark the geoms in some cells, by geom id."""
     for cell in cells:
@@ -123,7 +124,7 @@ def mark_geoms(pool, cells, marked):
             marked[pool.geom[i]] = True
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def count_taken(pool, cells, body_of, taken, by):
     """`count_taken_cells` for some cells."""
     for cell in cells:
@@ -144,7 +145,7 @@ def count_taken(pool, cells, body_of, taken, by):
                 taken[body] += by
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def measure_entries(pool, cells, floor, low, high, asked, measured):
     """Add what some cells tell of geoms, see `measure_over_floors`.
 

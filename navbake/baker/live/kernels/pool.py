@@ -10,9 +10,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from navbake.compiled import UNCOUNTED, kernel, part
+from navbake.compiled import UNCOUNTED
 from navbake.types import Int, Int32
 
 # What a surface is: one that floors may go on at, one that an agent can stand on
@@ -42,7 +43,7 @@ class Pool(NamedTuple):
     sheet: Int32
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def copy_columns(source, at, columns, begin, end):
     """Copy columns ``[begin, end)`` of those whose lengths are known from where a source has them.
 
@@ -63,7 +64,7 @@ def copy_columns(source, at, columns, begin, end):
             j += 1
 
 
-@kernel(nogil=True)
+@njit(cache=True, nogil=True)
 def gather_standable(pool, cells):
     """The surfaces of some cells that an agent can stand on.
 
@@ -85,7 +86,7 @@ def gather_standable(pool, cells):
     return start, z[:at].copy(), place[:at].copy()
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def find_tops(pool, top, up):
     """The height of each cell's highest surface [m], and the z of its normal: see `Overhead`."""
     for cell in range(pool.first.shape[0]):
@@ -94,13 +95,13 @@ def find_tops(pool, top, up):
             top[cell], up[cell] = pool.z[last], pool.normal[last, 2]
 
 
-@part(inline="always")
+@njit(inline="always")
 def _are_equal(one, other):
     """Whether two numbers are the same to the last bit; 0.0 and -0.0 aren't."""
     return one == other and (one != 0.0 or math.copysign(1.0, one) == math.copysign(1.0, other))
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def differs(pool, cells, new, result, first, end):
     """Whether the columns of ``cells[first:end]`` differ in any bit from new ones, (n,) bool."""
     for n in range(first, end):
@@ -117,7 +118,7 @@ def differs(pool, cells, new, result, first, end):
             result[n] = not same
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def put(pool, cells, new, marks, used):
     """Write new columns of some cells, numbered as `cells` are; those too long behind `used`.
 
@@ -139,7 +140,7 @@ def put(pool, cells, new, marks, used):
     return used
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def point_at(cells, local_start, start):
     """Let the sparse `start`, (all cells + 1,), hold the columns of some cells, ascending.
 

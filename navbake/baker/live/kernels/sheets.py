@@ -4,15 +4,16 @@ Connected components by union-find in the region; outside, breadth-first search 
 """
 
 import numpy as np
+from numba import njit
 
 from navbake.baker.floors.kernels.enclosed import find_holders
 from navbake.baker.floors.kernels.sheets import mark_surfaces, neighbour
 from navbake.baker.kernels.constants import SLACK
-from navbake.compiled import UNCOUNTED, kernel, part
+from navbake.compiled import UNCOUNTED
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 
-@part(inline="always")
+@njit(inline="always")
 def _end_of_run(cells, n, end):
     """Where the run of consecutive cells ends that begins with the n-th."""
     m = n + 1
@@ -21,7 +22,7 @@ def _end_of_run(cells, n, end):
     return m
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def mark_region(lattice, cells, crossings, planes, limits, marks, count, first, end):
     """`mark_surfaces` for some cells alone, ``cells[first:end]``, run by run.
 
@@ -36,7 +37,7 @@ def mark_region(lattice, cells, crossings, planes, limits, marks, count, first, 
         n = m
 
 
-@kernel(nogil=True)
+@njit(cache=True, nogil=True)
 def hold_region(lattice, cells, crossings, planes, limits, holder):
     """`find_holders` for some cells alone; ``crossings.start`` is by cell id."""
     n = 0
@@ -46,7 +47,7 @@ def hold_region(lattice, cells, crossings, planes, limits, holder):
         n = m
 
 
-@kernel(nogil=True)
+@njit(cache=True, nogil=True)
 def group_parts(part, num):
     """The surfaces of each part, ascending: ``order[bounds[k]:bounds[k + 1]]``; a counting sort.
 
@@ -66,7 +67,7 @@ def group_parts(part, num):
     return order, bounds
 
 
-@kernel(nogil=True)
+@njit(cache=True, nogil=True)
 def only_sheets(part, sheet, num):
     """The one sheet that surfaces of each part belong to: -1 for none, -2 for several, (num,).
 
@@ -80,7 +81,7 @@ def only_sheets(part, sheet, num):
     return only
 
 
-@kernel(nogil=True)
+@njit(cache=True, nogil=True)
 def label_region(lattice, cells, start, z, step, local):
     """The connected part of each surface of a region, (n,) int64.
 
@@ -114,7 +115,7 @@ def label_region(lattice, cells, start, z, step, local):
     return part, num
 
 
-@kernel(nogil=True)
+@njit(cache=True, nogil=True)
 def explore(lattice, pool, step, cells, places, sheet, mark, most):
     """Go from some surfaces to all of their sheet that hang together with them.
 

@@ -9,9 +9,10 @@ the rows; steeper ones scan the lattice with its axes swapped.
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from navbake.compiled import UNCOUNTED, kernel, part
+from navbake.compiled import UNCOUNTED
 from navbake.navgrid.kernels.union_find import find_root
 from navbake.types import Bool, Int, Int32
 
@@ -79,7 +80,7 @@ class Scan(NamedTuple):
     leans: Int
 
 
-@kernel(nogil=True)
+@njit(cache=True, nogil=True)
 def measure_runs(is_open, shift):
     """The number of open cells in a row along a line through each cell, 0 for closed ones.
 
@@ -107,7 +108,7 @@ def measure_runs(is_open, shift):
     return run
 
 
-@kernel
+@njit(cache=True)
 def mark_bridges(low, wall, shift, bridge):
     """Mark the `low` cells of ways along a line, which begin and end at a wall.
 
@@ -138,14 +139,14 @@ def mark_bridges(low, wall, shift, bridge):
                 bridge[row, col] = True
 
 
-@part(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def _hold_column(low, wall, to_next, next_wall, held, found):
     """`_hold` for each row of a column; the line's next cell is `to_next` rows further down."""
     for row in range(low.shape[0]):
         found[row] = _hold(low, wall, row, row + to_next, next_wall, held)
 
 
-@part(inline="always")
+@njit(inline="always")
 def _hold(low, wall, row, next_row, next_wall, held):
     """Which cells round a line's cell are low and held by a wall, over the next cell of the line.
 
@@ -180,7 +181,7 @@ def _hold(low, wall, row, next_row, next_wall, held):
     return np.uint8(found)
 
 
-@kernel
+@njit(cache=True)
 def drop_thick(mark, most):
     """Unmark the cells of columns of more than `most` marked cells; `mark` is (rows, cols) bool."""
     rows, cols = mark.shape
@@ -195,7 +196,7 @@ def drop_thick(mark, most):
             row += 1
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def mark_gaps(run, widest, growth, rise, thickness, both, gap):
     """Mark the cells of gaps: runs of at most `widest` cells next to much longer ones.
 
@@ -229,7 +230,7 @@ def mark_gaps(run, widest, growth, rise, thickness, both, gap):
                 gap[row, col] = max(gap[row, col], 1)
 
 
-@kernel
+@njit(cache=True)
 def list_crossings(label, gap, own, thickness):
     """List where one column of cells leads through marked cells from one region to another.
 
@@ -243,7 +244,7 @@ def list_crossings(label, gap, own, thickness):
     return crossings
 
 
-@part
+@njit(cache=True)
 def _empty_crossings(count):
     return Crossings(
         np.empty(count, dtype=np.int64),
@@ -255,7 +256,7 @@ def _empty_crossings(count):
     )
 
 
-@part
+@njit(cache=True)
 def _fill_crossings(label, gap, own, thickness, crossings, writing):
     """Write the crossings, or only count them."""
     rows, cols = label.shape
@@ -283,7 +284,7 @@ def _fill_crossings(label, gap, own, thickness, crossings, writing):
     return count
 
 
-@kernel
+@njit(cache=True)
 def group_crossings(crossings, shift):
     """Number the gaps that crossings of neighbouring columns between the same regions make up.
 
@@ -315,7 +316,7 @@ def group_crossings(crossings, shift):
     return number
 
 
-@kernel
+@njit(cache=True)
 def measure_gaps(scan, gaps, chosen, parent):
     """How open the lines of some gaps are, seen from the regions above them and below them.
 
@@ -363,7 +364,7 @@ def measure_gaps(scan, gaps, chosen, parent):
     return shares, start, met[:count]
 
 
-@part
+@njit(cache=True)
 def _count_behind(scan, gaps, k, side):
     """How many open rows lie behind gap k in its middle, 1 to the first depth."""
     rows = len(scan.is_open)
@@ -376,7 +377,7 @@ def _count_behind(scan, gaps, k, side):
     return scan.depths[0]
 
 
-@part
+@njit(cache=True)
 def _measure_line(scan, gaps, k, line, parent, met, noted):
     """The share that gap k has of a line behind it, and the regions met so far.
 
@@ -430,7 +431,7 @@ def _measure_line(scan, gaps, k, line, parent, met, noted):
     return through / length, met, count
 
 
-@part
+@njit(cache=True)
 def _note(met, begin, count, region):
     """Add a region to those that a gap has met, from `begin` on, if it is new."""
     for k in range(begin, count):

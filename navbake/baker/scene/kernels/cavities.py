@@ -8,14 +8,13 @@ of it, each counted by how it winds round that line (Sunday, Inclusion of a poin
 import math
 
 import numpy as np
-
-from navbake.compiled import kernel, part
+from numba import njit
 
 # Triangles that share one box when one looks for those over a point
 BLOCK = 64
 
 
-@part(inline="always")
+@njit(inline="always")
 def _is_left(ax, ay, bx, by, x, y):
     """Whether a point is left of the line from a to b; the same answer, turned, from b to a."""
     if ax < bx or (ax == bx and ay < by):
@@ -23,7 +22,7 @@ def _is_left(ax, ay, bx, by, x, y):
     return not ((ax - bx) * (y - by) - (ay - by) * (x - bx) > 0.0)
 
 
-@part(inline="always")
+@njit(inline="always")
 def _winding(c, x, y):
     """How a triangle, seen from above, winds round a point: 1, 0, or -1 for one that faces down."""
     turns = 0
@@ -38,7 +37,7 @@ def _winding(c, x, y):
     return turns
 
 
-@part(inline="always")
+@njit(inline="always")
 def _is_above(c, x, y, z):
     """Whether the plane of a triangle that is not upright is above a point."""
     ux, uy, uz = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[1, 2] - c[0, 2]
@@ -48,7 +47,7 @@ def _is_above(c, x, y, z):
     return height > 0.0 if nz > 0.0 else height < 0.0
 
 
-@part
+@njit(cache=True)
 def _is_inside(point, corners, member, low, high, block):
     """Whether a point is inside of closed triangles that face out, ``member[low:high]``.
 
@@ -66,7 +65,7 @@ def _is_inside(point, corners, member, low, high, block):
     return total > 0
 
 
-@part(inline="always")
+@njit(inline="always")
 def _is_around(box, q, p):
     """Whether the box of part q holds that of part p."""
     is_around = True
@@ -75,7 +74,7 @@ def _is_around(box, q, p):
     return is_around
 
 
-@kernel
+@njit(cache=True)
 def find_around(box, encloses, facing_in):
     """Mark parts that enclose something and whose box holds that of a part that faces in.
 
@@ -92,7 +91,7 @@ def find_around(box, encloses, facing_in):
     return marked
 
 
-@kernel
+@njit(cache=True)
 def find_cavities(start, member, corners, point, box, encloses, facing_in):
     """Mark parts that face in and lie inside of one that encloses something, in `encloses`.
 

@@ -7,13 +7,14 @@ the mean of what fell into that bin.
 import math
 
 import numpy as np
+from numba import njit
 
-from navbake.compiled import UNCOUNTED, kernel
+from navbake.compiled import UNCOUNTED
 
 RIGHT = math.pi / 2
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def find_ways(corners, directions, way, weight, off, first, end):
     """Find where the upright part of triangles' faces looks, modulo a right angle.
 
@@ -39,7 +40,7 @@ def find_ways(corners, directions, way, weight, off, first, end):
             way[t] = direction
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def add_votes(group, way, weight, off, votes, sums):
     """Add triangles' weights to the votes of their group, by direction, in their order.
 
@@ -55,7 +56,7 @@ def add_votes(group, way, weight, off, votes, sums):
             sums[group[t], way[t]] += weight[t] * off[t]
 
 
-@kernel(nogil=True)
+@njit(cache=True, nogil=True)
 def measure_spans(corners, group, way):
     """How far groups of triangles reach: along their ways, along what is left of these, and up.
 

@@ -8,20 +8,21 @@ a harder question, see `navbake.baker.kernels.parts`.
 """
 
 import numpy as np
+from numba import njit
 
-from navbake.compiled import UNCOUNTED, kernel, part
+from navbake.compiled import UNCOUNTED
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 MINUS_ZERO = np.uint64(1 << 63)  # its bits
 
 
-@part(inline="always")
+@njit(inline="always")
 def _bits(points, i, k):
     """A coordinate's bits; -0.0 is 0.0."""
     return np.uint64(0) if points[i, k] == MINUS_ZERO else points[i, k]
 
 
-@part(inline="always")
+@njit(inline="always")
 def _are_equal(points, i, j):
     is_equal = True
     for k in range(3):
@@ -29,7 +30,7 @@ def _are_equal(points, i, j):
     return is_equal
 
 
-@part(inline="always")
+@njit(inline="always")
 def _hash(points, i):
     key = np.uint64(1469598103934665603)
     for k in range(3):
@@ -38,7 +39,7 @@ def _hash(points, i):
     return key
 
 
-@kernel(nogil=True)
+@njit(cache=True, nogil=True)
 def weld_points(points, num_shares, number, first, end):
     """Number points so that equal ones have equal numbers: each has that of the first one.
 
@@ -70,7 +71,7 @@ def weld_points(points, num_shares, number, first, end):
             number[i] = table[place]
 
 
-@kernel
+@njit(cache=True)
 def weld_faces(faces, number):
     """The triangles' corners as numbers of points, (m, 3) int32, and whether these are three.
 
@@ -86,7 +87,7 @@ def weld_faces(faces, number):
     return point, is_triangle
 
 
-@part(inline="always")
+@njit(inline="always")
 def _list_by_lower_point(faces, num):
     """The half-edges 3 f + k of triangles, ragged, by the lower one of their two points."""
     start = np.zeros(num + 1, np.int32)
@@ -107,7 +108,7 @@ def _list_by_lower_point(faces, num):
     return start, half  # start is now where each list ends
 
 
-@part(inline="always")
+@njit(inline="always")
 def sort_keys(keys, num):
     """Sort the first keys, ascending, in place: Shell's sort."""
     gap = 1
@@ -123,7 +124,7 @@ def sort_keys(keys, num):
         gap //= 3
 
 
-@part(inline="always")
+@njit(inline="always")
 def _are_neighbours(faces, key, other):
     """Whether two triangles run along their edge in opposite ways, and are no back of each other.
 
@@ -138,13 +139,13 @@ def _are_neighbours(faces, key, other):
     return (key & 1) != (other & 1) and not is_back
 
 
-@kernel
+@njit(cache=True)
 def list_halves(faces, num):
     """List the half-edges of triangles, as `pair_halves` takes them: where lists end, and they."""
     return _list_by_lower_point(faces, num)
 
 
-@kernel(nogil=True)
+@njit(cache=True, nogil=True)
 def pair_halves(faces, end_of, half, is_shell, low0, low_end):
     """Bring the triangles at each edge together, in place of the half-edges of some lower points.
 
@@ -164,7 +165,7 @@ def pair_halves(faces, end_of, half, is_shell, low0, low_end):
     _pair_halves(faces, end_of, half, is_shell, np.empty(most, np.int64), low0, low_end)
 
 
-@part(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def _pair_halves(faces, end_of, half, is_shell, keys, low0, low_end):
     """See `pair_halves`; `keys` has room for those of a point."""
     for low in range(low0, low_end):
@@ -189,7 +190,7 @@ def _pair_halves(faces, end_of, half, is_shell, keys, low0, low_end):
             i = last
 
 
-@kernel
+@njit(cache=True)
 def unite_pairs(paired, is_shell):
     """Find the parts of a mesh whose edges are all met by two triangles, in either direction once.
 
@@ -216,7 +217,7 @@ def unite_pairs(paired, is_shell):
     return part
 
 
-@kernel
+@njit(cache=True)
 def list_edges(faces, num):
     """Number the undirected edges of triangles.
 

@@ -6,13 +6,14 @@ Each number is computed in the order in which numpy's cross product and norm do 
 import math
 
 import numpy as np
+from numba import njit
 
-from navbake.compiled import UNCOUNTED, kernel, part
+from navbake.compiled import UNCOUNTED
 
 UPRIGHT = 1e-9  # the z of a unit normal below which a triangle counts as upright
 
 
-@part(inline="always")
+@njit(inline="always")
 def _cross(a, b, c):
     """The normal of a triangle, as long as twice its area."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -20,12 +21,12 @@ def _cross(a, b, c):
     return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
 
 
-@part(inline="always")
+@njit(inline="always")
 def _length(x, y, z):
     return math.sqrt(x * x + y * y + z * z)
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def take_corners(vertices, faces, corners, first, end):
     """Write the corners of the triangles ``range(first, end)`` into (m, 3, 3) float64."""
     for f in range(first, end):
@@ -34,7 +35,7 @@ def take_corners(vertices, faces, corners, first, end):
                 corners[f, corner, k] = vertices[faces[f, corner], k]
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@njit(cache=True, nogil=True, **UNCOUNTED)
 def measure_boxes(corners, bounds, first, end):
     """Write the boxes round the triangles ``range(first, end)``: lower corner, upper corner [m].
 
@@ -48,7 +49,7 @@ def measure_boxes(corners, bounds, first, end):
             bounds[t, k], bounds[t, 3 + k] = min(a, b, c), max(a, b, c)
 
 
-@part(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def unit_normal(corners, t):
     """The unit normal of a triangle: x, y and z; z is 0 for an upright one, or one without area."""
     x, y, z = _cross(corners[t, 0], corners[t, 1], corners[t, 2])
@@ -59,7 +60,7 @@ def unit_normal(corners, t):
     return x / length, y / length, 0.0 if abs(up) < UPRIGHT else up
 
 
-@part(inline="always")
+@njit(inline="always")
 def is_upright(corners, t):
     """Whether `unit_normal` would have a z of 0."""
     x, y, z = _cross(corners[t, 0], corners[t, 1], corners[t, 2])
@@ -70,7 +71,7 @@ def is_upright(corners, t):
     return not length > 0.0 or abs(z / length) < UPRIGHT
 
 
-@kernel
+@njit(cache=True)
 def find_box(corners, geom, left_out):
     """The box round triangles, (6,) float64; those of geoms that are left out, bool, count not.
 
@@ -88,7 +89,7 @@ def find_box(corners, geom, left_out):
     return box
 
 
-@kernel
+@njit(cache=True)
 def find_used(faces, num):
     """Mark which of some vertices triangles have, (num,) bool."""
     is_used = np.zeros(num, np.bool_)
@@ -97,7 +98,7 @@ def find_used(faces, num):
     return is_used
 
 
-@kernel
+@njit(cache=True)
 def check_faces(vertices, faces, smallest):
     """Mark triangles that are larger than nothing, and the vertices that these use.
 
@@ -118,7 +119,7 @@ def check_faces(vertices, faces, smallest):
     return has_area, is_used
 
 
-@kernel
+@njit(cache=True)
 def measure_areas(vertices, faces):
     """The areas of triangles, (m,) float64 [m²]."""
     area = np.empty(faces.shape[0])
@@ -128,7 +129,7 @@ def measure_areas(vertices, faces):
     return area
 
 
-@kernel(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def sum_by_facing(vertices, faces, cosine):
     """Twice the area of the triangles that face along y, and of those that face along z [m²].
 
@@ -145,7 +146,7 @@ def sum_by_facing(vertices, faces, cosine):
     return along_y, along_z
 
 
-@kernel
+@njit(cache=True)
 def measure_parts(vertices, faces, turned, part, num):
     """Volume, area, box and largest triangle of each part of a mesh.
 
@@ -165,7 +166,7 @@ def measure_parts(vertices, faces, turned, part, num):
     return volume, area, box, largest
 
 
-@part(**UNCOUNTED)
+@njit(cache=True, **UNCOUNTED)
 def _sum_parts(vertices, faces, turned, part, volume, area, box, best, largest):
     """See `measure_parts`; `best` is twice the area of the largest triangle so far."""
     origin = vertices[faces[0, 0]]

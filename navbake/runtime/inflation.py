@@ -1,0 +1,284 @@
+"""The same grid for a larger agent: cells that it can't stand on, costs near walls, and margins.
+
+Which cells `exact` blocks: `navbake.runtime.surroundings`.
+
+In an inflated grid, an agent may stand at the centres of free cells. Between them, or anywhere
+else in a cell, it may be nearer to an obstacle. So diagonal steps need cells that would be free
+for a radius so much larger that the discs round both ends cover the way. Straight lines off the
+centres need cells in which the agent may be anywhere; or cells near which nothing but solid
+squares of their own level is in the way, so that a sweep of the disc along the line decides.
+Straight steps need nothing more: a square beside such a step is straight beside one of its ends,
+and as near to it.
+
+Floors are known at cells' centres: where one is a step higher than the next, the edge between
+them may be half a cell off, and so may the edges beside it. There, steps go straight from centre
+to centre, as the bake knows them.
+
+Source: ``refine`` of the original client (sstk, ``NavScene.js``) for `minos` and the share of
+floor; the inflation layer of nav2 (``nav2_costmap_2d``) for `costs="nav2"`.
+"""
+
+import math
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.errors import QueryError
+from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
+from navbake.navgrid.islands import add_layers
+from navbake.runtime.flat_grid import REAL
+from navbake.runtime.surroundings import LEAST_FLOOR, find_blocked, find_blocked_by_others
+from navbake.types import Bool, Float, Json
+
+AnyGrid = TypeVar("AnyGrid", SceneGrid2D, MultiLevelGrid)
+
+MODES = ("exact", "minos")
+COSTS = ("step", "nav2")
+LEDGES = ("avoid", "ignore")
+STEP_COST = 10.0
+LETHAL_COST = 252.0  # nav2's highest cost of a cell that is not blocked
+SCALING = 10.0  # [1/m], nav2's default in code
+MAX_RADIUS = 10_000.0  # [m]
+STEEP = 1.001  # rise, in cells, over which neighbours are a step, not a slope
+
+
+def inflate(
+    grid: AnyGrid,
+    radius: float,
+    clearance: float | None = None,
+    mode: str = "exact",
+    *,
+    costs: str = "step",
+    scaling: float = SCALING,
+    ledges: str = "avoid",
+) -> AnyGrid:
+    """See `SceneGrid2D.inflate`."""
+    check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
+    if clearance is None:
+        reaches_1 = math.log(LETHAL_COST) / scaling  # distance at which nav2's costs fall to 1
+        clearance = min(reaches_1, MAX_RADIUS) if costs == "nav2" else 0.0
+    weights = []
+    for number, level in enumerate(grid.levels):
+        cell = level.lattice.cell_size
+        if mode == "minos":
+            weights.append(_refined(level, radius / cell, (radius + clearance) / cell))
+            continue
+        blocked = find_blocked(grid, number, radius, ledges)
+        soft = level.weights
+        if "solid" in level.attributes:
+            opened = ~blocked & level.free_for_point & ~level.free
+            if opened.any():
+                soft = np.where(opened, 1.0, soft)
+        if costs == "nav2":
+            falling = nav2_costs(level, radius, radius + clearance, scaling)
+            soft = np.maximum(soft, np.clip(falling, 1.0, LETHAL_COST))
+        elif clearance > 0:
+            near = find_blocked(grid, number, radius + clearance, ledges)
+            soft = np.where(near, np.maximum(soft, STEP_COST), soft)
+        weights.append(np.where(blocked, np.inf, soft))
+    done = {"radius": float(radius), "clearance": float(clearance), "mode": mode}
+    if mode == "exact":
+        done["ledges"] = ledges
+    if clearance > 0:
+        done |= {"costs": costs, "scaling": float(scaling)} if costs == "nav2" else {"costs": costs}
+    return _with_weights(grid, weights, done)
+
+
+def _refined(level: SceneGrid2D, radius: float, far: float) -> Float:
+    """The weights that the original client's ``refine`` gives.
+
+    In cells: the radius, and the sum of radius and clearance. The client divides the sum, which
+    in floating point is not the sum of the quotients.
+
+    Source: sstk, ``NavScene.js``; the window leaves out its far row and column, as there.
+    """
+    from navbake.runtime.kernels.inflation import refine_window  # saves numba at start-up
+
+    occupied = np.ascontiguousarray(level.occupancy)
+    reach = math.ceil(far - 0.5)
+    if reach <= 0:
+        return np.where(occupied != 0, np.inf, 1.0)
+    has_floor = ~np.isnan(level.floor_height)
+    weights = np.empty(level.shape)
+    reach = min(reach, max(level.shape) + 1)
+    refine_window(occupied, has_floor, radius, far, reach, LEAST_FLOOR, weights)
+    return weights
+
+
+def nav2_costs(
+    level: SceneGrid2D, radius: float, inflation_radius: float, scaling: float = SCALING
+) -> NDArray[np.uint8]:
+    """The costs that nav2's inflation layer gives the cells of a level.
+
+    254 on occupied cells, 253 up to the inscribed radius, then ``floor(252 exp(-scaling (d -
+    radius)))`` [1/m], 0 beyond the inflation radius [m]; d to the nearest occupied cell's centre.
+    """
+    from navbake.runtime.kernels.inflation import squared_distances  # saves numba at start-up
+
+    cell = level.lattice.cell_size
+    reach = min(math.ceil(inflation_radius / cell) + 1, sum(level.shape))
+    squares = squared_distances(np.ascontiguousarray(level.solid), reach)
+    # there are few different distances, so each cost is computed once and looked up
+    known = np.sqrt(np.arange(2 * (reach + 1) ** 2 + 1)) * cell
+    known[(reach + 1) ** 2 :] = np.inf
+    slack = 1e-9 * cell
+    falling = np.floor(LETHAL_COST * np.exp(-scaling * np.maximum(known - radius, 0)) + 1e-9)
+    cost = np.where(known <= radius + slack, 253, falling)
+    cost = np.where(known > inflation_radius + slack, 0, cost)
+    cost[0] = 254
+    costs: NDArray[np.uint8] = cost.astype(np.uint8)[squares]
+    return costs
+
+
+def check_radius(radius: float, name: str = "radius") -> None:
+    """Raise a QueryError for anything but a number from 0 to 10,000 m."""
+    is_number = isinstance(radius, REAL)
+    if not is_number or isinstance(radius, bool) or not 0 <= radius <= MAX_RADIUS:
+        raise QueryError(f"expected 0 to {MAX_RADIUS:,.0f} m as {name}, got {radius!r}")
+
+
+def check_ledges(ledges: str) -> None:
+    """Raise a QueryError for anything but ``avoid`` and ``ignore``."""
+    if ledges not in LEDGES:
+        raise QueryError(f"expected {' or '.join(LEDGES)} as ledges, got {ledges!r}")
+
+
+def check_arguments(
+    radius: float,
+    clearance: float | None,
+    mode: str,
+    *,
+    costs: str,
+    scaling: float,
+    ledges: str = "avoid",
+) -> None:
+    """Raise a QueryError for what `inflate` can't do."""
+    check_radius(radius)
+    if clearance is not None:
+        check_radius(clearance, "clearance")
+    for value, known, name in ((mode, MODES, "mode"), (costs, COSTS, "costs")):
+        if value not in known:
+            raise QueryError(f"expected {' or '.join(known)} as {name}, got {value!r}")
+    check_ledges(ledges)
+    if mode == "minos" and costs != "step":
+        raise QueryError("mode minos has costs of its own (step): leave `costs` out")
+    is_number = isinstance(scaling, REAL)
+    if not is_number or not 0 < scaling < math.inf:
+        raise QueryError(f"expected a number > 0 [1/m] as scaling, got {scaling!r}")
+
+
+def _with_weights(grid: AnyGrid, weights: list[Float], done: dict[str, Any]) -> AnyGrid:
+    """The grid with other weights, layers that follow from them, and a note in its metadata."""
+    levels = []
+    for level, weight in zip(grid.levels, weights, strict=True):
+        # Attributes that a file without them would derive from the weights are stored first, so
+        # that inflating does not change them, and the grid can be inflated again.
+        baked: dict[str, Any] = {"occupancy": level.occupancy, "floorHeight": level.floor_height}
+        kept = {key: v.copy() for key, v in baked.items() if key not in level.attributes}
+        if not level.uses_cell_floors:  # what the file stores is not the floor
+            kept["floorHeight"] = baked["floorHeight"].copy()
+        noted = _noted(level.metadata, done)
+        levels.append(level.with_layers(weights=weight, attributes=kept, metadata=noted))
+    inflated = grid.with_levels(levels, _noted(grid.metadata, done))
+    if grid.navbake:  # in files of other programs these names may mean anything
+        names = {name for level in levels for name in level.attributes}
+        add_layers(inflated, names & {"island", "clearance"})
+    return inflated
+
+
+def _noted(metadata: dict[str, Any], done: dict[str, Any]) -> dict[str, Any]:
+    earlier = metadata.get("inflation")
+    return {**metadata, "inflation": [*(earlier if isinstance(earlier, list) else []), done]}
+
+
+def exact_radius(grid: NavGrid) -> float:
+    """The radius that the grid was inflated for in mode `exact` [m]; 0 if it wasn't."""
+    radii = [entry.get("radius") for entry in _exact_entries(grid)]
+    numbers = (float(r) for r in radii if isinstance(r, int | float))
+    return max((r for r in numbers if 0 <= r <= MAX_RADIUS), default=0.0)
+
+
+def _exact_entries(grid: NavGrid) -> list[Json]:
+    done = grid.metadata.get("inflation")  # in files of other programs this may be anything
+    entries = [e for e in done if isinstance(e, dict)] if isinstance(done, list) else []
+    return [entry for entry in entries if entry.get("mode") == "exact"]
+
+
+def ledges_of(grid: NavGrid) -> str:
+    """Whether the grid's inflation avoids ledges: ``avoid`` or ``ignore``.
+
+    Files that were inflated before there was a choice say nothing, and ignore them.
+    """
+    avoids = any(entry.get("ledges") == "avoid" for entry in _exact_entries(grid))
+    return "avoid" if avoids else "ignore"
+
+
+def agent_radius(grid: NavGrid) -> float:
+    """The radius of the agent [m]: that of the inflation, else that of the bake."""
+    return exact_radius(grid) or grid.agent_radius
+
+
+class Margins(NamedTuple):
+    """How far from an obstacle a cell's centre has to be [m].
+
+    Attributes:
+        center: for an agent to stand there.
+        diagonal: to step diagonally from there.
+        off_center: to be anywhere in the cell.
+    """
+
+    center: float
+    diagonal: float
+    off_center: float
+
+
+def margins_of(grid: NavGrid, radius: float | None = None) -> Margins:
+    """How far an agent of a radius [m], by default the grid's, has to stay away from blocks."""
+    if radius is not None:
+        check_radius(radius, "margin")
+    radius = agent_radius(grid) if radius is None else float(radius)
+    if not exact_radius(grid):
+        return Margins(radius, radius, radius)
+    return Margins(radius, *_larger(radius, max(p.lattice.cell_size for p in grid.levels)))
+
+
+def find_room(grid: NavGrid) -> tuple[Bool, Bool, Bool] | None:
+    """Find the cells clear enough to step diagonally, and those clear off their centres.
+
+    Of the latter, first those that are clear, then with those where only squares of their own
+    level may be in the way. Masks by flat id; they say nothing of cells that are not free. None
+    without a radius.
+    """
+    radius = exact_radius(grid)
+    if radius == 0.0:
+        return None
+    ledges, masks = ledges_of(grid), []
+    for number, level in enumerate(grid.levels):
+        inside = ~_at_edges(level)
+        diagonal, anywhere = _larger(radius, level.lattice.cell_size)
+        is_clear = inside & ~find_blocked(grid, number, anywhere, ledges)
+        by_squares = inside & ~find_blocked_by_others(grid, number, anywhere, ledges)
+        can_turn = inside & ~find_blocked(grid, number, diagonal, ledges)
+        masks.append([mask.ravel() for mask in (can_turn, is_clear, is_clear | by_squares)])
+    one, two, three = (np.concatenate(parts) for parts in zip(*masks, strict=True))
+    return one, two, three
+
+
+def _at_edges(level: SceneGrid2D) -> Bool:
+    """Cells with a neighbour whose floor is a step higher or lower, not a slope."""
+    floor = level.floor_height.astype(np.float64)
+    at_edge = np.zeros(level.shape, dtype=np.bool_)
+    for near, far in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        is_step = np.abs(floor[near] - floor[far]) > STEEP * level.cell_size  # False for NaN
+        at_edge[near] |= is_step
+        at_edge[far] |= is_step
+    return at_edge
+
+
+def _larger(radius: float, cell_size: float) -> tuple[float, float]:
+    """Radii [m] at a cell's centre that make a diagonal step, or any position in the cell, free."""
+    # Halfway along a diagonal step, half a diagonal from both ends, a point at distance r from the
+    # way is the farthest from them: sqrt(r² + (s / sqrt 2)²). A corner of the cell is s / sqrt 2
+    # from its centre.
+    return math.sqrt(radius**2 + cell_size**2 / 2), radius + cell_size / math.sqrt(2)

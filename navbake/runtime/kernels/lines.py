@@ -1,0 +1,404 @@
+"""Straight lines over a level: what they touch, what a disc meets along them, what they cost.
+
+Ends of lines are pairs u, v in the level's own units, columns and rows: cell (row, col) is the
+square from (col, row) to (col + 1, row + 1).
+
+`is_walkable` is a supercover line, row by row: all cells that meet the line count, where
+Bresenham's line and the traversal of Amanatides and Woo leave out those that it only touches.
+
+`disc_passes` sweeps a disc over squares, exactly, with one look at each row of cells. What the disc
+covers on its way (a capsule, the Minkowski sum of a line and a disc) is convex. So it meets the
+cells of one row in a single interval of columns, whose ends have a closed form, and running sums
+say at once whether any of these cells is solid.
+
+`lay_route` pulls a route straight by line of sight: from each point, the farthest point that a
+straight line can reach is kept. The farthest is found by doubling the distance and then halving it
+(exponential search, Bentley and Yao 1976), so that few lines have to be looked at. A funnel (Lee
+and Preparata 1984) would need a corridor of portals, and could not say what a line costs where
+weights differ.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from navbake.runtime.kernels.arrays import (
+    EAST,
+    SOUTH,
+    Line,
+    center,
+    floor_at,
+    in_cells,
+    level_of,
+    rect_of,
+)
+
+TOUCH = 1e-9  # of a cell: what is this near a line is touched; of a radius: what a disc is over
+STEEP = 1.001  # rise, in cells, over which neighbours are a step, not a slope
+IN_LINE = 1e-9  # metres that a point of a straight line may be off it
+SAME = 1e-9  # metres between two points that are one
+BEND = 1e-3  # metres that a line may be off the height of the floor in the middle of a cell
+GAIN = 1e-9  # share of its cost by which rounding may make a straight line dearer
+
+
+@njit(cache=True, error_model="numpy")
+def _cut_to_band(a, b, low, high):
+    """The part of a line with v from `low` to `high`: its smallest and largest u."""
+    (u0, v0), (u1, v1) = a, b
+    if v0 == v1:
+        return min(u0, u1), max(u0, u1)
+    enter, leave = (low - v0) / (v1 - v0), (high - v0) / (v1 - v0)
+    enter, leave = min(max(min(enter, leave), 0.0), 1.0), max(min(max(enter, leave), 1.0), 0.0)
+    ua, ub = u0 + enter * (u1 - u0), u0 + leave * (u1 - u0)
+    return min(ua, ub), max(ua, ub)
+
+
+@njit(cache=True, error_model="numpy")
+def is_walkable(a, b, rect, moves, anywhere):
+    """Whether an agent may be anywhere in all cells that a line touches, and step between them.
+
+    A line touches a cell where it meets the cell's closed square: over a corner, all four.
+    `anywhere` marks the free cells in which an agent may also be off the centre.
+    """
+    (_, v0), (_, v1) = a, b
+    top, bottom = math.floor(min(v0, v1) - TOUCH), math.floor(max(v0, v1) + TOUCH)
+    if top < 0 or bottom >= rect.height:
+        return False
+    above0, above1 = 0, -1  # columns touched in the row before
+    for row in range(top, bottom + 1):
+        low, high = _cut_to_band(a, b, row - TOUCH, row + 1 + TOUCH)
+        col0, col1 = math.floor(low - TOUCH), math.floor(high + TOUCH)
+        if col0 < 0 or col1 >= rect.width:
+            return False
+        for col in range(col0, col1 + 1):
+            cell = rect.first + row * rect.width + col
+            if not anywhere[cell]:
+                return False
+            # each edge between two touched cells is one that the line may run along or cross
+            if col < col1 and not moves[cell] & EAST:
+                return False
+            if above0 <= col <= above1 and not moves[cell - rect.width] & SOUTH:
+                return False
+        above0, above1 = col0, col1
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def crossed_cells(a, b, rect):
+    """The cells that a line runs through, in order, and the share of it before each, 1 at the end.
+
+    So there is one share more. Cells that the line only touches at a corner are left out.
+    """
+    (u0, v0), (u1, v1) = a, b
+    du, dv = u1 - u0, v1 - v0
+    size = abs(math.floor(u1) - math.floor(u0)) + abs(math.floor(v1) - math.floor(v0)) + 2
+    cuts = np.empty(size, np.float64)  # where the line crosses an edge of the lattice
+    cuts[0], num = 0.0, 1
+    for start, end, d in ((u0, u1, du), (v0, v1, dv)):
+        for line in range(math.floor(min(start, end)) + 1, math.ceil(max(start, end))):
+            cuts[num] = (line - start) / d
+            num += 1
+    cuts[num] = 1.0
+    cuts = np.sort(cuts[: num + 1])
+    cells, enter = np.empty(num, np.int64), np.empty(num + 1, np.float64)
+    count = 0
+    for i in range(num):
+        if cuts[i + 1] - cuts[i] <= 1e-12 and num > 1:  # two edges at once: a corner
+            continue
+        middle = (cuts[i] + cuts[i + 1]) / 2.0  # inside of the cell, so rounding does no harm
+        row = min(max(math.floor(v0 + middle * dv), 0), rect.height - 1)
+        col = min(max(math.floor(u0 + middle * du), 0), rect.width - 1)
+        cells[count], enter[count] = rect.first + row * rect.width + col, cuts[i]
+        count += 1
+    enter[count] = 1.0
+    return cells[:count], enter[: count + 1]
+
+
+@njit(cache=True, error_model="numpy")
+def line_cost(a, b, rect, weight):
+    """The length of a line in cells, each part times the weight of the cell that it is in."""
+    cells, enter = crossed_cells(a, b, rect)
+    total = 0.0
+    for i in range(cells.shape[0]):
+        total += (enter[i + 1] - enter[i]) * weight[cells[i]]
+    return total * math.hypot(b[0] - a[0], b[1] - a[1])
+
+
+@njit(cache=True, error_model="numpy")
+def disc_passes(a, b, rect, solid_before, radius, is_closed):
+    """Whether an open disc meets no solid square of a level while it moves along a line.
+
+    Args:
+        a, b: ends of the line.
+        rect: the cells of the level.
+        solid_before: how many solid cells there are before each flat id, (n + 1,) int32.
+        radius: in cells.
+        is_closed: whether all beyond the level's cells is solid.
+    """
+    (u0, v0), (u1, v1) = a, b
+    reach = radius * (1.0 - TOUCH)
+    first_v, last_v = min(v0, v1) - reach, max(v0, v1) + reach
+    for row in range(math.floor(first_v), math.ceil(last_v)):
+        low, high = max(float(row), first_v), min(row + 1.0, last_v)
+        left = -_farthest(-u0, v0, -u1, v1, low, high, reach)
+        right = _farthest(u0, v0, u1, v1, low, high, reach)
+        col0, col1 = math.floor(left), math.ceil(right)
+        if row < 0 or row >= rect.height or col0 < 0 or col1 > rect.width:
+            if is_closed:
+                return False
+            if row < 0 or row >= rect.height:
+                continue
+        col0, col1 = max(col0, 0), min(col1, rect.width)
+        here = rect.first + row * rect.width
+        if col0 < col1 and solid_before[here + col1] > solid_before[here + col0]:
+            return False
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _farthest(u0, v0, u1, v1, low, high, reach):
+    """The largest u of a swept disc between two v that it reaches."""
+    # Towards larger v the edge first moves out, up to the middle of the disc at the line's
+    # farther end, and then back in. So the v nearest to that one has the largest u.
+    peak = v1 if u1 > u0 else v0
+    if u0 == u1:  # all along the line it is as far
+        peak = min(max(low, min(v0, v1)), max(v0, v1))
+    v = min(max(peak, low), high)
+    du, dv = u1 - u0, v1 - v0
+    t = 1.0 if u1 > u0 else 0.0
+    if dv != 0.0:
+        # the disc that reaches the farthest at v touches the edge where its radius is upright on
+        # the line, or else is the one at an end
+        along = -math.copysign(du, du * dv) if du != 0.0 else 0.0
+        t = (v - reach * along / math.hypot(du, dv) - v0) / dv
+        t = min(max(t, 0.0), 1.0)
+    off = v - v0 - t * dv
+    return u0 + t * du + math.sqrt(max(reach * reach - off * off, 0.0))
+
+
+@njit(cache=True, error_model="numpy")
+def can_pass(a, b, level, graph, off_center):
+    """Whether an agent can move along a line between two points x, y of a level [m].
+
+    It can where it may be anywhere in all cells that the line touches, or where these are free,
+    nothing but squares is near, and its disc meets none of them; see `is_walkable`.
+    """
+    start = in_cells(graph.layout, level, a[0], a[1])
+    end = in_cells(graph.layout, level, b[0], b[1])
+    rect, moves = rect_of(graph.layout, level), graph.moves
+    if is_walkable(start, end, rect, moves, off_center.anywhere):
+        return True
+    if off_center.radius == 0.0:
+        return False
+    if not is_walkable(start, end, rect, moves, off_center.by_squares):
+        return False
+    radius = off_center.radius / graph.layout.cell_size[level]
+    before, is_closed = off_center.solid_before, off_center.is_closed
+    return disc_passes(start, end, rect, before, radius, is_closed)
+
+
+@njit(cache=True, error_model="numpy")
+def lay_route(route, start, end, is_smooth, graph, floors, off_center):
+    """Make a line along a route of cells: world x, y, floor z [m], (m, 3), and the level of each.
+
+    It runs through the cells' centres or, if smooth, straight on wherever `can_pass` allows it and
+    the cost is no higher, each part counted by the weight of its cell; then no three of its points
+    are in one line, but for heights of the floor. Over a link it runs as the route does. It begins
+    and ends at `start` and `end`, world x, y [m] in the first and last cell; at the cell's centre
+    where they are NaN, or where obstacles are too near.
+    """
+    layout, num = graph.layout, route.shape[0]
+    points, levels = np.empty((num + 2, 2)), np.empty(num + 2, np.int64)
+    is_link = np.zeros(num + 1, np.bool_)
+    for i in range(num):
+        levels[i + 1] = level_of(layout.start, route[i])
+        points[i + 1, 0], points[i + 1, 1] = center(layout, route[i])
+        if i > 0 and graph.links.cell.shape[0] > 0:  # to another level, or far
+            row, col = divmod(route[i] - layout.start[levels[i + 1]], layout.width[levels[i + 1]])
+            r, c = divmod(route[i - 1] - layout.start[levels[i]], layout.width[levels[i]])
+            is_link[i] = levels[i] != levels[i + 1] or abs(row - r) > 1 or abs(col - c) > 1
+    levels[0], levels[num + 1] = levels[1], levels[num]
+    for axis in range(2):
+        points[0, axis], points[num + 1, axis] = start[axis], end[axis]
+    first, last = 1, num + 1
+    if _is_apart(points[0], points[1]) and can_pass(
+        points[0], points[1], levels[0], graph, off_center
+    ):
+        first = 0
+    if _is_apart(points[num], points[num + 1]) and can_pass(
+        points[num], points[num + 1], levels[num], graph, off_center
+    ):
+        last = num + 2
+    line = Line(points[first:last], levels[first:last], is_link[first : last - 1])
+    if is_smooth:
+        kept = np.flatnonzero(_pull_string(line, graph, off_center))
+        line = Line(line.points[kept], line.levels[kept], line.is_link[kept[:-1]])
+    return _lay_on_floor(line, layout, floors, BEND)
+
+
+@njit(cache=True, error_model="numpy")
+def _is_apart(a, b):
+    """Whether two points are not the same; False for NaN."""
+    return max(abs(a[0] - b[0]), abs(a[1] - b[1])) > SAME
+
+
+@njit(cache=True, error_model="numpy")
+def _pull_string(line, graph, off_center):
+    """Mark the few points of a route whose connecting lines stay free, see `can_pass`.
+
+    A straight line never costs more than what it replaces, each part counted by the weight of its
+    cell, and never runs over a link.
+    """
+    num = line.points.shape[0]
+    spent = np.zeros(num)  # cost of the route up to each point
+    if graph.same_weight <= 0.0:
+        for i in range(1, num):
+            spent[i] = spent[i - 1]
+            if not line.is_link[i - 1]:
+                spent[i] += _cost(line.points[i - 1], line.points[i], line.levels[i], graph)
+    here = 0
+    kept = np.zeros(num, np.bool_)
+    kept[0] = True
+    while here < num - 1:
+        last = here + 1  # before the next link
+        while last < num - 1 and not line.is_link[here] and not line.is_link[last]:
+            last += 1
+        # `good` can be reached, `bad` can't: doubling until a line fails moves them apart, halving
+        # brings them together. Sight is not monotonous, so the point found need not be the very
+        # farthest.
+        good, bad, reach = here + 1, last + 1, 2
+        while bad - good > 1:
+            there = min(here + reach, last) if bad > last else (good + bad) // 2
+            a, b, level = line.points[here], line.points[there], line.levels[here]
+            if can_pass(a, b, level, graph, off_center) and (
+                graph.same_weight > 0.0
+                or _cost(a, b, level, graph) <= (spent[there] - spent[here]) * (1.0 + GAIN)
+            ):
+                good = there
+            else:
+                bad = there
+            reach *= 2
+        here = good
+        kept[here] = True
+    _merge_in_line(line, kept)
+    return kept
+
+
+@njit(cache=True, error_model="numpy")
+def _merge_in_line(line, kept):
+    """Unmark points on the straight line between those before and after, but for ends of links."""
+    points, num = line.points, line.points.shape[0]
+    before, here = 0, -1
+    for after in range(1, num):
+        if not kept[after]:
+            continue
+        if here >= 0:
+            way, part = points[after] - points[before], points[here] - points[before]
+            length = math.hypot(way[0], way[1])
+            off = abs(way[0] * part[1] - way[1] * part[0])
+            share = way[0] * part[0] + way[1] * part[1]
+            is_end = line.is_link[here - 1] or line.is_link[here]
+            if is_end or off > IN_LINE * length or not 0.0 <= share <= length * length:
+                before = here
+            else:
+                kept[here] = False
+        here = after
+
+
+@njit(cache=True, error_model="numpy")
+def _cost(a, b, level, graph):
+    """What a straight line between two points of a level costs, its length in cells."""
+    start = in_cells(graph.layout, level, a[0], a[1])
+    end = in_cells(graph.layout, level, b[0], b[1])
+    return line_cost(start, end, rect_of(graph.layout, level), graph.weight)
+
+
+@njit(cache=True, error_model="numpy")
+def _lay_on_floor(line, layout, floors, tolerance):
+    """Lay lines between points on the floor: with points in between where its height bends.
+
+    The line runs through the middle of its part in each cell that it crosses, at the cell's
+    floor; between two that differ by more than a cell is wide, which is steeper than any slope,
+    straight up or down at their edge, or halfway over a link. Points within `tolerance` [m] of
+    the line through the remaining ones are dropped. Returns world x, y, z [m], and the levels.
+    """
+    points, num = line.points, line.points.shape[0]
+    out, on, count = np.empty((4 * num + 16, 3)), np.empty(4 * num + 16, np.int64), 0
+    for i in range(num):
+        level = line.levels[i]
+        start = in_cells(layout, level, points[i, 0], points[i, 1])
+        end, way = start, np.zeros(2)
+        if i + 1 < num and not line.is_link[i]:
+            end = in_cells(layout, level, points[i + 1, 0], points[i + 1, 1])
+            way = points[i + 1] - points[i]
+        profile = _profile(start, end, level, layout, floors)
+        here = 0
+        while here == 0 or here < profile.shape[0] - 1:
+            if count + 3 > out.shape[0]:
+                out, on = np.concatenate((out, out)), np.concatenate((on, on))
+            for axis in range(2):
+                out[count, axis] = points[i, axis] + profile[here, 0] * way[axis]
+            out[count, 2], on[count] = profile[here, 1], level
+            count += 1
+            here = _next_bend(profile, here, tolerance)
+        if i + 1 < num and line.is_link[i]:
+            after = line.levels[i + 1]
+            u, v = in_cells(layout, after, points[i + 1, 0], points[i + 1, 1])
+            z = floor_at(floors, after, _cell_of(u, v, rect_of(layout, after)))
+            if abs(z - out[count - 1, 2]) > layout.cell_size[level] * STEEP:
+                for axis in range(2):
+                    middle = (points[i, axis] + points[i + 1, axis]) / 2.0
+                    out[count, axis], out[count + 1, axis] = middle, middle
+                out[count, 2], out[count + 1, 2] = out[count - 1, 2], z
+                on[count], on[count + 1] = level, after
+                count += 2
+    return out[:count].copy(), on[:count].copy()
+
+
+@njit(cache=True, error_model="numpy")
+def _profile(a, b, level, layout, floors):
+    """The floor under a line, its ends in cells: shares of it and heights there, (n, 2)."""
+    rect = rect_of(layout, level)
+    cells, enter = crossed_cells(a, b, rect)
+    last = cells.shape[0] - 1
+    cells[last] = _cell_of(b[0], b[1], rect)  # ends on edges are in the cells they were found in
+    cells[0] = _cell_of(a[0], a[1], rect)
+    line = np.empty((3 * last + 4, 2))
+    count, before = 0, 0.0
+    for k in range(last + 1):
+        z = floor_at(floors, level, cells[k])
+        if k > 0 and abs(z - before) > layout.cell_size[level] * STEEP:
+            line[count, 0], line[count, 1] = enter[k], before
+            line[count + 1, 0], line[count + 1, 1] = enter[k], z
+            count += 2
+        share = (enter[k] + enter[k + 1]) / 2.0 if 0 < k < last else min(k, 1.0)
+        line[count, 0], line[count, 1] = share, z
+        count, before = count + 1, z
+    if last == 0 and (a[0] != b[0] or a[1] != b[1]):
+        line[count, 0], line[count, 1] = 1.0, before
+        count += 1
+    return line[:count]
+
+
+@njit(cache=True, error_model="numpy")
+def _cell_of(u, v, rect):
+    return rect.first + math.floor(v) * rect.width + math.floor(u)
+
+
+@njit(cache=True, error_model="numpy")
+def _next_bend(profile, here, tolerance):
+    """The last point to whose straight line all points before it are near enough.
+
+    Each point allows a range of slopes from `here`; as long as the next point's slope is in the
+    ranges of all before it, the line to it passes them all closely enough (cone intersection,
+    Sklansky and Gonzalez 1980).
+    """
+    low, high = -np.inf, np.inf
+    for there in range(here + 1, profile.shape[0]):
+        run, rise = profile[there, 0] - profile[here, 0], profile[there, 1] - profile[here, 1]
+        if run <= 0.0 or not low <= rise / run <= high:
+            return max(there - 1, here + 1)
+        low = max(low, (rise - tolerance) / run)
+        high = min(high, (rise + tolerance) / run)
+    return max(profile.shape[0] - 1, here + 1)

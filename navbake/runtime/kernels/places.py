@@ -1,0 +1,268 @@
+"""Finds the cells that positions are in, and the nearest cells of a mask; of many positions a call.
+
+`locate` is a plain search: of the levels' floors in a position's column, the highest at or below
+it. Positions are taken in blocks, level by level: a look-up at a random address waits for the
+memory, and in a block many such waits overlap.
+
+The nearest cell is searched ring by ring: in squares round the point's cell, each a cell farther
+out, until no cell of the next ring can be nearer than the best so far. Where the mask is dense
+near the point, as free and occupied cells are, that is quicker than any index, and a block
+outdates nothing.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from navbake.runtime.kernels.arrays import Layout, center, floor_at, in_cells, level_of
+from navbake.types import Bool, Float
+
+BLOCK = 512  # positions; what a block needs stays in the processor's first cache
+MAX_DROP = 0.5  # metres that a position may be above the floor of an agent that stands there
+TO_CENTER, IN_SPACE, TO_OBSTACLE = 0, 1, 2  # what is measured
+FAR_OFF = 64.0  # cells: farther from a level than this, all its rows are scanned, not rings
+
+
+class Wanted(NamedTuple):
+    """Cells that are looked for, and how their distance is measured.
+
+    Attributes:
+        mask: by cell: the cells that count.
+        floor: by cell [m], NaN where there is none.
+        measure: TO_CENTER on the map; IN_SPACE to the centre, on the floor; TO_OBSTACLE to the
+            square on the map, except of cells over or under which another level continues at the
+            point's height.
+        height: for TO_OBSTACLE, floors less than this apart are at one height; for IN_SPACE,
+            where cells without floor are taken to be [m].
+    """
+
+    layout: Layout
+    mask: Bool
+    floor: Float
+    measure: int
+    height: float
+
+
+@njit(cache=True)
+def locate(layout, floors, level, positions):
+    """Find the cells whose floors are the nearest at or below positions, shape (n, 3) [m].
+
+    A floor may be `max_step` above its position. Where no level has such a floor in a position's
+    column, the level counts whose ground is. With a `level` that isn't -1, all positions are on
+    it and x, y are enough. Returns flat ids, -1 for none.
+    """
+    cells = np.empty(len(positions), dtype=np.int64)
+    if level >= 0:
+        _locate_on(layout, level, positions, cells)
+        return cells
+    z = np.empty(BLOCK)
+    for begin in range(0, len(positions), BLOCK):
+        end = min(begin + BLOCK, len(positions))
+        _locate_block(layout, floors, positions[begin:end], cells[begin:end], z)
+    return cells
+
+
+@njit(cache=True)
+def stand_on(layout, floors, free, max_drop, positions):
+    """Mark the positions, shape (n, 3), that are at most `max_drop` above a free floor [m].
+
+    Returns the marks, and the index of the first position that is not finite, or -1.
+    """
+    answers = np.zeros(len(positions), dtype=np.bool_)
+    cells, z = np.empty(BLOCK, dtype=np.int64), np.empty(BLOCK)
+    for begin in range(0, len(positions), BLOCK):
+        end = min(begin + BLOCK, len(positions))
+        bad = _locate_block(layout, floors, positions[begin:end], cells, z)
+        if bad >= 0:
+            return answers, begin + bad
+        above = positions[begin:end, 2]
+        for i in range(end - begin):
+            is_near = above[i] - z[i] <= max_drop
+            answers[begin + i] = (cells[i] >= 0) & free[max(cells[i], 0)] & is_near
+    return answers, -1
+
+
+@njit(cache=True)
+def _locate_block(layout, floors, positions, cells, z):
+    """Locate at most BLOCK positions; writes cells and floors, returns the first bad one or -1."""
+    at = np.empty(BLOCK, dtype=np.int64)
+    on_ground, highest_ground = np.full(BLOCK, -1, dtype=np.int64), np.full(BLOCK, -np.inf)
+    floor, ground, slack = floors.z, floors.ground, floors.max_step
+    count = len(positions)
+    for i in range(count):
+        x, y, height = positions[i, 0], positions[i, 1], positions[i, 2]
+        if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(height)):
+            return i
+        cells[i], z[i] = -1, -np.inf
+    for level in range(len(layout.width)):
+        _locate_on(layout, level, positions, at)
+        for i in range(count):  # few branches: where positions are can't be predicted
+            height, limit = floor[max(at[i], 0)], positions[i, 2] + slack
+            is_nearer = (at[i] >= 0) & (height > z[i]) & (height <= limit)
+            cells[i] = at[i] if is_nearer else cells[i]
+            z[i] = height if is_nearer else z[i]
+            if at[i] >= 0 and math.isnan(height) and highest_ground[i] < ground[level] <= limit:
+                on_ground[i], highest_ground[i] = at[i], ground[level]
+    for i in range(count):
+        if cells[i] < 0:
+            cells[i], z[i] = on_ground[i], highest_ground[i]
+    return -1
+
+
+@njit(cache=True)
+def _locate_on(layout, level, positions, cells):
+    """Write the flat ids of a level's cells that finite positions are in, -1 beside the level."""
+    first, rows, cols = layout.start[level], layout.height[level], layout.width[level]
+    x0, y1, size = layout.x_min[level], layout.y_max[level], layout.cell_size[level]
+    for i in range(len(positions)):
+        col = np.floor((positions[i, 0] - x0) / size)
+        row = np.floor((y1 - positions[i, 1]) / size)
+        is_inside = 0 <= row < rows and 0 <= col < cols
+        cells[i] = first + np.int64(row) * cols + np.int64(col) if is_inside else -1
+
+
+@njit(cache=True)
+def snap_each(layout, floors, allowed, level, same_level, farthest, positions):
+    """Find the allowed places nearest to positions, see `PathFinder.snap`.
+
+    Args:
+        layout, floors: of the grid.
+        allowed: by cell.
+        level: of all positions, -1 for that of the floor below each.
+        same_level: whether to stay on the level of a position that has one.
+        farthest: from a position [m].
+        positions: shape (n, 3).
+
+    Returns:
+        World x, y, z [m], shape (n, 3), NaN for none; and flat ids, -1 for none.
+    """
+    cells, found = locate(layout, floors, level, positions), np.full((len(positions), 3), np.nan)
+    on_map = Wanted(layout, allowed, floors.z, TO_CENTER, 0.0)
+    for i in range(len(positions)):
+        home, point = cells[i], (positions[i, 0], positions[i, 1], positions[i, 2])
+        on = level_of(layout.start, home) if home >= 0 else level
+        if home >= 0 and allowed[home]:
+            z = floor_at(floors, on, home)
+            if level >= 0 or point[2] - z <= MAX_DROP:
+                found[i, 0], found[i, 1], found[i, 2] = point[0], point[1], z
+                continue
+        best, nearest = farthest, np.int64(-1)
+        if same_level and on >= 0:
+            nearest, best = nearest_cell(on_map, on, point, best)
+        else:
+            for other in range(len(layout.width)):
+                wanted = Wanted(layout, allowed, floors.z, IN_SPACE, floors.ground[other])
+                cell, distance = nearest_cell(wanted, other, point, best)
+                if cell >= 0 and (nearest < 0 or distance < best):
+                    nearest, best = cell, distance
+        cells[i] = nearest
+        if nearest >= 0:
+            found[i, 0], found[i, 1] = center(layout, nearest)
+            found[i, 2] = floor_at(floors, level_of(layout.start, nearest), nearest)
+    return found, cells
+
+
+@njit(cache=True)
+def find_obstacles(layout, floors, occupied, overlap, level, farthest, positions):
+    """Find the squares of occupied cells nearest to positions, see `PathFinder.nearest_obstacle`.
+
+    Args:
+        layout, floors: of the grid.
+        occupied: by cell.
+        overlap: floors less than this apart are at one height [m].
+        level, farthest, positions: see `snap_each`.
+
+    Returns:
+        The positions' own cells, and the obstacles', by flat id, -1 for none; and distances [m].
+    """
+    homes = locate(layout, floors, level, positions)
+    cells, distances = np.full(len(homes), -1, dtype=np.int64), np.empty(len(homes))
+    wanted = Wanted(layout, occupied, floors.z, TO_OBSTACLE, overlap)
+    for i in range(len(homes)):
+        if homes[i] >= 0:
+            on = level_of(layout.start, homes[i])
+            point = (positions[i, 0], positions[i, 1], floor_at(floors, on, homes[i]))
+            cells[i], distances[i] = nearest_cell(wanted, on, point, farthest)
+    return homes, cells, distances
+
+
+@njit(cache=True)
+def nearest_cell(wanted, level, point, farthest):
+    """The cell of a level nearest to x, y, z within `farthest`, -1 for none, and its distance [m].
+
+    Of equally near ones, the lowest id. For TO_OBSTACLE, z is the floor's at the point.
+    """
+    layout = wanted.layout
+    rows, cols, size = layout.height[level], layout.width[level], layout.cell_size[level]
+    u, v = in_cells(layout, level, point[0], point[1])
+    u, v = np.floor(u), np.floor(v)
+    best = (farthest * farthest, np.int64(-1))
+    beside = max(0.0, -v, v - rows + 1, -u, u - cols + 1)
+    if beside > FAR_OFF:
+        for row in range(rows):
+            best = _look(wanted, level, point, (row, 0, cols - 1, 1), best)
+        return best[1], math.sqrt(best[0])
+    row0, col0, ring = int(v), int(u), int(beside)
+    last = max(row0, rows - 1 - row0, col0, cols - 1 - col0)
+    # the point is up to half a cell nearer to a ring's centres than its own cell's centre is, and
+    # a whole cell nearer to the squares
+    inside = 1.0 if wanted.measure == TO_OBSTACLE else 0.5
+    while ring <= last and (max(0.0, ring - inside) * size) ** 2 <= best[0]:
+        first, step = max(0, row0 - ring), 1
+        if col0 - ring < 0 and col0 + ring >= cols:  # only its top and bottom rows are left
+            first, step = row0 - ring if row0 >= ring else row0 + ring, max(1, 2 * ring)
+        for row in range(first, min(rows - 1, row0 + ring) + 1, step):
+            left, right, stride = col0 - ring, col0 + ring, 2 * ring
+            if abs(row - row0) == ring:  # the top or the bottom row of the ring: all of it
+                left, stride = max(0, left), 1
+            elif left < 0:
+                left = right
+            best = _look(wanted, level, point, (row, left, min(cols - 1, right), stride), best)
+        ring += 1
+    return best[1], math.sqrt(best[0])
+
+
+@njit(cache=True)
+def _look(wanted, level, point, span, best):
+    """The better of the best so far and every `stride`-th cell of a row: squared distance, id."""
+    row, first, last, stride = span
+    d2_best, found = best
+    layout, mask, floor, measure, height = wanted
+    size, x_min, y_max = layout.cell_size[level], layout.x_min[level], layout.y_max[level]
+    begin = layout.start[level] + row * layout.width[level]
+    for col in range(first, last + 1, stride):
+        cell = begin + col
+        if not mask[cell]:
+            continue
+        dx = abs(x_min + (col + 0.5) * size - point[0])
+        dy = abs(y_max - (row + 0.5) * size - point[1])
+        if measure == TO_OBSTACLE:
+            dx, dy = max(0.0, dx - 0.5 * size), max(0.0, dy - 0.5 * size)
+        d2 = dx * dx + dy * dy
+        if measure == IN_SPACE:
+            z = height if math.isnan(floor[cell]) else floor[cell]
+            d2 += (z - point[2]) ** 2
+        if d2 < d2_best or (d2 == d2_best and (found < 0 or cell < found)):
+            if measure == TO_OBSTACLE and _is_elsewhere(wanted, level, cell, point[2]):
+                continue
+            d2_best, found = d2, cell
+    return d2_best, found
+
+
+@njit(cache=True)
+def _is_elsewhere(wanted, level, cell, z):
+    """Whether another level, but not this one, has a clear floor near a height in the column."""
+    layout, floor = wanted.layout, wanted.floor
+    if abs(floor[cell] - z) < wanted.height:  # False for NaN
+        return False
+    x, y = center(layout, cell)
+    for other in range(len(layout.width)):
+        width = layout.width[other]
+        col, row = in_cells(layout, other, x, y)
+        if other != level and 0 <= row < layout.height[other] and 0 <= col < width:
+            there = layout.start[other] + np.int64(row) * width + np.int64(col)
+            if not wanted.mask[there] and abs(floor[there] - z) < wanted.height:
+                return True
+    return False

@@ -1,0 +1,230 @@
+"""Paths: what one may lead to, how it is planned, and what it goes through."""
+
+import math
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from navbake.errors import QueryError
+from navbake.known_names import suggest
+from navbake.navgrid.cells import check_positions
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.navgrid.user_data import NAMES, names_in
+from navbake.runtime.flat_grid import FlatGrid
+from navbake.runtime.grid_cache import GridCache, doors_on
+from navbake.types import Bool, Float, Int, Json
+
+Goal: TypeAlias = ArrayLike | str
+"""A position, several of them, ``room:NAME`` or ``object:NAME``."""
+
+MAX_REACH = 1.0  # metres that a place next to an object may be away from it
+MAX_FIELDS = 8  # distance fields that are kept
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A path on the floor.
+
+    Attributes:
+        positions: world x, y, z [m], shape (n, 3), float64, n >= 1; z is the floor's height.
+            Between two of them the path is straight.
+        levels: level of each position, shape (n,), int64.
+        cells: level, row and column of each cell of the route, shape (m, 3), int64. A smooth
+            path leaves the route's cells where that is shorter and costs no more.
+        length: of the path, seen from above [m].
+        cost: of the route over cells: the length of each step [m] times the weight of the cell
+            that it leads to.
+        rooms: ids of the rooms on the way, in order; a room that is entered again is there again.
+        doors: ids of the doors on the way, in order.
+    """
+
+    positions: Float = field(repr=False)
+    levels: Int = field(repr=False)
+    cells: Int = field(repr=False)
+    length: float
+    cost: float
+    rooms: list[str]
+    doors: list[str]
+
+    def at(self, distance: float) -> Float:
+        """The position at a distance along the path, seen from above.
+
+        Args:
+            distance: from the start [m], limited to 0 and the length of the path.
+
+        Returns:
+            World x, y, z [m], shape (3,), float64.
+        """
+        run = np.concatenate([[0.0], np.cumsum(step_lengths(self.positions))])
+        return np.array([np.interp(distance, run, axis) for axis in self.positions.T])
+
+
+def step_lengths(positions: Float) -> Float:
+    """The lengths of the straight lines between positions in a row, seen from above [m]."""
+    return np.asarray(np.hypot(*np.diff(positions[:, :2], axis=0).T))
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Cells that a path may lead to."""
+
+    name: str  # what they are, for messages
+    cells: Int  # flat ids, free or not; -1 for positions in no cell
+    positions: Float | None = None  # that they were given by, world, shape (n, 2) or (n, 3)
+
+    def free_cells(self, flat: FlatGrid) -> Int:
+        """Those that are free, ascending and each once."""
+        inside = self.cells[self.cells >= 0]
+        return np.unique(inside[flat.free[inside]])
+
+    def position_in(self, cell: int) -> Float | None:
+        """World x, y of the first position that is in a cell; None for rooms and objects."""
+        if self.positions is None:
+            return None
+        return self.positions[int(np.argmax(self.cells == cell)), :2]
+
+
+def find_target(cache: GridCache, goal: Goal, level: int | None = None) -> Target:
+    """Find the cells of a goal, see `PathFinder`; raises QueryError for an unknown or wrong one."""
+    flat = cache.flat
+    if isinstance(goal, str):
+        kind, _, name = goal.partition(":")
+        if kind == "room":
+            return Target(f"room {name!r}", cache.rooms.cells(name))
+        if kind == "object":
+            return Target(f"object {name!r}", cells_around(cache.grid, flat, name))
+        raise QueryError(f"expected a position, room:NAME or object:NAME, got {goal!r}")
+    p = check_positions(goal, flat.num_levels, level)
+    if p.ndim > 2 or not p.size:
+        raise QueryError(f"expected positions of shape (3,) or (n, 3), n >= 1, got {p.shape}")
+    name = "the goal" if p.ndim == 1 else f"one of {len(p)} goals"
+    p = np.atleast_2d(p)
+    return Target(name, flat.cells_at(p, level), p)
+
+
+def cells_around(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
+    """The free cells next to an object, or on it where it is no obstacle; flat ids, ascending.
+
+    On each level they are looked for ring by ring from the cells that carry the name, over cells
+    in which nothing stands, so never through a wall: the nearest ring with a free cell and the
+    one after it, at most 1 m away. In an inflated grid, that is as near as the agent gets. What is
+    shut in by other objects, like a thing on a table, is looked for over their cells, too.
+    """
+    named, found = cells_named(grid, flat, name), []
+    for number, level in enumerate(grid.levels):
+        part = flat.cells_of(number)
+        cells = named[(named >= part.start) & (named < part.stop)] - part.start
+        if len(cells):
+            free = flat.free[part].reshape(level.shape)
+            passable = (level.solid == 0) | free
+            ring = _nearest_ring(level, cells, free, passable)
+            if not len(ring):
+                ring = _nearest_ring(level, cells, free, passable | _holds_objects(level))
+            found.append(part.start + ring)
+    return np.concatenate(found)
+
+
+def cells_named(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
+    """The cells that an object, a door or a wall is in, by its name: flat ids, at least one."""
+    if not isinstance(name, str):
+        raise QueryError(f"expected the name of an object, got {name!r}")
+    cells = [
+        start + cell
+        for level, start in zip(grid.levels, flat.layout.start.tolist(), strict=False)
+        for cell, entry in level.user_data.items()
+        if any(name in names_in(entry, key) for key in NAMES)
+    ]
+    if not cells:
+        entries = (entry for level in grid.levels for entry in level.user_data.values())
+        known = {n for entry in entries for key in NAMES for n in names_in(entry, key)}
+        raise QueryError(f"no object {name!r} in {grid.scene_id!r}: {suggest(name, sorted(known))}")
+    return np.array(cells, dtype=np.int64)
+
+
+def _holds_objects(level: SceneGrid2D) -> Bool:
+    """The cells in which objects stand, or that only objects block, and no wall."""
+    walls = {name for entry in level.user_data.values() for name in names_in(entry, "walls")}
+
+    def is_of_objects(entry: Json) -> bool:
+        in_way = {*names_in(entry, "objects"), *names_in(entry, "blockers")}
+        return bool(in_way) and not names_in(entry, "walls") and not in_way & walls
+
+    holds = np.zeros(level.shape, dtype=np.bool_)
+    cells = [cell for cell, entry in level.user_data.items() if is_of_objects(entry)]
+    holds.ravel()[cells] = True
+    return holds
+
+
+def _nearest_ring(level: SceneGrid2D, cells: Int, free: Bool, passable: Bool) -> Int:
+    """The free cells of the first ring over passable cells that has any, and of the next one."""
+    from scipy.ndimage import binary_dilation  # saves scipy at start-up
+
+    reached = np.zeros(level.shape, dtype=np.bool_)
+    reached.ravel()[cells] = True
+    passable = passable | reached
+    for _ in range(math.ceil(MAX_REACH / level.lattice.cell_size)):
+        if (reached & free).any():
+            break
+        reached = binary_dilation(reached) & passable
+    else:
+        return np.empty(0, dtype=np.int64)
+    return np.flatnonzero(binary_dilation(reached) & passable & free)
+
+
+class Planner:
+    """Plans paths between positions and goals, and keeps the fields of the last few goals."""
+
+    def __init__(self, cache: GridCache) -> None:
+        self._cache = cache
+        self._fields: dict[tuple[int, bool, bytes], Float] = {}
+
+    def find_path(
+        self, start: ArrayLike, goal: Goal, level: int | None, *, smooth: bool
+    ) -> Path | None:
+        """`PathFinder.find_path`."""
+        search, rooms = self._cache.search, self._cache.rooms
+        flat = search.flat
+        p, origin, target = self.find_ends(start, goal, level)
+        goals = target.free_cells(flat)
+        if origin < 0 or not flat.free[origin] or not len(goals):
+            return None
+        route = search.route(origin, goals)
+        if route is None:
+            return None
+        end = target.position_in(route[-1])
+        positions, levels = search.lay(route, smooth=smooth, start=p[:2], end=end)
+        numbers = rooms.number[route]
+        entered = numbers[np.append(True, numbers[1:] != numbers[:-1])]
+        return Path(
+            positions=positions,
+            levels=levels,
+            cells=np.stack(flat.split(route), axis=1),
+            length=float(step_lengths(positions).sum()),
+            cost=float((search.lengths(route) * flat.weight[route[1:]]).sum()),
+            rooms=[str(rooms.id_of(int(n))) for n in entered if n],
+            doors=doors_on(self._cache.doors, route),
+        )
+
+    def field(self, goal: Goal, level: int | None, *, weighted: bool) -> Float:
+        """The costs of `PathFinder.distance_field`, by flat id; read-only."""
+        search = self._cache.search
+        goals = find_target(self._cache, goal, level).free_cells(search.flat)
+        # goals in other words but of the same cells share a field; blocks make a new version
+        key = (search.version, weighted, goals.tobytes())
+        field = self._fields.pop(key, None)
+        if field is None:
+            field = search.field(goals, weighted=weighted)
+            field.flags.writeable = False
+        self._fields[key] = field  # last in the row, so the first is the one unused for longest
+        for old in list(self._fields)[:-MAX_FIELDS]:
+            del self._fields[old]
+        return field
+
+    def find_ends(
+        self, start: ArrayLike, goal: Goal, level: int | None
+    ) -> tuple[Float, int, Target]:
+        """A start and the flat id of its cell, -1 for none; and where a goal is."""
+        p, cell = self._cache.flat.locate(start, level, "start")
+        return p, (-1 if cell is None else cell), find_target(self._cache, goal, level)

@@ -1,0 +1,104 @@
+"""Lines over cells: what they touch and what they cost, against looking at every cell."""
+
+import numpy as np
+import pytest
+
+from navbake.runtime.kernels.arrays import EAST, SOUTH, Rect
+from navbake.runtime.kernels.lines import crossed_cells, is_walkable, line_cost
+from navbake.runtime.kernels.routes import Footing, find_moves
+
+WIDTH, HEIGHT = 9, 7
+RECT = Rect(first=0, width=WIDTH, height=HEIGHT)
+
+
+def touches(line, row, col):
+    """Whether a line meets a closed square, by clipping it to the square's four sides."""
+    u0, v0, u1, v1 = line
+    enter, leave = 0.0, 1.0
+    for start, end, low in ((u0, u1, col), (v0, v1, row)):
+        low, high = low - 1e-9, low + 1 + 1e-9
+        if start == end:
+            if not low <= start <= high:
+                return False
+            continue
+        a, b = sorted(((low - start) / (end - start), (high - start) / (end - start)))
+        enter, leave = max(enter, a), min(leave, b)
+    return enter <= leave
+
+
+def random_line(rng):
+    """Ends anywhere, or on centres, edges and corners, where lines are at their worst."""
+    step = rng.choice([0.0, 0.5, 0.25])
+    u, v = rng.uniform(0, WIDTH, 2), rng.uniform(0, HEIGHT, 2)
+    if step:
+        u, v = np.round(u / step) * step, np.round(v / step) * step
+    return tuple(float(x) for x in (u[0], v[0], u[1], v[1]))
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_walkable_lines_touch_only_cells_that_hang_together(seed):
+    rng = np.random.default_rng(seed)
+    free = rng.random(WIDTH * HEIGHT) < rng.uniform(0.7, 1.0)
+    anywhere = free & (rng.random(free.size) < 0.95)
+    floor = rng.choice([0.0, 0.2, 0.4], free.size, p=[0.8, 0.1, 0.1])
+    moves = np.zeros(free.size, np.uint8)
+    no_slopes = np.zeros(0, dtype=np.uint8)
+    footing = Footing(free, free, floor, 0.25, False, no_slopes)
+    find_moves(footing, RECT, (0, HEIGHT, 0, WIDTH), moves)
+    answers = []
+    for _ in range(40):
+        line = random_line(rng)
+        touched = {cell for cell in np.ndindex(HEIGHT, WIDTH) if touches(line, *cell)}
+        outside = [
+            cell
+            for cell in [(r, c) for r in (-1, HEIGHT) for c in range(-1, WIDTH + 1)]
+            + [(r, c) for r in range(HEIGHT) for c in (-1, WIDTH)]
+            if touches(line, *cell)
+        ]
+        expected = not outside
+        for row, col in touched:
+            here = row * WIDTH + col
+            expected &= bool(anywhere[here])
+            for other, way in (((row, col + 1), EAST), ((row + 1, col), SOUTH)):
+                if other in touched and free[here]:
+                    expected &= bool(moves[here] & way)
+        found = is_walkable(line[:2], line[2:], RECT, moves, anywhere)
+        assert found == expected, line
+        answers.append(found)
+    assert seed > 0 or True in answers
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_costs_of_lines_are_those_of_their_parts(seed):
+    rng = np.random.default_rng(seed)
+    weight = rng.uniform(1, 9, WIDTH * HEIGHT)
+    ends = rng.uniform(0.01, [WIDTH - 0.01, HEIGHT - 0.01], (2, 2))
+    if seed % 3 == 0:
+        ends = np.floor(ends) + 0.5
+    (u0, v0), (u1, v1) = ends
+    t = (np.arange(20_000) + 0.5) / 20_000
+    u, v = u0 + t * (u1 - u0), v0 + t * (v1 - v0)
+    parts = weight[np.floor(v).astype(int) * WIDTH + np.floor(u).astype(int)]
+    expected = parts.mean() * np.hypot(u1 - u0, v1 - v0)
+    found = line_cost((u0, v0), (u1, v1), RECT, weight)
+    assert found == pytest.approx(expected, abs=5e-3)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_crossed_cells_follow_one_another(seed):
+    rng = np.random.default_rng(seed)
+    ends = rng.uniform(0.01, [WIDTH - 0.01, HEIGHT - 0.01], (2, 2))
+    if seed % 2:
+        ends = np.floor(ends) + 0.5
+    cells, enter = crossed_cells(tuple(ends[0]), tuple(ends[1]), RECT)
+    rows, cols = np.divmod(cells, WIDTH)
+    assert (rows[0], cols[0]) == tuple(np.floor(ends[0][::-1]))
+    assert (rows[-1], cols[-1]) == tuple(np.floor(ends[1][::-1]))
+    assert np.abs(np.diff(rows)).max(initial=0) <= 1
+    assert np.abs(np.diff(cols)).max(initial=0) <= 1
+    assert enter[0] == 0.0
+    assert enter[-1] == 1.0
+    assert (np.diff(enter) >= 0).all()
+    for k, (row, col) in enumerate(zip(rows, cols, strict=True)):
+        middle = ends[0] + (enter[k] + enter[k + 1]) / 2 * (ends[1] - ends[0])
+        assert (np.floor(middle[1]), np.floor(middle[0])) == (row, col)
