@@ -15,8 +15,6 @@ import threading
 from types import FrameType
 from typing import Any
 
-from navbake.compiler.garbage import collect_seldom
-
 INTERRUPTED = 130
 """The exit status after Ctrl-C, as shells have it: 128 and the signal's number."""
 
@@ -24,6 +22,8 @@ TERMINATED = 143
 """The exit status after SIGTERM, likewise."""
 
 PATIENCE = 2.0  # how long Python may take to hear of a signal, before the process is ended [s]
+BETWEEN_COLLECTIONS = 200_000
+"""Python looks for garbage after so many objects; imports and compilers make many that stay."""
 DELAY = 0.05  # after which a Ctrl-C that was dropped comes again [s]
 _heard = 0  # how many times Python has heard of Ctrl-C
 _pressed = 0  # how many times Ctrl-C has not taken effect yet
@@ -41,7 +41,9 @@ def main() -> None:
     and processes that only help are removed; but another SIGTERM changes nothing, as whatever ends
     services may send several.
     """
-    collect_seldom()
+    gc.set_threshold(BETWEEN_COLLECTIONS)
+    # messages of numba are made and dropped by the hundred: their colours take a tenth of the time
+    os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
     try:
         _listen()
         from navbake.cli.main import main as run  # now that Ctrl-C is expected

@@ -1,9 +1,10 @@
-"""Files that are written as a whole or not at all."""
+"""Files that are written as a whole or not at all, and temporary folders."""
 
 import errno
 import logging
 import os
 import re
+import shutil
 import stat
 import sys
 import tempfile
@@ -15,12 +16,15 @@ from os import PathLike
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+from navbake.errors import NavbakeError
+
 try:
     import fcntl
 except ImportError:  # Windows has no such locks; it refuses to remove a file that is open
     fcntl = None  # type: ignore[assignment]
 
 LOG = logging.getLogger("navbake")
+FOLDER = re.compile(r"navbake-\w{8}")  # as `tempfile.mkdtemp` names them
 TEMPORARY = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp")
 RETRIES = 20  # how often Windows is asked within a second to replace a file that is being read
 OLD = 86400.0  # age at which a temporary file is a leftover where nothing can be locked [s]
@@ -292,3 +296,90 @@ def _is_replaceable(path: str | PathLike[str]) -> bool:
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(0, "it is a folder")
     return stat.S_ISREG(mode)
+
+
+@contextmanager
+def scratch_folder(place: Path | None = None) -> Iterator[Path]:
+    """Make a temporary folder, and remove it at the end.
+
+    It is locked as long as its process lives, so that `remove_abandoned` knows the folders of
+    processes that were killed. Those are removed first.
+
+    Args:
+        place: the folder that it is in; None for the system's folder for such things.
+
+    Raises:
+        NavbakeError: it can't be made there.
+    """
+    remedy = "free space, or set TMPDIR to a folder that has room"
+    try:
+        where = Path(tempfile.gettempdir()) if place is None else place
+    except FileNotFoundError as error:  # it names those that take no file
+        raise NavbakeError(f"cannot write temporary files: {error.strerror}: {remedy}") from error
+    remove_abandoned(where)
+    while True:
+        try:
+            folder = Path(tempfile.mkdtemp(prefix="navbake-", dir=where))
+        except OSError as error:
+            if error.errno in (errno.EMFILE, errno.ENFILE):  # of which no folder is the cause
+                raise
+            why = f"cannot write temporary files into {where}: {error.strerror}"
+            raise NavbakeError(f"{why}: {remedy}") from error
+        with _locked_folder(folder):
+            if not folder.is_dir():  # another process took it for abandoned before it was locked
+                continue
+            try:
+                yield folder
+            finally:
+                shutil.rmtree(folder, ignore_errors=True)
+            return
+
+
+def remove_abandoned(place: Path | None = None) -> None:
+    """Remove the scratch folders and temporary files of this user's processes that were killed.
+
+    Where folders can't be locked, one is abandoned when it is a day old.
+
+    Args:
+        place: where they are; None for the system's folder for such things.
+    """
+    with suppress(OSError):
+        place = place or Path(tempfile.gettempdir())
+        remove_leftovers(place)
+        _remove_folders(place)
+
+
+def _remove_folders(place: Path) -> None:
+    with os.scandir(place) as entries:
+        for entry in entries:
+            own = entry.stat(follow_symlinks=False)
+            is_mine = not hasattr(os, "getuid") or own.st_uid == os.getuid()
+            if not (FOLDER.fullmatch(entry.name) and stat.S_ISDIR(own.st_mode) and is_mine):
+                continue
+            with suppress(OSError), _locked_folder(Path(entry.path), waits=False) as is_locked:
+                if is_locked or time.time() - own.st_mtime > OLD:
+                    shutil.rmtree(entry.path, ignore_errors=True)
+
+
+@contextmanager
+def _locked_folder(folder: Path, waits: bool = True) -> Iterator[bool]:
+    """Lock a folder; gives whether that can be done at all, a BlockingIOError if others have it."""
+    if fcntl is None:
+        yield False
+        return
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+    except FileNotFoundError:
+        yield False
+        return
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if waits else fcntl.LOCK_NB))
+            is_locked = True
+        except BlockingIOError:
+            raise
+        except OSError:  # a file system without locks
+            is_locked = False
+        yield is_locked
+    finally:
+        os.close(descriptor)

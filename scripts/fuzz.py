@@ -35,9 +35,9 @@ from typing import Any, NamedTuple
 from fuzzing.kind import Input, check_message
 from fuzzing.kinds import KINDS, SKIPPED
 from fuzzing.measure import Cost, Meter, exceeds, measures_memory
-from navbake.baker.scene.guard.child import end_with_parent, limit_memory
 from navbake.errors import NavbakeError
 from navbake.files import write_whole
+from navbake.processes import end_with_parent, limit_memory
 
 LOADING = 300.0  # in which a child is ready; kernels may have to be compiled [s]
 PATIENCE = 300.0  # in which an input is done, where others use the processor, too [s]

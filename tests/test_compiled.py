@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import json
 import os
-import resource
 import shutil
 import subprocess
 import sys
@@ -12,59 +12,58 @@ from pathlib import Path
 import pytest
 
 import navbake
-from navbake.digests import digest_modules
+from navbake.compiled import KERNELS, decode_type, list_cold, read_list
 
-MACHINERY = ("compiled", "digests", "dispatch", "errors", "folder_lock", "kernel_list", "loading")
-INNER = """from numba import njit
+INNER = """from navbake.compiled import kernel
 
-@njit(cache=True)
+@kernel
 def inner():
     return 1
 """
-OUTER = """from numba import njit
-
+OUTER = """from navbake.compiled import kernel, part
 from navbake.kernels.inner import inner
 
-@njit(cache=True)
+@part
+def half():
+    return 1
+
+@kernel(nogil=True)
 def outer():
-    return inner()
+    return inner() * half()
+"""
+LIST = {
+    "bake": [["kernels.outer.outer", 5.0, []], ["kernels.other.other", 4.0, []]],
+    "others": [["kernels.lone.lone", 3.0, ["float64 1 C"]], ["kernels.gone.gone", 9.0, []]],
+}
+ASK = """
+from navbake.kernels.outer import outer
+from navbake.kernels.other import other
+print(outer(), other(), *(sum(k.stats.cache_hits.values()) for k in (outer, other)))
 """
 
 
 @pytest.fixture
 def package(tmp_path):
-    """A package of the same name with two kernels of its own, and what keeps them fresh."""
+    """A package of the same name with some kernels of its own."""
     kernels = tmp_path / "navbake" / "kernels"
     kernels.mkdir(parents=True)
-    (tmp_path / "navbake" / "__init__.py").write_text("")
     real = Path(navbake.__file__).parent
-    for name in MACHINERY:
+    for name in ("compiled", "lazy"):
         shutil.copy(real / f"{name}.py", kernels.parent)
-    shutil.copytree(real / "compiler", kernels.parent / "compiler")
-    source = (real / "runtime" / "kernels" / "__init__.py").read_bytes()
-    (kernels / "__init__.py").write_bytes(source)
+    (kernels.parent / "__init__.py").write_text("")
+    (kernels / "__init__.py").write_text("")
+    (kernels.parent / "kernels.json").write_text(json.dumps(LIST))
     (kernels / "inner.py").write_text(INNER)
     (kernels / "outer.py").write_text(OUTER)
     (kernels / "other.py").write_text(INNER.replace("inner", "other"))
+    (kernels / "lone.py").write_text(INNER.replace("inner()", "lone(x)"))
     return kernels
 
 
-ASK = (
-    "from navbake.kernels.outer import outer\n"
-    "from navbake.kernels.other import other\n"
-    "print(outer(), other(), sum(other.stats.cache_hits.values()))"
-)
-
-
-def start(package: Path, code: str = ASK, no_writes: bool = False, **env: str) -> subprocess.Popen:
-    """Start a process that uses the package; `no_writes` is a disk that is full."""
+def start(package: Path, code: str = ASK, **env: str) -> subprocess.Popen[str]:
     full = {**os.environ, "PYTHONPATH": str(package.parents[1]), **env}
     if "NUMBA_CACHE_DIR" not in env:
         full.pop("NUMBA_CACHE_DIR", None)
-
-    def fill_disk() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
-
     return subprocess.Popen(
         # -B: bytecode is kept by time and size, which the changed sources have in common
         [sys.executable, "-B", "-c", code],
@@ -73,160 +72,117 @@ def start(package: Path, code: str = ASK, no_writes: bool = False, **env: str) -
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=fill_disk if no_writes else None,
     )
 
 
-def run(package: Path, code: str = ASK, **options) -> tuple[str, str]:
-    process = start(package, code, **options)
-    out, err = process.communicate(timeout=120)
+def run(package: Path, code: str = ASK, **env: str) -> tuple[str, str]:
+    process = start(package, code, **env)
+    out, err = process.communicate(timeout=300)
     assert process.returncode == 0, err
     return out.strip(), err
 
 
-def ask(package: Path) -> str:
-    """What the kernels return in a process of their own, and how often each was compiled."""
-    return run(package)[0]
-
-
-def test_a_changed_kernel_is_compiled_anew_in_all_that_use_it(package):
-    assert ask(package) == "1 1 0"
-    assert ask(package) == "1 1 1"
+def test_code_is_kept_until_a_source_changes(package):
+    out, err = run(package)
+    # the first kernel's own process compiles it, whether or not another one helps
+    assert out.startswith("1 1 0")
+    assert err.startswith("navbake: compiling for this machine, once: ") and err.count("\n") == 1
+    assert run(package) == ("1 1 1 1", "")
     times = (package / "inner.py").stat()
     (package / "inner.py").write_text(INNER.replace("return 1", "return 2"))
     os.utime(package / "inner.py", ns=(times.st_atime_ns, times.st_mtime_ns))  # as wheels have it
-    assert ask(package) == "2 1 1"  # the one that has nothing to do with it was kept
+    assert run(package)[0] == "2 1 0 1"  # the one that has nothing to do with it was kept
 
 
-def test_digests_follow_what_is_used(package):
-    before = digest_modules(package.parent)
-    (package / "inner.py").write_text(INNER.replace("return 1", "return 2"))
-    after = digest_modules(package.parent)
-    changed = {name for name in before if before[name] != after[name]}
-    assert changed == {"navbake.kernels.inner", "navbake.kernels.outer"}
+def test_all_is_compiled_beforehand_and_what_is_not_is_named(package, tmp_path):
+    warm = "from navbake.compiled import warm_up; print(warm_up(True, watch=lambda n, of: None))"
+    env = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    assert run(package, warm, **env)[0] == "[]"  # what is out of date in the list is nobody's
+    assert run(package, **env) == ("1 1 1 1", "")
+    shutil.copytree(tmp_path / "cache", tmp_path / "copy")
+    assert run(package, NUMBA_CACHE_DIR=str(tmp_path / "copy")) == ("1 1 1 1", "")
 
 
-def test_digests_follow_the_fields_of_named_tuples(package):
-    """Compiled code reads a field by its place, so that swapping two would mix them up."""
-    text = "from typing import NamedTuple\n\nclass Ball(NamedTuple):\n    '''A ball.'''\n\n"
-    ball = package.parent / "ball.py"
-    ball.write_text(text + "    radius: float\n    mass: float\n")
-    before = digest_modules(package.parent)
-    ball.write_text(text + "    radius: float\n    mass: float\n\n\nWEIGHT = 1\n")
-    assert digest_modules(package.parent) == before
-    ball.write_text(text + "    mass: float\n    radius: float\n")
-    after = digest_modules(package.parent)
-    assert all(before[name] != after[name] for name in before)
-    (package.parent / "batch").mkdir()
-    (package.parent / "batch" / "job.py").write_text(text + "    radius: float\n")
-    assert digest_modules(package.parent) == after  # no kernel is given one of a batch's
+def test_a_kernel_of_no_bake_is_compiled_alone(package):
+    code = "import numpy as np; from navbake.kernels.lone import lone; print(lone(np.zeros(3)))"
+    out, err = run(package, code)
+    assert out == "1" and err == "navbake: compiling for this machine, once: up to 3 s\n"
+    assert run(package, code) == ("1", "")
 
 
-@pytest.fixture
-def read_only(package, tmp_path):
-    """The environment in which no folder can be written: there are files in their places."""
-    (package / "__pycache__").write_text("")
+def test_compiles_in_memory_where_nothing_can_be_written(package, tmp_path):
+    (package.parent / "__pycache__").write_text("")  # files where folders would be
     (tmp_path / "file").write_text("")
-    place = str(tmp_path / "file")
-    return {"NUMBA_CACHE_DIR": place, "HOME": place, "XDG_CACHE_HOME": place}
+    place = {"XDG_CACHE_HOME": str(tmp_path / "file")}
+    out, err = run(package, **place)
+    assert out == "1 1 0 0" and err.count("\n") == 1
+    assert "compiling in memory" in err and "set NUMBA_CACHE_DIR to a folder" in err
+    warm = "from navbake.compiled import warm_up; print(warm_up())"
+    assert "kernels.other.other" in run(package, warm, **place)[0]
 
 
-SLOW = "import navbake.dispatch as d; d.SECONDS = 2.0\n"  # as if kernels took long
-
-
-def test_compiles_in_memory_where_nothing_can_be_written(package, read_only):
-    out, err = run(package, SLOW + ASK, **read_only)
-    assert out == "1 1 0"
-    assert len(err.splitlines()) == 1
-    assert "compiling in memory: about 6 s, in each process anew" in err
-    assert "set NUMBA_CACHE_DIR to a folder that can be written" in err
-
-
-def test_says_once_that_it_compiles_and_for_how_long(package):
-    out, err = run(package, SLOW + ASK)
-    assert out == "1 1 0" and err == "navbake: compiling for this machine, once: about 6 s\n"
-    out, err = run(package, SLOW + ASK)
-    assert out == "1 1 1" and err == ""
-
-
-def test_says_nothing_where_it_takes_less_than_a_second(package):
-    fast = SLOW.replace("2.0", "0.1")
-    assert run(package, fast + ASK) == ("1 1 0", "")
-
-
-def test_code_is_kept_elsewhere_where_the_given_folder_cannot_be_written(package, tmp_path):
-    (tmp_path / "file").write_text("")
-    bad = {"NUMBA_CACHE_DIR": str(tmp_path / "file")}
-    assert run(package, **bad)[0] == "1 1 0"
-    assert run(package, **bad)[0] == "1 1 1"
-
-
-def test_a_full_disk_is_told_once(package):
-    out, err = run(package, no_writes=True)
-    assert out == "1 1 0"
-    told = [line for line in err.splitlines() if "cannot keep compiled code in" in line]
-    assert len(told) == 1 and "set NUMBA_CACHE_DIR" in told[0]
-    assert run(package)[0] == "1 1 0"  # nothing broken was left
-    assert run(package)[0] == "1 1 1"
-
-
-@pytest.mark.parametrize("ending", ["nbi", "nbc"])
-@pytest.mark.parametrize("size", [0, 1, 40, 200])
-def test_broken_files_are_replaced(package, ending, size):
-    ask(package)
-    for path in (package / "__pycache__").glob(f"*.{ending}"):
-        path.write_bytes(path.read_bytes()[:size])
-    assert ask(package) == "1 1 0"
-    assert ask(package) == "1 1 1"
-
-
-def test_an_interrupted_compile_is_cold(package):
-    """numba writes the index first: then no code is there that it lists."""
-    ask(package)
-    for path in (package / "__pycache__").glob("other*.nbc"):
-        path.unlink()
-    out, err = run(package, SLOW + ASK)
-    assert out == "1 1 0" and "compiling for this machine" in err
+DENY = """
+import tempfile
+def fail(*args, dir=None, **options):
+    if "navbake-kernels" in str(dir) and str(dir).startswith({folder!r}):
+        raise PermissionError(13, "Permission denied")
+    return make(*args, dir=dir, **options)
+make, tempfile.TemporaryFile = tempfile.TemporaryFile, fail
+"""
 
 
 def test_a_folder_that_can_only_be_read_is_used(package, tmp_path):
     """As in a container that was warmed up when its image was built."""
-    ask(package)
-    deny = """
-import tempfile
-def fail(*args, dir=None, **options):
-    raise PermissionError(13, "Permission denied")
-tempfile.TemporaryFile = fail
-"""
-    assert run(package, deny + ASK) == ("1 1 1", "")
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "TMPDIR": str(tmp_path / "tmp")}
+    (tmp_path / "tmp").mkdir()
+    run(package, **cache)
+    deny = DENY.format(folder=cache["NUMBA_CACHE_DIR"])
+    assert run(package, deny + ASK, **cache) == ("1 1 1 1", "")
     (package / "inner.py").write_text(INNER.replace("return 1", "return 2"))
-    out, _ = run(package, deny + ASK)  # what is not fresh is not used
-    assert out == "2 1 0"
+    assert run(package, deny + ASK, **cache)[0] == "2 1 0 1"
+    assert list((tmp_path / "tmp").iterdir()) == []
 
 
-def test_kernels_are_compiled_without_the_compiler_switched_on(package):
-    fast = SLOW.replace("2.0", "0.1")
-    out, err = run(package, fast + ASK, NUMBA_DISABLE_JIT="1")
-    assert out == "1 1 0"
-    assert err.startswith("navbake: NUMBA_DISABLE_JIT is set, but navbake")
-
-
-def test_many_processes_compile_each_kernel_once(package):
-    code = ASK + "\nprint(sum(outer.stats.cache_misses.values()))"
-    processes = [start(package, code) for _ in range(6)]
-    outs = [process.communicate(timeout=120) for process in processes]
+def test_many_processes_compile_at_once(package):
+    processes = [start(package) for _ in range(4)]
+    outs = [process.communicate(timeout=300) for process in processes]
     assert all(process.returncode == 0 for process in processes), outs
-    answers = [out.split() for out, _ in outs]
-    assert all(answer[:2] == ["1", "1"] for answer in answers)
-    # the first one compiled, the others found its code
-    assert sum(int(answer[2]) for answer in answers) == len(answers) - 1
-    assert sum(int(answer[3]) for answer in answers) == 1
+    assert all(out.startswith("1 1 ") for out, _ in outs)
+    assert run(package)[0] == "1 1 1 1"
 
 
 def test_kernels_of_others_stay_as_they_are(package):
+    code = "import navbake.compiled, numba\nprint(numba.njit(lambda: 3)(), numba.config.CACHE_DIR)"
+    assert run(package, code) == ("3", "")
+
+
+def test_the_list_names_kernels_with_their_types():
+    """If it fails: run `python scripts/list_kernels.py`."""
+    for entry in [*read_list().bake, *read_list().others]:
+        found = entry.find()
+        assert found in KERNELS, entry.name
+        assert len(entry.types) == found.py_func.__code__.co_argcount, entry.name
+        for each in entry.types:
+            decode_type(each)
+
+
+@pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
+def test_the_list_has_what_a_bake_calls():
+    """If it fails: run `python scripts/list_kernels.py`."""
     code = (
-        "import navbake.kernels, numba\n"
-        "@numba.njit(cache=False)\ndef mine():\n    return 3\n"
-        "print(mine(), type(mine).__name__)"
+        "import json, navbake\n"
+        "from navbake.compiled import KERNELS\n"
+        "navbake.bake('configs/apartment.yaml')\n"
+        "warm = [k for k in KERNELS if not k.stats.cache_misses]\n"
+        "called = {f'{k.__module__}.{k.__name__}': len(k.signatures) for k in warm}\n"
+        "print(json.dumps({k: n for k, n in called.items() if n}))"
     )
-    assert run(package, code)[0] == "3 CPUDispatcher"
+    root = Path(navbake.__file__).parents[1]
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code],
+        cwd=root, stdout=subprocess.PIPE, text=True, check=True,
+    )  # fmt: skip
+    names = [entry.name for entry in read_list().bake]
+    called = json.loads(done.stdout.splitlines()[-1])
+    missing = [k for k, n in called.items() if names.count(k.removeprefix("navbake.")) < n]
+    assert missing == [] and list_cold(read_list().bake) == []

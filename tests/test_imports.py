@@ -37,8 +37,7 @@ BAKER_USERS = ("baker", "batch", "cli")
 # a verification loads the scene as the bake does, and shares nothing else with it: from these it
 # takes the compiled model, its pose, its names, its tree of bodies, and which geoms count as what
 VERIFIER_SHARES = ("navbake.baker.scene.scene", "navbake.baker.scene.names")
-VERIFIER_SHARES += ("navbake.baker.scene.memory", "navbake.baker.scene.model")
-VERIFIER_SHARES += ("navbake.baker.scene.bodies", "navbake.baker.scene.chatter")
+VERIFIER_SHARES += ("navbake.baker.scene.model",)
 # what the scene has besides, made by code that is checked
 VERIFIER_LEAVES = ("shapes", "bounds")
 LIGHT = ("navgrid", "formats", "runtime", "voxels", "arena", "views", "files", "errors", "types")
@@ -188,16 +187,62 @@ def test_kernels_import_kernels_alone(name):
         assert is_standard or is_kernel or belongs(found, KERNELS_ONLY), f"{name} imports {found}"
 
 
-@pytest.mark.parametrize("name", [name for name in MODULES if ".kernels" in name])
-def test_kernels_keep_the_wrapper_that_python_calls_them_by(name):
-    # without it, a call from Python doesn't raise: the process crashes
-    assert "no_cpython_wrapper" not in MODULES[name].read_text(encoding="utf-8")
+def test_only_kernels_call_parts():
+    """A part has no wrapper that Python could call: the process would crash."""
+    parts = set()
+    for name, path in MODULES.items():
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.FunctionDef):
+                decorators = [ast.unparse(each).partition("(")[0] for each in node.decorator_list]
+                parts |= {f"navbake.{name}.{node.name}"} if "part" in decorators else set()
+    assert len(parts) > 50
+    for name, path in MODULES.items():
+        assert ".kernels." in name or not imports(path) & parts, name
 
 
 @pytest.mark.parametrize("name", [name for name in MODULES if belongs(name, BELOW_VIEWS)])
 def test_what_lies_below_imports_no_views(name):
     found = imports(MODULES[name], with_types=True)
     assert not any(belongs(each, ("navbake.views",)) for each in found), found
+
+
+# file, what it does with another library's name: why
+OWN_WAYS = {
+    ("compiled", "numba.config.CACHE_DIR ="): "a variable of numba's for its users",
+}
+
+
+def private_uses(path: Path) -> Iterator[str]:
+    """What a file uses of other libraries by private names, or sets in them."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    others: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            module = getattr(node, "module", None) or node.names[0].name
+            if module.split(".")[0] in {*sys.stdlib_module_names, "navbake"}:
+                continue
+            others |= {(each.asname or each.name).split(".")[0] for each in node.names}
+            yield from (each.name for each in node.names if each.name.startswith("_"))
+        if isinstance(node, ast.Assign) and ast.unparse(node.value).startswith("lazy("):
+            others |= {target.id for target in node.targets if isinstance(target, ast.Name)}
+    for node in ast.walk(tree):
+        is_set = isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store | ast.Del)
+        if isinstance(node, ast.Attribute) and ast.unparse(node).split(".")[0] in others:
+            is_private = node.attr.startswith("_") and not node.attr.startswith("__")
+            if is_private or is_set:
+                yield ast.unparse(node) + (" =" if is_set else "")
+        is_call = isinstance(node, ast.Call) and ast.unparse(node.func) in ("setattr", "delattr")
+        if is_call and ast.unparse(node.args[0]).split(".")[0] in others:
+            yield ast.unparse(node)
+
+
+def test_no_private_names_of_other_libraries_are_used():
+    """Nor is anything set in them: their next release would break what is."""
+    for name, path in MODULES.items():
+        uses = [use for use in private_uses(path) if (name, use) not in OWN_WAYS]
+        assert uses == [], f"{name} uses {uses}"
+    keywords = [path for path in MODULES.values() if "_nrt" in path.read_text(encoding="utf-8")]
+    assert keywords == [PACKAGE / "compiled.py"]
 
 
 def test_errors_import_nothing_at_all():
@@ -269,8 +314,8 @@ def test_help_loads_no_baker():
     assert loaded_after(code).isdisjoint(["mujoco", "fcl", "trimesh", "numba", "scipy", "numpy"])
 
 
-# numba asks scipy for its version, which loads little
-SCIPY = ("scipy.linalg", "scipy.ndimage", "scipy.sparse", "scipy.spatial")
+# numba loads scipy.linalg with its first kernel
+SCIPY = ("scipy.ndimage", "scipy.sparse", "scipy.spatial")
 
 # command -> what it doesn't load; `house` and `cup` are scenes without and with a mesh
 LIGHT_COMMANDS = {

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 import navbake
-from navbake.cli.main import main
+from navbake.compiled import read_list
 
 ROOT = Path(__file__).parents[1]
 SCENE = """<mujoco model="stool">
@@ -56,17 +56,6 @@ def test_bakes_in_threads(scene):
         assert list(pool.map(bake_and_voxelize, [scene] * 12)) == [expected] * 12
 
 
-RECORD = """
-import json, sys
-from navbake import dispatch
-def record():
-    return {
-        f"{k.__module__}.{k.__name__} {signature}"
-        for k in dispatch.KERNELS for signature in k.overloads
-    }
-"""
-
-
 def read_me() -> tuple[list[list[str]], str]:
     """The README's commands for a sample, and its Python."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -88,10 +77,11 @@ def empty_folder(tmp_path):
     return folder
 
 
-def use_read_me(warm_up: bool) -> str:
-    """Code that runs the README, warm-up or not, and prints which kernels were used for what."""
+def use_read_me() -> str:
+    """Code that runs the README, and prints how many types each kernel was called with."""
     commands, python = read_me()
-    use = f"""
+    return f"""
+import json
 from navbake.cli.main import main
 for command in {commands!r}:
     try:
@@ -99,31 +89,30 @@ for command in {commands!r}:
     except SystemExit as end:
         assert end.code == 0 or command[0] == 'path', command  # 1: there is no path
 exec({python!r})
+from navbake.compiled import KERNELS
+warm = [k for k in KERNELS if not k.stats.cache_misses]
+print('\\n' + json.dumps({{f'{{k.__module__}}.{{k.__name__}}': len(k.signatures) for k in warm}}))
 """
-    warm = """
-import navbake
-from navbake.cli.commands.warm_up import compile_all
-compile_all(lambda name, share: None)
-"""
-    return RECORD + (warm if warm_up else use) + "\nprint('\\n' + json.dumps(sorted(record())))"
 
 
 def test_nothing_is_compiled_after_warm_up(empty_folder):
-    """What the README's commands call, with the types that they call it with, warm-up did, too."""
+    """What the README's commands call, with the types that they call it with, is in the list.
+
+    What this run compiles is left out: the kernels that a kernel calls are compiled with it.
+    """
     pytest.importorskip("matplotlib")
-    used = []
-    for warm_up in (True, False):
-        run = subprocess.run(
-            [sys.executable, "-c", use_read_me(warm_up)],
-            cwd=empty_folder,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-            stdout=subprocess.PIPE,
-            text=True,
-            check=True,
-        )
-        used.append(set(json.loads(run.stdout.splitlines()[-1])))
-    assert len(used[1]) > 40
-    assert used[1] - used[0] == set()
+    run = subprocess.run(
+        [sys.executable, "-c", use_read_me()],
+        cwd=empty_folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    used = {name: n for name, n in json.loads(run.stdout.splitlines()[-1]).items() if n}
+    names = [f"navbake.{entry.name}" for entry in [*read_list().bake, *read_list().others]]
+    assert len(used) > 20
+    assert [name for name, n in used.items() if names.count(name) < n] == []
 
 
 AGAIN = """
@@ -145,14 +134,6 @@ def test_a_bake_compiles_nothing_that_was_compiled_before():
     subprocess.run([sys.executable, "-W", "ignore", "-c", AGAIN], cwd=ROOT, check=True)
 
 
-def test_warm_up_reaches_every_kernel():
-    from navbake.cli.commands.warm_up import cold_kernels, compile_all, load_kernels
-
-    compile_all(lambda name, share: None)
-    load_kernels()
-    assert cold_kernels() == []
-
-
 @pytest.mark.skipif("NAVBAKE_EXAMPLES" not in os.environ, reason="it compiles all for minutes")
 def test_the_read_me_runs_where_nothing_can_be_written(empty_folder, tmp_path):
     pytest.importorskip("matplotlib")
@@ -161,13 +142,12 @@ def test_the_read_me_runs_where_nothing_can_be_written(empty_folder, tmp_path):
         ROOT / "navbake", site / "navbake", ignore=shutil.ignore_patterns("__pycache__")
     )
     shutil.copytree(ROOT / "configs", site / "navbake" / "sample_files")  # as a wheel has them
-    for folder in site.rglob("kernels"):
-        (folder / "__pycache__").write_text("")  # a file, so that no folder can be made there
+    (site / "navbake" / "__pycache__").write_text("")  # a file, so that no folder can be made there
     place = str(tmp_path / "file")
     Path(place).write_text("")
     env = {"NUMBA_CACHE_DIR": place, "HOME": place, "XDG_CACHE_HOME": place}
     run = subprocess.run(
-        [sys.executable, "-B", "-c", use_read_me(warm_up=False)],
+        [sys.executable, "-B", "-c", use_read_me()],
         cwd=empty_folder,
         env={**os.environ, "PYTHONPATH": str(site), **env},
         capture_output=True,
@@ -176,12 +156,3 @@ def test_the_read_me_runs_where_nothing_can_be_written(empty_folder, tmp_path):
     assert run.returncode == 0, run.stderr
     assert "compiling in memory" in run.stderr
     assert "set NUMBA_CACHE_DIR" in run.stderr
-
-
-def test_warm_up_says_where_nothing_can_be_kept(monkeypatch, capsys):
-    monkeypatch.setattr("navbake.dispatch.can_keep", lambda: False)
-    with pytest.raises(SystemExit) as done:
-        main(["warm-up"])
-    assert done.value.code == 0
-    out, err = capsys.readouterr()
-    assert out == "" and "nothing can be kept: set NUMBA_CACHE_DIR" in err

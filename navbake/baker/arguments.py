@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from navbake.baker.scene.guard.isolated import CompileLimits
-from navbake.baker.scene.memory import is_in_memory, name_of, open_memory
-from navbake.baker.scene.model import OpenScene
+from navbake.baker.scene.isolated import CompileLimits
+from navbake.baker.scene.model import OpenScene, is_in_memory, name_of, open_memory
 from navbake.baker.scene.names import body_name, names_of
 from navbake.baker.scene.scene import open_file
 from navbake.config.keywords import config_with, memory_config

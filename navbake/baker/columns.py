@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from navbake.baker.gathered import Gathered
 from navbake.baker.kernels.arrays import Band, BandItems, Crossings, Facets, Tiles
 from navbake.baker.kernels.hits import RIM, close_up
-from navbake.baker.kernels.rays import cast_lines, cast_points_at, load_mujoco_library
+from navbake.baker.kernels.rays import cast_lines, cast_points_at
 from navbake.baker.kernels.tiles import BAND, TILE, tile_of
 from navbake.baker.listing import list_by_band, list_by_tile
 from navbake.baker.scene.kernels.triangles import measure_boxes
-from navbake.baker.scene.model import mujoco_library
 from navbake.baker.scene.shapes import Shapes, Triangles
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
@@ -207,12 +206,6 @@ def tile_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> TiledShapes:
     return TiledShapes(shapes, lattice, facets, Tiles(*solids, *triangles))
 
 
-@cache
-def _load_rays() -> None:
-    """Make MuJoCo's rays known to compiled code, once a process."""
-    load_mujoco_library(mujoco_library())
-
-
 def cast_columns(tiled: TiledShapes, rows: Rows | None = None) -> Columns:
     """Cross the vertical line through every cell's centre with all geometry.
 
@@ -224,7 +217,6 @@ def cast_columns(tiled: TiledShapes, rows: Rows | None = None) -> Columns:
         rows: the rows of cells that are asked about, all if None. They become whole `BAND`s.
     """
     lattice, shapes, facets = tiled.lattice, tiled.shapes, tiled.facets
-    _load_rays()
     asked = rows or Rows(0, lattice.height)
     bands = Rows(asked.first // BAND, -(-asked.end // BAND))
     asked = Rows(bands.first * BAND, min(bands.end * BAND, lattice.height))
@@ -254,7 +246,6 @@ def cast_points(tiled: TiledShapes, cells: Int, points: Float) -> Crossings:
         points: x and y of each line, shape (n, 2), world frame [m].
     """
     shapes, heights = tiled.shapes, tiled.heights
-    _load_rays()
     tile = tile_of(tiled.lattice, cells)
     geometry = (shapes.solids, tiled.facets, shapes.planes, tiled.tiles, heights)
     parts: dict[int, Crossings] = {}

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from navbake.baker.arguments import LeftOut, take_input
 from navbake.baker.assemble import build_grid
 from navbake.baker.clock import Progress, StageClock
-from navbake.baker.scene.guard.isolated import CompileLimits
+from navbake.baker.scene.isolated import CompileLimits
 from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.scene import GeomReport
 from navbake.baker.stages import Stages, settle_doors, take_first_look

@@ -37,7 +37,7 @@ from navbake.baker.occupancy.occupancy import (
 from navbake.baker.rooms.overhead import Overhead, OverheadFinder
 from navbake.baker.rooms.rooms import Blocked, Rooms, find_rooms
 from navbake.baker.rooms.segmentation import SpaceFinder
-from navbake.baker.scene.guard.isolated import CompileLimits
+from navbake.baker.scene.isolated import CompileLimits
 from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.keywords import SettingKeywords

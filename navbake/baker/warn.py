@@ -14,8 +14,7 @@ from navbake.baker.floors.patch import Patch
 from navbake.baker.floors.reach import TOLD_AREA, Unreached
 from navbake.baker.floors.tops import LARGE_TOP
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.scene.bodies import find_free_bodies
-from navbake.baker.scene.names import body_name
+from navbake.baker.scene.names import body_name, find_free_bodies
 from navbake.baker.scene.scene import Scene
 from navbake.baker.stages import Stages
 from navbake.config.settings import BakeConfig

@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from navbake.baker.scene.guard.scratch import remove_abandoned
 from navbake.batch.crew import DONE, Ended, Event, JobLimits, do_jobs
 from navbake.batch.done import find_done
 from navbake.batch.full import FullError
@@ -24,7 +23,7 @@ from navbake.batch.stores.urls import Folder
 from navbake.batch.table import NAME as TABLE
 from navbake.batch.table import check_pyarrow, encode_rows
 from navbake.batch.work import DIGITS, FAILED, LEFT, OK, Order, do_order, fail, prepare, row_of
-from navbake.files import remove_leftovers
+from navbake.files import remove_abandoned, remove_leftovers
 from navbake.types import Json
 
 UNSHARED = ("memory",)  # schemes of URLs whose files no other process has

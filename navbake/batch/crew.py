@@ -12,6 +12,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import tempfile
 import time
 import traceback
 from collections import deque
@@ -19,11 +20,12 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from multiprocessing.connection import Connection, wait
+from pathlib import Path
 from typing import Any, NamedTuple
 
-from navbake.baker.scene.guard.child import end_with_parent, ending_of, limit_memory
-from navbake.baker.scene.guard.scratch import scratch_file
 from navbake.errors import NavbakeError, printable
+from navbake.files import create_temporary
+from navbake.processes import end_with_parent, ending_of, limit_memory
 
 START_SECONDS = 300.0  # what a worker may take until it is ready; machines are busy
 MOST_FAILED_STARTS = 3  # in a row, before the crew gives up
@@ -112,7 +114,7 @@ class _Worker:
         self.number = number
         context = multiprocessing.get_context("spawn")
         self.connection, self._theirs = context.Pipe()
-        self._stderr, self._stderr_path = scratch_file()
+        self._stderr, self._stderr_path = create_temporary(Path(tempfile.gettempdir()), 0o600)
         given = (self._theirs, work, limits.memory, os.getpid(), str(self._stderr_path))
         self.process = context.Process(target=_serve, args=given, daemon=True)
         self.is_ready = False

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from navbake._version import __version__
-from navbake.baker.scene.guard.scratch import scratch_folder
 from navbake.batch.file_states import (
     Places,
     are_unchanged,
@@ -38,7 +37,7 @@ from navbake.batch.stores.urls import is_url, join, parent, shown, split_url
 from navbake.config.settings import YAML_SUFFIXES
 from navbake.config.yaml_text import override_key, parse_yaml
 from navbake.errors import ConfigError, NavbakeError
-from navbake.files import TEMPORARY
+from navbake.files import TEMPORARY, scratch_folder
 from navbake.formats.scene_files import Folders
 from navbake.types import Json
 

@@ -18,8 +18,6 @@ from navbake import samples
 from navbake._version import __version__
 from navbake.auditor.audit import audit
 from navbake.baker.pipeline import run_bake
-from navbake.baker.scene.guard.child import lacked_memory
-from navbake.baker.scene.guard.scratch import scratch_folder
 from navbake.batch.file_states import Places, describe_files
 from navbake.batch.full import FullError, telling_full
 from navbake.batch.job import Job
@@ -36,12 +34,12 @@ from navbake.batch.remote import is_remote, make_remote, name_source, remove_rem
 from navbake.batch.settings import digest_settings, settings_of
 from navbake.batch.stores.urls import Folder
 from navbake.config.settings import BakeConfig, load_config
-from navbake.dispatch import IS_HELPER
 from navbake.errors import NavbakeError, printable
-from navbake.files import without_waiting
+from navbake.files import scratch_folder, without_waiting
 from navbake.formats.navgrid import write_navgrid
 from navbake.formats.scene_files import look_for_inputs
 from navbake.navgrid.grid import NavGrid
+from navbake.processes import lacked_memory
 from navbake.types import Json
 
 OK, FAILED, LEFT = "ok", "failed", "left"
@@ -82,7 +80,6 @@ def key_of(order: Order, config: BakeConfig) -> str:
 
 def prepare(products: Sequence[Product], thumbnail: bool) -> None:
     """Make all of a sample, so that no scene pays for loading what that needs."""
-    os.environ[IS_HELPER] = "1"  # all cores have a worker already
     config = load_config(samples.path("apartment"), ["grid.cell_size=0.5"])
     grid = run_bake(config, threads=1).grid
     with scratch_folder() as folder:

@@ -59,13 +59,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         # names of geoms and files may hold what the terminal's encoding lacks
         sys.stdout.reconfigure(errors="backslashreplace")
-    logger, handler = logging.getLogger("navbake.compiled"), _LogPrinter()
-    logger.addHandler(handler)
+    logging.getLogger("navbake.compiled").handlers[:] = [_LogPrinter()]
     try:
         try:
             app(None if arguments is None else list(arguments), prog_name="navbake")
         finally:  # what is buffered may not fit any more, either
-            logger.removeHandler(handler)
             if sys.stdout is not None:
                 sys.stdout.flush()
     except NavbakeError as error:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from navbake import dispatch
 from navbake.cli.printing import is_terminal
 from navbake.errors import printable
 from navbake.lazy import lazy
@@ -14,15 +13,10 @@ from navbake.lazy import lazy
 console = lazy("rich.console")  # nothing is drawn where there is no terminal
 progress = lazy("rich.progress")
 
-COMPILING = "compiling for this machine, once"
-
 
 @contextmanager
 def stage_progress(title: str, hidden: bool = False) -> Iterator[Callable[[str, float], None]]:
-    """A bar for each stage on the terminal's stderr; nothing where stderr is no terminal.
-
-    One more tells how many kernels of how many are compiled, where some are not.
-    """
+    """A bar for each stage on the terminal's stderr; nothing where stderr is no terminal."""
     if hidden or not is_terminal(sys.stderr):
         yield lambda stage, fraction: None
         return
@@ -37,18 +31,8 @@ def stage_progress(title: str, hidden: bool = False) -> Iterator[Callable[[str, 
             tasks[stage] = bars.add_task(stage, total=1.0)
         bars.update(tasks[stage], completed=fraction)
 
-    def show_compiled(done: int, total: int) -> None:
-        if COMPILING not in tasks:
-            tasks[COMPILING] = bars.add_task(COMPILING)
-        description = f"{COMPILING}: {done} of {total}"
-        bars.update(tasks[COMPILING], description=description, completed=done, total=total)
-
     with bars:
-        dispatch.watch = show_compiled
-        try:
-            yield show
-        finally:
-            dispatch.watch = None
+        yield show
 
 
 @contextmanager

@@ -20,7 +20,6 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError
 
-from navbake.baker.scene.chatter import catch_chatter
 from navbake.baker.scene.scene import Scene
 from navbake.errors import SceneError
 from navbake.types import Bool, Float, Int, Json
@@ -266,8 +265,7 @@ class _Builder:
             world.add_geom(**settings)
             facing.setdefault(number, []).append(len(self._items) + 2 + more)
         try:
-            with catch_chatter():
-                model = self._spec.compile()
+            model = self._spec.compile()
         except (ValueError, mujoco.FatalError) as error:
             text = " ".join(str(error).split())[:300]
             raise SceneError(f"MuJoCo can't hold the shapes that count: {text}") from error

@@ -11,10 +11,8 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from navbake.baker.scene.bodies import find_subtree_ends, geoms_of_bodies
-from navbake.baker.scene.memory import is_in_memory, name_of, open_memory
-from navbake.baker.scene.model import OpenScene
-from navbake.baker.scene.names import body_name
+from navbake.baker.scene.model import OpenScene, is_in_memory, name_of, open_memory
+from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.keywords import memory_config
 from navbake.config.settings import (

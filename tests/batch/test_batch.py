@@ -28,7 +28,6 @@ from navbake.batch.index import NAME, only_batch, read_index
 from navbake.batch.manifest import list_jobs
 from navbake.batch.products import NOTE
 from navbake.config.settings import load_config
-from navbake.dispatch import IS_HELPER
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, SceneError
 from project_paths import ROOT
 
@@ -746,7 +745,6 @@ def test_workers_make_all_that_is_asked_for_before_their_first_scene(monkeypatch
             folders.append(folder)
             raise ConfigError("it can't be made of the sample")
 
-    monkeypatch.setenv(IS_HELPER, "")
     monkeypatch.setattr(work, "write_thumbnail", lambda grid, folder: folders.append(folder))
     work.prepare((), True)
     work.prepare((Fake(),), True)

@@ -17,7 +17,6 @@ import pytest
 
 import crew_jobs
 from navbake import files
-from navbake.baker.scene.guard.scratch import remove_abandoned
 from navbake.batch import crew
 from navbake.batch.crew import (
     AGAIN,
@@ -32,6 +31,7 @@ from navbake.batch.crew import (
     do_jobs,
 )
 from navbake.errors import NavbakeError
+from navbake.files import remove_abandoned
 from project_paths import ROOT
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="how Linux ends and limits processes")

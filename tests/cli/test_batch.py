@@ -24,16 +24,13 @@ from navbake import files
 from navbake.batch import index, journal
 from navbake.batch.stores.index import TakenOverError
 from navbake.cli.commands import batch as command
-from navbake.cli.commands import warm_up
 from navbake.errors import NavbakeError
 from navbake.files import TEMPORARY
 from navbake.formats.navgrid import read_navgrid
-from navbake.kernel_list import read_list
 from report_pages import content_of_batch
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="how Linux ends processes")
 COUNT = 12
-COMMON = "navbake." + read_list().entries[0].name  # of the kernels that any bake calls
 COARSE = ("--set", "grid.cell_size=0.1")
 
 
@@ -199,16 +196,12 @@ def test_a_cluster_is_asked_for_by_name(folder, run, monkeypatch):
 
 def test_what_is_cold_is_compiled_once_before_workers_start(folder, run, here, monkeypatch):
     compiled = []
-    monkeypatch.setattr(command, "compile_all", lambda show: compiled.append(1))
-    monkeypatch.setattr(warm_up, "cold_kernels", lambda: ["navbake.runtime.kernels.a.b"])
+    monkeypatch.setattr("navbake.compiled.warm_up", lambda: compiled.append(1))
     run("batch", "room.xml", "-o", "out", *COARSE)
-    assert not compiled
-    monkeypatch.setattr(warm_up, "cold_kernels", lambda: [COMMON])
+    assert compiled == [1]
     run("batch", "room.xml", "-o", "out", *COARSE)
-    assert not compiled  # there was nothing to bake
-    run("batch", "room.xml", "-o", "else", *COARSE)
-    assert compiled
-    monkeypatch.setattr("navbake.dispatch.can_keep", lambda: False)
+    assert compiled == [1]  # there was nothing to bake
+    monkeypatch.setattr("navbake.compiled.cache_folder", lambda: None)
     assert "each worker compiles its own" in run("batch", "room.xml", "-o", "third", *COARSE)[2]
 
 

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 
 from navbake.navgrid.kernels.union_find import find_root, unite
+
+# parts of kernels as functions that Python can call
+find_root = numba.njit(find_root.py_func)
+unite = numba.njit(unite.py_func)
 
 
 def test_roots_are_the_lowest_members_whatever_the_order():

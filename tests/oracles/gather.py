@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +18,14 @@ from navbake.baker.kernels.overlap import (
     triangle_meets_prism,
 )
 from navbake.baker.kernels.solids import part_of_solid
+
+# parts of kernels as functions that Python can call
+make_simplex = numba.njit(make_simplex.py_func)
+plane_meets_prism = numba.njit(plane_meets_prism.py_func)
+part_of_solid = numba.njit(part_of_solid.py_func)
+line_is_blocked = numba.njit(line_is_blocked.py_func)
+triangle_meets_prism = numba.njit(triangle_meets_prism.py_func)
+make_polygons = numba.njit(make_polygons.py_func)
 
 SIMPLEX, POLYGONS = make_simplex(), make_polygons()
 

@@ -1,11 +1,22 @@
 """Lines over cells: what they touch and what they cost, against looking at every cell."""
 
+import numba
 import numpy as np
 import pytest
 
 from navbake.runtime.kernels.arrays import EAST, SOUTH, Rect
 from navbake.runtime.kernels.lines import crossed_cells, is_walkable, line_cost
 from navbake.runtime.kernels.routes import Footing, find_moves
+
+# parts of kernels as functions that Python can call
+crossed_cells = numba.njit(crossed_cells.py_func)
+is_walkable = numba.njit(is_walkable.py_func)
+line_cost = numba.njit(line_cost.py_func)
+
+# parts of kernels as functions that Python can call
+crossed_cells = numba.njit(crossed_cells.py_func)
+is_walkable = numba.njit(is_walkable.py_func)
+line_cost = numba.njit(line_cost.py_func)
 
 WIDTH, HEIGHT = 9, 7
 RECT = Rect(first=0, width=WIDTH, height=HEIGHT)

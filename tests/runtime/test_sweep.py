@@ -2,11 +2,18 @@
 
 import math
 
+import numba
 import numpy as np
 import pytest
 
 from navbake.runtime.kernels.arrays import Rect
 from navbake.runtime.kernels.lines import disc_passes
+
+# parts of kernels as functions that Python can call
+disc_passes = numba.njit(disc_passes.py_func)
+
+# parts of kernels as functions that Python can call
+disc_passes = numba.njit(disc_passes.py_func)
 
 WIDTH, HEIGHT = 12, 9
 

@@ -9,9 +9,15 @@ from typing import Any
 import numpy as np
 
 from navbake.baker.contents.structure import Carriers
-from navbake.baker.scene.bodies import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.extents import Extents
-from navbake.baker.scene.names import all_names, body_name, names_of, warn_unmatched
+from navbake.baker.scene.names import (
+    all_names,
+    body_name,
+    find_subtree_ends,
+    geoms_of_bodies,
+    names_of,
+    warn_unmatched,
+)
 from navbake.baker.scene.scene import Scene
 from navbake.types import Bool, Float, Int
 

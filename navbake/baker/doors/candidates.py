@@ -9,10 +9,15 @@ from functools import cached_property
 import numpy as np
 
 from navbake.baker.kernels.constants import HINGE, SLIDE
-from navbake.baker.scene.bodies import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.extents import Extents, measure_geoms
-from navbake.baker.scene.names import all_names, joint_name, warn_unmatched
+from navbake.baker.scene.names import (
+    all_names,
+    find_subtree_ends,
+    geoms_of_bodies,
+    joint_name,
+    warn_unmatched,
+)
 from navbake.baker.scene.pose import data_with_joints
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes

@@ -1,4 +1,4 @@
-"""Kernels: arrays and tuples of them in and out, compiled by numba and cached on disk.
+"""Compiled functions of plain arrays and tuples of them, see `navbake.compiled`.
 
 A helper with ``inline="always"`` becomes part of its caller's code before types are inferred. As a
 function of its own it would be optimized once more in each kernel that reaches it, and its tuples
@@ -7,18 +7,5 @@ inlined. No kernel is parallel: `navbake.threads` calls it for ranges of its wor
 
 numba counts the references to an array at each use, by an atomic instruction, and each helper that
 is inlined is such a use: half of the time of some loops. A function that allocates nothing needs no
-counts, as its caller keeps the arrays alive: it is made with ``njit(cache=True, **UNCOUNTED)``, see
-`navbake.compiled`.
+counts, as its caller keeps the arrays alive: it is made with ``**UNCOUNTED``.
 """
-
-from numba import njit
-
-from navbake.compiled import drop_stale_caches
-
-
-@njit(cache=True)
-def _cached() -> None:
-    """Tells where numba keeps the kernels of this folder."""
-
-
-drop_stale_caches(_cached)

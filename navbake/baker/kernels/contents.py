@@ -12,7 +12,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from navbake.baker.kernels.arrays import Band, Crossings, Prism, Probe
 from navbake.baker.kernels.constants import SAME, TOUCH
@@ -43,7 +42,7 @@ from navbake.baker.kernels.tiles import (
     center_of,
     tile_window,
 )
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Bool, Float, Int
 
 
@@ -88,7 +87,7 @@ class TileQuestion(NamedTuple):
     probe: Probe
 
 
-@njit(cache=True)
+@part
 def _make_tile_cells():
     square = (TILE, TILE)
     return TileCells(
@@ -105,13 +104,13 @@ def _make_tile_cells():
     )
 
 
-@njit(inline="always")
+@part(inline="always")
 def _reach(lattice, footprint):
     """How far from its centre a cell looks for geoms: a hair beyond, see `facet_meets_prism`."""
     return max(lattice.cell_size / 2, footprint.square, footprint.radius) + 2.0 * TOUCH
 
 
-@njit(inline="always")
+@part(inline="always")
 def _column(lattice, row, col, cells, reach):
     """All of a cell's column; NaN heights where there is no floor."""
     x, y = center_of(lattice, row, col)
@@ -119,7 +118,7 @@ def _column(lattice, row, col, cells, reach):
     return Prism(x, y, cells.floor[cell], cells.ceiling[cell], reach, reach)
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def count_candidates(lattice, solids, planes, tiles, groups, footprint, cells, first, end):
     """Count for each cell with a floor the geoms whose boxes meet its column: an upper bound.
 
@@ -150,7 +149,7 @@ def count_candidates(lattice, solids, planes, tiles, groups, footprint, cells, f
                             slot[row * lattice.width + col + 1] += 1
 
 
-@njit(inline="always")
+@part(inline="always")
 def _volumes(asked, column):
     """What is asked about in a cell's column."""
     footprint, probe = asked.footprint, asked.probe
@@ -164,7 +163,7 @@ def _volumes(asked, column):
     )
 
 
-@njit(inline="always")
+@part(inline="always")
 def _add(cells, cell, count, geom, flags):
     """Insert an entry into a cell's list, which is sorted by geom; the list's new length."""
     if not flags & STANDS:
@@ -180,7 +179,7 @@ def _add(cells, cell, count, geom, flags):
     return count + 1
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _begin(asked, planes, cells, here):
     """Note what is known of a tile's cells, and list the planes in them."""
     lattice, window, crossings, footprint, _ = asked
@@ -214,7 +213,7 @@ def _begin(asked, planes, cells, here):
             here.length[r, c], here.by_line[r, c], here.known[r, c] = count, by_line, known
 
 
-@njit(inline="always")
+@part(inline="always")
 def _ask_lines(asked, window, boxes, i, geom, cells, here):
     """Ask the lines of the cells near a solid or a group of triangles, by its box.
 
@@ -244,7 +243,7 @@ def _ask_lines(asked, window, boxes, i, geom, cells, here):
             _note_open(here, r, c, wanted & ~flags, volumes)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _note_open(here, r, c, flags, volumes):
     """Note that flags are still asked about a cell."""
     for k, volume in enumerate(volumes):
@@ -254,7 +253,7 @@ def _note_open(here, r, c, flags, volumes):
             here.band[k, 1] = max(here.band[k, 1], volume.high)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _cells_open_between(here, low, high):
     """The cells about which something is still asked between two heights, a bit each."""
     cells = 0
@@ -264,7 +263,7 @@ def _cells_open_between(here, low, high):
     return cells
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _list_geom(asked, shapes, tiles, groups, is_solid, n, cells, here):
     """Add a geom to the lists of the cells over a tile that it stands in or blocks.
 
@@ -318,7 +317,7 @@ def _list_geom(asked, shapes, tiles, groups, is_solid, n, cells, here):
                 here.length[r, c] = _add(cells, cell, here.length[r, c], geom, here.flags[r, c])
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _list_tile(tile, asked, shapes, tiles, groups, cells, here):
     """List what stands in the cells of a tile or blocks them."""
     _begin(asked, shapes[2], cells, here)
@@ -328,7 +327,7 @@ def _list_tile(tile, asked, shapes, tiles, groups, cells, here):
             _list_geom(asked, shapes, tiles, groups, is_solid, n, cells, here)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def list_geoms(lattice, crossings, shapes, tiles, groups, footprint, probe, cells, first, end):
     """List for each cell with a floor the geoms that stand in it or block it.
 
@@ -345,7 +344,7 @@ def list_geoms(lattice, crossings, shapes, tiles, groups, footprint, probe, cell
         _list_tile(tile, asked, shapes, tiles, groups, cells, here)
 
 
-@njit(cache=True, **UNCOUNTED)
+@kernel(**UNCOUNTED)
 def describe_floors(floors, crossings, min_up, support):
     """Find which geom carries each cell's floor, and how far below the next floor lies.
 
@@ -371,7 +370,7 @@ def describe_floors(floors, crossings, min_up, support):
                 support.gap[cell] = floor - z[i]
 
 
-@njit(cache=True, **UNCOUNTED)
+@kernel(**UNCOUNTED)
 def count_supports(support, standable, limit, covering, counts):
     """Count the cells of one storey by the geom that carries their floor.
 
@@ -392,7 +391,7 @@ def count_supports(support, standable, limit, covering, counts):
         counts.stood_on[geom] |= standable[i]
 
 
-@njit(cache=True, **UNCOUNTED)
+@kernel(**UNCOUNTED)
 def mark_cells(start, chosen, marked):
     """Mark the cells with a chosen entry in their lists; see `LevelContents` for `start`."""
     for cell in range(marked.shape[0]):
@@ -400,7 +399,7 @@ def mark_cells(start, chosen, marked):
             marked[cell] |= chosen[i]
 
 
-@njit(cache=True, **UNCOUNTED)
+@kernel(**UNCOUNTED)
 def measure_over_floors(listed, floors, extents, base, rise, area, upper_area):
     """Measure how a storey's geoms stand over its floors, into four (geoms,) arrays.
 

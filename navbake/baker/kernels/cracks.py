@@ -9,7 +9,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from navbake.baker.kernels.arrays import Band, Crossings
 from navbake.baker.kernels.constants import SAME, SLACK, TOUCH
@@ -17,7 +16,7 @@ from navbake.baker.kernels.hits import make_hits
 from navbake.baker.kernels.overlap import ANY_GEOM, line_is_blocked
 from navbake.baker.kernels.rays import cast_line, make_ray, most_hits
 from navbake.baker.kernels.tiles import cell_center
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Bool, Float, Int
 
 # The eight ways to a neighbour, by row and column
@@ -27,7 +26,7 @@ COL_STEP = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 AXES = (0, 1, 4, 5)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _cell_beside(lattice, place, way, distance):
     """The cell so many cells away from a place, its row and column, or -1 beyond the lattice."""
     row, col = place[0] + ROW_STEP[way] * distance, place[1] + COL_STEP[way] * distance
@@ -36,7 +35,7 @@ def _cell_beside(lattice, place, way, distance):
     return np.int64(-1)
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _continues(crossings, cell, low, high, limits):
     """Whether a cell has a surface between two heights that is not too steep to stand on."""
     for i in range(crossings.start[cell], crossings.start[cell + 1]):
@@ -46,7 +45,7 @@ def _continues(crossings, cell, low, high, limits):
     return False
 
 
-@njit(inline="always")
+@part(inline="always")
 def _has_room(crossings, cell, i, limits):
     """Whether a crossing of a cell faces up within the slope, with room for an agent."""
     if crossings.normal[i, 2] < limits.min_up:
@@ -55,7 +54,7 @@ def _has_room(crossings, cell, i, limits):
     return not line_is_blocked(crossings, cell, Band(low, high), ANY_GEOM)
 
 
-@njit(inline="always")
+@part(inline="always")
 def mark_standable(crossings, cell, limits, stands):
     """Note for each crossing of a cell whether it has room, as `_has_room`; all from above.
 
@@ -76,14 +75,14 @@ def mark_standable(crossings, cell, limits, stands):
     return only if count == 1 else np.nan
 
 
-@njit(inline="always")
+@part(inline="always")
 def _slope(crossings, i):
     """How steep a crossed surface that faces up is: rise over run."""
     nx, ny, nz = crossings.normal[i, 0], crossings.normal[i, 1], crossings.normal[i, 2]
     return math.hypot(nx, ny) / nz
 
 
-@njit(inline="always")
+@part(inline="always")
 def _go_on(crossings, stands, one, other, limits):
     """Whether all that an agent can stand on in one cell goes on in another, within a step.
 
@@ -102,7 +101,7 @@ def _go_on(crossings, stands, one, other, limits):
     return True
 
 
-@njit(inline="always")
+@part(inline="always")
 def _floors_end(lattice, crossings, room, place, axis, reach, limits):
     """Whether floors end at a place on both sides of it, at most so many cells away.
 
@@ -120,7 +119,7 @@ def _floors_end(lattice, crossings, room, place, axis, reach, limits):
     return True
 
 
-@njit(inline="always")
+@part(inline="always")
 def _lower_side(crossings, stands, cell, z, slope, distance, limits):
     """A floor in a cell at a height or below it, or NaN: by a step, and by what slopes make.
 
@@ -136,7 +135,7 @@ def _lower_side(crossings, stands, cell, z, slope, distance, limits):
     return np.nan
 
 
-@njit(inline="always")
+@part(inline="always")
 def _lower_side_of_gap(lattice, crossings, limits, reach, stands, place, way, distance, i):
     """The floor at the far side of a gap, below the i-th crossing on the near side, or NaN.
 
@@ -160,7 +159,7 @@ def _lower_side_of_gap(lattice, crossings, limits, reach, stands, place, way, di
     return np.nan if line_is_blocked(crossings, cell, band, ANY_GEOM) else beside
 
 
-@njit(inline="always")
+@part(inline="always")
 def is_even(only, cell, width, reach, step):
     """Whether on each axis one side of a cell is within a step of it, by the heights in `only`.
 
@@ -177,7 +176,7 @@ def is_even(only, cell, width, reach, step):
     return True
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def gaps_of_cell(lattice, crossings, limits, reach, room, place, low, high):
     """Write the gaps of one cell, unless there is no room for them; returns their number."""
     count, last, stands = 0, np.inf, room.stands
@@ -227,7 +226,7 @@ class GapRoom(NamedTuple):
 MARK, COUNT, WRITE = range(3)
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def find_gaps(lattice, crossings, limits, reach, room, task, first, end):
     """Find gaps in floors: cells that have none where cells on both sides have; in three rounds.
 
@@ -267,7 +266,7 @@ def find_gaps(lattice, crossings, limits, reach, room, task, first, end):
                 start[cell + 1] = count
 
 
-@njit(cache=True)
+@kernel
 def count_gaps(lattice, crossings, limits, reach, room, cells, counts):
     """Count the gaps of some cells, (n,) int64, into `counts`, (n,) int64; see `find_gaps`.
 
@@ -285,7 +284,7 @@ def count_gaps(lattice, crossings, limits, reach, room, cells, counts):
         )
 
 
-@njit(inline="always")
+@part(inline="always")
 def _copy_crossings(source, first, last, into, place):
     """Copy crossings from the first to before the last to a place of others."""
     for i in range(last - first):  # array by array, as memory is copied fastest
@@ -299,7 +298,7 @@ def _copy_crossings(source, first, last, into, place):
             into.normal[place + i, axis] = source.normal[first + i, axis]
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def splice_columns(old, new, cells, replaced, first, end):
     """Write columns of which some are replaced; of the cells ``range(first, end)``.
 
@@ -347,7 +346,7 @@ class Found(NamedTuple):
     standable: Float
 
 
-@njit(inline="always")
+@part(inline="always")
 def _find_floor(crossings, low, high, limits, n, found):
     """Find the floors in the one column of the crossings, and write them as the n-th."""
     reach = limits.step + SLACK
@@ -363,7 +362,7 @@ def _find_floor(crossings, low, high, limits, n, found):
             break
 
 
-@njit(inline="always")
+@part(inline="always")
 def _probe_line(gaps, geometry, limits, gap, offset, room, n, found):
     """Find the floors on a line beside the centre of a gap's cell, and write them as the n-th.
 
@@ -382,7 +381,7 @@ def _probe_line(gaps, geometry, limits, gap, offset, room, n, found):
     return ray, hits, start
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def probe_lines(gaps, geometry, limits, asked, found, first, end):
     """Find the floors that continue the sides of gaps, on lines beside their cells' centres.
 
@@ -399,7 +398,7 @@ def probe_lines(gaps, geometry, limits, asked, found, first, end):
         room = _probe_line(gaps, geometry, limits, gap, offset, room, n, found)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def find_open(gaps, geometry, limits, offsets, run, is_open, first, end):
     """Tell which gaps are open to a side: a number of neighbouring ways round lead to no floor.
 

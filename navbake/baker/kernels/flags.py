@@ -7,8 +7,6 @@ adds flags to those that are known already.
 
 from typing import NamedTuple
 
-from numba import njit
-
 from navbake.baker.kernels.arrays import Prism
 from navbake.baker.kernels.constants import APART, MEETS
 from navbake.baker.kernels.gjk import DISC, SQUARE
@@ -18,7 +16,7 @@ from navbake.baker.kernels.overlap import (
     plane_meets_prism,
 )
 from navbake.baker.kernels.solids import part_of_solid
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, part
 
 # It stands in the cell, it meets the occupancy's volume, it meets the square in the probed band,
 # and it meets the occupancy's volume or not, without a proof either way
@@ -39,7 +37,7 @@ class Volumes(NamedTuple):
     probed: Prism
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def line_flags(crossings, cell, geom, volumes):
     """The flags that a cell's line alone proves of a geom: `line_is_blocked` for each volume."""
     stands, blocks, probed = volumes
@@ -72,7 +70,7 @@ def line_flags(crossings, cell, geom, volumes):
     return flags | (PROBED if in_probed > 0 else 0)
 
 
-@njit(inline="always")
+@part(inline="always")
 def plane_flags(planes, p, volumes, is_taken, flags):
     """Add what the half-space behind a plane meets; `is_taken` tells if anything may block."""
     if plane_meets_prism(planes, p, volumes.stands):
@@ -82,7 +80,7 @@ def plane_flags(planes, p, volumes, is_taken, flags):
     return flags
 
 
-@njit(inline="always")
+@part(inline="always")
 def triangle_flags(facets, t, volumes, flags, wanted, polygons):
     """Add what a triangle meets of the wanted flags."""
     for flag, prism in (
@@ -97,7 +95,7 @@ def triangle_flags(facets, t, volumes, flags, wanted, polygons):
     return flags
 
 
-@njit(inline="always")
+@part(inline="always")
 def solid_flags(solids, s, volumes, flags, wanted, simplex):
     """Add what a solid meets of the wanted flags."""
     is_open = False

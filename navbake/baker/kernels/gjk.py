@@ -18,7 +18,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from navbake.baker.kernels.constants import (
     APART,
@@ -29,7 +28,7 @@ from navbake.baker.kernels.constants import (
     MEETS,
     UNDECIDED,
 )
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, part
 from navbake.types import Bool, Float
 
 MOST_STEPS = 128
@@ -55,7 +54,7 @@ class Simplex(NamedTuple):
     trial: Float
 
 
-@njit(cache=True)
+@part
 def make_simplex():
     """An empty simplex."""
     return Simplex(
@@ -63,7 +62,7 @@ def make_simplex():
     )
 
 
-@njit(inline="always")
+@part(inline="always")
 def _support_solid(kind, pos, mat, size, dx, dy, dz, out):
     """The farthest point of a solid along a direction, into out."""
     # direction in the solid's own frame: transpose of the row-major matrix
@@ -101,7 +100,7 @@ def _support_solid(kind, pos, mat, size, dx, dy, dz, out):
     out[2] = pos[2] + mat[6] * px + mat[7] * py + mat[8] * pz
 
 
-@njit(inline="always")
+@part(inline="always")
 def _subtract_prism(prism, is_round, dx, dy, dz, out):
     """Take the prism's farthest point along a direction off a point, in place."""
     if is_round:
@@ -119,12 +118,12 @@ def _subtract_prism(prism, is_round, dx, dy, dz, out):
     out[2] -= (prism.low + prism.high) / 2.0 + (half_z if dz > 0.0 else -half_z)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(inline="always")
+@part(inline="always")
 def _nearest_on_segment(a, b, keep, v):
     """Nearest point of a segment to the origin into v; keep says which ends it needs."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -142,7 +141,7 @@ def _nearest_on_segment(a, b, keep, v):
         keep[0], keep[1] = True, True
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _nearest_on_triangle(a, b, c, keep, v):
     """Nearest point of a triangle to the origin into v (Voronoi regions of its features)."""
     keep[0], keep[1], keep[2] = False, False, False
@@ -197,7 +196,7 @@ def _nearest_on_triangle(a, b, c, keep, v):
     keep[0], keep[1], keep[2] = True, True, True
 
 
-@njit(inline="always")
+@part(inline="always")
 def _origin_outside(a, b, c, d):
     """Whether the origin lies beyond the face a, b, c of a tetrahedron, or d in its plane."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -216,7 +215,7 @@ def _origin_outside(a, b, c, d):
 FACES = np.array([[0, 1, 2, 3], [0, 1, 3, 2], [0, 2, 3, 1], [1, 2, 3, 0]])
 
 
-@njit(inline="always")
+@part(inline="always")
 def _nearest_on_faces(simplex, num):
     """Nearest point to the origin into v of a triangle, or of a tetrahedron if `num` is 4.
 
@@ -241,7 +240,7 @@ def _nearest_on_faces(simplex, num):
     return outside
 
 
-@njit(inline="always")
+@part(inline="always")
 def _reduce(simplex, num):
     """Reduce a simplex to the part that is nearest to the origin, and put that point into v.
 
@@ -269,7 +268,7 @@ def _reduce(simplex, num):
     return kept
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def solid_meets_prism(solids, s, prism, is_round, simplex):
     """Does a solid meet a prism's disc (`is_round`), or its square? UNDECIDED without a proof."""
     kind, pos, mat, size = solids.kind[s], solids.pos[s], solids.mat[s], solids.size[s]

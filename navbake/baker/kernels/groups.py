@@ -6,9 +6,7 @@ one another in the tiles' list, and where a group begins is where the one before
 
 from typing import NamedTuple
 
-from numba import njit
-
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, kernel
 from navbake.types import Float, Int
 
 
@@ -26,7 +24,7 @@ class Groups(NamedTuple):
     box: Float
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def count_groups(facets, tiles, count, first, end):
     """Count the groups of the tiles ``range(first, end)``, into (tiles,) int64."""
     geoms, items = facets.geom, tiles.triangle_item
@@ -38,7 +36,7 @@ def count_groups(facets, tiles, count, first, end):
                 count[tile] += 1
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def fill_groups(facets, tiles, groups, first, end):
     """Write the groups of the tiles ``range(first, end)``; `start` is known."""
     for tile in range(first, end):

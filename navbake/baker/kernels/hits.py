@@ -11,12 +11,11 @@ as it was entered. Else all that lies below would count as inside of it.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from navbake.baker.kernels.constants import OPEN_SURFACE, SAME
 from navbake.baker.scene.kernels.triangles import unit_normal
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Bool, Float, Int32
 
 # Lines this close to a rim cross it, so that seams between geoms never leak [m]
@@ -46,7 +45,7 @@ class Hits(NamedTuple):
     at_edge: Bool
 
 
-@njit(cache=True)
+@part
 def make_hits(count):
     """Room for some hits of their own."""
     z, normal, geom = np.empty(count), np.empty((count, 3), np.float32), np.empty(count, np.int32)
@@ -54,7 +53,7 @@ def make_hits(count):
     return Hits(z, normal, geom, closed, facet, np.empty(count, np.bool_))
 
 
-@njit(cache=True)
+@part
 def hits_of(crossings, first, last):
     """The part of the crossings from the first to before the last, with scratch."""
     z, normal, geom = crossings.z[first:last], crossings.normal[first:last], crossings.geom
@@ -62,7 +61,7 @@ def hits_of(crossings, first, last):
     return Hits(z, normal, geom[first:last], closed, facet, np.empty(last - first, np.bool_))
 
 
-@njit(cache=True, forceinline=True)
+@part(forceinline=True)
 def copy_hit(hits, source, into, target):
     """Copy a hit to a place of the same hits or of others."""
     into.z[target] = hits.z[source]
@@ -74,7 +73,7 @@ def copy_hit(hits, source, into, target):
     into.at_edge[target] = hits.at_edge[source]
 
 
-@njit(cache=True, forceinline=True)
+@part(forceinline=True)
 def _is_less(one, i, hits, j):
     """Whether a hit comes before another: by height, then geom, undersides first."""
     if one.z[i] != hits.z[j]:
@@ -84,7 +83,7 @@ def _is_less(one, i, hits, j):
     return (one.normal[i, 2] > 0.0) < (hits.normal[j, 2] > 0.0)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _sort(hits, first, last, spare, place):
     """Sort the hits of a line by insertion; `spare` has room for one at a place."""
     for i in range(first + 1, last):
@@ -98,7 +97,7 @@ def _sort(hits, first, last, spare, place):
         copy_hit(spare, place, hits, j)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _has_edge(hits, first, last):
     """Whether any hit of a line is at a triangle's edge; of most lines none is."""
     at_edge = hits.at_edge
@@ -108,14 +107,14 @@ def _has_edge(hits, first, last):
     return False
 
 
-@njit(inline="always")
+@part(inline="always")
 def _is_same_part(hits, i, j, facets):
     """Whether two hits of triangles are of one part of one geom."""
     is_same_geom = hits.geom[i] == hits.geom[j]
     return is_same_geom and facets.part[hits.facet[i]] == facets.part[hits.facet[j]]
 
 
-@njit(inline="always")
+@part(inline="always")
 def _drop_doubles(hits, first, last, facets):
     """Drop hits that two neighbouring triangles of a part have at their shared edge."""
     kept = first
@@ -135,7 +134,7 @@ def _drop_doubles(hits, first, last, facets):
     return kept
 
 
-@njit(inline="always")
+@part(inline="always")
 def _steepest_of_part(hits, first, last, i, facets, side):
     """The steepest hit at an edge of the i-th one's part that faces up (1) or down (-1), or -1."""
     steepest, up = np.int64(-1), 0.0
@@ -148,7 +147,7 @@ def _steepest_of_part(hits, first, last, i, facets, side):
     return steepest
 
 
-@njit(inline="always")
+@part(inline="always")
 def _balance_parts(hits, first, last, facets):
     """Drop hits at edges, so that each closed part is left as often as it is entered."""
     i = first
@@ -174,13 +173,13 @@ def _balance_parts(hits, first, last, facets):
     return last
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _settle_edges(hits, first, last, facets):
     """Drop the hits at edges that make no crossing; returns where those that stay end."""
     return _balance_parts(hits, first, _drop_doubles(hits, first, last, facets), facets)
 
 
-@njit(inline="always")
+@part(inline="always")
 def settle(hits, first, last, facets, spare, place):
     """Turn the hits of a line into crossings: sorted, each once; returns how many were dropped.
 
@@ -196,7 +195,7 @@ def settle(hits, first, last, facets, spare, place):
     return last - kept
 
 
-@njit(cache=True, **UNCOUNTED)
+@kernel(**UNCOUNTED)
 def close_up(crossings):
     """Move crossings up to where hits were dropped before them; returns how many there are."""
     start, count = crossings.start, np.int64(0)

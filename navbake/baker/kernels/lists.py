@@ -5,10 +5,11 @@ high bits down. Equal hashes are no proof, so lists are compared.
 """
 
 import numpy as np
-from numba import njit
+
+from navbake.compiled import kernel, part
 
 
-@njit(cache=True)
+@kernel
 def number_lists(start, value, number):
     """Number ragged lists so that equal ones share a number, by first appearance.
 
@@ -38,7 +39,7 @@ def number_lists(start, value, number):
     return first[:count].copy()
 
 
-@njit(inline="always")
+@part(inline="always")
 def _are_equal(start, value, a, b):
     if start[a + 1] - start[a] != start[b + 1] - start[b]:
         return False

@@ -11,7 +11,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from navbake.baker.kernels.arrays import Band, Prism
 from navbake.baker.kernels.constants import APART, MEETS, TOUCH
@@ -34,7 +33,7 @@ from navbake.baker.kernels.tiles import (
     center_of,
     tile_window,
 )
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Int
 
 
@@ -53,13 +52,13 @@ class Search(NamedTuple):
     polygons: Polygons
 
 
-@njit(cache=True)
+@part
 def _make_search():
     run, first = np.empty((TILE, 2), np.int64), np.empty((TILE, TILE), np.int64)
     return Search(run, first, make_simplex(), make_polygons())
 
 
-@njit(inline="always")
+@part(inline="always")
 def _volume(lattice, row, col, floor, footprint):
     """What has to be free over a cell's floor."""
     x, y = center_of(lattice, row, col)
@@ -67,7 +66,7 @@ def _volume(lattice, row, col, floor, footprint):
     return Prism(x, y, low, high, footprint.square, footprint.radius)
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _check_lines(lattice, crossings, planes, footprint, queries, window, search):
     """Ask the lines of a tile's cells, and planes.
 
@@ -95,13 +94,13 @@ def _check_lines(lattice, crossings, planes, footprint, queries, window, search)
     return still, low, high
 
 
-@njit(inline="always")
+@part(inline="always")
 def _is_of(queries, n, cell):
     """Whether query n, -1 for none, is about a cell."""
     return 0 <= n < queries.cell.shape[0] and queries.cell[n] == cell
 
 
-@njit(inline="always")
+@part(inline="always")
 def _first_from(cells, cell):
     """How many of the cells, which ascend, come before one."""
     first, last = 0, cells.shape[0]
@@ -114,7 +113,7 @@ def _first_from(cells, cell):
     return first
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _check_shapes(tile, shapes, tiles, footprint, queries, search, still_open):
     """Ask the solids and then the triangles over a tile about its open queries.
 
@@ -160,7 +159,7 @@ def _check_shapes(tile, shapes, tiles, footprint, queries, search, still_open):
                         n += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def check_cells(
     lattice, crossings, solids, facets, planes, tiles, footprint, queries, first, end
 ):  # fmt: skip
@@ -173,7 +172,7 @@ def check_cells(
     _check_rows(asked, (lattice, solids, facets), tiles, _make_search(), first, end)
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _check_rows(asked, shapes, tiles, search, first, end):
     """See `check_cells`."""
     lattice, crossings, planes, footprint, queries = asked
@@ -197,7 +196,7 @@ def _check_rows(asked, shapes, tiles, search, first, end):
             _check_shapes(tile, shapes, tiles, footprint, queries, search, still_open)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def lines_blocked(cells, low, high, crossings, out, first, end):
     """Whether each cell's line alone proves that something is between two heights [m], into out."""
     for n in range(first, end):

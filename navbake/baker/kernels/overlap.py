@@ -11,11 +11,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from navbake.baker.kernels.arrays import Prism
 from navbake.baker.kernels.constants import OPEN_SURFACE, TOUCH
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, part
 from navbake.types import Float
 
 # A triangle has at most nine corners when six planes have clipped it
@@ -32,13 +31,13 @@ class Polygons(NamedTuple):
     other: Float
 
 
-@njit(cache=True)
+@part
 def make_polygons():
     """Empty room for two polygons, (12, 3) float64 each."""
     return Polygons(np.empty((MOST_CORNERS, 3)), np.empty((MOST_CORNERS, 3)))
 
 
-@njit(inline="always")
+@part(inline="always")
 def outside(boxes, i, prism):
     """Whether a box is beside a prism; touching is beside it."""
     reach = max(prism.square, prism.radius)
@@ -52,7 +51,7 @@ def outside(boxes, i, prism):
     )
 
 
-@njit(inline="always")
+@part(inline="always")
 def facet_meets_prism(facets, t, prism, polygons):
     """Does a triangle meet a prism, or, if it encloses nothing, the prism with its edges?
 
@@ -67,7 +66,7 @@ def facet_meets_prism(facets, t, prism, polygons):
     return triangle_meets_prism(facets.corners[t], asked, polygons)
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def clip(points, num, out, axis, limit, sign):
     """Keep the part of a polygon where ``sign * (coordinate - limit) >= 0``.
 
@@ -91,14 +90,14 @@ def clip(points, num, out, axis, limit, sign):
     return kept
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def clip_between(points, num, spare, axis, band, out):
     """Keep the part of a polygon between two limits of a coordinate; `out` may be `points`."""
     num = clip(points, num, spare, axis, band[0], 1.0)
     return clip(spare, num, out, axis, band[1], -1.0)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _disc_meets_polygon(points, num, prism):
     """Whether a polygon, seen from above, comes nearer to the disc's middle than its radius."""
     left, right = False, False
@@ -120,7 +119,7 @@ def _disc_meets_polygon(points, num, prism):
     return (left or right) and not (left and right)
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def triangle_meets_prism(corners, prism, polygons):
     """Does a triangle, (3, 3) float64 [m], meet a prism? The polygons are scratch."""
     one, other = polygons.one, polygons.other
@@ -136,7 +135,7 @@ def triangle_meets_prism(corners, prism, polygons):
     return False
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def plane_meets_prism(planes, p, prism):
     """Does the half-space behind an infinite plane meet a prism?"""
     pos, mat = planes.pos[p], planes.mat[p]
@@ -149,7 +148,7 @@ def plane_meets_prism(planes, p, prism):
     return depth - reach < 0.0
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def line_is_blocked(crossings, cell, band, only):
     """Whether a cell's line proves that something is between two heights.
 

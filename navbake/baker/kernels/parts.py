@@ -10,22 +10,22 @@ in one direction as in the other.
 """
 
 import numpy as np
-from numba import njit
 
 from navbake.baker.scene.kernels.shells import sort_keys
+from navbake.compiled import kernel, part
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 # What a triangle is when it belongs to no closed part: one of a sheet, or a copy of another
 SHEET, COPY = np.int32(-1), np.int32(-2)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _opposite(faces, half):
     """The corner of a triangle that is not on one of its edges; edges are numbered 3 f + k."""
     return faces[half // 3, (half % 3 + 2) % 3]
 
 
-@njit(inline="always")
+@part(inline="always")
 def _direction(faces, turned, half):
     """1 for a half-edge that runs to the corner with the higher number, -1 for one that runs back.
 
@@ -36,7 +36,7 @@ def _direction(faces, turned, half):
     return 1 if runs_up != turned[face] else -1
 
 
-@njit(inline="always")
+@part(inline="always")
 def _drop_copies(faces, start, half, part):
     """Mark triangles that have the corners of an earlier one, the same way round.
 
@@ -62,7 +62,7 @@ def _drop_copies(faces, start, half, part):
                 part[keys[i] & 0xFFFFFFFF] = COPY
 
 
-@njit(inline="always")
+@part(inline="always")
 def _is_bare(faces, e, start, half, left, kept):
     """Whether only one triangle is left at an edge, or one and its own back."""
     if left[e] == 1:
@@ -78,7 +78,7 @@ def _is_bare(faces, e, start, half, left, kept):
     return False
 
 
-@njit(inline="always")
+@part(inline="always")
 def _take_at(e, start, half, kept, queue, end):
     """Take away the triangles at an edge, and queue them; returns where the queue ends."""
     for h in half[start[e] : start[e + 1]]:
@@ -89,7 +89,7 @@ def _take_at(e, start, half, kept, queue, end):
     return end
 
 
-@njit(cache=True)
+@part
 def _peel(faces, edge, start, half, kept):
     """Take away triangles with a bare edge until none is left.
 
@@ -116,7 +116,7 @@ def _peel(faces, edge, start, half, kept):
     return left
 
 
-@njit(inline="always")
+@part(inline="always")
 def _partner(e, face, start, half, kept):
     """The half-edge of the other triangle at an edge with two that are left."""
     for h in half[start[e] : start[e + 1]]:
@@ -125,7 +125,7 @@ def _partner(e, face, start, half, kept):
     return np.int64(-1)
 
 
-@njit(cache=True)
+@part
 def _find_patches(faces, edge, start, half, kept, left):
     """Number what hangs together over edges with two triangles: the manifold patches.
 
@@ -166,7 +166,7 @@ def _find_patches(faces, edge, start, half, kept, left):
     return patch, queue, first[: count + 1].copy(), differs
 
 
-@njit(inline="always")
+@part(inline="always")
 def _turn_minority(area, face, first, differs, turned):
     """Turn the triangles of each patch that face to the side that less of its area faces."""
     for p in range(first.shape[0] - 1):
@@ -182,7 +182,7 @@ def _turn_minority(area, face, first, differs, turned):
             turned[f] = differs[f] != (other > one)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _take_away(faces, edge, face, left, turned, balance, sign):
     """Take a triangle's half-edges at edges with more than two from their balance, or add them.
 
@@ -198,7 +198,7 @@ def _take_away(faces, edge, face, left, turned, balance, sign):
     return gain
 
 
-@njit(inline="always")
+@part(inline="always")
 def _drop_membranes(faces, area, edge, left, face, first, turned, kept):
     """Drop patches, the smallest first, if that leaves fewer half-edges without partner.
 
@@ -225,7 +225,7 @@ def _drop_membranes(faces, area, edge, left, face, first, turned, kept):
     return dropped
 
 
-@njit(cache=True)
+@part
 def _unite_patches(faces, start, half, kept, patch, turned, num):
     """Unite patches at the edges that they close for each other, in `num` patches.
 
@@ -258,7 +258,7 @@ def _unite_patches(faces, start, half, kept, patch, turned, num):
     return parent, is_open
 
 
-@njit(cache=True)
+@kernel
 def find_parts(faces, area, edge, start, half):
     """Find the closed parts of a mesh.
 

@@ -14,12 +14,11 @@ twice as far from all edges as RIM is told without.
 import math
 
 import numpy as np
-from numba import njit
 
 from navbake.baker.kernels.hits import AT_EDGE, INSIDE, RIM
 from navbake.baker.kernels.tiles import cell_center, centers_between
 from navbake.baker.scene.kernels.triangles import is_upright, unit_normal
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, part
 
 # Edges shorter than this tell nothing without their own length [m]
 SHORT = 1e-6
@@ -29,7 +28,7 @@ NEVER_FAR = (np.inf, np.inf, np.inf)
 NARROW = 4
 
 
-@njit(inline="always")
+@part(inline="always")
 def is_beside(boxes, i, x, y):
     """Whether a line is beside the i-th box by more than RIM."""
     return (
@@ -40,7 +39,7 @@ def is_beside(boxes, i, x, y):
     )
 
 
-@njit(inline="always")
+@part(inline="always")
 def _far_of_edge(corners, t, i, j):
     """The edge function of a line that is twice as far from an edge as RIM."""
     dx, dy = corners[t, j, 0] - corners[t, i, 0], corners[t, j, 1] - corners[t, i, 1]
@@ -48,7 +47,7 @@ def _far_of_edge(corners, t, i, j):
     return 2.0 * RIM * length if length > SHORT else np.inf
 
 
-@njit(inline="always")
+@part(inline="always")
 def _cross_triangle(corners, t, x, y, far):
     """Where the line at (x, y) crosses a triangle, and whether it does.
 
@@ -85,7 +84,7 @@ def _cross_triangle(corners, t, x, y, far):
     return place, z
 
 
-@njit(inline="always")
+@part(inline="always")
 def hit_triangle(facets, t, x, y, far, hits, at, writing):
     """Note that a line crosses a triangle that isn't upright, at a place of the hits.
 
@@ -106,7 +105,7 @@ def hit_triangle(facets, t, x, y, far, hits, at, writing):
     return 1
 
 
-@njit(inline="always")
+@part(inline="always")
 def _span_of_row(corners, t, left, right, y, far):
     """Between which x a triangle may be crossed at some y, within (left, right) [m].
 
@@ -130,7 +129,7 @@ def _span_of_row(corners, t, left, right, y, far):
     return low, high
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def raster_triangles(facets, listed, is_crossed, lattice, rows, hits, end, writing):
     """Note that the lines of the centres that triangles cover cross them.
 

@@ -15,11 +15,13 @@ zero; so one ray through the middle speaks for all that are well inside of the r
 """
 
 import math
+from importlib.util import find_spec
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from llvmlite import binding
-from numba import njit, types
+from numba import types
 
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import BOX, CONVEX_SOLID, CYLINDER, OPEN_SURFACE, PLANE, SPHERE
@@ -36,7 +38,7 @@ from navbake.baker.kernels.hits import (
 from navbake.baker.kernels.raster import NEVER_FAR, hit_triangle, is_beside, raster_triangles
 from navbake.baker.kernels.tiles import BAND, cell_center, centers_between
 from navbake.baker.scene.kernels.triangles import is_upright
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Float
 
 # An eighth of a turn [rad]
@@ -47,6 +49,18 @@ PLANE_KIND = np.int32(PLANE)
 # does; and solids narrower than WIDE ask MuJoCo on all lines [m]
 CLEAR, WIDE = 1e-5, 1e-3
 
+
+def _load_mujoco() -> None:
+    """Make MuJoCo's functions known to compiled code, whoever compiles or calls it first."""
+    folder = Path(find_spec("mujoco").origin).parent  # type: ignore[union-attr,arg-type]
+    for pattern in ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll"):
+        for path in sorted(folder.glob(pattern)):
+            binding.load_library_permanently(str(path))
+            return
+    raise ImportError(f"MuJoCo's shared library is not in {folder}: reinstall mujoco")
+
+
+_load_mujoco()
 _ray_geom = types.ExternalFunction(
     "mju_rayGeom",
     types.float64(
@@ -65,12 +79,7 @@ class Ray(NamedTuple):
     grown: Float
 
 
-def load_mujoco_library(path: str) -> None:
-    """Make MuJoCo's ray functions known to compiled code; once a process."""
-    binding.load_library_permanently(path)
-
-
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _cast(pos, mat, size, kind, point, ray):
     """The distance to a geom along a ray from a point, or -1; its normal there into the ray."""
     return _ray_geom(
@@ -84,7 +93,7 @@ def _cast(pos, mat, size, kind, point, ray):
     )
 
 
-@njit(inline="always")
+@part(inline="always")
 def _cast_at_rim(solids, s, ray):
     """A ray that, where it misses a rim by at most RIM, is moved onto the geom."""
     pos, mat, size, kind = solids.pos[s], solids.mat[s], solids.size[s], solids.kind[s]
@@ -105,14 +114,14 @@ def _cast_at_rim(solids, s, ray):
     return -1.0
 
 
-@njit(inline="always")
+@part(inline="always")
 def _aim(ray, way, low, high):
     """Point a ray up from a height (way 0) or down from another (way 1)."""
     ray.direction[2] = 1.0 if way == 0 else -1.0
     ray.point[2] = low if way == 0 else high
 
 
-@njit(inline="always")
+@part(inline="always")
 def _hit(hits, at, z, normal, up, geom):
     """Note what a line hits that is no triangle; all but `closed` and `facet`."""
     hits.z[at] = z
@@ -121,7 +130,7 @@ def _hit(hits, at, z, normal, up, geom):
     hits.at_edge[at] = INSIDE
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _hit_solid(solids, s, x, y, ray, hits, at):
     """Note where a line enters and leaves a solid, at a place of the hits; returns how often."""
     box, count = solids.bounds[s], np.int64(0)
@@ -140,7 +149,7 @@ def _hit_solid(solids, s, x, y, ray, hits, at):
     return count
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _hit_plane(planes, p, x, y, heights, ray, hits, at):
     """Note where a line crosses an infinite plane, from its front only; returns how often."""
     count = np.int64(0)
@@ -157,13 +166,13 @@ def _hit_plane(planes, p, x, y, heights, ray, hits, at):
     return count
 
 
-@njit(inline="always")
+@part(inline="always")
 def _is_upright(mat):
     """Whether a geom's z is the world's, or its opposite, to the last bit."""
     return mat[2] == 0.0 and mat[5] == 0.0 and mat[6] == 0.0 and mat[7] == 0.0
 
 
-@njit(inline="always")
+@part(inline="always")
 def _beyond_rim(solids, s, x, y):
     """How far a line is beyond an upright solid's rim, less than 0 inside [m].
 
@@ -177,14 +186,14 @@ def _beyond_rim(solids, s, x, y):
     return math.hypot(dx, dy) - size[0]
 
 
-@njit(inline="always")
+@part(inline="always")
 def _has_known_rim(solids, s):
     """Whether `_beyond_rim` knows a solid's rim, as seen from above."""
     kind = solids.kind[s]
     return kind == SPHERE or (kind in (BOX, CYLINDER) and _is_upright(solids.mat[s]))
 
 
-@njit(inline="always")
+@part(inline="always")
 def _has_level_ends(solids, s):
     """Whether all lines well inside of a solid's rim cross it at the same two heights."""
     size, kind = solids.size[s], solids.kind[s]
@@ -192,7 +201,7 @@ def _has_level_ends(solids, s):
     return kind != SPHERE and is_wide
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing):
     """Note where the lines of some rows cross a solid; the arguments are `raster_triangles`'.
 
@@ -226,7 +235,7 @@ def _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing):
                 end[line] += _hit_solid(solids, s, x, y, ray, hits, place)
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writing):
     """Note where the lines of some rows cross an infinite plane; else as `_cast_solid`."""
     is_level = _is_upright(planes.mat[p])
@@ -241,7 +250,7 @@ def _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writi
         end[line] += count
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _settle_lines(hits, start, end, facets, spare):
     """Turn the hits of some lines into crossings, see `settle`; returns how many were dropped.
 
@@ -254,13 +263,13 @@ def _settle_lines(hits, start, end, facets, spare):
     return dropped
 
 
-@njit(inline="always")
+@part(inline="always")
 def make_ray():
     """A ray; its point and direction are for who casts it."""
     return Ray(np.empty(3), np.zeros(3), np.zeros(3), np.empty(3), np.empty(3))
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def cast_lines(
     lattice, solids, facets, planes, items, heights, crossings, dropped, first_band, end
 ):  # fmt: skip
@@ -302,7 +311,7 @@ def cast_lines(
             start[first + line + 1] = place[line]
 
 
-@njit(inline="always")
+@part(inline="always")
 def most_hits(tile, planes, tiles):
     """How much room the hits of a line over a tile need, with that for sorting them."""
     solids = tiles.solid_start[tile + 1] - tiles.solid_start[tile]
@@ -310,7 +319,7 @@ def most_hits(tile, planes, tiles):
     return 2 * (solids + planes.geom.shape[0]) + triangles + 1
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def cast_line(x, y, tile, solids, facets, planes, tiles, heights, ray, hits):
     """Cross the line at (x, y) with all geometry near a tile.
 
@@ -330,7 +339,7 @@ def cast_line(x, y, tile, solids, facets, planes, tiles, heights, ray, hits):
     return count - settle(hits, zero, count, facets, hits, count)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _with_room(crossings, used, count):
     """Crossings with room for some more behind the used ones."""
     if used + count <= crossings.z.shape[0]:
@@ -345,7 +354,7 @@ def _with_room(crossings, used, count):
     return Crossings(crossings.start, z, normal, geom, closed)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def cast_points_at(points, tile, solids, facets, planes, tiles, heights):
     """Cross vertical lines at points, (n, 2) [m], over tiles, (n,) int64: `Crossings` by line."""
     num = points.shape[0]

@@ -8,16 +8,14 @@ everything that leans otherwise, goes to `gjk`.
 
 import math
 
-from numba import njit
-
 from navbake.baker.kernels.constants import APART, BOX, CAPSULE, CYLINDER, MEETS, SPHERE
 from navbake.baker.kernels.gjk import DISC, SQUARE, solid_meets_prism
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, part
 
 SURE = 1e-9  # a gap or an overlap of more than this is no rounding [m]
 
 
-@njit(inline="always")
+@part(inline="always")
 def _point_gap(dx, dy, half, is_round):
     """How far a point is from a square or a disc round the origin of the plane, >= 0."""
     if is_round:
@@ -25,7 +23,7 @@ def _point_gap(dx, dy, half, is_round):
     return math.hypot(max(abs(dx) - half, 0.0), max(abs(dy) - half, 0.0))
 
 
-@njit(inline="always")
+@part(inline="always")
 def _plan_gap(solids, s, upright, dx, dy, half, is_round):
     """How far a box or cylinder is from a column, seen from above; negative where they overlap.
 
@@ -47,7 +45,7 @@ def _plan_gap(solids, s, upright, dx, dy, half, is_round):
     return max(gap, abs(dy) - half - abs(ay) * size[a] - abs(by) * size[b])
 
 
-@njit(inline="always")
+@part(inline="always")
 def _axis_gap(solids, s, prism, half, is_round):
     """A lower bound for leaning capsules and cylinders; negative only where they do overlap."""
     pos, mat, radius, length = solids.pos[s], solids.mat[s], solids.size[s, 0], solids.size[s, 1]
@@ -66,7 +64,7 @@ def _axis_gap(solids, s, prism, half, is_round):
     return max(math.hypot(px, py) - reach, 0.0)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _gap(solids, s, prism, half, is_round):
     """How far a solid is from a prism, or less; negative where they overlap; 0 for unknown."""
     kind, pos = solids.kind[s], solids.pos[s]
@@ -84,7 +82,7 @@ def _gap(solids, s, prism, half, is_round):
     return 0.0
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def part_of_solid(solids, s, prism, is_round, simplex):
     """Whether a solid meets a prism's disc (`is_round`) or its square; APART where it has none."""
     half = prism.radius if is_round else prism.square
@@ -96,7 +94,7 @@ def part_of_solid(solids, s, prism, is_round, simplex):
     return solid_meets_prism(solids, s, prism, is_round, simplex)
 
 
-@njit(inline="always")
+@part(inline="always")
 def solid_meets(solids, s, prism, simplex):
     """Whether a solid meets a prism, by its square and its disc."""
     answer = APART

@@ -10,9 +10,8 @@ Bands of BAND rows are what one thread works on where items visit the cells unde
 import math
 
 import numpy as np
-from numba import njit
 
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, kernel, part
 
 TILE = 8  # cells along a tile's edge; a tile's cells are the bits of an int64
 BAND = 8  # rows of cells in a band
@@ -22,14 +21,14 @@ HAIR = 1e-3
 ONE_COLUMN = np.int64(sum(1 << (row * TILE) for row in range(TILE)))
 
 
-@njit(cache=True)
+@kernel
 def tile_of(lattice, cell):
     """The tile that holds a cell; tiles are numbered row by row."""
     row, col = cell // lattice.width, cell % lattice.width
     return row // TILE * ((lattice.width + TILE - 1) // TILE) + col // TILE
 
 
-@njit(inline="always")
+@part(inline="always")
 def tile_window(lattice, tile):
     """The rows and columns of a tile: the first row, past the last, and so with the columns."""
     tiles_x = (lattice.width + TILE - 1) // TILE
@@ -37,13 +36,13 @@ def tile_window(lattice, tile):
     return row, min(row + TILE, lattice.height), col, min(col + TILE, lattice.width)
 
 
-@njit(inline="always")
+@part(inline="always")
 def cell_bit(row, col):
     """The bit of a cell by its row and column in a tile, in a number with a bit for each cell."""
     return np.int64(1) << (row * TILE + col)
 
 
-@njit(inline="always")
+@part(inline="always")
 def cell_bits(window, near):
     """The bits of the cells of a window in the window of a tile that holds it; 0 for none.
 
@@ -61,20 +60,20 @@ def cell_bits(window, near):
     return bits
 
 
-@njit(inline="always")
+@part(inline="always")
 def center_of(lattice, row, col):
     """World x and y of a cell's centre by its row and column [m]."""
     x = lattice.x_min + (col + 0.5) * lattice.cell_size
     return x, lattice.y_max - (row + 0.5) * lattice.cell_size
 
 
-@njit(inline="always")
+@part(inline="always")
 def cell_center(lattice, cell):
     """World x and y of a cell's centre [m]."""
     return center_of(lattice, cell // lattice.width, cell % lattice.width)
 
 
-@njit(inline="always")
+@part(inline="always")
 def cells_near(lattice, window, boxes, i, reach):
     """The cells of a window whose centres are within `reach` of a box along both axes [m].
 
@@ -95,7 +94,7 @@ def cells_near(lattice, window, boxes, i, reach):
     return row0, row1, col0, col1
 
 
-@njit(inline="always")
+@part(inline="always")
 def centers_between(low, high, cell_size, count):
     """The first and the last of some cells in a row whose centre is between two coordinates.
 
@@ -106,14 +105,14 @@ def centers_between(low, high, cell_size, count):
     return np.int64(min(first, float(count))), np.int64(max(last, -1.0))
 
 
-@njit(inline="always")
+@part(inline="always")
 def _tile_range(low, high, num_tiles, tile_size):
     first = int(np.floor(max(low, 0.0) / tile_size))
     last = int(np.floor(min(high, num_tiles * tile_size) / tile_size))
     return first, min(last, num_tiles - 1)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _tiles_under(boxes, n, grow, lattice):
     """The first and last row of tiles that a grown box reaches into, and so with the columns."""
     width, height, cell_size = lattice.width, lattice.height, lattice.cell_size
@@ -129,7 +128,7 @@ def _tiles_under(boxes, n, grow, lattice):
     return first_row, last_row, first_col, last_col
 
 
-@njit(inline="always")
+@part(inline="always")
 def _bands_under(boxes, n, grow, lattice):
     """The first and last band in which a grown box holds a cell's centre, and no columns."""
     x0, x1 = boxes[n, 0] - grow - lattice.x_min, boxes[n, 3] + grow - lattice.x_min
@@ -141,7 +140,7 @@ def _bands_under(boxes, n, grow, lattice):
     return first // BAND, last // BAND, 0, 0
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def list_boxes(boxes, grow, lattice, by_band, under, cursor, item, first, end):
     """Count, or list, the (n, 6) boxes that reach into each tile; or into each band.
 
@@ -174,7 +173,7 @@ def list_boxes(boxes, grow, lattice, by_band, under, cursor, item, first, end):
                     place[tile] += 1
 
 
-@njit(cache=True)
+@kernel
 def list_near(lattice, boxes, start, item, cells, reach):
     """List, for each of some cells, those of its tile's items that come near to its centre.
 

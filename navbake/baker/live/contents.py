@@ -21,7 +21,7 @@ from navbake.baker.live.kernels.contents import Entries, count_in_tiles, list_in
 from navbake.baker.live.kernels.pool import point_at
 from navbake.baker.live.kinds import LiveKinds, NearMoved
 from navbake.baker.occupancy.occupancy import Footprint
-from navbake.baker.scene.bodies import find_free_bodies
+from navbake.baker.scene.names import find_free_bodies
 from navbake.baker.scene.scene import Scene
 from navbake.baker.warn import ContentNotes
 from navbake.config.settings import BakeConfig

@@ -21,8 +21,8 @@ from navbake.baker.kernels.constants import HINGE, SLACK, SLIDE
 from navbake.baker.live.columns import Scratch
 from navbake.baker.live.kernels.regions import cells_of_boxes
 from navbake.baker.live.not_local import NotLocal
-from navbake.baker.scene.bodies import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.extents import measure_geoms
+from navbake.baker.scene.names import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
 from navbake.navgrid.doors import STATES

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.baker.kernels.constants import FREE, HINGE, SLIDE
-from navbake.baker.scene.memory import check_data
+from navbake.baker.scene.model import check_data
 from navbake.baker.scene.names import body_name, joint_name
 from navbake.baker.scene.pose import data_with_joints, place_geoms
 from navbake.errors import QueryError

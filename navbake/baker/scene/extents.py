@@ -5,15 +5,13 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.kernels.constants import CAPSULE, CYLINDER, ELLIPSOID, SPHERE
-from navbake.baker.scene.kernels.facing import RIGHT, add_votes, find_ways, measure_spans
+from navbake.baker.scene.kernels.triangles import RIGHT, find_ways, measure_spans
 from navbake.baker.scene.shapes import Shapes, Solids
 from navbake.threads import run_in_bands
 from navbake.types import Float, Int, Int32
 
 # How many directions of upright faces are distinguished, over a right angle
 DIRECTIONS = 180
-# Triangles that are looked at together, for the memory that it takes
-BLOCK = 1 << 18
 
 
 class Extents(NamedTuple):
@@ -133,16 +131,14 @@ def find_facing(corners: Float, group: Int32, num: int) -> Float:
     Returns:
         Shape (num,), float64.
     """
-    votes, sums = np.zeros((num, DIRECTIONS)), np.zeros((num, DIRECTIONS))
-    size = min(BLOCK, len(group))
-    way, weight, off = np.empty(size, np.int32), np.empty(size), np.empty(size)
-    for begin in range(0, len(group), BLOCK):
-        block = slice(begin, begin + BLOCK)
-        known = len(group[block])
-        found = way[:known], weight[:known], off[:known]
-        run_in_bands(find_ways, known, corners[block], DIRECTIONS, *found, least=4096)
-        # sums of floats depend on their order
-        add_votes(group[block], *found, votes, sums)
+    count, size = len(group), num * DIRECTIONS
+    way, weight, off = np.empty(count, np.int32), np.empty(count), np.empty(count)
+    run_in_bands(find_ways, count, corners, DIRECTIONS, way, weight, off, least=4096)
+    looks = way >= 0
+    bin_ = (group[looks] * DIRECTIONS + way[looks]).astype(np.intp)
+    weight, off = weight[looks], off[looks]
+    votes = np.bincount(bin_, weight, size).reshape(num, DIRECTIONS)
+    sums = np.bincount(bin_, weight * off, size).reshape(num, DIRECTIONS)
     most = votes.argmax(axis=1)
     total, rest = votes[np.arange(num), most], sums[np.arange(num), most]
     angle: Float = most * (RIGHT / DIRECTIONS) + rest / np.where(total > 0.0, total, 1.0)

@@ -12,10 +12,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from navbake.baker.scene.kernels.triangles import check_faces, find_used, sum_by_facing
-from navbake.baker.scene.meshes.binary import read_plain_ply, read_plain_stl
-from navbake.baker.scene.meshes.gltf import check_gltf
-from navbake.baker.scene.meshes.text import check_ply, prepare_obj, prepare_ply, prepare_stl
+from navbake.baker.scene.kernels.triangles import check_faces, sum_by_facing
+from navbake.baker.scene.mesh_readers import (
+    check_gltf,
+    check_ply,
+    prepare_obj,
+    prepare_ply,
+    prepare_stl,
+    read_plain_ply,
+    read_plain_stl,
+)
 from navbake.baker.scene.names import unique_name
 from navbake.config.scene import stem_of
 from navbake.errors import SceneError
@@ -246,7 +252,8 @@ def _dae_unit(path: Path) -> float:
 def _clean(part: MeshPart, turn: Float, path: Path) -> MeshPart:
     """Turn a part into the world frame; leave out empty triangles and unused vertices."""
     name = _own_name(part.name, path)
-    is_used = find_used(part.faces, len(part.vertices))
+    is_used = np.zeros(len(part.vertices), dtype=np.bool_)
+    is_used[part.faces] = True
     vertices, faces = _only_used(part.vertices, part.faces, is_used)
     with np.errstate(all="ignore"):
         vertices = _turn(vertices, turn)

@@ -1,4 +1,4 @@
-"""The compiled MuJoCo model of any scene file: MJCF, URDF, MJB or a mesh."""
+"""The compiled MuJoCo model of any scene: MJCF, URDF, MJB, a mesh, or one in memory."""
 
 import threading
 import warnings as python_warnings
@@ -13,14 +13,19 @@ from xml.parsers import expat
 import mujoco
 import numpy as np
 
-from navbake.baker.scene.chatter import catch_chatter
-from navbake.baker.scene.guard.child import lacked_memory
-from navbake.baker.scene.guard.oversized import refuse_oversized
-from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart, read_mesh_parts
-from navbake.baker.scene.names import unique_name
+from navbake.baker.scene.mesh_scene import (
+    MESH_SUFFIXES,
+    MeshPart,
+    is_mesh_scene,
+    read_mesh_parts,
+    take_mesh_parts,
+)
+from navbake.baker.scene.names import name_at, unique_name
+from navbake.baker.scene.pose import data_with_joints
 from navbake.baker.scene.urdf import read_urdf
 from navbake.config.scene import SceneSettings
 from navbake.errors import ConfigError, SceneError
+from navbake.processes import lacked_memory
 from navbake.types import Float, Int
 
 XML_SUFFIXES = frozenset({".xml", ".mjcf", ".urdf"})
@@ -28,22 +33,15 @@ MJB_SUFFIX = ".mjb"
 TETRAHEDRON = np.eye(4, 3), np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
 """Vertices and faces, counter-clockwise from outside."""
 BY_MUJOCO = "MuJoCo: "  # what its warnings begin with
+NO_NAME = "MuJoCo Model"  # what MuJoCo calls a model that was given no name
+# What decides where a model's geoms stand: a data fits a model that is the same in these
+SIZES = ("nq", "nmocap", "nbody", "ngeom")
 _WARNING_LOCK = threading.Lock()  # MuJoCo has one hook for warnings, whatever the thread
 
 
 def mujoco_version() -> str:
     """The installed MuJoCo's version."""
     return str(mujoco.__version__)
-
-
-@cache
-def mujoco_library() -> str:
-    """Path of MuJoCo's shared library, whose rays the kernels call."""
-    folder = Path(mujoco.__file__).parent
-    for pattern in ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll"):
-        for path in sorted(folder.glob(pattern)):
-            return str(path)
-    raise SceneError(f"MuJoCo's shared library is not in {folder}: reinstall mujoco")
 
 
 class OpenScene(NamedTuple):
@@ -122,7 +120,6 @@ def _load_xml(settings: SceneSettings, warnings: list[str]) -> Any:
         return compile_model(path, warnings, lambda: _build_urdf(text, meshes, ground, warnings))
     if root not in ("mujoco", ""):
         raise SceneError(f"expected <mujoco> or <robot> in {path}, got <{root[:40]}>")
-    refuse_oversized(path)
     try:  # MuJoCo's parser is the judge of MJCF, also where Python's is stricter
         return compile_model(path, warnings, lambda: _build_mjcf(path, ground, warnings))
     except SceneError as error:
@@ -150,18 +147,16 @@ def model_of_parts(
 
 
 def compile_model(path: Path, warnings: list[str], load: Callable[[], Any], hint: str = "") -> Any:
-    """What `load` compiles; MuJoCo's error is a SceneError with its warnings and Qhull's lines."""
-    chatter: list[str] = []
+    """What `load` compiles; MuJoCo's error is raised as a SceneError, with its warnings."""
     try:
-        with catch_chatter() as chatter:
-            return load()
+        return load()
     except (ConfigError, SceneError):
         raise
     except Exception as error:  # mujoco raises ValueError, FatalError and UnexpectedError
         said = [*str(error).splitlines(), *(w.removeprefix(BY_MUJOCO) for w in warnings)] or [
             type(error).__name__
         ]
-        lines = dict.fromkeys([*said, *chatter])  # each once, in order
+        lines = dict.fromkeys(said)  # each once, in order
         reason = "; ".join(" ".join(line.split()) for line in lines if line.strip())
         reason = reason.removeprefix("Error: ").removeprefix("XML Error: ")
         hint = "" if lacked_memory(error) else hint
@@ -275,3 +270,85 @@ def catch_warnings() -> Iterator[list[str]]:
             yield warnings
         finally:
             mujoco.set_mju_user_warning(before)
+
+
+def is_in_memory(scene: Any) -> bool:
+    """Whether something is a scene itself: an MjModel, an MjSpec, a trimesh.Scene or a Trimesh."""
+    return isinstance(scene, mujoco.MjModel | mujoco.MjSpec) or is_mesh_scene(scene)
+
+
+def name_of(scene: Any) -> str:
+    """The name of a scene in memory: its model's own, else ``scene``."""
+    if isinstance(scene, mujoco.MjSpec):
+        name = str(scene.modelname)
+    else:
+        name = name_at(scene, 0) if isinstance(scene, mujoco.MjModel) else ""
+    return "scene" if name in ("", NO_NAME) else name
+
+
+def open_memory(scene: Any, data: Any, settings: SceneSettings) -> OpenScene:
+    """The model of a scene in memory, in the pose of a data; neither is changed.
+
+    A spec is compiled as a copy. MuJoCo warned of a model when that was compiled, so these
+    warnings are known of specs alone.
+
+    Args:
+        scene: what `is_in_memory` takes.
+        data: a mujoco.MjData of the model, whose joint positions and mocap bodies are the pose;
+            None for the pose that the settings ask for.
+        settings: of the scene; their path is what errors call it.
+
+    Raises:
+        SceneError: a spec does not compile, or a mesh is broken.
+        ConfigError: the data is of another model, or goes with other settings of the pose.
+    """
+    with catch_warnings() as warned:
+        opened = _open(scene, settings, warned)
+    if data is None:
+        return opened
+    if settings.keyframe is not None or settings.joints:
+        key = "keyframe" if settings.keyframe is not None else "joints"
+        raise ConfigError(f"expected a pose by `scene.{key}` or by a data, got both")
+    check_data(opened.model, data, str(settings.path))
+    return opened._replace(data=data_with_joints(opened.model, data, {}))
+
+
+def _open(scene: Any, settings: SceneSettings, warned: list[str]) -> OpenScene:
+    path, ground = settings.path, settings.ground
+    parts: dict[int, MeshPart]
+    if isinstance(scene, mujoco.MjModel):
+        if ground is not None:
+            raise ConfigError(
+                f"`scene.ground` can't be added to {path}, which is compiled: give its MjSpec or "
+                "its file"
+            )
+        return OpenScene(scene, {}, None, warned)
+    if isinstance(scene, mujoco.MjSpec):
+        model = compile_model(path, warned, lambda: compile_spec(scene.copy(), ground, warned))
+        parts = {}
+    else:
+        found = take_mesh_parts(scene, path, settings.up, settings.unit)
+        model, parts = model_of_parts(found, path, ground, warned)
+    return OpenScene(model, parts, None if ground is None else int(model.ngeom) - 1, warned)
+
+
+def check_data(model: Any, data: Any, name: str) -> None:
+    """Check that a mujoco.MjData fits a model, by its numbers of things and its joints.
+
+    Args:
+        name: what an error calls the model's scene.
+
+    Raises:
+        ConfigError: it is none, or of another model.
+    """
+    if not isinstance(data, mujoco.MjData):
+        raise ConfigError(f"expected a mujoco.MjData of {name}, got {type(data).__name__}")
+    other = data.model
+    for size in SIZES:
+        expected, got = int(getattr(model, size)), int(getattr(other, size))
+        if expected != got:
+            raise ConfigError(
+                f"the data is of another model than {name}: expected {size} = {expected}, got {got}"
+            )
+    if not np.array_equal(model.jnt_type, other.jnt_type):
+        raise ConfigError(f"the data is of another model than {name}: its joints differ")

@@ -1,4 +1,4 @@
-"""Names of a model's geoms, bodies and joints, and the warning when no name matches."""
+"""Names of a model's geoms, bodies and joints, and the tree of its bodies."""
 
 from collections.abc import Iterable
 from typing import Any, NamedTuple
@@ -6,8 +6,9 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from navbake.baker.kernels.constants import MESH, SDF
+from navbake.baker.kernels.constants import FREE, MESH, SDF
 from navbake.known_names import find_near
+from navbake.types import Int
 
 
 class GeomNames(NamedTuple):
@@ -121,3 +122,35 @@ def warn_unmatched(setting: str, pattern: str, known: Iterable[str], found: str 
     near = find_near(pattern.strip("*"), sorted({name for name in known if name}), most=3)
     hint = f"; near names are {', '.join(near)}" if near else ""
     return f"`{setting}` pattern {pattern!r} matches {found}{hint}"
+
+
+def find_subtree_ends(model: Any) -> Int:
+    """Find the end of each body's subtree in the list of bodies, shape (nbody,), int64.
+
+    Bodies are numbered depth first, so a body and all that hangs on it, directly or not, have
+    the ids from its own to the one before its end.
+    """
+    end = list(range(1, model.nbody + 1))
+    parent = model.body_parentid.tolist()
+    for body in range(model.nbody - 1, 0, -1):  # children come after their parents
+        end[parent[body]] = max(end[parent[body]], end[body])
+    return np.array(end, dtype=np.int64)
+
+
+def geoms_of_bodies(model: Any, first: int, end: int) -> Int:
+    """Ids of the geoms of the bodies from `first` to before `end`, ascending as the bodies are."""
+    low, high = np.searchsorted(model.geom_bodyid, [first, end])
+    return np.arange(low, high, dtype=np.int64)
+
+
+def find_free_bodies(model: Any) -> Int:
+    """Find the body with a free joint that each geom hangs on, shape (ngeom,); -1 for none.
+
+    MuJoCo gives free joints to children of the world alone, so there is at most one.
+    """
+    root = np.full(model.nbody, -1, dtype=np.int64)
+    end = find_subtree_ends(model)
+    for body in model.jnt_bodyid[model.jnt_type == FREE].tolist():
+        root[body : end[body]] = body
+    free: Int = root[model.geom_bodyid]
+    return free

@@ -14,13 +14,13 @@ from navbake.baker.kernels.parts import (
     SHEET,
     find_parts,
 )
-from navbake.baker.scene.kernels.cavities import find_around, find_cavities
 from navbake.baker.scene.kernels.shells import (
+    find_around,
+    find_cavities,
     list_edges,
     list_halves,
     pair_halves,
     unite_pairs,
-    weld_faces,
     weld_points,
 )
 from navbake.baker.scene.kernels.triangles import measure_areas, measure_parts
@@ -77,7 +77,9 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
         faces: shape (m, 3), indices, counter-clockwise from the front.
     """
     number = _weld(np.ascontiguousarray(vertices, dtype=np.float64))
-    point, kept = weld_faces(faces, number)
+    point = number[faces]
+    one, two, three = point.T
+    kept = (one != two) & (two != three) & (three != one)
     if not kept.all():
         faces, point = faces[kept], point[kept]
     found, is_shell = find_shells(point, len(vertices))
@@ -155,6 +157,8 @@ def _find_enclosing(
     encloses[1:] = volume[1:] > THICKNESS * area[1:]
     facing_in = volume < -THICKNESS * area
     facing_in[0] = False
+    if not facing_in.any():
+        return encloses
     is_around = find_around(box, encloses, facing_in)
     if not is_around.any():
         return encloses

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from navbake.baker.scene.choice import Choice, choose_geoms
 from navbake.baker.scene.collect import TYPE_NAMES, MeshTriangles, collect_shapes
-from navbake.baker.scene.guard.isolated import CompileLimits, load_isolated
 from navbake.baker.scene.hidden_room import HiddenRoom
+from navbake.baker.scene.isolated import CompileLimits, load_isolated
 from navbake.baker.scene.mesh_scene import MeshPart, lies_on_side
 from navbake.baker.scene.model import OpenScene, catch_warnings, load_model
 from navbake.baker.scene.names import all_names, name_at, names_at

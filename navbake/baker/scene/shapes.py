@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.kernels.constants import CAPSULE, CYLINDER, ELLIPSOID, SPHERE
-from navbake.baker.scene.kernels.triangles import find_box
 from navbake.lazy import lazy
 from navbake.types import Bool, Float, Int32
 
@@ -104,11 +103,16 @@ class Shapes:
 
     @cached_property
     def _bounds(self) -> Float | None:
-        box = find_box(self.triangles.corners, self.triangles.geom, self.endless)
-        boxes = np.concatenate([self.solids.bounds, box[None]])
-        if not len(self.solids.bounds) and not (box[:3] <= box[3:]).any():
-            return None
-        return np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
+        corners = self.triangles.corners
+        if self.endless.any():
+            corners = corners[~self.endless[self.triangles.geom]]
+        # all corners of a triangle at once: numpy takes longer along short rows
+        of_triangles = corners.reshape(-1, 9)
+        low, high = self.solids.bounds[:, :3], self.solids.bounds[:, 3:]
+        if len(of_triangles):
+            low = np.concatenate([low, of_triangles.min(axis=0).reshape(3, 3)])
+            high = np.concatenate([high, of_triangles.max(axis=0).reshape(3, 3)])
+        return np.stack([low.min(axis=0), high.max(axis=0)]) if len(low) else None
 
     def only(self, geoms: Bool) -> Shapes:
         """The geometry of the geoms that are marked, shape (ngeom,), bool."""

@@ -12,8 +12,8 @@ from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
-from navbake.baker.scene.guard.scratch import scratch_folder, short_place
 from navbake.errors import MissingDependencyError, NavbakeError
+from navbake.files import scratch_folder
 
 ADDRESS = "RAY_ADDRESS"  # the variable that names a cluster
 LOCAL = "local"  # the address that stands for a cluster of one's own
@@ -55,7 +55,7 @@ def connected(address: str | None, num_slots: int) -> Iterator[tuple[Any, bool]]
             yield ray, False
             return
         _check_reachable(address)
-        with scratch_folder(short_place()) if is_own else nullcontext() as folder, _silent():
+        with scratch_folder(Path("/tmp")) if is_own else nullcontext() as folder, _silent():
             try:
                 _connect(ray, address, {} if folder is None else _own_options(folder, num_slots))
                 yield ray, is_own

@@ -23,7 +23,7 @@ from navbake._version import __version__
 from navbake.batch.cluster.connection import connected
 from navbake.batch.cluster.slot import CODE, Settled, Slot, Terms
 from navbake.batch.crew import AGAIN, BEGUN, CRASHED, LOST, READY, Ended, Event, JobLimits
-from navbake.dispatch import num_cores
+from navbake.compiled import num_cores
 from navbake.errors import NavbakeError, printable
 
 ALL = sys.maxsize  # as many slots as the cluster has CPUs

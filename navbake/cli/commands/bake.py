@@ -33,7 +33,7 @@ from navbake.files import file_state
 
 if TYPE_CHECKING:
     from navbake.baker.pipeline import BakeResult
-    from navbake.baker.scene.guard.isolated import CompileLimits
+    from navbake.baker.scene.isolated import CompileLimits
     from navbake.config.settings import BakeConfig
 
 # Functions import the baker and the settings when they run: --help loads neither MuJoCo nor numpy.
@@ -194,7 +194,7 @@ def _bake_one(
 
 
 def _limits(isolation: Isolation) -> CompileLimits | None:
-    from navbake.baker.scene.guard.isolated import CompileLimits
+    from navbake.baker.scene.isolated import CompileLimits
 
     if not isolation.isolate:
         return None

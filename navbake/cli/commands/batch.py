@@ -12,14 +12,6 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from typer import Argument, BadParameter, Exit, Option
 
-from navbake.cli.commands.warm_up import (
-    bakes_compile,
-    compile_all,
-    load_kernels,
-    pack_code,
-    take_code,
-    why_not_shared,
-)
 from navbake.cli.options import STDOUT, Overrides, check_output, refuse_unused
 from navbake.cli.printing import (
     VOLUME,
@@ -188,12 +180,11 @@ def batch(
 
 def _on_ray(address: str | None, folder: Folder) -> RayExecutor:
     """What bakes on a Ray cluster, whose nodes must see an output folder that is on no store."""
-    from navbake.batch.cluster.executor import CodeHandover, RayExecutor
+    from navbake.batch.cluster.executor import RayExecutor
     from navbake.batch.index import LOCK
 
-    code = CodeHandover(pack_code, take_code)
     witness = folder / LOCK if isinstance(folder, Path) else None
-    return RayExecutor(address, lambda line: print_warnings([line]), code, witness)
+    return RayExecutor(address, lambda line: print_warnings([line]), None, witness)
 
 
 class _Teller:
@@ -328,15 +319,10 @@ def draw_missing_thumbnails(folder: Folder) -> None:
 
 
 def _warm_up() -> None:
-    """Compile the kernels, unless all that any bake calls are: workers find them on disk."""
-    from navbake.cli.progress import stage_progress
+    """Compile what bakes call, unless that is done: workers find it on disk."""
+    from navbake.compiled import REMEDY, cache_folder, warm_up  # loads numba
 
-    load_kernels()
-    if not bakes_compile():
-        return
-    why_not = why_not_shared()
-    if why_not is not None:
-        print_warnings([why_not])
-        return
-    with stage_progress(title="compiling", hidden=VOLUME.quiet) as show:
-        compile_all(show)
+    if cache_folder() is None:
+        lost = "no folder for compiled code can be written: each worker compiles its own"
+        print_warnings([f"{lost}: {REMEDY}"])
+    warm_up()

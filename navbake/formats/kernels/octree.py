@@ -9,14 +9,15 @@ Source: OctoMap 1.9, `OcTreeBaseImpl::pruneRecurs`, `OccupancyOcTreeBase::writeB
 """
 
 import numpy as np
-from numba import njit
+
+from navbake.compiled import kernel, part
 
 DEPTH = 16
 UNKNOWN, FREE, OCCUPIED, MIXED_FREE, MIXED = 0, 1, 2, 3, 4  # the mixed ones have children
 OVERRUN, TOO_DEEP = -1, -2
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def join_states(below, first, above, row, end):
     """Find the states of a level's nodes from those below, whose first node is `first`.
 
@@ -47,7 +48,7 @@ def join_states(below, first, above, row, end):
                     above[i, j, k] = MIXED if is_occupied else MIXED_FREE
 
 
-@njit(cache=True)
+@part
 def _state(levels, first, level, x, y, z):
     nodes = levels[level]
     i, j, k = x - (first[0] >> level), y - (first[1] >> level), z - (first[2] >> level)
@@ -56,25 +57,25 @@ def _state(levels, first, level, x, y, z):
     return UNKNOWN
 
 
-@njit(cache=True)
+@part
 def _child(x, y, z, child):
     return 2 * x + (child & 1), 2 * y + (child >> 1 & 1), 2 * z + (child >> 2)
 
 
-@njit(cache=True)
+@part
 def _new_stack():
     # an array, because numba's lists take twice as long; 8 children wait at each level at most
     stack = np.empty((8 * (DEPTH + 1), 4), np.int64)
     return stack, _push(stack, 0, DEPTH, 0, 0, 0)
 
 
-@njit(cache=True)
+@part
 def _push(stack, depth, level, x, y, z):
     stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3] = level, x, y, z
     return depth + 1
 
 
-@njit(cache=True)
+@part
 def _put_leaf(leaves, num, level, x, y, z, state):
     if leaves.shape[0] > 0:
         leaves[num, 0], leaves[num, 1], leaves[num, 2] = x << level, y << level, z << level
@@ -82,7 +83,7 @@ def _put_leaf(leaves, num, level, x, y, z, state):
     return num + 1
 
 
-@njit(cache=True)
+@kernel
 def write_tree(levels, first, out):
     """Write a pyramid's nodes as a ``.bt`` has them: 2 bits a child, 2 bytes an inner node.
 
@@ -116,7 +117,7 @@ def write_tree(levels, first, out):
     return num_bytes, num_nodes
 
 
-@njit(cache=True)
+@kernel
 def write_odds(odds, levels, first, out):
     """Write a pyramid's nodes as an ``.ot`` has them: 4 bytes of log-odds, 1 of children.
 
@@ -147,7 +148,7 @@ def write_odds(odds, levels, first, out):
     return 5 * num_nodes, num_nodes
 
 
-@njit(cache=True)
+@kernel
 def read_tree(data, leaves):
     """Read a ``.bt``'s nodes.
 
@@ -184,7 +185,7 @@ def read_tree(data, leaves):
     return num_leaves, place, num_nodes
 
 
-@njit(cache=True)
+@kernel
 def read_odds(odds, data, leaves):
     """Read an ``.ot``'s nodes, 5 bytes each, like `read_tree`.
 
@@ -212,7 +213,7 @@ def read_odds(odds, data, leaves):
     return num_leaves, 5 * num_nodes, num_nodes
 
 
-@njit(cache=True)
+@kernel
 def fill_leaves(leaves, first, values, known):
     """Write leaves into voxels, occupied or not, and known; `first` is the first voxel's key."""
     num_x, num_y, num_z = values.shape

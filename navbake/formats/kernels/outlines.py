@@ -8,8 +8,8 @@ in two: so no ring of corners has a corner twice.
 """
 
 import numpy as np
-from numba import njit
 
+from navbake.compiled import kernel
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 # Ways: east, north, west, south; a walk runs along the south, east, north, west side of its cell.
@@ -22,7 +22,7 @@ COL_END = np.array([1, 1, 0, 0])
 WEST = 2
 
 
-@njit(cache=True)
+@kernel
 def number_regions(labels):
     """Number the parts of cells that share their label and edges; by union-find.
 
@@ -55,7 +55,7 @@ def number_regions(labels):
     return part
 
 
-@njit(cache=True)
+@kernel
 def count_sides(parts):
     """How many sides of cells lie between two parts; `parts` has a border of zeros."""
     count = 0
@@ -68,7 +68,7 @@ def count_sides(parts):
     return count
 
 
-@njit(cache=True)
+@kernel
 def trace_rings(parts, num_sides):
     """Trace the rings of all parts of `number_regions`, which has a border of zeros here.
 

@@ -5,12 +5,13 @@ with, level or sloped along its columns and rows, the one with the most cells is
 """
 
 import numpy as np
-from numba import njit
+
+from navbake.compiled import kernel, part
 
 FIRST_CAPACITY = 1024
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def cover_planes(labels, z, tolerance, steepest):
     """Cover all cells whose label isn't 0 by rectangles of one label and one plane each.
 
@@ -59,14 +60,14 @@ def cover_planes(labels, z, tolerance, steepest):
     return bounds[:num].copy(), planes[:num].copy()
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _doubled(values):
     more = np.empty((2 * values.shape[0], values.shape[1]), values.dtype)
     more[: values.shape[0]] = values
     return more
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _slope(labels, z, is_open, row, col, down, right, tolerance):
     """The rise over a cell along three cells of one label; 0 where they don't rise evenly."""
     last_row, last_col = row + 2 * down, col + 2 * right
@@ -81,7 +82,7 @@ def _slope(labels, z, is_open, row, col, down, right, tolerance):
     return rise if abs(z[row + down, col + right] - z[row, col] - rise) <= tolerance else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _largest(labels, z, is_open, row, col, x, y, tolerance):
     """Rows and columns of the largest rectangle on a plane, from its upper left cell."""
     label, here = labels[row, col], z[row, col]

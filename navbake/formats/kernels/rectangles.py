@@ -1,12 +1,13 @@
 """Covers cells of one label by rectangles: greedily, the largest from each corner, row by row."""
 
 import numpy as np
-from numba import njit
+
+from navbake.compiled import kernel, part
 
 FIRST_CAPACITY = 1024
 
 
-@njit(cache=True)
+@kernel
 def cover(labels):
     """Cover all cells whose label isn't 0 by rectangles of one label that don't overlap.
 
@@ -47,7 +48,7 @@ def cover(labels):
     return found[:num].copy()
 
 
-@njit(cache=True)
+@part
 def _largest(labels, reach, row, col):
     """Rows and columns of the rectangle with the most cells whose upper left one is given."""
     least, most_cells = reach[row, col], 0
@@ -65,7 +66,7 @@ def _largest(labels, reach, row, col):
     return best_rows, best_cols
 
 
-@njit(cache=True)
+@part
 def _take(reach, row, col, rows, cols):
     """Mark a rectangle as covered; runs from the left now end at it."""
     for r in range(row, row + rows):

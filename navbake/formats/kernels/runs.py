@@ -1,12 +1,13 @@
 """Runs of equal bytes, as pairs of value and count up to 255, in any order of a 3-D array."""
 
 import numpy as np
-from numba import njit
+
+from navbake.compiled import kernel
 
 LONGEST = 255
 
 
-@njit(cache=True)
+@kernel
 def encode_runs(values, out):
     """Write the runs of a 3-D array of uint8, last index fastest, to `out`; return their bytes.
 
@@ -31,7 +32,7 @@ def encode_runs(values, out):
     return num + 2
 
 
-@njit(cache=True)
+@kernel
 def decode_runs(pairs, values):
     """Fill a 3-D array of zeros from runs, last index fastest; return how many values they hold.
 

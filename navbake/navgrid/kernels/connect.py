@@ -1,12 +1,12 @@
 """Connected parts of a graph, by union-find."""
 
 import numpy as np
-from numba import njit
 
+from navbake.compiled import kernel
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 
-@njit(cache=True)
+@kernel
 def number_parts(pairs, count):
     """Number the connected parts of a graph from 0, by their first nodes.
 
@@ -28,7 +28,7 @@ def number_parts(pairs, count):
     return part
 
 
-@njit(cache=True)
+@kernel
 def list_touching(cells, width):
     """The pairs of cells that meet at an edge or a corner; see `touching`. By a merge each way."""
     num = cells.shape[0]

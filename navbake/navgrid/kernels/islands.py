@@ -1,12 +1,12 @@
 """The connected parts of free cells, through all levels: connected components by union-find."""
 
 import numpy as np
-from numba import njit
 
+from navbake.compiled import kernel, part
 from navbake.navgrid.kernels.union_find import unite
 
 
-@njit(cache=True)
+@kernel
 def label_islands(start, width, free, floor, limit, links):
     """Number the parts by the rule of `navbake.navgrid.islands.find_islands`.
 
@@ -37,13 +37,13 @@ def label_islands(start, width, free, floor, limit, links):
     return _rank(parent)
 
 
-@njit(cache=True)
+@part
 def _join(parent, cell, other, floor, limit):
     if parent[other] >= 0 and not abs(np.float64(floor[cell]) - np.float64(floor[other])) > limit:
         unite(parent, cell, other)
 
 
-@njit(cache=True)
+@part
 def _rank(parent):
     """Number the parts by size; a root is the lowest cell of its part."""
     number = np.zeros(len(parent), dtype=np.int32)
@@ -62,17 +62,17 @@ def _rank(parent):
             largest = max(largest, size[number[cell]])
     # a counting sort, so that equal parts stay in the order of their roots
     before = np.zeros(largest + 1, dtype=np.int64)
-    for part in range(1, num_parts + 1):
-        before[size[part]] += 1
+    for number_of in range(1, num_parts + 1):
+        before[size[number_of]] += 1
     larger = 0
     for cells in range(largest, 0, -1):
         larger += before[cells]
         before[cells] = larger - before[cells]
     rank, ranked = np.zeros(num_parts + 1, dtype=np.int32), np.zeros(num_parts + 1, dtype=np.int64)
-    for part in range(1, num_parts + 1):
-        before[size[part]] += 1
-        rank[part] = before[size[part]]
-        ranked[rank[part]] = size[part]
+    for number_of in range(1, num_parts + 1):
+        before[size[number_of]] += 1
+        rank[number_of] = before[size[number_of]]
+        ranked[rank[number_of]] = size[number_of]
     for cell in range(len(parent)):
         number[cell] = rank[number[cell]]
     return number, ranked

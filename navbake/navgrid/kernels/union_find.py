@@ -6,12 +6,10 @@ root is the first member of its set, whatever the order in which sets were joine
 that follow the roots depend on nothing else. Path halving alone keeps the trees shallow enough.
 """
 
-from numba import njit
-
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, part
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def find_root(parent, item):
     """The root of an item's set, its lowest member; of roots, `parent` has themselves."""
     while parent[item] != item:
@@ -20,7 +18,7 @@ def find_root(parent, item):
     return item
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def unite(parent, one, other):
     """Join the sets of two items."""
     one, other = find_root(parent, one), find_root(parent, other)

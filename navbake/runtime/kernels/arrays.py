@@ -11,9 +11,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from navbake.compiled import part
 from navbake.types import Bool, Float, Int, Int32
 
 EDGE = 1e-6  # of a cell: how far inside of its edges a point is put
@@ -172,7 +172,7 @@ class Rect(NamedTuple):
     height: int
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def level_of(start, cell):
     """The level of a flat id."""
     level = 0
@@ -181,13 +181,13 @@ def level_of(start, cell):
     return level
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def rect_of(layout, level):
     """The cells of a level."""
     return Rect(layout.start[level], layout.width[level], layout.height[level])
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def find_slot(link_cell, cell):
     """Where a cell is in ``links.cell``, by binary search; -1 if no link leads from it."""
     low, high = 0, link_cell.shape[0]
@@ -200,7 +200,7 @@ def find_slot(link_cell, cell):
     return low if low < link_cell.shape[0] and link_cell[low] == cell else -1
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def center(layout, cell):
     """World x, y of a cell's centre [m]."""
     level = level_of(layout.start, cell)
@@ -209,14 +209,14 @@ def center(layout, cell):
     return layout.x_min[level] + (col + 0.5) * size, layout.y_max[level] - (row + 0.5) * size
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def floor_at(floors, level, cell):
     """World z of a cell's floor, or of the level's ground where it has none [m]."""
     z = floors.z[cell]
     return floors.ground[level] if math.isnan(z) else z
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def put_into(layout, cell, x, y):
     """The point of a cell's square nearest to x, y, EDGE inside of its edges."""
     middle_x, middle_y = center(layout, cell)
@@ -225,7 +225,7 @@ def put_into(layout, cell, x, y):
     return x, min(max(y, middle_y - half), middle_y + half)
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def in_cells(layout, level, x, y):
     """A world position [m] in a level's own units: u in columns, v in rows, from its corner."""
     size = layout.cell_size[level]

@@ -15,9 +15,9 @@ from an agent's cell to the cells that it meets, (n, 2) int64. `blocked` is bool
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from navbake.compiled import kernel, part
 from navbake.runtime.kernels.arrays import EAST, NORTH, SOUTH, WEST
 
 TILE = 16  # edge of the squares of cells whose floors are compared first
@@ -45,7 +45,7 @@ class Storeys(NamedTuple):
     height: float
 
 
-@njit(cache=True)
+@kernel
 def dilate(occupied, half_width):
     """Find the cells near an occupied one, by a shape that is as wide as a table says.
 
@@ -78,7 +78,7 @@ def dilate(occupied, half_width):
     return near
 
 
-@njit(cache=True)
+@part
 def _column_distances(occupied, far):
     """Distance of each cell to the nearest occupied one of its column, at most `far`, int32."""
     rows, cols = occupied.shape
@@ -93,7 +93,7 @@ def _column_distances(occupied, far):
     return column
 
 
-@njit(cache=True)
+@kernel
 def squared_distances(occupied, reach):
     """Squared distance from each cell's centre to that of the nearest occupied one, int64.
 
@@ -116,7 +116,7 @@ def squared_distances(occupied, reach):
     return squares
 
 
-@njit(cache=True)
+@kernel
 def refine_window(occupied, has_floor, radius, far, reach, least, weights):
     """Weigh each cell by the cells of a window around it, as the original client does.
 
@@ -131,7 +131,7 @@ def refine_window(occupied, has_floor, radius, far, reach, least, weights):
             weights[row, col] = _weigh(occupied, has_floor, row, col, inner, outer, reach, least)
 
 
-@njit(cache=True)
+@part
 def _weigh(occupied, has_floor, row, col, inner, outer, reach, least):
     rows, cols = occupied.shape
     weight = 1.0
@@ -149,7 +149,7 @@ def _weigh(occupied, has_floor, row, col, inner, outer, reach, least):
     return np.inf if within > 0 and with_floor / within < least else weight
 
 
-@njit(cache=True)
+@kernel
 def block_near_holes(has_floor, todo, offsets, squares, least, blocked):
     """Block cells of `todo` with a share under `least` of cells with a floor, within any distance.
 
@@ -175,7 +175,7 @@ def block_near_holes(has_floor, todo, offsets, squares, least, blocked):
                 blocked[row, col] = True
 
 
-@njit(cache=True)
+@kernel
 def block_by_floors(storeys, offsets, counts_higher, counts_lower, blocked):
     """Add what other levels and floors block to `blocked`, and free what other levels free.
 
@@ -194,7 +194,7 @@ def block_by_floors(storeys, offsets, counts_higher, counts_lower, blocked):
         _block_above_drops(storeys, ranges, offsets, reach, blocked)
 
 
-@njit(cache=True)
+@part
 def _block_across(storeys, ranges, offsets, tiles, blocked):
     """Decide again for the cells of a level near which another one has floors as high as theirs.
 
@@ -225,7 +225,7 @@ def _block_across(storeys, ranges, offsets, tiles, blocked):
                         )
 
 
-@njit(cache=True)
+@part
 def _meets_any(floor, occupied, level, row, col, offsets, overlap):
     levels, rows, cols = floor.shape
     height = floor[level, row, col]
@@ -245,7 +245,7 @@ def _meets_any(floor, occupied, level, row, col, offsets, overlap):
     return False
 
 
-@njit(cache=True)
+@part
 def _block_below_floors(storeys, ranges, offsets, tiles, blocked):
     """Block cells of a level from which a floor that they meet is more than a step higher.
 
@@ -280,7 +280,7 @@ def _block_below_floors(storeys, ranges, offsets, tiles, blocked):
                                 )
 
 
-@njit(cache=True)
+@part
 def _block_above_drops(storeys, ranges, offsets, reach, blocked):
     """Block cells of a level that meet a column whose floor is more than a step lower.
 
@@ -339,7 +339,7 @@ def _block_above_drops(storeys, ranges, offsets, reach, blocked):
                             blocked[r, c] = _is_drop(floor, slopes, step, level, r, c, row, col)
 
 
-@njit(cache=True)
+@part
 def _is_drop(floor, slopes, step, level, row, col, to_row, to_col):
     """Whether a column is a drop from a cell of a level.
 
@@ -359,7 +359,7 @@ def _is_drop(floor, slopes, step, level, row, col, to_row, to_col):
     )
 
 
-@njit(cache=True)
+@part
 def _is_slope(floor, slopes, step, level, row, col, other, to_row, to_col):
     """Whether the straight way from a cell of a level to one of another is one walk on a slope.
 
@@ -387,7 +387,7 @@ def _is_slope(floor, slopes, step, level, row, col, other, to_row, to_col):
     return level == other and num_slopes > 0
 
 
-@njit(cache=True)
+@part
 def _walk_corner(floor, slopes, step, level, row, col, by_row, by_col, to_row, to_col):
     """As `_walk_edge`, over a cell on the way."""
     between, first = _walk_edge(floor, slopes, step, level, row, col, by_row, by_col)
@@ -397,7 +397,7 @@ def _walk_corner(floor, slopes, step, level, row, col, by_row, by_col, to_row, t
     return reached, max(first, second)
 
 
-@njit(cache=True)
+@part
 def _walk_edge(floor, slopes, step, level, row, col, to_row, to_col):
     """The level on which a step or a slope leads to a neighbour, -1 for none; 1 if by a slope."""
     if to_row == row:
@@ -417,7 +417,7 @@ def _walk_edge(floor, slopes, step, level, row, col, to_row, to_col):
     return -1, 0
 
 
-@njit(cache=True)
+@part
 def _tile_ranges(floor):
     """The lowest and the highest floor in each tile of each level; inf and -inf for none."""
     levels, rows, cols = floor.shape
@@ -441,7 +441,7 @@ def _tile_ranges(floor):
     return low, high
 
 
-@njit(cache=True)
+@part
 def _range_near(low, high, row, col, tiles):
     """The lowest and the highest floor of a level in the tiles around one."""
     lowest, highest = np.inf, -np.inf
@@ -452,7 +452,7 @@ def _range_near(low, high, row, col, tiles):
     return lowest, highest
 
 
-@njit(cache=True)
+@kernel
 def meets_runs(occupied, runs):
     """Find the cells at which a shape of runs (row, first column, last column) meets something."""
     rows, cols = occupied.shape

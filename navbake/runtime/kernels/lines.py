@@ -21,8 +21,8 @@ weights differ.
 import math
 
 import numpy as np
-from numba import njit
 
+from navbake.compiled import kernel, part
 from navbake.runtime.kernels.arrays import (
     EAST,
     SOUTH,
@@ -42,7 +42,7 @@ BEND = 1e-3  # metres that a line may be off the height of the floor in the midd
 GAIN = 1e-9  # share of its cost by which rounding may make a straight line dearer
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _cut_to_band(a, b, low, high):
     """The part of a line with v from `low` to `high`: its smallest and largest u."""
     (u0, v0), (u1, v1) = a, b
@@ -54,7 +54,7 @@ def _cut_to_band(a, b, low, high):
     return min(ua, ub), max(ua, ub)
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def is_walkable(a, b, rect, moves, anywhere):
     """Whether an agent may be anywhere in all cells that a line touches, and step between them.
 
@@ -84,7 +84,7 @@ def is_walkable(a, b, rect, moves, anywhere):
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def crossed_cells(a, b, rect):
     """The cells that a line runs through, in order, and the share of it before each, 1 at the end.
 
@@ -115,7 +115,7 @@ def crossed_cells(a, b, rect):
     return cells[:count], enter[: count + 1]
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def line_cost(a, b, rect, weight):
     """The length of a line in cells, each part times the weight of the cell that it is in."""
     cells, enter = crossed_cells(a, b, rect)
@@ -125,7 +125,7 @@ def line_cost(a, b, rect, weight):
     return total * math.hypot(b[0] - a[0], b[1] - a[1])
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def disc_passes(a, b, rect, solid_before, radius, is_closed):
     """Whether an open disc meets no solid square of a level while it moves along a line.
 
@@ -156,7 +156,7 @@ def disc_passes(a, b, rect, solid_before, radius, is_closed):
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _farthest(u0, v0, u1, v1, low, high, reach):
     """The largest u of a swept disc between two v that it reaches."""
     # Towards larger v the edge first moves out, up to the middle of the disc at the line's
@@ -177,7 +177,7 @@ def _farthest(u0, v0, u1, v1, low, high, reach):
     return u0 + t * du + math.sqrt(max(reach * reach - off * off, 0.0))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def can_pass(a, b, level, graph, off_center):
     """Whether an agent can move along a line between two points x, y of a level [m].
 
@@ -198,7 +198,7 @@ def can_pass(a, b, level, graph, off_center):
     return disc_passes(start, end, rect, before, radius, is_closed)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def lay_route(route, start, end, is_smooth, graph, floors, off_center):
     """Make a line along a route of cells: world x, y, floor z [m], (m, 3), and the level of each.
 
@@ -237,13 +237,13 @@ def lay_route(route, start, end, is_smooth, graph, floors, off_center):
     return _lay_on_floor(line, layout, floors, BEND)
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _is_apart(a, b):
     """Whether two points are not the same; False for NaN."""
     return max(abs(a[0] - b[0]), abs(a[1] - b[1])) > SAME
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _pull_string(line, graph, off_center):
     """Mark the few points of a route whose connecting lines stay free, see `can_pass`.
 
@@ -285,7 +285,7 @@ def _pull_string(line, graph, off_center):
     return kept
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _merge_in_line(line, kept):
     """Unmark points on the straight line between those before and after, but for ends of links."""
     points, num = line.points, line.points.shape[0]
@@ -306,7 +306,7 @@ def _merge_in_line(line, kept):
         here = after
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _cost(a, b, level, graph):
     """What a straight line between two points of a level costs, its length in cells."""
     start = in_cells(graph.layout, level, a[0], a[1])
@@ -314,7 +314,7 @@ def _cost(a, b, level, graph):
     return line_cost(start, end, rect_of(graph.layout, level), graph.weight)
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _lay_on_floor(line, layout, floors, tolerance):
     """Lay lines between points on the floor: with points in between where its height bends.
 
@@ -356,7 +356,7 @@ def _lay_on_floor(line, layout, floors, tolerance):
     return out[:count].copy(), on[:count].copy()
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _profile(a, b, level, layout, floors):
     """The floor under a line, its ends in cells: shares of it and heights there, (n, 2)."""
     rect = rect_of(layout, level)
@@ -381,12 +381,12 @@ def _profile(a, b, level, layout, floors):
     return line[:count]
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _cell_of(u, v, rect):
     return rect.first + math.floor(v) * rect.width + math.floor(u)
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _next_bend(profile, here, tolerance):
     """The last point to whose straight line all points before it are near enough.
 

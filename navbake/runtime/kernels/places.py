@@ -14,8 +14,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from navbake.compiled import kernel, part
 from navbake.runtime.kernels.arrays import Layout, center, floor_at, in_cells, level_of
 from navbake.types import Bool, Float
 
@@ -45,7 +45,7 @@ class Wanted(NamedTuple):
     height: float
 
 
-@njit(cache=True)
+@kernel
 def locate(layout, floors, level, positions):
     """Find the cells whose floors are the nearest at or below positions, shape (n, 3) [m].
 
@@ -64,7 +64,7 @@ def locate(layout, floors, level, positions):
     return cells
 
 
-@njit(cache=True)
+@kernel
 def stand_on(layout, floors, free, max_drop, positions):
     """Mark the positions, shape (n, 3), that are at most `max_drop` above a free floor [m].
 
@@ -84,7 +84,7 @@ def stand_on(layout, floors, free, max_drop, positions):
     return answers, -1
 
 
-@njit(cache=True)
+@part
 def _locate_block(layout, floors, positions, cells, z):
     """Locate at most BLOCK positions; writes cells and floors, returns the first bad one or -1."""
     at = np.empty(BLOCK, dtype=np.int64)
@@ -111,7 +111,7 @@ def _locate_block(layout, floors, positions, cells, z):
     return -1
 
 
-@njit(cache=True)
+@part
 def _locate_on(layout, level, positions, cells):
     """Write the flat ids of a level's cells that finite positions are in, -1 beside the level."""
     first, rows, cols = layout.start[level], layout.height[level], layout.width[level]
@@ -123,7 +123,7 @@ def _locate_on(layout, level, positions, cells):
         cells[i] = first + np.int64(row) * cols + np.int64(col) if is_inside else -1
 
 
-@njit(cache=True)
+@kernel
 def snap_each(layout, floors, allowed, level, same_level, farthest, positions):
     """Find the allowed places nearest to positions, see `PathFinder.snap`.
 
@@ -164,7 +164,7 @@ def snap_each(layout, floors, allowed, level, same_level, farthest, positions):
     return found, cells
 
 
-@njit(cache=True)
+@kernel
 def find_obstacles(layout, floors, occupied, overlap, level, farthest, positions):
     """Find the squares of occupied cells nearest to positions, see `PathFinder.nearest_obstacle`.
 
@@ -188,7 +188,7 @@ def find_obstacles(layout, floors, occupied, overlap, level, farthest, positions
     return homes, cells, distances
 
 
-@njit(cache=True)
+@part
 def nearest_cell(wanted, level, point, farthest):
     """The cell of a level nearest to x, y, z within `farthest`, -1 for none, and its distance [m].
 
@@ -224,7 +224,7 @@ def nearest_cell(wanted, level, point, farthest):
     return best[1], math.sqrt(best[0])
 
 
-@njit(cache=True)
+@part
 def _look(wanted, level, point, span, best):
     """The better of the best so far and every `stride`-th cell of a row: squared distance, id."""
     row, first, last, stride = span
@@ -251,7 +251,7 @@ def _look(wanted, level, point, span, best):
     return d2_best, found
 
 
-@njit(cache=True)
+@part
 def _is_elsewhere(wanted, level, cell, z):
     """Whether another level, but not this one, has a clear floor near a height in the column."""
     layout, floor = wanted.layout, wanted.floor

@@ -22,9 +22,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from navbake.compiled import kernel, part
 from navbake.runtime.kernels.arrays import (
     COL_STEP,
     DIAGONAL,
@@ -74,7 +74,7 @@ class Footing(NamedTuple):
     slopes: NDArray[np.uint8]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def find_moves(footing, rect, window, moves):
     """Write the moves of a window of a level: rows and columns, the last ones excluded.
 
@@ -124,7 +124,7 @@ def find_moves(footing, rect, window, moves):
             moves[cell] = found
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _joined(a, b, free, floor, max_step, slopes):
     if not free[b]:
         return False
@@ -152,7 +152,7 @@ def bucket_width(size: float, least: float, most: float, longest_link: float) ->
     return width, count
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _push(head, state, entry_cell, entry_next, bucket, cell):
     """Put a cell into a bucket; the caller has checked that an entry is left."""
     slot = bucket & (head.shape[0] - 1)  # the remainder, as the number is a power of two
@@ -167,7 +167,7 @@ def _push(head, state, entry_cell, entry_next, bucket, cell):
     state[OPEN] += 1
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _pop(head, state, entry_cell, entry_next, bucket):
     """Take a cell out of a bucket; -1 if it is empty."""
     slot = bucket & (head.shape[0] - 1)
@@ -181,7 +181,7 @@ def _pop(head, state, entry_cell, entry_next, bucket):
     return np.int64(entry_cell[entry])
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _lower_bound(row, col, box, scale):
     """What a route from a cell to the goals' box costs at least: the octile distance."""
     a = max(box[0] - row, row - box[1], 0.0)
@@ -189,7 +189,7 @@ def _lower_bound(row, col, box, scale):
     return scale * (max(a, b) + (DIAGONAL - 1.0) * min(a, b))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def find_route(graph, origin, goals, number, visits, entries):
     """Find the cheapest route from a free cell to the cheapest of several free goals.
 
@@ -301,7 +301,7 @@ def find_route(graph, origin, goals, number, visits, entries):
     return FOUND, route[:count][::-1].copy()
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def find_field(graph, goals, field, entries):
     """Write the cost from every cell to the nearest of some free goals into `field`, inf before.
 

@@ -13,8 +13,8 @@ a heap. Of every cell that is reached, the point that is the nearest to the end 
 import math
 
 import numpy as np
-from numba import njit
 
+from navbake.compiled import kernel, part
 from navbake.runtime.kernels.arrays import (
     DIAGONAL,
     center,
@@ -30,7 +30,7 @@ FARTHEST = 1e6  # metres that a step may be long: no cells are counted up to bey
 ROUNDING = 1.09  # a walk over eight neighbours is at most so much longer than a straight line
 
 
-@njit(cache=True)
+@kernel
 def step_each(space, level, starts, ends, sliding):
     """Walk from starts straight to ends, x, y [m], and slide on; see `PathFinder.try_step`.
 
@@ -56,7 +56,7 @@ def step_each(space, level, starts, ends, sliding):
     return found, -1
 
 
-@njit(cache=True)
+@kernel
 def first_in_sight(space, room, cell, point, cells, points):
     """The index of the first of some points in cells that is in sight of a point, -1 for none.
 
@@ -76,7 +76,7 @@ def first_in_sight(space, room, cell, point, cells, points):
     return -1
 
 
-@njit(cache=True)
+@part
 def walk_line(space, room, cell, x0, y0, x1, y1):
     """Walk from a point in a cell straight to another: to which cell, and what share of the way.
 
@@ -120,7 +120,7 @@ def walk_line(space, room, cell, x0, y0, x1, y1):
         leaving = leaving and not passable[cell]
 
 
-@njit(cache=True)
+@part
 def _cross(layout, links, passable, floor, max_step, cell, down, across):
     """The passable cell over one edge of a cell, -1 for none; of `down`, `across` one is 0, one ±1.
 
@@ -146,7 +146,7 @@ def _cross(layout, links, passable, floor, max_step, cell, down, across):
     return np.int64(-1)
 
 
-@njit(cache=True)
+@part
 def _beside(layout, cell, down, across):
     """The neighbour on the same level, -1 beyond its rim."""
     level = level_of(layout.start, cell)
@@ -157,7 +157,7 @@ def _beside(layout, cell, down, across):
     return np.int64(-1)
 
 
-@njit(cache=True)
+@part
 def _slide(space, cell, x0, y0, x1, y1):
     """Continue from x0, y0 in a cell, where a straight walk to x1, y1 ended, to the nearest point.
 
@@ -225,7 +225,7 @@ def _slide(space, cell, x0, y0, x1, y1):
     return best[1], best[2], best[3]
 
 
-@njit(cache=True)
+@part
 def _slot(layout, window, cell):
     """Index of a cell in the windows of all levels, -1 outside."""
     level = level_of(layout.start, cell)

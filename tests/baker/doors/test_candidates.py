@@ -11,8 +11,8 @@ import pytest
 from door_scenes import CUPBOARD, LEAF, ROOMS, bake_world, world
 from navbake.baker.doors.candidates import find_candidates, pose_doors, without_doors
 from navbake.baker.pipeline import run_bake
-from navbake.baker.scene.bodies import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.collect import collect_shapes
+from navbake.baker.scene.names import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.scene import SceneSettings
 from navbake.config.settings import DoorSettings, load_config, parse_config

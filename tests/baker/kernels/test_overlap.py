@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 
 import fcl
+import numba
 import numpy as np
 import pytest
 from numpy.random import Generator
@@ -29,6 +30,13 @@ from navbake.baker.kernels.overlap import make_polygons, plane_meets_prism, tria
 from navbake.baker.scene.shapes import Planes, Solids, solid_bounds
 from oracles.prisms import Prisms
 from oracles.surfaces import disc_meets, square_meets
+
+# parts of kernels as functions that Python can call
+make_simplex = numba.njit(make_simplex.py_func)
+solid_meets_prism = numba.njit(solid_meets_prism.py_func)
+make_polygons = numba.njit(make_polygons.py_func)
+plane_meets_prism = numba.njit(plane_meets_prism.py_func)
+triangle_meets_prism = numba.njit(triangle_meets_prism.py_func)
 
 PAIRS = int(os.environ.get("NAVBAKE_EXAMPLES", "1500"))
 KINDS = {

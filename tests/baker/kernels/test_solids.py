@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pytest
 from numpy.random import Generator
@@ -19,6 +20,11 @@ from navbake.baker.kernels.constants import (
 from navbake.baker.kernels.gjk import make_simplex, solid_meets_prism
 from navbake.baker.kernels.solids import part_of_solid
 from navbake.baker.scene.shapes import Solids
+
+# parts of kernels as functions that Python can call
+make_simplex = numba.njit(make_simplex.py_func)
+solid_meets_prism = numba.njit(solid_meets_prism.py_func)
+part_of_solid = numba.njit(part_of_solid.py_func)
 
 SIMPLEX = make_simplex()
 KINDS = {"sphere": SPHERE, "capsule": CAPSULE, "cylinder": CYLINDER, "box": BOX}

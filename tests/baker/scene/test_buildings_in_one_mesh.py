@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
-import threading
-import time
 from pathlib import Path
 
 import mujoco
@@ -14,7 +10,6 @@ import pytest
 import trimesh
 
 from navbake.baker.pipeline import BakeResult, run_bake
-from navbake.baker.scene.chatter import catch_chatter
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.scene import SceneSettings
 from navbake.config.settings import AgentSettings, FloorSettings, parse_config
@@ -179,83 +174,6 @@ def test_ground_in_mjcf_keeps_ids_and_what_auto_takes(tmp_path):
     mujoco.mj_saveModel(plain.model, str(tmp_path / "scene.mjb"))
     with pytest.raises(ConfigError, match=r"`scene.ground` can't be added to an MJB"):
         load_scene(SceneSettings(path=tmp_path / "scene.mjb", ground=0.0))
-
-
-# ---------------------------------------------------------------- Qhull's messages
-
-
-def test_qhull_s_messages_are_caught_and_others_pass(capfd):
-    with catch_chatter() as lines:
-        os.write(2, b"before\nQH6154 Qhull precision error: initial simplex is not convex\n\n")
-        os.write(2, b"  - use 'QJ' to joggle the input\nValueError: after\n  more\n")
-    first = "QH6154 Qhull precision error: initial simplex is not convex"
-    assert lines == [first, "- use 'QJ' to joggle the input"]
-    assert capfd.readouterr().err == "before\nValueError: after\n  more\n"
-    with catch_chatter() as lines:
-        os.write(2, b"a point without a hull, and no end of line")
-    assert lines == []
-    assert capfd.readouterr().err == "a point without a hull, and no end of line"
-
-
-def test_where_no_folder_has_room_all_is_shown(capfd, monkeypatch):
-    with monkeypatch.context() as patch:
-        patch.setattr(tempfile, "tempdir", "/no/such/folder")
-        with catch_chatter() as lines:
-            os.write(2, b"QH6154 Qhull precision error\n")
-    assert lines == [] and capfd.readouterr().err == "QH6154 Qhull precision error\n"
-
-
-def test_threads_take_turns_at_stderr(capfd):
-    entered = threading.Event()
-
-    def first():
-        with catch_chatter():
-            entered.set()
-            os.write(2, b"first\n")
-            time.sleep(0.05)
-
-    def second():
-        entered.wait()
-        with catch_chatter():
-            os.write(2, b"second\n")
-            time.sleep(0.1)  # longer than the first one's rest
-
-    threads = [threading.Thread(target=turn) for turn in (first, second)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    os.write(2, b"shown\n")
-    assert capfd.readouterr().err == "first\nsecond\nshown\n"
-
-
-def test_qhull_s_messages_are_kept_for_the_error(capfd, tmp_path, monkeypatch):
-    def fail(path):
-        os.write(2, b"QH6154 initial simplex is flat\n")
-        raise ValueError("no hull")
-
-    (tmp_path / "scene.xml").write_text("<mujoco/>")
-    monkeypatch.setattr(mujoco.MjSpec, "from_file", fail)
-    monkeypatch.setattr(mujoco.MjModel, "from_xml_path", fail)
-    with pytest.raises(SceneError, match="no hull; QH6154 initial simplex is flat"):
-        load_scene(SceneSettings(path=tmp_path / "scene.xml"))
-    os.write(2, b"shown\n")
-    assert capfd.readouterr().err == "shown\n"
-
-
-def test_mesh_that_is_nearly_flat_compiles_quietly(tmp_path, capfd):
-    """Qhull complains at length about it."""
-    vertices = np.random.default_rng(0).uniform(-1, 1, (60, 3)) * [1, 1, 1e-9]
-    text, faces = " ".join(map(repr, vertices.ravel().tolist())), " ".join(map(str, range(60)))
-    path = tmp_path / "scene.xml"
-    path.write_text(
-        f'<mujoco><asset><mesh name="m" inertia="shell" vertex="{text}" face="{faces}"/></asset>'
-        '<worldbody><geom type="mesh" mesh="m"/></worldbody></mujoco>'
-    )
-    mujoco.MjModel.from_xml_path(str(path))
-    assert "QH" in capfd.readouterr().err
-    load_scene(SceneSettings(path=path))
-    assert capfd.readouterr().err == ""
 
 
 # ---------------------------------------------------------------- hard cases

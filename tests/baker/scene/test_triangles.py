@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pytest
 
 from navbake.baker.scene.extents import DIRECTIONS, find_facing
-from navbake.baker.scene.kernels.facing import measure_spans
 from navbake.baker.scene.kernels.triangles import (
     check_faces,
-    find_box,
-    find_used,
     measure_areas,
     measure_boxes,
+    measure_spans,
     sum_by_facing,
     take_corners,
     unit_normal,
 )
+
+# parts of kernels as functions that Python can call
+unit_normal = numba.njit(unit_normal.py_func)
 
 
 @pytest.fixture(params=range(10))
@@ -52,15 +54,6 @@ def test_normals_and_boxes(mesh):
     np.testing.assert_array_equal(bounds, np.hstack([corners.min(axis=1), corners.max(axis=1)]))
 
 
-def test_box_leaves_geoms_out(mesh):
-    corners, geom = corners_of(*mesh), np.repeat(np.arange(4, dtype=np.int32), 25)
-    left_out = np.array([False, True, False, True])
-    kept = corners[~left_out[geom]].reshape(-1, 3)
-    box = find_box(corners, geom, left_out)
-    np.testing.assert_array_equal(box, [*kept.min(axis=0), *kept.max(axis=0)])
-    assert (find_box(corners, geom, np.ones(4, np.bool_)) == [np.inf] * 3 + [-np.inf] * 3).all()
-
-
 def test_areas_and_what_they_use(mesh):
     vertices, faces = mesh
     double = np.linalg.norm(cross_of(*mesh), axis=1)
@@ -68,7 +61,6 @@ def test_areas_and_what_they_use(mesh):
     has_area, is_used = check_faces(vertices, faces, 0.05)
     np.testing.assert_array_equal(has_area, double > 0.05)
     assert set(np.flatnonzero(is_used)) == set(faces[has_area].ravel())
-    assert set(np.flatnonzero(find_used(faces, len(vertices)))) == set(faces.ravel())
 
 
 def test_area_by_facing(mesh):

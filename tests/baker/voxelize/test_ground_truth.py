@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 
 import fcl
+import numba
 import numpy as np
 import pytest
 import trimesh
@@ -25,6 +26,10 @@ from navbake.voxels.placement import Placement
 from oracles.prisms import FREE, OCCUPIED, UNKNOWN, Prisms
 from oracles.scene import Thing, cross_part, part_meets_prisms, part_of, scene_xml
 from oracles.surfaces import Surface, surface_meets_prisms
+
+# parts of kernels as functions that Python can call
+make_polygons = numba.njit(make_polygons.py_func)
+solid_span = numba.njit(solid_span.py_func)
 
 MORE = int(os.environ.get("NAVBAKE_EXAMPLES", "0"))
 FOLDER = tempfile.TemporaryDirectory()

@@ -3,15 +3,14 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from navbake.baker.floors.kernels.sheets import count_planes_over, look_up, neighbour
 from navbake.baker.kernels.constants import CLOSED_SURFACE, SAME, SLACK
 from navbake.baker.kernels.tiles import cell_center
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, kernel, part
 
 
-@njit(inline="always")
+@part(inline="always")
 def _find_holder(crossings, i, last):
     """The geom of a closed surface that holds the i-th surface, the one that ends lowest; or -1."""
     z, normal, geom, closed = crossings.z, crossings.normal, crossings.geom, crossings.closed
@@ -27,7 +26,7 @@ def _find_holder(crossings, i, last):
     return np.int32(-1)
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def find_holders(lattice, crossings, planes, limits, holder, first_cell, end):
     """Find the surfaces that an agent could stand on if closed meshes held nothing inside.
 
@@ -52,7 +51,7 @@ def find_holders(lattice, crossings, planes, limits, holder, first_cell, end):
                 previous = z
 
 
-@njit(cache=True)
+@kernel
 def count_ends(lattice, cells, heights, footing, step, at_cell):
     """Count the edges of a sheet, and those beyond which a footing goes on at its height.
 

@@ -7,14 +7,13 @@ sides beyond which the cell has no neighbour of its own sheet.
 import math
 
 import numpy as np
-from numba import njit
 
 from navbake.baker.floors.kernels.sheets import neighbour
 from navbake.baker.kernels.constants import SLACK
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, kernel, part
 
 
-@njit(inline="always")
+@part(inline="always")
 def _holds_sheet(standable, cell, sheet):
     """Whether a cell has a surface of a sheet."""
     for t in range(standable.start[cell], standable.start[cell + 1]):
@@ -23,7 +22,7 @@ def _holds_sheet(standable, cell, sheet):
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def list_edges(standable, chosen):
     """List the edges of the chosen sheets, (sheets,) bool.
 
@@ -45,7 +44,7 @@ def list_edges(standable, chosen):
     return surface[:count].copy(), way_out[:count].copy()
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def look_out(standable, surface, way, step, cells, floors):
     """Look out from edges: the cells beyond each, and the floors more than a step below in them.
 

@@ -6,14 +6,15 @@ circles, edge by edge in the order of height.
 """
 
 import numpy as np
-from numba import njit
+
+from navbake.compiled import kernel, part
 
 # What it costs to move a stair's tread, or a floor, by one level, and to leave it out of order.
 # A tread moves rather than a floor, and is out of order rather than a floor moves.
 MOVE_STAIR, MOVE_FLOOR, SKIP_STAIR, SKIP_FLOOR = 1, 10_000, 100, 10_000_000
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def place_on_levels(start, base, is_stair, num_levels, level):
     """Give each surface its level, so that no two of a column share one.
 
@@ -51,7 +52,7 @@ def place_on_levels(start, base, is_stair, num_levels, level):
                     taken[level[i]] = True
 
 
-@njit(cache=True)
+@part
 def _align(first, last, base, is_stair, num_levels, level):
     """Place the surfaces of a column in their order; -1 for those that are left out of it."""
     count = last - first
@@ -83,7 +84,7 @@ def _align(first, last, base, is_stair, num_levels, level):
             k -= 1
 
 
-@njit(cache=True)
+@part
 def _nearest_free(taken, base):
     """The level nearest to a base that is not taken, the upper of two; -1 if there is none."""
     for away in range(1, taken.shape[0]):
@@ -94,7 +95,7 @@ def _nearest_free(taken, base):
     return -1
 
 
-@njit(cache=True)
+@kernel
 def climb(lower, upper, area, by_lower, by_upper):
     """The largest floors that one gets to from each part of a walk, going only up or only down.
 

@@ -1,10 +1,11 @@
 """How much of each sheet is open to the sky, and how much lies over another sheet: one count."""
 
 import numpy as np
-from numba import njit
+
+from navbake.compiled import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def count_open_and_over(every, counts):
     """Count the surfaces of sheets that are open to the sky, and those over another sheet.
 

@@ -9,16 +9,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE, SAME, SLACK
 from navbake.baker.kernels.tiles import cell_center
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.navgrid.kernels.union_find import find_root, unite
 from navbake.types import Bool, Float, Int, Int32
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def count_planes_over(planes, x, y, z):
     """How many infinite planes have a point behind them."""
     count = 0
@@ -33,7 +32,7 @@ def count_planes_over(planes, x, y, z):
     return count
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def look_up(crossings, i, last):
     """How many solids of a column hold the i-th surface, and the height of the next one above.
 
@@ -57,7 +56,7 @@ def look_up(crossings, i, last):
     return surfaces, others, above
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def mark_surfaces(lattice, crossings, planes, limits, floor_like, standable, count, cell0, end):
     """Tell which crossings are floor-like and which are standable, into two (n,) bool arrays.
 
@@ -110,7 +109,7 @@ class Surfaces(NamedTuple):
     footing: Float
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def list_surfaces(crossings, marks, places, before, found, writing, first, end):
     """List the surfaces that `mark_surfaces` marked; twice: to count, then to write.
 
@@ -146,7 +145,7 @@ def list_surfaces(crossings, marks, places, before, found, writing, first, end):
                 footing += 1
 
 
-@njit(cache=True)
+@part
 def neighbour(lattice, cell, way):
     """The next cell east (0), south (1), west (2) or north (3), or -1."""
     width, col = lattice.width, cell % lattice.width
@@ -159,7 +158,7 @@ def neighbour(lattice, cell, way):
     return cell - width
 
 
-@njit(inline="always")
+@part(inline="always")
 def neighbours(lattice, cell):
     """The next cells east, south, west and north, each -1 for none."""
     width, num = lattice.width, lattice.width * lattice.height
@@ -170,7 +169,7 @@ def neighbours(lattice, cell):
     return east, south, west, cell - width
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def join_by_steps(lattice, start, z, group, step):
     """Label the connected parts of standable surfaces: of one group, neighbours a step apart.
 
@@ -204,7 +203,7 @@ def join_by_steps(lattice, start, z, group, step):
     return part, size[:count].copy()
 
 
-@njit(inline="always")
+@part(inline="always")
 def _slope_joins(dz, one, other, step):
     """Whether slopes join two surfaces of neighbouring cells that are `dz` apart.
 
@@ -219,7 +218,7 @@ def _slope_joins(dz, one, other, step):
     return abs(dz - one) <= step + SLACK and abs(dz - other) <= step + SLACK
 
 
-@njit(cache=True)
+@kernel
 def join_by_slopes(lattice, start, z, normal, step):
     """Find the pairs of surfaces in neighbouring cells that their slopes join, but no step does.
 
@@ -252,7 +251,7 @@ def join_by_slopes(lattice, start, z, normal, step):
     return pairs
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def group_members(part, size):
     """List the members of each part, given the part of each surface, int32, and the parts' sizes.
 
@@ -269,7 +268,7 @@ def group_members(part, size):
     return start, member
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def find_links(lattice, start, z, level, step):
     """Pairs of surfaces in neighbouring cells, a step apart, on different levels.
 
@@ -303,7 +302,7 @@ def find_links(lattice, start, z, level, step):
     return pairs
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def count_options(footing, candidate, floor, lowest, highest, count, cell0, end):
     """Count the heights at which a level's floor may go on in each cell, into (cells,) int64.
 
@@ -318,7 +317,7 @@ def count_options(footing, candidate, floor, lowest, highest, count, cell0, end)
                     count[cell] += 1
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def list_options(footing, candidate, lowest, highest, start, height, cell0, end):
     """Write the heights that `count_options` counts, (options,) float64 [m].
 
@@ -334,7 +333,7 @@ def list_options(footing, candidate, lowest, highest, start, height, cell0, end)
                 place += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def grow_floor(lattice, start, height, floor, step):
     """Let a level's floor go on under things, ring by ring, in place.
 
@@ -373,7 +372,7 @@ class Rings(NamedTuple):
     seen: Bool
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _grow(lattice, start, height, floor, step, rings):
     """See `grow_floor`; one patch of cells after the other."""
     for cell in range(floor.shape[0]):
@@ -381,7 +380,7 @@ def _grow(lattice, start, height, floor, step, rings):
             _grow_patch(lattice, start, height, floor, step, rings, cell)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _grow_patch(lattice, start, height, floor, step, rings, cell):
     """Let a floor go on in the cells with heights that hang together with one of them."""
     ring, following, queued, value, beside, seen = rings
@@ -423,7 +422,7 @@ def _grow_patch(lattice, start, height, floor, step, rings, cell):
         ring, following = following, ring
 
 
-@njit(inline="always")
+@part(inline="always")
 def _around(lattice, cell):
     """The next cells east, south, west and north, less than 0 for none; see `neighbour`."""
     width, col = lattice.width, cell % lattice.width
@@ -433,7 +432,7 @@ def _around(lattice, cell):
     return east, south, west, cell - width
 
 
-@njit(inline="always")
+@part(inline="always")
 def _list_beside(lattice, cell, floor, beside):
     """Write the floors of a cell's neighbours that have one; returns how many they are."""
     count = 0
@@ -444,7 +443,7 @@ def _list_beside(lattice, cell, floor, beside):
     return count
 
 
-@njit(inline="always")
+@part(inline="always")
 def nearest_height(heights, beside, step):
     """The height at which a floor goes on in a cell, or NaN."""
     best, best_gap = math.nan, step + SLACK

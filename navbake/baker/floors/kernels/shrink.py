@@ -5,9 +5,8 @@ only until enough have survived, that is cheaper than a transform of the whole l
 """
 
 import numpy as np
-from numba import njit
 
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, kernel
 
 
 def near_offsets(limit: float, shorter: int) -> np.ndarray:
@@ -41,7 +40,7 @@ def east_rim(offsets: np.ndarray) -> np.ndarray:
     return rim
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def mark_inner(cells, offsets, rim, width, height, needed, mask, counted, inner):
     """Mark the cells of a set whose neighbours at all offsets belong to it, until enough are found.
 

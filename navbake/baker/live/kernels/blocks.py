@@ -10,10 +10,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from navbake.baker.kernels.constants import SLACK
+from navbake.compiled import kernel
 from navbake.navgrid.kernels.union_find import find_root, unite
 from navbake.types import Float, Int
 
@@ -55,7 +55,7 @@ class Blocks(NamedTuple):
         )
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def list_blocks(lattice, cells):
     """The blocks that some cells are in, and those with a border to them: two ascending lists."""
     columns, rows = -(-lattice.width // EDGE), -(-lattice.height // EDGE)
@@ -71,7 +71,7 @@ def list_blocks(lattice, cells):
     return np.flatnonzero(own), np.flatnonzero(around)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def label_blocks(lattice, pool, sheet, step, blocks, listed, begin, end):
     """Find the parts of a sheet in each of the blocks ``listed[begin:end]``."""
     height, part, width = blocks.height, blocks.part, lattice.width
@@ -110,7 +110,7 @@ def label_blocks(lattice, pool, sheet, step, blocks, listed, begin, end):
         blocks.num_parts[block] = count
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def meet_at_borders(lattice, step, blocks, listed):
     """Find the parts that meet at the eastern and southern borders of some blocks."""
     part, height, width = blocks.part, blocks.height, lattice.width
@@ -136,7 +136,7 @@ def meet_at_borders(lattice, step, blocks, listed):
             blocks.num_pairs[block, way] = count
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def join_parts(lattice, blocks):
     """Find what hangs together of all parts of all blocks.
 
@@ -168,7 +168,7 @@ def join_parts(lattice, blocks):
     return first, whole, size[:count].copy()
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def cells_of_whole(lattice, blocks, first, whole, number):
     """The cells that belong to one whole, block by block."""
     width, columns = lattice.width, -(-lattice.width // EDGE)

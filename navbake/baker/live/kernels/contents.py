@@ -3,16 +3,15 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from navbake.baker.kernels.contents import count_candidates, list_geoms
 from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, kernel
 from navbake.types import Int, Int32
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def count_in_tiles(lattice, solids, planes, lists, footprint, cells, listed, begin, end):
     """`count_candidates` for the tiles ``listed[begin:end]``; `lists` are tiles and groups."""
     tiles, groups = lists
@@ -20,7 +19,7 @@ def count_in_tiles(lattice, solids, planes, lists, footprint, cells, listed, beg
         count_candidates(lattice, solids, planes, tiles, groups, footprint, cells, tile, tile + 1)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def list_in_tiles(lattice, crossings, shapes, lists, footprint, probe, cells, listed, begin, end):
     """`list_geoms` for the tiles ``listed[begin:end]``; `lists` are tiles and groups."""
     tiles, groups = lists
@@ -61,7 +60,7 @@ class EntryPool(NamedTuple):
     flags: NDArray[np.uint8]
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def compare_entries(pool, cells, new, changed, marked):
     """Tell which cells have other entries now.
 
@@ -87,7 +86,7 @@ def compare_entries(pool, cells, new, changed, marked):
                 marked[pool.geom[j]] = True
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def put_entries(pool, cells, new, changed, used):
     """Write the entries of changed cells behind the `used` part; returns how much is used now."""
     start, geom, flags = new
@@ -101,7 +100,7 @@ def put_entries(pool, cells, new, changed, used):
     return used
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def take_entries(pool, cells):
     """The entries of some cells."""
     start = np.zeros(cells.shape[0] + 1, np.int64)
@@ -116,7 +115,7 @@ def take_entries(pool, cells):
     return Entries(start, geom, flags)
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def mark_geoms(pool, cells, marked):
     """Mark the geoms in some cells, by geom id."""
     for cell in cells:
@@ -124,7 +123,7 @@ def mark_geoms(pool, cells, marked):
             marked[pool.geom[i]] = True
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def count_taken(pool, cells, body_of, taken, by):
     """`count_taken_cells` for some cells."""
     for cell in cells:
@@ -145,7 +144,7 @@ def count_taken(pool, cells, body_of, taken, by):
                 taken[body] += by
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def measure_entries(pool, cells, floor, low, high, asked, measured):
     """Add what some cells tell of geoms, see `measure_over_floors`.
 

@@ -1,18 +1,17 @@
 """Gaps in floors in a region: `find_gaps` for some cells alone."""
 
-from numba import njit
-
 from navbake.baker.kernels.cracks import gaps_of_cell, is_even, mark_standable
+from navbake.compiled import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def mark_region_standable(crossings, limits, room, region, begin, end):
     """Fill `stands` and `only` of a `GapRoom` for the cells ``region[begin:end]``."""
     for cell in region[begin:end]:
         room.only[cell] = mark_standable(crossings, cell, limits, room.stands)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def count_gaps_in(lattice, crossings, limits, reach, room, asked, counts, begin, end):
     """Count the gaps of the cells ``asked[begin:end]``.
 
@@ -33,7 +32,7 @@ def count_gaps_in(lattice, crossings, limits, reach, room, asked, counts, begin,
             counts[n] = gaps_of_cell(lattice, crossings, limits, reach, room, place, low, high)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def write_gaps_in(lattice, crossings, limits, reach, room, asked, begin, end):
     """Write the heights of the sides of each gap of the cells ``asked[begin:end]``.
 

@@ -9,13 +9,13 @@ its outermost cells come out as they were, floors and rings, nothing outside of 
 import math
 
 import numpy as np
-from numba import njit
 
 from navbake.baker.floors.kernels.sheets import nearest_height, neighbour
 from navbake.baker.live.kernels.pool import FLOOR_LIKE
+from navbake.compiled import kernel, part
 
 
-@njit(inline="always")
+@part(inline="always")
 def _list_known(lattice, cell, local, value, ring, floor, rings, now, beside):
     """Write the floors that a cell's neighbours have before a ring; how many, and if one is new."""
     count, is_new = 0, False
@@ -32,7 +32,7 @@ def _list_known(lattice, cell, local, value, ring, floor, rings, now, beside):
     return count, is_new
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def list_heights(start, z, taken):
     """The heights of the surfaces that are taken, ragged by column as `z` is: start and heights."""
     begin, height, at = np.zeros(start.shape[0], np.int64), np.empty(z.shape[0]), 0
@@ -45,7 +45,7 @@ def list_heights(start, z, taken):
     return begin, height[:at].copy()
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def compare_floors(cells, value, ring, floor, standable, rings, has_height, has_shifted, moved):
     """Tell which cells have another floor now; the results are as in `Grown`.
 
@@ -59,7 +59,7 @@ def compare_floors(cells, value, ring, floor, standable, rings, has_height, has_
         moved[n] = has_height[n] or ring[n] != rings[cells[n]]
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def regrow(lattice, cells, start, height, step, value, ring, floor, rings, local):
     """Let the floor go on in the cells of a region.
 
@@ -139,7 +139,7 @@ def regrow(lattice, cells, start, height, step, value, ring, floor, rings, local
         local[cell] = -1
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def grow_parts(lattice, pool, main, step, parts, before, local, answers, begin, end):
     """Let the floor go on in parts of a region that do not touch, see `regrow`.
 

@@ -10,10 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Int, Int32
 
 # What a surface is: one that floors may go on at, one that an agent can stand on
@@ -43,7 +42,7 @@ class Pool(NamedTuple):
     sheet: Int32
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def copy_columns(source, at, columns, begin, end):
     """Copy columns ``[begin, end)`` of those whose lengths are known from where a source has them.
 
@@ -64,7 +63,7 @@ def copy_columns(source, at, columns, begin, end):
             j += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def gather_standable(pool, cells):
     """The surfaces of some cells that an agent can stand on.
 
@@ -86,7 +85,7 @@ def gather_standable(pool, cells):
     return start, z[:at].copy(), place[:at].copy()
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def find_tops(pool, top, up):
     """The height of each cell's highest surface [m], and the z of its normal: see `Overhead`."""
     for cell in range(pool.first.shape[0]):
@@ -95,13 +94,13 @@ def find_tops(pool, top, up):
             top[cell], up[cell] = pool.z[last], pool.normal[last, 2]
 
 
-@njit(inline="always")
+@part(inline="always")
 def _are_equal(one, other):
     """Whether two numbers are the same to the last bit; 0.0 and -0.0 aren't."""
     return one == other and (one != 0.0 or math.copysign(1.0, one) == math.copysign(1.0, other))
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def differs(pool, cells, new, result, first, end):
     """Whether the columns of ``cells[first:end]`` differ in any bit from new ones, (n,) bool."""
     for n in range(first, end):
@@ -118,7 +117,7 @@ def differs(pool, cells, new, result, first, end):
             result[n] = not same
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def put(pool, cells, new, marks, used):
     """Write new columns of some cells, numbered as `cells` are; those too long behind `used`.
 
@@ -140,7 +139,7 @@ def put(pool, cells, new, marks, used):
     return used
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def point_at(cells, local_start, start):
     """Let the sparse `start`, (all cells + 1,), hold the columns of some cells, ascending.
 

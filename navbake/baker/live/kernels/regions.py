@@ -3,20 +3,20 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from navbake.baker.floors.kernels.sheets import neighbour
+from navbake.compiled import kernel, part
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 
-@njit(inline="always")
+@part(inline="always")
 def _mark_row(row, first, last, width, left, right, flag):
     """Mark the cells ``[first, last)`` of a row, and note how far its marks reach."""
     flag[row * width + first : row * width + last] = True
     left[row], right[row] = min(left[row], first), max(right[row], last)
 
 
-@njit(cache=True, nogil=True)
+@part
 def _take_marked(width, left, right, flag):
     """The marked cells, ascending; row by row, which costs less than to sort them.
 
@@ -35,7 +35,7 @@ def _take_marked(width, left, right, flag):
     return cells[:k].copy()
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def cells_of_boxes(lattice, boxes, grow, spare, flag):
     """The cells whose centres lie in boxes, (n, 6) [m], grown by `grow` [m] and `spare` [cells].
 
@@ -60,7 +60,7 @@ def cells_of_boxes(lattice, boxes, grow, spare, flag):
     return _take_marked(width, left_end, right_end, flag)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def are_in(cells, some):
     """Which cells of a region are in another one, (n,) bool; both ascending: a merge."""
     result, k = np.zeros(cells.shape[0], np.bool_), 0
@@ -71,7 +71,7 @@ def are_in(cells, some):
     return result
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def join_cells(one, other):
     """The cells of two regions, each once, ascending: a merge."""
     cells, i, j, count = np.empty(one.shape[0] + other.shape[0], np.int64), 0, 0, 0
@@ -89,7 +89,7 @@ def join_cells(one, other):
     return cells[:count].copy()
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def grow_cells(width, height, cells, by, flag):
     """Some cells and those at most so many rows and columns away, ascending; see above.
 
@@ -112,7 +112,7 @@ def grow_cells(width, height, cells, by, flag):
     return _take_marked(width, left, right, flag)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def near_tiles(boxes, reach, lattice, tile, summed, result):
     """Tell which boxes, (n, 6) [m], grown by `reach` [m], may lie over marked tiles; (n,) bool.
 
@@ -140,7 +140,7 @@ def near_tiles(boxes, reach, lattice, tile, summed, result):
         result[n] = count > 0
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def label_cells(lattice, cells, local):
     """The connected part of each cell of a region over edges, (n,) int64.
 

@@ -4,16 +4,15 @@ Connected components by union-find in the region; outside, breadth-first search 
 """
 
 import numpy as np
-from numba import njit
 
 from navbake.baker.floors.kernels.enclosed import find_holders
 from navbake.baker.floors.kernels.sheets import mark_surfaces, neighbour
 from navbake.baker.kernels.constants import SLACK
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 
-@njit(inline="always")
+@part(inline="always")
 def _end_of_run(cells, n, end):
     """Where the run of consecutive cells ends that begins with the n-th."""
     m = n + 1
@@ -22,7 +21,7 @@ def _end_of_run(cells, n, end):
     return m
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def mark_region(lattice, cells, crossings, planes, limits, marks, count, first, end):
     """`mark_surfaces` for some cells alone, ``cells[first:end]``, run by run.
 
@@ -37,7 +36,7 @@ def mark_region(lattice, cells, crossings, planes, limits, marks, count, first, 
         n = m
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def hold_region(lattice, cells, crossings, planes, limits, holder):
     """`find_holders` for some cells alone; ``crossings.start`` is by cell id."""
     n = 0
@@ -47,7 +46,7 @@ def hold_region(lattice, cells, crossings, planes, limits, holder):
         n = m
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def group_parts(part, num):
     """The surfaces of each part, ascending: ``order[bounds[k]:bounds[k + 1]]``; a counting sort.
 
@@ -67,7 +66,7 @@ def group_parts(part, num):
     return order, bounds
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def only_sheets(part, sheet, num):
     """The one sheet that surfaces of each part belong to: -1 for none, -2 for several, (num,).
 
@@ -81,7 +80,7 @@ def only_sheets(part, sheet, num):
     return only
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def label_region(lattice, cells, start, z, step, local):
     """The connected part of each surface of a region, (n,) int64.
 
@@ -115,7 +114,7 @@ def label_region(lattice, cells, start, z, step, local):
     return part, num
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def explore(lattice, pool, step, cells, places, sheet, mark, most):
     """Go from some surfaces to all of their sheet that hang together with them.
 

@@ -9,10 +9,9 @@ the rows; steeper ones scan the lattice with its axes swapped.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.navgrid.kernels.union_find import find_root
 from navbake.types import Bool, Int, Int32
 
@@ -80,7 +79,7 @@ class Scan(NamedTuple):
     leans: Int
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def measure_runs(is_open, shift):
     """The number of open cells in a row along a line through each cell, 0 for closed ones.
 
@@ -108,7 +107,7 @@ def measure_runs(is_open, shift):
     return run
 
 
-@njit(cache=True)
+@kernel
 def mark_bridges(low, wall, shift, bridge):
     """Mark the `low` cells of ways along a line, which begin and end at a wall.
 
@@ -139,14 +138,14 @@ def mark_bridges(low, wall, shift, bridge):
                 bridge[row, col] = True
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _hold_column(low, wall, to_next, next_wall, held, found):
     """`_hold` for each row of a column; the line's next cell is `to_next` rows further down."""
     for row in range(low.shape[0]):
         found[row] = _hold(low, wall, row, row + to_next, next_wall, held)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _hold(low, wall, row, next_row, next_wall, held):
     """Which cells round a line's cell are low and held by a wall, over the next cell of the line.
 
@@ -181,7 +180,7 @@ def _hold(low, wall, row, next_row, next_wall, held):
     return np.uint8(found)
 
 
-@njit(cache=True)
+@kernel
 def drop_thick(mark, most):
     """Unmark the cells of columns of more than `most` marked cells; `mark` is (rows, cols) bool."""
     rows, cols = mark.shape
@@ -196,7 +195,7 @@ def drop_thick(mark, most):
             row += 1
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def mark_gaps(run, widest, growth, rise, thickness, both, gap):
     """Mark the cells of gaps: runs of at most `widest` cells next to much longer ones.
 
@@ -230,7 +229,7 @@ def mark_gaps(run, widest, growth, rise, thickness, both, gap):
                 gap[row, col] = max(gap[row, col], 1)
 
 
-@njit(cache=True)
+@kernel
 def list_crossings(label, gap, own, thickness):
     """List where one column of cells leads through marked cells from one region to another.
 
@@ -244,7 +243,7 @@ def list_crossings(label, gap, own, thickness):
     return crossings
 
 
-@njit(cache=True)
+@part
 def _empty_crossings(count):
     return Crossings(
         np.empty(count, dtype=np.int64),
@@ -256,7 +255,7 @@ def _empty_crossings(count):
     )
 
 
-@njit(cache=True)
+@part
 def _fill_crossings(label, gap, own, thickness, crossings, writing):
     """Write the crossings, or only count them."""
     rows, cols = label.shape
@@ -284,7 +283,7 @@ def _fill_crossings(label, gap, own, thickness, crossings, writing):
     return count
 
 
-@njit(cache=True)
+@kernel
 def group_crossings(crossings, shift):
     """Number the gaps that crossings of neighbouring columns between the same regions make up.
 
@@ -316,7 +315,7 @@ def group_crossings(crossings, shift):
     return number
 
 
-@njit(cache=True)
+@kernel
 def measure_gaps(scan, gaps, chosen, parent):
     """How open the lines of some gaps are, seen from the regions above them and below them.
 
@@ -364,7 +363,7 @@ def measure_gaps(scan, gaps, chosen, parent):
     return shares, start, met[:count]
 
 
-@njit(cache=True)
+@part
 def _count_behind(scan, gaps, k, side):
     """How many open rows lie behind gap k in its middle, 1 to the first depth."""
     rows = len(scan.is_open)
@@ -377,7 +376,7 @@ def _count_behind(scan, gaps, k, side):
     return scan.depths[0]
 
 
-@njit(cache=True)
+@part
 def _measure_line(scan, gaps, k, line, parent, met, noted):
     """The share that gap k has of a line behind it, and the regions met so far.
 
@@ -431,7 +430,7 @@ def _measure_line(scan, gaps, k, line, parent, met, noted):
     return through / length, met, count
 
 
-@njit(cache=True)
+@part
 def _note(met, begin, count, region):
     """Add a region to those that a gap has met, from `begin` on, if it is new."""
     for k in range(begin, count):

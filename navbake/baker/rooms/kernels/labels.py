@@ -6,13 +6,12 @@ of each run's part.
 """
 
 import numpy as np
-from numba import njit
 
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.navgrid.kernels.union_find import find_root, unite
 
 
-@njit(cache=True)
+@kernel
 def label_parts(mask):
     """Label the parts of a (rows, cols) mask that hang together over edges.
 
@@ -29,7 +28,7 @@ def label_parts(mask):
     return label, parts
 
 
-@njit(inline="always")
+@part(inline="always")
 def _label_runs(mask, label, parent):
     """Label the runs of each row, and join those that touch; returns how many runs there are."""
     rows, cols = mask.shape
@@ -53,7 +52,7 @@ def _label_runs(mask, label, parent):
     return count
 
 
-@njit(inline="always")
+@part(inline="always")
 def _number_parts(parent, count):
     """The number of each run's part: a root is its first run, so it is met first."""
     number = np.zeros(count + 1, dtype=np.int32)
@@ -68,7 +67,7 @@ def _number_parts(parent, count):
     return number, parts
 
 
-@njit(cache=True)
+@kernel
 def cells_of_nodes(label):
     """The label of each cell's centre, or else the highest on its edges and corners.
 
@@ -87,7 +86,7 @@ def cells_of_nodes(label):
     return cells
 
 
-@njit(cache=True)
+@kernel
 def count_cells(label, count):
     """Count the cells of each label from 0 to ``count - 1``, int64."""
     cells = np.zeros(count, dtype=np.int64)
@@ -96,7 +95,7 @@ def count_cells(label, count):
     return cells
 
 
-@njit(cache=True, **UNCOUNTED)
+@kernel(**UNCOUNTED)
 def mark_fresh(open_cells, owner, label, used):
     """Mark the labels, of (rows, cols) int32, of open cells that have no owner yet.
 
@@ -108,7 +107,7 @@ def mark_fresh(open_cells, owner, label, used):
                 used[label[row, col]] = True
 
 
-@njit(cache=True, **UNCOUNTED)
+@kernel(**UNCOUNTED)
 def give_fresh(open_cells, owner, label, number):
     """Give the cells that `mark_fresh` looks at to the owner with their label's number, int32."""
     for row in range(label.shape[0]):
@@ -117,7 +116,7 @@ def give_fresh(open_cells, owner, label, number):
                 owner[row, col] = number[label[row, col]]
 
 
-@njit(cache=True, **UNCOUNTED)
+@kernel(**UNCOUNTED)
 def note_under(under, label, number):
     """Write the numbers of labels where there are none yet; arrays as for `give_fresh`."""
     for row in range(label.shape[0]):
@@ -126,7 +125,7 @@ def note_under(under, label, number):
                 under[row, col] = number[label[row, col]]
 
 
-@njit(cache=True)
+@kernel
 def first_cells(label, count):
     """The first cell of each label from 0 to ``count - 1``; how many there are for none."""
     labels = label.ravel()
@@ -136,7 +135,7 @@ def first_cells(label, count):
     return first
 
 
-@njit(cache=True)
+@kernel
 def measure_regions(label, distance, num_regions):
     """Count the cells of each label, and measure how far they are from the walls.
 
@@ -162,7 +161,7 @@ def measure_regions(label, distance, num_regions):
     return cells, peaks, sums
 
 
-@njit(cache=True)
+@kernel
 def measure_slopes(label, floor, reach, rise, num_regions):
     """Count the steep cells of each label, int64, and sum the floor heights of all, float64.
 
@@ -191,7 +190,7 @@ def measure_slopes(label, floor, reach, rise, num_regions):
     return steep, heights
 
 
-@njit(cache=True)
+@kernel
 def find_passes(label, distance):
     """Find the edges between cells with different labels, none of them 0.
 
@@ -228,7 +227,7 @@ def find_passes(label, distance):
     return pairs, saddles
 
 
-@njit(cache=True)
+@kernel
 def sum_rooms(index, floor, center_x, center_y, num_rooms):
     """Count the cells of each room from 0 to `num_rooms`, and sum their x, y and floor height [m].
 

@@ -12,12 +12,12 @@ one bucket for each height in place of a priority queue.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from navbake.compiled import kernel, part
 from navbake.types import Bool, Int32
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def sweep_columns(target, far, along, col0, end):
     """Distances to the nearest target within columns ``range(col0, end)``, at most `far`.
 
@@ -26,7 +26,7 @@ def sweep_columns(target, far, along, col0, end):
     _sweep(target[:, col0:end], along[:, col0:end], far)  # loops from 0 vectorize
 
 
-@njit(cache=True)
+@part
 def _sweep(target, along, far):
     rows, cols = target.shape
     for col in range(cols):
@@ -40,7 +40,7 @@ def _sweep(target, along, far):
             along[row, col] = min(along[row, col], along[row + 1, col] + np.int16(1))
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def sweep_rows(along, reach, rows, answer, number0, end):
     """Squared distances, for the `number0`-th to the end-th of some rows, from those in columns.
 
@@ -60,7 +60,7 @@ def sweep_rows(along, reach, rows, answer, number0, end):
             _take_lower(nearest, squares[shift : shift + cols], np.int32((shift - reach) ** 2))
 
 
-@njit(cache=True)
+@part
 def _take_lower(lowest, values, add):
     for i in range(lowest.shape[0]):
         lowest[i] = min(lowest[i], np.int32(values[i] + add))
@@ -80,7 +80,7 @@ class Buckets(NamedTuple):
     waiting: Bool
 
 
-@njit(cache=True)
+@kernel
 def flood(label, fillable, height, highest):
     """Fill cells from seeds, the highest first; a watershed whose lines take no cells.
 
@@ -128,7 +128,7 @@ def flood(label, fillable, height, highest):
             begin, end = end, count
 
 
-@njit(inline="always")
+@part(inline="always")
 def _has_label_beside(cell, rows, cols, labels, near):
     """Whether a cell that shares an edge with a cell has a label."""
     for other in near[: _neighbours(cell, rows, cols, near)]:  # noqa: SIM110 (no `any` in numba)
@@ -137,7 +137,7 @@ def _has_label_beside(cell, rows, cols, labels, near):
     return False
 
 
-@njit(inline="always")
+@part(inline="always")
 def _queue(cell, heights, buckets):
     """Let a cell wait in the bucket of its height."""
     buckets.waiting[cell] = False
@@ -145,7 +145,7 @@ def _queue(cell, heights, buckets):
     buckets.head[heights[cell]] = cell
 
 
-@njit(inline="always")
+@part(inline="always")
 def _take_bucket(buckets, level, wave):
     """Write the cells that wait at a height into a wave; returns how many they are."""
     count = 0
@@ -157,7 +157,7 @@ def _take_bucket(buckets, level, wave):
     return count
 
 
-@njit(cache=True)
+@part
 def _queue_around(cell, rows, cols, heights, level, buckets, wave, count, near):
     """Queue the cells round one: in the next wave from a height on, lower ones in their bucket.
 
@@ -176,7 +176,7 @@ def _queue_around(cell, rows, cols, heights, level, buckets, wave, count, near):
     return count
 
 
-@njit(inline="always")
+@part(inline="always")
 def _nearest_origin(cell, near, labels, source, cols):
     """The seed's cell that is nearest, of those that labelled neighbours come from.
 
@@ -199,7 +199,7 @@ def _nearest_origin(cell, near, labels, source, cols):
     return best
 
 
-@njit(cache=True)
+@part
 def _neighbours(cell, rows, cols, near):
     """Write the cells that share an edge with a cell; returns how many they are."""
     count = 0

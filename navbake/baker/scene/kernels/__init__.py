@@ -1,13 +1,1 @@
-"""Kernels: plain arrays in and out, compiled by numba and cached on disk."""
-
-from numba import njit
-
-from navbake.compiled import drop_stale_caches
-
-
-@njit(cache=True)
-def _cached() -> None:
-    """Tells where numba keeps the kernels of this folder."""
-
-
-drop_stale_caches(_cached)
+"""Compiled functions of plain arrays and tuples of them, see `navbake.compiled`."""

@@ -5,24 +5,31 @@ counting sort), and sorted by the upper one within each list (Shell's sort, 1959
 one edge are neighbours. Triangles at an edge are united (see `union_find`). Parts of which any edge
 is met by other than two triangles, or by two in one direction, are no shells: what they enclose is
 a harder question, see `navbake.baker.kernels.parts`.
+
+Shells that face in are cavities where they lie inside of one that faces out: that is told by the
+other's triangles on a vertical line over a point of it, each counted by how it winds round that
+line (Sunday, Inclusion of a point in a polygon, 2001).
 """
 
-import numpy as np
-from numba import njit
+import math
 
-from navbake.compiled import UNCOUNTED
+import numpy as np
+
+from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.navgrid.kernels.union_find import find_root, unite
 
+# Triangles that share one box when one looks for those over a point
+BLOCK = 64
 MINUS_ZERO = np.uint64(1 << 63)  # its bits
 
 
-@njit(inline="always")
+@part(inline="always")
 def _bits(points, i, k):
     """A coordinate's bits; -0.0 is 0.0."""
     return np.uint64(0) if points[i, k] == MINUS_ZERO else points[i, k]
 
 
-@njit(inline="always")
+@part(inline="always")
 def _are_equal(points, i, j):
     is_equal = True
     for k in range(3):
@@ -30,7 +37,7 @@ def _are_equal(points, i, j):
     return is_equal
 
 
-@njit(inline="always")
+@part(inline="always")
 def _hash(points, i):
     key = np.uint64(1469598103934665603)
     for k in range(3):
@@ -39,7 +46,7 @@ def _hash(points, i):
     return key
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def weld_points(points, num_shares, number, first, end):
     """Number points so that equal ones have equal numbers: each has that of the first one.
 
@@ -71,23 +78,7 @@ def weld_points(points, num_shares, number, first, end):
             number[i] = table[place]
 
 
-@njit(cache=True)
-def weld_faces(faces, number):
-    """The triangles' corners as numbers of points, (m, 3) int32, and whether these are three.
-
-    Args:
-        faces: corners of each triangle, indices of vertices, (m, 3).
-        number: the point of each vertex, see `weld_points`.
-    """
-    point, is_triangle = np.empty(faces.shape, np.int32), np.empty(faces.shape[0], np.bool_)
-    for f in range(faces.shape[0]):
-        a, b, c = number[faces[f, 0]], number[faces[f, 1]], number[faces[f, 2]]
-        point[f, 0], point[f, 1], point[f, 2] = a, b, c
-        is_triangle[f] = a != b and b != c and c != a
-    return point, is_triangle
-
-
-@njit(inline="always")
+@part(inline="always")
 def _list_by_lower_point(faces, num):
     """The half-edges 3 f + k of triangles, ragged, by the lower one of their two points."""
     start = np.zeros(num + 1, np.int32)
@@ -108,7 +99,7 @@ def _list_by_lower_point(faces, num):
     return start, half  # start is now where each list ends
 
 
-@njit(inline="always")
+@part(inline="always")
 def sort_keys(keys, num):
     """Sort the first keys, ascending, in place: Shell's sort."""
     gap = 1
@@ -124,7 +115,7 @@ def sort_keys(keys, num):
         gap //= 3
 
 
-@njit(inline="always")
+@part(inline="always")
 def _are_neighbours(faces, key, other):
     """Whether two triangles run along their edge in opposite ways, and are no back of each other.
 
@@ -139,13 +130,13 @@ def _are_neighbours(faces, key, other):
     return (key & 1) != (other & 1) and not is_back
 
 
-@njit(cache=True)
+@kernel
 def list_halves(faces, num):
     """List the half-edges of triangles, as `pair_halves` takes them: where lists end, and they."""
     return _list_by_lower_point(faces, num)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def pair_halves(faces, end_of, half, is_shell, low0, low_end):
     """Bring the triangles at each edge together, in place of the half-edges of some lower points.
 
@@ -165,7 +156,7 @@ def pair_halves(faces, end_of, half, is_shell, low0, low_end):
     _pair_halves(faces, end_of, half, is_shell, np.empty(most, np.int64), low0, low_end)
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _pair_halves(faces, end_of, half, is_shell, keys, low0, low_end):
     """See `pair_halves`; `keys` has room for those of a point."""
     for low in range(low0, low_end):
@@ -190,7 +181,7 @@ def _pair_halves(faces, end_of, half, is_shell, keys, low0, low_end):
             i = last
 
 
-@njit(cache=True)
+@kernel
 def unite_pairs(paired, is_shell):
     """Find the parts of a mesh whose edges are all met by two triangles, in either direction once.
 
@@ -217,7 +208,7 @@ def unite_pairs(paired, is_shell):
     return part
 
 
-@njit(cache=True)
+@kernel
 def list_edges(faces, num):
     """Number the undirected edges of triangles.
 
@@ -251,3 +242,117 @@ def list_edges(faces, num):
         first = end[low]
     start[edges] = half.shape[0]
     return edge, start[: edges + 1].copy(), half
+
+
+@part(inline="always")
+def _is_left(ax, ay, bx, by, x, y):
+    """Whether a point is left of the line from a to b; the same answer, turned, from b to a."""
+    if ax < bx or (ax == bx and ay < by):
+        return (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0.0
+    return not ((ax - bx) * (y - by) - (ay - by) * (x - bx) > 0.0)
+
+
+@part(inline="always")
+def _winding(c, x, y):
+    """How a triangle, seen from above, winds round a point: 1, 0, or -1 for one that faces down."""
+    turns = 0
+    for k in range(3):
+        ax, ay, bx, by = c[k, 0], c[k, 1], c[(k + 1) % 3, 0], c[(k + 1) % 3, 1]
+        if (ay <= y) != (by <= y):
+            is_left = _is_left(ax, ay, bx, by, x, y)
+            if by > y and is_left:
+                turns += 1
+            elif by <= y and not is_left:
+                turns -= 1
+    return turns
+
+
+@part(inline="always")
+def _is_above(c, x, y, z):
+    """Whether the plane of a triangle that is not upright is above a point."""
+    ux, uy, uz = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[1, 2] - c[0, 2]
+    vx, vy, vz = c[2, 0] - c[0, 0], c[2, 1] - c[0, 1], c[2, 2] - c[0, 2]
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    height = nx * (c[0, 0] - x) + ny * (c[0, 1] - y) + nz * (c[0, 2] - z)
+    return height > 0.0 if nz > 0.0 else height < 0.0
+
+
+@part
+def _is_inside(point, corners, member, low, high, block):
+    """Whether a point is inside of closed triangles that face out, ``member[low:high]``.
+
+    More of those over the point face up than down. `block` has the bounds of BLOCK members each.
+    """
+    x, y, z = point[0], point[1], point[2]
+    total = 0
+    for b in range(low // BLOCK, (high + BLOCK - 1) // BLOCK):
+        if x < block[b, 0] or y < block[b, 1] or x > block[b, 2] or y > block[b, 3]:
+            continue
+        for t in member[max(low, b * BLOCK) : min(high, (b + 1) * BLOCK)]:
+            turns = _winding(corners[t], x, y)
+            if turns != 0 and _is_above(corners[t], x, y, z):
+                total += turns
+    return total > 0
+
+
+@part(inline="always")
+def _is_around(box, q, p):
+    """Whether the box of part q holds that of part p."""
+    is_around = True
+    for k in range(3):
+        is_around &= box[q, k] <= box[p, k] and box[q, 3 + k] >= box[p, 3 + k]
+    return is_around
+
+
+@kernel
+def find_around(box, encloses, facing_in):
+    """Mark parts that enclose something and whose box holds that of a part that faces in.
+
+    Takes the boxes of the parts, (parts, 6) float64 [m], and bools by part.
+    """
+    marked = np.zeros(box.shape[0], np.bool_)
+    inner = np.flatnonzero(facing_in)
+    for q in range(box.shape[0]):
+        if encloses[q]:
+            for p in inner:
+                if _is_around(box, q, p):
+                    marked[q] = True
+                    break
+    return marked
+
+
+@kernel
+def find_cavities(start, member, corners, point, box, encloses, facing_in):
+    """Mark parts that face in and lie inside of one that encloses something, in `encloses`.
+
+    Args:
+        start, member: the triangles of each part that `find_around` marks, ragged, int64; fast
+            where neighbours in the list are neighbours in space.
+        corners: of these triangles, (m, 3, 3) float64 [m].
+        point: a point of each part, (parts, 3) float64 [m].
+        box: of each part, (parts, 6) float64 [m].
+        encloses, facing_in: by part, bool.
+    """
+    num = start.shape[0] - 1
+    block = np.empty((member.shape[0] // BLOCK + 1, 4), np.float64)
+    block[:, :2], block[:, 2:] = math.inf, -math.inf
+    for i in range(member.shape[0]):
+        b = i // BLOCK
+        for corner in range(3):
+            for k in range(2):
+                value = corners[member[i], corner, k]
+                block[b, k] = min(block[b, k], value)
+                block[b, 2 + k] = max(block[b, 2 + k], value)
+    outer = np.flatnonzero(encloses)
+    outer = outer[np.argsort(box[outer, 0], kind="mergesort")]
+    for p in range(num):
+        if not facing_in[p]:
+            continue
+        for q in outer:
+            if box[q, 0] > box[p, 0]:
+                break
+            if not _is_around(box, q, p):
+                continue
+            if _is_inside(point[p], corners, member, start[q], start[q + 1], block):
+                encloses[p] = True
+                break

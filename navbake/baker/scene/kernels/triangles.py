@@ -6,14 +6,14 @@ Each number is computed in the order in which numpy's cross product and norm do 
 import math
 
 import numpy as np
-from numba import njit
 
-from navbake.compiled import UNCOUNTED
+from navbake.compiled import UNCOUNTED, kernel, part
 
+RIGHT = math.pi / 2
 UPRIGHT = 1e-9  # the z of a unit normal below which a triangle counts as upright
 
 
-@njit(inline="always")
+@part(inline="always")
 def _cross(a, b, c):
     """The normal of a triangle, as long as twice its area."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -21,12 +21,12 @@ def _cross(a, b, c):
     return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
 
 
-@njit(inline="always")
+@part(inline="always")
 def _length(x, y, z):
     return math.sqrt(x * x + y * y + z * z)
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def take_corners(vertices, faces, corners, first, end):
     """Write the corners of the triangles ``range(first, end)`` into (m, 3, 3) float64."""
     for f in range(first, end):
@@ -35,7 +35,7 @@ def take_corners(vertices, faces, corners, first, end):
                 corners[f, corner, k] = vertices[faces[f, corner], k]
 
 
-@njit(cache=True, nogil=True, **UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def measure_boxes(corners, bounds, first, end):
     """Write the boxes round the triangles ``range(first, end)``: lower corner, upper corner [m].
 
@@ -49,7 +49,7 @@ def measure_boxes(corners, bounds, first, end):
             bounds[t, k], bounds[t, 3 + k] = min(a, b, c), max(a, b, c)
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def unit_normal(corners, t):
     """The unit normal of a triangle: x, y and z; z is 0 for an upright one, or one without area."""
     x, y, z = _cross(corners[t, 0], corners[t, 1], corners[t, 2])
@@ -60,7 +60,7 @@ def unit_normal(corners, t):
     return x / length, y / length, 0.0 if abs(up) < UPRIGHT else up
 
 
-@njit(inline="always")
+@part(inline="always")
 def is_upright(corners, t):
     """Whether `unit_normal` would have a z of 0."""
     x, y, z = _cross(corners[t, 0], corners[t, 1], corners[t, 2])
@@ -71,34 +71,7 @@ def is_upright(corners, t):
     return not length > 0.0 or abs(z / length) < UPRIGHT
 
 
-@njit(cache=True)
-def find_box(corners, geom, left_out):
-    """The box round triangles, (6,) float64; those of geoms that are left out, bool, count not.
-
-    Its lower corner is inf where there are none.
-    """
-    box = np.empty(6)
-    box[:3], box[3:] = math.inf, -math.inf
-    for t in range(corners.shape[0]):
-        if left_out[geom[t]]:
-            continue
-        for corner in range(3):
-            for k in range(3):
-                value = corners[t, corner, k]
-                box[k], box[3 + k] = min(box[k], value), max(box[3 + k], value)
-    return box
-
-
-@njit(cache=True)
-def find_used(faces, num):
-    """Mark which of some vertices triangles have, (num,) bool."""
-    is_used = np.zeros(num, np.bool_)
-    for f in range(faces.shape[0]):
-        is_used[faces[f, 0]] = is_used[faces[f, 1]] = is_used[faces[f, 2]] = True
-    return is_used
-
-
-@njit(cache=True)
+@kernel
 def check_faces(vertices, faces, smallest):
     """Mark triangles that are larger than nothing, and the vertices that these use.
 
@@ -119,7 +92,7 @@ def check_faces(vertices, faces, smallest):
     return has_area, is_used
 
 
-@njit(cache=True)
+@kernel
 def measure_areas(vertices, faces):
     """The areas of triangles, (m,) float64 [m²]."""
     area = np.empty(faces.shape[0])
@@ -129,7 +102,7 @@ def measure_areas(vertices, faces):
     return area
 
 
-@njit(cache=True, **UNCOUNTED)
+@kernel(**UNCOUNTED)
 def sum_by_facing(vertices, faces, cosine):
     """Twice the area of the triangles that face along y, and of those that face along z [m²].
 
@@ -146,7 +119,7 @@ def sum_by_facing(vertices, faces, cosine):
     return along_y, along_z
 
 
-@njit(cache=True)
+@kernel
 def measure_parts(vertices, faces, turned, part, num):
     """Volume, area, box and largest triangle of each part of a mesh.
 
@@ -166,7 +139,7 @@ def measure_parts(vertices, faces, turned, part, num):
     return volume, area, box, largest
 
 
-@njit(cache=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def _sum_parts(vertices, faces, turned, part, volume, area, box, best, largest):
     """See `measure_parts`; `best` is twice the area of the largest triangle so far."""
     origin = vertices[faces[0, 0]]
@@ -185,3 +158,53 @@ def _sum_parts(vertices, faces, turned, part, volume, area, box, best, largest):
         for k in range(3):
             box[p, k] = min(box[p, k], a[k], b[k], c[k])
             box[p, 3 + k] = max(box[p, 3 + k], a[k], b[k], c[k])
+
+
+@kernel(nogil=True, **UNCOUNTED)
+def find_ways(corners, directions, way, weight, off, first, end):
+    """Find where the upright part of triangles' faces looks, modulo a right angle.
+
+    Args:
+        corners: of triangles, (m, 3, 3) float64 [m].
+        directions: how many are told apart over a right angle.
+        way: receives the direction nearest to it, -1 for level triangles, (m,) int32.
+        weight: receives twice the area as seen from the side, (m,) float64 [m²].
+        off: receives how far it is off the direction, (m,) float64 [rad].
+    """
+    step = RIGHT / directions
+    for t in range(first, end):
+        c = corners[t]
+        ux, uy, uz = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[1, 2] - c[0, 2]
+        vx, vy, vz = c[2, 0] - c[0, 0], c[2, 1] - c[0, 1], c[2, 2] - c[0, 2]
+        x, y = uy * vz - uz * vy, uz * vx - ux * vz
+        way[t], weight[t] = -1, math.sqrt(x * x + y * y)
+        if weight[t] > 0.0:
+            angle = math.atan2(y, x) % RIGHT
+            direction = np.int64(math.floor(angle / step + 0.5)) % directions
+            # from the direction, also over the end of the range
+            off[t] = (angle - direction * step + RIGHT / 2) % RIGHT - RIGHT / 2
+            way[t] = direction
+
+
+@kernel(nogil=True)
+def measure_spans(corners, group, way):
+    """How far groups of triangles reach: along their ways, along what is left of these, and up.
+
+    Args:
+        corners: see `find_ways`.
+        group: of each triangle, a number below that of the ways, (m,) int32.
+        way: a horizontal unit vector for each group, (num, 2) float64.
+
+    Returns:
+        low and high, (num, 3) float64 [m].
+    """
+    low, high = np.full((way.shape[0], 3), math.inf), np.full((way.shape[0], 3), -math.inf)
+    for t in range(corners.shape[0]):
+        g = group[t]
+        for corner in range(3):
+            x, y, z = corners[t, corner, 0], corners[t, corner, 1], corners[t, corner, 2]
+            along, left = x * way[g, 0] + y * way[g, 1], y * way[g, 0] - x * way[g, 1]
+            low[g, 0], high[g, 0] = min(low[g, 0], along), max(high[g, 0], along)
+            low[g, 1], high[g, 1] = min(low[g, 1], left), max(high[g, 1], left)
+            low[g, 2], high[g, 2] = min(low[g, 2], z), max(high[g, 2], z)
+    return low, high

@@ -17,7 +17,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from navbake.baker.kernels.constants import CONVEX_SOLID, OPEN_SURFACE
@@ -25,6 +24,7 @@ from navbake.baker.kernels.overlap import Polygons, X, Y, clip_between, make_pol
 from navbake.baker.kernels.tiles import TILE
 from navbake.baker.voxelize.kernels.spans import Square, plane_span, polygon_span, solid_span
 from navbake.baker.voxelize.kernels.tiles import touched
+from navbake.compiled import kernel, part
 from navbake.types import Float, Int, Int32
 
 # A triangle this little beside a column is looked at, because rounding may have put it there
@@ -75,7 +75,7 @@ class Scratch(NamedTuple):
     strip: Float
 
 
-@njit(cache=True)
+@part
 def _label(voxels, i, j, first, last, label):
     """Label the voxels of a column from first to before last; the least label stays."""
     values = voxels.values
@@ -84,7 +84,7 @@ def _label(voxels, i, j, first, last, label):
             values[i, j, k] = label
 
 
-@njit(cache=True)
+@part
 def _fill_span(voxels, i, j, span, label):
     """Label the voxels of a column that a span of heights meets."""
     num, bottom = voxels.values.shape[2], voxels.origin[2]
@@ -96,7 +96,7 @@ def _fill_span(voxels, i, j, span, label):
         _label(voxels, i, j, first, last, label)
 
 
-@njit(cache=True)
+@part
 def _square(voxels, i, j):
     """The cross-section of a column, narrowed."""
     x, y = voxels.origin[0] + i * voxels.res, voxels.origin[1] + j * voxels.res
@@ -104,7 +104,7 @@ def _square(voxels, i, j):
     return Square(x + touch, x + res - touch, y + touch, y + res - touch)
 
 
-@njit(cache=True)
+@part
 def _columns_under(voxels, tile, low_x, high_x, low_y, high_y):
     """The columns of a tile under a rectangle."""
     origin, res = voxels.origin, voxels.res
@@ -113,7 +113,7 @@ def _columns_under(voxels, tile, low_x, high_x, low_y, high_y):
     return Patch(tile.i0 + i0, tile.i0 + i1 + 1, tile.j0 + j0, tile.j0 + j1 + 1)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _fill_solid(voxels, tile, solids, s, label, polygons):
     box = solids.bounds[s]
     patch = _columns_under(voxels, tile, box[0], box[3], box[1], box[4])
@@ -123,14 +123,14 @@ def _fill_solid(voxels, tile, solids, s, label, polygons):
             _fill_span(voxels, i, j, span, label)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _fill_plane(voxels, tile, planes, p, label):
     for i in range(tile.i0, tile.i1):
         for j in range(tile.j0, tile.j1):
             _fill_span(voxels, i, j, plane_span(planes, p, _square(voxels, i, j)), label)
 
 
-@njit(cache=True)
+@part
 def _side(ax, ay, bx, by, px, py):
     """On which side of the line from a to b a point is: 1 left, -1 right, 0 where a is b.
 
@@ -150,7 +150,7 @@ def _side(ax, ay, bx, by, px, py):
     return -1 if (cross > 0.0) == swap else 1
 
 
-@njit(cache=True)
+@part
 def _crossing(c, x, y):
     """How the upright line at (x, y) crosses a triangle: 1 if it faces up there, -1, or 0."""
     side = _side(c[0, 0], c[0, 1], c[1, 0], c[1, 1], x, y)
@@ -159,7 +159,7 @@ def _crossing(c, x, y):
     return side if side == _side(c[2, 0], c[2, 1], c[0, 0], c[0, 1], x, y) else 0
 
 
-@njit(inline="always")
+@part(inline="always")
 def _height_at(c, x, y):
     """The height of a triangle at (x, y) inside of it."""
     ax, ay = c[0, 0] - x, c[0, 1] - y
@@ -173,7 +173,7 @@ def _height_at(c, x, y):
     return min(max((u * c[0, 2] + v * c[1, 2] + w * c[2, 2]) / total, low), high)
 
 
-@njit(cache=True)
+@part
 def _note_crossing(voxels, c, x, y, winding, reach):
     """Add a triangle's crossing of a column's line at the first voxel with its middle above."""
     side = _crossing(c, x, y)
@@ -185,7 +185,7 @@ def _note_crossing(voxels, c, x, y, winding, reach):
         reach[0], reach[1] = min(reach[0], k), max(reach[1], k)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _columns_in_strip(voxels, tile, square, strip, num):
     """The columns that a polygon in a strip of one x may lie over."""
     low, high = strip[0, 1], strip[0, 1]
@@ -195,7 +195,7 @@ def _columns_in_strip(voxels, tile, square, strip, num):
     return _columns_under(voxels, tile, square.x0, square.x1, low - margin, high + margin)
 
 
-@njit(cache=True)
+@part
 def _add_triangle(voxels, tile, c, closed, label, scratch):
     """Fill what one triangle meets, and note what its geom needs to be filled.
 
@@ -228,7 +228,7 @@ def _add_triangle(voxels, tile, c, closed, label, scratch):
                 _note_crossing(voxels, c, x, y, scratch.winding[a, b], scratch.reaches[a, b])
 
 
-@njit(inline="always")
+@part(inline="always")
 def _close_column(voxels, items, triangles, x, y, winding, reach):
     """See to it that a column's crossings add up to 0, on another line if one was lost."""
     for attempt in range(1, ASIDE.shape[0]):
@@ -245,7 +245,7 @@ def _close_column(voxels, items, triangles, x, y, winding, reach):
                 _note_crossing(voxels, triangles.corners[t], aside_x, aside_y, winding, reach)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _fill_inside(voxels, tile, items, triangles, label, scratch):
     """Fill the inside of a closed surface from its crossings, column by column; clear them."""
     num = voxels.values.shape[2]
@@ -265,7 +265,7 @@ def _fill_inside(voxels, tile, items, triangles, label, scratch):
             reach[0], reach[1] = num, -1
 
 
-@njit(cache=True)
+@part
 def _fill_triangles(voxels, tile, items, triangles, label, scratch):
     """Fill what the triangles of one geom meet and enclose within a tile."""
     scratch.spans[:, :, 0], scratch.spans[:, :, 1] = math.inf, -math.inf
@@ -285,7 +285,7 @@ def _fill_triangles(voxels, tile, items, triangles, label, scratch):
         _fill_inside(voxels, tile, items, triangles, label, scratch)
 
 
-@njit(inline="always")
+@part(inline="always")
 def _fill_geoms(voxels, tile, items, triangles, labels, polygons):
     """Label what a tile's triangles meet and enclose, geom by geom."""
     num = voxels.values.shape[2]
@@ -308,7 +308,7 @@ def _fill_geoms(voxels, tile, items, triangles, labels, polygons):
         first = last
 
 
-@njit(cache=True)
+@part
 def _fill_tile(voxels, number, tile, solids, planes, triangles, tiles, labels):
     """Label the voxels of one tile."""
     polygons = make_polygons()
@@ -322,7 +322,7 @@ def _fill_tile(voxels, number, tile, solids, planes, triangles, tiles, labels):
         _fill_geoms(voxels, tile, items, triangles, labels, polygons)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def fill_voxels(voxels, solids, planes, triangles, tiles, labels, first, end):
     """Label the voxels of some tiles that geoms meet; labels are added to what the grid holds.
 

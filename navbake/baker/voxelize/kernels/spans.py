@@ -15,10 +15,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from navbake.baker.kernels.overlap import X, Y, clip_between
+from navbake.compiled import part
 
 UPRIGHT = 1e-8  # a solid that leans by less than this stands upright [m]
 FLAT = 1e-9  # a direction of which less than this leaves a plane lies in it
@@ -34,7 +34,7 @@ class Square(NamedTuple):
     y1: float
 
 
-@njit(inline="always")
+@part(inline="always")
 def _best_in_square(best, x, y, z, square):
     """The higher of two candidates; the second counts only over the square."""
     if z > best and square.x0 <= x <= square.x1 and square.y0 <= y <= square.y1:
@@ -42,7 +42,7 @@ def _best_in_square(best, x, y, z, square):
     return best
 
 
-@njit(cache=True)
+@part
 def _sphere_top(radius, x, y, z, square):
     """Top of the sphere at (x, y, z) over the square."""
     dx = max(square.x0 - x, 0.0, x - square.x1)
@@ -51,7 +51,7 @@ def _sphere_top(radius, x, y, z, square):
     return z + math.sqrt(left) if left > 0.0 else NONE
 
 
-@njit(inline="always")
+@part(inline="always")
 def _ellipsoid_top(mat, size, square):
     # the ellipsoid is all M u with |u| <= 1; s = M M'
     sxx, sxy, sxz, syy, syz, szz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -95,7 +95,7 @@ def _ellipsoid_top(mat, size, square):
     return best
 
 
-@njit(inline="always")
+@part(inline="always")
 def _cut_top(radius, half, ax, ay, az, x, y0, y1):
     """Top of a cylinder's cut by the plane of one x, between two y."""
     best = NONE
@@ -124,7 +124,7 @@ def _cut_top(radius, half, ax, ay, az, x, y0, y1):
     return best
 
 
-@njit(inline="always")
+@part(inline="always")
 def _line_top(radius, half, ax, ay, az, x, y):
     """Top of a cylinder on an upright line."""
     low, high = -math.inf, math.inf
@@ -146,7 +146,7 @@ def _line_top(radius, half, ax, ay, az, x, y):
     return high if low <= high else NONE
 
 
-@njit(inline="always")
+@part(inline="always")
 def _cylinder_top(radius, half, ax, ay, az, square):
     """Top of a cylinder (half-length, unit axis) over the square."""
     x0, x1, y0, y1 = square
@@ -171,7 +171,7 @@ def _cylinder_top(radius, half, ax, ay, az, square):
     return best
 
 
-@njit(inline="always")
+@part(inline="always")
 def _upright_box_top(mat, size, up, square):
     """Top of a box, one of whose axes points up or down: rectangles that overlap in the plane."""
     x0, x1, y0, y1 = square
@@ -188,7 +188,7 @@ def _upright_box_top(mat, size, up, square):
     return size[up]
 
 
-@njit(inline="always")
+@part(inline="always")
 def _box_top(mat, size, square, polygons):
     """Top of a box however it lies: that of its faces, each clipped to the square."""
     one, other = polygons.one, polygons.other
@@ -210,7 +210,7 @@ def _box_top(mat, size, square, polygons):
     return best
 
 
-@njit(inline="always")
+@part(inline="always")
 def _top(kind, mat, size, square, polygons):
     if kind == SPHERE:
         return _sphere_top(size[0], 0.0, 0.0, 0.0, square)
@@ -232,7 +232,7 @@ def _top(kind, mat, size, square, polygons):
     return best
 
 
-@njit(cache=True)
+@part
 def solid_span(solids, s, square, polygons):
     """The heights between which a solid is over a square, world frame; -inf twice if nowhere."""
     kind, pos, mat, size = solids.kind[s], solids.pos[s], solids.mat[s], solids.size[s]
@@ -247,7 +247,7 @@ def solid_span(solids, s, square, polygons):
     return (NONE, NONE) if high == NONE else (pos[2] - top, pos[2] + high)
 
 
-@njit(inline="always")
+@part(inline="always")
 def plane_span(planes, p, square):
     """The heights between which the half-space behind an infinite plane is over a square."""
     pos, mat = planes.pos[p], planes.mat[p]
@@ -261,7 +261,7 @@ def plane_span(planes, p, square):
     return (-math.inf, height) if nz > 0.0 else (height, math.inf)
 
 
-@njit(cache=True)
+@part
 def polygon_span(points, num):
     """The least and the greatest height of a polygon's corners."""
     low, high = points[0, 2], points[0, 2]

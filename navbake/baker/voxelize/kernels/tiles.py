@@ -7,13 +7,13 @@ listed by a counting sort as well, see `baker.kernels.tiles`.
 import math
 
 import numpy as np
-from numba import njit
 
 from navbake.baker.kernels.constants import OPEN_SURFACE
 from navbake.baker.kernels.tiles import TILE
+from navbake.compiled import kernel, part
 
 
-@njit(cache=True)
+@part
 def touched(low, high, first, res, num):
     """The voxels along an axis that a closed interval meets: first, last (none: last < first)."""
     start, end = (low - first) / res, (high - first) / res
@@ -22,7 +22,7 @@ def touched(low, high, first, res, num):
     return int(max(start, 0.0)), int(min(end, num - 1.0))
 
 
-@njit(cache=True)
+@part
 def _list_items(ranges, num_tiles, stride):
     """List, for each tile, the items over it.
 
@@ -56,7 +56,7 @@ def _list_items(ranges, num_tiles, stride):
     return start, item
 
 
-@njit(cache=True)
+@kernel
 def bin_items(bounds, origin, res, shape):
     """List, for each tile of a grid's columns, the (n, 6) boxes that reach into it.
 
@@ -74,7 +74,7 @@ def bin_items(bounds, origin, res, shape):
     return _list_items(ranges, tiles_x * tiles_y, tiles_y)
 
 
-@njit(cache=True)
+@kernel
 def box_triangles(triangles):
     """Boxes round triangles, (m, 6) float64; what encloses a volume is as high and low as its geom.
 
@@ -101,7 +101,7 @@ def box_triangles(triangles):
     return boxes
 
 
-@njit(cache=True)
+@kernel
 def move_triangles(triangles, moved, rotation, shift, corners):
     """Move the triangles of the geoms that moved, into corners, (m, 3, 3) float64.
 

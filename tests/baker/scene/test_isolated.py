@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import navbake
-from navbake.baker.scene.guard import isolated
-from navbake.baker.scene.guard.isolated import CompileLimits, load_isolated
+from navbake.baker.scene import isolated
+from navbake.baker.scene.isolated import CompileLimits, load_isolated
 from navbake.baker.scene.model import load_model
 from navbake.cli.main import main
 from navbake.config.scene import SceneSettings
@@ -62,7 +62,7 @@ def test_errors_are_those_of_this_process(room):
 
 def crash(monkeypatch, code):
     """Let the child run some code in place of MuJoCo's compiler, with its limits."""
-    begin = "from navbake.baker.scene.guard import isolated\n"
+    begin = "from navbake.baker.scene import isolated\n"
     hook = f"def load(*_):\n    {code}\nisolated.load_model = load\n"
     run = "isolated.compile_job(sys.argv[1])"
     child = f"import sys; sys.path[:] = {{path!r}}\n{begin}{hook}{run}"

@@ -17,24 +17,23 @@ from typing import Any, NamedTuple
 
 import mujoco
 
-from navbake.baker.scene.guard.child import (
+from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart, read_mesh_parts
+from navbake.baker.scene.model import catch_warnings, load_model
+from navbake.config.scene import SceneSettings
+from navbake.errors import NavbakeError, SceneError
+from navbake.files import scratch_folder
+from navbake.processes import (
     end_with_parent,
     ending_of,
     lacked_memory,
     limit_memory,
 )
-from navbake.baker.scene.guard.oversized import refuse_oversized
-from navbake.baker.scene.guard.scratch import scratch_folder
-from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart, read_mesh_parts
-from navbake.baker.scene.model import XML_SUFFIXES, catch_warnings, load_model
-from navbake.config.scene import SceneSettings
-from navbake.errors import NavbakeError, SceneError
 
 # The child finds modules where this process did: with -c, Python would look in the current folder
 # first, which is as little to be trusted as the scene. So the path is set before anything else.
 CHILD = (
     "import sys; sys.path[:] = {path!r}; "
-    "from navbake.baker.scene.guard.isolated import compile_job; compile_job(sys.argv[1])"
+    "from navbake.baker.scene.isolated import compile_job; compile_job(sys.argv[1])"
 )
 IMPORT_SECONDS = 120.0  # what the child may take before it begins to compile; machines are busy
 JOB, MODEL, RESULT = "job.pickle", "model.mjb", "result.pickle"
@@ -63,8 +62,6 @@ def load_isolated(
         ConfigError: as `load_model`.
     """
     path = Path(settings.path)
-    if path.suffix.lower() in XML_SUFFIXES and os.path.isfile(path):
-        refuse_oversized(path)  # no process is needed to see that
     with scratch_folder() as place:
         (place / JOB).write_bytes(pickle.dumps((settings, limits.memory)))
         _run_child(place, path, limits)

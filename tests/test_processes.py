@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import pytest
 
-from navbake.baker.scene.guard import child
-from navbake.baker.scene.guard.child import lacked_memory, limit_memory
+from navbake import processes as child
 from navbake.errors import SceneError
+from navbake.processes import lacked_memory, limit_memory
 
 pytestmark = pytest.mark.skipif(child.resource is None, reason="Windows limits no process so")
 

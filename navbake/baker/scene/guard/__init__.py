@@ -1,1 +1,0 @@
-"""Keeps MuJoCo's compiler from ending the process, or from working without end."""
