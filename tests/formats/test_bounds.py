@@ -25,7 +25,7 @@ from navbake.formats.octomap import encode_octomap, read_octomap
 from navbake.formats.shapes.geojson import read_room_outlines
 from navbake.formats.voxel_allowance import BYTES_PER_BYTE, FREE_BYTES, MAX_VOXELS
 from navbake.formats.voxels import read_voxels, write_voxels
-from navbake.views.report.verification import read_verification
+from navbake.views.report.report import read_verification
 from navbake.voxels.grid import VoxelGrid
 
 ENDLESS = "/dev/zero"
