@@ -54,7 +54,7 @@ def view(
 
     Example: navbake view my_scene.yaml --set grid.cell_size=0.1
     """
-    from navbake.views.viewer.server import check_address, check_viser
+    from navbake.views.viewer.view import check_address, check_viser
 
     check_viser()
     check_address(address.host, address.port)  # before the bake, which may take long
@@ -81,8 +81,7 @@ def _baked(path: Path, overrides: list[str]) -> Reading:
     """Where the exhibit of a scene or of settings comes from: it is baked."""
     from navbake.config.settings import load_config
     from navbake.errors import NavbakeError
-    from navbake.views.viewer.view import Reading
-    from navbake.views.viewer.watch import Watch, find_files
+    from navbake.views.viewer.view import Reading, Watch, find_files
 
     def find() -> list[Path]:
         try:

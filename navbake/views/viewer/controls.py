@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from navbake.views.layers import DISAGREEMENTS
 from navbake.views.viewer import texts
-from navbake.views.viewer.choices import CLICKS, INSPECT, Choices
-from navbake.views.viewer.exhibit import Exhibit, Route, Told
+from navbake.views.viewer.exhibit import CLICKS, INSPECT, Choices, Exhibit, Route, Told
 
 if TYPE_CHECKING:
     import viser

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
 from navbake.navgrid.grid import NavGrid
@@ -14,11 +15,8 @@ from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.paths import Path
 from navbake.types import Float, Json
 from navbake.views.layers import DISAGREEMENTS, LAYERS, Panel, make_panel, paint
-from navbake.views.viewer.choices import CUT_OVER, Choices
-from navbake.views.viewer.mesh.cut import cut_drawing
-from navbake.views.viewer.mesh.drawing import Drawing, Surface, draw_scene
-from navbake.views.viewer.mesh.overlay import draw_overlay, lay_carpet
-from navbake.views.viewer.picking import Ray, mesh_of, pick
+from navbake.views.viewer.overlay import Pick, draw_overlay, lay_carpet, mesh_of, pick
+from navbake.views.viewer.scene_mesh import Drawing, Surface, cut_drawing, draw_scene
 
 if TYPE_CHECKING:
     from navbake.baker.scene.scene import Scene
@@ -26,8 +24,110 @@ if TYPE_CHECKING:
     from navbake.verifier.report import VerifyReport
 
 Made = TypeVar("Made")
+CUT_OVER = 1.3  # a level is looked into from so high over its ground [m]
+INSPECT, ROUTE = "tells about the cell", "sets start, then goal"
+CLICKS = (INSPECT, ROUTE)
+"""What a click may do."""
 RECENT = 6  # results of a kind that are kept, so that going back is fast
 SAMPLE = 20_000  # cells that are verified
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What is to be shown.
+
+    Attributes:
+        levels: numbers of the levels that are shown, ascending.
+        layer: name of the layer.
+        inflation: radius and clearance [m], None for the grid as it is.
+        doors: states of the doors that are in another than in the grid, by id.
+        cut: world z above which the scene is not drawn [m], None for none.
+        with_scene: draw the scene.
+        with_hidden: draw what MuJoCo's viewers hide, too: the geom groups from 3 on.
+        with_names: write names of rooms and doors.
+        opacity: of the layer, above 0, up to 1.
+        click: what a click does, one of `CLICKS`.
+        start, goal: of the path, None for none.
+        inspected: the cell that is told about, None for none.
+    """
+
+    levels: tuple[int, ...]
+    layer: str = "occupancy"
+    inflation: tuple[float, float] | None = None
+    doors: tuple[tuple[str, str], ...] = ()
+    cut: float | None = None
+    with_scene: bool = True
+    with_hidden: bool = False
+    with_names: bool = True
+    opacity: float = 0.9
+    click: str = INSPECT
+    start: Pick | None = None
+    goal: Pick | None = None
+    inspected: Pick | None = None
+
+    def with_level(self, grid: NavGrid, number: int | None) -> Choices:
+        """Look at one level from above, or at all of them: the scene is cut over the highest."""
+        levels = tuple(range(len(grid.levels))) if number is None else (number,)
+        return replace(self, levels=levels, cut=cut_over(grid, levels))
+
+    def with_door(self, grid: NavGrid, names: Sequence[str], state: str) -> Choices:
+        """Put doors into a state; those that can't be in it stay as they are."""
+        states = dict(self.doors)
+        for door in grid.doors:
+            if door.id in names and state in door.states:
+                states.pop(door.id, None)
+                states |= {} if state == door.state else {door.id: state}
+        return replace(self, doors=tuple(sorted(states.items())))
+
+    def without_clicks(self) -> Choices:
+        """As if nothing had been clicked."""
+        return replace(self, start=None, goal=None, inspected=None)
+
+    def with_click(self, found: Pick | None) -> Choices:
+        """After a click on a cell, or beside all of them: None."""
+        if self.click == INSPECT:
+            return replace(self, inspected=found)
+        if found is None:
+            return self
+        if self.start is None or self.goal is not None:
+            return replace(self, start=found, goal=None)
+        return replace(self, goal=found)
+
+
+def cut_over(grid: NavGrid, levels: Sequence[int]) -> float:
+    """Where the scene is cut so that one looks into the highest of some levels, world z [m]."""
+    return max(grid.levels[number].ground for number in levels) + CUT_OVER
+
+
+def first_choices(grid: NavGrid, layer: str = "occupancy") -> Choices:
+    """What is shown at first: all levels, cut over the highest one."""
+    levels = tuple(range(len(grid.levels)))
+    return Choices(levels, layer, cut=cut_over(grid, levels))
+
+
+def keep_choices(chosen: Choices, grid: NavGrid) -> Choices:
+    """The same choices for another grid, such as a new bake: what it doesn't have is dropped."""
+    levels = tuple(number for number in chosen.levels if number < len(grid.levels))
+    states = {door.id: door.states for door in grid.doors}
+    return replace(
+        chosen,
+        levels=levels or tuple(range(len(grid.levels))),
+        doors=tuple((name, state) for name, state in chosen.doors if state in states.get(name, ())),
+        inspected=_on(grid, chosen.inspected),
+        start=_on(grid, chosen.start),
+        goal=_on(grid, chosen.goal) if _on(grid, chosen.start) else None,
+    )
+
+
+def _on(grid: NavGrid, found: Pick | None) -> Pick | None:
+    """The cell of another grid at the place of a click; None beside it."""
+    if found is None or found.cell.level >= len(grid.levels):
+        return None
+    try:
+        cell = grid.cell_at(found.position, found.cell.level)
+    except QueryError:
+        return None
+    return None if cell is None else found._replace(cell=cell, geom=None)
 
 
 class Counts(NamedTuple):
@@ -204,8 +304,8 @@ class Exhibit:
         key = chosen.doors, chosen.with_hidden, height
         return self._keep("surfaces", key, lambda: cut_drawing(drawing, height))
 
-    def click(self, chosen: Choices, ray: Ray) -> Choices:
-        """The choices after a click along a ray."""
+    def click(self, chosen: Choices, ray: tuple[ArrayLike, ArrayLike]) -> Choices:
+        """The choices after a click along a ray: its origin and its direction."""
         surfaces = self.surfaces(chosen)
         return chosen.with_click(pick(self.grid, ray, surfaces, self.carpets, chosen.levels))
 
@@ -241,7 +341,11 @@ class Exhibit:
         clicked = None if found.geom is None else drawing.names[found.geom]
         names = set(facts["blockers"])
         geoms = [geom for geom, name in enumerate(drawing.names) if name in names]
-        if not geoms and found.geom is not None and clicked in _standing(facts):
+        if (
+            not geoms
+            and found.geom is not None
+            and clicked in [*facts["objects"], *facts["walls"], *facts["doors"]]
+        ):
             geoms = [found.geom]
         return Told(facts, clicked, mesh_of(drawing.surfaces, geoms))
 
@@ -253,7 +357,3 @@ class Exhibit:
         from navbake.verifier.verify import Options, verify_scene
 
         self.report = verify_scene(self.grid, self.scene, Options(sample=SAMPLE), self.config)
-
-
-def _standing(facts: Json) -> Sequence[str]:
-    return [*facts["objects"], *facts["walls"], *facts["doors"]]

@@ -11,8 +11,7 @@ from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
 from navbake.views.color_scale import ColorScale
 from navbake.views.layers import Panel
-from navbake.views.viewer.choices import Choices
-from navbake.views.viewer.exhibit import Counts, Route, Told
+from navbake.views.viewer.exhibit import Choices, Counts, Route, Told
 
 if TYPE_CHECKING:
     from navbake.verifier.report import VerifyReport

@@ -2,31 +2,41 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import logging
 import os
+import socket
 import sys
 import threading
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import redirect_stdout
+from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from navbake.errors import NavbakeError
+from navbake.errors import MissingDependencyError, NavbakeError
 from navbake.formats.navgrid import read_navgrid
+from navbake.formats.scene_files import find_inputs
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.grid_base import GridBase
 from navbake.views.viewer import texts
 from navbake.views.viewer.exhibit import Exhibit
 from navbake.views.viewer.page import Page
-from navbake.views.viewer.server import HOST, PORT, close_server, open_server, url_of
-from navbake.views.viewer.watch import PERIOD, Watch, find_files
 
 if TYPE_CHECKING:
+    import viser
     from typing_extensions import Self
 
 LOG = logging.getLogger("navbake")
+MISSING = 'the viewer needs viser: pip install "navbake[view]"'
+HOST, PORT = "127.0.0.1", 8080
+EVERYWHERE = ("0.0.0.0", "::", "")  # hosts that stand for all addresses of this machine
+PERIOD = 0.5  # between two looks at files [s]
+State = dict[Path, tuple[int, int] | None]
 
 
 class Reading(NamedTuple):
@@ -201,3 +211,130 @@ def read_again(
     named = [Path(path) for path in (grid, scene) if path is not None]
     watch = Watch(lambda: find_files(named))
     return Reading(lambda: make_exhibit(grid, scene, force=force), watch)
+
+
+# --- files that change -------------------------------------------------------------------------
+
+
+def find_files(paths: Iterable[Path]) -> list[Path]:
+    """Files and, of scenes among them, all that these name: includes, meshes, textures, ….
+
+    Of a file that isn't there, all places where it is looked for: somebody may put it there.
+    """
+    found = (find_inputs(path, looks=True, missing=True) for path in paths)
+    return [*dict.fromkeys(path for of_one in found for path in of_one)]
+
+
+def read_state(paths: Iterable[Path]) -> State:
+    """When each file was written, and its size; None for one that isn't there."""
+    state: State = {}
+    for path in paths:
+        try:
+            status = os.stat(path)
+        except (OSError, ValueError):  # ValueError: a name with a NUL
+            state[path] = None
+        else:
+            state[path] = status.st_mtime_ns, status.st_size
+    return state
+
+
+class Watch:
+    """Tells when files have changed and rest again: whoever writes them may take some time.
+
+    Args:
+        list_files: the files; asked again after each change, for a scene may name others then.
+    """
+
+    def __init__(self, list_files: Callable[[], Iterable[Path]]) -> None:
+        self._list_files = list_files
+        self._files = list(list_files())
+        self._known = self._last = read_state(self._files)
+
+    def look(self) -> bool:
+        """Whether the files are others than when this was last true, and as at the last look."""
+        now = read_state(self._files)
+        rests, self._last = now == self._last, now
+        if not rests or now == self._known:
+            return False
+        self._files = list(self._list_files())
+        self._known = self._last = read_state(self._files)
+        return True
+
+
+# --- the web server: viser's, kept to this machine and quiet -------------------------------------
+
+
+def open_server(host: str = HOST, port: int = PORT) -> viser.ViserServer:
+    """Serve an empty page.
+
+    Args:
+        host: address of this machine to listen at; only this machine can reach loopback.
+        port: 0 for any that is free.
+
+    Raises:
+        MissingDependencyError: viser is not installed.
+        NavbakeError: the port is taken, or there is no such address here.
+    """
+    check_viser()
+    # viser takes the next free port, without a word, and waits forever for an unknown host
+    check_address(host, port)
+    try:
+        import viser  # of the extra [view], and slow to load
+    except ImportError as error:
+        raise MissingDependencyError(f"{MISSING} ({error})") from error
+    with redirect_stdout(io.StringIO()):  # viser prints its address in a box
+        server = viser.ViserServer(host=host, port=port, verbose=False)
+    if port and server.get_port() != port:
+        close_server(server)
+        raise NavbakeError(_taken(host, port))
+    # viser's own page can ask for a tunnel to its makers' server: nothing leaves this machine
+    server.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]
+    return server
+
+
+def close_server(server: viser.ViserServer) -> None:
+    """Stop serving, and free the port."""
+    with redirect_stdout(io.StringIO()):
+        server.stop()
+
+
+def url_of(server: viser.ViserServer) -> str:
+    """The address of the page, for a browser on this machine."""
+    host = server.get_host()
+    host = "localhost" if host in EVERYWHERE else host
+    return f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
+
+
+def check_viser() -> None:
+    """Raise where viser is not installed."""
+    try:
+        is_there = find_spec("viser") is not None
+    except (ImportError, ValueError):  # something keeps it from being found
+        is_there = False
+    if not is_there:
+        raise MissingDependencyError(MISSING)
+
+
+def check_address(host: str, port: int) -> None:
+    """Raise where nothing can listen at an address now."""
+    if not 0 <= port <= 65535:
+        raise NavbakeError(f"expected a port from 0 to 65535, got {port}")
+    try:
+        kind, _, _, _, address = socket.getaddrinfo(
+            host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        with socket.socket(kind, socket.SOCK_STREAM) as probe:
+            # a port that was closed a moment ago can be taken again, as the server takes it
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+            probe.listen()
+    except (socket.gaierror, UnicodeError) as error:
+        raise NavbakeError(f"{host!r} is no address of this machine") from error
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise NavbakeError(_taken(host, port)) from error
+        raise NavbakeError(f"cannot listen at {host}, port {port}: {error.strerror}") from error
+
+
+def _taken(host: str, port: int) -> str:
+    return f"port {port} of {host} is in use: choose another one by --port, or 0 for any free one"

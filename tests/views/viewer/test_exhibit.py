@@ -9,9 +9,8 @@ import navbake
 from navbake.errors import QueryError
 from navbake.views.layers import DISAGREEMENTS, Panel
 from navbake.views.viewer import texts
-from navbake.views.viewer.choices import INSPECT, ROUTE, first_choices, keep_choices
-from navbake.views.viewer.exhibit import Exhibit
-from navbake.views.viewer.picking import Pick
+from navbake.views.viewer.exhibit import INSPECT, ROUTE, Exhibit, first_choices, keep_choices
+from navbake.views.viewer.overlay import Pick, mesh_of
 from navbake.views.viewer.view import make_exhibit
 from viewer_scenes import ROOM, room_exhibit
 
@@ -124,8 +123,7 @@ def test_doors_move_in_grid_and_scene():
 
     def places(drawing):
         geoms = [g for g, name in enumerate(drawing.names) if name == door.id]
-        found = [one.vertices[one.faces[np.isin(one.geom, geoms)]] for one in drawing.surfaces]
-        return np.concatenate(found)
+        return mesh_of(drawing.surfaces, geoms)
 
     assert len(places(before)) and len(places(after)) and not len(places(without))
     if door.like != "closed":

@@ -18,8 +18,8 @@ from browser import (
 )
 from navbake.views.viewer import texts
 from navbake.views.viewer.exhibit import Told
-from navbake.views.viewer.server import close_server, open_server, url_of
 from navbake.views.viewer.texts import HINT_GOAL
+from navbake.views.viewer.view import close_server, open_server, url_of
 from viewer_page import ViewerPage, run_view
 from viewer_scenes import write_room
 

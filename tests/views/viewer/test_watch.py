@@ -7,8 +7,7 @@ import pytest
 from browser import wait_until
 from grid_maps import level_from
 from navbake.views.viewer.exhibit import Exhibit
-from navbake.views.viewer.view import Reading, Viewer, read_again
-from navbake.views.viewer.watch import Watch, find_files
+from navbake.views.viewer.view import Reading, Viewer, Watch, find_files, read_again
 
 
 def write(path, text):

@@ -1,14 +1,19 @@
-"""A drawing has the volumes and places of the model's geoms, by MuJoCo's own measures."""
+"""A drawing has the volumes and places of the model's geoms; cut, what a plain clipper leaves."""
+
+from itertools import pairwise
 
 import mujoco
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
-from navbake.views.viewer.mesh.drawing import draw_scene
-from navbake.views.viewer.mesh.primitives import BOX, shape_of
+from navbake.views.viewer.scene_mesh import Drawing, Surface, cut_drawing, draw_scene
 from viewer_scenes import room_exhibit
 
+HEIGHTS = st.floats(-3, 3, width=32)
 SHAPES = {
     "box": ("0.2 0.3 0.4", 8 * 0.2 * 0.3 * 0.4, 1e-6),
     "sphere": ("0.3", 4 / 3 * np.pi * 0.3**3, 0.06),
@@ -81,7 +86,7 @@ def test_an_endless_plane_reaches_beyond_all_else():
 def test_what_is_hidden_is_drawn_when_asked_for():
     exhibit = room_exhibit()
     drawing = draw_scene(exhibit.scene)
-    geoms = set(np.concatenate([one.geom for one in drawing.surfaces]).tolist())
+    geoms = {int(geom) for one in drawing.surfaces for geom in one.geom}
     assert drawing.names == ("floor", "wall", "shown", "hidden", "table")
     assert drawing.has_hidden
     assert geoms == {0, 1, 2, 4}
@@ -99,9 +104,9 @@ def test_colors_are_the_materials_unless_the_geom_states_its_own():
     geoms += '<geom type="box" size="1 1 1" rgba="1 1 1 0"/>'
     drawing = draw(geoms, wood)
     found = {
-        int(geom): tuple(one.colors[face[0]].round(3).tolist())
+        int(geom): tuple(color.round(3).tolist())
         for one in drawing.surfaces
-        for geom, face in zip(one.geom, one.faces, strict=True)
+        for geom, color in zip(one.geom, one.colors, strict=True)
     }
     assert found == {0: (1, 0, 0, 1), 1: (0, 1, 0, 1), 2: (0, 0, 1, 0.5)}
     assert len(drawing.surfaces) == 2  # what shines through is drawn by itself
@@ -125,14 +130,87 @@ def test_textures_lie_on_meshes_that_have_a_place_for_them():
     assert 0.1 < box.colors[0, 0] < 0.5
 
 
-def test_a_shape_is_placed_as_often_as_asked():
-    shape, sizes, halves = shape_of(BOX, np.array([[1.0, 1, 1], [2, 1, 1]]))
-    turns = np.stack([np.eye(3)] * 2)
-    placed = shape.place(sizes, halves, turns, np.array([[0.0, 0, 0], [5, 0, 0]]))
-    np.testing.assert_allclose(placed[1].min(axis=0), [3, -1, -1])
-
-
 def test_many_round_geoms_are_drawn_coarser():
     ball = '<geom type="sphere" size=".1" pos="{} 0 0"/>'
     one, many = (draw("".join(ball.format(k) for k in range(count))) for count in (1, 600))
     assert len(many.surfaces[0].faces) < 600 * len(one.surfaces[0].faces) / 4
+
+
+def surface_of(corners, uv=None):
+    count = len(corners)
+    return Surface(
+        corners.reshape(-1, 3).astype(np.float32),
+        np.arange(3 * count, dtype=np.uint32).reshape(-1, 3),
+        np.zeros(3 * count, np.int32),
+        np.ones((3 * count, 4), np.float32),
+        uv,
+    )
+
+
+def drawing_of(surface, solid):
+    return Drawing((surface,), {}, np.zeros((2, 3)), ("thing",), np.array([solid]), False)
+
+
+def area_below(triangle, height):
+    """The area of a triangle's part below a height: Sutherland and Hodgman, corner by corner."""
+    polygon = []
+    for one, other in zip(triangle, np.roll(triangle, -1, axis=0), strict=True):
+        if one[2] <= height:
+            polygon.append(one)
+        if (one[2] <= height) != (other[2] <= height):
+            polygon.append(one + (height - one[2]) / (other[2] - one[2]) * (other - one))
+    sides = pairwise(polygon[1:])
+    fan = [np.cross(b - polygon[0], c - polygon[0]) for b, c in sides]
+    return sum(np.linalg.norm(normal) for normal in fan) / 2
+
+
+def area_of(surfaces):
+    total = 0.0
+    for one in surfaces:
+        a, b, c = one.vertices[one.faces].astype(np.float64).transpose(1, 0, 2)
+        total += np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+    return total
+
+
+def area_of_outline(points):
+    """The area of a closed line, by the shoelace formula."""
+    x, y = points[:, 0], points[:, 1]
+    return abs(np.dot(x[:-1], y[1:]) - np.dot(x[1:], y[:-1])) / 2
+
+
+@given(arrays(np.float32, (4, 3, 3), elements=HEIGHTS), HEIGHTS)
+def test_what_is_left_has_the_area_of_the_plain_clipper(triangles, height):
+    left = cut_drawing(drawing_of(surface_of(triangles), solid=False), float(height))
+    expected = sum(area_below(t.astype(np.float64), float(height)) for t in triangles)
+    assert area_of(left) == pytest.approx(expected, abs=1e-3)
+    for one in left:
+        assert one.vertices[one.faces][..., 2].max(initial=-9.0) <= height + 1e-5
+
+
+@pytest.mark.parametrize("height", [0.8, 1.0, 1.3])
+def test_a_cut_solid_is_closed(height):
+    geom = '<geom type="{}" size=".3 .4 .5" pos="0 0 1" euler="20 30 0"/>'
+    xml = f"<mujoco><worldbody>{geom}</worldbody></mujoco>"
+    for kind in ("box", "cylinder", "ellipsoid"):
+        drawing = draw_scene(Loaded(xml.format(kind)))
+        pieces = cut_drawing(drawing, height)
+        whole = trimesh.Trimesh(drawing.surfaces[0].vertices, drawing.surfaces[0].faces)
+        # on the section of the whole lies a cap of the same area
+        cap = sum(area_of([one]) for one in pieces if np.ptp(one.vertices[:, 2]) < 1e-6)
+        section = whole.section([0, 0, 1], [0, 0, height])
+        assert cap == pytest.approx(area_of_outline(section.discrete[0]), rel=1e-4)
+
+
+def test_uv_go_along():
+    corners = np.array([[[0, 0, 0], [1, 0, 0], [0, 0, 2]]], dtype=np.float32)
+    surface = surface_of(corners, np.array([[0, 0], [1, 0], [0, 1]], dtype=np.float32))
+    (left,) = cut_drawing(drawing_of(surface, solid=False), 1.0)
+    at_cut = left.vertices[:, 2] == 1.0
+    np.testing.assert_allclose(left.uv[at_cut, 1], 0.5)
+
+
+def test_all_below_is_kept_and_all_above_is_not():
+    surface = surface_of(np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 1]]], dtype=np.float32))
+    drawing = drawing_of(surface, solid=False)
+    assert cut_drawing(drawing, 2.0) == (surface,)
+    assert cut_drawing(drawing, -1.0) == ()
