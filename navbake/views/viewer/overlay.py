@@ -146,7 +146,9 @@ class Part(NamedTuple):
 
 def make_glb(parts: Sequence[Part], pictures: Sequence[bytes] = ()) -> bytes:
     """Write triangles, and the PNG files that lie on them, as one GLB."""
-    buffer, primitives, materials = Buffer(), [], []
+    buffer = Buffer()
+    primitives: list[Json] = []
+    materials: list[Json] = []
     for one in parts:
         if not len(one.faces):
             continue
@@ -234,8 +236,7 @@ def pick(
         found, triangle = _meet(origin, direction, surface.vertices[surface.faces])
         if found < distance:
             distance, geom = found, int(surface.geom[surface.faces[triangle, 0]])
-    for level in levels:
-        carpet = carpets[level]
+    for carpet in (carpets[number] for number in levels):
         found, _ = _meet(origin, direction, carpet.vertices[carpet.faces])
         if found <= distance:
             distance, geom = found, None

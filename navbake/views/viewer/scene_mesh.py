@@ -34,7 +34,7 @@ PLANE, HFIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(8)
 ROUND = (SPHERE, CAPSULE, ELLIPSOID, CYLINDER)
 RGB, RGBA = 1, 7  # mjtTextureRole: which textures of a material are its colour
 FLAT_TEXTURE = 0  # mjtTexture: a picture, not the six sides of a cube
-NO_COLOR = (0.5, 0.5, 0.5, 1)  # rgba of a geom that states none
+NO_COLOR = np.array([0.5, 0.5, 0.5, 1], dtype=np.float32)  # rgba of a geom that states none
 
 
 class Surface(NamedTuple):
@@ -266,7 +266,7 @@ def _merge(pieces: Sequence[_Piece], looks: _Looks) -> tuple[Surface, ...]:
         faces = np.concatenate([p.faces + n for p, n in zip(some, start, strict=False)])
         vertices = np.concatenate([piece.vertices for piece in some])
         owner = np.concatenate([piece.geom for piece in some])
-        uv = None if texture < 0 else np.concatenate([piece.uv for piece in some])  # type: ignore[arg-type]
+        uv = None if texture < 0 else np.concatenate([p.uv for p in some if p.uv is not None])
         used, faces = np.unique(faces, return_inverse=True)  # a clear geom's aren't an opaque one's
         owner = owner[used]
         surfaces.append(
@@ -322,7 +322,7 @@ def _find_looks(model: Any) -> _Looks:
     """A geom with a material has the material's colour, unless it states one of its own."""
     rgba = np.array(model.geom_rgba, dtype=np.float32).reshape(-1, 4)
     material = np.array(model.geom_matid, dtype=np.int64)
-    taken = (material >= 0) & (rgba == np.float32(NO_COLOR)).all(axis=1)
+    taken = (material >= 0) & (rgba == NO_COLOR).all(axis=1)
     texture = np.full(len(rgba), -1, dtype=np.int64)
     if model.nmat:
         rgba[taken] = model.mat_rgba[material[taken]]
@@ -404,11 +404,10 @@ def _close(surface: Surface, height: float, solid: Bool) -> Surface:
     mesh = trimesh.Trimesh(surface.vertices, chosen, process=False)
     lines, faces = intersections.mesh_plane(mesh, [0, 0, 1], [0, 0, height], return_faces=True)
     geoms, number = np.unique(surface.geom[chosen[faces, 0]], return_inverse=True)
-    count = np.bincount(number)
-    middle = np.stack([np.bincount(number, lines[:, :, k].mean(axis=1)) for k in range(3)], axis=1)
-    middle = (middle / count[:, None])[number]
+    sums = [np.bincount(number, lines[:, :, axis].mean(axis=1)) for axis in range(3)]
+    middle = (np.stack(sums) / np.bincount(number)).T[number]
     vertices = np.concatenate([lines, middle[:, None]], axis=1).reshape(-1, 3).astype(np.float32)
-    shade = np.float32([CAP_SHADE, CAP_SHADE, CAP_SHADE, 1])
+    shade = np.array([CAP_SHADE, CAP_SHADE, CAP_SHADE, 1], dtype=np.float32)
     return Surface(
         vertices,
         np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3),
