@@ -2,10 +2,10 @@
 
     python scripts/bench_rooms.py [--count 100] [--first 1000] [--cell 0.1] [--door-width 1.0]
 
-Each plan is baked as boxes and as one mesh, with a fixed `rooms.door_width`, which is the baseline,
-and with `auto`. A room is found where one of the grid's rooms reaches an intersection over union of
-0.8 with it; floor that got no room counts against it. A window leaks where one room is connected
-through its opening. The constants of `navbake/baker/rooms/gaps.py` were chosen on plans 0 to 99.
+Each plan is baked as boxes and as one mesh, with a fixed `rooms.door_width`, and with `auto`. A
+room is found where one of the grid's rooms reaches an intersection over union of 0.8 with it;
+floor that got no room counts against it. A window leaks where one room is connected through its
+opening. The constants of `navbake/baker/rooms/gaps.py` were chosen on plans 0 to 99.
 """
 
 from __future__ import annotations

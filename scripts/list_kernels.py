@@ -180,7 +180,7 @@ def encode_type(of: Any) -> Any:
 def use_all() -> None:
     """Use what a bake, updates, the run time and voxel grids need."""
     from navbake.baker.pipeline import run_bake
-    from navbake.baker.rooms.windows import find_windows
+    from navbake.baker.rooms.walls import find_windows
     from navbake.config.settings import as_config
     from navbake.files import scratch_folder
 
@@ -192,7 +192,7 @@ def use_all() -> None:
             run_bake(as_config({"scene": {"path": path, "geoms": "all"}, **settings})).grid
             for settings in (
                 {"attributes": ["island", "clearance"]},
-                {"agent": {"radius": 0.2}, "rooms": {"from": ["auto"], "door_width": 1.0}},
+                {"agent": {"radius": 0.2}, "rooms": {"from": ["auto"]}},
             )
         ]
         coarse = {"cell_size": 0.3}

@@ -3,7 +3,10 @@
 scipy has such functions, but takes longer to load than the apartment to bake.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.navgrid.kernels.connect import list_touching, number_parts
 from navbake.types import Int, Int32
@@ -29,3 +32,60 @@ def touching(cells: Int, width: int) -> Int:
     """
     pairs: Int = list_touching(np.ascontiguousarray(cells, dtype=np.int64), width)
     return pairs
+
+
+class Runs(NamedTuple):
+    """Runs of cells with one value in rows, by rows, shape (n,).
+
+    Attributes:
+        row: of each.
+        first, end: its first column, and past its last.
+        value: of its cells.
+    """
+
+    row: Int
+    first: Int
+    end: Int
+    value: NDArray[Any]
+
+
+def list_runs(values: NDArray[Any]) -> Runs:
+    """The runs of values other than 0 in the rows of an array, bool or integer."""
+    rows, width = values.shape[0], values.shape[1] + 1
+    line = np.zeros(rows * width + 1, dtype=values.dtype)  # each row ends with a 0
+    line[1:].reshape(rows, width)[:, :-1] = values
+    bounds = np.flatnonzero(line[1:] != line[:-1])
+    value = line[1 + bounds]
+    inside = np.flatnonzero(value)
+    row, first = np.divmod(bounds[inside], width)
+    return Runs(row, first, bounds[inside + 1] - row * width, value[inside])
+
+
+def label_parts(values: NDArray[Any]) -> tuple[Int32, int]:
+    """Label the parts of cells with one value that hang together over edges.
+
+    Rows are cut into runs, and runs that touch are united (Rosenfeld and Pfaltz, 1966).
+
+    Args:
+        values: shape (rows, cols), bool or integer; cells with 0 are in no part.
+
+    Returns:
+        The label of each cell, int32, 0 for none, by their first cells from 1; and how many
+        there are.
+    """
+    rows, cols = values.shape
+    row, first, end, value = list_runs(values)
+    place, past = row * (cols + 1) + first, row * (cols + 1) + end
+    # the runs of the next row that begin before a run's end and end behind its beginning
+    begin = np.searchsorted(past, place + cols + 1, "right")
+    count = np.maximum(np.searchsorted(place, past + cols + 1, "left") - begin, 0)
+    one = np.repeat(np.arange(len(row)), count)
+    other = np.arange(len(one)) + np.repeat(begin - np.cumsum(count) + count, count)
+    same = value[one] == value[other]
+    part = connect(np.stack([one[same], other[same]]), len(row))
+    # the cells before each run, those of the run, and so on; those behind the last one
+    lengths = np.diff(np.stack([row * cols + first, row * cols + end], axis=1).ravel(), prepend=0)
+    number = np.zeros(len(lengths) + 1, dtype=np.int32)
+    number[1:-1:2] = part + 1
+    label = np.repeat(number, np.append(lengths, rows * cols - lengths.sum()))
+    return label.reshape(rows, cols), int(part.max(initial=-1)) + 1

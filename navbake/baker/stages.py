@@ -34,9 +34,8 @@ from navbake.baker.occupancy.occupancy import (
     OccupancyFinder,
     check_occupancy,
 )
-from navbake.baker.rooms.overhead import Overhead, OverheadFinder
-from navbake.baker.rooms.rooms import Blocked, Rooms, find_rooms
-from navbake.baker.rooms.segmentation import SpaceFinder
+from navbake.baker.rooms.flags import Blocked, Overhead, OverheadFinder, RoomFlags, read_flags
+from navbake.baker.rooms.rooms import Rooms, find_rooms
 from navbake.baker.scene.isolated import CompileLimits
 from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.scene import Scene, load_scene
@@ -250,26 +249,27 @@ class Stages:
             return None if finder is None else finder.found(self.config.names)
 
     @cached_property
-    def rooms(self) -> Rooms:
-        """The room of each cell, and the table of rooms; doors are not named in it yet."""
-        config, floors, contents = self.config, self.floors, self.contents
+    def room_flags(self) -> RoomFlags:
+        """All that rooms depend on beside settings."""
+        floors, contents = self.floors, self.contents
         overhead = self._cells.overhead
         with self.clock.stage("rooms"):
-            if contents is None:
-                none = np.zeros(self.lattice.shape, dtype=np.bool_)
-                blocked = [Blocked(none, none) for _ in floors.levels]
-            else:
+            none = np.zeros(self.lattice.shape, dtype=np.bool_)
+            blocked = [Blocked(none, none) for _ in floors.levels]
+            if contents is not None:
                 blocked = [
                     Blocked(contents.wall_cells(number), contents.low_cells(number))
                     for number in range(len(floors.levels))
                 ]
-            settings = config.rooms, config.agent, self.spaces
-            return find_rooms(self.doorless, overhead, floors, blocked, *settings)
+            settings = self.config.rooms, self.config.agent
+            return read_flags(self.doorless, overhead, floors, blocked, *settings)
 
     @cached_property
-    def spaces(self) -> SpaceFinder | None:
-        """Keeps the spaces between gaps that `rooms` finds; None where nobody asks again."""
-        return None
+    def rooms(self) -> Rooms:
+        """The room of each cell, and the table of rooms; doors are not named in it yet."""
+        flags, max_step = self.room_flags, self.config.agent.traversable_floor_height
+        with self.clock.stage("rooms"):
+            return find_rooms(flags, self.config.rooms, max_step)
 
     @cached_property
     def _cells(self) -> _Cells:
@@ -341,7 +341,7 @@ class Stages:
         They are the largest of all values, and nothing needs them once the doors are settled. One
         that is asked for again is found again.
         """
-        for name in ("tiled", "whole", "columns", "_known_geoms", "_cells"):
+        for name in ("tiled", "whole", "columns", "_known_geoms", "_cells", "room_flags"):
             self.__dict__.pop(name, None)
 
     @contextmanager

@@ -98,8 +98,8 @@ class RoomSettings(Settings):
     )
     door_width: DoorWidth = setting(
         "auto",
-        "auto: the widest gap that separates rooms [m], > 0; or auto, which measures each gap "
-        "against the width of the spaces on both sides",
+        "auto: no gap wider than this separates rooms [m], > 0, and none that is nearly as wide as "
+        "the spaces on both sides; or auto: 2.5, at the mouth of a long passage 3.2",
     )
     min_area: NotNegative = setting(1.0, "auto, sites: smallest area of a room [m2], >= 0")
 

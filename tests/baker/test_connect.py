@@ -8,7 +8,7 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from navbake.baker.connect import connect, touching
+from navbake.baker.connect import connect, label_parts, touching
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -36,3 +36,20 @@ def test_what_hangs_together_by_nothing_is_by_itself():
     assert connect(np.empty((2, 0)), 3).tolist() == [0, 1, 2]
     # the last cell of a row and the first of the next don't touch
     assert touching(np.array([2, 3]), 3).size == 0
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 50), (50, 1), (40, 63)])
+def test_parts_over_edges_are_those_of_scipy(shape):
+    rng = np.random.default_rng(4)
+    for share in (0.0, 0.4, 0.6, 0.8, 1.0):
+        mask = rng.random(shape) < share
+        expected, count = ndimage.label(mask)
+        found, parts = label_parts(mask)
+        assert parts == count
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_parts_of_one_value_are_apart_from_others():
+    values = np.array([[1, 1, 2, 0], [1, 2, 2, 1], [0, 0, 1, 1]], dtype=np.int32)
+    found, parts = label_parts(values)
+    assert (found.tolist(), parts) == ([[1, 1, 2, 0], [1, 2, 2, 3], [0, 0, 3, 3]], 3)

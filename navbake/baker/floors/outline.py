@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.columns import Columns, ColumnSource
+from navbake.baker.connect import label_parts
 from navbake.baker.floors.kernels.outline import list_edges, look_out
 from navbake.baker.floors.sheets import Standable, mask_window
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.rooms.kernels.labels import label_parts
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int

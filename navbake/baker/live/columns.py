@@ -39,7 +39,7 @@ from navbake.baker.live.kernels.regions import (
 )
 from navbake.baker.live.kernels.sheets import mark_region
 from navbake.baker.live.not_local import NotLocal
-from navbake.baker.rooms.overhead import Overhead, keep_holes
+from navbake.baker.rooms.flags import Overhead, keep_holes
 from navbake.baker.scene.shapes import Planes, Shapes, Solids, Triangles
 from navbake.config.settings import AgentSettings, BakeConfig
 from navbake.navgrid.lattice import Lattice

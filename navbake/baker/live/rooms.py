@@ -13,11 +13,17 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.baker.live.columns import LiveColumns, Region
 from navbake.baker.live.contents import LiveContents
 from navbake.baker.live.kernels.regions import are_in, join_cells
+from navbake.baker.rooms.flags import Blocked, read_flags
 from navbake.baker.rooms.openings import RoomIndex
-from navbake.baker.rooms.rooms import Blocked, Rooms, find_rooms
-from navbake.baker.rooms.segmentation import SpaceFinder
+from navbake.baker.rooms.rooms import (
+    NamedRoom,
+    Rooms,
+    describe_rooms,
+    find_rooms,
+    name_neighbours,
+)
+from navbake.baker.rooms.segmentation import mark_steep
 from navbake.baker.rooms.sources import match_geoms, match_sites
-from navbake.baker.rooms.table import NamedRoom, describe_rooms, name_neighbours
 from navbake.baker.scene.names import names_at
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
@@ -80,24 +86,13 @@ class Seen(NamedTuple):
 
 
 class LiveRooms:
-    """The rooms of the one level of a scene, where floors and walls are known.
-
-    Args:
-        spaces: knows those that the rooms were made of.
-        floors: in which they were found.
-    """
+    """The rooms of the one level of a scene, where floors and walls are known."""
 
     def __init__(
-        self,
-        config: BakeConfig,
-        scene: Scene,
-        columns: LiveColumns,
-        spaces: SpaceFinder,
-        floors: Floors,
+        self, config: BakeConfig, scene: Scene, columns: LiveColumns, floors: Floors
     ) -> None:
         self._config, self._columns = config, columns
         self.marks = RoomMarks(config, scene)
-        self._spaces = spaces
         self._have_stairs = self._find_stairs(floors.levels[0])
 
     def find(self, scene: Scene, floors: Floors, contents: LiveContents | None) -> Rooms:
@@ -108,8 +103,8 @@ class LiveRooms:
         if contents is not None:
             blocked = Blocked(contents.wall.reshape(shape), contents.low.reshape(shape))
         overhead = self._columns.overhead(level, config.agent)
-        settings = config.rooms, config.agent, self._spaces
-        rooms = find_rooms(scene, overhead, floors, [blocked], *settings)
+        flags = read_flags(scene, overhead, floors, [blocked], config.rooms, config.agent)
+        rooms = find_rooms(flags, config.rooms, config.agent.traversable_floor_height)
         self._have_stairs = self._find_stairs(level)
         return rooms
 
@@ -128,7 +123,7 @@ class LiveRooms:
             return rooms
         if _is_at_edge(level, changed, lattice).any() or np.isnan(seen.before).any():
             return None
-        if rooms.asked_sky and not self._same_sky(level, seen):
+        if not self._same_sky(level, seen):
             return None
         if not _same_marks(seen.old.columns, seen.new.columns, self.marks.geoms):
             return None
@@ -139,14 +134,14 @@ class LiveRooms:
         if self._have_stairs or self._find_stairs(level):
             return None
         named = [NamedRoom(room.name, str(room.source), room.outdoors) for room in rooms.table]
-        table = describe_rooms(rooms.index, [named], floors, lattice)
+        table = describe_rooms(rooms.index, [named], [level.floor], lattice)
         return replace(rooms, table=name_neighbours(table, rooms.openings, rooms.links, {}))
 
     def _find_stairs(self, level: LevelFloor) -> bool:
-        """Whether a space may be a stair."""
-        if self._config.rooms.door_width != "auto" or self._spaces.window is None:
-            return True
-        return self._spaces.have_stairs(level.floor, self._columns.lattice.cell_size)
+        """Whether any part of a space may be as steep as a stair."""
+        cell_size = self._columns.lattice.cell_size
+        label = (~np.isnan(level.floor)).astype(np.int32)
+        return bool(mark_steep(label, level.floor, cell_size).any())
 
     def _same_sky(self, level: LevelFloor, seen: Seen) -> bool:
         """Whether the same cells are under the sky, of those with other columns or floors."""

@@ -34,9 +34,8 @@ from navbake.baker.live.kinds import NearMoved
 from navbake.baker.live.not_local import NotLocal
 from navbake.baker.live.rooms import LiveRooms, Seen
 from navbake.baker.occupancy.occupancy import check_footprints
-from navbake.baker.rooms.outdoors import find_ends
+from navbake.baker.rooms.flags import find_ends
 from navbake.baker.rooms.rooms import Rooms
-from navbake.baker.rooms.segmentation import SpaceFinder
 from navbake.baker.stages import Stages
 from navbake.threads import limit_threads, run_beside
 from navbake.types import Bool, Float, Int
@@ -73,8 +72,7 @@ class LiveStages:
         self.stages, self.contents, self.reason = stages, None, ""
         notes: list[Judged] = []
         floors = stages.judge_floors(notes)
-        spaces = SpaceFinder()
-        stages.__dict__["floors"], stages.__dict__["spaces"] = floors, spaces
+        stages.__dict__["floors"] = floors
         self._parts: Parts | None = None
         self._floor_layer: NDArray[np.float32] | None = None
         self._weighed: Weighed | None = None
@@ -100,7 +98,7 @@ class LiveStages:
             if found is not None:
                 known_scene = stages.config, stages.doorless, found
                 self.contents = LiveContents(*known_scene, floors, stages.columns, columns)
-            rooms = LiveRooms(stages.config, stages.scene, columns, spaces, floors)
+            rooms = LiveRooms(stages.config, stages.scene, columns, floors)
             live_doors = LiveDoors(stages.scene, stages.candidates, stages.lattice, columns.scratch)
             self._parts = Parts(columns, live_floors, self.contents, rooms, live_doors)
         shapes = stages.doorless.shapes

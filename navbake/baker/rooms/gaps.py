@@ -1,33 +1,123 @@
-"""Rooms from gaps that part spaces by their width against the width of both."""
+"""Gaps between walls, and the spaces that they part: where the space along a line widens at once.
+
+All gaps part spaces at first; then spaces are joined where a gap is as wide as they are.
+"""
+
+import heapq
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.rooms.directions import Direction, find_directions, turned
+from navbake.baker.connect import connect, label_parts, list_runs
 from navbake.baker.rooms.kernels import gaps as kernels
-from navbake.baker.rooms.kernels.gaps import Crossings, Gaps, Scan
-from navbake.baker.rooms.kernels.labels import count_cells, label_parts
-from navbake.baker.rooms.spaces import CloseCall, GapsOfDirection, Spaces
+from navbake.baker.rooms.kernels.gaps import Gaps, Scan
+from navbake.baker.rooms.walls import Direction, find_directions, turned
 from navbake.threads import run_beside
-from navbake.types import Bool, Int32
+from navbake.types import Bool, Int, Int32
 
 Marks = NDArray[np.uint8]
 
-# The widest mouth of a passage that is a room of its own, and the widest opening in whose line
-# another wall can end [m]
-PASSAGE, WIDE = 3.2, 4.0
+# Unless a door's width is given: the widest opening that parts two rooms, the widest mouth of a
+# passage that is a room of its own, and the widest opening in whose line another wall can end [m]
+WIDEST, PASSAGE, WIDE = 2.5, 3.2, 4.0
 # A gap is looked for where the space widens by this factor, and by this much [m]
 GROWTH, RISE = 1.15, 0.2
 # Walls are at most this thick at a doorway [m]
 THICKNESS = 0.6
+# Where a gap goes on in the next column, its middle is on a line at most so far apart [lines]
+DRIFT = 2
 # What is smaller is no space but part of the gaps round it: where walls are at an angle to the
 # lattice, lines of a gap that are next to each other leave single cells between them [m²]
 ISLAND = 0.1
 # How wide the spaces are is measured so far behind the gap; the widest counts [m]
 DEPTHS = (0.1, 0.25, 0.45)
+# Two spaces are one where the gap between them is at least this share of both, or of the narrower
+BOTH, NARROWER = 0.8, 0.78
+# A passage opens into a space as wide as it is, but is its own from this length on, measured in
+# its widths, where the space is wider by this factor
+LONG, WIDER = 3.0, 1.5
+# A gap was a close call within this of the share that decides, if it is so wide [m] and both spaces
+# are so large [m²]
+CLOSE, CLOSE_WIDTH, CLOSE_AREA = 0.04, 0.8, 4.0
+# A gap that is wider than the widest by so little is none the wider: rounding [m]
+ROUNDING = 1e-9
 
 
-def _find_gap_cells(open_cells: Bool, directions: list[Direction], cell_size: float) -> list[Marks]:
+class CloseCall(NamedTuple):
+    """A gap that hardly parts two spaces, or nearly does.
+
+    Attributes:
+        cell: row and column of its middle.
+        width: [m].
+        parts: whether it does.
+    """
+
+    cell: tuple[float, float]
+    width: float
+    parts: bool
+
+
+class GapsOfDirection(NamedTuple):
+    """The gaps of a direction, and the lattice as they are measured in it."""
+
+    direction: Direction
+    scan: Scan
+    gaps: Gaps
+
+
+def part_at_gaps(
+    open_cells: Bool, holes: Bool, cell_size: float, door_width: float | None
+) -> tuple[Int32, list[CloseCall]]:
+    """Label the spaces that gaps part; the cells of gaps have none yet.
+
+    Holes have no floor, but no wall either. Also lists the gaps that hardly part two spaces, and
+    those that nearly do. A gap wider than `door_width` [m] parts none.
+    """
+    found, label, cells = find_gaps(open_cells, holes, cell_size, door_width)
+    spaces = Spaces(found, cells, cell_size, door_width)
+    spaces.join_continued()
+    spaces.join_narrower()
+    return spaces.wholes()[label], spaces.close_calls()
+
+
+def find_gaps(
+    open_cells: Bool, holes: Bool, cell_size: float, door_width: float | None
+) -> tuple[list[GapsOfDirection], Int32, Int]:
+    """The gaps of each direction, the spaces that all of them part, and how many cells each has."""
+    space = open_cells | holes
+    directions = find_directions(space, cell_size)
+    marks = _mark_gaps(space, directions, cell_size, door_width or 0.0)
+    marked = _join_marks(marks, directions, open_cells)
+    label, count = label_parts(open_cells & ~marked)
+    cells = np.bincount(label.ravel(), minlength=count + 1)
+    keeps = cells * cell_size**2 >= ISLAND
+    keeps[0] = True
+    if not keeps.all():  # those that are left keep their order
+        marked |= open_cells & ~keeps[label]
+        number = np.where(keeps, np.cumsum(keeps) - 1, 0).astype(np.int32)
+        label, cells = number[label], np.bincount(number, cells).astype(np.int64)
+    found = []
+    for direction, own in zip(directions, marks, strict=True):
+        depths = [max(1, round(depth * direction.stretch / cell_size)) for depth in DEPTHS]
+        leans = np.rint(np.array(depths) * direction.slope / direction.stretch**2)
+        scan = Scan(
+            turned(label, direction),
+            turned(space, direction),
+            direction.shift,
+            np.array(depths, dtype=np.int64),
+            leans.astype(np.int64),
+        )
+        thickness = int(THICKNESS * direction.stretch / cell_size) + 2
+        gaps = _list_gaps(scan, turned(marked, direction), own, thickness)
+        found.append(GapsOfDirection(direction, scan, gaps))
+    return found, label, cells
+
+
+def _mark_gaps(
+    open_cells: Bool, directions: list[Direction], cell_size: float, door_width: float
+) -> list[Marks]:
     """Mark the cells of the gaps of each direction, as it is scanned.
 
     Gaps with steps on both sides, such as doorways, come first. They are walls to what is found
@@ -35,25 +125,23 @@ def _find_gap_cells(open_cells: Bool, directions: list[Direction], cell_size: fl
     ends in the middle of a wide opening goes on up to the line of that opening.
     """
     marks = [np.zeros(turned(open_cells, d).shape, dtype=np.uint8) for d in directions]
-    for widest, both in ((WIDE, True), (PASSAGE, False)):
+
+    def mark_direction(
+        direction: Direction, own: Marks, is_open: Bool, widest: float, both: bool
+    ) -> None:
+        step = direction.stretch * cell_size
+        limits = int(widest / step), GROWTH, RISE / step
+        thickness = int(THICKNESS * direction.stretch / cell_size) + 2
+        scanned = turned(is_open, direction), direction.shift
+        kernels.mark_gaps(*scanned, *limits, thickness, both, own)
+
+    for widest, both in ((max(WIDE, door_width), True), (max(PASSAGE, door_width), False)):
         is_open = open_cells & ~_join_marks(marks, directions, open_cells)
-        waiting = [
-            run_beside(_mark_direction, direction, is_open, cell_size, widest, both, mark)
-            for direction, mark in zip(directions, marks, strict=True)
-        ]
-        for wait in waiting:
+        limits = is_open, widest, both
+        pairs = zip(directions, marks, strict=True)
+        for wait in [run_beside(mark_direction, *pair, *limits) for pair in pairs]:
             wait()
     return marks
-
-
-def _mark_direction(
-    direction: Direction, is_open: Bool, cell_size: float, widest: float, both: bool, mark: Marks
-) -> None:
-    """Mark the cells of the gaps of a direction, at most so wide [m], as it is scanned."""
-    run = kernels.measure_runs(turned(is_open, direction), direction.shift)
-    step = direction.stretch * cell_size
-    thickness = int(THICKNESS * direction.stretch / cell_size) + 2
-    kernels.mark_gaps(run, int(widest / step), GROWTH, RISE / step, thickness, both, mark)
 
 
 def _join_marks(marks: list[Marks], directions: list[Direction], like: Bool) -> Bool:
@@ -64,59 +152,198 @@ def _join_marks(marks: list[Marks], directions: list[Direction], like: Bool) -> 
     return marked
 
 
-def part_at_gaps(open_cells: Bool, holes: Bool, cell_size: float) -> tuple[Int32, list[CloseCall]]:
-    """Label the spaces that gaps part; the cells of gaps have none yet.
+def _list_gaps(scan: Scan, marked: Bool, own: Marks, thickness: int) -> Gaps:
+    """The gaps of a direction: where columns of marked cells lead from one space to another.
 
-    Holes have no floor, but no wall either. Also lists the gaps that hardly part two spaces, and
-    those that nearly do.
+    Columns cross at most `thickness` marked cells, one of them a gap of this direction's `own`.
+    Those of neighbouring columns between the same spaces are one gap.
     """
-    space = open_cells | holes
-    directions = find_directions(space, cell_size)
-    marks = _find_gap_cells(space, directions, cell_size)
-    marked = _join_marks(marks, directions, open_cells)
-    label, count = label_parts(open_cells & ~marked)
-    cells = count_cells(label, count + 1)
-    keeps = cells * cell_size**2 >= ISLAND
-    keeps[0] = True
-    if not keeps.all():  # those that are left keep their order
-        marked |= open_cells & ~keeps[label]
-        number = np.where(keeps, np.cumsum(keeps) - 1, 0).astype(np.int32)
-        label, cells = number[label], np.bincount(number, cells).astype(np.int64)
-    found = []
-    for direction, own in zip(directions, marks, strict=True):
-        label_there = turned(label, direction)
-        thickness = int(THICKNESS * direction.stretch / cell_size) + 2
-        crossings = kernels.list_crossings(label_there, turned(marked, direction), own, thickness)
-        depths = [max(1, round(depth * direction.stretch / cell_size)) for depth in DEPTHS]
-        leans = np.rint(np.array(depths) * direction.slope / direction.stretch**2)
-        scan = Scan(
-            label_there,
-            turned(space, direction),
-            direction.shift,
-            np.array(depths, dtype=np.int64),
-            leans.astype(np.int64),
-        )
-        found.append(GapsOfDirection(direction, scan, _list_gaps(crossings, direction)))
-    spaces = Spaces(found, cells, cell_size)
-    spaces.join_continued()
-    spaces.join_narrower()
-    return spaces.wholes()[label], spaces.close_calls()
-
-
-def _list_gaps(crossings: Crossings, direction: Direction) -> Gaps:
-    """The gaps that crossings make up."""
-    number = kernels.group_crossings(crossings, direction.shift)
+    label, shift = scan.label, scan.shift
+    col, top, end, _ = list_runs(marked.T)
+    bottom = end - 1
+    starts = np.cumsum(end - top) - (end - top)
+    mark = np.maximum.reduceat(own.T[marked.T], starts)
+    above = label[np.maximum(top - 1, 0), col]
+    below = label[np.minimum(bottom + 1, len(label) - 1), col]
+    # at the lattice's edge that is a marked cell, which has no label
+    crosses = (above > 0) & (below > 0) & (above != below) & (mark > 0)
+    crosses &= bottom - top < thickness
+    col, top, bottom, above, below, mark = (
+        array[crosses].astype(np.int64) for array in (col, top, bottom, above, below, mark)
+    )
+    # the first crossing of the column before, between the same spaces, whose line is near
+    key = (above * (label.max(initial=0) + 1) + below) * (label.shape[1] + 1) + col
+    order = np.argsort(key, kind="stable")
+    begin, end = (np.searchsorted(key[order], key - 1, side) for side in ("left", "right"))
+    line = (top + bottom) / 2 - shift[col]
+    before = np.full(len(col), -1)
+    for k in range(int((end - begin).max(initial=0))):
+        other = order[np.minimum(begin + k, len(order) - 1)]
+        near = (begin + k < end) & (np.abs(line[other] - line) <= DRIFT)
+        before = np.where((before < 0) & near, other, before)
+    goes_on = np.flatnonzero(before >= 0)
+    number = connect(np.stack([before[goes_on], goes_on]), len(col))
     order = np.argsort(number, kind="stable")
     first = np.flatnonzero(np.diff(number[order], prepend=-1))
-    last = np.append(first[1:], len(order))[: len(first)] - 1
-    a, b = order[first], order[last]
-    marks = np.maximum.reduceat(crossings.mark[order], first) if len(first) else crossings.mark
-    return Gaps(
-        crossings.col[a],
-        crossings.col[b],
-        np.stack([crossings.top[a], crossings.top[b]], axis=1),
-        np.stack([crossings.bottom[a], crossings.bottom[b]], axis=1),
-        crossings.above[a],
-        crossings.below[a],
-        marks == 2,
-    )
+    a, b = order[first], order[np.append(first[1:], len(order))[: len(first)] - 1]
+    is_doorway = np.maximum.reduceat(mark[order], first) == 2
+    tops, bottoms = (np.stack([rows[a], rows[b]], axis=1) for rows in (top, bottom))
+    return Gaps(col[a], col[b], tops, bottoms, above[a], below[a], is_doorway)
+
+
+class Spaces:
+    """The spaces between gaps, and which of them have been joined.
+
+    Spaces are joined one pair at a time, at the widest gap of all. What a gap's shares depend on
+    is near it: they are measured again only where one of the two spaces is joined to one that the
+    gap's lines met.
+
+    Args:
+        found: the gaps of each direction.
+        cells: how many each space has, from 0 for none.
+    """
+
+    def __init__(
+        self, found: list[GapsOfDirection], cells: Int, cell_size: float, door_width: float | None
+    ) -> None:
+        self._found, self._cell_size, self._door_width = found, cell_size, door_width
+        self._cells = cells.astype(np.int64)
+        self._first = self._cells.copy()  # before any was joined
+        self._parent = np.arange(len(cells), dtype=np.int32)
+        # of each gap, those of all directions together
+        self._start = np.cumsum([0, *(len(g.gaps.first) for g in found)])
+        spans = [(g.gaps.last - g.gaps.first + 1) * g.direction.stretch for g in found]
+        self._width = np.concatenate([np.empty(0), *spans])  # [cells]
+        self._is_doorway = np.concatenate([np.empty(0), *(g.gaps.is_doorway for g in found)]) > 0
+        pairs = [np.stack([g.gaps.above, g.gaps.below], axis=1) for g in found]
+        self._pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs])
+        self._shares = np.ones((len(self._width), 2))
+        # the share that decided about each gap, NaN for none
+        self._decided = np.full(len(self._width), np.nan)
+        # by space, the gaps at it, and those whose lines met it though they aren't
+        self._at: list[set[int]] = [set() for _ in cells]
+        self._met_by: list[set[int]] = [set() for _ in cells]
+        for k, pair in enumerate(self._pairs.tolist()):
+            for space in pair:
+                self._at[space].add(k)
+        self.measure(np.arange(len(self._width)))
+
+    def join_continued(self) -> None:
+        """Join spaces that a gap leaves as wide as both of them are.
+
+        A line across a room that is drawn at a doorway's edge goes before the doorway.
+        """
+
+        def decide(gap: int) -> tuple[bool, float] | None:
+            share = float(self._shares[gap].min())
+            return (bool(self._is_doorway[gap]), -share) if share >= BOTH else None
+
+        self._join_in_order(decide)
+
+    def join_narrower(self) -> None:
+        """Join spaces that a gap leaves as wide as the narrower is, but for long passages."""
+
+        def decide(gap: int) -> tuple[bool, float] | None:
+            share = self._decide(gap)
+            return (False, -share) if share >= NARROWER else None
+
+        self._join_in_order(decide)
+
+    def _join_in_order(self, decide: Callable[[int], tuple[bool, float] | None]) -> None:
+        """Join spaces at gaps in the order that `decide` gives them, None for those that part."""
+        queue = [(order, k) for k in self._all() if (order := decide(k)) is not None]
+        heapq.heapify(queue)
+        while queue:
+            order, gap = heapq.heappop(queue)
+            # what was measured again is in the queue again; a passage may have grown long
+            if not self._is_apart(gap) or order != decide(gap):
+                continue
+            for k in self.join(gap):
+                if (again := decide(k)) is not None:
+                    heapq.heappush(queue, (again, k))
+
+    def _decide(self, gap: int) -> float:
+        """The share by which a gap is decided, 0 for one that parts a long passage."""
+        above, below = (float(share) for share in self._shares[gap])
+        narrow = self._root(int(self._pairs[gap, 0 if above >= below else 1]))
+        is_long = self._cells[narrow] >= LONG * self._width[gap] ** 2
+        width = float(self._width[gap]) * self._cell_size - ROUNDING
+        may_part = self._door_width is None or width <= self._door_width
+        if is_long and min(above, below) <= 1 / WIDER and may_part:
+            return 0.0
+        if width > (self._door_width or WIDEST):
+            return 1.0
+        self._decided[gap] = max(above, below)
+        return max(above, below)
+
+    def close_calls(self) -> list[CloseCall]:
+        """The gaps between two spaces of some size that were decided by little."""
+        close = np.abs(self._decided - NARROWER) <= CLOSE
+        close &= self._width * self._cell_size >= CLOSE_WIDTH
+        least = CLOSE_AREA / self._cell_size**2
+        whole = self.wholes()
+        calls = []
+        for k in np.flatnonzero(close).tolist():
+            parts = self._is_apart(k)
+            pair = self._pairs[k]
+            sizes = self._cells[whole[pair]] if parts else self._first[pair]
+            if (sizes < least).any():
+                continue
+            number = int(np.searchsorted(self._start, k, side="right")) - 1
+            direction, _, gaps = self._found[number]
+            i = k - int(self._start[number])
+            col = float(gaps.first[i] + gaps.last[i]) / 2
+            row = float(gaps.top[i].mean() + gaps.bottom[i].mean()) / 2
+            cell = (col, row) if direction.swapped else (row, col)
+            calls.append(CloseCall(cell, float(self._width[k]) * self._cell_size, parts))
+        return calls
+
+    def wholes(self) -> Int32:
+        """The space that each one is part of now."""
+        return np.array([self._root(k) for k in range(len(self._parent))], dtype=np.int32)
+
+    def _all(self) -> list[int]:
+        """The gaps whose sides are two spaces still."""
+        whole = self.wholes()[self._pairs]
+        apart: list[int] = np.flatnonzero(whole[:, 0] != whole[:, 1]).tolist()
+        return apart
+
+    def _is_apart(self, gap: int) -> bool:
+        one, other = self._pairs[gap].tolist()
+        return self._root(one) != self._root(other)
+
+    def _root(self, space: int) -> int:
+        parent = self._parent
+        while parent[space] != space:
+            parent[space] = parent[parent[space]]
+            space = int(parent[space])
+        return space
+
+    def measure(self, gaps: Int) -> None:
+        """Measure the share that gaps have of the spaces on both sides."""
+        place = np.searchsorted(self._start, gaps, side="right") - 1
+        for number in np.unique(place).tolist():
+            _, scan, listed = self._found[number]
+            chosen = gaps[place == number]
+            numbers = chosen - self._start[number]
+            shares, start, met = kernels.measure_gaps(scan, listed, numbers, self._parent)
+            self._shares[chosen] = shares
+            of_met = np.repeat(chosen, np.diff(start))
+            for k, space in np.stack([of_met, met], axis=1).tolist():
+                self._met_by[space].add(k)
+
+    def join(self, gap: int) -> list[int]:
+        """Join the spaces on both sides of a gap; returns the gaps that were measured again."""
+        one, other = (self._root(int(space)) for space in self._pairs[gap])
+        changed = (self._at[one] & self._met_by[other]) | (self._at[other] & self._met_by[one])
+        to, gone = min(one, other), max(one, other)
+        self._parent[gone] = to
+        self._cells[to] += self._cells[gone]
+        for gaps in (self._at, self._met_by):
+            small, large = sorted((gaps[to], gaps[gone]), key=len)
+            large |= small
+            gaps[to], gaps[gone] = large, set()
+        apart = [k for k in sorted(changed) if self._is_apart(k)]
+        if apart:
+            self.measure(np.array(apart, dtype=np.int64))
+        return apart

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.connect import connect, touching
-from navbake.baker.floors.levels import Floors
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.lattice import list_differing
 from navbake.navgrid.lattice import Lattice
@@ -47,30 +46,40 @@ class ClosedDoor(NamedTuple):
     cells: Sequence[Int]
 
 
-def find_openings(index: Sequence[RoomIndex], floors: Floors, max_step: float) -> list[Opening]:
+def find_openings(
+    index: Sequence[RoomIndex], floors: Sequence[Float], links: Int, max_step: float
+) -> list[Opening]:
     """Find where neighbouring cells belong to two rooms and are a step or a slope apart.
 
-    Steps are at most `max_step` high [m]; a slope is a link between two cells of one level.
-    8-connected cells form one opening. Furniture is ignored.
+    Floors are heights by level, steps at most `max_step` high [m]; a slope is a link between two
+    cells of one level. 8-connected cells form one opening. Furniture is ignored.
     """
     openings = []
-    for number, (rooms, level) in enumerate(zip(index, floors.levels, strict=True)):
-        on_level = (floors.links[:, [0, 2]] == number).all(axis=1)
-        slopes = floors.links[on_level][:, [1, 3]]
-        pair, cells = _find_steps(rooms, level.floor, slopes, max_step)
-        order = np.argsort(pair, kind="stable")
-        keys, first = np.unique(pair[order], return_index=True)
-        for key, both in zip(keys.tolist(), np.split(cells[order], first[1:]), strict=False):
-            parts = _connected(np.unique(both), rooms.shape[1])
-            openings += [Opening(number, divmod(key, PAIR), part) for part in parts]
+    for number, (rooms, floor) in enumerate(zip(index, floors, strict=True)):
+        on_level = (links[:, [0, 2]] == number).all(axis=1)
+        joined, height = [links[on_level][:, [1, 3]]], floor.ravel()
+        for one, other in list_differing(rooms):  # few: only their heights are compared
+            is_step = np.abs(height[one] - height[other]) <= max_step + SLACK
+            joined.append(np.stack([one[is_step], other[is_step]], axis=1))
+        cells = np.concatenate(joined)
+        ends = np.sort(rooms.ravel()[cells].astype(np.int64), axis=1)
+        meet = (ends[:, 0] > 0) & (ends[:, 0] != ends[:, 1])
+        key = ends[meet] @ (PAIR, 1)
+        order = np.argsort(key, kind="stable")
+        pairs, first = np.unique(key[order], return_index=True)
+        of_pairs = np.split(cells[meet][order], first[1:])
+        for pair, both in zip(pairs.tolist(), map(np.unique, of_pairs), strict=False):
+            part = connect(touching(both, rooms.shape[1]), len(both))
+            for k in range(int(part.max()) + 1):
+                openings.append(Opening(number, divmod(pair, PAIR), both[part == k]))
     return openings
 
 
-def find_room_links(index: Sequence[RoomIndex], floors: Floors) -> list[tuple[RoomKey, RoomKey]]:
+def find_room_links(index: Sequence[RoomIndex], links: Int) -> list[tuple[RoomKey, RoomKey]]:
     """Find the pairs of rooms on two levels between which a step leads, each once."""
     flat = [rooms.ravel() for rooms in index]
     pairs: set[tuple[RoomKey, RoomKey]] = set()
-    for level_a, cell_a, level_b, cell_b in floors.links.tolist():
+    for level_a, cell_a, level_b, cell_b in links.tolist():
         a = level_a, int(flat[level_a][cell_a])
         b = level_b, int(flat[level_b][cell_b])
         if a[1] and b[1] and level_a != level_b:
@@ -118,25 +127,6 @@ def _box(cells: Int, width: int) -> Int:
     """First row and column, last row and column, shape (2, 2)."""
     places = np.divmod(cells, width)
     return np.array([np.min(places, axis=1), np.max(places, axis=1)])
-
-
-def _find_steps(rooms: RoomIndex, floor: Float, slopes: Int, max_step: float) -> tuple[Int, Int]:
-    """Pairs of rooms that meet, the lower one times PAIR plus the other, and both cells, (n, 2)."""
-    joined, height = [slopes], floor.ravel()
-    for one, other in list_differing(rooms):  # few: only their heights are compared
-        is_step = np.abs(height[one] - height[other]) <= max_step + SLACK
-        joined.append(np.stack([one[is_step], other[is_step]], axis=1))
-    cells = np.concatenate(joined)
-    a, b = rooms.ravel()[cells].astype(np.int64).T
-    meet = (a != b) & (a > 0) & (b > 0)
-    a, b = a[meet], b[meet]
-    return np.minimum(a, b) * PAIR + np.maximum(a, b), cells[meet]
-
-
-def _connected(cells: Int, width: int) -> list[Int]:
-    """Split ascending cell ids into connected parts."""
-    part = connect(touching(cells, width), len(cells))
-    return [cells[part == k] for k in range(int(part.max()) + 1)]
 
 
 def _distances(cells: Int, targets: Int, width: int) -> Float:

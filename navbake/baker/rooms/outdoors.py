@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from navbake.baker.columns import Columns
-from navbake.baker.connect import connect, touching
-from navbake.baker.contents.walls import WALL_BAND
-from navbake.baker.floors.sheets import agent_limits
-from navbake.baker.kernels.constants import SAME, SLACK
+from navbake.baker.connect import connect, label_parts, touching
 from navbake.baker.lattice import EDGES
-from navbake.baker.rooms.distances import squared_distances
-from navbake.baker.rooms.kernels.labels import label_parts
-from navbake.baker.rooms.overhead import Overhead
-from navbake.baker.rooms.spaces import WIDEST
-from navbake.baker.scene.scene import Scene
-from navbake.config.settings import AgentSettings
-from navbake.navgrid.lattice import Lattice
-from navbake.types import Bool, Float, Int, Int32
+from navbake.baker.rooms.flags import RoomFlags, edge_cells
+from navbake.baker.rooms.gaps import WIDEST
+from navbake.baker.rooms.walls import squared_distances
+from navbake.types import Bool, Float, Int32
 
 # What is outdoors reaches the edge over more than this in one piece: no opening in a wall at the
 # edge is so wide [m]
@@ -28,41 +18,9 @@ EDGE_LENGTH = WIDEST
 EAVES = 1.2
 # Outdoors, at least this share of the floor is under the sky or under eaves
 OPEN_SHARE = 0.5
-# The scene goes on beyond the lattice where it does so by more than this share of a cell
-BEYOND = 0.5
 
 
-class Outdoors(NamedTuple):
-    """The segments of a level, and which of them are outdoors.
-
-    Attributes:
-        segment: of each cell; those that are outdoors and touch have the least number of all.
-        outdoors: the numbers of those that are outdoors.
-        asked_sky: whether it was asked above which cells there is nothing but the sky.
-    """
-
-    segment: Int32
-    outdoors: set[int]
-    asked_sky: bool
-
-
-def find_edge(open_cells: Bool, floor: Float, overhead: Overhead, agent: AgentSettings) -> Bool:
-    """Mark the open cells of a level at the edge of the grid, or at what lies before it.
-
-    That is floor beyond which there is nothing up to that edge, or ground that is too steep to
-    stand on, such as the bank of a ditch. Walls and pillars are left out.
-    """
-    is_empty = np.isnan(overhead.top).reshape(floor.shape)
-    steep = _is_steep(floor, overhead, agent)
-    edge = _edge_cells(is_empty | steep, np.ones((2, 2), dtype=np.bool_)) & open_cells
-    cell = np.flatnonzero(edge)
-    edge[edge] = ~_is_under_top(cell, floor, overhead.columns.at(cell))
-    return edge
-
-
-def find_outdoors(
-    segment: Int32, edge: Bool, floor: Float, overhead: Overhead, agent: AgentSettings, scene: Scene
-) -> Outdoors:
+def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, set[int]]:
     """Find the segments of a level that are outdoors, and unite those that touch.
 
     They reach the edge of the grid in one piece that is wider than any door; and at least half of
@@ -73,65 +31,33 @@ def find_outdoors(
 
     Args:
         segment: the segment of each cell, 0 for none.
-        edge: the cells at the edge, of the same shape, see `find_edge`.
-        floor: heights of the floor, of the same shape, NaN for none [m].
-        scene: with its bounds, and ground that goes on beyond them.
+        flags: of all levels.
+        level: whose segments these are.
+
+    Returns:
+        The segments, of which those that are outdoors and touch have the least number of all; and
+        the numbers of those that are outdoors.
     """
-    lattice = overhead.columns.lattice
+    own, cell_size = flags.levels[level], flags.lattice.cell_size
     count = int(segment.max(initial=0)) + 1
-    steep = _is_steep(floor, overhead, agent)
-    is_empty = np.isnan(overhead.top).reshape(lattice.shape)
-    edge = edge & (segment > 0)
-    candidates = _longest_runs(segment, edge, count) * lattice.cell_size > EDGE_LENGTH
+    candidates = _longest_runs(segment, own.edge & (segment > 0), count) * cell_size > EDGE_LENGTH
     if not candidates.any():
-        return Outdoors(segment, set(), False)
-    is_candidate = candidates[segment]
-    cell = np.flatnonzero(is_candidate)
-    number, top = segment.ravel()[cell], overhead.top[cell]
-    is_open = top <= floor.ravel()[cell] + agent.height + SLACK
-    if not is_open.all() and scene.bounds is not None:
+        return segment, set()
+    asked = candidates[segment]
+    is_open = own.sky[asked]
+    if not is_open.all() and flags.ends.any():
         # a window of a larger scene cuts through rooms, and they go on beyond it
-        end = is_candidate & _edge_cells(is_empty, find_ends(lattice, scene.bounds))
+        end = asked & edge_cells(flags.empty, flags.ends)
         if end.any():
-            away = squared_distances(end, int(EAVES / lattice.cell_size) + 1).ravel()[cell]
-            is_open |= np.sqrt(away) * lattice.cell_size <= EAVES
-    open_cells = np.bincount(number[is_open], minlength=count)
-    all_cells = np.bincount(number, minlength=count)
+            away = squared_distances(end, int(EAVES / cell_size) + 1)[asked]
+            is_open |= np.sqrt(away) * cell_size <= EAVES
+    open_cells = np.bincount(segment[asked][is_open], minlength=count)
+    all_cells = np.bincount(segment[asked], minlength=count)
     outdoors = candidates & (open_cells >= OPEN_SHARE * all_cells)
-    united = _unite_touching(segment, outdoors, steep)
-    if outdoors.any() and len(scene.shapes.planes.geom):
+    united = _unite_touching(segment, outdoors, own.bank)
+    if outdoors.any() and flags.has_ground:
         united[outdoors] = united[outdoors].min()
-    return Outdoors(united[segment], set(np.unique(united[outdoors]).tolist()), True)
-
-
-def find_ends(lattice: Lattice, bounds: Float) -> Bool:
-    """At which sides of a lattice the scene in a box ends: [[upper, lower], [left, right]]."""
-    x0, y0, x1, y1 = lattice.bounds
-    (low_x, low_y), (high_x, high_y) = bounds[:, :2]
-    more = np.array([[high_y - y1, y0 - low_y], [x0 - low_x, high_x - x1]])
-    return np.asarray(more <= BEYOND * lattice.cell_size)
-
-
-def _is_under_top(cell: Int, floor: Float, columns: Columns) -> Bool:
-    """Whether cells hold something that reaches above heads, such as a pillar between doors."""
-    height = floor.ravel()[cell]
-    start, end = columns.start[cell], columns.start[cell + 1]
-    owner = np.repeat(np.arange(len(cell)), end - start)
-    entry = np.arange(len(owner)) + (start - np.cumsum(end - start) + (end - start))[owner]
-    below = columns.z[entry] <= height[owner] + SAME
-    above = start + np.bincount(owner[below], minlength=len(cell))
-    tall = above < end
-    above = above[tall]
-    tall[tall] = (columns.normal[above, 2] > 0) & (columns.z[above] > height[tall] + WALL_BAND[0])
-    return tall
-
-
-def _is_steep(floor: Float, overhead: Overhead, agent: AgentSettings) -> Bool:
-    """Mark the cells without a floor that are steep ground under the sky."""
-    bare = np.isnan(floor).ravel()
-    up = overhead.up[bare]
-    bare[bare] = (up > 0) & (up < agent_limits(agent).min_up)
-    return bare.reshape(floor.shape)
+    return united[segment], set(np.unique(united[outdoors]).tolist())
 
 
 def _unite_touching(segment: Int32, chosen: Bool, steep: Bool) -> Int32:
@@ -168,20 +94,3 @@ def _longest_runs(segment: Int32, edge: Bool, count: int) -> Float:
     longest = np.zeros(count)
     np.maximum.at(longest, number, reach + 1)
     return longest
-
-
-def _edge_cells(is_open: Bool, sides: Bool) -> Bool:
-    """Cells on the edge of the lattice, or of open cells that reach it, and are not open.
-
-    `sides` says which of the lattice's edges count: [[upper, lower], [left, right]].
-    """
-    shape = is_open.shape
-    empty = np.zeros((shape[0] + 2, shape[1] + 2), dtype=np.bool_)
-    empty[1:-1, 1:-1] = is_open
-    empty[[0, -1]] |= sides[0][:, None]
-    empty[:, [0, -1]] |= sides[1]
-    part, _ = label_parts(empty)
-    outer = np.unique(np.concatenate([part[[0, -1]].ravel(), part[:, [0, -1]].ravel()]))
-    beyond = np.isin(part, outer[outer > 0])
-    edge: Bool = beyond[:-2, 1:-1] | beyond[2:, 1:-1] | beyond[1:-1, :-2] | beyond[1:-1, 2:]
-    return edge & ~beyond[1:-1, 1:-1]

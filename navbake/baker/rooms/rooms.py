@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,31 +11,31 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.floors.levels import Floors, LevelFloor
-from navbake.baker.rooms import openings
-from navbake.baker.rooms.kernels import labels as kernels
-from navbake.baker.rooms.openings import ClosedDoor, Opening, RoomIndex, RoomKey
-from navbake.baker.rooms.outdoors import find_edge, find_outdoors
-from navbake.baker.rooms.overhead import Overhead
+from navbake.baker.connect import list_runs
+from navbake.baker.rooms.flags import RoomFlags
+from navbake.baker.rooms.gaps import CloseCall
+from navbake.baker.rooms.openings import (
+    ClosedDoor,
+    Opening,
+    RoomIndex,
+    RoomKey,
+    find_openings,
+    find_room_links,
+    match_doors,
+)
+from navbake.baker.rooms.outdoors import find_outdoors
 from navbake.baker.rooms.segmentation import (
-    SpaceFinder,
     give_covered,
     labels_in_order,
     segment_by_gaps,
-    segment_rooms,
     share_rest,
 )
-from navbake.baker.rooms.sources import MarkedRooms, RoomMarkers
-from navbake.baker.rooms.spaces import CloseCall
-from navbake.baker.rooms.table import NamedRoom, describe_rooms, name_neighbours
-from navbake.baker.rooms.windows import find_windows
-from navbake.baker.scene.scene import Scene
+from navbake.baker.rooms.sources import MarkedRooms
 from navbake.config.rooms import RoomSettings
-from navbake.config.settings import AgentSettings
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.rooms import Room
-from navbake.types import Bool, Int, Int32
+from navbake.navgrid.rooms import Neighbour, Room
+from navbake.types import Bool, Float, Int, Int32
 
 RoomIds = tuple[str | None, str | None]
 """The rooms on the two sides of a door, None for the outside."""
@@ -41,6 +43,9 @@ RoomIds = tuple[str | None, str | None]
 # Close calls that a warning names
 LISTED = 5
 MAX_ROOMS = np.iinfo(np.uint16).max  # of a level
+# The ids of rooms without a unique name look like this, so that no name may
+ID_LIKE = re.compile(r"\d+:\d+")
+MICRO = 1e6  # micrometres in a metre
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,6 @@ class Rooms:
         lattice: the cells.
         open_cells: the cells by level that may be in a room: with a floor, and no wall or window.
         warnings: what the user should know, one line each.
-        asked_sky: whether they depend on which cells are under the sky, see `Outdoors`.
     """
 
     index: list[RoomIndex]
@@ -67,7 +71,6 @@ class Rooms:
     lattice: Lattice
     open_cells: list[Bool]
     warnings: list[str]
-    asked_sky: bool = False
 
     def room_at(self, level: int, cell: int) -> str | None:
         """The id of the room of a level's cell, counted on the whole lattice; None for none."""
@@ -88,74 +91,57 @@ class Rooms:
             door: ClosedDoor(frozenset(keys[room] for room in rooms if room is not None), cells)
             for door, (rooms, cells) in doors.items()
         }
-        named = openings.match_doors(self.openings, closed, self.lattice)
+        named = match_doors(self.openings, closed, self.lattice)
         return replace(self, table=name_neighbours(self.table, self.openings, self.links, named))
 
 
-class Blocked(NamedTuple):
-    """What keeps cells of a level out of all rooms, shape (height, width), bool.
+class NamedRoom(NamedTuple):
+    """A room's name, or None, the source that it is from, and whether it is outdoors."""
 
-    Attributes:
-        wall: cells that a wall stands in.
-        low: cells that a mesh of a whole building blocks, but not above heads; see `find_windows`.
-    """
-
-    wall: Bool
-    low: Bool
+    name: str | None
+    source: str
+    outdoors: bool = False
 
 
-def find_rooms(
-    scene: Scene,
-    overhead: Overhead,
-    floors: Floors,
-    blocked: Sequence[Blocked],
-    settings: RoomSettings,
-    agent: AgentSettings,
-    spaces: SpaceFinder | None = None,
-) -> Rooms:
+def find_rooms(flags: RoomFlags, settings: RoomSettings, max_step: float) -> Rooms:
     """Find the room that each cell belongs to.
 
     A cell's room is that of the first source that has one for it; what is left is segmented by
     itself, see `share_rest`. Cells without a floor, and cells that a wall or a window stands in,
-    belong to none. On each level, rooms are numbered by
-    their first cells in reading order: from large y to small, from small x to large. A room that
-    reaches over several levels is one room on each. `spaces` may know those of the one level.
+    belong to none. On each level, rooms are numbered by their first cells in reading order: from
+    large y to small, from small x to large. A room that reaches over several levels is one room
+    on each. Rooms of a level meet where steps of at most `max_step` [m] lead from one to another.
 
     Raises:
-        ConfigError: a polygon names a level that does not exist.
         SceneError: a level has more than 65,535 rooms.
     """
-    levels, lattice = floors.levels, overhead.columns.lattice
-    open_cells = []
-    for level, (wall, low) in zip(levels, blocked, strict=True):
-        window = find_windows(low, wall, lattice.cell_size)
-        open_cells.append(~np.isnan(level.floor) & ~wall & ~window)
-    assignment = _Assignment(open_cells, spaces)
-    markers = RoomMarkers(scene, overhead.columns, levels, settings, agent)
+    assignment = _Assignment(flags, settings)
     for source in settings.sources:
         if source == "auto":
-            assignment.segment(levels, settings, overhead, agent, scene)
+            assignment.segment()
         else:
-            assignment.add(markers.mark(source), source)
+            assignment.add(flags.marks[source], source)
     index, named = assignment.number()
-    found = openings.find_openings(index, floors, agent.traversable_floor_height)
-    links = openings.find_room_links(index, floors)
-    table = name_neighbours(describe_rooms(index, named, floors, lattice), found, links, {})
-    notes = assignment.warnings, assignment.asked_sky
-    return Rooms(index, table, found, links, lattice, open_cells, *notes)
+    floors = [level.floor for level in flags.levels]
+    openings = find_openings(index, floors, flags.links, max_step)
+    links = find_room_links(index, flags.links)
+    table = describe_rooms(index, named, floors, flags.lattice)
+    table = name_neighbours(table, openings, links, {})
+    open_cells = [level.open for level in flags.levels]
+    return Rooms(index, table, openings, links, flags.lattice, open_cells, assignment.warnings)
 
 
 class _Assignment:
     """The room of each cell as the sources add rooms; the first source that has one keeps it."""
 
-    def __init__(self, open_cells: Sequence[Bool], spaces: SpaceFinder | None) -> None:
-        self._open, self._spaces = open_cells, spaces
-        self._owner = [np.zeros(mask.shape, dtype=np.int32) for mask in open_cells]
+    def __init__(self, flags: RoomFlags, settings: RoomSettings) -> None:
+        self._flags, self._settings = flags, settings
+        shape = flags.lattice.shape
+        self._owner = [np.zeros(shape, dtype=np.int32) for _ in flags.levels]
         # whose floor lies under the cell's own, for cells without an owner
-        self._under = [np.zeros(mask.shape, dtype=np.int32) for mask in open_cells]
+        self._under = [np.zeros(shape, dtype=np.int32) for _ in flags.levels]
         self._rooms: list[NamedRoom] = []  # owners count from 1
         self.warnings: list[str] = []
-        self.asked_sky = False  # see `Outdoors`
 
     def add(self, marked: MarkedRooms, source: str) -> None:
         """Give the cells that have no room yet to the rooms of a source."""
@@ -163,68 +149,43 @@ class _Assignment:
         if not marked.names:
             return
         covered = marked.covered or marked.labels
-        of_levels = zip(self._open, self._owner, self._under, marked.labels, covered, strict=True)
-        for open_cells, owner, under, label, cover in of_levels:
-            asked = open_cells, owner, label.astype(np.int32, copy=False)
-            used = np.zeros(len(marked.names) + 1, dtype=np.bool_)
-            kernels.mark_fresh(*asked, used)
+        of_levels = self._flags.levels, self._owner, self._under, marked.labels, covered
+        for flags, owner, under, label, cover in zip(*of_levels, strict=True):
+            fresh = np.where(flags.open & (owner == 0), label, 0)
+            used = np.bincount(fresh.ravel(), minlength=len(marked.names) + 1) > 0
             number = np.zeros(len(used), dtype=np.int32)
-            for k in np.flatnonzero(used[1:]):
+            for k in np.flatnonzero(used[1:]).tolist():
                 self._rooms.append(NamedRoom(marked.names[k], source, k + 1 in marked.outdoors))
                 number[k + 1] = len(self._rooms)
-            kernels.give_fresh(*asked, number)
-            kernels.note_under(under, cover.astype(np.int32, copy=False), number)
+            owner += number[fresh]
+            if source != "auto":
+                np.copyto(under, number[cover], where=under == 0)
 
-    def segment(
-        self,
-        levels: Sequence[LevelFloor],
-        settings: RoomSettings,
-        overhead: Overhead,
-        agent: AgentSettings,
-        scene: Scene,
-    ) -> None:
+    def segment(self) -> None:
         """Divide the remaining cells at gaps; see `segment_by_gaps` and `share_rest`.
 
         What is outdoors becomes one room, as far as it hangs together; see `find_outdoors`.
         """
-        cell_size = overhead.columns.lattice.cell_size
-        labels = []
+        lattice, settings = self._flags.lattice, self._settings
+        cell_size, least = lattice.cell_size, settings.min_area
+        door_width = None if settings.door_width == "auto" else settings.door_width
+        labels: list[Int32] = []
         names: list[str | None] = []
         outdoors: set[int] = set()
-        for number, level in enumerate(levels):
-            edge = find_edge(self._open[number], level.floor, overhead, agent)
-            segment = self._segment_level(number, level, settings, overhead, edge)
+        for number, (floor, open_cells, hole, edge, *_) in enumerate(self._flags.levels):
+            asked = open_cells, cell_size, least, floor, hole, edge, door_width
+            segment, close = segment_by_gaps(*asked)
+            if close and door_width is None:
+                self.warnings.append(_describe_close(close, number, lattice))
             owner = self._owner[number]
             if owner.any():
-                owner = give_covered(owner, self._under[number] * self._open[number], segment)
-                self._owner[number], segment = share_rest(
-                    owner, segment, cell_size, settings.min_area
-                )
-            above = level.floor, overhead, agent, scene
-            segment, outside, asked = find_outdoors(segment, edge, *above)
-            self.asked_sky |= asked
+                owner = give_covered(owner, self._under[number] * open_cells, segment)
+                self._owner[number], segment = share_rest(owner, segment, cell_size, least)
+            segment, outside = find_outdoors(segment, self._flags, number)
             outdoors.update(room + len(names) for room in outside)
             labels.append(np.where(segment > 0, segment + len(names), 0) if names else segment)
             names += [None] * int(segment.max(initial=0))
         self.add(MarkedRooms(names, labels, outdoors=outdoors), "auto")
-
-    def _segment_level(
-        self,
-        number: int,
-        level: LevelFloor,
-        settings: RoomSettings,
-        overhead: Overhead,
-        edge: Bool,
-    ) -> Int32:
-        lattice, least = overhead.columns.lattice, settings.min_area
-        open_cells, size = self._open[number], lattice.cell_size
-        if settings.door_width != "auto":
-            return segment_rooms(open_cells, size, settings.door_width, least, level.floor, edge)
-        known = overhead.holes[number], self._spaces, edge
-        rooms, close = segment_by_gaps(open_cells, size, least, level.floor, *known)
-        if close:
-            self.warnings.append(_describe_close(close, number, lattice))
-        return rooms
 
     def number(self) -> tuple[list[RoomIndex], list[list[NamedRoom]]]:
         """Number the rooms of each level from 1, by their first cells; also list them so."""
@@ -234,7 +195,7 @@ class _Assignment:
             if len(order) > MAX_ROOMS:
                 raise SceneError(
                     f"expected at most {MAX_ROOMS} rooms on a level, got {len(order)} on level "
-                    f"{level}: raise `rooms.min_area` or `rooms.door_width`"
+                    f"{level}: raise `rooms.min_area`"
                 )
             number = np.zeros(len(self._rooms) + 1, dtype=np.uint16)
             number[order] = np.arange(1, len(order) + 1)
@@ -255,5 +216,70 @@ def _describe_close(close: Sequence[CloseCall], level: int, lattice: Lattice) ->
     more = f", and {len(close) - LISTED} more" if close[LISTED:] else ""
     return (
         f"openings of rooms on level {level} that were a close call: {', '.join(listed)}{more}; "
-        "`rooms.door_width` in metres decides by the width alone, `rooms.polygons` draws rooms"
+        "`rooms.door_width` in metres joins rooms at wider ones, `rooms.polygons` draws rooms"
     )
+
+
+def describe_rooms(
+    index: Sequence[RoomIndex],
+    rooms: Sequence[Sequence[NamedRoom]],
+    floors: Sequence[Float],
+    lattice: Lattice,
+) -> list[Room]:
+    """Describe each room but for its neighbours; `rooms` has those of each level, from index 1 on.
+
+    A room's id is its name where no other room has that, else ``<level>:<index>``. Its centre is
+    a mean of whole numbers, of rows, columns and micrometres, so that no order of cells matters.
+    """
+    names = Counter(room.name for level in rooms for room in level)
+    table = []
+    for level, (label, floor) in enumerate(zip(index, floors, strict=True)):
+        row, first, end, room = list_runs(label)
+        cells = end - first
+        height = np.rint(floor[label > 0] * MICRO)
+        heights = np.add.reduceat(height, np.cumsum(cells) - cells)
+        # twice the sum of a run's columns is a whole number
+        sums = cells, row * cells, (first + end - 1) * cells, heights
+        count, row_sum, col_sum, z_sum = (np.bincount(room, s, minlength=1) for s in sums)
+        x = lattice.x_min + (col_sum / 2 / np.maximum(count, 1) + 0.5) * lattice.cell_size
+        y = lattice.y_max - (row_sum / np.maximum(count, 1) + 0.5) * lattice.cell_size
+        z = z_sum / np.maximum(count, 1) / MICRO
+        center = (np.round(np.stack([x, y, z], axis=1), 6) + 0.0).tolist()  # no -0.0
+        for k, (name, source, outdoors) in enumerate(rooms[level], 1):
+            is_unique = names[name] == 1 and not ID_LIKE.fullmatch(name or "")
+            area = round(float(count[k]) * lattice.cell_size**2, 6)
+            room_id = name if name is not None and is_unique else f"{level}:{k}"
+            place = center[k][0], center[k][1], center[k][2]
+            table.append(Room(k, room_id, name, level, area, place, source, (), outdoors))
+    return table
+
+
+def name_neighbours(
+    table: Sequence[Room],
+    openings: Sequence[Opening],
+    links: Sequence[tuple[RoomKey, RoomKey]],
+    doors: Mapping[int, Sequence[str]],
+) -> list[Room]:
+    """Add to each room the rooms that it opens to: freely, through a door, or by a link.
+
+    `doors` has, by the number of an opening, the ids of the doors in it; see `match_doors`.
+    """
+    ids = {(room.level, room.index): room.id for room in table}
+    ways = [(a, b, "link", "") for a, b in links]
+    for number, opening in enumerate(openings):
+        a, b = ((opening.level, room) for room in opening.rooms)
+        ways += [(a, b, "door" if door else "open", door) for door in doors.get(number, [""])]
+    found: dict[RoomKey, set[tuple[RoomKey, str, str]]] = {room: set() for room in ids}
+    for a, b, kind, door in ways:
+        found[a].add((b, kind, door))
+        found[b].add((a, kind, door))
+    return [
+        replace(
+            room,
+            neighbours=tuple(
+                Neighbour(ids[to], kind, door or None)
+                for to, kind, door in sorted(found[room.level, room.index])
+            ),
+        )
+        for room in table
+    ]

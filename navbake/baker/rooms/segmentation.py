@@ -1,132 +1,25 @@
-"""Rooms from the walls alone: a watershed on the distance to them, cut at door-wide gaps.
+"""The spaces of a level as rooms: gaps part them, stairs and what is small join another one."""
 
-`segment_rooms` seeds the watershed, floods it and merges its regions; `share_rest` fits its
-segments to rooms that are marked.
-"""
-
+import heapq
 from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.connect import connect
-from navbake.baker.lattice import EDGES, Window, bounding_window
-from navbake.baker.rooms.distances import squared_distances
-from navbake.baker.rooms.gaps import part_at_gaps
-from navbake.baker.rooms.kernels import labels
-from navbake.baker.rooms.kernels.labels import label_parts, measure_regions
-from navbake.baker.rooms.kernels.watershed import flood
-from navbake.baker.rooms.regions import ROUGHNESS, ROUNDING, STAIR_SHARE, Regions
-from navbake.baker.rooms.spaces import WIDEST, CloseCall
+from navbake.baker.connect import label_parts, list_runs
+from navbake.baker.lattice import EDGES, bounding_window
+from navbake.baker.rooms.gaps import WIDEST, CloseCall, part_at_gaps
+from navbake.baker.rooms.walls import squared_distances, wall_nodes
 from navbake.types import Bool, Float, Int, Int32
 
-# A narrow region begins at this distance from where a disc wider than the door fits [door widths]
-NARROW_GAP = 0.1
-# A narrow region of less width is a crack, and no room [door widths]
-CRACK_WIDTH = 0.5
 # What marked rooms leave is no room of its own if it is nowhere as wide as this [m]
 SLIVER = 0.5
-# A cell is steep, like a stair, where the floor rises by this share of the distance
-STEEPNESS = 0.3
-# That is measured over this distance on both sides of the cell [m]
-SLOPE_REACH = 0.3
-
-
-def segment_rooms(
-    open_cells: Bool,
-    cell_size: float,
-    door_width: float,
-    min_area: float,
-    floor: Float | None = None,
-    edge: Bool | None = None,
-) -> Int32:
-    """Divide the open cells of a level into rooms, at gaps no wider than a door.
-
-    A gap is as wide as the largest disc that passes it. Rooms grow from where a disc wider than
-    `door_width` fits (the level, opened morphologically by that disc). What is narrower all along,
-    such as a corridor, is a room of its own where it continues behind the discs. From these seeds
-    a watershed fills everything in the order of the distance to the walls, so that two rooms meet
-    where their doorway is narrowest, or in the middle of that part. A cell as near to two rooms
-    goes to the one with more space for discs. A region smaller than `min_area` joins the room
-    that it opens to the widest; if it opens to none, it is no room.
-
-    Widths are exact for walls along the lattice. Other walls make them vary by a cell. So a gap
-    does not separate rooms where its sides come only half a cell nearer to its middle than the
-    walls of a room that it leads to: a corridor at an angle is not cut where the lattice makes it
-    look narrow. Stairs that open to a room over their full width belong to it, at their foot
-    rather than their head. What is too small for a room and lies along the edge of the grid over
-    more than a doorway's width is outside of the walls, and joins none through a door.
-
-    Args:
-        open_cells: shape (height, width): cells with a floor that no wall stands in.
-        cell_size: edge of a cell [m].
-        door_width: the widest gap that separates rooms [m], > 0.
-        min_area: what a room has at least [m²], >= 0.
-        floor: heights of the floor, shape (height, width) [m]; None for one without stairs.
-        edge: cells at the edge of the grid, see `find_edge`; None for none.
-
-    Returns:
-        The room of each cell from 1, by the first cell of each in reading order; 0 for none.
-
-    Source:
-        Morphological and distance-transform segmentation as in Bormann et al., "Room
-        segmentation: survey, implementation, and analysis" (ICRA 2016); with one threshold, the
-        door's width, for all rooms, and the watershed for what it leaves.
-    """
-    rooms = np.zeros(open_cells.shape, dtype=np.int32)
-    if not open_cells.any():
-        return rooms
-    window = bounding_window(open_cells)
-    open_cells = np.ascontiguousarray(open_cells[window])
-    # the door's half width, in half cells; nothing fits beside one that is as wide as the map
-    width = min(door_width / cell_size, float(min(open_cells.shape) + 2))
-    least = min_area / cell_size**2 - ROUNDING
-    reach = int(width + ROUGHNESS) + 2
-    distance = squared_distances(wall_nodes(open_cells), reach, 0, 1)
-    label, num_wide = _find_seeds(open_cells, distance, width, least)
-    flood(label, open_cells, np.ascontiguousarray(distance[1::2, 1::2]), (reach + 1) ** 2)
-    regions = Regions(label, distance, num_wide)
-    regions.join_rough_passes()
-    regions.join_junctions()
-    if floor is not None:
-        regions.join_stairs(*_measure_slopes(label, floor[window], cell_size))
-    _join_small(regions, label, least, cell_size, None if edge is None else edge[window])
-    rooms[window] = renumber(regions.wholes(least)[label])
-    return rooms
-
-
-class SpaceFinder:
-    """Finds spaces between gaps, and knows the last ones: most changes of a scene leave them.
-
-    Attributes:
-        window: the part of the level in which they were found last; None before that.
-    """
-
-    def __init__(self) -> None:
-        self.window: Window | None = None
-        self._asked: tuple[Bool, Bool, float] | None = None
-        self._found: tuple[Int32, list[CloseCall]] = np.zeros((0, 0), dtype=np.int32), []
-
-    def find(
-        self, open_cells: Bool, holes: Bool, cell_size: float
-    ) -> tuple[Int32, list[CloseCall]]:
-        """See `part_at_gaps`; cells of gaps get the label of the space that is nearest."""
-        if not self._knows(open_cells, holes, cell_size):
-            label, close = part_at_gaps(open_cells, holes, cell_size)
-            flood(label, open_cells, np.zeros(label.shape, dtype=np.int32), 0)
-            self._asked, self._found = (open_cells.copy(), holes.copy(), cell_size), (label, close)
-        return self._found
-
-    def have_stairs(self, floor: Float, cell_size: float) -> bool:
-        """Whether a space that was found last is a stair on a floor, of the whole level [m]."""
-        assert self.window is not None
-        label = self._found[0]
-        return _have_stairs(_measure_slopes(label, floor[self.window], cell_size), label)
-
-    def _knows(self, open_cells: Bool, holes: Bool, cell_size: float) -> bool:
-        if self._asked is None or self._asked[2] != cell_size:
-            return False
-        asked = zip(self._asked[:2], (open_cells, holes), strict=True)
-        return all(np.array_equal(known, new) for known, new in asked)
+# A cell is steep, like a stair, where the floor rises by this share of the distance, over so far
+# on both sides of it [m]; a region is a stair where this share of its cells is as steep as one
+STEEPNESS, SLOPE_REACH, STAIR_SHARE = 0.3, 0.3, 0.5
+# Walls at an angle to the lattice make the distance from a corridor's middle to its walls vary by
+# at most this, as measured over all angles and offsets [half cells]
+ROUGHNESS = 1.0
+ROUNDING = 1e-6  # of a cell, or of half a cell
 
 
 class Segments(NamedTuple):
@@ -147,8 +40,8 @@ def segment_by_gaps(
     min_area: float,
     floor: Float | None = None,
     holes: Bool | None = None,
-    spaces: SpaceFinder | None = None,
     edge: Bool | None = None,
+    door_width: float | None = None,
 ) -> Segments:
     """Divide the open cells of a level into rooms, at gaps much narrower than the rooms are.
 
@@ -159,110 +52,245 @@ def segment_by_gaps(
     - where a gap is as wide as both spaces are along its line: parts of one corridor, of an
       L-shaped room;
     - then where it is as wide as the narrower one: niches, bays, the depth of a doorway. A long
-      passage that opens into a wider space stays a room of its own.
+      passage that opens into a wider space stays a room of its own, at a mouth of up to 3.2 m;
+    - with a `door_width`, where it is wider than that, in place of the two widths above.
 
     How wide a space is along a gap is measured close behind it. Other gaps in the same line
     between the same spaces count as one with it, so that a row of pillars parts nothing. Stairs
-    and small regions join others as in `segment_rooms`, whose arguments these are; `holes` are
-    cells without a floor that one sees through, as in a stairwell, which narrow no space. `spaces`
-    may know what is parted already.
+    that open to a room over their full width belong to it, at their foot rather than their head.
+    What is smaller than `min_area` joins the room that it opens to the widest; if it opens to none,
+    it is no room.
+
+    Args:
+        open_cells: shape (height, width): cells with a floor that no wall stands in.
+        cell_size: edge of a cell [m].
+        min_area: what a room has at least [m²], >= 0.
+        floor: heights of the floor, shape (height, width) [m]; None for one without stairs.
+        holes: cells without a floor that one sees through, as in a stairwell: they narrow no
+            space. None for none.
+        edge: cells at the edge of the grid, see `find_edge`; None for none.
+        door_width: the widest gap that parts two rooms [m], > 0.
 
     Source:
-        Region merging as in Bormann et al. (ICRA 2016), on regions between the "virtual walls"
-        that continue walls, in place of those of a Voronoi graph.
+        Region merging as in Bormann et al., "Room segmentation: survey, implementation, and
+        analysis" (ICRA 2016), on regions between the "virtual walls" that continue walls, in
+        place of those of a Voronoi graph.
     """
     rooms = np.zeros(open_cells.shape, dtype=np.int32)
     if not open_cells.any():
         return Segments(rooms, [])
     # with the walls round it: their directions count, the edge of the grid is none
-    window = _grow_window(bounding_window(open_cells), open_cells.shape)
+    first_row, first_col = (max(part.start - 1, 0) for part in bounding_window(open_cells))
+    last_row, last_col = (part.stop + 1 for part in bounding_window(open_cells))
+    window = np.s_[first_row:last_row, first_col:last_col]
     open_cells = np.ascontiguousarray(open_cells[window])
     seen = np.zeros_like(open_cells) if holes is None else holes[window]
-    spaces = spaces or SpaceFinder()
-    label, close = spaces.find(open_cells, seen, cell_size)
-    spaces.window = window
-    given = cell_size, min_area, floor, edge
-    rooms[window] = renumber(_join_stairs_and_small(label, open_cells, window, *given))
-    first_row, first_col = window[0].start, window[1].start
+    label, close = part_at_gaps(open_cells, seen, cell_size, door_width)
+    _spread(label, open_cells)
+    floor = None if floor is None else floor[window]
+    edge = np.zeros_like(open_cells) if edge is None else edge[window]
+    label = _join_stairs_and_small(label, open_cells, cell_size, min_area, floor, edge)
+    rooms[window] = renumber(label)
     return Segments(
         rooms,
         [c._replace(cell=(c.cell[0] + first_row, c.cell[1] + first_col)) for c in close],
     )
 
 
-def _grow_window(window: Window, shape: tuple[int, ...]) -> Window:
-    """A window with the cells of an array that are next to it."""
-    rows, cols = (
-        slice(max(part.start - 1, 0), min(part.stop + 1, length))
-        for part, length in zip(window, shape, strict=True)
-    )
-    return rows, cols
+def _spread(label: Int32, open_cells: Bool) -> None:
+    """Give the open cells without a label one from beside them, wave by wave across edges.
+
+    A cell that several labels reach in one wave goes to the one whose own cell, from which it
+    spread, is the nearest, measured straight; of two as near, to the lowest label, and of one
+    label's to the one further clockwise, because that turns with the map.
+    """
+    width = label.shape[1] + 2
+    labels = np.pad(label, 1).ravel()
+    waiting = np.flatnonzero(np.pad(open_cells, 1).ravel() & (labels == 0))
+    source = np.arange(len(labels))  # the cell with a label that each one's is from
+    while len(waiting):
+        found = np.full(len(waiting), -1)
+        nearest, own, row, col = (np.zeros(len(waiting), dtype=np.int64) for _ in range(4))
+        for step in (1, width, -1, -width):
+            origin = source[waiting + step]
+            down, right = origin // width - waiting // width, origin % width - waiting % width
+            square, there = down**2 + right**2, labels[waiting + step]
+            same = (there < own) | (there == own) & (col * down - row * right > 0)
+            better = (found < 0) | (square < nearest) | (square == nearest) & same
+            better &= there > 0
+            for kept, new in zip(
+                (found, nearest, own, row, col), (origin, square, there, down, right), strict=True
+            ):
+                np.copyto(kept, new, where=better)
+        reached = found >= 0
+        if not reached.any():
+            break
+        source[waiting[reached]], labels[waiting[reached]] = found[reached], own[reached]
+        waiting = waiting[~reached]
+    label[:] = labels.reshape(-1, width)[1:-1, 1:-1]
 
 
 def _join_stairs_and_small(
     label: Int32,
     open_cells: Bool,
-    window: Window,
     cell_size: float,
     min_area: float,
     floor: Float | None,
-    edge: Bool | None,
+    edge: Bool,
 ) -> Int32:
     least = min_area / cell_size**2 - ROUNDING
-    num = int(label.max(initial=0))
-    cells = labels.count_cells(label, num + 1)
-    is_stair = False
+    num = int(label.max(initial=0)) + 1
+    cells = np.bincount(label.ravel(), minlength=num)
+    steep = np.zeros(num, dtype=np.int64)
     if floor is not None:
-        slopes = _measure_slopes(label, floor[window], cell_size)
-        is_stair = _have_stairs(slopes, label)
-    if not is_stair and not ((cells[1:] > 0) & (cells[1:] < least)).any():
+        steep = np.bincount(label[mark_steep(label, floor, cell_size)], minlength=num)
+    is_stair = steep >= STAIR_SHARE * np.maximum(cells, 1)
+    if not is_stair.any() and not ((cells[1:] > 0) & (cells[1:] < least)).any():
         return label
     # distances matter up to half the widest gap [half cells]
     reach = int(WIDEST / cell_size) + 2
-    regions = Regions(label, squared_distances(wall_nodes(open_cells), reach, 0, 1), num)
-    if is_stair:
-        regions.join_stairs(*slopes)
-    _join_small(regions, label, least, cell_size, None if edge is None else edge[window])
+    regions = _Regions(label, cells, squared_distances(wall_nodes(open_cells), reach))
+    if floor is not None and is_stair.any():
+        heights = np.bincount(label.ravel(), np.where(label > 0, floor, 0.0).ravel(), num)
+        regions.join_stairs(is_stair, heights / np.maximum(cells, 1))
+    at_edge: list[int] = np.bincount(label[edge], minlength=num).tolist()
+    regions.join_small(least, at_edge, WIDEST / cell_size)
     return regions.wholes(least)[label]
 
 
-def _join_small(
-    regions: Regions, label: Int32, least: float, cell_size: float, edge: Bool | None
-) -> None:
-    """See `Regions.join_small`."""
-    at_edge = None
-    if edge is not None:
-        at_edge = np.bincount(label[edge], minlength=int(label.max(initial=0)) + 1)
-    regions.join_small(least, at_edge, WIDEST / cell_size)
+def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
+    """Mark the cells with a label that are as steep as a stair.
 
-
-def _measure_slopes(label: Int32, floor: Float, cell_size: float) -> tuple[Int, Float]:
-    """See `measure_slopes`."""
+    That is where the floor rises so much from one side of the cell to the other, in the two
+    directions together. What isn't there, or has no label, is taken for level.
+    """
     steps = max(1, round(SLOPE_REACH / cell_size))
     rise = STEEPNESS * 2 * steps * cell_size
-    num_steep, heights = labels.measure_slopes(label, floor, steps, rise, int(label.max(initial=0)))
-    return num_steep, heights
+    steep = np.zeros(label.shape, dtype=np.bool_)
+    if not np.fmax.reduce(floor, axis=None) - np.fmin.reduce(floor, axis=None) >= rise / 2:
+        return steep
+    height = np.where(label > 0, floor, np.nan)
+    squares = np.zeros(label.shape)
+    for over, squared in ((height, squares), (height.T, squares.T)):
+        change = over[2 * steps :] - over[: -2 * steps]
+        change *= change
+        squared[steps:-steps] += np.fmax(change, 0.0, out=change)  # NaN becomes 0
+    return (squares >= rise**2) & (label > 0)
 
 
-def _have_stairs(slopes: tuple[Int, Float], label: Int32) -> bool:
-    """Whether a label is a stair by its slopes, see `join_stairs`."""
-    cells = np.bincount(label.ravel(), minlength=len(slopes[0]))
-    return bool((slopes[0] >= STAIR_SHARE * np.maximum(cells, 1)).any())
+class _Regions:
+    """Regions that touch, as a graph whose edges are the passes between them.
 
+    Two regions that are one room are contracted to one node, as in region merging by the region
+    adjacency graph (Haris et al., 1998).
 
-def wall_nodes(open_cells: Bool) -> Bool:
-    """Mark the nodes of a lattice half as wide that lie on a cell that isn't open.
-
-    Node (2 r + 1, 2 c + 1) is the centre of cell (r, c); the others are edges' middles and
-    corners. The nearest point of a closed cell is as far from a node as the nearest marked node.
-    So gaps can be measured to half a cell. Beyond the lattice nothing is open. The result has
-    the shape (2 height + 1, 2 width + 1).
+    Args:
+        label: the region of each cell from 1, 0 for none.
+        cells: how many each region has.
+        distance: squared distance to the walls of each node, see `wall_nodes` [half cells].
     """
-    closed = np.pad(~open_cells, 1, constant_values=True)
-    rows = closed.repeat(2, axis=0)[1:-1]
-    rows = rows[:-1] | rows[1:]  # each row's upper edge, its centre, …, the last one's lower edge
-    cols = rows.repeat(2, axis=1)[:, 1:-1]
-    return cols[:, :-1] | cols[:, 1:]
+
+    def __init__(self, label: Int32, cells: Int, distance: Int32) -> None:
+        num = len(cells)
+        self._cells: list[int] = cells.tolist()
+        # distance to the walls at the region's widest place [half cells]
+        self._peak: list[float] = np.sqrt(widest_nodes(label, distance, num)).tolist()
+        # the region that each one is part of now, and all parts of those that are left
+        self._whole = list(range(num))
+        self._parts = [[region] for region in range(num)]
+        # by region and neighbour: distance to the walls at the widest place of the pass, and how
+        # many edges of cells it has
+        self._passes: list[dict[int, tuple[float, int]]] = [{} for _ in range(num)]
+        pairs, saddles = [], []
+        for regions, nodes in ((label, distance), (label.T, distance.T)):
+            a, b = regions[:, :-1], regions[:, 1:]
+            meet = (a != b) & (a > 0) & (b > 0)
+            pairs.append(np.minimum(a, b)[meet].astype(np.int64) * num + np.maximum(a, b)[meet])
+            on_edges = nodes[:, 2:-1:2]
+            widest = np.maximum(on_edges[1::2], np.maximum(on_edges[:-2:2], on_edges[2::2]))
+            saddles.append(widest[meet])
+        key, place, length = np.unique(
+            np.concatenate(pairs), return_inverse=True, return_counts=True
+        )
+        saddle = np.zeros(len(key), dtype=np.int32)
+        np.maximum.at(saddle, place, np.concatenate(saddles))
+        for k, pair in enumerate(key.tolist()):
+            a, b = divmod(pair, num)
+            self._passes[a][b] = self._passes[b][a] = float(np.sqrt(saddle[k])), int(length[k])
+
+    def join_stairs(self, is_stair: Bool, height: Float) -> None:
+        """Join a stair to the region that it opens to over its full width; of several, the lowest.
+
+        Regions have a mean `height` [m].
+        """
+        for region in np.flatnonzero(is_stair).tolist():
+            if self._whole[region] != region:
+                continue
+            as_wide = self._peak[region] - ROUGHNESS - ROUNDING
+            mouths = [to for to, (saddle, _) in self._passes[region].items() if saddle >= as_wide]
+            if mouths:
+                self._join(min(mouths, key=lambda to: (height[to], to)), region)
+
+    def join_small(self, least: float, at_edge: list[int], widest: float) -> None:
+        """Join regions of fewer cells, the smallest first, to the one they open to the widest.
+
+        What is at the edge of the grid goes on along it: a ledge round a house goes on round its
+        corners and not in at the door. So a region that is there joins the one that has most cells
+        there, if it touches any; all that have `widest` are as good. One with more only joins one
+        with more, because it is outside of the walls. Regions have so many cells `at_edge`.
+        """
+        queue = [
+            (cells, region)
+            for region, cells in enumerate(self._cells)
+            if region and self._whole[region] == region and cells < least
+        ]
+        heapq.heapify(queue)
+        while queue:
+            cells, small = heapq.heappop(queue)
+            met = self._passes[small]
+            # what has grown since it was queued is queued again
+            if self._whole[small] != small or self._cells[small] != cells or not met:
+                continue
+            ranks = [
+                (min(at_edge[to], widest) if at_edge[small] else 0, *met[to], self._cells[to], -to)
+                for to in met
+            ]
+            to = -max(ranks)[-1]
+            if at_edge[small] > widest >= at_edge[to]:
+                continue
+            self._join(to, small)
+            at_edge[to] += at_edge[small]
+            if self._cells[to] < least:
+                heapq.heappush(queue, (self._cells[to], to))
+
+    def wholes(self, least: float) -> Int32:
+        """The region that each one is part of now, 0 for those of fewer cells."""
+        kept = [whole if self._cells[whole] >= least else 0 for whole in self._whole]
+        return np.array(kept, dtype=np.int32)
+
+    def _join(self, to: int, gone: int) -> None:
+        """Contract two regions to one; passes of both to a third become one pass."""
+        for part in self._parts[gone]:
+            self._whole[part] = to
+        self._parts[to] += self._parts[gone]
+        self._cells[to] += self._cells[gone]
+        self._peak[to] = max(self._peak[to], self._peak[gone])
+        for other, (saddle, length) in self._passes[gone].items():
+            del self._passes[other][gone]
+            if other != to:
+                known, known_length = self._passes[to].get(other, (0.0, 0))
+                met = (max(saddle, known), length + known_length)
+                self._passes[to][other] = self._passes[other][to] = met
+        self._passes[gone] = {}
+
+
+def widest_nodes(label: Int32, distance: Int32, num: int) -> Int32:
+    """The largest distance of a node on any cell of each label, see `wall_nodes`."""
+    rows = np.maximum(distance[1::2], np.maximum(distance[:-2:2], distance[2::2]))
+    nodes = np.maximum(rows[:, 1::2], np.maximum(rows[:, :-2:2], rows[:, 2::2]))
+    peaks = np.zeros(num, dtype=np.int32)
+    np.maximum.at(peaks, label[label > 0], nodes[label > 0])
+    return peaks
 
 
 def give_covered(owner: Int32, under: Int32, segment: Int32) -> Int32:
@@ -301,7 +329,7 @@ def share_rest(
     has_marks = np.zeros(int(segment.max(initial=0)) + 1, dtype=np.bool_)
     has_marks[segment[owner > 0]] = True
     rest = np.where(owner == 0, segment, 0)
-    part = _label_equal(np.where(has_marks[rest], rest, 0))
+    part, _ = label_parts(np.where(has_marks[rest], rest, 0))
     cells, wide = _measure_parts(part, cell_size)
     is_room = (cells >= least) & wide
     if not (is_room | (cells < least)).all():  # the rest of a ledge is as narrow as the ledge was
@@ -319,7 +347,7 @@ def share_rest(
 def _measure_parts(label: Int32, cell_size: float) -> tuple[Int, Bool]:
     """How many cells each label has, and whether its part is somewhere half a metre wide.
 
-    Other labels are as good as walls.
+    Other labels are as good as walls; 0 has no cells.
     """
     reach = int(SLIVER / cell_size) + 2
     around = wall_nodes(label > 0)
@@ -327,74 +355,11 @@ def _measure_parts(label: Int32, cell_size: float) -> tuple[Int, Bool]:
     for k in range(3):  # the nodes on each edge between two parts
         around[k : k + 2 * height - 1 : 2, 2:-1:2] |= label[:, :-1] != label[:, 1:]
         around[2:-1:2, k : k + 2 * width - 1 : 2] |= label[:-1] != label[1:]
-    distance = squared_distances(around, reach, 0, 1)
-    cells, peaks, _ = measure_regions(label, distance, int(label.max(initial=0)))
+    cells = np.bincount(label.ravel())
+    cells[0] = 0
+    peaks = widest_nodes(label, squared_distances(around, reach), len(cells))
     # twice the distance to what is around, in half cells: the widest disc that fits
     return cells, peaks >= (SLIVER / cell_size) ** 2 - ROUNDING
-
-
-def renumber(label: Int32) -> Int32:
-    """Renumber labels from 1 by the first cell of each in reading order; 0 stays."""
-    order = labels_in_order(label)
-    number = np.zeros(int(order.max(initial=0)) + 1, dtype=np.int32)
-    number[order] = np.arange(1, len(order) + 1)
-    return number[label]
-
-
-def labels_in_order(label: Int32) -> Int:
-    """The labels that are used, but 0, by their first cells in reading order."""
-    first = labels.first_cells(label, int(label.max(initial=0)) + 1)[1:]
-    return 1 + np.argsort(first, kind="stable")[: np.count_nonzero(first < label.size)]
-
-
-def _find_seeds(open_cells: Bool, distance: Int32, width: float, least: float) -> tuple[Int32, int]:
-    """Label where discs wider than the door fit, and the narrow regions that they leave.
-
-    Wide regions come before narrow ones, then the larger, then those with more space for discs.
-    Also tells the number of wide regions.
-    """
-    wide, num_wide = label_parts(distance > int((width + ROUNDING) ** 2))
-    label = labels.cells_of_nodes(wide)
-    narrow, num_narrow = _find_narrow(open_cells, distance, wide > 0, width, least)
-    if num_narrow:
-        label = np.where(narrow > 0, narrow + np.int32(num_wide), label)
-    cells, _, space = measure_regions(label, distance, num_wide + num_narrow)
-    is_narrow = np.arange(1, len(cells)) > num_wide
-    rank = np.zeros(len(cells), dtype=np.int32)
-    rank[1 + np.lexsort((-space[1:], -cells[1:], is_narrow))] = np.arange(1, len(cells))
-    return rank[label], num_wide
-
-
-def _find_narrow(
-    open_cells: Bool, distance: Int32, is_wide: Bool, width: float, least: float
-) -> tuple[Int32, int]:
-    """Label and count the narrow regions that continue behind the discs, except cracks.
-
-    Nodes have a `distance` to the walls, and are wide where a disc fits that is wider than a door
-    [half cells, on both sides of its middle]. A room has at least so many cells.
-    """
-    behind = (width * (1 + 2 * NARROW_GAP)) ** 2
-    to_wide = squared_distances(is_wide, int(behind**0.5) + 1, 1, 2)[:, 1::2]
-    left, num_left = label_parts(open_cells & (to_wide > width**2 + ROUNDING))
-    is_large = np.bincount(left.ravel(), minlength=num_left + 1) >= max(least / 2, 1)
-    is_large[0] = False
-    if not is_large.any():
-        return left, 0
-    narrow, num_narrow = label_parts(is_large[left] & (to_wide > behind))
-    _, peaks, _ = measure_regions(narrow, distance, num_narrow)
-    is_crack = peaks < (width * CRACK_WIDTH) ** 2 - ROUNDING
-    return np.where(is_crack[narrow], np.int32(0), narrow), num_narrow
-
-
-def _label_equal(label: Int32) -> Int32:
-    """Number the parts of equal labels that are connected over edges; 0 stays."""
-    cell = np.arange(label.size).reshape(label.shape)
-    pairs = []
-    for one, other in EDGES:
-        same = (label[one] == label[other]) & (label[one] > 0)
-        pairs.append(np.stack([cell[one][same], cell[other][same]]))
-    number = connect(np.concatenate(pairs, axis=1), label.size)
-    return np.where(label > 0, number.reshape(label.shape) + 1, 0).astype(np.int32)
 
 
 def _most_touched(part: Int32, owner: Int32, count: int) -> Int32:
@@ -410,3 +375,18 @@ def _most_touched(part: Int32, owner: Int32, count: int) -> Int32:
     touched = np.zeros(count, dtype=np.int32)
     touched[key[order] // base] = key[order] % base
     return touched
+
+
+def renumber(label: Int32) -> Int32:
+    """Renumber labels from 1 by the first cell of each in reading order; 0 stays."""
+    order = labels_in_order(label)
+    number = np.zeros(int(order.max(initial=0)) + 1, dtype=np.int32)
+    number[order] = np.arange(1, len(order) + 1)
+    return number[label]
+
+
+def labels_in_order(label: Int32) -> Int:
+    """The labels that are used, but 0, by their first cells in reading order."""
+    *_, value = list_runs(label)
+    used, first = np.unique(value, return_index=True)
+    return used[np.argsort(first)]

@@ -2,17 +2,16 @@
 
 import re
 from collections.abc import Sequence, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from fnmatch import translate
 from functools import lru_cache
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from navbake.baker.columns import ColumnSource, cast_columns, tile_shapes
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.kernels.constants import SAME
-from navbake.baker.rooms.volumes import vertical_chords
 from navbake.baker.scene.choice import Choice
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.names import own_names, warn_unmatched
@@ -39,40 +38,51 @@ STANDING_SHARE = 0.5
 FLOOR_PREFIXES = ("floor|", "floor_")
 
 
-@dataclass(frozen=True)
-class MarkedRooms:
+class MarkedRooms(NamedTuple):
     """The rooms that one source marks.
 
     Attributes:
         names: a room's name, or None; the room of ``names[k]`` has the number k + 1.
-        labels: the number of each cell's room by level, shape (height, width), 0 for none.
+        labels: the number of each cell's room by level, shape (height, width), int32, 0 for none.
+        warnings: what the user should know, one line each.
         covered: the same of cells whose floor lies on the room's, up to a step higher, as on a
-            podium; [] where the source has no such cells.
+            podium; none where the source has no such cells.
         outdoors: the numbers of those that are.
     """
 
-    names: list[str | None]
-    labels: list[Int32]
-    warnings: list[str] = field(default_factory=list)
-    covered: list[Int32] = field(default_factory=list)
+    names: Sequence[str | None]
+    labels: Sequence[Int32]
+    warnings: Sequence[str] = ()
+    covered: Sequence[Int32] = ()
     outdoors: Set[int] = frozenset()
 
 
-@dataclass(frozen=True)
-class RoomMarkers:
-    """Finds the rooms that geoms, sites and polygons mark in a scene."""
+def mark_rooms(
+    scene: Scene,
+    columns: ColumnSource,
+    levels: Sequence[LevelFloor],
+    settings: RoomSettings,
+    agent: AgentSettings,
+) -> dict[str, MarkedRooms]:
+    """Find the rooms that geoms, sites and polygons mark in a scene, by source.
 
+    Raises:
+        ConfigError: a polygon names a level that does not exist.
+    """
+    markers = _Markers(scene, columns, levels, settings, agent)
+    found = {"geoms": markers.geoms, "sites": markers.sites, "polygons": markers.polygons}
+    return {source: found[source]() for source in settings.sources if source != "auto"}
+
+
+@dataclass(frozen=True)
+class _Markers:
     scene: Scene
     columns: ColumnSource
     levels: Sequence[LevelFloor]
     settings: RoomSettings
     agent: AgentSettings
 
-    def mark(self, source: str) -> MarkedRooms:
-        """The rooms of geoms, sites or polygons; a ConfigError where a polygon has no level."""
-        return {"geoms": self._geoms, "sites": self._sites, "polygons": self._polygons}[source]()
-
-    def _geoms(self) -> MarkedRooms:
+    def geoms(self) -> MarkedRooms:
         """Give each cell the room whose geom is its floor.
 
         Of the geoms that match, that is the one whose surface lies highest from 5 cm below the
@@ -110,22 +120,20 @@ class RoomMarkers:
         called: list[str | None] = [_room_name(names[geom]) for geom in chosen]
         return MarkedRooms(called, labels, warnings, covered)
 
-    def _sites(self) -> MarkedRooms:
+    def sites(self) -> MarkedRooms:
         """Give each cell the room in whose site's volume an agent in it stands.
 
         Of volumes that overlap the first counts. A site that marks less than `rooms.min_area` of
         floor, on all levels together, is no room.
         """
-        model, lattice = self.scene.model, self.columns.lattice
-        height, least = self.agent.height, self.settings.min_area
+        model, lattice, least = self.scene.model, self.columns.lattice, self.settings.min_area
         names = own_names(model, "site")
         chosen, warnings = match_sites(names, self.settings)
         labels = self._no_rooms()
         kept: list[str | None] = []
         small: list[str] = []
         for site in chosen:
-            solid = _site_solid(model, self.scene.data, site)
-            masks = [_stands_in(solid, level.floor, lattice, height) for level in self.levels]
+            masks = self._stand_in(site)
             if sum(int(mask.sum()) for mask in masks) * lattice.cell_size**2 < least:
                 small.append(names[site])
                 continue
@@ -139,7 +147,7 @@ class RoomMarkers:
             )
         return MarkedRooms(kept, labels, warnings)
 
-    def _polygons(self) -> MarkedRooms:
+    def polygons(self) -> MarkedRooms:
         """Give each cell the room in whose polygon its centre lies; of several, the first."""
         lattice, polygons = self.columns.lattice, self.settings.polygons
         labels = self._no_rooms()
@@ -156,6 +164,39 @@ class RoomMarkers:
         outdoors = {number for number, polygon in enumerate(polygons, 1) if polygon.outdoors}
         names = [polygon.name for polygon in polygons]
         return MarkedRooms(names, labels, warnings, outdoors=outdoors)
+
+    def _stand_in(self, site: int) -> list[Bool]:
+        """The cells of each level whose agent stands in a site's volume.
+
+        Counted is the vertical line through the cell's centre, from 5 cm below its floor to the
+        agent's height over it. At least half of what the volume has of the line, or half of the
+        agent, has to be between the two. So a marker that lies on the floor, a box from floor to
+        ceiling and a sphere round the middle of a room are each as large as they look from above,
+        and none reaches into the next storey.
+        """
+        model, data, lattice = self.scene.model, self.scene.data, self.columns.lattice
+        kind, place = model.site_type[[site]].astype(np.int32), np.zeros(1, dtype=np.int32)
+        pose = data.site_xpos[[site]], data.site_xmat[[site]], model.site_size[[site]]
+        solid = Solids(place, kind, *pose, solid_bounds(kind, *pose))
+        masks = [np.zeros(lattice.shape, dtype=np.bool_) for _ in self.levels]
+        window = lattice.window(solid.bounds.reshape(2, 3))
+        if window is None:
+            return masks
+        nothing = self.scene.shapes.only(np.zeros(model.ngeom, dtype=np.bool_))
+        cut = lattice.cut(*window)
+        surfaces = cast_columns(tile_shapes(replace(nothing, solids=solid), cut, 0.0))
+        low, high = np.full((2, cut.width * cut.height), np.nan)
+        hit = np.diff(surfaces.start) > 1
+        low[hit] = surfaces.z[surfaces.start[:-1][hit]]
+        high[hit] = surfaces.z[surfaces.start[1:][hit] - 1]
+        low, high = low.reshape(cut.shape), high.reshape(cut.shape)
+        for mask, level in zip(masks, self.levels, strict=True):
+            floor = level.floor[window]
+            inside = np.minimum(high, floor + self.agent.height)
+            inside = inside - np.maximum(low, floor - OFF_FLOOR)
+            enough = STANDING_SHARE * np.minimum(high - low, self.agent.height)
+            mask[window] = inside >= enough - SAME
+        return masks
 
     def _no_rooms(self) -> list[Int32]:
         return [np.zeros(level.floor.shape, dtype=np.int32) for level in self.levels]
@@ -218,37 +259,6 @@ def _match(
 def _room_name(geom: str) -> str:
     without = (geom[len(prefix) :] for prefix in FLOOR_PREFIXES if geom.startswith(prefix))
     return next(filter(None, without), geom)
-
-
-def _site_solid(model: Any, data: Any, site: int) -> Solids:
-    """A site's volume, as a single solid."""
-    number, kind = (np.array([v], dtype=np.int32) for v in (site, model.site_type[site]))
-    place = data.site_xpos[[site]], data.site_xmat[[site]], model.site_size[[site]]
-    return Solids(number, kind, *place, solid_bounds(kind, *place))
-
-
-def _stands_in(solid: Solids, floor: Float, lattice: Lattice, agent_height: float) -> Bool:
-    """The cells whose agent stands in a volume.
-
-    Counted is the vertical line through the cell's centre, from 5 cm below its floor to the
-    agent's height over it. At least half of what the volume has of the line, or half of the
-    agent, has to be between the two. So a marker that lies on the floor, a box from floor to
-    ceiling and a sphere round the middle of a room are each as large as they look from above,
-    and none reaches into the next storey.
-    """
-    mask = np.zeros(lattice.shape, dtype=np.bool_)
-    x0, y0, _, x1, y1, _ = solid.bounds[0]
-    (row0, row1), (col0, col1) = lattice.rows_cols([[x0, y1], [x1, y0]])
-    rows = slice(max(row0, 0), max(row1 + 1, 0))
-    cols = slice(max(col0, 0), max(col1 + 1, 0))
-    bottom = floor[rows, cols] - OFF_FLOOR
-    top = floor[rows, cols] + agent_height
-    x, y = np.meshgrid(lattice.center_x()[cols], lattice.center_y()[rows])
-    low, high = vertical_chords(solid, x, y)
-    inside = np.minimum(high, top) - np.maximum(low, bottom)
-    enough = STANDING_SHARE * np.minimum(high - low, agent_height)
-    mask[rows, cols] = (high > low) & (inside >= enough - SAME)
-    return mask
 
 
 def _find_level(polygon: RoomPolygon, number: int, levels: Sequence[LevelFloor]) -> int:

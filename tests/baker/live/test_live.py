@@ -15,8 +15,6 @@ import pytest
 import navbake
 from differences import first_difference
 from navbake.baker.live.floors import LiveFloors
-from navbake.baker.live.rooms import LiveRooms
-from navbake.baker.rooms import segmentation
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "scripts"))
 
@@ -253,18 +251,6 @@ def test_after_a_pose_without_a_floor_all_is_baked_again():
     assert baker.grid is before
     changes = baker.update(bodies={"floor": [0, 0, 0, 1, 0, 0, 0]})
     assert changes.reason
-    assert first_difference(changes.grid, fresh(baker)) is None
-
-
-def test_rooms_are_made_of_the_spaces_of_the_bake(monkeypatch):
-    """Walls are parted at gaps once, when the Baker is made."""
-    baker = open_room()
-    parted = []
-    monkeypatch.setattr(LiveRooms, "follow", lambda *given: None)  # all rooms are found again
-    with monkeypatch.context() as patch:
-        patch.setattr(segmentation, "part_at_gaps", lambda *given: parted.append(given))
-        changes = baker.update(bodies={"chair": [1.5, 1.2, 0.45]})
-    assert changes.reason == "" and not parted
     assert first_difference(changes.grid, fresh(baker)) is None
 
 

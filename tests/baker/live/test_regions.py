@@ -9,7 +9,6 @@ from navbake.baker.kernels.flags import BLOCKS, STANDS
 from navbake.baker.live.kernels.contents import EntryPool, count_taken
 from navbake.baker.live.kernels.regions import are_in, cells_of_boxes, grow_cells
 from navbake.baker.live.kernels.sheets import group_parts
-from navbake.baker.rooms.segmentation import SpaceFinder, segment_by_gaps
 from navbake.baker.warn import count_taken_cells
 from navbake.navgrid.lattice import Lattice
 
@@ -104,22 +103,3 @@ def test_taken_cells_are_counted_as_for_a_whole_level(seed):
         level = LevelContents(line, listed, geom[here], *marks, marks[0], none)
         count_taken_cells(level, body_of, expected, -1)
     assert np.array_equal(taken, expected)
-
-
-def test_spaces_are_known_as_long_as_nothing_else_is_open():
-    is_open = np.ones((40, 81), dtype=np.bool_)
-    is_open[:, 40] = False
-    is_open[18:22, 40] = True
-    known = SpaceFinder()
-    for changed in ((), (0, 0), (5, 40), ()):
-        there = is_open.copy()
-        if changed:
-            there[changed] = not there[changed]
-        for _ in range(2):
-            rooms = segment_by_gaps(there, 0.25, 1.0, spaces=known)
-            expected = segment_by_gaps(there, 0.25, 1.0)
-            assert np.array_equal(rooms.rooms, expected.rooms)
-            assert rooms.close == expected.close
-    label = known.find(there, np.zeros_like(there), 0.25)[0]
-    assert known.find(there, np.zeros_like(there), 0.25)[0] is label
-    assert known.find(there, np.zeros_like(there), 0.125)[0] is not label

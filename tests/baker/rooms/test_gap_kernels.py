@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pytest
 from scipy import ndimage
 
-from navbake.baker.rooms import gaps as gaps_module
-from navbake.baker.rooms.directions import direction_of, find_directions
-from navbake.baker.rooms.gaps import GROWTH, part_at_gaps
+from navbake.baker.rooms.gaps import GROWTH, Spaces, find_gaps
 from navbake.baker.rooms.kernels import gaps as kernels
-from navbake.baker.rooms.spaces import Spaces
+from navbake.baker.rooms.walls import direction_of, find_directions, squared_distances
 from offices import make_plan
 
 CELL = 0.1
 ANGLES = (0.0, 7.0, 26.5, 44.0, -12.0, -38.0, 90.0, 61.0, 118.0)
-REACH, DRIFT = kernels.REACH, kernels.DRIFT
+REACH = kernels.REACH
 
 
 def blobs(rng, rows=38, cols=46, smooth=1.6, most=0.1):
@@ -41,6 +40,11 @@ def floor_plan(rng, rows=60, cols=70):
     return is_open
 
 
+@numba.njit
+def measure_runs(is_open, shift):
+    return kernels.measure_runs(is_open, shift)
+
+
 def line_of(row, col, shift):
     """The cells of the line through a cell, by column."""
     return {c: row + int(shift[c] - shift[col]) for c in range(len(shift))}
@@ -52,7 +56,7 @@ def test_runs_are_as_long_as_lines_go_on(angle):
     is_open = blobs(rng)
     shift = direction_of(angle, is_open.shape).shift[: is_open.shape[1]]
     shift = np.concatenate([shift, np.repeat(shift[-1:], max(0, is_open.shape[1] - len(shift)))])
-    run = kernels.measure_runs(is_open, shift)
+    run = measure_runs(is_open, shift)
     for row, col in np.ndindex(is_open.shape):
         line = line_of(row, col, shift)
         length = 0
@@ -71,9 +75,10 @@ def test_gaps_are_beside_longer_runs(both):
     rng = np.random.default_rng(1)
     widest, rise, thickness = 14, 2.0, 5
     for _ in range(4):
-        run = kernels.measure_runs(floor_plan(rng), np.zeros(70, dtype=np.int64))
+        scanned = floor_plan(rng), np.zeros(70, dtype=np.int64)
+        run = measure_runs(*scanned)
         gap = np.zeros(run.shape, dtype=np.uint8)
-        kernels.mark_gaps(run, widest, GROWTH, rise, thickness, both, gap)
+        kernels.mark_gaps(*scanned, widest, GROWTH, rise, thickness, both, gap)
 
         def widens(here, there):
             return there >= max(GROWTH * here, here + rise)
@@ -155,21 +160,8 @@ def bridges(low, wall, shift):
 
 
 def parted(is_open):
-    """The gaps of a map with the spaces between them, before any are joined."""
-    kept = []
-
-    class Kept(Spaces):
-        def __init__(self, found, cells, cell_size):
-            super().__init__(found, cells, cell_size)
-            kept.append((found, cells, cell_size))
-
-    original = gaps_module.Spaces
-    gaps_module.Spaces = Kept
-    try:
-        part_at_gaps(is_open, np.zeros_like(is_open), CELL)
-    finally:
-        gaps_module.Spaces = original
-    return kept[0]
+    """The gaps of a map, and the spaces between them before any are joined."""
+    return find_gaps(is_open, np.zeros_like(is_open), CELL, None)
 
 
 def turned_plan(seed, angle):
@@ -223,7 +215,7 @@ def test_the_share_that_a_gap_has(angle):
     rng = np.random.default_rng(3)
     measured = 0
     for seed in range(3):
-        found, cells, _ = parted(turned_plan(seed, angle))
+        found, _, cells = parted(turned_plan(seed, angle))
         parent = np.arange(len(cells), dtype=np.int32)
         for _ in range(len(cells) // 3):
             kernels.find_root(parent, 0)
@@ -265,8 +257,8 @@ class Remeasured(Spaces):
 def test_spaces_are_joined_as_if_all_gaps_were_measured_after_each(angle):
     joined = 0
     for seed in range(5):
-        found, cells, size = parted(turned_plan(seed, angle))
-        fast, slow = Spaces(found, cells, size), Remeasured(found, cells, size)
+        found, _, cells = parted(turned_plan(seed, angle))
+        fast, slow = (kind(found, cells, CELL, None) for kind in (Spaces, Remeasured))
         for spaces in (fast, slow):
             spaces.join_continued()
             spaces.join_narrower()
@@ -284,7 +276,7 @@ def test_what_is_far_from_a_change_is_not_measured_again():
         is_open[2:52, 2:-2] = True
         for k in range(niches):
             is_open[52:62, 2 + 17 * k : 17 + 17 * k] = True
-        found, cells, size = parted(is_open)
+        found, _, cells = parted(is_open)
         measured = 0
 
         class Counted(Spaces):
@@ -293,12 +285,25 @@ def test_what_is_far_from_a_change_is_not_measured_again():
                 measured += len(gaps)
                 super().measure(gaps)
 
-        spaces = Counted(found, cells, size)
+        spaces = Counted(found, cells, CELL, None)
         spaces.join_continued()
         spaces.join_narrower()
         assert len(np.unique(spaces.wholes())) == 2  # the hall, and 0 for none
         counts.append(measured)
     assert counts[1] <= 5 * counts[0]
+
+
+@pytest.mark.parametrize("reach", [0, 1, 7, 40])
+@pytest.mark.parametrize("shape", [(1, 1), (3, 300), (70, 41)])
+def test_distances_are_those_of_scipy(reach, shape):
+    rng = np.random.default_rng(reach)
+    for share in (0.0, 0.001, 0.02, 0.5):
+        target = rng.random(shape) < share
+        expected = np.full(shape, (reach + 1) ** 2)
+        if target.any():
+            exact = np.rint(ndimage.distance_transform_edt(~target) ** 2)
+            expected = np.minimum(exact, expected)
+        np.testing.assert_array_equal(squared_distances(target, reach), expected)
 
 
 @pytest.mark.parametrize("turn", [0.0, 7.4, 26.0, 39.15, 50.67, 71.0])

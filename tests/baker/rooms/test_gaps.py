@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from navbake.baker.rooms.directions import find_directions
+from navbake.baker.rooms import segmentation
 from navbake.baker.rooms.gaps import part_at_gaps
 from navbake.baker.rooms.segmentation import segment_by_gaps
-from navbake.baker.rooms.windows import find_windows
+from navbake.baker.rooms.walls import find_directions, find_windows
 from offices import make_plan
 from offices_truth import bake_plan, count_leaks, overlaps
 
@@ -50,6 +50,44 @@ def test_a_doorway_is_measured_against_the_narrower_space(width, rooms):
     is_open[:, 45:47] = False
     is_open[1 : 1 + width, 45:47] = True
     assert count(is_open) == rooms
+
+
+def two_rooms(gap, thick, size):
+    """Two rooms of size x size cells and a gap of so many cells in the wall between them."""
+    is_open = hall(size, 2 * size + thick)
+    is_open[:, 1 + size : 1 + size + thick] = False
+    first = (size + 2 - gap) // 2
+    is_open[first : first + gap, 1 + size : 1 + size + thick] = True
+    return is_open
+
+
+@pytest.mark.parametrize("cell_size", [0.05, 0.1, 0.07])
+@pytest.mark.parametrize("door_width", [0.8, 1.0, 3.0])
+def test_a_gap_wider_than_a_given_door_parts_nothing(cell_size, door_width):
+    """Exact at the width along the lattice, and beyond the 2.5 m that hold without it."""
+    widest = int(door_width / cell_size + 1e-9)
+    for more, rooms in ((-1, 2), (0, 2), (1, 1), (2, 1)):
+        is_open = two_rooms(widest + more, 2, max(60, 2 * widest))
+        found = segment_by_gaps(is_open, cell_size, 1.0, door_width=door_width).rooms
+        assert found.max() == rooms
+
+
+def test_a_gap_as_wide_as_the_space_parts_nothing_however_narrow():
+    is_open = two_rooms(9, 2, 10)
+    assert segment_by_gaps(is_open, CELL, 0.5, door_width=1.0).rooms.max() == 1
+
+
+@pytest.mark.parametrize("cell_size", [0.05, 0.1])
+def test_doors_in_walls_off_the_lattice(cell_size):
+    """A wall fills every cell it touches; so gaps look narrower, by less than two cells."""
+    rng = np.random.default_rng(0)
+    edges = np.arange(0.0, 8.0, cell_size)
+    for wall, jamb in rng.uniform(3.5, 4.5, (20, 2)):
+        for gap, rooms in ((1.0, 2), (1.2, 1)):
+            across = (edges + cell_size > wall) & (edges < wall + 0.12)
+            along = (edges + cell_size > jamb + gap) | (edges < jamb)
+            is_open = ~(across[None] & along[:, None])
+            assert segment_by_gaps(is_open, cell_size, 1.0, door_width=1.0).rooms.max() == rooms
 
 
 def test_a_niche_an_l_and_pillars_part_nothing():
@@ -93,6 +131,70 @@ def test_a_wall_that_ends_in_a_wide_opening_goes_on_to_its_line():
     assert count(is_open) == 3
 
 
+def test_stairs_belong_to_where_they_begin():
+    """A flight of 1.2 m between two rooms; without heights it is a corridor."""
+    is_open = hall(40, 130)
+    is_open[1:15, 45:85] = is_open[27:, 45:85] = False
+    rise = np.tile(np.interp(np.arange(132), [45, 85], [0.0, 2.4]), (42, 1))
+    for floor in (rise, 2.4 - rise):
+        rooms = segment_by_gaps(is_open, CELL, 1.0, floor).rooms
+        assert rooms.max() == 2
+        assert rooms[20, 65] == rooms[20, 20 if floor is rise else 110]
+    assert count(is_open) == 3
+
+
+def test_what_is_tiny_joins_what_it_opens_to_and_what_is_shut_in_is_none():
+    is_open = hall(40, 60)
+    is_open[10:20, 30:33] = False
+    is_open[11:19, 31] = True  # shut in, 0.08 m²
+    is_open[1:9, 45] = is_open[8, 45:] = False
+    is_open[4:8, 45] = True  # a closet of less than 1 m²
+    rooms = segment_by_gaps(is_open, CELL, 1.2).rooms
+    assert rooms.max() == 1
+    assert not rooms[11:19, 31].any() and rooms[4, 50] == 1
+
+
+def test_rooms_hang_together_and_turn_with_the_map():
+    rng = np.random.default_rng(3)
+    for _ in range(8):
+        is_open = ndimage.gaussian_filter(rng.normal(size=(80, 90)), 3) > -0.05
+        rooms = segment_by_gaps(is_open, CELL, 0.3).rooms
+        assert (rooms[~is_open] == 0).all()
+        for room in range(1, int(rooms.max()) + 1):
+            assert ndimage.label(rooms == room)[1] == 1
+            assert np.count_nonzero(rooms == room) * CELL**2 >= 0.3 - 1e-9
+
+
+def spread(labels):
+    """Labels with the cells filled that have 0; closed ones have -1."""
+    label = np.array(labels, dtype=np.int32)
+    open_cells = label >= 0
+    label[~open_cells] = 0
+    segmentation._spread(label, open_cells)
+    return label.tolist()
+
+
+def test_cells_of_gaps_go_to_the_nearest_space():
+    assert spread([[1, 0, 0, 0, 0, 2]]) == [[1, 1, 1, 2, 2, 2]]
+    assert spread([[2, 0, 1]]) == [[2, 1, 1]] and spread([[1, 0, 2]]) == [[1, 1, 2]]
+    assert spread([[1, 0, -1, 0], [0, -1, 0, 0]]) == [[1, 1, 0, 0], [1, 0, 0, 0]]
+
+
+def test_steep_cells():
+    label = np.array([[1, 1, 1, 1, 1, 2, 0, 2]], dtype=np.int32)
+    floor = np.array([[0.0, 0.0, 0.2, 0.4, 0.4, 0.4, np.nan, 9.0]])
+    steep = segmentation.mark_steep(label, floor, 0.3)  # a cell to both sides
+    assert steep.tolist() == [[False, True, True, True, False, False, False, False]]
+    assert (segmentation.mark_steep(label.T, floor.T, 0.3) == steep.T).all()
+
+
+def test_numbers_follow_the_first_cells():
+    label = np.array([[0, 7, 7], [2, 0, 7], [2, 9, 0]], dtype=np.int32)
+    expected = [[0, 1, 1], [2, 0, 1], [2, 3, 0]]
+    np.testing.assert_array_equal(segmentation.renumber(label), expected)
+    assert not segmentation.renumber(np.zeros((2, 2), dtype=np.int32)).any()
+
+
 def test_holes_narrow_no_space():
     is_open = hall(32, 100)
     is_open[1:16, 40:70] = False
@@ -115,7 +217,7 @@ def test_walls_at_an_angle(angle):
     u, v = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
     is_open = (np.abs(u) < 4.5) & (np.abs(v) < 2.5) & ((np.abs(u) > 0.15) | (np.abs(v) < 0.8))
     assert len(find_directions(is_open, CELL)) == 2
-    spaces, _ = part_at_gaps(is_open, np.zeros_like(is_open), CELL)
+    spaces, _ = part_at_gaps(is_open, np.zeros_like(is_open), CELL, None)
     assert len(np.unique(spaces)) == 3  # 0 is for gaps; no cells between their lines are a space
     rooms = segment_by_gaps(is_open, CELL, 1.0).rooms
     assert rooms.max() == 2

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from navbake.baker.pipeline import run_bake
-from navbake.baker.rooms.openings import ClosedDoor, Opening, match_doors
+from navbake.baker.rooms.openings import ClosedDoor, Opening, find_openings, match_doors
 from navbake.baker.rooms.segmentation import share_rest
 from navbake.config.settings import load_config, parse_config
 from navbake.navgrid.lattice import Lattice
@@ -179,7 +179,7 @@ def test_numbers_go_row_by_row(tmp_path):
 def test_more_rooms_than_a_byte_holds(tmp_path):
     result = bake_text(
         tmp_path,
-        make_plan(15, 18, side=2.0, door=0.7),
+        make_plan(15, 18, side=2.5, door=0.7),
         grid={"cell_size": 0.1},
         rooms={"from": ["auto"], "door_width": 0.8},
     )
@@ -277,6 +277,24 @@ def test_storeys_are_linked_by_steps():
     assert [room.level for room in grid.rooms] == [0, 0, 0, 0, 1, 1, 1, 1]
 
 
+@pytest.mark.parametrize(
+    ("floor", "rooms", "slopes", "expected"),
+    [
+        ([[0.0, 0.3, 0.6, 0.9]], [[1, 1, 2, 2]], [], []),
+        ([[0.0, 0.3, 0.6, 0.9]], [[1, 1, 2, 2]], [(1, 2)], [((1, 2), [1, 2])]),
+        # within a room, or to none
+        ([[0.0, 0.3, 0.6, 0.9]], [[1, 1, 1, 0]], [(0, 1), (1, 2), (2, 3)], []),
+        # a slope beside a step is one opening with it
+        ([[0.0, 0.2], [0.0, 0.3]], [[1, 2], [1, 2]], [], [((1, 2), [0, 1])]),
+        ([[0.0, 0.2], [0.0, 0.3]], [[1, 2], [1, 2]], [(2, 3)], [((1, 2), [0, 1, 2, 3])]),
+    ],
+)
+def test_openings_are_where_steps_and_slopes_lead_to_another_room(floor, rooms, slopes, expected):
+    links = np.array([(0, a, 0, b) for a, b in slopes], dtype=np.int64).reshape(-1, 4)
+    given = [np.array(rooms, dtype=np.uint16)], [np.array(floor)], links
+    assert [(o.rooms, o.cells.tolist()) for o in find_openings(*given, 0.25)] == expected
+
+
 def test_doors_go_to_the_opening_they_are_in():
     lattice = Lattice(0.0, 10.0, 0.1, 100, 100)
     openings = [
@@ -367,17 +385,18 @@ def test_labmaze(seed, tmp_path):
 
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"no real scenes in {DATA}")
 def test_aws_small_house():
-    """No gap is as narrow as 1 m: one room. At 3.5 m: bedroom, gym, and the rest."""
+    """No gap is as narrow as 1 m: one room. At 3.5 m: bedroom, gym, and the rest; and cavities."""
     scene = {"path": DATA / "aws_small_house/scene.xml", "meshes": "surface"}
     settings = {"scene": scene, "grid": {"cell_size": 0.05}}
-    assert len(run_bake(parse_config({**settings, "rooms": {"door_width": 1.0}})).grid.rooms) == 1
+    grid = run_bake(parse_config({**settings, "rooms": {"door_width": 1.0}})).grid
+    assert [room.area > 150 for room in grid.rooms if room.area > 3] == [True]
     grid = run_bake(parse_config({**settings, "rooms": {"door_width": 3.5}})).grid
     at = {"bed": (-6.2, 1.0), "gym": (-6.2, -3.5), "sofa": (1.0, -1.5), "kitchen": (7.5, -1.0)}
     rows, cols = grid.lattice.rows_cols(list(at.values()))
     bed, gym, sofa, kitchen = grid.room_index[rows, cols]
     assert len({bed, gym, sofa}) == 3
     assert sofa == kitchen
-    assert len(grid.rooms) == 3
+    assert len([room for room in grid.rooms if room.area > 3]) == 3
     auto = run_bake(parse_config(settings)).grid
     bed, gym, sofa, _ = auto.room_index[rows, cols]
     assert len({bed, gym, sofa}) == 3

@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from navbake.baker.pipeline import run_bake
-from navbake.baker.rooms.volumes import vertical_chords
-from navbake.baker.scene.shapes import Solids
 from navbake.config.settings import parse_config
 from navbake.errors import ConfigError
 
@@ -232,55 +229,6 @@ def test_markers_are_no_rooms(tmp_path):
     assert warning.startswith("sites that hold less than 1 m² of floor")
     assert "room_0, room_1" in warning
     assert "…" in warning
-
-
-def chord_by_search(solid, x, y):
-    """The heights of a fine line's points inside of the solid."""
-    z = np.linspace(-4, 4, 8001)
-    points = np.stack([np.full_like(z, x), np.full_like(z, y), z], axis=1) - solid.pos[0]
-    p = points @ solid.mat[0].reshape(3, 3)
-    a, b, c = solid.size[0]
-    kind = int(solid.kind[0])
-    across = np.hypot(p[:, 0], p[:, 1])
-    inside = {
-        BOX: (np.abs(p) <= solid.size[0]).all(axis=1),
-        SPHERE: np.linalg.norm(p, axis=1) <= a,
-        ELLIPSOID: ((p / np.array([a, b, c])) ** 2).sum(axis=1) <= 1,
-        CYLINDER: (across <= a) & (np.abs(p[:, 2]) <= b),
-        CAPSULE: np.hypot(across, np.maximum(np.abs(p[:, 2]) - b, 0)) <= a,
-    }[kind]
-    return (z[inside].min(), z[inside].max()) if inside.any() else None
-
-
-@pytest.mark.parametrize("kind", [BOX, SPHERE, ELLIPSOID, CYLINDER, CAPSULE])
-def test_chords_against_a_fine_line(kind):
-    rng = np.random.default_rng(kind)
-    for number in range(40):
-        q = rng.normal(size=4) if number % 4 else np.array([1.0, 0, 0, 0])
-        w, x, y, z = q / np.linalg.norm(q)
-        mat = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
-        solid = Solids(
-            np.array([0], np.int32),
-            np.array([kind], np.int32),
-            rng.uniform(-1, 1, (1, 3)),
-            mat.reshape(1, 9),
-            rng.uniform(0.2, 1.2, (1, 3)),
-            np.zeros((1, 6)),
-        )
-        at = rng.uniform(-2, 2, (6, 2))
-        low, high = vertical_chords(solid, at[:, 0], at[:, 1])
-        for k in range(6):
-            expected = chord_by_search(solid, *at[k])
-            if expected is None:
-                assert high[k] - low[k] < 2e-3
-            else:
-                assert (low[k], high[k]) == pytest.approx(expected, abs=2e-3)
 
 
 # ---------------------------------------------------------------- polygons

@@ -1,44 +1,28 @@
-"""Gaps between walls: where the space that runs along a line widens at once.
+"""Kernels of rooms: gaps between walls, sills between walls, and distances to walls.
 
 A direction is scanned along digital lines, which shear the lattice: cell (row, col) lies on line
 ``row - shift[col]``, so that the cells of a line are connected over edges and corners, every cell
 is on one line, and the cell above or below is on the next one. Directions are at most 45° from
 the rows; steeper ones scan the lattice with its axes swapped.
+
+Squared Euclidean distances are found in two passes, along the columns and then across them, as
+the lower envelope of parabolas separates by axis (Saito and Toriwaki, 1994; Felzenszwalb and
+Huttenlocher, 2012). Only distances up to a reach matter, so the second pass takes the lowest of
+all parabolas within it, which vectorizes.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.navgrid.kernels.union_find import find_root
 from navbake.types import Bool, Int, Int32
 
-# The nearest cells of a wall's ends may lie on lines this far apart where a gap goes on [lines]
-DRIFT = 2
 # How far on either side of a gap the spaces behind it are measured [widths of the gap]
 REACH = 2
 # The bit of a way that follows its line exactly, see `_hold`
 EXACT = 8
-
-
-class Crossings(NamedTuple):
-    """Where columns of cells cross gaps, shape (n,), int64.
-
-    Attributes:
-        col: the column.
-        top, bottom: its first and its last marked row.
-        above, below: the labels of the regions there.
-        mark: the highest mark between, uint8; see `mark_gaps`.
-    """
-
-    col: Int
-    top: Int
-    bottom: Int
-    above: Int
-    below: Int
-    mark: NDArray[np.uint8]
 
 
 class Gaps(NamedTuple):
@@ -79,7 +63,7 @@ class Scan(NamedTuple):
     leans: Int
 
 
-@kernel(nogil=True)
+@part
 def measure_runs(is_open, shift):
     """The number of open cells in a row along a line through each cell, 0 for closed ones.
 
@@ -105,6 +89,41 @@ def measure_runs(is_open, shift):
             if run[row, col] > 0 and 0 <= after < rows and run[after, col + 1] > 0:
                 run[row, col] = run[after, col + 1]
     return run
+
+
+@kernel(nogil=True)
+def mark_gaps(is_open, shift, widest, growth, rise, thickness, both, gap):
+    """Mark the cells of gaps: runs along lines of at most `widest` cells next to much longer ones.
+
+    A run is much longer by the factor `growth` and by `rise` cells. Between two such steps that are
+    at most `thickness` lines apart, as in a doorway, all lines are marked; else the last one,
+    unless only gaps with steps on `both` sides are wanted. `is_open` is (rows, cols) bool, `shift`
+    (cols,) int64. Marks go into `gap`, uint8: 2 for a gap with steps on both sides, 1 for others.
+    """
+    run = measure_runs(is_open, shift)
+    rows, cols = run.shape
+    for row in range(rows):
+        for col in range(cols):
+            here = run[row, col]
+            if here == 0 or here > widest:
+                continue
+            least = max(growth * here, here + rise)
+            if row > 0 and run[row - 1, col] >= least:
+                gap[row, col] = max(gap[row, col], 0 if both else 1)
+                # does it widen again on the other side, a wall's thickness from here?
+                for other in range(row, min(row + thickness, rows)):
+                    there = run[other, col]
+                    # a step to a narrower one ends it, too: the doorway begins there
+                    if there == 0 or there > widest or max(growth * there, there + rise) <= here:
+                        break
+                    if other + 1 < rows and run[other + 1, col] >= max(
+                        growth * there, there + rise
+                    ):
+                        for between in range(row, other + 1):
+                            gap[between, col] = 2
+                        break
+            if not both and row + 1 < rows and run[row + 1, col] >= least:
+                gap[row, col] = max(gap[row, col], 1)
 
 
 @kernel
@@ -181,141 +200,6 @@ def _hold(low, wall, row, next_row, next_wall, held):
 
 
 @kernel
-def drop_thick(mark, most):
-    """Unmark the cells of columns of more than `most` marked cells; `mark` is (rows, cols) bool."""
-    rows, cols = mark.shape
-    for col in range(cols):
-        row = 0
-        while row < rows:
-            first = row
-            while row < rows and mark[row, col]:
-                row += 1
-            if row - first > most:
-                mark[first:row, col] = False
-            row += 1
-
-
-@kernel(nogil=True, **UNCOUNTED)
-def mark_gaps(run, widest, growth, rise, thickness, both, gap):
-    """Mark the cells of gaps: runs of at most `widest` cells next to much longer ones.
-
-    A run is much longer by the factor `growth` and by `rise` cells. Between two such steps that are
-    at most `thickness` lines apart, as in a doorway, all lines are marked; else the last one,
-    unless only gaps with steps on `both` sides are wanted. Marks go into `gap`, uint8, of the shape
-    of `run`: 2 for a gap with steps on both sides, 1 for others, 0 for none.
-    """
-    rows, cols = run.shape
-    for row in range(rows):
-        for col in range(cols):
-            here = run[row, col]
-            if here == 0 or here > widest:
-                continue
-            least = max(growth * here, here + rise)
-            if row > 0 and run[row - 1, col] >= least:
-                gap[row, col] = max(gap[row, col], 0 if both else 1)
-                # does it widen again on the other side, a wall's thickness from here?
-                for other in range(row, min(row + thickness, rows)):
-                    there = run[other, col]
-                    # a step to a narrower one ends it, too: the doorway begins there
-                    if there == 0 or there > widest or max(growth * there, there + rise) <= here:
-                        break
-                    if other + 1 < rows and run[other + 1, col] >= max(
-                        growth * there, there + rise
-                    ):
-                        for between in range(row, other + 1):
-                            gap[between, col] = 2
-                        break
-            if not both and row + 1 < rows and run[row + 1, col] >= least:
-                gap[row, col] = max(gap[row, col], 1)
-
-
-@kernel
-def list_crossings(label, gap, own, thickness):
-    """List where one column of cells leads through marked cells from one region to another.
-
-    `label` is (rows, cols) int32, 0 where there is no region; `gap` marks the cells of all gaps,
-    `own` those of the gaps of this direction, of which there must be one; at most `thickness` rows
-    are crossed. Returns `Crossings`, sorted by column.
-    """
-    count = _fill_crossings(label, gap, own, thickness, _empty_crossings(0), False)
-    crossings = _empty_crossings(count)
-    _fill_crossings(label, gap, own, thickness, crossings, True)
-    return crossings
-
-
-@part
-def _empty_crossings(count):
-    return Crossings(
-        np.empty(count, dtype=np.int64),
-        np.empty(count, dtype=np.int64),
-        np.empty(count, dtype=np.int64),
-        np.empty(count, dtype=np.int64),
-        np.empty(count, dtype=np.int64),
-        np.empty(count, dtype=np.uint8),
-    )
-
-
-@part
-def _fill_crossings(label, gap, own, thickness, crossings, writing):
-    """Write the crossings, or only count them."""
-    rows, cols = label.shape
-    count = 0
-    for col in range(cols):
-        row = 1
-        while row < rows - 1:
-            if not gap[row, col] or label[row - 1, col] == 0:
-                row += 1
-                continue
-            last, mark = row, own[row, col]
-            while last + 1 < rows and gap[last + 1, col]:
-                last += 1
-                mark = max(mark, own[last, col])
-            if last + 1 < rows:
-                above, below = label[row - 1, col], label[last + 1, col]
-                if below > 0 and below != above and mark > 0 and last - row < thickness:
-                    if writing:
-                        crossings.col[count] = col
-                        crossings.top[count], crossings.bottom[count] = row, last
-                        crossings.above[count], crossings.below[count] = above, below
-                        crossings.mark[count] = mark
-                    count += 1
-            row = last + 1
-    return count
-
-
-@kernel
-def group_crossings(crossings, shift):
-    """Number the gaps that crossings of neighbouring columns between the same regions make up.
-
-    Returns the number of each one's gap, int64, from 0.
-    """
-    col, above, below = crossings.col, crossings.above, crossings.below
-    count = len(col)
-    number = np.empty(count, dtype=np.int64)
-    line = (crossings.top + crossings.bottom) / 2 - shift[col]
-    gaps = 0
-    begin, end = 0, 0  # the crossings of the column before
-    k = 0
-    while k < count:
-        first = k
-        if end == 0 or col[begin] != col[first] - 1:
-            begin, end = first, first
-        while k < count and col[k] == col[first]:
-            number[k] = -1
-            for before in range(begin, end):
-                same = above[before] == above[k] and below[before] == below[k]
-                if same and abs(line[before] - line[k]) <= DRIFT:
-                    number[k] = number[before]
-                    break
-            if number[k] < 0:
-                number[k] = gaps
-                gaps += 1
-            k += 1
-        begin, end = first, k
-    return number
-
-
-@kernel
 def measure_gaps(scan, gaps, chosen, parent):
     """How open the lines of some gaps are, seen from the regions above them and below them.
 
@@ -340,7 +224,7 @@ def measure_gaps(scan, gaps, chosen, parent):
     shares = np.ones((len(chosen), 2))
     start = np.zeros(len(chosen) + 1, dtype=np.int64)
     met = np.empty(16, dtype=np.int64)
-    count = 0
+    count = np.int64(0)
     for i in range(len(chosen)):
         k = chosen[i]
         above = find_root(parent, gaps.above[k])
@@ -351,12 +235,11 @@ def measure_gaps(scan, gaps, chosen, parent):
                 for depth in range(len(scan.depths)):
                     rows, lean = scan.depths[depth], scan.leans[depth]
                     if depth == 0:
-                        behind = _count_behind(scan, gaps, k, side)
-                        lean = lean if behind == rows else np.int64(0)
-                        rows = behind
+                        rows = _count_behind(scan, gaps, k, side)
+                        lean = lean if rows == scan.depths[0] else np.int64(0)
                     line = side, rows, lean, own, other
                     share, met, count = _measure_line(
-                        scan, gaps, k, line, parent, met, (start[i], count)
+                        scan, gaps, k, line, parent, met, start[i], count
                     )
                     shares[i, side] = min(shares[i, side], share)
         start[i + 1] = count
@@ -377,14 +260,13 @@ def _count_behind(scan, gaps, k, side):
 
 
 @part
-def _measure_line(scan, gaps, k, line, parent, met, noted):
+def _measure_line(scan, gaps, k, line, parent, met, begin, count):
     """The share that gap k has of a line behind it, and the regions met so far.
 
     `line` is its side (0 above, 1 below), how many rows behind the gap it is and how many columns
     it leans on the way up so far, and the regions on its side and on the other one.
     """
     side, depth, rise, own, other = line
-    begin, count = noted
     label, is_open, shift = scan.label, scan.is_open, scan.shift
     rows, cols = label.shape
     # from the gap to the line behind it, and on the other side to that before it
@@ -443,3 +325,44 @@ def _note(met, begin, count, region):
         met = longer
     met[count] = region
     return met, count + 1
+
+
+@kernel(nogil=True)
+def sweep_columns(target, far, along, col0, end):
+    """Distances to the nearest target within columns ``range(col0, end)``, at most `far`.
+
+    `target` is (rows, cols) bool, and `along`, int16, receives the distances.
+    """
+    target, along = target[:, col0:end], along[:, col0:end]  # loops from 0 vectorize
+    rows, cols = target.shape
+    for col in range(cols):
+        along[0, col] = 0 if target[0, col] else far
+    for row in range(1, rows):
+        for col in range(cols):
+            step = min(along[row - 1, col] + np.int16(1), far)
+            along[row, col] = 0 if target[row, col] else step
+    for row in range(rows - 2, -1, -1):
+        for col in range(cols):
+            along[row, col] = min(along[row, col], along[row + 1, col] + np.int16(1))
+
+
+@kernel(nogil=True)
+def sweep_rows(along, reach, answer, row0, end):
+    """Squared distances in rows ``range(row0, end)``, from those within columns.
+
+    `along` is what `sweep_columns` found; `answer`, of its shape, int32, receives
+    ``(reach + 1) ** 2`` where there is no target within reach.
+    """
+    cols = along.shape[1]
+    beyond = np.int32((reach + 1) ** 2)
+    squares = np.full(cols + 2 * reach, beyond, dtype=np.int32)
+    for row in range(row0, end):
+        for col in range(cols):
+            value = np.int32(along[row, col])
+            squares[col + reach] = value * value
+        nearest = answer[row]
+        nearest[:] = beyond
+        for shift in range(2 * reach + 1):
+            add, shifted = np.int32((shift - reach) ** 2), squares[shift : shift + cols]
+            for col in range(cols):
+                nearest[col] = min(nearest[col], np.int32(shifted[col] + add))

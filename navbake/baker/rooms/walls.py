@@ -1,15 +1,18 @@
-"""The directions that walls run in, and the lattice as it is scanned along them."""
+"""Walls: distances to them, the directions that they run in, and the sills that continue them."""
 
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.rooms.distances import squared_distances
-from navbake.types import Bool, Float, Int
+from navbake.baker.connect import list_runs
+from navbake.baker.rooms.kernels import gaps as kernels
+from navbake.threads import run_in_bands
+from navbake.types import Bool, Float, Int, Int32
 
 T = TypeVar("T", bound=np.generic)
 
+STRIP = 64  # columns that are worth a thread's while
 # The directions of walls are taken at this distance from them, in bins of so many degrees; those
 # count that belong to this length of wall, and to this share of all
 OFF_WALL, BIN, LEAST_WALL, LEAST_SHARE = 0.3, 5, 2.0, 0.01
@@ -20,6 +23,40 @@ FINE, LINE, MOST_POINTS, AS_SHARP = 0.25, 0.5, 2000, 0.9
 OFF_STEPS = 5
 # Cells round the lattice in which slopes at its edge are measured
 PADDING = 2
+
+# A sill is at most this thick [m]; it fills every cell it touches, one more on each side
+SILL_THICKNESS = 0.5
+
+
+def squared_distances(target: Bool, reach: int) -> Int32:
+    """Squared distance of each node to the nearest target, ``(reach + 1) ** 2`` beyond `reach`.
+
+    Args:
+        target: shape (rows, cols).
+        reach: nodes, >= 0.
+    """
+    along = np.empty(target.shape, dtype=np.int16)
+    target = np.ascontiguousarray(target)
+    far = np.int16(reach + 1)
+    run_in_bands(kernels.sweep_columns, target.shape[1], target, far, along, least=STRIP)
+    answer = np.empty(target.shape, dtype=np.int32)
+    run_in_bands(kernels.sweep_rows, len(target), along, reach, answer)
+    return answer
+
+
+def wall_nodes(open_cells: Bool) -> Bool:
+    """Mark the nodes of a lattice half as wide that lie on a cell that isn't open.
+
+    Node (2 r + 1, 2 c + 1) is the centre of cell (r, c); the others are edges' middles and
+    corners. The nearest point of a closed cell is as far from a node as the nearest marked node.
+    So gaps can be measured to half a cell. Beyond the lattice nothing is open. The result has
+    the shape (2 height + 1, 2 width + 1).
+    """
+    closed = np.pad(~open_cells, 1, constant_values=True)
+    rows = closed.repeat(2, axis=0)[1:-1]
+    rows = rows[:-1] | rows[1:]  # each row's upper edge, its centre, …, the last one's lower edge
+    cols = rows.repeat(2, axis=1)[:, 1:-1]
+    return cols[:, :-1] | cols[:, 1:]
 
 
 class Direction(NamedTuple):
@@ -43,7 +80,7 @@ def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
     reach = max(OFF_STEPS, round(OFF_WALL / cell_size))
     # the edge of the lattice is no wall: what is there goes on beyond it
     closed = np.pad(~open_cells, PADDING, mode="edge")
-    squared = squared_distances(closed, reach + 2, 0, 1)
+    squared = squared_distances(closed, reach + 2)
     distance = np.sqrt(squared, dtype=np.float32)
     at = (squared[2:-2, 2:-2] >= (reach - 1) ** 2) & (squared[2:-2, 2:-2] < reach**2)
     rows, cols = np.nonzero(at)
@@ -114,3 +151,36 @@ def direction_of(angle: float, shape: tuple[int, ...]) -> Direction:
 def turned(array: NDArray[T], direction: Direction) -> NDArray[T]:
     """An array as the kernels scan it in a direction."""
     return np.ascontiguousarray(array.T) if direction.swapped else array
+
+
+def find_windows(low: Bool, wall: Bool, cell_size: float) -> Bool:
+    """Mark the cells of sills and parapets that continue a wall.
+
+    Where walls, floors and furniture are one mesh, only heights tell what is wall: that reaches
+    above heads. A window's sill doesn't. But along the direction of a wall it goes from one piece
+    of wall to the next without a break, to a cell on either side of a line, and it is as thin as
+    a wall. A table or a bed ends somewhere, and a counter along a wall has no wall at its ends, or
+    fills a niche that is deeper than a wall is thick.
+
+    Args:
+        low: cells that the building blocks at an agent's height, but not above heads.
+        wall: cells that it blocks there, too.
+        cell_size: edge of a cell [m].
+
+    Returns:
+        Shape and dtype of the masks.
+    """
+    found = np.zeros(low.shape, dtype=np.bool_)
+    if not low.any():
+        return found
+    for direction in find_directions(~wall, cell_size):
+        # drawn sills are as wide as their wall, so that each line of theirs ends at it
+        bridge = np.zeros(turned(low, direction).shape, dtype=np.bool_)
+        scanned = turned(low, direction), turned(wall, direction)
+        kernels.mark_bridges(*scanned, direction.shift, bridge)
+        most = int(SILL_THICKNESS * direction.stretch / cell_size) + 2
+        for col, top, end, _ in zip(*list_runs(bridge.T), strict=True):
+            if end - top > most:
+                bridge[top:end, col] = False
+        found |= bridge.T if direction.swapped else bridge
+    return found
