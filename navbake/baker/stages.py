@@ -21,8 +21,13 @@ from navbake.baker.columns import Columns, ColumnSource, TiledShapes, tile_shape
 from navbake.baker.contents.contents import Contents, ContentsFinder, KnownGeoms
 from navbake.baker.cracks import crack_reach
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
-from navbake.baker.doors.doors import Doors, Surroundings, place_doors, warn_immovable_doors
-from navbake.baker.doors.walkable import warn_walkable_doors
+from navbake.baker.doors.doors import (
+    Doors,
+    Surroundings,
+    place_doors,
+    warn_immovable_doors,
+    warn_walkable_doors,
+)
 from navbake.baker.floors.levels import Floors, Judged, find_floors
 from navbake.baker.floors.window import crop_floors
 from navbake.baker.kernels.arrays import Band

@@ -1,10 +1,9 @@
 """Door candidates: bodies that a pattern names, or with the joint and shape of a door's leaf."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from functools import cached_property
 
 import numpy as np
 
@@ -65,28 +64,80 @@ class DoorCandidate:
 def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCandidate], list[str]]:
     """Find bodies that may be doors, by name or by joint and shape; warn of unused patterns.
 
-    The candidates are sorted by body id. Descendants of one are part of it.
+    A leaf may turn or slide about or along any axis: garage doors tilt, and rollers go up. The
+    candidates are sorted by body id. Descendants of one are part of it.
     """
     if not settings.patterns and not settings.find:
         return [], []
     model = scene.model
-    names = all_names(model).bodies
+    names, ends = all_names(model).bodies, find_subtree_ends(model)
+    counted = np.array([report.counted for report in scene.geoms], dtype=np.bool_)
+    # the hinge or slide of each body that has no other joint
+    alone = np.isin(model.jnt_type, (HINGE, SLIDE)) & (model.body_jntnum[model.jnt_bodyid] == 1)
+    joints = dict(
+        zip(model.jnt_bodyid[alone].tolist(), np.flatnonzero(alone).tolist(), strict=True)
+    )
     # by body id, the patterns that match its name; none for the world
-    matches = [[p for p in settings.patterns if fnmatchcase(name, p)] for name in names[1:]]
-    search = _BodySearch(scene, settings, [[], *matches])
+    matches = [
+        [p for p in settings.patterns if k and fnmatchcase(n, p)] for k, n in enumerate(names)
+    ]
+    searched = {body for body in joints if not matches[body]} if settings.find else set()
+    geoms: dict[int, Int] = {}  # of bodies that are searched or match, descendants' included
+    for body in range(1, model.nbody):
+        if body in searched or matches[body]:
+            under = geoms_of_bodies(model, body, int(ends[body]))
+            geoms[body] = under[counted[under]]
+    leaves = _find_leaves(scene, {body: geoms[body] for body in searched})
     found: list[int] = []
     end = 0  # of the bodies of the last candidate
-    for body in range(1, model.nbody):
-        if body >= end and search.is_candidate(body):
+    for body, own in geoms.items():
+        if body >= end and len(own) and (matches[body] or body in leaves):
             found.append(body)
-            end = int(search.ends[body])
+            end = int(ends[body])
     count = Counter(names[body] for body in found)
     candidates = []
     for body in found:
         # names that aren't UTF-8 may look the same
-        suffix = f" (body {body})" if count[names[body]] > 1 else ""
-        candidates.append(search.describe(names[body] + suffix, body))
-    return candidates, _warn_unmatched(settings.patterns, names, found, search)
+        name = names[body] + (f" (body {body})" if count[names[body]] > 1 else "")
+        joint, named = joints.get(body, -1), bool(matches[body])
+        joint_id = None if joint < 0 else joint_name(model, joint)
+        positions = {} if joint < 0 else _positions(scene, joint)
+        candidates.append(DoorCandidate(name, joint_id, geoms[body], positions, joint, named))
+    used = {pattern for body in found for pattern in matches[body]}
+    warnings = []
+    for pattern in settings.patterns:
+        if pattern not in used:
+            matched = [body for body in geoms if pattern in matches[body]]
+            warnings.append(_warn_unmatched(pattern, names, matched, geoms))
+    return candidates, warnings
+
+
+def _find_leaves(scene: Scene, geoms: Mapping[int, Int]) -> set[int]:
+    """The bodies whose largest geom is tall, thin and as wide as a door, as it is modelled."""
+    mask = np.zeros(scene.model.ngeom, dtype=np.bool_)
+    mask[np.concatenate([np.empty(0, dtype=np.int64), *geoms.values()])] = True
+    extents = measure_geoms(scene.shapes.only(mask), scene.model.ngeom)
+    found = set()
+    for body, own in geoms.items():
+        if len(own):
+            leaf = largest_side(extents, own)
+            is_tall = extents.high[leaf] - extents.low[leaf] >= MIN_HEIGHT - ROUNDING
+            is_wide = MIN_WIDTH - ROUNDING <= extents.long[leaf] <= MAX_WIDTH + ROUNDING
+            if is_tall and is_wide and extents.thin[leaf] <= MAX_THICKNESS + ROUNDING:
+                found.add(body)
+    return found
+
+
+def _positions(scene: Scene, joint: int) -> dict[str, float]:
+    """A joint's positions by state: it opens to the end of its range that is farther from 0."""
+    model = scene.model
+    low, high = (float(v) for v in model.jnt_range[joint])
+    if not model.jnt_limited[joint]:
+        low, high = 0.0, QUARTER if int(model.jnt_type[joint]) == HINGE else 1.0
+    closed = min(max(0.0, low), high)
+    opened = low if closed - low > high - closed else high
+    modelled = float(scene.data.qpos[model.jnt_qposadr[joint]])
+    return {"modelled": modelled, "open": opened, "closed": closed}
 
 
 def without_doors(scene: Scene, doors: Sequence[DoorCandidate]) -> Scene:
@@ -112,73 +163,6 @@ def pose_doors(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Shap
     return collected.shapes
 
 
-class _BodySearch:
-    """Decides of single bodies whether they may be doors."""
-
-    def __init__(self, scene: Scene, settings: DoorSettings, matches: list[list[str]]) -> None:
-        self._scene, self._settings, self.matches = scene, settings, matches
-        self._counted = np.array([report.counted for report in scene.geoms], dtype=np.bool_)
-        self.ends = find_subtree_ends(scene.model)
-
-    def geoms(self, body: int) -> Int:
-        """The counted geoms of a body and its descendants."""
-        under = geoms_of_bodies(self._scene.model, body, int(self.ends[body]))
-        return under[self._counted[under]]
-
-    def is_candidate(self, body: int) -> bool:
-        """Whether a pattern names it, or it moves and looks like a leaf; and it has geoms.
-
-        A leaf may turn or slide about or along any axis: garage doors tilt, and rollers go up.
-        """
-        if self.matches[body]:
-            return len(self.geoms(body)) > 0
-        joint = self._joint(body)
-        if joint < 0 or not self._settings.find:
-            return False
-        geoms = self.geoms(body)
-        return len(geoms) > 0 and self._looks_like_leaf(geoms)
-
-    def describe(self, name: str, body: int) -> DoorCandidate:
-        """The candidate that a body is; a joint opens to the end of its range farther from 0."""
-        model, joint, geoms = self._scene.model, self._joint(body), self.geoms(body)
-        named = bool(self.matches[body])
-        if joint < 0:
-            return DoorCandidate(name, None, geoms, {}, -1, named)
-        modelled = float(self._scene.data.qpos[model.jnt_qposadr[joint]])
-        low, high = (float(v) for v in model.jnt_range[joint])
-        if not model.jnt_limited[joint]:
-            low, high = 0.0, QUARTER if int(model.jnt_type[joint]) == HINGE else 1.0
-        closed = min(max(0.0, low), high)
-        open_ = low if closed - low > high - closed else high
-        positions = {"modelled": modelled, "open": open_, "closed": closed}
-        return DoorCandidate(name, joint_name(model, joint), geoms, positions, joint, named)
-
-    def _joint(self, body: int) -> int:
-        """The body's hinge or slide if that is its only joint, else -1."""
-        model = self._scene.model
-        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-        return first if count == 1 and int(model.jnt_type[first]) in (HINGE, SLIDE) else -1
-
-    def _looks_like_leaf(self, geoms: Int) -> bool:
-        """Whether the largest geom is tall, thin and as wide as a door, as it is modelled."""
-        extents, leaf = self._extents, largest_side(self._extents, geoms)
-        return bool(
-            extents.high[leaf] - extents.low[leaf] >= MIN_HEIGHT - ROUNDING
-            and MIN_WIDTH - ROUNDING <= extents.long[leaf] <= MAX_WIDTH + ROUNDING
-            and extents.thin[leaf] <= MAX_THICKNESS + ROUNDING
-        )
-
-    @cached_property
-    def _extents(self) -> Extents:
-        """The extents of what hinges and slides move; nothing else is worth measuring."""
-        model = self._scene.model
-        mask = np.zeros(model.ngeom, dtype=np.bool_)
-        bodies = np.asarray(model.jnt_bodyid)[np.isin(model.jnt_type, (HINGE, SLIDE))]
-        for body in bodies[model.body_jntnum[bodies] == 1].tolist():
-            mask[geoms_of_bodies(model, body, int(self.ends[body]))] = True
-        return measure_geoms(self._scene.shapes.only(mask), model.ngeom)
-
-
 def largest_side(extents: Extents, geoms: Int) -> int:
     """The geom with the largest upright side; the first if none is finite."""
     area = (extents.long * (extents.high - extents.low))[geoms]
@@ -193,23 +177,14 @@ def _mark_geoms(num_geoms: int, doors: Sequence[DoorCandidate]) -> Bool:
 
 
 def _warn_unmatched(
-    patterns: Sequence[str], names: Sequence[str], found: Sequence[int], search: _BodySearch
-) -> list[str]:
-    """Warn of patterns that name no candidate, and say what they match instead."""
-    used = {pattern for body in found for pattern in search.matches[body]}
-    warnings = []
-    for pattern in patterns:
-        if pattern in used:
-            continue
-        bodies = [body for body, matching in enumerate(search.matches) if pattern in matching]
-        if not bodies:
-            warnings.append(warn_unmatched("doors.patterns", pattern, names[1:], "no body"))
-            continue
-        parts = [body for body in bodies if len(search.geoms(body))]
-        kind = "parts of other doors" if parts else "bodies without geoms that count"
-        matched = [names[body] for body in parts or bodies]
-        more = ", …" if matched[MAX_LISTED:] else ""
-        text = f"only {kind}: {', '.join(matched[:MAX_LISTED])}{more}"
-        others = [name for body, name in enumerate(names) if body and body not in bodies]
-        warnings.append(warn_unmatched("doors.patterns", pattern, others, text))
-    return warnings
+    pattern: str, names: Sequence[str], matched: Sequence[int], geoms: Mapping[int, Int]
+) -> str:
+    """Warn of a pattern that names no candidate, and say which bodies it matches instead."""
+    if not matched:
+        return warn_unmatched("doors.patterns", pattern, names[1:], "no body")
+    parts = [body for body in matched if len(geoms[body])]
+    kind = "parts of other doors" if parts else "bodies without geoms that count"
+    listed = [names[body] for body in parts or matched]
+    text = f"only {kind}: {', '.join(listed[:MAX_LISTED])}{', …' if listed[MAX_LISTED:] else ''}"
+    others = [name for body, name in enumerate(names) if body and body not in matched]
+    return warn_unmatched("doors.patterns", pattern, others, text)

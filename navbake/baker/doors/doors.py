@@ -10,17 +10,19 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from navbake.baker.columns import cast_columns, tile_shapes
+from navbake.baker.columns import ColumnSource, cast_columns, tile_shapes
 from navbake.baker.doors.candidates import DoorCandidate, largest_side, pose_doors
 from navbake.baker.floors.levels import LevelFloor
-from navbake.baker.kernels.constants import HINGE
+from navbake.baker.kernels.constants import HINGE, SLACK
+from navbake.baker.lattice import EDGES
 from navbake.baker.occupancy.occupancy import Footprints, Occupancy, check_footprints
 from navbake.baker.rooms.rooms import RoomIds, Rooms
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
+from navbake.config.settings import AgentSettings
 from navbake.navgrid.doors import STATES
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Int
 
 # How far from each side of a closed leaf a room is looked for [m]
 SIGHT = 0.6
@@ -30,6 +32,8 @@ LINES = (-0.3, -0.15, 0.0, 0.15, 0.3)
 # From which share on of the cells of a closed door that its open state blocks as well it opens
 # nothing: nobody who needs a doorway gets through a quarter of it
 STUCK = 0.75
+MIN_AREA = 0.5  # of floor on a door that is worth a warning [m²]
+WHEN = {"modelled": "as it is modelled", "open": "when it is open", "closed": "when it is closed"}
 
 
 @dataclass(frozen=True)
@@ -122,29 +126,23 @@ def place_doors(scene: Scene, candidates: Sequence[DoorCandidate], around: Surro
 
 def warn_immovable_doors(doors: Sequence[PlacedDoor], state: str) -> list[str]:
     """Warn of doors that can't be in the state that is wanted of all, or that open nothing."""
-    stuck = [
-        f"the open state of door {door.id!r} still closes its doorway, as its joint opens it by "
-        f"{door.travel} only: check its range, whether the file means degrees or radians "
-        "(`<compiler angle>`), and `grid.cell_size`"
-        for door in doors
-        if _is_stuck(door)
-    ]
-    return stuck + [
+    warnings = []
+    for door in doors:
+        if "open" in door.cells:
+            pairs = zip(door.cells["closed"], door.cells["open"], strict=True)
+            both = sum(len(np.intersect1d(closed, opened)) for closed, opened in pairs)
+            if both and both >= STUCK * sum(map(len, door.cells["closed"])):
+                warnings.append(
+                    f"the open state of door {door.id!r} still closes its doorway, as its joint "
+                    f"opens it by {door.travel} only: check its range, whether the file means "
+                    "degrees or radians (`<compiler angle>`), and `grid.cell_size`"
+                )
+    return warnings + [
         f"door {door.id!r} can't be {state}, as it has no hinge or slide of its own: it stays as "
         f"modelled"
         for door in doors
         if door.state(state) != state
     ]
-
-
-def _is_stuck(door: PlacedDoor) -> bool:
-    """Whether the door blocks nearly all of its doorway when it is open, too."""
-    if "open" not in door.cells:
-        return False
-    pairs = [*zip(door.cells["closed"], door.cells["open"], strict=True)]
-    both = sum(len(np.intersect1d(closed, opened)) for closed, opened in pairs)
-    num_closed = sum(len(closed) for closed, _ in pairs)
-    return num_closed > 0 and both >= STUCK * num_closed
 
 
 def _describe_travel(scene: Scene, candidate: DoorCandidate) -> str:
@@ -228,7 +226,13 @@ def _rooms_beside(
     if not any(sizes) or not np.isfinite(extents.center[leaf]).all():
         return None
     level = int(np.argmax(sizes))
-    sight = _lines_of_sight(leaf, extents, around.rooms.lattice.cell_size / 2)
+    across = extents.across[leaf]
+    along = np.array([-across[1], across[0]])
+    step = around.rooms.lattice.cell_size / 2
+    # points on lines away from both sides, shape (sides, lines, steps, 2) [m]
+    distance = extents.thin[leaf] / 2 + np.arange(0.0, SIGHT, step)
+    start = extents.center[leaf] + along * np.array(LINES)[:, None] * extents.long[leaf]
+    sight = start[:, None] + across * np.array([-1.0, 1.0])[:, None, None, None] * distance[:, None]
     rows, cols = around.rooms.lattice.rows_cols(sight)
     for floor_ends in (False, True):
         one, other = (
@@ -237,17 +241,6 @@ def _rooms_beside(
         if one != other:
             return one, other
     return None
-
-
-def _lines_of_sight(leaf: int, extents: Extents, step: float) -> Float:
-    """Points on lines away from both sides of a leaf, shape (sides, lines, steps, 2) [m]."""
-    across = extents.across[leaf]
-    along = np.array([-across[1], across[0]])
-    distance = extents.thin[leaf] / 2 + np.arange(0.0, SIGHT, step)
-    start = extents.center[leaf] + along * np.array(LINES)[:, None] * extents.long[leaf]
-    side = across * np.array([-1.0, 1.0])[:, None, None, None]
-    points: Float = start[:, None] + side * distance[:, None]
-    return points
 
 
 def _room_in_sight(
@@ -271,3 +264,74 @@ def _room_in_sight(
                 seen = room
         votes[seen] += 1
     return max(votes, key=lambda room: (votes[room], room is not None, room or ""))
+
+
+# ---------------------------------------------------------------- what one could walk on
+
+
+def warn_walkable_doors(
+    scene: Scene,
+    doors: Sequence[DoorCandidate],
+    columns: ColumnSource,
+    floors: Sequence[LevelFloor],
+    agent: AgentSettings,
+) -> list[str]:
+    """Warn of doors that carry 0.5 m² of floor or more, in any of their states.
+
+    Floor is what faces up within the agent's slope and has its headroom. It has to lie no more
+    than a step from a floor beside it, and not on a floor, as a mat does. The columns and floors
+    are without doors.
+    """
+    warnings: dict[str, str] = {}
+    for state, when in WHEN.items():
+        left = [door for door in doors if door.id not in warnings]
+        if not left:
+            break
+        shapes = pose_doors(scene, left, state)
+        extents = measure_geoms(shapes, scene.model.ngeom)
+        for door in left:
+            # seen from above, most doors are too small, which is quickly found
+            if np.nansum((extents.thin * extents.long)[door.geoms]) < MIN_AREA - SLACK:
+                continue
+            area = _walkable_area(door.only(shapes), columns, floors, agent)
+            if area >= MIN_AREA - SLACK:
+                warnings[door.id] = (
+                    f"door {door.id!r} carries {area:.1f} m² of floor {when}, which is "
+                    f"missing in the grid, because doors carry no floor: exclude it from `doors` "
+                    f"if agents walk on it"
+                )
+    return [warnings[door.id] for door in doors if door.id in warnings]
+
+
+def _walkable_area(
+    shapes: Shapes, columns: ColumnSource, floors: Sequence[LevelFloor], agent: AgentSettings
+) -> float:
+    """How much of the top of a door an agent can stand on, if a step leads there [m²]."""
+    lattice, bounds = columns.lattice, shapes.bounds()
+    window = None if bounds is None else lattice.window(bounds)
+    if window is None:
+        return 0.0
+    rows, cols = window
+    cut = lattice.cut(rows, cols)
+    own = cast_columns(tile_shapes(shapes, cut, 0.0))
+    has_any = np.flatnonzero(np.diff(own.start))
+    last = own.start[has_any + 1] - 1
+    flat = own.normal[last, 2] >= np.cos(np.radians(agent.max_slope)) - SLACK
+    top = np.full(cut.shape, np.nan)  # of each cell, if one can stand there
+    top.ravel()[has_any[flat]] = own.z[last[flat]]
+    step = agent.traversable_floor_height + SLACK
+    parts = [level.floor[window] for level in floors]
+    for floor in parts:  # what lies on a floor is a mat
+        top[np.abs(top - floor) <= step] = np.nan
+    places = np.argwhere(~np.isnan(top))
+    known = columns.at((places[:, 0] + rows.start) * lattice.width + places[:, 1] + cols.start)
+    for r, c in places.tolist():
+        cell = (r + rows.start) * lattice.width + c + cols.start
+        above = known.z[known.start[cell] : known.start[cell + 1]]
+        above = above[above > top[r, c] + SLACK]
+        if len(above) and above[0] < top[r, c] + agent.height - SLACK:
+            top[r, c] = np.nan
+    sides = [(a, b) for one, other in EDGES for a, b in ((one, other), (other, one))]
+    if not any((np.abs(top[a] - floor[b]) <= step).any() for floor in parts for a, b in sides):
+        return 0.0
+    return float(np.count_nonzero(~np.isnan(top))) * lattice.cell_size**2

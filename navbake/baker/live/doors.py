@@ -10,13 +10,13 @@ import numpy as np
 
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, pose_doors
 from navbake.baker.doors.doors import (
+    MIN_AREA,
     SIGHT,
     Doors,
     Surroundings,
     place_doors,
     warn_immovable_doors,
 )
-from navbake.baker.doors.walkable import MIN_AREA
 from navbake.baker.kernels.constants import HINGE, SLACK, SLIDE
 from navbake.baker.live.columns import Scratch
 from navbake.baker.live.kernels.regions import cells_of_boxes

@@ -14,9 +14,9 @@ from navbake.baker.live.columns import LiveColumns, Region
 from navbake.baker.live.contents import LiveContents
 from navbake.baker.live.kernels.regions import are_in, join_cells
 from navbake.baker.rooms.flags import Blocked, read_flags
-from navbake.baker.rooms.openings import RoomIndex
 from navbake.baker.rooms.rooms import (
     NamedRoom,
+    RoomIndex,
     Rooms,
     describe_rooms,
     find_rooms,

@@ -153,7 +153,7 @@ def _join_stairs_and_small(
     if floor is not None and is_stair.any():
         heights = np.bincount(label.ravel(), np.where(label > 0, floor, 0.0).ravel(), num)
         regions.join_stairs(is_stair, heights / np.maximum(cells, 1))
-    at_edge: list[int] = np.bincount(label[edge], minlength=num).tolist()
+    at_edge = np.bincount(label[edge], minlength=num)
     regions.join_small(least, at_edge, WIDEST / cell_size)
     return regions.wholes(least)[label]
 
@@ -191,32 +191,31 @@ class _Regions:
     """
 
     def __init__(self, label: Int32, cells: Int, distance: Int32) -> None:
-        num = len(cells)
-        self._cells: list[int] = cells.tolist()
+        self._cells = cells.copy()
         # distance to the walls at the region's widest place [half cells]
-        self._peak: list[float] = np.sqrt(widest_nodes(label, distance, num)).tolist()
-        # the region that each one is part of now, and all parts of those that are left
-        self._whole = list(range(num))
-        self._parts = [[region] for region in range(num)]
-        # by region and neighbour: distance to the walls at the widest place of the pass, and how
-        # many edges of cells it has
-        self._passes: list[dict[int, tuple[float, int]]] = [{} for _ in range(num)]
-        pairs, saddles = [], []
+        self._peak = np.sqrt(widest_nodes(label, distance, len(cells)))
+        self._whole = np.arange(len(cells), dtype=np.int32)  # what each one is part of now
+        # of each edge between cells of two regions: these, and the distance at its widest node
+        pairs, widest = [], []
         for regions, nodes in ((label, distance), (label.T, distance.T)):
             a, b = regions[:, :-1], regions[:, 1:]
             meet = (a != b) & (a > 0) & (b > 0)
-            pairs.append(np.minimum(a, b)[meet].astype(np.int64) * num + np.maximum(a, b)[meet])
             on_edges = nodes[:, 2:-1:2]
-            widest = np.maximum(on_edges[1::2], np.maximum(on_edges[:-2:2], on_edges[2::2]))
-            saddles.append(widest[meet])
-        key, place, length = np.unique(
-            np.concatenate(pairs), return_inverse=True, return_counts=True
+            saddle = np.maximum(on_edges[1::2], np.maximum(on_edges[:-2:2], on_edges[2::2]))
+            pairs.append(np.stack([a[meet], b[meet]], axis=1))
+            widest.append(np.sqrt(saddle[meet]))
+        self._pairs, self._widest = np.concatenate(pairs), np.concatenate(widest)
+
+    def _passes(self, region: int) -> dict[int, tuple[float, int]]:
+        """By neighbour, the distance at the widest place of the pass, and its edges of cells."""
+        own = (self._pairs == region).any(axis=1)
+        others = self._pairs[own].sum(axis=1) - region
+        to, place, length = np.unique(others, return_inverse=True, return_counts=True)
+        saddle = np.zeros(len(to))
+        np.maximum.at(saddle, place, self._widest[own])
+        return dict(
+            zip(to.tolist(), zip(saddle.tolist(), length.tolist(), strict=True), strict=True)
         )
-        saddle = np.zeros(len(key), dtype=np.int32)
-        np.maximum.at(saddle, place, np.concatenate(saddles))
-        for k, pair in enumerate(key.tolist()):
-            a, b = divmod(pair, num)
-            self._passes[a][b] = self._passes[b][a] = float(np.sqrt(saddle[k])), int(length[k])
 
     def join_stairs(self, is_stair: Bool, height: Float) -> None:
         """Join a stair to the region that it opens to over its full width; of several, the lowest.
@@ -227,11 +226,11 @@ class _Regions:
             if self._whole[region] != region:
                 continue
             as_wide = self._peak[region] - ROUGHNESS - ROUNDING
-            mouths = [to for to, (saddle, _) in self._passes[region].items() if saddle >= as_wide]
+            mouths = [to for to, (saddle, _) in self._passes(region).items() if saddle >= as_wide]
             if mouths:
                 self._join(min(mouths, key=lambda to: (height[to], to)), region)
 
-    def join_small(self, least: float, at_edge: list[int], widest: float) -> None:
+    def join_small(self, least: float, at_edge: Int, widest: float) -> None:
         """Join regions of fewer cells, the smallest first, to the one they open to the widest.
 
         What is at the edge of the grid goes on along it: a ledge round a house goes on round its
@@ -239,49 +238,38 @@ class _Regions:
         there, if it touches any; all that have `widest` are as good. One with more only joins one
         with more, because it is outside of the walls. Regions have so many cells `at_edge`.
         """
-        queue = [
-            (cells, region)
-            for region, cells in enumerate(self._cells)
-            if region and self._whole[region] == region and cells < least
-        ]
+        is_small = (self._whole == np.arange(len(self._cells))) & (self._cells < least)
+        queue = [(int(self._cells[k]), k) for k in np.flatnonzero(is_small).tolist() if k]
         heapq.heapify(queue)
         while queue:
             cells, small = heapq.heappop(queue)
-            met = self._passes[small]
             # what has grown since it was queued is queued again
-            if self._whole[small] != small or self._cells[small] != cells or not met:
+            if self._whole[small] != small or self._cells[small] != cells:
                 continue
             ranks = [
-                (min(at_edge[to], widest) if at_edge[small] else 0, *met[to], self._cells[to], -to)
-                for to in met
+                (min(at_edge[to], widest) if at_edge[small] else 0, *met, self._cells[to], -to)
+                for to, met in self._passes(small).items()
             ]
-            to = -max(ranks)[-1]
-            if at_edge[small] > widest >= at_edge[to]:
+            to = -max(ranks)[-1] if ranks else small
+            if to == small or at_edge[small] > widest >= at_edge[to]:
                 continue
             self._join(to, small)
             at_edge[to] += at_edge[small]
             if self._cells[to] < least:
-                heapq.heappush(queue, (self._cells[to], to))
+                heapq.heappush(queue, (int(self._cells[to]), to))
 
     def wholes(self, least: float) -> Int32:
         """The region that each one is part of now, 0 for those of fewer cells."""
-        kept = [whole if self._cells[whole] >= least else 0 for whole in self._whole]
-        return np.array(kept, dtype=np.int32)
+        return np.where(self._cells[self._whole] >= least, self._whole, np.int32(0))
 
     def _join(self, to: int, gone: int) -> None:
-        """Contract two regions to one; passes of both to a third become one pass."""
-        for part in self._parts[gone]:
-            self._whole[part] = to
-        self._parts[to] += self._parts[gone]
+        """Contract two regions to one."""
+        self._whole[self._whole == gone] = to
+        self._pairs[self._pairs == gone] = to
+        apart = self._pairs[:, 0] != self._pairs[:, 1]
+        self._pairs, self._widest = self._pairs[apart], self._widest[apart]
         self._cells[to] += self._cells[gone]
         self._peak[to] = max(self._peak[to], self._peak[gone])
-        for other, (saddle, length) in self._passes[gone].items():
-            del self._passes[other][gone]
-            if other != to:
-                known, known_length = self._passes[to].get(other, (0.0, 0))
-                met = (max(saddle, known), length + known_length)
-                self._passes[to][other] = self._passes[other][to] = met
-        self._passes[gone] = {}
 
 
 def widest_nodes(label: Int32, distance: Int32, num: int) -> Int32:

@@ -141,10 +141,11 @@ class _Markers:
             for label, mask in zip(labels, masks, strict=True):
                 label[mask & (label == 0)] = len(kept)
         if small:
-            warnings.append(
-                f"sites that hold less than {least:g} m² of floor (`rooms.min_area`) are no "
-                f"rooms: {', '.join(small[:5])}{', …' if len(small) > 5 else ''}"
+            listed = ", ".join(small[:5]) + (", …" if len(small) > 5 else "")
+            told = (
+                f"sites that hold less than {least:g} m² of floor (`rooms.min_area`) are no rooms"
             )
+            warnings = [*warnings, f"{told}: {listed}"]
         return MarkedRooms(kept, labels, warnings)
 
     def polygons(self) -> MarkedRooms:
@@ -230,20 +231,18 @@ def _upward_surfaces(
 
 def match_geoms(names: Sequence[str], settings: RoomSettings) -> tuple[list[int], list[str]]:
     """The geoms that may mark rooms, by their names; and a warning for each unused pattern."""
-    chosen, warnings = _match(tuple(names), tuple(settings.geoms), DEFAULT_GEOMS, "geoms")
-    return list(chosen), list(warnings)
+    return _match(tuple(names), tuple(settings.geoms), DEFAULT_GEOMS, "geoms")
 
 
 def match_sites(names: Sequence[str], settings: RoomSettings) -> tuple[list[int], list[str]]:
     """The sites that may mark rooms, by their names; and a warning for each unused pattern."""
-    chosen, warnings = _match(tuple(names), tuple(settings.sites), DEFAULT_SITES, "sites")
-    return list(chosen), list(warnings)
+    return _match(tuple(names), tuple(settings.sites), DEFAULT_SITES, "sites")
 
 
 @lru_cache(maxsize=8)  # a scene that is kept up to date asks each time
 def _match(
     names: tuple[str, ...], patterns: tuple[str, ...], defaults: tuple[str, ...], setting: str
-) -> tuple[tuple[int, ...], tuple[str, ...]]:
+) -> tuple[list[int], list[str]]:
     """Ids of what matches, and a warning for each pattern of the user's that matches nothing."""
     chosen: set[int] = set()
     warnings = []
@@ -253,7 +252,7 @@ def _match(
         chosen.update(found)
         if not found and pattern not in defaults:
             warnings.append(warn_unmatched(f"rooms.{setting}", pattern, names))
-    return tuple(sorted(chosen)), tuple(warnings)
+    return sorted(chosen), warnings
 
 
 def _room_name(geom: str) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from navbake.baker.pipeline import run_bake
-from navbake.baker.rooms.openings import ClosedDoor, Opening, find_openings, match_doors
+from navbake.baker.rooms.rooms import ClosedDoor, Opening, find_openings, match_doors
 from navbake.baker.rooms.segmentation import share_rest
 from navbake.config.settings import load_config, parse_config
 from navbake.navgrid.lattice import Lattice
