@@ -256,25 +256,22 @@ class Stages:
     @cached_property
     def room_flags(self) -> RoomFlags:
         """All that rooms depend on beside settings."""
-        floors, contents = self.floors, self.contents
-        overhead = self._cells.overhead
-        with self.clock.stage("rooms"):
-            none = np.zeros(self.lattice.shape, dtype=np.bool_)
-            blocked = [Blocked(none, none) for _ in floors.levels]
-            if contents is not None:
-                blocked = [
-                    Blocked(contents.wall_cells(number), contents.low_cells(number))
-                    for number in range(len(floors.levels))
-                ]
-            settings = self.config.rooms, self.config.agent
-            return read_flags(self.doorless, overhead, floors, blocked, *settings)
+        floors, contents, overhead = self.floors, self.contents, self._cells.overhead
+        none = np.zeros(self.lattice.shape, dtype=np.bool_)
+        blocked = [Blocked(none, none) for _ in floors.levels]
+        if contents is not None:
+            numbers = range(len(floors.levels))
+            blocked = [Blocked(contents.wall_cells(k), contents.low_cells(k)) for k in numbers]
+        settings = self.config.rooms, self.config.agent
+        return read_flags(self.doorless, overhead, floors, blocked, *settings)
 
     @cached_property
     def rooms(self) -> Rooms:
         """The room of each cell, and the table of rooms; doors are not named in it yet."""
-        flags, max_step = self.room_flags, self.config.agent.traversable_floor_height
+        _ = self.contents  # which is timed by itself
+        max_step = self.config.agent.traversable_floor_height
         with self.clock.stage("rooms"):
-            return find_rooms(flags, self.config.rooms, max_step)
+            return find_rooms(self.room_flags, self.config.rooms, max_step)
 
     @cached_property
     def _cells(self) -> _Cells:
