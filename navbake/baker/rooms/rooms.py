@@ -329,36 +329,19 @@ def match_doors(
     opening is left out; an opening may have several. The result has the sorted ids of each
     opening's doors, by its number.
     """
-    if not doors:
-        return {}
     reach = DOOR_REACH / lattice.cell_size + SLACK
-    boxes = np.array([_box(opening.cells, lattice.width) for opening in openings])
-    firsts, lasts = np.moveaxis(boxes.reshape(-1, 2, 2), 1, 0)
-    on_level = np.array([opening.level for opening in openings], dtype=np.int64)
     found: dict[int, list[str]] = {}
     for door, (rooms, levels) in sorted(doors.items()):
         scores: list[tuple[int, float, int]] = []
-        for level, cells in enumerate(levels):
-            if not len(cells):
-                continue
-            first, last = _box(cells, lattice.width)
-            # boxes are compared first, because distances between all cells take long
-            near = ((firsts <= last + reach) & (lasts >= first - reach)).all(axis=1)
-            for number in np.flatnonzero(near & (on_level == level)).tolist():
-                if {(level, room) for room in openings[number].rooms} != rooms:
-                    continue
-                distance = _distances(openings[number].cells, cells, lattice.width)
+        for number, opening in enumerate(openings):
+            cells = levels[opening.level]
+            if len(cells) and {(opening.level, room) for room in opening.rooms} == rooms:
+                distance = _distances(opening.cells, cells, lattice.width)
                 within = int(np.count_nonzero(distance <= reach))
                 scores.append((within, -float(distance.mean()), -number))
         if scores and max(scores)[0]:
             found.setdefault(-max(scores)[2], []).append(door)
     return found
-
-
-def _box(cells: Int, width: int) -> Int:
-    """First row and column, last row and column, shape (2, 2)."""
-    places = np.divmod(cells, width)
-    return np.array([np.min(places, axis=1), np.max(places, axis=1)])
 
 
 def _distances(cells: Int, targets: Int, width: int) -> Float:
