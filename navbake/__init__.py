@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from navbake.baker.pipeline import bake
     from navbake.baker.voxelize.voxelizer import Voxelizer, create_voxel_grid
     from navbake.config.settings import BakeConfig
-    from navbake.formats.maps.grid_npz import read_grid_npz as from_npz
-    from navbake.formats.maps.nav2 import read_nav2 as from_nav2
-    from navbake.formats.maps.procthor import read_procthor as from_procthor
+    from navbake.formats.nav2 import read_nav2 as from_nav2
     from navbake.formats.navgrid import read_navgrid as load
+    from navbake.formats.npz import read_grid_npz as from_npz
+    from navbake.formats.procthor import read_procthor as from_procthor
     from navbake.formats.voxels import read_voxels as load_voxels
     from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
     from navbake.runtime.path_finder import PathFinder
@@ -86,9 +86,9 @@ _LAZY = {
     "VoxelGrid": "navbake.voxels.grid:VoxelGrid",
     "Voxelizer": "navbake.baker.voxelize.voxelizer:Voxelizer",
     "create_voxel_grid": "navbake.baker.voxelize.voxelizer:create_voxel_grid",
-    "from_nav2": "navbake.formats.maps.nav2:read_nav2",
-    "from_npz": "navbake.formats.maps.grid_npz:read_grid_npz",
-    "from_procthor": "navbake.formats.maps.procthor:read_procthor",
+    "from_nav2": "navbake.formats.nav2:read_nav2",
+    "from_npz": "navbake.formats.npz:read_grid_npz",
+    "from_procthor": "navbake.formats.procthor:read_procthor",
     "load": "navbake.formats.navgrid:read_navgrid",
     "load_voxels": "navbake.formats.voxels:read_voxels",
     "report": "navbake.views.report.report:write_report",
@@ -110,10 +110,10 @@ OPERATIONS |= {
     "grid.inflate_footprint": "navbake.runtime.footprint:inflate_footprint",
     "grid.save": "navbake.formats.navgrid:write_navgrid",
     "grid.tensors": "navbake.tensors.build:make_tensors",
-    "grid.to_geojson": "navbake.formats.shapes.geojson:to_geojson",
-    "grid.to_graph": "navbake.formats.shapes.graph:make_graph",
-    "grid.to_mesh": "navbake.formats.shapes.floor_mesh:make_floor_mesh",
-    "grid.to_polygons": "navbake.formats.shapes.shape:find_shapes",
+    "grid.to_geojson": "navbake.formats.geojson:to_geojson",
+    "grid.to_graph": "navbake.formats.room_graph:make_graph",
+    "grid.to_mesh": "navbake.formats.floor_mesh:make_floor_mesh",
+    "grid.to_polygons": "navbake.formats.shapes:find_shapes",
     "grid.values_at": "navbake.runtime.place:values_at",
     "voxels.save": "navbake.formats.voxels:write_voxels",
 }

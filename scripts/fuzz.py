@@ -1,425 +1,455 @@
-"""Feeds broken files to navbake's readers: only errors of ours may leave, soon, and in one line.
+"""Feeds readers with broken files, and prints a table of what came out.
 
-Inputs are good files with changes that know the format, by a seed and a number, so that each can
-be made again. They are used in child processes: what kills one, takes more time or memory than
-`fuzzing.measure.exceeds` allows, or contradicts itself once it is read, is a finding. MuJoCo's
-compiler may crash or take long (docs/limits.md): what MuJoCo does with the file by itself is
-measured apart then, and only what is left of the time and the memory is navbake's. Findings are
-printed, and kept as files if a folder is given.
+    python scripts/fuzz.py                             # each reader, 2000 inputs
+    python scripts/fuzz.py navgrid octree -n 100000    # some, and more
+    python scripts/fuzz.py navgrid --atheris 600       # by the code that inputs reach [s]
 
-    python scripts/fuzz.py --count 1000                     # of each kind
-    python scripts/fuzz.py --inputs 1000000 --state f.json  # of all kinds together; may be resumed
-    python scripts/fuzz.py --only yaml --only ply --seconds 60
-    python scripts/fuzz.py --only yaml --first 123 --count 1   # one of them again
+A reader may read an input, or refuse it by an error of navbake in one line. Anything else is a
+finding: another error or a warning, more than a few seconds, more memory than the limits, a process
+that dies. The input of a finding is kept in `--folder`. Readers run in processes of their own with
+limits; hypothesis, or Atheris where it is installed (``pip install atheris``), changes the seeds.
 """
 
 from __future__ import annotations
 
 import argparse
+import copy
+import gzip
 import json
-import multiprocessing
-import os
+import resource
+import signal
+import subprocess
 import sys
 import tempfile
-import threading
 import time
 import traceback
 import warnings
 from collections import Counter
-from dataclasses import dataclass, field
-from multiprocessing.connection import Connection
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
-from random import Random
 from typing import Any, NamedTuple
 
-from fuzzing.kind import Input, check_message
-from fuzzing.kinds import KINDS, SKIPPED
-from fuzzing.measure import Cost, Meter, exceeds, measures_memory
+import hypothesis
+import numpy as np
+from hypothesis import strategies as st
+
+import navbake
+from navbake.arena import map_descriptor
+from navbake.baker.scene.mesh_scene import read_mesh_parts
+from navbake.batch.manifest import list_jobs
+from navbake.config.settings import load_config
 from navbake.errors import NavbakeError
-from navbake.files import write_whole
-from navbake.processes import end_with_parent, limit_memory
+from navbake.formats.binvox import encode_binvox
+from navbake.formats.geojson import read_room_outlines
+from navbake.formats.nav2 import encode_nav2
+from navbake.formats.navgrid import dumps_navgrid
+from navbake.formats.npz import encode_grid_npz, encode_npz, read_grid_npz, read_npy, read_npz
+from navbake.formats.octomap import encode_octomap
+from navbake.formats.procthor import encode_procthor
+from navbake.formats.scene_files import find_inputs
+from navbake.formats.voxels import read_voxels
+from navbake.navgrid.grid import NavGrid
+from navbake.views.describe import describe
+from navbake.views.report.report import read_verification
+from navbake.voxels.grid import VoxelGrid
 
-LOADING = 300.0  # in which a child is ready; kernels may have to be compiled [s]
-PATIENCE = 300.0  # in which an input is done, where others use the processor, too [s]
-ALONE_PATIENCE = 60.0  # what MuJoCo alone doesn't end in that time, navbake can't help [s]
-CHECK_SECONDS = 5.0  # of the processor, for what is done with what was read
-MOST_GIB = 4.0  # that a child may reserve beyond what it starts with
-CHUNK = 1000  # inputs of a kind before it is another one's turn, and the state is written
-READY, DONE, SPENT = "ready", "done", "spent"
-READ, REFUSED, NATIVE = "read", "refused", "native"
-FINE = (READ, REFUSED, NATIVE)
-SHOWN = 10  # findings of a kind that are printed in full
+READ, REFUSED, FINDING = "read", "refused", "finding"
+SECONDS = 5  # that an input may take; kernels may have to be compiled
+GIB = 4  # of address space that a process may take beyond what it has when it starts
+PATIENCE = 60.0  # for each input of a process on top of its number times `SECONDS` / 100 [s]
+LONGEST_MESSAGE = 1500
+FEW_VOXELS = 4_000_000
+
+# ---------------------------------------------------------------- seeds
+
+GRID: dict[str, Any] = {
+    "type": "SceneGrid2D", "width": 3, "height": 2, "cellSize": 0.5, "min": [0, 0, 0], "unit": 1,
+    "weights": {"type": "array", "encoding": "rle", "length": 6, "data": [1, 4, None, 2]},
+    "tileAttributes": {
+        "occupancy": {"datatype": "uint8", "encoding": "rle", "data": [0, 4, 1, 2]},
+        "floorHeight": {"datatype": "float32", "encoding": "rle", "data": [0, 5, None, 1]},
+        "roomIndex": {"datatype": "uint16", "encoding": "raw", "data": [1, 1, 1, 1, 0, 0]},
+    },
+    "userData": {"1": {"doors": ["door"], "objects": ["cup"], "walls": []}, "4": {"note": [1]}},
+    "metadata": {
+        "sceneId": "sample", "agentHeight": 1.5, "agentRadius": 0.2,
+        "inflation": [{"radius": 0.2, "clearance": 0, "mode": "exact"}],
+        "navbake": {
+            "rooms": [{"index": 1, "id": "hall", "name": "Hall", "level": 0, "area": 2.5,
+                       "centroid": [1, -1, 0], "source": "geoms", "neighbours": []}],
+            "doors": [{"id": "door", "joint": "hinge", "rooms": ["hall", None], "state": "closed",
+                       "cells": {"closed": [[0, [1, 2]]], "open": [[0, [5, 1]]]}}],
+        },
+    },
+}  # fmt: skip
+LEVEL = {key: value for key, value in GRID.items() if key != "metadata"}
+HOUSE = {
+    "type": "MultiLevelGrid", "cellSize": 0.5, "unit": 1, "extra": [1], "timings": {},
+    "metadata": {"navbake": {"links": [0, 0, 1, 0], "levels": [{"name": "ground"}]}},
+    "grids": [LEVEL, {**LEVEL, "min": [0, 3, 0]}],
+}  # fmt: skip
+HALL = [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]]
+OUTLINES = {"type": "FeatureCollection", "features": [
+    {"type": "Feature", "properties": {"name": "hall", "level": 0},
+     "geometry": {"type": "Polygon", "coordinates": [HALL, [[1, 1], [2, 1], [2, 2]]]}},
+    {"type": "Feature", "properties": None, "geometry": {"type": "MultiPolygon",
+     "coordinates": [[HALL], [[[5, 5, 0], [6, 5], [6, 6]]]]}}]}  # fmt: skip
+VERIFICATION = {"ok": False, "checked": 100, "cells": 50, "findings": [
+    {"kind": "free touches", "level": 0, "position": [0.5, 1, 0], "text": "a table"}]}  # fmt: skip
+SETTINGS = (
+    b"scene:\n  path: a.xml\n  keyframe: 0\n  meshes: {wall*: hull}\n  joints:\n    hinge: 0.5\n"
+    b"agent: {height: 1.5, radius: 0.2}\ngrid: {cell_size: 0.1, bounds: [-2, -2, 2, 2]}\n"
+    b"levels:\n  - {name: ground, ground: 0}\nrooms:\n  polygons:\n    - name: hall\n"
+    b"      points: [[0, 0], [4, 0], [4, 3]]\n"
+)
+MJCF = (
+    b'<mujoco><compiler meshdir="m"/><include file="part.xml"/><asset><mesh file="m.obj"/>'
+    b'<texture file="t.png"/></asset><worldbody><body name="b"><geom type="box" size="1 1 1"/>'
+    b"</body></worldbody></mujoco>"
+)
 
 
-class Chunk(NamedTuple):
-    """Inputs that one child uses one by one; if `is_alone`, MuJoCo uses them without navbake."""
-
-    kind: str
-    seed: int
-    numbers: range
-    is_alone: bool = False
+@cache
+def _grid() -> NavGrid:
+    return navbake.load(json.dumps(GRID).encode())
 
 
-@dataclass
-class Tally:
-    """What became of the inputs of a kind.
+@cache
+def _voxels() -> VoxelGrid:
+    rng = np.random.default_rng(0)
+    return VoxelGrid(values=rng.integers(0, 4, (3, 4, 2)).astype(np.uint16), origin=(0, 0, 0),
+                     res=0.25, names={1: "a", 2: "é", 3: "c"},
+                     known=rng.random((3, 4, 2)) < 0.8)  # fmt: skip
+
+
+def _bytes_of(files: Any, ending: str = "") -> bytes:
+    """The content of the file with this ending."""
+    content = next(data for path, data in files.items() if path.name.endswith(ending))
+    return content if isinstance(content, bytes) else b"".join(content)
+
+
+def _meshes(kind: str) -> list[bytes]:
+    import trimesh
+
+    scene = trimesh.Scene([trimesh.creation.box((1, 2, 1)), trimesh.creation.cone(1, 2)])
+    whole = scene if kind in ("glb", "obj") else scene.to_geometry()
+    data = whole.export(file_type=kind)
+    return [data.encode() if isinstance(data, str) else bytes(data)]
+
+
+def _array() -> bytes:
+    with tempfile.TemporaryFile() as file:
+        np.save(file, np.ones((4, 3), dtype=np.uint8))
+        file.seek(0)
+        return file.read()
+
+
+# ---------------------------------------------------------------- readers
+
+
+class Reader(NamedTuple):
+    """What reads a kind of file.
 
     Attributes:
-        next: the number of the first input that was not used yet.
-        counts: how many were ``read``, ``refused``, a ``finding``, or (``native``) more than
-            MuJoCo could take without navbake.
-        findings: what was wrong, by number.
-        seconds: how long it took; with several processes, of each.
+        read: reads the file, and does with it what users do.
+        seeds: makes good files; JSON as trees, whose values are changed one by one.
+        suffix: how the file's name ends.
+        beside: makes a further file in the folder, by name.
     """
 
-    next: int = 0
-    counts: Counter[str] = field(default_factory=Counter)
-    findings: dict[int, str] = field(default_factory=dict)
-    seconds: float = 0.0
+    read: Callable[[Path], object]
+    seeds: Callable[[], list[Any]]
+    suffix: str
+    beside: Callable[[], dict[str, bytes]] = dict
 
 
-def main() -> None:
-    """Run the kinds that were asked for, print counts and findings, and exit with 1 for any."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", action="append", choices=sorted(KINDS), help="may be repeated")
-    parser.add_argument("--count", type=int, help="inputs of each kind  [default: 1000]")
-    parser.add_argument("--inputs", type=int, help="of all kinds together, in place of --count")
-    parser.add_argument("--seconds", type=float, help="time for each kind, in place of --count")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--first", type=int, default=0, help="number of the first input")
-    parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument(
-        "--patience", type=float, default=PATIENCE, help="for one input [s]  [default: 300]"
-    )
-    parser.add_argument("--state", type=Path, help="file by which a run goes on where one ended")
-    parser.add_argument("--keep", type=Path, help="folder for the inputs of findings")
-    given = parser.parse_args()
-    kinds = given.only or list(KINDS)
-    if given.inputs is not None:
-        given.count = -(-given.inputs // len(kinds))
-    count = given.count or (1000 if given.seconds is None else 10**9)
-    tallies = _read_state(given.state, given.seed)
-    for kind in kinds:
-        tallies.setdefault(kind, Tally(next=given.first))
-    for kind, reason in SKIPPED.items():
-        print(f"{kind} is skipped: {reason}", flush=True)
-    if not measures_memory():
-        print("memory is not checked: /proc/self/clear_refs can't be written", flush=True)
-    run = Run(given.seed, given.state, tallies, given.first + count, given.seconds)
-    run.patience = given.patience
-    run.all(kinds, given.processes)
-    sys.exit(1 if _report(run, kinds, given) else 0)
+def use_grid(grid: NavGrid) -> None:
+    """Describe, save and load again, and look at doors and cells."""
+    for level in grid.levels:
+        _ = level.rooms, level.doors, level.free, level.floor_height, level.room_index
+    if sum(level.width * level.height for level in grid.levels) > 1_000_000:
+        return
+    describe(grid)
+    _attempt(lambda: grid.with_doors("open"))
+    written = dumps_navgrid(grid)
+    assert dumps_navgrid(navbake.load(written)) == written, "another grid after it was written"
 
 
-def _report(run: Run, kinds: list[str], given: argparse.Namespace) -> int:
-    total: Counter[str] = Counter()
-    for kind in kinds:
-        tally = run.tallies[kind]
-        total += tally.counts
-        _print_tally(kind, tally, run.seed, given.first)
-        for position, (at, what) in enumerate(sorted(tally.findings.items())):
-            if position < SHOWN:
-                print(f"--- {kind} {at}\n{what.rstrip()}", flush=True)
-            if given.keep is not None:
-                _keep(given.keep / f"{kind}-{run.seed}-{at}", make_input(kind, run.seed, at))
-    if len(kinds) > 1:
-        print(f"in all: {_shown(total)}")
-    return total["finding"]
+def use_voxels(path: Path) -> None:
+    """Ask for what voxels hold, write and read them."""
+    grid = read_voxels(path, max_voxels=FEW_VOXELS)
+    _ = grid.bounds, grid.ids()
+    if grid.values.size < 1_000_000:
+        _attempt(lambda: encode_binvox(grid))
+        again = read_npz(encode_npz(grid))
+        assert np.array_equal(grid.values, again.values), "other voxels after they were written"
 
 
-def _print_tally(kind: str, tally: Tally, seed: int, first: int) -> None:
-    where = f"(seed {seed}, from {first} on) in {tally.seconds:.0f} s"
-    print(f"{kind}: {_shown(tally.counts, where)}", flush=True)
+def use_mesh(path: Path) -> None:
+    """Parts have names of their own, finite corners, and triangles of these."""
+    parts = read_mesh_parts(path)
+    assert len({part.name for part in parts}) == len(parts), "two parts have one name"
+    for part in parts:
+        faces: Any = part.faces
+        assert np.isfinite(part.vertices).all(), "a corner is not finite"
+        assert 0 <= faces.min() <= faces.max() < len(part.vertices), "a triangle has no corner"
 
 
-def _shown(counts: Counter[str], where: str = "") -> str:
-    native = f"{counts[NATIVE]} beyond MuJoCo, " if counts[NATIVE] else ""
-    return (
-        f"{sum(counts.values())} inputs{' ' if where else ''}{where}: {counts[READ]} read, "
-        f"{counts[REFUSED]} refused, {native}{counts['finding']} findings"
-    )
+def use_descriptor(path: Path) -> None:
+    """Decode a descriptor, encode it again and draw it."""
+    part1, _, part2 = path.read_text(encoding="utf-8", errors="replace").partition("/")
+    found = map_descriptor.decode(part1, part2, (4, 3))
+    assert np.array_equal(map_descriptor.decode(*map_descriptor.encode(*found), (4, 3)), found)
+    map_descriptor.draw(*found)
 
 
-def _keep(folder: Path, made: Input) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    _write_input(made, folder)
+def _attempt(action: Callable[[], object]) -> None:
+    """A question may have no answer, if that is said."""
+    try:
+        action()
+    except NavbakeError as error:
+        check_message(error)
 
 
-def make_input(kind: str, seed: int, number: int) -> Input:
-    """An input: always the same for a seed and a number."""
-    return KINDS[kind].make(Random(f"{kind} {seed} {number}"))
+def check_message(error: NavbakeError) -> None:
+    """Errors are one line that fits a terminal."""
+    message = str(error)
+    assert message.isprintable() and 0 < len(message) <= LONGEST_MESSAGE, "not one line"
 
 
-def use_input(kind: str, made: Input, folder: Path) -> str:
-    """Use an input as users do: how it went, and a traceback for what may not happen.
+def _map_image() -> dict[str, bytes]:
+    return {"a.pgm": _bytes_of(encode_nav2(_grid(), Path("a.yaml")), "pgm")}
 
-    Returns:
-        "read", "refused", or what was wrong.
-    """
-    path = _write_input(made, folder)
-    value: Any = None
-    meter = Meter()
-    cost = Cost(0.0, 0)
+
+GOOD = np.eye(4, 3, dtype=bool)
+READERS = {
+    "navgrid": Reader(lambda p: use_grid(navbake.load(p)), lambda: [GRID, HOUSE], ".json"),
+    "navgrid-gz": Reader(lambda p: use_grid(navbake.load(p)),
+                         lambda: [gzip.compress(json.dumps(GRID).encode())], ".json.gz"),
+    "grid-npz": Reader(lambda p: use_grid(read_grid_npz(p)),
+                       lambda: [_bytes_of(encode_grid_npz(_grid(), Path("a.npz")))], ".npz"),
+    "nav2": Reader(lambda p: use_grid(navbake.from_nav2(p)),
+                   lambda: [_bytes_of(encode_nav2(_grid(), Path("a.yaml")), "yaml")], ".yaml",
+                   _map_image),
+    "procthor": Reader(lambda p: use_grid(navbake.from_procthor(p)),
+                       lambda: [_bytes_of(encode_procthor(_grid(), Path("a.png")))], ".png"),
+    "binvox": Reader(use_voxels, lambda: [encode_binvox(_voxels())], ".binvox"),
+    "bt": Reader(use_voxels, lambda: [encode_octomap(_voxels(), "bt", free=True)], ".bt"),
+    "ot": Reader(use_voxels, lambda: [encode_octomap(_voxels(), "ot", free=True)], ".ot"),
+    "npz": Reader(use_voxels, lambda: [encode_npz(_voxels())], ".npz"),
+    "names": Reader(lambda p: use_voxels(p.parent / "a.binvox"),
+                    lambda: [{"ids": {"1": "a", "2": "b"}}], "a.binvox.names.json",
+                    lambda: {"a.binvox": encode_binvox(_voxels())}),
+    "npy": Reader(read_npy, lambda: [_array()], ".npy"),
+    "descriptor": Reader(use_descriptor,
+                         lambda: ["/".join(map_descriptor.encode(GOOD, GOOD)).encode()], ".txt"),
+    **{kind: Reader(use_mesh, lambda kind=kind: _meshes(kind), f".{kind}")  # type: ignore[misc]
+       for kind in ("ply", "stl", "obj", "glb", "dae")},
+    "geojson": Reader(read_room_outlines, lambda: [OUTLINES], ".geojson"),
+    "settings": Reader(load_config, lambda: [SETTINGS], ".yaml"),
+    "manifest": Reader(lambda p: list_jobs([str(p)]),
+                       lambda: [{"scene": "a.xml", "id": "hall", "agent.radius": 0.2}], ".jsonl"),
+    "verification": Reader(read_verification, lambda: [VERIFICATION], ".json"),
+    "inputs": Reader(find_inputs, lambda: [MJCF], ".xml"),
+}  # fmt: skip
+
+# ---------------------------------------------------------------- inputs
+
+VALUES = st.sampled_from([
+    *(None, True, [], {}, [[]], {"a": {}}, 0, -1, 1.5, 255, 65536, 2**31, 2**53 + 1, 2**64, 10**25),
+    *(1e-308, 1e9, 1e39, 1e308, "", "x", "0", "nan", "../..", "/dev/zero", "\0", "\n", "a" * 300),
+    *("rle", "raw", "uint32", "Feature", "MultiPolygon", "auto", "*"),
+])  # fmt: skip
+TOKENS = st.sampled_from([
+    *(b"", b"0", b"-1", b"1e308", b"99999999999", b"nan", b"inf", b"null", b"true", b"[", b"{"),
+    *(b"}", b'"', b",", b":", b" ", b"\n", b"\0", b"\xff", b"#", b"/", b"<", b"&", b"*", b"data"),
+    *(b"\xff\xff\xff\xff", b"\0\0\0\0", b"\xff\xff\xff\x7f", b"[" * 2000, b"/dev/zero"),
+])  # fmt: skip
+EDITS = st.lists(st.tuples(st.floats(0, 1), st.integers(0, 8), TOKENS), min_size=1, max_size=4)
+CHANGES = st.lists(st.tuples(st.lists(st.floats(0, 1), max_size=6), VALUES), max_size=3)
+
+
+def change_tree(tree: Any, changes: list[tuple[list[float], Any]]) -> Any:
+    """A JSON value with others at some places; a place is a share of each list or object."""
+    holder = [copy.deepcopy(tree)]
+    for way, value in changes:
+        parent: Any = holder
+        key: Any = 0
+        for share in way:
+            child = parent[key]
+            if not isinstance(child, dict | list) or not child:
+                break
+            keys = list(child) if isinstance(child, dict) else range(len(child))
+            parent, key = child, keys[min(int(share * len(keys)), len(keys) - 1)]
+        parent[key] = copy.deepcopy(value)
+    return holder[0]
+
+
+def change_bytes(data: bytes, edits: list[tuple[float, int, bytes]]) -> bytes:
+    """Bytes with some replaced by tokens; a place is a share of all."""
+    for share, length, token in edits:
+        start = int(share * len(data))
+        data = data[:start] + token + data[start + length :]
+    return data
+
+
+def inputs_of(reader: Reader) -> st.SearchStrategy[bytes]:
+    """Files for a reader: seeds with changes."""
+    seeds = reader.seeds()
+    trees = [seed for seed in seeds if not isinstance(seed, bytes)]
+    files = [seed if isinstance(seed, bytes) else json.dumps(seed).encode() for seed in seeds]
+    broken = st.builds(change_bytes, st.sampled_from(files), EDITS)
+    if not trees:
+        return broken
+    changed = st.builds(change_tree, st.sampled_from(trees), CHANGES)
+    return changed.map(lambda tree: json.dumps(tree).encode()) | broken
+
+
+def use(reader: Reader, data: bytes, folder: Path) -> str:
+    """Read one input: what came out, ``read``, ``refused``, or what is wrong."""
+    path = folder / (reader.suffix if reader.suffix[0] != "." else f"input{reader.suffix}")
+    for name, content in reader.beside().items():
+        (folder / name).write_bytes(content)
+    path.write_bytes(data)
+    begin, outcome = time.process_time(), READ
+    signal.signal(signal.SIGALRM, _interrupt)
+    signal.setitimer(signal.ITIMER_REAL, 4 * SECONDS)
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("error", module="navbake")
-            try:
-                value = KINDS[kind].read(path)
-            finally:
-                cost = meter.read()
+            reader.read(path)
     except NavbakeError as error:
+        outcome = REFUSED
         try:
             check_message(error)
         except AssertionError as problem:
-            return str(problem)
-        return _judge_cost(kind, path, made, value, cost) or REFUSED
-    except Exception:
+            return f"{problem}: {str(error)[:300]!r}"
+    except Exception:  # whatever it is, it is a finding
         return traceback.format_exc()
-    return _check(kind, value) or _judge_cost(kind, path, made, value, cost) or READ
-
-
-def _judge_cost(kind: str, path: Path, made: Input, value: Any, cost: Cost) -> str:
-    """What took too much, "" for nothing; "native" if it didn't without MuJoCo's own part.
-
-    MuJoCo's part is what it takes for the same file by itself. It is measured only now, so that it
-    costs nothing in the usual case.
-    """
-    what, native = exceeds(cost, made, value), KINDS[kind].native
-    if not what or native is None:
-        return what
-    meter = Meter()
-    native(path)
-    alone = meter.read()
-    own = Cost(cost.seconds - alone.seconds, cost.memory - alone.memory)
-    return exceeds(own, made, value) or NATIVE
-
-
-def _check(kind: str, value: Any) -> str:
-    """Do with what was read what users do; says what was wrong, "" for nothing.
-
-    What was read has to be good for that: an error of ours is a finding, too, unless the check
-    allows it, see `fuzzing.kind.attempt`.
-    """
-    check = KINDS[kind].check
-    if check is None:
-        return ""
-    meter = Meter()
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("error", module="navbake")
-            check(value)
-    except Exception:
-        return traceback.format_exc()
-    seconds = meter.read().seconds
-    return f"took {seconds:.1f} s to be checked" if seconds > CHECK_SECONDS else ""
-
-
-def _write_input(made: Input, folder: Path) -> Path:
-    for name, content in made.beside.items():
-        (folder / name).write_bytes(content)
-    path = folder / f"input{made.suffix}"
-    path.write_bytes(made.data)
-    return path
-
-
-class Run:
-    """Inputs of several kinds in child processes, and what became of them."""
-
-    def __init__(
-        self, seed: int, state: Path | None, tallies: dict[str, Tally], stop: int,
-        seconds: float | None,
-    ) -> None:  # fmt: skip
-        self.seed, self.tallies = seed, tallies
-        self._state, self._stop, self._seconds = state, stop, seconds
-        self._lock, self._busy = threading.Lock(), set[str]()
-        self.patience = PATIENCE
-
-    def all(self, kinds: list[str], processes: int) -> None:
-        """Use inputs of all kinds, chunk by chunk, until all are or the time is up."""
-        workers = [threading.Thread(target=self._work, args=(kinds,)) for _ in range(processes)]
-        for worker in workers:
-            worker.start()
-        for worker in workers:
-            worker.join()
-
-    def _take_chunk(self, kinds: list[str]) -> Chunk | None:
-        """A chunk of the kind that is least far; a kind is one process's at a time."""
-        free = [kind for kind in kinds if kind not in self._busy and not self._is_done(kind)]
-        if not free:
-            return None
-        kind = min(free, key=lambda kind: self.tallies[kind].next)
-        self._busy.add(kind)
-        begin = self.tallies[kind].next
-        return Chunk(kind, self.seed, range(begin, min(self._stop, begin + CHUNK)))
-
-    def _is_done(self, kind: str) -> bool:
-        tally = self.tallies[kind]
-        is_late = self._seconds is not None and tally.seconds > self._seconds
-        return is_late or tally.next >= self._stop
-
-    def _work(self, kinds: list[str]) -> None:
-        child: Child | None = None
-        while True:
-            with self._lock:
-                chunk = self._take_chunk(kinds)
-            if chunk is None:
-                break
-            begin, numbers = time.monotonic(), chunk.numbers
-            counts: Counter[str] = Counter()
-            findings: dict[int, str] = {}
-            while len(numbers):
-                child = child or Child(self.patience)
-                ending = child.use(Chunk(chunk.kind, chunk.seed, numbers), counts, findings)
-                numbers = numbers[child.num_done :]
-                if ending or child.is_spent:
-                    child.end()
-                    child = None
-                if ending:
-                    one = Chunk(chunk.kind, chunk.seed, numbers[:1])
-                    what = judge_ending(one, ending, min(self.patience, ALONE_PATIENCE))
-                    _count(what, numbers[0], counts, findings)
-                    numbers = numbers[1:]
-            self._add(chunk, counts, findings, time.monotonic() - begin)
-        if child is not None:
-            child.end()
-
-    def _add(
-        self, chunk: Chunk, counts: Counter[str], findings: dict[int, str], seconds: float
-    ) -> None:
-        with self._lock:
-            tally = self.tallies[chunk.kind]
-            tally.counts += counts
-            tally.findings |= findings
-            tally.seconds += seconds
-            tally.next = chunk.numbers.stop
-            self._busy.remove(chunk.kind)
-            if self._state is not None:
-                kinds = {kind: vars(tally) for kind, tally in self.tallies.items()}
-                text = json.dumps({"seed": self.seed, "kinds": kinds}, indent=1)
-                write_whole(text.encode(), self._state)
-
-
-def _count(what: str, number: int, counts: Counter[str], findings: dict[int, str]) -> None:
-    counts[what if what in FINE else "finding"] += 1
-    if what not in FINE:
-        findings[number] = what
-
-
-def judge_ending(chunk: Chunk, ending: str, patience: float = ALONE_PATIENCE) -> str:
-    """What it is that an input ended its process: "native" if MuJoCo alone does so as well."""
-    if KINDS[chunk.kind].native is None:
-        return ending
-    child = Child(patience)
-    try:
-        return NATIVE if child.use(Chunk(*chunk[:3], is_alone=True), Counter(), {}) else ending
     finally:
-        child.end()
+        signal.setitimer(signal.ITIMER_REAL, 0)
+    took = time.process_time() - begin
+    return outcome if took <= SECONDS else f"took {took:.1f} s"
 
 
-def _read_state(path: Path | None, seed: int) -> dict[str, Tally]:
-    if path is None or not path.exists():
-        return {}
-    state = json.loads(path.read_text(encoding="utf-8"))
-    if state["seed"] != seed:
-        sys.exit(f"{path} is of seed {state['seed']}")
-    tallies = {kind: Tally(**told) for kind, told in state["kinds"].items()}
-    for tally in tallies.values():
-        tally.counts = Counter(tally.counts)
-        tally.findings = {int(number): what for number, what in tally.findings.items()}
-    return tallies
+def _interrupt(*_: object) -> None:
+    raise TimeoutError(f"not done after {4 * SECONDS} s")
 
 
-class Child:
-    """A process that uses inputs, until one ends it; it ends with the thread that made it."""
-
-    def __init__(self, patience: float = PATIENCE) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=run_child, args=(theirs, os.getpid()))
-        self._process.start()
-        theirs.close()
-        self.num_done, self.is_spent = 0, False
-        self._patience, self._limit = LOADING, patience
-
-    def use(self, chunk: Chunk, counts: Counter[str], findings: dict[int, str]) -> str:
-        """Use a chunk's inputs, `num_done` of them; says what ended the process, "" for nothing.
-
-        That came of the input after these. A process that is spent uses no more.
-        """
-        self.num_done = 0
-        self._pipe.send(chunk)
-        while True:
-            is_alive, what = self._next()
-            if not is_alive:
-                return what
-            if what in (DONE, SPENT):
-                self.is_spent = what == SPENT
-                return ""
-            if what != READY:
-                _count(what, chunk.numbers[self.num_done], counts, findings)
-                self.num_done += 1
-
-    def _next(self) -> tuple[bool, str]:
-        if not self._pipe.poll(self._patience):
-            return False, f"not done after {self._patience:g} s"
-        self._patience = self._limit
-        try:
-            return True, self._pipe.recv()
-        except (EOFError, ConnectionResetError):
-            return False, "the process died"
-
-    def end(self) -> None:
-        """End the process."""
-        self._process.kill()
-        self._process.join()
+# ---------------------------------------------------------------- runs
 
 
-def run_child(pipe: Connection, parent: int) -> None:
-    """Use the inputs of chunks one by one, and send how each went."""
-    end_with_parent(parent)
-    limit_memory(MOST_GIB)
-    warm: set[str] = set()
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        pipe.send(READY)
-        while True:
-            try:
-                chunk = pipe.recv()
-            except EOFError:
-                return
-            for number in range(3) if chunk.kind not in warm else ():
-                if KINDS[chunk.kind].native is None:  # loads what is loaded lazily
-                    _make_and_use(chunk.kind, -1, number, folder)
-            warm.add(chunk.kind)
-            pipe.send(READY)
-            for number in chunk.numbers:
-                if chunk.is_alone:
-                    what = _use_alone(chunk.kind, chunk.seed, number, folder)
-                else:
-                    what = _make_and_use(chunk.kind, chunk.seed, number, folder)
-                took = what.startswith("took")
-                if took:  # a second time, when all is loaded
-                    what = _make_and_use(chunk.kind, chunk.seed, number, folder)
-                pipe.send(what)
-                if what == NATIVE or (took and KINDS[chunk.kind].native is not None):
-                    pipe.send(SPENT)  # MuJoCo keeps what it reserved before it gave up
-                    return
-            pipe.send(DONE)
+class Keeper:
+    """Counts what came out, and keeps one input for each place of the code that was a finding."""
+
+    def __init__(self, name: str, folder: Path) -> None:
+        self.counts: Counter[str] = Counter()
+        self._name, self._reader, self._folder = name, READERS[name], folder
+        self._found: set[str] = set()
+        self.place = folder / f"{name}.work"
+        self.place.mkdir(parents=True, exist_ok=True)
+
+    def use(self, data: bytes) -> None:
+        """Read one input."""
+        what = use(self._reader, data, self.place)
+        is_fine = what in (READ, REFUSED)
+        self.counts[what if is_fine else FINDING] += 1
+        (self.place / "counts").write_text(json.dumps(self.counts), encoding="ascii")
+        lines = [line for line in what.splitlines() if line.startswith("  File")] or [what[:12]]
+        if not is_fine and lines[-1] not in self._found:
+            self._found.add(lines[-1])
+            self.keep(data, what)
+
+    def keep(self, data: bytes, what: str) -> None:
+        """Keep an input, and print what is wrong."""
+        number = len(list(self._folder.glob(f"{self._name}-*")))
+        kept = self._folder / f"{self._name}-{number}{self._reader.suffix}"
+        kept.write_bytes(data)
+        print(f"--- {kept}\n{what.rstrip()}", flush=True)
 
 
-def _use_alone(kind: str, seed: int, number: int, folder: Path) -> str:
-    native = KINDS[kind].native
-    if native is not None:
-        native(_write_input(make_input(kind, seed, number), folder))
-    return READ
+def run_child(name: str, count: int, seed: int, folder: Path) -> None:
+    """Use inputs of a reader in this process, which has a limit on its memory."""
+    keeper, reader = Keeper(name, folder), READERS[name]
+    for data in reader.seeds():  # loads what is loaded lazily
+        use(reader, data if isinstance(data, bytes) else json.dumps(data).encode(), keeper.place)
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    limit = pages * resource.getpagesize() + (GIB << 30)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    settings = hypothesis.settings(
+        max_examples=count, database=None, deadline=None, phases=[hypothesis.Phase.generate],
+        suppress_health_check=list(hypothesis.HealthCheck),
+    )  # fmt: skip
+    hypothesis.seed(seed)(settings(hypothesis.given(inputs_of(reader))(keeper.use)))()
 
 
-def _make_and_use(kind: str, seed: int, number: int, folder: Path) -> str:
+def run(name: str, count: int, seed: int, folder: Path) -> Counter[str]:
+    """Use inputs of a reader in a process of its own; what came out."""
+    command = [sys.executable, __file__, name, "--child", "-n", str(count), "--seed", str(seed)]
+    place = folder / f"{name}.work"
+    why = ""
     try:
-        made = make_input(kind, seed, number)
-    except Exception:  # a fault of the kind itself
-        return traceback.format_exc()
-    return use_input(kind, made, folder)
+        done = subprocess.run(
+            [*command, "--folder", str(folder)], timeout=PATIENCE + count * SECONDS / 100
+        )
+        why = f"the process ended with {done.returncode}" if done.returncode else ""
+    except subprocess.TimeoutExpired:
+        why = "the process was not done in time"
+    told = place / "counts"
+    counts = Counter(json.loads(told.read_text(encoding="ascii"))) if told.exists() else Counter()
+    if why:
+        last = max(place.glob("*"), key=lambda path: path.stat().st_mtime_ns)
+        Keeper(name, folder).keep(last.read_bytes(), why)
+        counts[FINDING] += 1
+    return counts
+
+
+def search(name: str, seconds: int, folder: Path) -> None:
+    """Let Atheris search inputs of one reader by what they reach; libFuzzer ends the process."""
+    import atheris
+
+    keeper, corpus = Keeper(name, folder), folder / f"{name}.corpus"
+    corpus.mkdir(exist_ok=True)
+    for number, seed in enumerate(READERS[name].seeds()):
+        data = seed if isinstance(seed, bytes) else json.dumps(seed).encode()
+        (corpus / f"seed-{number}").write_bytes(data)
+    atheris.instrument_all()
+    options = [f"-max_total_time={seconds}", f"-artifact_prefix={folder}/", str(corpus)]
+    atheris.Setup([sys.argv[0], *options], keeper.use)
+    atheris.Fuzz()
+
+
+def main() -> None:
+    """Run what the command line asks for; exit status 1 with findings."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("readers", nargs="*", metavar="READER", help=", ".join(READERS))
+    parser.add_argument("-n", "--count", type=int, default=2000, help="inputs of each")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--folder", type=Path, help="keeps the inputs of findings")
+    parser.add_argument("--atheris", type=int, metavar="SECONDS", help="search one reader")
+    parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    names = given.readers or list(READERS)
+    if unknown := sorted(set(names) - set(READERS)):
+        parser.error(f"no reader {unknown[0]}; there are {', '.join(READERS)}")
+    folder = given.folder or Path(tempfile.mkdtemp(prefix="fuzz-"))
+    folder.mkdir(parents=True, exist_ok=True)
+    if given.child:
+        run_child(names[0], given.count, given.seed, folder)
+        return
+    if given.atheris is not None:
+        search(names[0], given.atheris, folder)
+        return
+    print(f"{'reader':14}{READ:>9}{REFUSED:>9}{FINDING:>9}", flush=True)
+    findings = 0
+    for name in names:
+        counts = run(name, given.count, given.seed, folder)
+        findings += counts[FINDING]
+        line = "".join(f"{counts[what]:9,}" for what in (READ, REFUSED, FINDING))
+        print(f"{name:14}{line}", flush=True)
+    if findings:
+        sys.exit(f"{findings} findings, kept in {folder}")
 
 
 if __name__ == "__main__":

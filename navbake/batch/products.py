@@ -15,9 +15,9 @@ from navbake.auditor.audit import audit
 from navbake.config.settings import BakeConfig
 from navbake.errors import ConfigError, MissingDependencyError
 from navbake.files import remove_leftovers
+from navbake.formats.convert import OCTREES, VOXELS
 from navbake.formats.navgrid import write_navgrid
 from navbake.formats.source import write_bytes
-from navbake.formats.suffixes import OCTREES, VOXELS
 from navbake.formats.voxels import write_voxels
 from navbake.navgrid.grid import NavGrid
 from navbake.views.layers import LAYERS
@@ -198,7 +198,7 @@ def _name_inflated(grid: NavGrid, values: Sequence[str]) -> list[str]:
 
 
 def _make_nav2(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> list[str]:
-    from navbake.formats.maps.nav2 import encode_nav2  # only who wants maps loads it
+    from navbake.formats.nav2 import encode_nav2  # only who wants maps loads it
 
     path = folder / _nav2_of_one_level(values)
     files = encode_nav2(grid, path, radius=float(values[0]) if values else None)
@@ -208,8 +208,8 @@ def _make_nav2(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder:
 
 
 def _name_nav2(grid: NavGrid, values: Sequence[str]) -> list[str]:
-    from navbake.formats.maps.nav2 import YAMLS  # only who wants maps loads it
-    from navbake.formats.maps.paths import level_paths  # as above
+    from navbake.formats.images import level_paths  # as above
+    from navbake.formats.nav2 import YAMLS  # only who wants maps loads it
 
     paths = level_paths(grid, Path(_nav2_of_one_level(values)), None, YAMLS).values()
     return [path.with_suffix(suffix).name for path in paths for suffix in (".pgm", ".yaml")]

@@ -21,7 +21,7 @@ from navbake.config.field_types import (
     to_path,
 )
 from navbake.errors import ConfigError, FormatError
-from navbake.formats.shapes.geojson import read_room_outlines
+from navbake.formats.geojson import read_room_outlines
 from navbake.navgrid.polygon import find_fault
 
 RoomSource = Literal["polygons", "geoms", "sites", "auto"]

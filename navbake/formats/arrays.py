@@ -8,74 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from navbake.formats.json_path import MISSING, JsonPath, shown
-from navbake.formats.values import whole_number
+from navbake.formats.allowance import Allowance
+from navbake.formats.values import MISSING, JsonPath, whole_number
 from navbake.navgrid.attributes import datatype_name
 from navbake.types import Bool, Float, Int, Json
 
 DATATYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
-MAX_CELLS = 100_000_000
-VALUES_PER_CELL = 16  # arrays that a grid of as many cells as there may be can have
-FREE_VALUES = 32_000_000  # that any file may have: 256 MiB at most
 PIECE = 1 << 20  # cells that are written at once, for the memory that it takes
-VALUES_PER_BYTE = 256  # house-100 at 0.05 m without names has 5
-
-
-@dataclass
-class Allowance:
-    """A limit on the memory that reading a file takes; what is read is subtracted."""
-
-    max_cells: int  # that all levels together may have
-    cells: int  # that further levels may have
-    values: int  # that further arrays may have
-    rule: tuple[str, str]  # why there are no more values, and what helps, for errors
-
-    @classmethod
-    def of_file(cls, num_bytes: int, max_cells: int | None) -> Allowance:
-        """The limit for a file of so many bytes of JSON.
-
-        Runs have any length, so a short file can claim any number of values. A file may have
-        `FREE_VALUES`, and `VALUES_PER_BYTE` more for each of its bytes; files that navbake bakes
-        stay far below. If the caller gives `max_cells`, only `VALUES_PER_CELL` times that number
-        limits the values.
-        """
-        if max_cells is not None:
-            rule = (f"than max_cells = {max_cells} allows", "raise max_cells if that is meant")
-            return cls(max_cells, max_cells, VALUES_PER_CELL * max_cells, rule)
-        values = FREE_VALUES + VALUES_PER_BYTE * num_bytes
-        rule = (
-            f"than a file of {num_bytes:,} bytes may unpack to ({values:,} values)",
-            "pass max_cells if that is meant",
-        )
-        return cls(MAX_CELLS, MAX_CELLS, min(values, VALUES_PER_CELL * MAX_CELLS), rule)
-
-    def take_cells(self, num_cells: int, place: JsonPath) -> None:
-        """Count a level's cells, or refuse them."""
-        if num_cells > self.cells:
-            place.fail(
-                f"too many cells: width × height = {shown(num_cells)}, but max_cells = "
-                f"{self.max_cells} for all levels together",
-                "raise max_cells if that is meant",
-            )
-        self.cells -= num_cells
-
-    def take_values(self, num_values: int, place: JsonPath) -> None:
-        """Count an array's values, or refuse them."""
-        self.check_values(num_values, place)
-        self.values -= num_values
-
-    def check_values(self, num_values: int, place: JsonPath) -> None:
-        """Refuse values that are more than may still come, before the first of them is made."""
-        if num_values > self.values:
-            why, remedy = self.rule
-            place.fail(f"more arrays of this size {why}", remedy)
 
 
 def decode_array(
@@ -112,11 +57,9 @@ def decode_array(
     dtype, num_cells = _read_datatype(value, place, default), math.prod(shape)
     if value.get("length") is not None:
         length = whole_number(value["length"], place["length"], 0)
-        if length > allowance.max_cells:
-            place["length"].refuse(f"at most max_cells = {allowance.max_cells}", length)
         if length != num_cells:
             place["length"].refuse(f"{num_cells}, which is width × height", length)
-    allowance.take_values(num_cells, place)
+    allowance.take_array(shape, dtype.itemsize, place)
     data = value.get("data", MISSING)
     if not isinstance(data, list):
         data_place.refuse("a list", data)

@@ -20,15 +20,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
-from navbake.formats.json_path import shown
-from navbake.formats.source import read_bytes, read_header
-from navbake.formats.voxel_allowance import VoxelAllowance
+from navbake.formats.allowance import Allowance
+from navbake.formats.source import read_bytes
+from navbake.formats.values import JsonPath, shown
 from navbake.navgrid.lattice import FARTHEST
 from navbake.types import Vector3
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import check_three
-
-# Functions import kernels when they run: numba takes long to load.
 
 IdMapping: TypeAlias = Mapping[int, int] | Literal["compact"]
 Layout: TypeAlias = Literal["auto", "binvox", "airsim"]
@@ -36,7 +34,8 @@ LAYOUTS = ("auto", "binvox", "airsim")
 VERSIONS = (1, 2)
 MAGIC = b"#binvox"
 BINVOX = "a binvox file that begins with #binvox"
-MOST = 255  # greatest value of a voxel
+MOST = 255  # greatest value of a voxel, and most voxels of a run
+HEADER_LIMIT = 65536  # longest header, comments included [bytes]
 DECIMALS = 12  # of the numbers in the header
 ITS_SHIFT = 1e-6  # what `binvox2bt` adds to a corner [m]
 NEAR = 1e-4  # relative; AirSim writes six digits
@@ -90,8 +89,6 @@ def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox
     Raises:
         FormatError: there are IDs above 255.
     """
-    from navbake.formats.kernels.runs import encode_runs  # numba loads slowly
-
     if layout not in LAYOUTS[1:]:
         raise FormatError(f"expected layout binvox or airsim, got {layout!r}")
     order = _in_file_order(_as_bytes(grid), layout == "airsim")
@@ -103,9 +100,18 @@ def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox
         f"#binvox {2 if grid.is_segmented else 1}\ndim {nx} {nz} {ny}\n"
         f"translate {' '.join(_text(t) for t in translate)}\nscale {_text(scale)}\ndata\n"
     )
-    pairs = np.empty(encode_runs(order, np.empty(0, np.uint8)), np.uint8)
-    encode_runs(order, pairs)
-    return header.encode() + pairs.tobytes()
+    return header.encode() + _encode_runs(order.ravel())
+
+
+def _encode_runs(voxels: NDArray[np.uint8]) -> bytes:
+    """Pairs of value and count; a run longer than a byte can count is several."""
+    start = np.concatenate([[0], np.flatnonzero(voxels[1:] != voxels[:-1]) + 1])
+    length = np.diff(start, append=len(voxels))
+    num_pairs = -(-length // MOST)
+    pairs = np.full((int(num_pairs.sum()), 2), MOST, dtype=np.uint8)
+    pairs[:, 0] = np.repeat(voxels[start], num_pairs)
+    pairs[np.cumsum(num_pairs) - 1, 1] = length - MOST * (num_pairs - 1)
+    return pairs.tobytes()
 
 
 def needs_offset(grid: VoxelGrid) -> bool:
@@ -184,18 +190,20 @@ def read_binvox(
             the grid would need more memory than there is.
         ConfigError: the position is none.
     """
-    from navbake.formats.kernels.runs import decode_runs  # numba loads slowly
-
     if layout not in LAYOUTS:
         raise FormatError(f"expected layout {', '.join(LAYOUTS)}, got {layout!r}")
     data, name = read_bytes(source, begins=MAGIC, expected=BINVOX)
     header = _read_header(data, name)
     nx, nz, ny = header.dim
-    _check_runs(data, header, name)  # before anything of the size is made that the header claims
-    VoxelAllowance.of_file(name, len(data), max_voxels).take_voxels((nx, ny, nz), 1)
+    pairs = np.frombuffer(data, dtype=np.uint8, offset=header.end)
+    _check_runs(pairs, header, name)  # before anything of the size is made that the header claims
+    place, allowance = JsonPath(name), Allowance.of_voxels(len(data), max_voxels)
+    allowance.take_cells((nx, ny, nz), place)
+    allowance.take_array((nx, ny, nz), 2, place)  # in the file's order, then in ours
     is_airsim = layout == "airsim" or (layout == "auto" and _looks_like_airsim(header))
-    values = np.zeros((nx, ny, nz), dtype=np.uint8)
-    decode_runs(_pairs(data, header), _in_file_order(values, is_airsim))
+    values = np.empty((nx, ny, nz), dtype=np.uint8)
+    order = _in_file_order(values, is_airsim)
+    order[...] = np.repeat(pairs[::2], pairs[1::2]).reshape(order.shape)
     notes = []
     if header.version == 1 and values.max() > 1:
         notes.append(f"{name}: version 1 with values above 1, read as IDs")
@@ -245,13 +253,9 @@ def _looks_like_airsim(header: Header) -> bool:
     return not math.isclose(header.scale / max(header.dim), sizes[0] / nx, rel_tol=NEAR)
 
 
-def _pairs(data: bytes, header: Header) -> NDArray[np.uint8]:
-    return np.frombuffer(data, dtype=np.uint8, offset=header.end)
-
-
-def _check_runs(data: bytes, header: Header, source: str) -> None:
+def _check_runs(pairs: NDArray[np.uint8], header: Header, source: str) -> None:
     """Refuse runs that do not hold as many voxels as the header says."""
-    pairs, expected = _pairs(data, header), math.prod(header.dim)
+    expected = math.prod(header.dim)
     held = int(pairs[1::2].sum(dtype=np.int64))
     if held != expected or len(pairs) % 2:
         found = "half a run" if len(pairs) % 2 else f"{held} voxels"
@@ -259,6 +263,24 @@ def _check_runs(data: bytes, header: Header, source: str) -> None:
             found += ": too many" if held > expected else ": too few"
         where = f"{source} (dim {' '.join(shown(n) for n in header.dim)})"
         raise FormatError(f"expected runs of {shown(expected)} voxels in {where}, got {found}")
+
+
+def read_header(data: bytes, source: str) -> tuple[dict[str, list[str]], int]:
+    """Read the lines of text that stand before the data of a binvox or OctoMap file.
+
+    Returns:
+        The further words of each line by its first word, comments (``#``) included; and where the
+        data begin, after the line ``data``.
+    """
+    lines: dict[str, list[str]] = {}
+    start = 0
+    while (end := data.find(b"\n", start, HEADER_LIMIT)) >= 0:
+        first, *words = data[start:end].decode("ascii", errors="replace").split() or [""]
+        start = end + 1
+        if first == "data":
+            return lines, start
+        lines[first] = words
+    raise FormatError(f"no line `data` ends the header of {source}")
 
 
 def _read_header(data: bytes, source: str) -> Header:

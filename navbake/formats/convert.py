@@ -22,6 +22,12 @@ if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
 
 
+OCTREES = (".bt", ".ot")
+"""Endings of OctoMap's files, whose voxels lie on whole multiples of their edge."""
+VOXELS = (".binvox", *OCTREES, ".npz")
+"""Endings of voxel files; see `navbake.formats.voxels`."""
+
+
 class Format(NamedTuple):
     """A format of files that hold a grid, or what can be said of one.
 
@@ -58,84 +64,84 @@ FORMATS = (
         name="npz",
         endings=(".npz",),
         meaning="NumPy archive: all that a grid holds, arrays as they are",
-        encode="navbake.formats.maps.grid_npz:encode_grid_npz",
-        read="navbake.formats.maps.grid_npz:read_grid_npz",
+        encode="navbake.formats.npz:encode_grid_npz",
+        read="navbake.formats.npz:read_grid_npz",
     ),
     Format(
         name="nav2",
         endings=(".yaml", ".yml"),
         meaning="map of ROS and nav2: a YAML and an image for each level, or a costmap",
-        encode="navbake.formats.maps.nav2:encode_nav2",
-        read="navbake.formats.maps.nav2:read_nav2",
+        encode="navbake.formats.nav2:encode_nav2",
+        read="navbake.formats.nav2:read_nav2",
         write_options=("level", "radius", "mode", "image", "inflation", "scaling"),
-        parts="navbake.formats.maps.nav2:list_images",
+        parts="navbake.formats.nav2:list_images",
     ),
     Format(
         name="nav2-keepout",
         endings=(".yaml", ".yml"),
         meaning="mask of nav2's keepout filter: rooms and polygons that robots stay out of",
-        encode="navbake.formats.maps.masks:encode_keepout",
+        encode="navbake.formats.nav2:encode_keepout",
         write_options=("level", "image", "zone", "zones"),
     ),
     Format(
         name="nav2-speed",
         endings=(".yaml", ".yml"),
         meaning="mask of nav2's speed filter: limits in rooms and polygons, NAME=PERCENT each",
-        encode="navbake.formats.maps.masks:encode_speed",
+        encode="navbake.formats.nav2:encode_speed",
         write_options=("level", "image", "zone", "zones"),
     ),
     Format(
         name="procthor",
         endings=(".png",),
         meaning="ProcTHORMap of MolmoSpaces: free cells and rooms of each level",
-        encode="navbake.formats.maps.procthor:encode_procthor",
-        read="navbake.formats.maps.procthor:read_procthor",
+        encode="navbake.formats.procthor:encode_procthor",
+        read="navbake.formats.procthor:read_procthor",
         write_options=("level", "radius"),
     ),
     Format(
         name="mjcf",
         endings=(".xml",),
         meaning="MuJoCo scene of walls and floors, and the settings that bake it to these cells",
-        encode="navbake.formats.maps.mjcf:encode_mjcf",
+        encode="navbake.formats.extrude:encode_mjcf",
         write_options=("level", "height", "flat"),
     ),
     Format(
         name="glb",
         endings=(".glb",),
         meaning="walkable floor as a mesh, glTF 2.0, for Blender, Unity, Unreal",
-        encode="navbake.formats.shapes.glb:encode_glb",
+        encode="navbake.formats.mesh_files:encode_glb",
         write_options=("tolerance",),
     ),
     Format(
         name="obj",
         endings=(".obj",),
         meaning="walkable floor as a mesh, Wavefront OBJ, for Recast and any other",
-        encode="navbake.formats.shapes.obj:encode_obj",
+        encode="navbake.formats.mesh_files:encode_obj",
         write_options=("tolerance", "up"),
     ),
     Format(
         name="geojson",
         endings=(".geojson",),
         meaning="rooms, walkable areas and doors as polygons and lines",
-        encode="navbake.formats.shapes.geojson:encode_geojson",
+        encode="navbake.formats.geojson:encode_geojson",
     ),
     Format(
         name="wkt",
         endings=(".wkt", ".csv"),
         meaning="the same as a table with WKT, for GDAL, QGIS, PostGIS",
-        encode="navbake.formats.shapes.wkt:encode_wkt",
+        encode="navbake.formats.geojson:encode_wkt",
     ),
     Format(
         name="graphml",
         endings=(".graphml",),
         meaning="rooms and the ways between them as a graph, for networkx, Gephi, yEd",
-        encode="navbake.formats.shapes.graphml:encode_graphml",
+        encode="navbake.formats.room_graph:encode_graphml",
     ),
     Format(
         name="graph",
         endings=(".graph.npz",),
         meaning="free cells and the steps between them as a sparse matrix, for scipy",
-        encode="navbake.formats.shapes.cell_graph:encode_cell_graph",
+        encode="navbake.formats.cell_graph:encode_cell_graph",
         write_options=("cut_corners",),
     ),
 )

@@ -18,11 +18,20 @@ from numpy.typing import NDArray
 
 from navbake.errors import FormatError
 from navbake.files import FileState
-from navbake.formats.arrays import Allowance, decode_array, encode_array
-from navbake.formats.json_path import MISSING, JsonPath
-from navbake.formats.source import Files, Source, check_path, read_source, write_bytes
+from navbake.formats.allowance import Allowance
+from navbake.formats.arrays import decode_array, encode_array
+from navbake.formats.source import Files, Source, check_path, read_json_text, write_bytes
 from navbake.formats.user_data import encode_user_data, parse_file, read_user_data
-from navbake.formats.values import json_object, number, plain, vector, whole_number
+from navbake.formats.values import (
+    MISSING,
+    JsonPath,
+    json_object,
+    number,
+    optional_object,
+    plain,
+    vector,
+    whole_number,
+)
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
 from navbake.types import Float, Json, Vector3
@@ -46,21 +55,21 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
     file has these attributes. ``null`` is infinity in weights and NaN in float attributes, in
     raw data too, where the original client leaves it as it is.
 
-    ``userData`` of 64 KiB and more, compactly written, stay as they are until they are first
-    used (or the grid is saved); what is wrong in them is a FormatError then.
+    The ``userData`` of a file of 1 MiB and more are parsed when they are first used, or the grid is
+    saved; what is wrong in them is a FormatError then.
 
     Args:
         source: a path, a file's content, or a file opened in binary mode.
-        max_cells: most cells that all levels together may have, and a 16th of the values that
-            all arrays together may. If None: 100 million cells, and no more values than
-            32 million and 256 for each byte of the file.
+        max_cells: most cells that all levels together may have, whose arrays may take 128 bytes a
+            cell. If None: 100 million cells, and no more memory than 256 MiB and 512 bytes for
+            each byte of the file.
 
     Raises:
         FormatError: the file can't be read or does not follow the format.
     """
-    content_bytes, top = read_source(source)
-    content = parse_file(content_bytes, top)
-    allowance = Allowance.of_file(len(content_bytes), max_cells)
+    text, num_bytes, top = read_json_text(source)
+    content = parse_file(text, top)
+    allowance = Allowance.of_grid(num_bytes, max_cells)
     kind = content.get("type", MISSING)
     if kind == "SceneGrid2D":
         grid: NavGrid = _read_level(content, top, allowance, {}, {})
@@ -68,6 +77,21 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
         grid = _read_levels(content, top, allowance)
     else:
         top["type"].refuse("'SceneGrid2D' or 'MultiLevelGrid'", kind)
+    return checked_grid(grid, top)
+
+
+def checked_grid(grid: NavGrid, top: JsonPath) -> NavGrid:
+    """Check what a file says of a whole grid: how large its cells are, links, doors and rooms."""
+    for k, level in enumerate(grid.levels):
+        place = top["grids"][k] if isinstance(grid, MultiLevelGrid) else top
+        edge = level.lattice.cell_size
+        if not edge >= LEAST_EDGE:  # for sizes and areas to be computed
+            place.fail(f"expected cells of {LEAST_EDGE:g} m or more, got {edge:g} m")
+        if not all(abs(value) <= FARTHEST for value in (*level.lattice.bounds, level.ground)):
+            place.fail(
+                f"expected a level within {FARTHEST:g} m of the origin, got {level.width} × "
+                f"{level.height} cells of {edge:g} m from {level.min_yup} on"
+            )
     try:
         _ = grid.link_array, grid.doors, grid.stated_rooms  # checks them
     except FormatError as error:
@@ -123,12 +147,12 @@ class _Later:
         self._parts: list[Iterator[bytes]] = []
 
     def put(self, pieces: Iterator[bytes]) -> orjson.Fragment:
-        """What stands for such a part: JSON never has the character 0 itself."""
+        """Return a placeholder for such a part: JSON never has the character 0 itself."""
         self._parts.append(pieces)
         return orjson.Fragment(b"\0%d\0" % (len(self._parts) - 1))
 
     def fill_in(self, text: bytes) -> Iterator[bytes]:
-        """The text with all parts where they belong."""
+        """Yield the text with all parts where they belong."""
         for k, piece in enumerate(text.split(b"\0")):
             if k % 2:
                 yield from self._parts[int(piece)]
@@ -192,7 +216,7 @@ def _read_levels(content: Json, top: JsonPath, allowance: Allowance) -> MultiLev
         cell_size=float(inherited.get("cellSize", levels[0].cell_size)),
         unit=float(inherited.get("unit", 1)),
         metadata=metadata,
-        timings=_optional(content, "timings", top),
+        timings=optional_object(content, "timings", top),
         extra=_unknown(content, MULTI_FIELDS, top),
     )
 
@@ -203,10 +227,10 @@ def _read_level(
     own_metadata = _read_metadata(content, place) or metadata
     width = whole_number(content.get("width", MISSING), place["width"], 1)
     height = whole_number(content.get("height", MISSING), place["height"], 1)
-    allowance.take_cells(width * height, place)
+    allowance.take_cells((width, height), place)
     shape = height, width
     attributes = _read_attributes(content, place, shape, allowance, own_metadata)
-    level = SceneGrid2D(
+    return SceneGrid2D(
         width=width,
         height=height,
         cell_size=_inherit(content, "cellSize", inherited, MISSING, place),
@@ -217,23 +241,9 @@ def _read_level(
         attributes=attributes,
         user_data=read_user_data(content.get("userData"), place["userData"], width * height),
         metadata=own_metadata,
-        timings=_optional(content, "timings", place),
+        timings=optional_object(content, "timings", place),
         extra=_unknown(content, SCENE_FIELDS, place),
     )
-    _check_extent(level, place)
-    return level
-
-
-def _check_extent(level: SceneGrid2D, place: JsonPath) -> None:
-    """Refuse cells that are too small or too far away for sizes and areas to be computed."""
-    edge = level.lattice.cell_size
-    if not edge >= LEAST_EDGE:
-        place.fail(f"expected cells of {LEAST_EDGE:g} m or more, got {edge:g} m")
-    if not all(abs(value) <= FARTHEST for value in (*level.lattice.bounds, level.ground)):
-        place.fail(
-            f"expected a level within {FARTHEST:g} m of the origin, got {level.width} × "
-            f"{level.height} cells of {edge:g} m from {level.min_yup} on"
-        )
 
 
 def _inherit(content: Json, key: str, inherited: Json, default: object, place: JsonPath) -> float:
@@ -244,8 +254,8 @@ def _inherit(content: Json, key: str, inherited: Json, default: object, place: J
 
 
 def _read_metadata(content: Json, place: JsonPath) -> Json:
-    metadata = _optional(content, "metadata", place)
-    _optional(metadata, "navbake", place["metadata"])
+    metadata = optional_object(content, "metadata", place)
+    optional_object(metadata, "navbake", place["metadata"])
     entries, place = metadata.get("cellAttributes"), place["metadata"]["cellAttributes"]
     if not isinstance(entries, list | None):
         place.refuse("a list", entries)
@@ -262,7 +272,6 @@ def _read_attributes(
     types = {entry["name"]: entry.get("type") for entry in metadata.get("cellAttributes") or []}
     stored, place = content.get("tileAttributes"), place["tileAttributes"]
     arrays = json_object({} if stored is None else stored, place)
-    allowance.check_values((len(arrays) + 1) * math.prod(shape), place)  # and the weights
     return {
         name: decode_array(value, place[name], shape, allowance, default=types.get(name))
         for name, value in arrays.items()
@@ -276,7 +285,7 @@ def _read_weights(
     if stored is not None:
         read = decode_array(stored, place, shape, allowance, null=math.inf)
         return read.astype(np.float64, copy=False)
-    allowance.take_values(math.prod(shape), place)
+    allowance.take_array(shape, 8, place)
     weights = np.ones(shape)
     if "occupancy" in attributes:
         weights[attributes["occupancy"] != 0] = np.inf
@@ -290,12 +299,6 @@ def _read_bbox(content: Json, place: JsonPath) -> tuple[Vector3, Vector3] | None
         return None
     low, high = (json_object(content["bbox"], place).get(key, MISSING) for key in ("min", "max"))
     return vector(low, place["min"]), vector(high, place["max"])
-
-
-def _optional(content: Json, key: str, place: JsonPath) -> Json:
-    """Read an object that may be missing or null."""
-    value = content.get(key)
-    return {} if value is None else json_object(plain(value, place[key]), place[key])
 
 
 def _unknown(content: Json, known: tuple[str, ...], place: JsonPath) -> Json:
@@ -341,7 +344,7 @@ def _runs(array: NDArray[Any], shape: Shape, place: JsonPath, later: _Later, **s
 def _metadata(grid: NavGrid, place: JsonPath) -> Json:
     """The grid's metadata with ``cellAttributes`` of the arrays that are there."""
     place = place["metadata"]
-    _optional(grid.metadata, "navbake", place)
+    optional_object(grid.metadata, "navbake", place)
     metadata = {**grid.metadata, "cellAttributes": grid.cell_attributes}
     return json_object(plain(metadata, place), place)
 

@@ -4,38 +4,55 @@ A tree has depth 16; a voxel's key is ``floor(coordinate / res) + 32768`` along 
 corners of voxels are multiples of `res`, at most 32768 of them from the world's origin.
 Children that are equal are pruned. Files are the same, byte for byte, as OctoMap's own.
 
-Source: OctoMap 1.9 (`AbstractOcTree.cpp`, `OccupancyOcTreeBase.hxx`): the header's lines, the
-order of the nodes, and the log-odds of what is certain.
+They are built bottom up: a pyramid holds the state of each node over the grid, level by level, 0
+the voxels, 16 the root. Then the nodes are sorted as a walk depth first meets them, which is the
+order of the Morton codes of their lowest voxels.
+
+Source: OctoMap 1.9 (`AbstractOcTree.cpp`, `OccupancyOcTreeBase.hxx`, `OcTreeBaseImpl.hxx`): the
+header's lines, the order of the nodes, pruning, and the log-odds of what is certain; Morton, A
+computer oriented geodetic data base, 1966.
 """
 
 import math
-from functools import partial
 from os import PathLike
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
-from navbake.formats.source import read_bytes, read_header
-from navbake.formats.voxel_allowance import VoxelAllowance
+from navbake.formats.allowance import Allowance
+from navbake.formats.binvox import read_header
+from navbake.formats.source import read_bytes
+from navbake.formats.values import JsonPath
 from navbake.types import Int, Int32
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import finite_array
-
-# Functions import kernels when they run: numba takes long to load.
 
 MAGIC = b"# Octomap OcTree"
 DEPTH = 16
 CENTER = 2 ** (DEPTH - 1)  # key of the world's origin
 FIRST_LINES = {"bt": "# Octomap OcTree binary file", "ot": "# Octomap OcTree file"}
 COMMENT = "# (feel free to add / change comments, but leave the first line as it is!)\n#"
-BAND = 1 << 16  # nodes that are worth a thread's while
 OFF = 1e-3  # of a voxel: what a grid may lie off the tree's lattice
+LEAF_BYTES = 20  # of a leaf in memory
+
+# States of nodes, as bits: what eight children are together is their bitwise or. MIXED nodes have
+# children that differ, MIXED_FREE ones none that is occupied.
+UNKNOWN, FREE, OCCUPIED, MIXED_FREE, MIXED = 1, 2, 4, 8, 16
+OF_CHILDREN = np.array(
+    [c if c in (UNKNOWN, FREE, OCCUPIED) else MIXED if c & (OCCUPIED | MIXED) else MIXED_FREE
+     for c in range(32)],
+    dtype=np.uint8,
+)  # fmt: skip
+CHILDREN = [(child & 1, child >> 1 & 1, child >> 2) for child in range(8)]  # x, y, z
+TWO_BITS = np.zeros(32, dtype=np.int64)  # of a child in a .bt
+TWO_BITS[[FREE, OCCUPIED, MIXED_FREE, MIXED]] = 1, 2, 3, 3
 
 # OctoMap's clamping thresholds: the log-odds of what is certainly free or occupied
 FREE_ODDS, OCCUPIED_ODDS = (math.log(p / (1 - p)) for p in (0.1192, 0.971))
 
+Pyramid = list[NDArray[np.uint8]]
 Box = tuple[Int, tuple[int, int, int]]  # first key along each axis, and counts of voxels
 
 
@@ -50,45 +67,102 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     Raises:
         FormatError: the grid doesn't lie on the tree's lattice, or reaches beyond it.
     """
-    from navbake.formats.kernels.octree import write_odds, write_tree  # numba loads slowly
-
     if kind not in FIRST_LINES:
         raise FormatError(f"expected an octree as bt or ot, got {kind!r}")
     first = _first_key(grid)
-    levels = _build_pyramid(grid, first, free)
-    write: Any = write_tree
-    if kind == "ot":
-        odds = np.array([0.0, FREE_ODDS, OCCUPIED_ODDS], dtype="<f4").view(np.uint8).reshape(3, 4)
-        write = partial(write_odds, odds)
-    num_bytes, num_nodes = write(levels, first, np.empty(0, np.uint8))
-    nodes = np.empty(num_bytes, np.uint8)
-    write(levels, first, nodes)
+    pyramid = _build_pyramid(grid, first, free)
+    nodes, num_nodes = (_pack_bits if kind == "bt" else _pack_odds)(pyramid, first)
     header = (
         f"{FIRST_LINES[kind]}\n{COMMENT}\nid OcTree\nsize {num_nodes}\n"
         f"res {_text(grid.res)}\ndata\n"
     )
-    return header.encode() + nodes.tobytes()
+    return header.encode() + nodes
 
 
-def _build_pyramid(grid: VoxelGrid, first: Int, free: bool) -> tuple[NDArray[np.uint8], ...]:
-    """The states of all nodes over the grid, from the voxels up to the root."""
-    from navbake.formats.kernels.octree import OCCUPIED, join_states
-    from navbake.threads import run_in_bands  # loads numba, too
+def _build_pyramid(grid: VoxelGrid, first: Int, free: bool) -> Pyramid:
+    """The states of all nodes over the grid, from the voxels up to the root.
 
-    states = grid.occupied.astype(np.uint8)
-    states *= OCCUPIED
-    if free:  # the numbers of the states ascend: UNKNOWN, FREE, OCCUPIED
-        np.maximum(states, True if grid.known is None else grid.known, out=states)
-    levels = [states]
-    # level k has the nodes from `first >> k` to `last >> k`, whole multiples of 2**k voxels
-    last = first + np.array(grid.shape) - 1
-    for level in range(1, DEPTH + 1):
-        above = np.empty((last >> level) - (first >> level) + 1, np.uint8)
-        below, begin = levels[-1], first >> (level - 1)
-        least = max(1, BAND // above[0].size)
-        run_in_bands(join_states, len(above), below, begin, above, least=least)
-        levels.append(above)
-    return tuple(levels)
+    Arrays of a level begin at its own first node, ``first >> level``.
+    """
+    states = np.where(grid.occupied, np.uint8(OCCUPIED), np.uint8(UNKNOWN))
+    if free:
+        known = True if grid.known is None else grid.known
+        states[(states == UNKNOWN) & known] = FREE
+    pyramid = [states]
+    for level in range(DEPTH):
+        begin = first >> level
+        even = [(int(k & 1), int(k + n & 1)) for k, n in zip(begin, states.shape, strict=True)]
+        states = np.pad(states, even, constant_values=UNKNOWN)
+        states = states[0::2] | states[1::2]
+        states = states[:, 0::2] | states[:, 1::2]
+        states = OF_CHILDREN[states[:, :, 0::2] | states[:, :, 1::2]]
+        pyramid.append(states)
+    return pyramid
+
+
+def _child_states(pyramid: Pyramid, first: Int, level: int, nodes: Int) -> Int:
+    """The states of the eight children of nodes, which are indices of a level; shape (8, n)."""
+    below = np.pad(pyramid[level - 1], 1, constant_values=UNKNOWN)
+    lowest = 2 * (nodes + (first >> level)) - (first >> (level - 1)) + 1
+    return np.array([below[tuple((lowest + child).T)] for child in CHILDREN])
+
+
+def _order(keys: list[Int], level_of: list[int]) -> Int:
+    """The order in which a walk depth first meets nodes of some keys, listed level by level."""
+    codes = []
+    for key, level in zip(keys, level_of, strict=True):
+        code = np.zeros(len(key), dtype=np.int64)
+        for axis in range(3):
+            lowest = key[:, axis] << level
+            for bit in range(DEPTH):
+                code |= (lowest >> bit & 1) << (3 * bit + axis)
+        codes.append(code << 5 | DEPTH - level)  # a parent comes before its first child
+    return np.argsort(np.concatenate(codes))
+
+
+def _pack_bits(pyramid: Pyramid, first: Int) -> tuple[bytes, int]:
+    """The nodes of a ``.bt``: two bits for each child, two bytes for each node with children."""
+    words, keys, num_nodes = [], [], 1
+    for level in range(DEPTH, 0, -1):
+        nodes = np.argwhere(pyramid[level] >= (MIXED_FREE if level < DEPTH else FREE))
+        children = _child_states(pyramid, first, level, nodes)
+        num_nodes += int(np.count_nonzero(children != UNKNOWN))
+        bits = TWO_BITS[children] << 2 * np.arange(8)[:, None]
+        words.append(bits.sum(axis=0).astype("<u2"))
+        keys.append(nodes + (first >> level))
+    packed = np.concatenate(words)
+    if not len(packed):
+        return b"", 0
+    return packed[_order(keys, list(range(DEPTH, 0, -1)))].tobytes(), num_nodes
+
+
+def _pack_odds(pyramid: Pyramid, first: Int) -> tuple[bytes, int]:
+    """The nodes of an ``.ot``: four bytes of log-odds and one that says which children there are.
+
+    A node with children has the greatest of their log-odds.
+    """
+    records, keys = [], []
+    has_children = pyramid[DEPTH] >= FREE  # of the level above, index by index
+    for level in range(DEPTH, -1, -1):
+        states = pyramid[level]
+        if level < DEPTH:
+            at = [
+                (np.arange(n) + (f >> level) >> 1) - (f >> level + 1)
+                for n, f in zip(states.shape, first.tolist(), strict=True)
+            ]
+            has_children = (pyramid[level + 1] >= MIXED_FREE)[np.ix_(*at)]
+        nodes = np.argwhere(has_children & (states != UNKNOWN))
+        state = states[tuple(nodes.T)]
+        record = np.zeros(len(nodes), dtype=[("odds", "<f4"), ("children", "u1")])
+        record["odds"] = np.where(state & (OCCUPIED | MIXED), OCCUPIED_ODDS, FREE_ODDS)
+        inner = state >= MIXED_FREE
+        if inner.any():
+            is_there = _child_states(pyramid, first, level, nodes[inner]) != UNKNOWN
+            record["children"][inner] = np.packbits(is_there, axis=0, bitorder="little")[0]
+        records.append(record)
+        keys.append(nodes + (first >> level))
+    packed = np.concatenate(records)
+    return packed[_order(keys, list(range(DEPTH, -1, -1)))].tobytes(), len(packed)
 
 
 def _first_key(grid: VoxelGrid) -> Int:
@@ -144,14 +218,15 @@ def read_octomap(
     Raises:
         FormatError: it is no such file, broken, or needs more memory than it may.
     """
-    from navbake.formats.kernels.octree import fill_leaves
+    from navbake.formats.kernels.octree import fill_leaves  # numba loads slowly
 
     data, name = read_bytes(source, begins=MAGIC, expected="an OctoMap file (bt or ot)")
     header = _read_header(data, name)
-    allowance = VoxelAllowance.of_file(name, len(data), max_voxels)
-    leaves, notes = _read_leaves(data, header, allowance)
+    place, allowance = JsonPath(name), Allowance.of_voxels(len(data), max_voxels)
+    leaves, notes = _read_leaves(data, header, allowance, place)
     first, shape = _box_leaves(leaves) if bounds is None else _box_keys(bounds, header.res)
-    allowance.take_voxels(shape, 2)
+    allowance.take_cells(shape, place)
+    allowance.take_array(shape, 2, place)
     values, known = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
     fill_leaves(leaves, first, values, known)
     origin = tuple(((first - CENTER) * header.res).tolist())
@@ -160,33 +235,31 @@ def read_octomap(
 
 
 def _read_leaves(
-    data: bytes, header: _Header, allowance: VoxelAllowance
+    data: bytes, header: _Header, allowance: Allowance, place: JsonPath
 ) -> tuple[Int32, list[str]]:
-    from navbake.formats.kernels.octree import TOO_DEEP, read_odds, read_tree
+    """The leaves of a tree: first key x, y, z, level, and 1 if occupied, shape (n, 5)."""
+    from navbake.formats.kernels.octree import TOO_DEEP, read_leaves  # numba loads slowly
 
-    source = allowance.source
     nodes = np.frombuffer(data, dtype=np.uint8, offset=header.end)
     empty = np.empty((0, 5), np.int32)
     if header.size == 0 and not len(nodes):
-        return empty, [f"{source} is an empty tree: nothing is known"]
-    read: Any = read_tree
-    if header.kind == "ot":
-        whole = nodes[: len(nodes) // 5 * 5].reshape(-1, 5)
-        odds = np.ascontiguousarray(whole[:, :4]).view("<f4").ravel()
-        read = partial(read_odds, odds)
+        return empty, [f"{place.file} is an empty tree: nothing is known"]
+    whole = nodes[: len(nodes) // 5 * 5].reshape(-1, 5)
+    odds = np.ascontiguousarray(whole[:, :4]).view("<f4").ravel()  # of an .ot
     # leaves are counted first: the size in the header may be wrong
-    num_leaves, num_bytes, num_nodes = read(nodes, empty)
+    has_odds = header.kind == "ot"
+    num_leaves, num_bytes, num_nodes = read_leaves(nodes, odds, has_odds, empty)
     if num_leaves < 0:
         what = "a tree deeper than 16" if num_leaves == TOO_DEEP else "an end within the tree"
-        raise FormatError(f"expected {header.size} nodes in {source}, got {what}")
+        raise FormatError(f"expected {header.size} nodes in {place.file}, got {what}")
     if num_bytes != len(nodes):
         got = f"got {len(nodes)}: data run over"
-        raise FormatError(f"expected {num_bytes} bytes of nodes in {source}, {got}")
-    allowance.take_bytes(num_leaves * 5 * empty.itemsize)
+        raise FormatError(f"expected {num_bytes} bytes of nodes in {place.file}, {got}")
+    allowance.take_array((num_leaves,), LEAF_BYTES, place)
     leaves = np.empty((num_leaves, 5), np.int32)
-    read(nodes, leaves)
+    read_leaves(nodes, odds, has_odds, leaves)
     if num_nodes != header.size:
-        return leaves, [f"{source} has {num_nodes} nodes, and says {header.size}"]
+        return leaves, [f"{place.file} has {num_nodes} nodes, and says {header.size}"]
     return leaves, []
 
 

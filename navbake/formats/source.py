@@ -1,4 +1,6 @@
-"""Files read and written whole: paths, bytes or streams; JSON plain or gzipped, and bounded."""
+"""Files read and written whole: paths, bytes or streams; the system's errors as FormatErrors."""
+
+from __future__ import annotations
 
 import gzip
 import io
@@ -15,7 +17,8 @@ import orjson
 
 from navbake.errors import FormatError
 from navbake.files import FileState, write_together, write_whole
-from navbake.formats.json_path import JsonPath, shown
+from navbake.formats.allowance import MAX_BYTES, Allowance
+from navbake.formats.values import JsonPath, shown
 
 Source: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO
 """A path, a file's content, or a file opened in binary mode."""
@@ -23,23 +26,11 @@ Files: TypeAlias = dict[Path, bytes | Iterable[bytes]]
 """Files to be written, in this order: content, or pieces of it, by path."""
 
 LOG = logging.getLogger("navbake")
-MAX_BYTES = 4 << 30  # of JSON
-UNPACKED_BYTES = 64 << 20  # what any gzipped file may unpack to; beyond it, UNPACKED_RATIO counts
-UNPACKED_RATIO = 200
-CHUNK = 1 << 20
+CHUNK = 1 << 20  # of a stream whose length is unknown [bytes]
 BOM = b"\xef\xbb\xbf"  # which some editors put before UTF-8
-HEADER_LIMIT = 65536  # longest header, comments included [bytes]
-
-
-def read_source(source: Source) -> tuple[bytes, JsonPath]:
-    """Read a JSON file whole, and unpack it if it is gzipped (which its content tells).
-
-    Returns:
-        Its content without a byte order mark, and the place that errors name for it.
-    """
-    with open_source(source) as (stream, name):
-        top = JsonPath(name)
-        return _read_bytes(stream, top).removeprefix(BOM), top
+GZIP = b"\x1f\x8b"
+NAVGRID = "a NavGrid JSON object"
+NAVGRID_REMEDY = "navbake convert makes one of a map or an archive, navbake bake of a scene"
 
 
 def path_name(path: str | os.PathLike[str]) -> str:
@@ -66,109 +57,67 @@ def os_message(error: Exception) -> str:
 
 
 @contextmanager
-def open_source(source: Source) -> Iterator[tuple[BinaryIO, str]]:
+def _opened(source: Source) -> Iterator[tuple[BinaryIO, str]]:
     """Open a source; what the system refuses becomes a FormatError."""
     if isinstance(source, bytes | bytearray | memoryview):
         yield io.BytesIO(source), "the bytes given"
-    elif isinstance(source, str | os.PathLike):
-        try:
-            with open(source, "rb") as file:
-                LOG.debug("reading %s", os.fsdecode(source))
-                yield file, os.fsdecode(source)
-        except (OSError, ValueError) as error:  # ValueError: a path with a NUL
-            raise FormatError(f"cannot read {path_name(source)}: {os_message(error)}") from error
-    elif callable(getattr(source, "read", None)):
-        name = str(getattr(source, "name", "the stream given"))
-        try:
-            yield source, name
-        except (OSError, ValueError) as error:  # ValueError: it is closed
-            raise FormatError(f"cannot read {path_name(name)}: {os_message(error)}") from error
-    else:
+        return
+    if not isinstance(source, str | os.PathLike) and not callable(getattr(source, "read", None)):
         expected = "a path, a file's content or a file opened in binary mode"
         raise FormatError(f"expected {expected}, got {shown_type(source)}")
-
-
-def _read_bytes(stream: BinaryIO, top: JsonPath) -> bytes:
-    """Read and unpack a file, up to what such a file may hold."""
-    head, taken = _read_head(stream, top)
-    is_packed = head.startswith(b"\x1f\x8b")
-    if not is_packed:
-        _check_head(head, top)
-    content = _read_rest(taken, stream, MAX_BYTES, top)
-    return _unpack(content, top) if is_packed else content
-
-
-def _read_head(stream: BinaryIO, top: JsonPath) -> tuple[bytes, bytes]:
-    """How a stream begins, and what of that is read already."""
-    is_buffered = isinstance(stream, io.BufferedReader)
-    head = stream.peek(1) if is_buffered else stream.read(CHUNK)  # type: ignore[attr-defined]
-    if not isinstance(head, bytes):
-        top.fail(f"expected a file opened in binary mode, got {_text_or_type(head)}")
-    return head, b"" if is_buffered else head
-
-
-def _text_or_type(value: object) -> str:
-    return "text" if isinstance(value, str) else shown_type(value)
-
-
-def _unpack(packed: bytes, top: JsonPath) -> bytes:
-    # a small file that unpacks to gigabytes is an attack or an accident
-    limit = min(MAX_BYTES, max(UNPACKED_BYTES, UNPACKED_RATIO * len(packed)))
+    name = str(getattr(source, "name", "the stream given"))
     try:
-        with gzip.GzipFile(fileobj=io.BytesIO(packed)) as unpacked:
-            head = unpacked.read(CHUNK)
-            _check_head(head, top)
-            return _read_rest(head, unpacked, limit, top)
-    except (EOFError, OSError, zlib.error) as error:
-        raise FormatError(f"broken gzip data in {top.file}: {os_message(error)}") from error
+        if isinstance(source, str | os.PathLike):
+            name = os.fsdecode(source)
+            LOG.debug("reading %s", name)
+            with open(source, "rb") as file:
+                yield file, name
+        else:
+            yield source, name
+    except (OSError, ValueError) as error:  # ValueError: a NUL in a path, or the file is closed
+        raise FormatError(f"cannot read {path_name(name)}: {os_message(error)}") from error
 
 
-def _check_head(head: bytes, top: JsonPath) -> None:
-    """Refuse what does not begin like a JSON object before reading on: a device never ends."""
-    if not head:
-        top.fail("expected a NavGrid JSON object, got nothing")
-    if not _begins_object(head):
-        top.fail(
-            f"expected a NavGrid JSON object, got {_shown_head(head)}; navbake convert makes "
-            "one of a map or an archive, navbake bake of a scene"
-        )
+def read_bytes(
+    source: Source,
+    *,
+    begins: bytes | tuple[bytes, ...] = b"",
+    expected: str = "",
+    remedy: str = "",
+    limit: int = MAX_BYTES,
+) -> tuple[bytes, str]:
+    """Read a file whole: its content, and its name for messages.
+
+    Args:
+        begins: how such a file begins, or in which ways. No more than 1 MiB is read of what doesn't
+            begin so and has no length: it may be a device that never ends.
+        expected, remedy: what was expected then, and what helps, for the message.
+        limit: most bytes that such a file may have.
+
+    Raises:
+        FormatError: it can't be read, is too large, or does not begin so.
+    """
+    with _opened(source) as (stream, name):
+        left = _bytes_left(stream)
+        too_large = f"more than {limit >> 20} MiB of data"
+        if left > limit:
+            JsonPath(name).fail(too_large)
+        data = stream.read(max(left, CHUNK))
+        if not isinstance(data, bytes):
+            got = "text" if isinstance(data, str) else shown_type(data)
+            JsonPath(name).fail(f"expected a file opened in binary mode, got {got}")
+        if not data.startswith(begins):
+            JsonPath(name).fail(f"expected {expected}, got {_shown_text(data)}", remedy)
+        pieces, size = [data], len(data)
+        while piece := stream.read(CHUNK):
+            pieces.append(piece)
+            size += len(piece)
+            if size > limit:
+                JsonPath(name).fail(too_large)
+        return data if len(pieces) == 1 else b"".join(pieces), name
 
 
-def _begins_object(head: bytes) -> bool:
-    """Whether a file that begins so may hold a JSON object: all that is seen may be spaces."""
-    text = _text_of(head)
-    return not text or text.startswith(b"{")
-
-
-def _shown_head(head: bytes) -> str:
-    return f"{shown(_text_of(head)[:8])[1:]}…"
-
-
-def _text_of(head: bytes) -> bytes:
-    return head.removeprefix(BOM).lstrip(b" \t\r\n")
-
-
-def _read_rest(head: bytes, stream: BinaryIO | gzip.GzipFile, limit: int, top: JsonPath) -> bytes:
-    pieces, size = [head] if head else [], len(head)  # one piece alone is not copied
-    left = _bytes_left(stream)
-    if left > limit:  # known before anything is read
-        top.fail(f"more than {_shown_limit(limit)} of data")
-    step = max(CHUNK, left)  # all that is left of a file at once
-    while chunk := stream.read(min(step, limit + 1)):  # not more at once, it would be reserved
-        pieces.append(chunk)
-        size += len(chunk)
-        step = CHUNK
-        if size > limit:
-            remedy = "" if limit == MAX_BYTES else "unpack it first if that is meant"
-            top.fail(f"more than {_shown_limit(limit)} of data", remedy)
-    return b"".join(pieces)
-
-
-def _shown_limit(limit: int) -> str:
-    return f"{limit >> 20} MiB" if limit >> 20 else f"{limit:,} bytes"
-
-
-def _bytes_left(stream: BinaryIO | gzip.GzipFile) -> int:
+def _bytes_left(stream: BinaryIO) -> int:
     """How many bytes a plain file still has; 0 if the stream isn't one."""
     if not isinstance(stream, io.BufferedReader):
         return 0
@@ -179,52 +128,63 @@ def _bytes_left(stream: BinaryIO | gzip.GzipFile) -> int:
         return 0
 
 
-def read_bytes(
-    source: str | os.PathLike[str] | bytes,
-    *,
-    begins: bytes | tuple[bytes, ...] = b"",
-    expected: str = "",
-    limit: int = MAX_BYTES,
-) -> tuple[bytes, str]:
-    """Read a file whole: its content, and its name for messages.
+def read_json_text(source: Source) -> tuple[bytes, int, JsonPath]:
+    """Read a file that holds a grid's JSON object, plain or gzipped (which its content tells).
 
-    Args:
-        source: a path, or a file's content.
-        begins: how such a file begins, or in which ways. Nothing else of it is read if it doesn't:
-            what is no such file may be a device that never ends.
-        expected: what was expected then, for the message.
-        limit: most bytes that such a file may have.
-
-    Raises:
-        FormatError: it can't be read, is too large, or does not begin so.
+    Returns:
+        Its text without a byte order mark, the file's size, and the place that errors name.
     """
-    with open_source(source) as (stream, name):
-        top = JsonPath(name)
-        head, taken = _read_head(stream, top)
-        if not head.startswith(begins):
-            raise FormatError(f"expected {expected}, got {path_name(name)}")
-        return _read_rest(taken, stream, limit, top), name
+    begins = (b"{", GZIP, BOM, b" ", b"\t", b"\r", b"\n")
+    content, name = read_bytes(source, begins=begins, expected=NAVGRID, remedy=NAVGRID_REMEDY)
+    top = JsonPath(name)
+    text = (_unpack(content, top) if content.startswith(GZIP) else content).removeprefix(BOM)
+    if _shown_text(text)[1:2] != "{":
+        top.fail(f"expected {NAVGRID}, got {_shown_text(text)}", NAVGRID_REMEDY)
+    return text, len(content), top
 
 
-def read_object(path: str | os.PathLike[str], *, expected: str, limit: int) -> tuple[Any, str]:
-    """Read a file that holds a JSON object: that, and the file's name for messages.
+def _shown_text(text: bytes) -> str:
+    """How a text begins, as an error shows it."""
+    begin = text[:CHUNK].removeprefix(BOM).lstrip(b" \t\r\n")[:8]
+    return f"{shown(begin)[1:]}…" if begin else "nothing"
+
+
+def _unpack(packed: bytes, top: JsonPath) -> bytes:
+    allowance, pieces = Allowance.of_grid(len(packed)), []
+    try:
+        with gzip.GzipFile(fileobj=io.BytesIO(packed)) as unpacked:
+            while piece := unpacked.read(16 * CHUNK):
+                allowance.take_text(len(piece), top)
+                pieces.append(piece)
+    except (EOFError, OSError, zlib.error) as error:
+        raise FormatError(f"broken gzip data in {top.file}: {os_message(error)}") from error
+    return b"".join(pieces)
+
+
+def parse_json(content: bytes | memoryview, place: JsonPath) -> Any:
+    """Parse JSON; a FormatError names line and column."""
+    try:
+        return orjson.loads(content)
+    except orjson.JSONDecodeError as error:
+        near = error.doc[error.pos : error.pos + 9].lstrip("-")
+        hint = "; NaN and Infinity are no JSON, write null" if near[:3] in ("NaN", "Inf") else ""
+        file = f"`{place.path}` of {place.file}" if place.path else place.file
+        where = f"{file}, line {error.lineno}, column {error.colno}"
+        raise FormatError(f"broken JSON in {where}: {error.msg}{hint}") from error
+
+
+def read_object(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, str]:
+    """Read a file that should hold a JSON object: what it holds, and its name for messages.
 
     Args:
         expected: what was expected, for the message.
-        limit: most bytes that such a file may have. Nothing more is read of what doesn't begin as
-            an object does: it may be a device that never ends.
 
     Raises:
-        FormatError: it can't be read, is too large, or holds no JSON object.
+        FormatError: it can't be read, or holds no JSON.
     """
-    with open_source(path) as (stream, name):
-        top = JsonPath(name)
-        head, taken = _read_head(stream, top)
-        if not _begins_object(head):
-            raise FormatError(f"expected {expected} in {path_name(name)}, got {_shown_head(head)}")
-        content = _read_rest(taken, stream, limit, top).removeprefix(BOM)
+    content, name = read_bytes(path)
     try:
-        return orjson.loads(content), name
+        return orjson.loads(content.removeprefix(BOM)), name
     except orjson.JSONDecodeError as error:
         raise FormatError(
             f"expected {expected}, {path_name(name)} can't be read: {error}"
@@ -246,10 +206,7 @@ def write_bytes(
     try:
         write_whole(data, path, unless_changed=unless_changed)
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL
-        why = os_message(error)
-        if isinstance(error, FileNotFoundError):
-            why = f"there is no folder {path_name(os.path.dirname(os.path.realpath(path)))}"
-        raise FormatError(f"cannot write {path_name(path)}: {why}") from error
+        raise _not_written([path], error) from error
 
 
 def write_files(files: Mapping[Path, bytes | Iterable[bytes]]) -> list[Path]:
@@ -264,31 +221,14 @@ def write_files(files: Mapping[Path, bytes | Iterable[bytes]]) -> list[Path]:
     try:
         write_together(files)
     except (OSError, ValueError) as error:
-        names = " and ".join(path_name(path) for path in files)
-        why = os_message(error)
-        if isinstance(error, FileNotFoundError):
-            folders = {os.path.dirname(os.path.realpath(path)) for path in files}
-            missing = sorted(folder for folder in folders if not os.path.isdir(folder))
-            why = f"there is no folder {path_name(missing[0])}" if missing else why
-        raise FormatError(f"cannot write {names}: {why}") from error
+        raise _not_written(files, error) from error
     return list(files)
 
 
-def read_header(data: bytes, source: str) -> tuple[dict[str, list[str]], int]:
-    """Read the lines of text that stand before the data of a voxel file.
-
-    Returns:
-        The further words of each line by its first word, comments (``#``) included; and where the
-        data begin, after the line ``data``.
-    """
-    lines: dict[str, list[str]] = {}
-    start = 0
-    while True:
-        end = data.find(b"\n", start, HEADER_LIMIT)
-        if end < 0:
-            raise FormatError(f"no line `data` ends the header of {source}")
-        first, *words = data[start:end].decode("ascii", errors="replace").split() or [""]
-        start = end + 1
-        if first == "data":
-            return lines, start
-        lines[first] = words
+def _not_written(paths: Iterable[str | os.PathLike[str]], error: Exception) -> FormatError:
+    why, names = os_message(error), " and ".join(map(path_name, paths))
+    if isinstance(error, FileNotFoundError):
+        folders = {os.path.dirname(os.path.realpath(path)) for path in paths}
+        missing = sorted(folder for folder in folders if not os.path.isdir(folder))
+        why = f"there is no folder {path_name(missing[0])}" if missing else why
+    return FormatError(f"cannot write {names}: {why}")

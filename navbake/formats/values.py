@@ -1,17 +1,74 @@
-"""Single values of a JSON file, checked: numbers, vectors, objects, JSON of any kind."""
+"""Values of a JSON file, checked, and where in the file they stand: errors name the place."""
+
+from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from itertools import chain
-from typing import Any
+from numbers import Real
+from typing import TYPE_CHECKING, Any, NoReturn
 
-import numpy as np
+from navbake.errors import FormatError
 
-from navbake.formats.json_path import JsonPath
-from navbake.types import Json, Vector3
+if TYPE_CHECKING:  # the command line lists formats before it loads numpy
+    from navbake.types import Json, Vector3
 
+SHOWN_LENGTH = 40  # characters of a culprit that an error shows
 MAX_DEPTH = 64  # of metadata, userData, timings and unknown fields
 LEAVES = {str, int, bool, type(None)}  # what JSON holds as it is
 NODES = {dict, list, tuple}
+
+
+class _Missing:
+    """Stands for a field that is not there."""
+
+
+MISSING = _Missing()
+
+
+def shown(value: object) -> str:
+    """Format a value for an error message: short, on one line."""
+    if isinstance(value, _Missing):
+        return "nothing"
+    if isinstance(value, list | tuple):
+        return f"a list of {len(value)}"
+    if isinstance(value, dict):
+        return f"an object of {len(value)} fields"
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    if isinstance(value, str):
+        value = value[: SHOWN_LENGTH + 1]
+    elif isinstance(value, int) and abs(value) > 10**SHOWN_LENGTH:
+        return f"{value:.3e}" if abs(value) < 10**300 else "an integer of over 300 digits"
+    text = repr(value)
+    return text if len(text) <= SHOWN_LENGTH else text[:SHOWN_LENGTH] + "…"
+
+
+@dataclass(frozen=True)
+class JsonPath:
+    """A location in a file, as errors name it."""
+
+    file: str
+    path: str = ""  # as in ``grids[1].weights.data[17]``; "" for the top
+
+    def __getitem__(self, key: str | int) -> JsonPath:
+        if isinstance(key, int):
+            step = f"[{key}]"
+        elif key.isidentifier():
+            step = f".{key}" if self.path else key
+        else:
+            step = f"[{shown(key)}]"
+        return JsonPath(self.file, self.path + step)
+
+    def fail(self, what: str, remedy: str = "") -> NoReturn:
+        """Raise a FormatError that says what is wrong, where, and what helps."""
+        where = f"at `{self.path}` in" if self.path else "in"
+        file = self.file if self.file.isprintable() else repr(self.file)
+        raise FormatError(f"{what} {where} {file}" + (f"; {remedy}" if remedy else ""))
+
+    def refuse(self, expected: str, value: object) -> NoReturn:
+        """Raise a FormatError that says what was expected here and what is there instead."""
+        self.fail(f"expected {expected}, got {shown(value)}")
 
 
 def whole_number(value: object, place: JsonPath, minimum: int) -> int:
@@ -29,11 +86,17 @@ def json_object(value: object, place: JsonPath) -> Json:
     return value
 
 
+def optional_object(content: Json, key: str, place: JsonPath) -> Json:
+    """Read an object that may be missing or null."""
+    value = content.get(key)
+    return {} if value is None else json_object(plain(value, place[key]), place[key])
+
+
 def number(value: object, place: JsonPath, *, positive: bool = False) -> float:
     """Check a finite number; whole ones become int, so that JSON has no .0."""
-    is_number = isinstance(value, int | float | np.integer | np.floating)
     try:
-        checked = float(value) if is_number and type(value) is not bool else math.nan  # type: ignore[arg-type]
+        is_number = isinstance(value, Real) and not isinstance(value, bool)
+        checked = float(value) if is_number else math.nan  # type: ignore[arg-type]
     except OverflowError:  # YAML has whole numbers beyond all floats
         checked = math.nan
     if not math.isfinite(checked) or (positive and checked <= 0):

@@ -14,14 +14,13 @@ from navbake.formats.binvox import (
     read_binvox,
     with_mapping,
 )
-from navbake.formats.json_path import shown
+from navbake.formats.convert import OCTREES, VOXELS
 from navbake.formats.npz import encode_npz, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
 from navbake.formats.source import check_path, read_object, write_bytes
-from navbake.formats.suffixes import VOXELS
+from navbake.formats.values import shown
 from navbake.voxels.grid import VoxelGrid
 
-MAX_TABLE = 64 << 20  # of a table of IDs [bytes]
 MAX_DIGITS = 10  # of an ID
 OFFSET_NOTE = (
     "`binvox2bt` loses or moves voxels of this grid without `--offset {offset}`: it takes their "
@@ -51,7 +50,7 @@ def write_voxels(
         FormatError: the format can't hold the grid.
     """
     suffix = _check_suffix(path)
-    if suffix in (".bt", ".ot"):
+    if suffix in OCTREES:
         write_bytes(encode_octomap(grid, suffix[1:], free=free), path)
         return
     if suffix == ".binvox":
@@ -106,7 +105,7 @@ def names_path(path: str | PathLike[str]) -> Path:
 
 
 def _read_table(path: Path) -> dict[int, str]:
-    table, _ = read_object(path, expected="a table of IDs", limit=MAX_TABLE)
+    table, _ = read_object(path, expected="a table of IDs")
     ids = table.get("ids") if isinstance(table, dict) else None
     if not isinstance(ids, dict):
         raise FormatError(f"expected a table of IDs, {path} can't be read: no object at `ids`")

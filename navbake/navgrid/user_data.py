@@ -1,8 +1,8 @@
 """Per-cell user data, parsed or made on first use.
 
 Names of what stands in each cell make up most of a grid's file, few who load a grid ask for them,
-and many cells share theirs. So `UserData` holds them as they came, unread or shared, until a caller
-looks at single cells: those can be written to, and what was written is saved.
+and many cells share theirs. So `UserData` parses a file's on first use, and keeps a bake's shared,
+until a caller looks at single cells: those can be written to, and what was written is saved.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import gc
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import contextmanager
 from itertools import compress
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,13 +32,6 @@ def collector_off() -> Iterator[None]:
             gc.enable()
 
 
-class Unread(Protocol):
-    """User data in the form in which they were stored."""
-
-    def read(self) -> dict[int, Json]:
-        """Read and check them."""
-
-
 class Shared(NamedTuple):
     """User data of which many cells have the same.
 
@@ -52,21 +45,22 @@ class Shared(NamedTuple):
     number: Int
     entries: Sequence[Json]
 
-    def read(self) -> dict[int, Json]:
-        """Give each cell an entry of its own, as from a file."""
-        entries = [_copy_json(self.entries[k]) for k in self.number.tolist()]
-        return dict(zip(self.cells.tolist(), entries, strict=True))
-
 
 class UserData(MutableMapping[int, Json]):
     """User data by cell id (col + row * width).
 
-    They come from a dictionary, which is written to; or from what becomes one when a caller looks
-    at single cells: `Unread` or `Shared` data, or a function that makes `Shared` ones.
+    Args:
+        source: a dictionary, which is written to; `Shared` entries, which become a dictionary when
+            a caller looks at single cells; or a function that makes one of these when needed.
     """
 
     def __init__(
-        self, source: MutableMapping[int, Json] | Unread | Callable[[], Shared] | None = None
+        self,
+        source: MutableMapping[int, Json]
+        | Shared
+        | Callable[[], Shared]
+        | Callable[[], dict[int, Json]]
+        | None = None,
     ) -> None:
         self._source: Any = {} if source is None else source
 
@@ -81,21 +75,24 @@ class UserData(MutableMapping[int, Json]):
         return isinstance(self._source, MutableMapping)
 
     @property
-    def source(self) -> MutableMapping[int, Json] | Unread:
-        """The dictionary if they were read, else what they are read from."""
+    def source(self) -> MutableMapping[int, Json] | Shared:
+        """What they are made from: the dictionary, or the entries that cells share."""
         if callable(self._source):
-            self._source = self._source()
-        source: MutableMapping[int, Json] | Unread = self._source
+            with collector_off():
+                self._source = self._source()
+        source: MutableMapping[int, Json] | Shared = self._source
         return source
 
     @property
     def _cells(self) -> MutableMapping[int, Json]:
-        """The dictionary; what it is made from is read now."""
-        if not self.is_read:
+        """The dictionary; shared entries are copied into one, an own copy for each cell."""
+        source = self.source
+        if isinstance(source, Shared):
             with collector_off():
-                self._source = self.source.read()  # type: ignore[union-attr]
-        cells: MutableMapping[int, Json] = self._source
-        return cells
+                entries = [_copy_json(source.entries[k]) for k in source.number.tolist()]
+                source = dict(zip(source.cells.tolist(), entries, strict=True))
+            self._source = source
+        return source
 
     def __getitem__(self, cell: int) -> Json:
         return self._cells[cell]
@@ -116,16 +113,17 @@ class UserData(MutableMapping[int, Json]):
         return f"UserData({self._cells!r})" if self.is_read else "UserData(<not read yet>)"
 
     def __getstate__(self) -> Json:
-        return {"_source": self.source}  # a function that makes them may hold a whole bake
+        return {"_source": self.source}  # functions that make them hold a bake or a file
 
     def find(self, cells: Int) -> list[Json]:
         """The entries of some cells, shape (n,), int64; an empty one where a cell has none.
 
         They must not be modified, because cells share them.
         """
-        if not isinstance(self.source, Shared):
-            return [self._cells.get(cell, {}) for cell in cells.tolist()]
-        known, number, entries = self.source
+        source = self.source
+        if not isinstance(source, Shared):
+            return [source.get(cell, {}) for cell in cells.tolist()]
+        known, number, entries = source
         place = np.searchsorted(known, cells)
         # one more at the end, for cells beyond the last one that has an entry
         is_known = np.append(known, -1)[place] == cells
@@ -138,11 +136,12 @@ class UserData(MutableMapping[int, Json]):
 
         Cells whose new entry is empty drop out. The entries must not be modified.
         """
-        if not isinstance(self.source, Shared):
-            merged = {**self._cells, **changed}
+        source = self.source
+        if not isinstance(source, Shared):
+            merged = {**source, **changed}
             kept = (cell for cell in sorted(merged) if cell not in changed or changed[cell])
             return UserData({cell: merged[cell] for cell in kept})
-        cells, number, known = self.source
+        cells, number, known = source
         is_kept = ~np.isin(cells, np.fromiter(changed, dtype=np.int64, count=len(changed)))
         number = number[is_kept]
         # entries that no cell has any more are left out, or they would pile up

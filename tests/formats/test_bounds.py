@@ -13,19 +13,14 @@ from PIL import Image
 import navbake
 from navbake.batch.manifest import list_jobs
 from navbake.errors import FormatError, NavbakeError
-from navbake.formats import voxel_allowance
+from navbake.formats import allowance
+from navbake.formats.allowance import BYTES_PER_BYTE, FREE_BYTES, MAX_VOXELS
 from navbake.formats.binvox import read_binvox
-from navbake.formats.maps import grid_npz, images
-from navbake.formats.maps.grid_npz import read_grid_npz
-from navbake.formats.maps.images import open_image
-from navbake.formats.maps.nav2 import read_nav2
-from navbake.formats.maps.procthor import read_procthor
-from navbake.formats.npz import encode_npz, read_npy, read_npz
+from navbake.formats.images import open_image
+from navbake.formats.npz import encode_npz, read_grid_npz, read_npy, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
-from navbake.formats.shapes.geojson import read_room_outlines
-from navbake.formats.voxel_allowance import BYTES_PER_BYTE, FREE_BYTES, MAX_VOXELS
-from navbake.formats.voxels import read_voxels, write_voxels
-from navbake.views.report.report import read_verification
+from navbake.formats.procthor import read_procthor
+from navbake.formats.voxels import read_voxels
 from navbake.voxels.grid import VoxelGrid
 
 ENDLESS = "/dev/zero"
@@ -55,7 +50,7 @@ def test_a_leaf_of_an_octree_is_as_large_as_it_says():
 def test_few_bytes_of_an_octree_do_not_fill_gigabytes():
     with pytest.raises(FormatError, match=r"more memory than a file of \d+ bytes may fill .*max_v"):
         read_octomap(tree_with_one_leaf(10))  # 1024 voxels each way, 2 bytes each
-    with pytest.raises(FormatError, match="too many voxels in the bytes given: 2048 × 2048 × 2048"):
+    with pytest.raises(FormatError, match=r"too many voxels \(2048 × 2048 × 2048"):
         read_octomap(tree_with_one_leaf(11))
     part = read_octomap(
         tree_with_one_leaf(11), bounds=((-3277, -3277, -3277), (-3276, -3276, -3276))
@@ -64,7 +59,7 @@ def test_few_bytes_of_an_octree_do_not_fill_gigabytes():
 
 
 def test_no_flipped_bit_of_an_octree_takes_more_than_the_rule_says(monkeypatch):
-    monkeypatch.setattr(voxel_allowance, "FREE_BYTES", 100_000)
+    monkeypatch.setattr(allowance, "FREE_BYTES", 100_000)
     grid = voxels()
     outcomes = set()
     for kind in ("bt", "ot"):
@@ -85,7 +80,7 @@ def test_no_flipped_bit_of_an_octree_takes_more_than_the_rule_says(monkeypatch):
 
 
 def test_max_voxels_lifts_the_rule(monkeypatch):
-    monkeypatch.setattr(voxel_allowance, "FREE_BYTES", 1000)
+    monkeypatch.setattr(allowance, "FREE_BYTES", 1000)
     data = tree_with_one_leaf(5)
     with pytest.raises(FormatError, match="max_voxels"):
         read_octomap(data)
@@ -119,7 +114,7 @@ def bomb(tmp_path, num_bytes):
 
 
 def test_a_small_archive_does_not_unpack_to_gigabytes(tmp_path, monkeypatch):
-    monkeypatch.setattr(voxel_allowance, "FREE_BYTES", 4 << 20)
+    monkeypatch.setattr(allowance, "FREE_BYTES", 4 << 20)
     path = bomb(tmp_path, 16 << 20)
     assert 100 * path.stat().st_size < 16 << 20
     with pytest.raises(FormatError, match="more memory than a file of"):
@@ -173,8 +168,6 @@ def test_an_endless_file_is_not_read_on(tmp_path, suffix):
 def test_other_endless_files(tmp_path):
     with pytest.raises(FormatError, match="expected a NavGrid JSON object"):
         navbake.load(ENDLESS)
-    with pytest.raises(FormatError, match=r"expected a GeoJSON .* in /dev/zero, got '\\x00"):
-        read_room_outlines(ENDLESS)
 
 
 def sparse(path, size, begin=b"#binvox 1\n"):
@@ -193,11 +186,8 @@ def sparse(path, size, begin=b"#binvox 1\n"):
         ("a.binvox", b"#binvox 1\n", 4 << 30, read_voxels),
         ("a.bt", b"# Octomap OcTree binary file\n", 4 << 30, read_voxels),
         ("a.npz", b"PK", 4 << 30, read_voxels),
-        ("a.png", b"\x89PNG", 1 << 30, read_procthor),
-        ("a.yaml", b"a: 1", 1_000_000, read_nav2),
-        ("a.npy", b"\x93NUMPY", 1 << 30, read_npy),
-        ("a.geojson", b"{", 64 << 20, read_room_outlines),
-        ("a.json", b"{", 64 << 20, read_verification),
+        ("a.png", b"\x89PNG", 4 << 30, read_procthor),
+        ("a.npy", b"\x93NUMPY", 4 << 30, read_npy),
         ("a.jsonl", b"{", 1 << 30, lambda path: list_jobs([str(path)])),
         ("a.csv", b"id", 1 << 30, lambda path: list_jobs([str(path)])),
     ],
@@ -207,14 +197,6 @@ def test_files_that_are_too_large_are_refused_unread(tmp_path, name, begin, size
     most = f"{size >> 20} MiB" if size >> 20 else f"{size:,} bytes"
     with pytest.raises(NavbakeError, match=f"more than {most} of data in .*{path.name}"):
         read(path)
-
-
-def test_tables_of_ids_that_are_too_large_are_refused_unread(tmp_path):
-    write_voxels(VoxelGrid(values=np.ones((1, 1, 1), np.uint8), origin=(0, 0, 0), res=1.0),
-                 tmp_path / "a.binvox")  # fmt: skip
-    sparse(tmp_path / "a.binvox.names.json", (64 << 20) + 1, b"{")
-    with pytest.raises(FormatError, match="more than 64 MiB of data"):
-        read_voxels(tmp_path / "a.binvox")
 
 
 def image_bomb(edge):
@@ -227,11 +209,11 @@ def image_bomb(edge):
 
 
 def test_a_small_image_does_not_unpack_to_gigabytes(monkeypatch):
-    monkeypatch.setattr(images, "FREE_PIXELS", 1_000_000)
+    monkeypatch.setattr(allowance, "FREE_BYTES", 6_000_000)
     assert open_image(image_bomb(1000)).size == (1000, 1000)
-    with pytest.raises(FormatError, match=r"too many pixels in .*: 1500 × 1500 in [\d,]* bytes"):
+    with pytest.raises(FormatError, match=r"more memory than a file of .* bytes may fill"):
         open_image(image_bomb(1500))
-    monkeypatch.setattr(images, "MAX_PIXELS", 90_000)
+    monkeypatch.setattr(allowance, "MAX_PIXELS", 90_000)
     with pytest.raises(FormatError, match="too many pixels"):
         open_image(image_bomb(301))
 
@@ -261,10 +243,10 @@ def test_no_whole_image_is_cut_off(kind, modes):
 
 
 def test_the_text_of_an_archive_is_limited(tmp_path, monkeypatch):
-    monkeypatch.setattr(grid_npz, "UNPACKED_BYTES", 1 << 20)
-    monkeypatch.setattr(grid_npz, "UNPACKED_RATIO", 1)
+    monkeypatch.setattr(allowance, "FREE_BYTES", 1 << 20)
+    monkeypatch.setattr(allowance, "BYTES_PER_BYTE", 1)
     for text, culprit in (
-        (b"{" + b" " * (2 << 20), "more text than a file of this size may unpack to"),
+        (b"{" + b" " * (2 << 20), "more text than a file of .* bytes may unpack to"),
         (b"{" + b" " * 10, "broken JSON"),
     ):
         file = io.BytesIO()

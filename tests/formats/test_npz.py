@@ -71,7 +71,7 @@ def packed(**members):
     [
         (b"", "expected a .npz of voxels, got"),
         (b"PK\x03\x04 no archive", "can't be read"),
-        (archive(values=np.zeros((2, 2, 2), bool)), "no array `origin`"),
+        (archive(values=np.zeros((2, 2, 2), bool)), "expected an array `origin`, got nothing"),
         (archive(values=np.array([None]), origin=np.zeros(3), res=1.0), "can't be read"),
         (archive(values=np.zeros(5), origin=np.zeros(3), res=1.0), r"shape \(nx, ny, nz\)"),
         (archive(values=np.zeros((2, 2, 2)), origin=np.zeros(3), res=1.0), "dtype bool"),

@@ -266,7 +266,7 @@ def test_any_other_bytes_are_a_grid_or_an_error_of_ours(data, changes):
 def test_a_leaf_too_large_for_memory_is_refused():
     header = BT.split(b"data\n")[0] + b"data\n"
     eighth = header + b"\x02\x00"  # an eighth of all space is occupied
-    with pytest.raises(FormatError, match="too many voxels in the bytes given: 32768 × 32768"):
+    with pytest.raises(FormatError, match=r"too many voxels \(32768 × 32768"):
         read_octomap(eighth)
     with pytest.raises(FormatError, match="GiB of memory are free"):
         read_octomap(eighth, max_voxels=2**48)

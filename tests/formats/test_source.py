@@ -9,7 +9,7 @@ import pytest
 import navbake
 from navbake.errors import ConfigError, FormatError, NavbakeError
 from navbake.formats.binvox import encode_binvox
-from navbake.formats.shapes.geojson import read_room_outlines
+from navbake.formats.geojson import read_room_outlines
 from navbake.formats.voxels import names_path
 from navbake.voxels.grid import VoxelGrid
 
@@ -112,7 +112,7 @@ def test_a_table_that_is_a_folder_or_a_circle(table):
         ('{"ids": {"-1": "a"}}', "expected an ID as key"),
         ('{"ids": {"x": "a"}}', "expected an ID as key"),
         ('{"ids": []}', "no object at `ids`"),
-        ("[]", "expected a table of IDs in .*got '\\[\\]'"),
+        ("[]", "no object at `ids`"),
         ("", "can't be read"),
     ],
     ids=lambda text: text[:20],

@@ -1,4 +1,4 @@
-"""User data left in the file's bytes: found, read when needed, refused then, written back."""
+"""User data of long files: parsed when asked for, refused then, written back; and shared ones."""
 
 from __future__ import annotations
 
@@ -11,15 +11,11 @@ from dataclasses import replace
 import numpy as np
 import orjson
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from differences import first_difference
 from navbake.errors import FormatError
 from navbake.formats import user_data as reader
-from navbake.formats.json_path import JsonPath
 from navbake.formats.navgrid import dumps_navgrid, read_navgrid
-from navbake.formats.user_data import UnreadPiece, find_spans, parse_file
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.user_data import Shared, UserData
 
@@ -28,7 +24,7 @@ WALLS = {"walls": ["wall_x_0", "wall_y_0"], "doors": ["d"]}
 
 @pytest.fixture(autouse=True)
 def defer_all(monkeypatch):
-    monkeypatch.setattr(reader, "DEFER_BYTES", 0)
+    monkeypatch.setattr(reader, "SPLIT_BYTES", 0)
 
 
 def level(user_data=None, **fields) -> dict:
@@ -66,44 +62,48 @@ def test_user_data_are_read_when_asked_for():
     assert grid.user_data is grid.user_data
 
 
-def test_short_user_data_are_read_at_once(monkeypatch):
-    monkeypatch.undo()
-    assert reader.DEFER_BYTES > 10_000
-    assert not is_deferred(read_navgrid(compact(level())).levels[0])
-    long = level({str(i): {"walls": ["w" * 20_000]} for i in range(6)})
-    assert is_deferred(read_navgrid(compact(long)).levels[0])
-
-
 def test_each_level_keeps_its_own():
     content = house(level({"1": {"a": 1}}), level({}), level({"2": {"walls": []}}))
     grids = read_navgrid(gzip.compress(compact(content))).levels
-    assert [is_deferred(grid) for grid in grids] == [True, False, True]
+    assert all(map(is_deferred, grids))
     assert [grid.user_data for grid in grids] == [{1: {"a": 1}}, {}, {2: {"walls": []}}]
 
 
-NOT_DEFERRED = {
+ODD = {
     "spaces": json.dumps(level()).encode(),
     "lines": json.dumps(level(), indent=1).encode(),
-    "a space before the end": compact(level()).replace(b"}},", b"} },"),
-    "escapes": compact(level({"1": {"a": 'b"'}})),
-    "nested": compact(level({"1": {"a": {"b": {}}}, "2": {"walls": []}})),
-    "an end in a string": compact(level({"1": {"a": "}}"}, "2": {"walls": []}})),
-    "an empty entry": compact(level({"1": {}, "2": {"a": "},}"}})),
+    "a string with brackets": compact(level({"1": {"a": '}}"'}, "2": {"walls": []}})),
     "of metadata": compact(level({}, metadata={"userData": {"1": {"a": 1}}})),
     "of an extra field": compact(level({}, mine={"userData": {"1": {"a": 1}}})),
+    "a string that says it": compact(level(note="userData")),
+    "an escaped key": compact(level()).replace(b'"userData"', b'"user\\u0044ata"', 1),
     "twice": compact(level()).replace(b'"unit":1', b'"userData":{"1":{"a":[1]}},"unit":1'),
+    "null": compact({**level(), "userData": None}),
     "a house's own": compact({**house(level({})), "userData": {"1": {"a": 1}}}),
+    "a level's grids": compact(level(grids=[{"userData": 1}])),
+    "levels twice": compact(house(level({"1": {"a": 1}}))).replace(
+        b'"timings":{}}', b'"grids":[' + compact(level({})) + b'],"timings":{}}'
+    ),
 }
 
 
-@pytest.mark.parametrize("name", NOT_DEFERRED)
-def test_the_unusual_is_read_at_once_and_as_it_is(name):
-    data = NOT_DEFERRED[name]
-    assert parse_file(data, JsonPath("a")) == orjson.loads(data)
+@pytest.mark.parametrize("name", ODD)
+def test_whatever_else_is_in_a_file_each_level_has_its_own(name):
+    data = ODD[name]
+    parsed = orjson.loads(data)
+    own = parsed["grids"] if parsed["type"] == "MultiLevelGrid" else [parsed]
     grid = read_navgrid(data)
-    assert not is_deferred(grid.levels[0])
-    own = {} if "userData" in grid.extra else json.loads(data)["userData"]
-    assert grid.levels[0].user_data == {int(key): value for key, value in own.items()}
+    for one, stated in zip(grid.levels, own, strict=True):
+        assert one.user_data == {int(k): v for k, v in (stated["userData"] or {}).items()}
+    reader.SPLIT_BYTES = 1 << 20
+    assert first_difference(grid, read_navgrid(data)) is None
+    assert grid.extra == read_navgrid(data).extra
+
+
+@pytest.mark.parametrize("data", [b"[1]", b"{", b'{"type":1,"grids":[1]}', b'{"a":' * 100_000])
+def test_what_is_no_file_of_a_grid_is_parsed_as_a_whole(data):
+    with pytest.raises(FormatError):
+        read_navgrid(data)
 
 
 BROKEN = {
@@ -121,31 +121,13 @@ def test_wrong_user_data_are_refused_when_first_used_or_written(name, tmp_path):
     path = tmp_path / "house.json"
     path.write_bytes(compact(content))
     grid = read_navgrid(path)
-    broken = next(one for one in reversed(grid.levels) if is_deferred(one))
+    broken = grid.levels[-1]
     for _ in range(2):
         with pytest.raises(FormatError, match=culprit + ".* in .*house.json"):
             _ = broken.user_data.get(0)
     with pytest.raises(FormatError, match=culprit):
         grid.save(tmp_path / "b.json")
     assert not (tmp_path / "b.json").exists()
-
-
-def test_broken_json_is_named_with_its_place_in_the_file():
-    data = b"\n\n" + compact(level({"1": {"a": "ö"}, "2": {"a": 1}}))
-    at = data.index(b'1}},"tile')
-    data = data[:at] + b"," + data[at + 1 :]
-    grid = read_navgrid(data)
-    with pytest.raises(FormatError) as caught:
-        _ = len(grid.levels[0].user_data)
-    column = len(data[2:at].decode()) + 1
-    assert f"broken JSON in the bytes given, line 3, column {column}: " in str(caught.value)
-
-
-def test_untouched_user_data_are_written_as_they_were():
-    data = dumps_navgrid(read_navgrid(compact(level())))
-    grid = read_navgrid(data)
-    assert dumps_navgrid(grid) == data
-    assert is_deferred(grid.levels[0])  # encoding them anew would have read them
 
 
 def test_what_would_be_written_otherwise_is_encoded_anew():
@@ -168,10 +150,9 @@ def test_changed_user_data_are_written():
 @pytest.mark.parametrize(
     "make", [copy.copy, copy.deepcopy, lambda g: pickle.loads(pickle.dumps(g))]
 )
-def test_copies_keep_them_unread(make):
+def test_copies_have_them_too(make):
     grid = read_navgrid(compact(level())).levels[0]
     twin = make(grid)
-    assert is_deferred(twin) and is_deferred(grid)
     assert first_difference(twin, read_navgrid(compact(level()))) is None
 
 
@@ -183,79 +164,12 @@ def test_replace_and_comparison_see_the_dictionary():
     assert SceneGrid2D(width=3, height=2, cell_size=1, min_yup=(0, 0, 0), weights=grid.weights)
 
 
-# Against a parse of the whole
-
-
-def _outcome(data: bytes, defer: int) -> list | str:
-    reader.DEFER_BYTES, before = defer, reader.DEFER_BYTES
-    try:
-        grid = read_navgrid(data, max_cells=1000)
-        return [(dict(one.user_data), one.extra, one.metadata) for one in grid.levels] + [
-            grid.extra
-        ]
-    except FormatError:
-        return "refused"
-    finally:
-        reader.DEFER_BYTES = before
-
-
-RICH = compact(
-    house(
-        level({"1": {"a": ["b", 1]}, "2": WALLS}, note={"a": 1}),
-        level({"0": WALLS, "5": WALLS}),
-        level({"3": {"x": "ö"}}),
-    )
-)
-TOKENS = [
-    *(b"{", b"}", b"}}", b'"', b",", b"[", b"]", b'},"5', b'},"x":{"y":{}}', b"\\", b" ", b"null"),
-    *(b'"userData":{"', b'{"1":{}}', b'"userData":{"1":{"a":1}},', b'"1":1,', b""),
-]
-EDIT = st.tuples(st.integers(0, len(RICH)), st.integers(0, 6), st.sampled_from(TOKENS))
-
-
-@settings(max_examples=1500, deadline=None)
-@given(st.lists(EDIT, min_size=1, max_size=3))
-def test_a_damaged_file_is_read_as_without_deferring(edits):
-    data = RICH
-    for start, length, token in edits:
-        data = data[:start] + token + data[start + length :]
-    assert _outcome(data, 0) == _outcome(data, 1 << 30)
-
-
-NAMES = st.text('{}",\\:015 ab', max_size=4)
-VALUES = st.recursive(
-    st.sampled_from([None, 1, "}}", '},"5']) | NAMES,
-    lambda inner: st.lists(inner, max_size=2) | st.dictionaries(NAMES, inner, max_size=2),
-    max_leaves=4,
-)
-CELLS = st.dictionaries(st.sampled_from("012345"), VALUES, max_size=3)
-
-
-@settings(max_examples=600, deadline=None)
-@given(CELLS, CELLS, st.dictionaries(NAMES, VALUES, max_size=2), st.booleans())
-def test_any_user_data_are_read_as_without_deferring(first, second, more, with_spaces):
-    after = [("x", {"y": {}}), ("5x", {"y": {}}), *more.items()]
-    contents = [level(first, **more), house(level(first, **more), level(second))]
-    contents.append(dict([*list(level(first).items())[:4], *after, *list(level().items())[4:]]))
-    for content in contents:
-        data = json.dumps(content).encode() if with_spaces else compact(content)
-        assert _outcome(data, 0) == _outcome(data, 1 << 30)
-
-
-def test_spans_are_what_they_should_be():  # and the damage above is done to deferred ones
-    spans = find_spans(RICH)
-    assert [RICH[a:b] for a, b in spans][2:] == [compact({"3": {"x": "ö"}})]
-    parsed = parse_file(compact(house(level(), level())), JsonPath("a"))
-    assert all(isinstance(one["userData"], UnreadPiece) for one in parsed["grids"])
-    assert parsed["grids"][1]["userData"].text == compact(level()["userData"])
-
-
 def test_shared_entries_are_written_as_the_same_dictionary():
     rng = np.random.default_rng(0)
     entries = [{"objects": [f"thing {k}", 'ﬁn"\\']} for k in range(5)]
     cells = np.sort(rng.choice(200, 80, replace=False))
     shared = UserData(Shared(cells, rng.integers(0, 5, 80), entries))
-    plain_one = shared.source.read()
+    plain_one = {int(c): e for c, e in zip(cells, shared.find(cells), strict=True)}
 
     def grid(user_data):
         return SceneGrid2D(
@@ -297,30 +211,6 @@ def test_what_is_made_later_is_made_once_and_can_be_copied():
         assert other == {1: {"objects": ["a"]}, 4: {"objects": ["a"]}}
     assert shared[1] is not shared[4]
     assert made == [1]
-
-
-ODD_KEYS = {
-    "a string that says it": compact(level(note="userData")),
-    "an escaped key of the level": compact(
-        level(mine={"userData": {"1": {"a": 1}}, "x": {"y": {}}})
-    ).replace(b'"userData"', b'"user\\u0044ata"', 1),
-    "null, and another's": compact(
-        {**level({}), "userData": None, "mine": {"userData": {"1": {"a": 1}}}}
-    ),
-    "levels twice": compact(house(level({"1": {"a": 1}}))).replace(
-        b'"timings":{}}', b'"grids":[' + compact(level({})) + b'],"timings":{}}'
-    ),
-}
-
-
-@pytest.mark.parametrize("name", ODD_KEYS)
-def test_only_a_level_s_own_user_data_are_left_unread(name):
-    data = ODD_KEYS[name]
-    parsed = orjson.loads(data)
-    assert parse_file(data, JsonPath("a")) == parsed
-    own = parsed.get("grids", [parsed])
-    for grid, stated in zip(read_navgrid(data).levels, own, strict=True):
-        assert grid.user_data == {int(k): v for k, v in (stated["userData"] or {}).items()}
 
 
 def test_user_data_are_a_mapping():

@@ -10,7 +10,7 @@ from typer import BadParameter, Option
 import navbake
 from navbake.cli.options import STDOUT, Overrides, SceneOrConfig, check_output, refuse_unused
 from navbake.cli.printing import print_warnings, say_unless_quiet
-from navbake.formats.suffixes import OCTREES, VOXELS
+from navbake.formats.convert import OCTREES, VOXELS
 
 Triple = tuple[float, float, float]  # navbake.types would load numpy
 

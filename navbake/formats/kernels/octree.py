@@ -1,216 +1,79 @@
-"""Octrees of depth 16 out of dense voxels, and back.
+"""The nodes of OctoMap's files, depth first, as leaves; and leaves as voxels.
 
-Built bottom up: a pyramid holds the state of every node over the grid, level by level, 0 the
-voxels, 16 the root. Arrays of a level begin at its own first node, ``first key >> level``. Trees
-are written and read depth first, in OctoMap's order (child 0 first; child number x + 2 y + 4 z),
-with a stack of our own, of (level, x, y, z).
+The walk has a stack of its own, of (level, x, y, z): level 16 is the root, 0 a voxel. Child number
+x + 2 y + 4 z, child 0 first.
 
-Source: OctoMap 1.9, `OcTreeBaseImpl::pruneRecurs`, `OccupancyOcTreeBase::writeBinaryNode`.
+Source: OctoMap 1.9, `OccupancyOcTreeBase::readBinaryNode`, `OcTreeBaseImpl::readNodesRecurs`.
 """
 
 import numpy as np
 
-from navbake.compiled import kernel, part
+from navbake.compiled import kernel
 
 DEPTH = 16
-UNKNOWN, FREE, OCCUPIED, MIXED_FREE, MIXED = 0, 1, 2, 3, 4  # the mixed ones have children
+UNKNOWN, FREE, OCCUPIED, INNER = 0, 1, 2, 3  # of a child, as a ``.bt`` has them
 OVERRUN, TOO_DEEP = -1, -2
 
 
-@kernel(nogil=True)
-def join_states(below, first, above, row, end):
-    """Find the states of a level's nodes from those below, whose first node is `first`.
-
-    Fills ``above[row:end]``.
-    """
-    nx, ny, nz = below.shape
-    for i in range(row, end):
-        for j in range(above.shape[1]):
-            for k in range(above.shape[2]):
-                # the first child's index below, which is -1 where a node begins before the grid
-                x = 2 * (first[0] // 2 + i) - first[0]
-                y = 2 * (first[1] // 2 + j) - first[1]
-                z = 2 * (first[2] // 2 + k) - first[2]
-                one, is_occupied, same = 0, False, True
-                for child in range(8):
-                    cx, cy, cz = x + (child & 1), y + (child >> 1 & 1), z + (child >> 2)
-                    state = 0
-                    if 0 <= cx < nx and 0 <= cy < ny and 0 <= cz < nz:
-                        state = int(below[cx, cy, cz])
-                    if child == 0:
-                        one = state
-                    same = same and state == one and state < MIXED_FREE
-                    is_occupied |= state in (OCCUPIED, MIXED)
-                # eight equal leaves are pruned: their parent is a leaf of that state
-                if same:
-                    above[i, j, k] = one
-                else:
-                    above[i, j, k] = MIXED if is_occupied else MIXED_FREE
-
-
-@part
-def _state(levels, first, level, x, y, z):
-    nodes = levels[level]
-    i, j, k = x - (first[0] >> level), y - (first[1] >> level), z - (first[2] >> level)
-    if 0 <= i < nodes.shape[0] and 0 <= j < nodes.shape[1] and 0 <= k < nodes.shape[2]:
-        return int(nodes[i, j, k])
-    return UNKNOWN
-
-
-@part
-def _child(x, y, z, child):
-    return 2 * x + (child & 1), 2 * y + (child >> 1 & 1), 2 * z + (child >> 2)
-
-
-@part
-def _new_stack():
-    # an array, because numba's lists take twice as long; 8 children wait at each level at most
-    stack = np.empty((8 * (DEPTH + 1), 4), np.int64)
-    return stack, _push(stack, 0, DEPTH, 0, 0, 0)
-
-
-@part
-def _push(stack, depth, level, x, y, z):
-    stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3] = level, x, y, z
-    return depth + 1
-
-
-@part
-def _put_leaf(leaves, num, level, x, y, z, state):
-    if leaves.shape[0] > 0:
-        leaves[num, 0], leaves[num, 1], leaves[num, 2] = x << level, y << level, z << level
-        leaves[num, 3], leaves[num, 4] = level, state
-    return num + 1
-
-
 @kernel
-def write_tree(levels, first, out):
-    """Write a pyramid's nodes as a ``.bt`` has them: 2 bits a child, 2 bytes an inner node.
+def read_leaves(data, odds, has_odds, leaves):
+    """Read the nodes of a ``.bt``, or of an ``.ot``, which `has_odds`.
 
     Args:
-        first: (3,) int64, the key of the first voxel.
-        out: uint8, receives the bytes; empty to count them only.
-
-    Returns:
-        The number of bytes, and of all nodes.
-    """
-    if _state(levels, first, DEPTH, 0, 0, 0) == UNKNOWN:
-        return 0, 0
-    stack, depth = _new_stack()
-    num_bytes, num_nodes = 0, 1
-    while depth > 0:
-        depth -= 1
-        level, x, y, z = stack[depth]
-        bits = 0
-        # from the last child to the first, so that the first is taken from the stack next
-        for child in range(7, -1, -1):
-            cx, cy, cz = _child(x, y, z, child)
-            state = _state(levels, first, level - 1, cx, cy, cz)
-            bits |= min(state, 3) << (2 * child)  # 3: it has children of its own
-            if state != UNKNOWN:
-                num_nodes += 1
-            if state >= MIXED_FREE:
-                depth = _push(stack, depth, level - 1, cx, cy, cz)
-        if out.shape[0] > 0:
-            out[num_bytes], out[num_bytes + 1] = bits & 255, bits >> 8
-        num_bytes += 2
-    return num_bytes, num_nodes
-
-
-@kernel
-def write_odds(odds, levels, first, out):
-    """Write a pyramid's nodes as an ``.ot`` has them: 4 bytes of log-odds, 1 of children.
-
-    `odds` (3, 4) uint8 are the bytes of the log-odds of UNKNOWN, FREE and OCCUPIED. An inner node
-    has the greatest of its children's. See `write_tree`.
-    """
-    if _state(levels, first, DEPTH, 0, 0, 0) == UNKNOWN:
-        return 0, 0
-    stack, depth = _new_stack()
-    num_nodes = 0
-    while depth > 0:
-        depth -= 1
-        level, x, y, z = stack[depth]
-        state = _state(levels, first, level, x, y, z)
-        children = 0
-        if state >= MIXED_FREE:
-            for child in range(7, -1, -1):
-                cx, cy, cz = _child(x, y, z, child)
-                if _state(levels, first, level - 1, cx, cy, cz) != UNKNOWN:
-                    children |= 1 << child
-                    depth = _push(stack, depth, level - 1, cx, cy, cz)
-        if out.shape[0] > 0:
-            value = OCCUPIED if state in (OCCUPIED, MIXED) else FREE
-            for k in range(4):
-                out[5 * num_nodes + k] = odds[value, k]
-            out[5 * num_nodes + 4] = children
-        num_nodes += 1
-    return 5 * num_nodes, num_nodes
-
-
-@kernel
-def read_tree(data, leaves):
-    """Read a ``.bt``'s nodes.
-
-    Args:
-        data: uint8.
-        leaves: (n, 5) int32, receives each leaf's first key x, y, z, its level and its state;
-            empty to count them only.
+        data: uint8. In a ``.bt``, 2 bits for each child of a node with children; in an ``.ot``,
+            4 bytes of log-odds and one of which children there are, for each node.
+        odds: float32, the log-odds of each node of an ``.ot``: 0 and more are occupied.
+        leaves: (n, 5) int32, receives each leaf's first key x, y, z, its level, and 1 if it is
+            occupied; empty to count them only.
 
     Returns:
         The number of leaves, of bytes, and of all nodes; the first is OVERRUN or TOO_DEEP where
         the data are wrong.
     """
-    stack, depth = _new_stack()
-    place, num_leaves, num_nodes = 0, 0, 1
+    fills = leaves.shape[0] > 0
+    # an array, because numba's lists take twice as long; 8 children wait at each level at most
+    stack = np.zeros((8 * (DEPTH + 1), 4), np.int64)
+    stack[0, 0], depth = DEPTH, 1
+    place, num_leaves, num_nodes = 0, 0, 0 if has_odds else 1
     while depth > 0:
         depth -= 1
         level, x, y, z = stack[depth]
-        if place + 2 > data.shape[0]:
+        if place + (5 if has_odds else 2) > data.shape[0]:
             return OVERRUN, place, num_nodes
-        bits = np.int64(data[place]) | (np.int64(data[place + 1]) << 8)
-        place += 2
+        if has_odds:
+            bits = np.int64(data[place + 4])
+            place += 5
+            num_nodes += 1
+            if bits == 0:
+                if fills:
+                    leaves[num_leaves, 0], leaves[num_leaves, 1] = x << level, y << level
+                    leaves[num_leaves, 2], leaves[num_leaves, 3] = z << level, level
+                    leaves[num_leaves, 4] = odds[num_nodes - 1] >= 0.0
+                num_leaves += 1
+                continue
+        else:
+            bits = np.int64(data[place]) | (np.int64(data[place + 1]) << 8)
+            place += 2
         for child in range(7, -1, -1):
-            state = bits >> (2 * child) & 3
+            state = INNER * (bits >> child & 1) if has_odds else bits >> (2 * child) & 3
             if state == UNKNOWN:
                 continue
-            num_nodes += 1
-            cx, cy, cz = _child(x, y, z, child)
-            if state == 3:
-                if level == 1:
+            num_nodes += not has_odds
+            cx, cy, cz = 2 * x + (child & 1), 2 * y + (child >> 1 & 1), 2 * z + (child >> 2)
+            if state == INNER:
+                if level == (0 if has_odds else 1):
                     return TOO_DEEP, place, num_nodes
-                depth = _push(stack, depth, level - 1, cx, cy, cz)
+                stack[depth, 0], stack[depth, 1] = level - 1, cx
+                stack[depth, 2], stack[depth, 3] = cy, cz
+                depth += 1
                 continue
-            num_leaves = _put_leaf(leaves, num_leaves, level - 1, cx, cy, cz, state)
+            if fills:
+                size = level - 1
+                leaves[num_leaves, 0], leaves[num_leaves, 1] = cx << size, cy << size
+                leaves[num_leaves, 2], leaves[num_leaves, 3] = cz << size, size
+                leaves[num_leaves, 4] = state == OCCUPIED
+            num_leaves += 1
     return num_leaves, place, num_nodes
-
-
-@kernel
-def read_odds(odds, data, leaves):
-    """Read an ``.ot``'s nodes, 5 bytes each, like `read_tree`.
-
-    `odds`, float32, are their log-odds; leaves of 0 and more are OCCUPIED, others FREE.
-    """
-    stack, depth = _new_stack()
-    num_leaves, num_nodes = 0, 0
-    while depth > 0:
-        depth -= 1
-        level, x, y, z = stack[depth]
-        if 5 * num_nodes + 5 > data.shape[0]:
-            return OVERRUN, 5 * num_nodes, num_nodes
-        children = data[5 * num_nodes + 4]
-        state = OCCUPIED if odds[num_nodes] >= 0.0 else FREE
-        num_nodes += 1
-        if children == 0:
-            num_leaves = _put_leaf(leaves, num_leaves, level, x, y, z, state)
-            continue
-        if level == 0:
-            return TOO_DEEP, 5 * num_nodes, num_nodes
-        for child in range(7, -1, -1):
-            if children >> child & 1:
-                cx, cy, cz = _child(x, y, z, child)
-                depth = _push(stack, depth, level - 1, cx, cy, cz)
-    return num_leaves, 5 * num_nodes, num_nodes
 
 
 @kernel
@@ -224,4 +87,4 @@ def fill_leaves(leaves, first, values, known):
             for j in range(max(y, 0), min(y + size, num_y)):
                 for k in range(max(z, 0), min(z + size, num_z)):
                     known[i, j, k] = True
-                    values[i, j, k] = leaves[n, 4] == OCCUPIED
+                    values[i, j, k] = leaves[n, 4] != 0

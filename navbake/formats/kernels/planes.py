@@ -1,7 +1,9 @@
 """Covers cells by rectangles on each of which the floor is a plane, greedily, row by row.
 
-As `navbake.formats.kernels.rectangles`, but heights count: of the planes that a rectangle may begin
-with, level or sloped along its columns and rows, the one with the most cells is taken.
+From each cell that isn't covered yet, the largest rectangle is taken whose upper left cell it is:
+the one with the most cells of all planes that it may begin with, level or sloped along its columns
+and rows; of equal ones the lower in height. That is not the least number possible, but near it on
+floor plans. Where all heights are the same, these are rectangles of one label.
 """
 
 import numpy as np

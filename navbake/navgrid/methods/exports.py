@@ -11,10 +11,10 @@ from navbake.navgrid.operations import operation
 from navbake.types import Json
 
 if TYPE_CHECKING:
-    from navbake.formats.shapes.cell_graph import CellGraph
-    from navbake.formats.shapes.floor_mesh import FloorMesh
-    from navbake.formats.shapes.room_graph import RoomGraph
-    from navbake.formats.shapes.shape import Shape
+    from navbake.formats.cell_graph import CellGraph
+    from navbake.formats.floor_mesh import FloorMesh
+    from navbake.formats.room_graph import RoomGraph
+    from navbake.formats.shapes import Shape
 
 KINDS = ("room", "walkable", "door")  # of shapes
 
@@ -54,7 +54,7 @@ class Exports:
     ) -> list[Path]:
         """Write maps of ROS and nav2: a YAML and an image for each level.
 
-        Takes and raises what `navbake.formats.maps.nav2.encode_nav2` does; `navbake.from_nav2`
+        Takes and raises what `navbake.formats.nav2.encode_nav2` does; `navbake.from_nav2`
         reads them.
 
         Returns:
@@ -73,7 +73,7 @@ class Exports:
     ) -> list[Path]:
         """Write MolmoSpaces' ``ProcTHORMap`` (PNG) of each level.
 
-        Takes and raises what `navbake.formats.maps.procthor.encode_procthor` does;
+        Takes and raises what `navbake.formats.procthor.encode_procthor` does;
         `navbake.from_procthor` reads them.
 
         Returns:
@@ -84,7 +84,7 @@ class Exports:
     def to_npz(self, path: str | os.PathLike[str]) -> list[Path]:
         """Write a NumPy archive that holds all of the grid; `navbake.from_npz` reads it.
 
-        See `navbake.formats.maps.grid_npz` for its arrays.
+        See `navbake.formats.npz` for its arrays.
         """
         return self.convert(path, "npz")
 
@@ -98,7 +98,7 @@ class Exports:
     ) -> list[Path]:
         """Write a MuJoCo scene of walls and floors, and the settings that bake it to these cells.
 
-        Takes and raises what `navbake.formats.maps.mjcf.encode_mjcf` does.
+        Takes and raises what `navbake.formats.extrude.encode_mjcf` does.
 
         Returns:
             The files that were written.
@@ -108,7 +108,7 @@ class Exports:
     def to_mesh(self, tolerance: float = 0.001) -> FloorMesh:
         """The walkable floor as quads, level by level; `convert` writes it as GLB or OBJ.
 
-        See `navbake.formats.shapes.floor_mesh.make_floor_mesh`.
+        See `navbake.formats.floor_mesh.make_floor_mesh`.
 
         Args:
             tolerance: how far the mesh may be off the floor at a cell's centre [m], >= 0.
@@ -122,7 +122,7 @@ class Exports:
     def to_polygons(self, kinds: Collection[str] = KINDS) -> list[Shape]:
         """Rooms and walkable areas as polygons along the cells' edges, doors as lines.
 
-        Each gives its `geometry` for shapely. See `navbake.formats.shapes.shape.find_shapes`.
+        Each gives its `geometry` for shapely. See `navbake.formats.shapes.find_shapes`.
 
         Args:
             kinds: which shapes: ``room``, ``walkable``, ``door``.
@@ -136,7 +136,7 @@ class Exports:
     def to_geojson(self, kinds: Collection[str] = KINDS) -> Json:
         """The same as a GeoJSON FeatureCollection; `convert` writes it.
 
-        See `navbake.formats.shapes.geojson.to_geojson`.
+        See `navbake.formats.geojson.to_geojson`.
 
         Args:
             kinds: which features: ``room``, ``walkable``, ``door``.
@@ -159,8 +159,8 @@ class Exports:
         Each gives itself `to_networkx`; of cells, `matrix` is for scipy.
 
         Args:
-            kind: ``cells``, see `navbake.formats.shapes.cell_graph.make_cell_graph`; or ``rooms``,
-                see `navbake.formats.shapes.room_graph.make_room_graph`.
+            kind: ``cells``, see `navbake.formats.cell_graph.make_cell_graph`; or ``rooms``,
+                see `navbake.formats.room_graph.make_room_graph`.
             cut_corners: let diagonal steps pass blocked corners; of ``cells``.
 
         Raises:

@@ -2,7 +2,6 @@
 
 import io
 from base64 import b64encode
-from collections.abc import MutableMapping
 
 import numpy as np
 import orjson
@@ -12,7 +11,7 @@ from PIL import Image
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
 from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.user_data import NAMES, Shared, UserData, collector_off, names_in
+from navbake.navgrid.user_data import NAMES, Shared, UserData, names_in
 from navbake.types import Float, Int, Json
 from navbake.views.layers import LAYERS, make_panel, paint
 from navbake.views.page.page import pack, to_text
@@ -116,10 +115,8 @@ def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
     if isinstance(source, Shared):
         cells, number, entries = source
     else:
-        with collector_off():
-            table = source if isinstance(source, MutableMapping) else source.read()
-        cells, entries = np.fromiter(table, np.int64, len(table)), list(table.values())
-        number = np.arange(len(table))
+        cells, entries = np.fromiter(source, np.int64, len(source)), list(source.values())
+        number = np.arange(len(source))
     if len(cells):
         numbers[cells] = np.fromiter(map(number_of, entries), np.int64, len(entries))[number]
     return numbers.reshape(level.shape), lists

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from navbake.errors import FormatError, QueryError, printable
-from navbake.formats.json_path import shown
 from navbake.formats.source import read_object, write_bytes
+from navbake.formats.values import shown
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
 from navbake.views.describe import describe
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 PACKAGE = "navbake.views.report"  # where the page's script is
 WAYS = {"link": "steps"}  # as `navbake rooms` has it
-MAX_BYTES = 64 << 20  # of a verification
 PRINTED = "what `navbake verify --json` prints"
 WHOLE = {"ok": bool, "checked": int, "cells": int, "findings": list}
 FINDING = {"kind": str, "level": int, "position": list, "text": str}
@@ -114,7 +113,7 @@ def read_verification(path: str | os.PathLike[str]) -> Json:
     Raises:
         FormatError: it is none, or can't be read.
     """
-    report, name = read_object(path, expected=PRINTED, limit=MAX_BYTES)
+    report, name = read_object(path, expected=PRINTED)
     _check(report, WHOLE, "", name)
     for number, finding in enumerate(report["findings"]):
         _check(finding, FINDING, f"findings[{number}].", name)

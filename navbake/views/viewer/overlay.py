@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.formats.gltf import Buffer
+from navbake.formats.mesh_files import Buffer
 from navbake.lazy import lazy
 from navbake.navgrid.cells import Cell
 from navbake.navgrid.grid import NavGrid, SceneGrid2D

@@ -1,0 +1,134 @@
+"""Images of maps, read and written by Pillow: one for each level."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, PngImagePlugin
+
+from navbake.errors import FormatError
+from navbake.formats.allowance import PIXEL_COST, Allowance
+from navbake.formats.source import path_name, read_bytes
+from navbake.formats.values import JsonPath
+from navbake.navgrid.grid import NavGrid
+
+# Bytes of pixels that a byte of a file stands for at most, by Pillow's name of how they are coded:
+# deflate repeats 258 bytes by two bits. Runs of a BMP stand for any number.
+MOST_PER_BYTE = {"raw": 1, "ppm": 1, "ppm_plain": 1, "zip": 1032}
+BEGINNINGS = {"PPM": (b"P2", b"P5", b"P3", b"P6"), "PNG": (b"\x89PNG",), "BMP": (b"BM",)}
+
+
+class Pixels(NamedTuple):
+    """The pixels of an image, row 0 at the top.
+
+    Attributes:
+        light: sum of red, green and blue, shape (height, width), uint16 or uint32.
+        white: what each of them is at most, 255 or 65535.
+        opacity: 0 to 255, shape (height, width), uint8; None where the image has none.
+    """
+
+    light: NDArray[Any]
+    white: int
+    opacity: NDArray[np.uint8] | None
+
+
+def open_image(source: str | PathLike[str], kinds: tuple[str, ...] = tuple(BEGINNINGS)) -> Any:
+    """Open an image file and load its pixels, unless there are more than such a file may have.
+
+    Args:
+        kinds: what it may be, out of ``PPM`` (PGM is one), ``PNG`` and ``BMP``.
+
+    Raises:
+        FormatError: it is no such image, broken, or too large.
+    """
+    begins = tuple(start for kind in kinds for start in BEGINNINGS[kind])
+    names = " or ".join("PGM" if kind == "PPM" else kind for kind in kinds)
+    data, name = read_bytes(source, begins=begins, expected=f"a {names} image")
+    allowance, place = Allowance.of_image(len(data)), JsonPath(name)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # pixels are counted here; all else is read
+            image = Image.open(io.BytesIO(data), formats=kinds)
+            if _least_bytes(image) > len(data):
+                raise ValueError("it is cut off")
+            allowance.take_cells(image.size, place)
+            allowance.take_array(image.size, PIXEL_COST, place)
+            image.load()
+            return image
+    except FormatError:
+        raise
+    except Exception as error:  # a broken image raises whatever Pillow and zlib raise
+        why = " ".join(str(error).split())[:200] or type(error).__name__
+        raise FormatError(f"{path_name(name)} is no image that can be read: {why}") from error
+
+
+def _least_bytes(image: Any) -> float:
+    """The bytes that a file of as many pixels has at least: memory is reserved for all of them."""
+    coding, bands = image.tile[0][0] if image.tile else "", len(image.getbands())
+    # one band may be of single bits; several take a byte each in a PNG, one or more in a BMP
+    bits = 1 if bands == 1 else 8 * (bands if coding == "zip" else 1)
+    num_bytes = image.width * image.height * bits / 8
+    return num_bytes / MOST_PER_BYTE[coding] if coding in MOST_PER_BYTE else 0.0
+
+
+def read_pixels(source: str | PathLike[str]) -> Pixels:
+    """Read the pixels of a PGM, PNG or BMP of any depth; raises as `open_image` does."""
+    image = open_image(source)
+    if image.mode in ("I", "I;16", "I;16B", "I;16L"):
+        return Pixels(3 * np.asarray(image).astype(np.uint32), 65535, None)
+    has_opacity = "A" in image.getbands() or "transparency" in image.info
+    if not has_opacity and image.mode in ("1", "L"):
+        return Pixels(3 * np.asarray(image.convert("L")).astype(np.uint16), 255, None)
+    channels = np.asarray(image.convert("RGBA" if has_opacity else "RGB"))
+    light = channels[..., :3].sum(axis=2, dtype=np.uint16)
+    return Pixels(light, 255, channels[..., 3] if has_opacity else None)
+
+
+def encode_pgm(grey: NDArray[np.uint8]) -> bytes:
+    """A binary PGM of grey values, shape (height, width), row 0 at the top."""
+    height, width = grey.shape
+    return b"P5\n%d %d\n255\n" % (width, height) + grey.tobytes()
+
+
+def encode_png(pixels: NDArray[np.uint8], texts: Mapping[str, str] | None = None) -> bytes:
+    """A PNG of pixels, shape (height, width) for grey or (height, width, 3 or 4) for colours.
+
+    Args:
+        texts: what goes into its text chunks, by keyword.
+    """
+    notes = PngImagePlugin.PngInfo()
+    for keyword, text in (texts or {}).items():
+        notes.add_text(keyword, text)
+    file = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(pixels)).save(file, "PNG", pnginfo=notes)
+    return file.getvalue()
+
+
+def level_paths(
+    grid: NavGrid, path: Path, level: int | None, endings: tuple[str, ...]
+) -> dict[int, Path]:
+    """The path of the map of each level, by the level's number.
+
+    A grid of one level has the path itself, and so has the level that is asked for. Of several
+    levels, the number follows the stem: ``map_0.yaml``, ``map_1.yaml``.
+
+    Raises:
+        FormatError: the name has none of the endings, or there is no such level.
+    """
+    if path.suffix.lower() not in endings:
+        raise FormatError(f"expected a name that ends in {' or '.join(endings)}, got {path}")
+    count = len(grid.levels)
+    if level is not None:
+        if not 0 <= level < count:
+            raise FormatError(f"no level {level}: the grid has {count}, counted from 0")
+        return {level: path}
+    if count == 1:
+        return {0: path}
+    return {k: path.with_name(f"{path.stem}_{k}{path.suffix}") for k in range(count)}

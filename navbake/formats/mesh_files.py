@@ -1,0 +1,198 @@
+"""The floor mesh as files: binary glTF (.glb) and Wavefront OBJ.
+
+They are written here rather than by trimesh, which has no groups in an OBJ and no primitives of one
+object in a GLB: a level is an object, a room a material or a group of it.
+
+Source: glTF 2.0 Specification, Khronos Group, sections 3 and 4.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+
+from navbake._version import __version__
+from navbake.errors import QueryError
+from navbake.formats.floor_mesh import TOLERANCE, FloorMesh, LevelMesh, color_mesh, make_floor_mesh
+from navbake.formats.source import Files
+from navbake.navgrid.grid import NavGrid
+from navbake.types import Json
+
+COMPONENTS = {np.dtype("<f4"): 5126, np.dtype("<u2"): 5123, np.dtype("<u4"): 5125}
+VERTICES, INDICES = 34962, 34963  # targets of buffer views
+UPS = ("y", "z")
+VERTEX = "v %.10g %.10g %.10g %.3f %.3f %.3f\n"
+FACE = "f %d %d %d\nf %d %d %d\n"
+
+
+class Buffer:
+    """The one buffer of a GLB, and the tables of what lies where in it."""
+
+    def __init__(self) -> None:
+        self._data = bytearray()
+        self._views: list[Json] = []
+        self._accessors: list[Json] = []
+
+    def add_bytes(self, content: bytes, target: int | None = None) -> int:
+        """Append bytes, and return the number of their buffer view."""
+        view = {"buffer": 0, "byteOffset": len(self._data), "byteLength": len(content)}
+        self._views.append(view if target is None else {**view, "target": target})
+        self._data += content + bytes(-len(content) % 4)
+        return len(self._views) - 1
+
+    def add_indices(self, faces: NDArray[np.uint32]) -> int:
+        """Append indices into vertices, any shape, and return the number of their accessor."""
+        return self._add(np.ravel(faces), "SCALAR", INDICES, {})
+
+    def add_vectors(self, values: NDArray[Any], **more: Any) -> int:
+        """Append a vector for each vertex, shape (n, 2), (n, 3) or (n, 4); likewise.
+
+        Args:
+            values: float32 or uint16.
+            more: further entries of the accessor.
+        """
+        return self._add(values, f"VEC{values.shape[1]}", VERTICES, more)
+
+    def add_positions(self, vertices: NDArray[np.float32]) -> int:
+        """Append vertices, shape (n, 3), n > 0; glTF demands the bounds of these."""
+        low, high = vertices.min(axis=0).tolist(), vertices.max(axis=0).tolist()
+        return self.add_vectors(vertices, min=low, max=high)
+
+    def _add(self, values: NDArray[Any], shape: str, target: int, more: Json) -> int:
+        values = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
+        view = self.add_bytes(values.tobytes(), target)
+        component = COMPONENTS[values.dtype]
+        entry = {"bufferView": view, "componentType": component, "count": len(values)}
+        self._accessors.append({**entry, "type": shape, **more})
+        return len(self._accessors) - 1
+
+    def pack(self, document: Json) -> bytes:
+        """Return the content of a GLB file.
+
+        Args:
+            document: the rest of the JSON object; what is empty is left out, as glTF demands.
+        """
+        tables = {"accessors": self._accessors, "bufferViews": self._views}
+        if self._data:
+            tables["buffers"] = [{"byteLength": len(self._data)}]
+        asset = {"version": "2.0", "generator": f"navbake {__version__}"}
+        whole = {"asset": asset, "scene": 0, **document, **tables}
+        text = orjson.dumps({key: value for key, value in whole.items() if value not in ([], {})})
+        text += b" " * (-len(text) % 4)
+        chunks = struct.pack("<I4s", len(text), b"JSON") + text
+        if self._data:
+            chunks += struct.pack("<I4s", len(self._data), b"BIN\0") + self._data
+        return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE) -> Files:
+    """Make a GLB of a grid's walkable floor; see `make_floor_mesh` for its quads.
+
+    y is up, in metres, as glTF has it: ``(x, z, -y)`` of the world. Each level is an object by its
+    name, whose origin is the outer corner of the level's cell 0 on its ground; each room a material
+    by its name, in its colour of the pictures.
+
+    Args:
+        path: the file.
+        tolerance: see `make_floor_mesh` [m].
+    """
+    mesh, buffer = make_floor_mesh(grid, tolerance), Buffer()
+    document: Json = {"nodes": [], "meshes": [], "materials": []}
+    for level, colors in zip(mesh.levels, color_mesh(grid, mesh), strict=True):
+        x, y, z = level.origin
+        node: Json = {"name": level.name, "translation": [x, z, 0.0 - y]}
+        if len(level.room):
+            node["mesh"] = len(document["meshes"])
+            document["meshes"].append(_glb_mesh(level, colors, buffer, document["materials"]))
+        document["nodes"].append(node)
+    document["scenes"] = [{"nodes": list(range(len(document["nodes"])))}]
+    return {path: buffer.pack(document)}
+
+
+def _glb_mesh(
+    level: LevelMesh, colors: NDArray[np.uint8], buffer: Buffer, materials: list[Json]
+) -> Json:
+    local = level.vertices - level.origin
+    turned = np.stack([local[:, 0], local[:, 2], 0.0 - local[:, 1]], axis=1).astype(np.float32)
+    primitives = []
+    for room in np.unique(level.room).tolist():
+        first, end = np.searchsorted(level.room, [room, room + 1]).tolist()  # its quads in a row
+        faces = level.faces[: 2 * (end - first)].astype(np.uint32)
+        primitives.append(
+            {
+                "attributes": {"POSITION": buffer.add_positions(turned[4 * first : 4 * end])},
+                "indices": buffer.add_indices(faces),
+                "material": len(materials),
+                "extras": {"room": level.rooms[room]},
+            }
+        )
+        color = [*(_linear(c) for c in colors[room].tolist()), 1.0]
+        looks = {"baseColorFactor": color, "metallicFactor": 0.0}
+        name = level.rooms[room]
+        materials.append({"name": name, "pbrMetallicRoughness": looks, "doubleSided": True})
+    return {"name": level.name, "primitives": primitives}
+
+
+def _linear(value: int) -> float:
+    """A part of a colour from sRGB, 0 to 255, to linear, 0 to 1 (IEC 61966-2-1)."""
+    share = value / 255
+    return round(share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4, 6)
+
+
+def encode_obj(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE, up: str = "y") -> Files:
+    """Make an OBJ of a grid's walkable floor; see `make_floor_mesh` for its quads.
+
+    Each level is an object, each room a group of it, and each vertex has the colour of its room
+    after its position, which most programs read and the others skip. The format separates names by
+    spaces, so each character of a name that is no letter, digit, ``.`` or ``-`` becomes ``_``.
+
+    Args:
+        path: the file.
+        tolerance: see `make_floor_mesh` [m].
+        up: ``y``: ``(x, z, -y)`` of the world, as Recast, Unity and most programs take it; or
+            ``z``: the world's own x, y, z. Metres.
+
+    Raises:
+        QueryError: an argument is out of its range.
+    """
+    if up not in UPS:
+        raise QueryError(f"expected y or z as up, got {up!r}")
+    mesh = make_floor_mesh(grid, tolerance)
+    return {path: list(_obj_lines(mesh, color_mesh(grid, mesh), up))}
+
+
+def _obj_lines(mesh: FloorMesh, colors: list[NDArray[np.uint8]], up: str) -> Iterator[bytes]:
+    yield f"# the walkable floor of a navbake grid, in metres, {up} up\n".encode()
+    done, levels, groups = 0, set[str](), set[str]()
+    for level, of_level in zip(mesh.levels, colors, strict=True):
+        yield f"o {_own_name(level.name, levels)}\n".encode()
+        x, y, z = level.vertices.T
+        z = np.round(z, 6)  # drops the noise of float32
+        points = np.stack([x, z, 0.0 - y] if up == "y" else [x, y, z], axis=1)
+        shades = of_level[np.repeat(level.room, 4)] / 255
+        values = np.hstack([points, shades]).ravel().tolist()
+        yield ((VERTEX * len(points)) % tuple(values)).encode()
+        faces = level.faces + done + 1  # counted from 1 through the file
+        for room in np.unique(level.room).tolist():
+            own = faces[np.repeat(level.room == room, 2)].ravel().tolist()
+            yield f"g {_own_name(level.rooms[room], groups)}\n".encode()
+            yield ((FACE * (len(own) // 6)) % tuple(own)).encode()
+        done += len(points)
+
+
+def _own_name(name: str, used: set[str]) -> str:
+    """A name as OBJ takes it; what would be a second one gets a number."""
+    plain = re.sub(r"[^\w.\-]", "_", name) or "_"
+    found, number = plain, 1
+    while found in used:
+        number += 1
+        found = f"{plain}_{number}"
+    used.add(found)
+    return found

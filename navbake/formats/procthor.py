@@ -1,0 +1,185 @@
+"""``ProcTHORMap``: the maps of MolmoSpaces, a PNG with its matrices in text chunks.
+
+Red and green are 255 where an agent can stand (MolmoSpaces calls that ``occupancy``), blue is the
+room's number, 0 for none. The text chunks ``world_to_map`` (2 × 4) and ``map_to_world`` (3 × 3) are
+the matrices of its formulas: ``round([x, y, z, 1] @ world_to_map.T)`` gives row and column, and
+``[row, col, 1] @ map_to_world.T`` the world position of the middle of that pixel. So a whole
+number is the middle of a cell, and a cell's edges lie at halves: there the matrices differ by half
+a cell from those that ``floor`` would need.
+
+Source: ``ProcTHORMap.save`` and ``load`` of ``molmo_spaces/utils/scene_maps.py``.
+"""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+
+from navbake.errors import FormatError
+from navbake.formats.images import encode_png, level_paths, open_image
+from navbake.formats.source import Files
+from navbake.formats.values import shown
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE, Lattice
+from navbake.navgrid.rooms import measure_rooms
+from navbake.types import Float, Json
+
+MAX_ROOMS = 255  # that a byte can number
+SLACK = 1e-6  # of an entry of the matrices, relative to the largest: what is this little is 0
+
+
+def encode_procthor(
+    grid: NavGrid, path: Path, *, level: int | None = None, radius: float | None = None
+) -> Files:
+    """Make the ``ProcTHORMap`` of each level.
+
+    Args:
+        path: ends in ``.png``. Of several levels, each has its own map, whose number follows the
+            stem: ``map_0.png``, ``map_1.png``.
+        level: make this level's map only, under the name itself.
+        radius: inflate for an agent of this radius first [m]; see `SceneGrid2D.inflate`.
+
+    Raises:
+        FormatError: there is no such level, or a level has more than 255 rooms.
+        QueryError: the radius is out of its range.
+    """
+    if radius is not None:
+        grid = grid.inflate(radius)
+    paths = level_paths(grid, path, level, (".png",))
+    return {path: _encode(grid, number) for number, path in paths.items()}
+
+
+def _encode(grid: NavGrid, number: int) -> bytes:
+    level = grid.levels[number]
+    rooms = level.room_index
+    if rooms.max(initial=0) > MAX_ROOMS:
+        raise FormatError(
+            f"a ProcTHORMap numbers rooms up to {MAX_ROOMS}, level {number} has {rooms.max()}"
+        )
+    free = np.where(level.free, np.uint8(255), np.uint8(0))
+    pixels = np.stack([free, free, rooms.astype(np.uint8)], axis=-1)
+    names = {room.index: room.name or room.id for room in grid.rooms if room.level == number}
+    to_map, to_world = matrices_of(level.lattice, level.ground)
+    density = 1.0 / level.lattice.cell_size
+    texts = {
+        "world_to_map": to_map.tolist(),
+        "map_to_world": to_world.tolist(),
+        "px_per_m": round(density) if abs(density - round(density)) < 1e-9 else density,
+        "room_ids_to_name": {str(index): name for index, name in names.items()},
+    }
+    return encode_png(pixels, {key: orjson.dumps(text).decode() for key, text in texts.items()})
+
+
+def matrices_of(lattice: Lattice, z: float) -> tuple[Float, Float]:
+    """``world_to_map``, shape (2, 4), and ``map_to_world``, shape (3, 3), of a lattice.
+
+    Args:
+        z: what world z the pixels' positions have [m].
+    """
+    cell, (x, y) = lattice.cell_size, (lattice.x_min, lattice.y_max)
+    to_map = [[0.0, -1.0 / cell, 0.0, y / cell - 0.5], [1.0 / cell, 0.0, 0.0, -x / cell - 0.5]]
+    to_world = [[0.0, cell, x + cell / 2], [-cell, 0.0, y - cell / 2], [0.0, 0.0, z]]
+    return np.array(to_map), np.array(to_world)
+
+
+def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
+    """Read a ``ProcTHORMap`` as a grid of one level.
+
+    Rows and columns may run along either axis of the world, in either direction; they are turned
+    to navbake's. The floor is flat, at the z that ``map_to_world`` gives, under what isn't free,
+    too. Grey maps (``iTHORMap``) have no rooms.
+
+    Raises:
+        FormatError: the file is no such map, or turned by no quarter.
+    """
+    image = open_image(path, ("PNG",))
+    to_map = _matrix(image.info, "world_to_map", (2, 4), path)
+    to_world = _matrix(image.info, "map_to_world", (3, 3), path)
+    if image.mode not in ("L", "1", "RGB"):
+        raise FormatError(f"expected a map of 1 or 3 channels in {path}, got {image.mode}")
+    red, _, blue = np.moveaxis(np.asarray(image.convert("RGB")), -1, 0)
+    rooms = blue if image.mode == "RGB" else np.zeros_like(blue)
+    layers, lattice = _straighten(np.stack([red, rooms]), to_map, path)
+    free, rooms = layers[0] > 0, layers[1].astype(np.uint16)
+    z = float(to_world[2, 2])
+    if not abs(z) <= FARTHEST:
+        raise FormatError(f"expected a map within {FARTHEST:g} m of the origin, got {path}")
+    level = SceneGrid2D(
+        width=lattice.width,
+        height=lattice.height,
+        cell_size=lattice.cell_size,
+        min_yup=(lattice.x_min, z, 0.0 - lattice.y_max),
+        weights=np.where(free, 1.0, np.inf),
+        attributes={
+            "floorHeight": np.full(free.shape, z, dtype=np.float32),
+            "occupancy": (~free).astype(np.uint8),
+            "roomIndex": rooms,
+        },
+        metadata={"sceneId": Path(path).stem},
+    )
+    names = _read_names(image.info.get("room_ids_to_name"), path)
+    table = [{**room.to_json(), "name": names.get(room.index)} for room in measure_rooms(level, 0)]
+    level.metadata["navbake"] = {"rooms": table}
+    return level
+
+
+def _straighten(
+    layers: NDArray[np.uint8], to_map: Float, path: str | PathLike[str]
+) -> tuple[NDArray[np.uint8], Lattice]:
+    """Turn layers so that columns run along x and rows against y, and find where they lie."""
+    scale = float(np.abs(to_map[:, :2]).max())
+    linear = np.where(np.abs(to_map[:, :3]) <= SLACK * scale, 0.0, to_map[:, :3])
+    if linear[0, 0] != 0:  # rows run along x
+        layers, linear, to_map = layers.transpose(0, 2, 1), linear[::-1], to_map[::-1]
+    (row_x, row_y, row_z), (col_x, col_y, col_z) = linear
+    is_straight = row_x == col_y == row_z == col_z == 0 and row_y != 0 and col_x != 0
+    if not is_straight or abs(abs(row_y) - abs(col_x)) > SLACK * scale:
+        raise FormatError(f"`world_to_map` of {path} turns by no quarter, or stretches")
+    _, height, width = layers.shape
+    down, right = to_map[:, 3].tolist()
+    if row_y > 0:
+        layers, down = layers[:, ::-1], height - 1 - down
+    if col_x < 0:
+        layers, right = layers[:, :, ::-1], width - 1 - right
+    cell = 1.0 / float(abs(col_x))
+    lattice = Lattice(-(right + 0.5) * cell, (down + 0.5) * cell, cell, width, height)
+    if not cell >= LEAST_EDGE or not all(abs(value) <= FARTHEST for value in lattice.bounds):
+        raise FormatError(f"expected a map within {FARTHEST:g} m of the origin, got {path}")
+    return np.ascontiguousarray(layers), lattice
+
+
+def _matrix(texts: Json, key: str, shape: tuple[int, int], path: str | PathLike[str]) -> Float:
+    value = _parse(texts.get(key), key, path)
+    rows = value if isinstance(value, list) and len(value) == shape[0] else []
+    if not all(isinstance(row, list) and len(row) == shape[1] for row in rows) or not rows:
+        raise FormatError(f"expected a {shape[0]} × {shape[1]} matrix as `{key}` in {path}")
+    if not all(type(entry) in (int, float) for row in rows for entry in row):
+        raise FormatError(f"expected numbers in `{key}` of {path}, got {shown(rows[0][0])}")
+    return np.array(rows, dtype=np.float64)
+
+
+def _read_names(text: Any, path: str | PathLike[str]) -> dict[int, str]:
+    names = {} if text is None else _parse(text, "room_ids_to_name", path)
+    if names is None:
+        return {}
+    if not isinstance(names, dict):
+        raise FormatError(f"expected names by number as `room_ids_to_name` in {path}")
+    return {
+        int(key): name
+        for key, name in names.items()
+        if key.isdecimal() and len(key) < 10 and isinstance(name, str)
+    }
+
+
+def _parse(text: Any, key: str, path: str | PathLike[str]) -> Any:
+    if not isinstance(text, str):
+        raise FormatError(f"expected a ProcTHORMap, {path} has no text `{key}`")
+    try:
+        return orjson.loads(text)
+    except orjson.JSONDecodeError as error:
+        raise FormatError(f"expected JSON as text `{key}` in {path}: {error}") from error

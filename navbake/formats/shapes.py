@@ -1,0 +1,270 @@
+"""The shapes of a grid: rooms and walkable areas as polygons along cells' edges, doors as lines."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.errors import MissingDependencyError, QueryError
+from navbake.navgrid.door_lines import find_ends
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.navgrid.lattice import Lattice
+from navbake.types import Float, Int, Int32, Json
+
+if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
+
+ROOM, WALKABLE, DOOR = "room", "walkable", "door"
+KINDS = (ROOM, WALKABLE, DOOR)
+DECIMALS = 9  # of coordinates: a nanometre
+SMALLEST = 1e-6  # cells with an edge below this keep all digits [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A room, the walkable area of a level, or a door, from above.
+
+    Attributes:
+        kind: ``room``, ``walkable`` or ``door``.
+        level: its level, 0 is the lowest.
+        level_name: the level's name.
+        height: world z of the level's ground [m].
+        id: of a room or door, unique among those of the grid, None for none.
+        name: of a room, None for none.
+        area: of the cells [m²]; 0 of a door.
+        parts: of a polygon: for each part its rings, the outer one first, then the holes; each of
+            shape (n, 2), float64, world x, y [m], the first corner not repeated. Outer rings run
+            anticlockwise, holes clockwise.
+        line: of a door: both ends, shape (2, 2), float64, world x, y [m]; None of others.
+        more: further properties: ``outdoors`` of a room; ``state`` and ``rooms`` of a door.
+    """
+
+    kind: str
+    level: int
+    level_name: str
+    height: float
+    id: str | None
+    name: str | None
+    area: float
+    parts: list[list[Float]]
+    line: Float | None
+    more: Json
+
+    @property
+    def geometry(self) -> BaseGeometry:
+        """The shape for shapely: a Polygon, a MultiPolygon or a LineString, valid, in metres.
+
+        Raises:
+            MissingDependencyError: shapely is not installed.
+        """
+        shapely = import_shapely()
+        if self.line is not None:
+            line: BaseGeometry = shapely.LineString(self.line)
+            return line
+        polygons = [shapely.Polygon(rings[0], rings[1:]) for rings in self.parts]
+        joined: BaseGeometry = polygons[0] if len(polygons) == 1 else shapely.MultiPolygon(polygons)
+        return joined
+
+    @property
+    def properties(self) -> Json:
+        """All but the geometry, in values that JSON can hold."""
+        return {
+            "kind": self.kind,
+            "level": self.level,
+            "levelName": self.level_name,
+            "height": self.height,
+            "id": self.id,
+            "name": self.name,
+            "area": self.area,
+            **self.more,
+        }
+
+
+def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
+    """The rooms, walkable areas and doors of a grid as shapes.
+
+    Polygons run exactly along the cells' edges: of a room, round all of its cells, also those that
+    something stands in; of what is walkable, round the free cells of a level. A cell's centre lies
+    in a polygon if and only if the polygon has the cell. Cells that only touch at a corner are
+    parts of their own, so polygons are valid.
+
+    A door is a line from jamb to jamb, where its leaf is when it is closed (else, as it is now);
+    see `navbake.navgrid.door_lines.find_ends`.
+
+    Args:
+        grid: a grid of one or several levels.
+        kinds: which shapes: ``room``, ``walkable``, ``door``.
+
+    Returns:
+        For each level, lowest first, its rooms by index, its walkable area (none where no cell is
+        free), and its doors. A door of two levels is on both.
+
+    Raises:
+        QueryError: a kind is unknown.
+    """
+    unknown = sorted(set(kinds) - set(KINDS))
+    if isinstance(kinds, str) or unknown:
+        raise QueryError(f"expected some of {', '.join(KINDS)} as kinds, got {kinds!r}")
+    shapes = []
+    for number, level in enumerate(grid.levels):
+        place = (number, grid.level_names[number], _rounded(level.ground))
+        if ROOM in kinds:
+            shapes += _find_rooms(grid, place, level)
+        if WALKABLE in kinds and level.free.any():
+            parts = _polygons(level, level.free)[1]
+            area = _area(level, int(np.count_nonzero(level.free)))
+            shapes.append(Shape(WALKABLE, *place, None, None, area, parts, None, {}))
+        if DOOR in kinds:
+            shapes += _find_doors(grid, place, level)
+    return shapes
+
+
+def _find_rooms(grid: NavGrid, place: tuple[int, str, float], level: SceneGrid2D) -> list[Shape]:
+    parts = _polygons(level, level.room_index)
+    known = {room.index: room for room in grid.rooms if room.level == place[0]}
+    count = np.bincount(level.room_index.ravel())
+    found = []
+    for index, rings in parts.items():
+        room = known.get(index)
+        name, area = (room and room.name) or None, _area(level, int(count[index]))
+        room_id = room.id if room else f"{place[0]}:{index}"
+        more = {"outdoors": True} if room and room.outdoors else {}
+        found.append(Shape(ROOM, *place, room_id, name, area, rings, None, more))
+    return found
+
+
+def _find_doors(grid: NavGrid, place: tuple[int, str, float], level: SceneGrid2D) -> list[Shape]:
+    found = []
+    for door in grid.doors:
+        ends = find_ends(grid, door, place[0])
+        if ends is not None:
+            more = {"state": door.state, "rooms": list(door.rooms)}
+            found.append(Shape(DOOR, *place, door.id, None, 0.0, [], np.array(ends), more))
+    return found
+
+
+def _polygons(level: SceneGrid2D, labels: Any) -> dict[int, list[list[Float]]]:
+    """The parts of labelled cells, each a list of rings, by label."""
+    outlines = trace_outlines(labels)
+    points = place_corners(outlines.corners, level.lattice)
+    rings = np.split(points, outlines.ring_start[1:-1])
+    bounds = outlines.part_start.tolist()
+    parts: dict[int, list[list[Float]]] = {}
+    for label, first, last in zip(outlines.label.tolist(), bounds, bounds[1:], strict=False):
+        parts.setdefault(label, []).append(rings[first:last])
+    return parts
+
+
+def _area(level: SceneGrid2D, count: int) -> float:
+    return _rounded(count * level.lattice.cell_size**2)
+
+
+def _rounded(value: float) -> float:
+    """To a micrometre, and without -0.0."""
+    return round(float(value), 6) + 0.0
+
+
+def import_shapely() -> Any:
+    """Load shapely, or say how to install it."""
+    try:
+        import shapely  # of the extra [convert]
+    except ImportError as error:
+        message = 'polygons for shapely, and WKT, need shapely: pip install "navbake[convert]"'
+        raise MissingDependencyError(message) from error
+    return shapely
+
+
+# ---------------------------------------------------------------- outlines
+
+
+@dataclass(frozen=True, eq=False)
+class Outlines:
+    """Rings round the connected parts of labelled cells.
+
+    A part is cells of one label that share edges; cells that only touch at a corner are two parts.
+    No ring has a corner twice, and rings of one label meet at single corners at most. So each part
+    is a valid polygon, and all parts of a label a valid multipolygon (OGC simple features),
+    whatever the cells are.
+
+    Attributes:
+        corners: of all rings, row and column of corners of cells, shape (n, 2), int32; (0, 0) is
+            the upper left corner of the first cell. Outer rings run anticlockwise in the world,
+            holes clockwise (RFC 7946). The first corner is not repeated.
+        ring_start: where each ring starts among the corners, and n; shape (num_rings + 1,).
+        part_start: where each part starts among the rings, and their number; its first ring is the
+            outer one, the others are holes.
+        label: of each part, int32.
+    """
+
+    corners: Int32
+    ring_start: Int
+    part_start: Int
+    label: Int32
+
+
+def place_corners(corners: NDArray[np.integer], lattice: Lattice) -> Float:
+    """World x, y of corners of cells [m], shape (..., 2), to a nanometre where cells are larger."""
+    x = lattice.x_min + corners[..., 1] * lattice.cell_size
+    y = lattice.y_max - corners[..., 0] * lattice.cell_size
+    points = np.stack([x, y], axis=-1)
+    if lattice.cell_size > SMALLEST:
+        points = np.round(points, DECIMALS)
+    placed: Float = points + 0.0  # no -0.0
+    return placed
+
+
+def trace_outlines(labels: NDArray[np.integer]) -> Outlines:
+    """Trace the outlines of all labels of a level.
+
+    Args:
+        labels: of the cells, shape (height, width), 0 for none.
+
+    Returns:
+        The parts by label, then by their first cells in reading order.
+    """
+    from navbake.formats.kernels.outlines import (  # numba loads slowly
+        count_sides,
+        number_regions,
+        trace_rings,
+    )
+
+    own = np.ascontiguousarray(labels, dtype=np.int32)
+    parts = np.pad(number_regions(own), 1)
+    corners, start, part = trace_rings(parts, count_sides(parts))
+    # rings by label and part, the outer one first
+    flat = parts[1:-1, 1:-1].ravel()
+    label = np.zeros(int(flat.max(initial=0)) + 1, dtype=np.int32)
+    label[flat] = own.ravel()
+    is_hole = _doubled_areas(corners, start) < 0
+    order = np.lexsort((np.arange(len(part)), is_hole, part, label[part]))
+    gathered, ring_start = _gather(corners, start, order)
+    first = np.unique(_ranks(part[order]), return_index=True)[1]
+    part_start = np.append(first, len(order)).astype(np.int64)
+    return Outlines(gathered, ring_start, part_start, label[part[order][first]])
+
+
+def _ranks(values: Int32) -> Int:
+    """The number of each run of equal values."""
+    return np.cumsum(np.diff(values, prepend=values[:1]) != 0)
+
+
+def _doubled_areas(corners: Int32, start: Int) -> Int:
+    """Twice the areas of rings in cells, > 0 where they run anticlockwise in the world."""
+    row, col = corners.astype(np.int64).T
+    after = np.arange(1, len(corners) + 1)
+    after[start[1:] - 1] = start[:-1]  # of a ring's last corner, its first one
+    # rows run against y
+    cross = row * col[after] - col * row[after]
+    return np.add.reduceat(cross, start[:-1]) if len(start) > 1 else np.zeros(0, dtype=np.int64)
+
+
+def _gather(corners: Int32, start: Int, order: Int) -> tuple[Int32, Int]:
+    """Rings in another order: their corners, and where each starts."""
+    count = np.diff(start)[order]
+    new_start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    source = np.arange(len(corners)) + np.repeat(start[order] - new_start[:-1], count)
+    return corners[source], new_start

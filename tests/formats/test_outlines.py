@@ -1,0 +1,126 @@
+"""Outlines of any cells are valid polygons that hold the centres of these cells and no others."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from navbake.formats.shapes import place_corners, trace_outlines
+from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.polygon import cover_cells, find_fault
+
+SIDES = st.tuples(st.integers(1, 9), st.integers(1, 9))
+LABELS = arrays(np.int32, SIDES, elements=st.integers(0, 3))
+MASKS = arrays(np.int32, SIDES, elements=st.integers(0, 1))
+
+
+def rings_by_part(outlines, lattice):
+    points = place_corners(outlines.corners, lattice)
+    rings = np.split(points, outlines.ring_start[1:-1])
+    return [rings[first:last] for first, last in pairwise(outlines.part_start)]
+
+
+def lattice_of(labels, cell=0.1):
+    height, width = labels.shape
+    return Lattice(-42.707, 0.3, cell, width, height)
+
+
+def count_parts(mask):
+    """Parts of cells that share edges, by a flood fill."""
+    left, parts = {(int(r), int(c)) for r, c in np.argwhere(mask)}, 0
+    while left:
+        parts += 1
+        stack = [left.pop()]
+        while stack:
+            row, col = stack.pop()
+            for near in ((row + 1, col), (row - 1, col), (row, col + 1), (row, col - 1)):
+                if near in left:
+                    left.remove(near)
+                    stack.append(near)
+    return parts
+
+
+@settings(deadline=None)
+@given(st.one_of(LABELS, MASKS))
+def test_outlines_hold_the_cells_of_their_label(labels):
+    lattice = lattice_of(labels)
+    outlines = trace_outlines(labels)
+    parts = rings_by_part(outlines, lattice)
+    x, y = np.meshgrid(lattice.center_x(), lattice.center_y())
+    for label in range(1, 4):
+        own = [k for k, found in enumerate(outlines.label) if found == label]
+        assert len(own) == count_parts(labels == label)
+        polygons = [shapely.Polygon(parts[k][0], parts[k][1:]) for k in own]
+        joined = shapely.MultiPolygon(polygons)
+        assert all(p.is_valid for p in polygons) and joined.is_valid
+        inside = shapely.contains_xy(joined, x, y)
+        np.testing.assert_array_equal(inside, labels == label)
+        # by the rule of the settings, too
+        rings = [ring for k in own for ring in parts[k]]
+        np.testing.assert_array_equal(cover_cells(rings, lattice), labels == label)
+        assert not any(find_fault(ring) for ring in rings)
+        assert joined.area == pytest.approx(np.count_nonzero(labels == label) * 0.01)
+
+
+@settings(deadline=None)
+@given(LABELS)
+def test_rings_turn_as_geojson_demands_and_have_corners_only(labels):
+    outlines = trace_outlines(labels)
+    for rings in rings_by_part(outlines, lattice_of(labels)):
+        for number, ring in enumerate(rings):
+            assert shapely.LinearRing(ring).is_ccw == (number == 0)
+            steps = np.roll(ring, -1, axis=0) - ring
+            is_along_x = np.abs(steps[:, 1]) < 1e-9
+            assert (is_along_x != np.roll(is_along_x, 1)).all()  # each corner is a turn
+            assert len(np.unique(ring, axis=0)) == len(ring)
+
+
+@pytest.mark.parametrize(
+    ("cells", "sizes"),
+    [
+        # corners of each ring, by part
+        (["##", "##"], [[4]]),
+        (["#.", ".#"], [[4], [4]]),
+        (["###", "#.#", "###"], [[4, 4]]),
+        (["####", "#..#", "#.##", "####"], [[4, 6]]),
+        # two holes that touch at a corner
+        (["####", "#.##", "##.#", "####"], [[4, 4, 4]]),
+        # a hole that touches the outer ring
+        ([".###", "#.##", "####"], [[6, 4]]),
+        # one that opens to the outside at a corner only, the cells round it connected elsewhere
+        (["###", "#.#", "##."], [[6, 4]]),
+        # an island in a hole
+        (["#####", "#...#", "#.#.#", "#...#", "#####"], [[4, 4], [4]]),
+        (["."], []),
+    ],
+)
+def test_holes_and_corners_that_touch(cells, sizes):
+    mask = np.array([[c == "#" for c in row] for row in cells])
+    outlines = trace_outlines(mask)
+    found = [[len(ring) for ring in part] for part in rings_by_part(outlines, lattice_of(mask))]
+    assert found == sizes
+
+
+def test_coordinates_are_round_where_cells_are_not_tiny():
+    lattice = Lattice(0.1, 0.3, 0.1, 3, 3)
+    assert place_corners(np.array([[0, 2], [3, 0]]), lattice).tolist() == [[0.3, 0.3], [0.1, 0.0]]
+    tiny = Lattice(0.0, 0.0, 3e-8, 3, 3)
+    assert place_corners(np.array([[0, 1]]), tiny).tolist() == [[3e-8, 0.0]]
+
+
+def test_many_cells_take_a_moment():
+    rng = np.random.default_rng(0)
+    labels = rng.integers(0, 3, size=(1000, 1000))
+    outlines = trace_outlines(labels)
+    doubled = 0
+    row, col = outlines.corners.astype(np.int64).T
+    for first, last in pairwise(outlines.ring_start):
+        r, c = row[first:last], col[first:last]
+        doubled += int((r * np.roll(c, -1) - c * np.roll(r, -1)).sum())
+    assert doubled == 2 * np.count_nonzero(labels)
