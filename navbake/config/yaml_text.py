@@ -11,12 +11,7 @@ from navbake.errors import ConfigError
 
 MAX_BYTES = 1_000_000  # of a YAML file; settings take a few thousand
 MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))  # their keys may hold dots
-
-
 MOST_SHOWN = 200  # characters of what PyYAML says: it repeats tags and names, however long
-MAX_DEPTH = 32  # of lists and mappings in each other; settings take 6
-MAX_NODES = 40_000  # values that stand in a file; PyYAML takes a second for them
-MAX_VALUES = 1_000_000  # of a YAML file, each alias counted as all that it stands for
 # What PyYAML raises for a value that an explicit tag, as in ``!!bool maybe``, does not fit
 UNFIT = (AttributeError, IndexError, KeyError, TypeError, ValueError)
 _TAG = "tag:yaml.org,2002:"
@@ -28,22 +23,6 @@ class _Loader(yaml.SafeLoader):
     # An empty table in place of YAML 1.1's; the loop below fills it with YAML 1.2's core schema,
     # plus numbers like 1_000_000.
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012
-
-    depth = 0  # of the node that is composed
-    num_nodes = 0
-
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """Compose a node and those in it; PyYAML takes the square of the depth for it."""
-        if self.depth >= MAX_DEPTH:
-            raise RecursionError
-        self.depth += 1
-        self.num_nodes += 1
-        if self.num_nodes > MAX_NODES:
-            why = f"more than {MAX_NODES:,} values (outlines of rooms may be a GeoJSON file)"
-            raise yaml.composer.ComposerError(None, None, why, self.peek_event().start_mark)  # type: ignore[no-untyped-call]
-        node: yaml.Node | None = super().compose_node(parent, index)
-        self.depth -= 1
-        return node
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         """Leave ``<<`` alone: merged keys can grow without bound, and nobody needs them here."""
@@ -111,12 +90,7 @@ def decode_yaml(content: bytes, source: str) -> Any:
 def parse_yaml(text: str, source: str) -> Any:
     """Parse one YAML document; a ConfigError names the source, and the line of a syntax error."""
     try:
-        loader = _Loader(text)
-        node = loader.get_single_node()
-        if node is None:
-            return None
-        _count_values(node, {}, source)
-        return loader.construct_document(node)
+        return yaml.load(text, _Loader)  # a SafeLoader
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         problem = str(error.problem or error.context)[:MOST_SHOWN]
@@ -127,24 +101,6 @@ def parse_yaml(text: str, source: str) -> Any:
     except (yaml.YAMLError, *UNFIT) as error:
         problem = str(error).splitlines()[0][:MOST_SHOWN]
         raise ConfigError(f"{source} is no YAML: {problem}") from error
-
-
-def _count_values(node: yaml.Node, known: dict[int, int], source: str) -> int:
-    """Count the values under a node; aliases may make few bytes of a file very many of them."""
-    if not isinstance(node, yaml.CollectionNode):
-        return 1
-    if id(node) in known:
-        if known[id(node)] == 0:
-            raise ConfigError(f"a value contains itself by an alias, in {source}")
-        return known[id(node)]
-    known[id(node)] = 0  # it is being counted
-    children = node.value
-    if isinstance(node, yaml.MappingNode):
-        children = [child for pair in node.value for child in pair]
-    known[id(node)] = 1 + sum(_count_values(child, known, source) for child in children)
-    if known[id(node)] > MAX_VALUES:
-        raise ConfigError(f"more than {MAX_VALUES:,} values in {source}, aliases counted")
-    return known[id(node)]
 
 
 def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import os
 import pickle
+import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,7 +35,8 @@ CHILD = (
     "import sys; sys.path[:] = {path!r}; "
     "from navbake.baker.scene.isolated import compile_job; compile_job(sys.argv[1])"
 )
-IMPORT_SECONDS = 120.0  # what the child may take before it begins to compile; machines are busy
+IMPORT_SECONDS = 120.0  # what the child may take besides to start and to end; machines are busy
+ALARM = int(getattr(signal, "SIGALRM", 14))
 JOB, MODEL, RESULT = "job.pickle", "model.mjb", "result.pickle"
 STARTED = "started"  # what the child writes when it begins to compile
 
@@ -63,7 +64,7 @@ def load_isolated(
     """
     path = Path(settings.path)
     with scratch_folder() as place:
-        (place / JOB).write_bytes(pickle.dumps((settings, limits.memory)))
+        (place / JOB).write_bytes(pickle.dumps((settings, limits)))
         _run_child(place, path, limits)
         warned, error = pickle.loads((place / RESULT).read_bytes())
         warnings += warned
@@ -81,18 +82,18 @@ def _run_child(place: Path, scene: Path, limits: CompileLimits) -> None:
     path = [entry or os.getcwd() for entry in sys.path]
     command = [sys.executable, "-c", CHILD.format(path=path), str(place)]
     none = subprocess.DEVNULL
-    with subprocess.Popen(command, stdin=none, stdout=none, stderr=none) as child:
-        try:
-            status = _wait_for_start(child, place / STARTED)
-            if status is None:
-                status = child.wait(timeout=limits.seconds)
-        except subprocess.TimeoutExpired:
-            raise SceneError(
-                f"MuJoCo did not compile {scene} within {limits.seconds:g} s: make the scene "
-                "smaller, or give it more time"
-            ) from None
-        finally:
-            child.kill()
+    try:
+        longest = limits.seconds + IMPORT_SECONDS  # the child ends itself, but on Windows
+        status = subprocess.run(
+            command, stdin=none, stdout=none, stderr=none, timeout=longest
+        ).returncode
+    except subprocess.TimeoutExpired:
+        status = -ALARM
+    if status == -ALARM:
+        raise SceneError(
+            f"MuJoCo did not compile {scene} within {limits.seconds:g} s: make the scene "
+            "smaller, or give it more time"
+        )
     if not (place / STARTED).exists():
         raise NavbakeError(
             f"cannot start a process to compile {scene} in ({ending_of(status)}): does "
@@ -105,26 +106,15 @@ def _run_child(place: Path, scene: Path, limits: CompileLimits) -> None:
         )
 
 
-def _wait_for_start(child: subprocess.Popen[bytes], started: Path) -> int | None:
-    """Wait until a child begins to compile; return its exit status if it ends before."""
-    end = time.monotonic() + IMPORT_SECONDS
-    while child.poll() is None and not started.exists():
-        if time.monotonic() > end:
-            raise NavbakeError(
-                f"the process to compile in did not start within {IMPORT_SECONDS:g} s: is the "
-                "machine overloaded?"
-            )
-        time.sleep(0.01)
-    return child.poll()
-
-
 def compile_job(folder: str) -> None:
     """What the child does: compile the scene of a job, and leave the model or the error."""
     place = Path(folder)
-    settings, memory = pickle.loads((place / JOB).read_bytes())
-    limit_memory(memory)
+    settings, limits = pickle.loads((place / JOB).read_bytes())
+    limit_memory(limits.memory)
     end_with_parent()
     (place / STARTED).touch()
+    if hasattr(signal, "setitimer"):  # whose signal ends this process, whatever MuJoCo does
+        signal.setitimer(signal.ITIMER_REAL, limits.seconds)
     failed: NavbakeError | None = None
     with catch_warnings() as warned:
         try:
@@ -132,7 +122,9 @@ def compile_job(folder: str) -> None:
             mujoco.mj_saveModel(model, str(place / MODEL), None)
         except Exception as error:
             if lacked_memory(error):
-                failed = SceneError(f"{settings.path} needs more than {memory:g} GiB of memory")
+                failed = SceneError(
+                    f"{settings.path} needs more than {limits.memory:g} GiB of memory"
+                )
             elif isinstance(error, NavbakeError):
                 failed = error
             else:
