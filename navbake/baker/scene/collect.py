@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,8 +33,7 @@ SOLIDS = range(constants.SPHERE, constants.BOX + 1)  # and capsule, ellipsoid, c
 TYPE_NAMES = dict(enumerate("plane hfield sphere capsule ellipsoid cylinder box mesh sdf".split()))  # noqa: SIM905
 
 
-@dataclass(frozen=True)
-class GeomTriangles:
+class GeomTriangles(NamedTuple):
     """The triangles of one geom: their vertices, parts and what these enclose, see `Triangles`.
 
     Attributes:
@@ -48,11 +46,6 @@ class GeomTriangles:
     faces: Int32
     part: Int32
     closed: NDArray[np.uint8]
-
-    @property
-    def arrays(self) -> tuple[Float, Int32, Int32, NDArray[np.uint8]]:
-        """All of it."""
-        return self.vertices, self.faces, self.part, self.closed
 
     @classmethod
     def all_alike(cls, vertices: Float, faces: Int32, closed: int) -> GeomTriangles:
@@ -241,7 +234,7 @@ class _Collector:
         mat = self._data.geom_xmat[geom].reshape(3, 3)
         vertices = triangles.vertices @ mat.T
         vertices += self._data.geom_xpos[geom]
-        return replace(triangles, vertices=vertices)
+        return triangles._replace(vertices=vertices)
 
 
 def _join_triangles(found: dict[int, GeomTriangles]) -> Triangles:
@@ -252,7 +245,7 @@ def _join_triangles(found: dict[int, GeomTriangles]) -> Triangles:
     part, closed = np.empty(num, dtype=np.int32), np.empty(num, dtype=np.uint8)
     vertices, faces = np.empty((0, 3)), np.empty((num, 3), dtype=np.int32)
     if len(triangles) == 1:  # one large mesh is not copied
-        vertices, faces, part, closed = triangles[0].arrays
+        vertices, faces, part, closed = triangles[0]
     elif triangles:
         vertices = np.concatenate([one.vertices for one in triangles])
         np.concatenate([one.part for one in triangles], out=part)

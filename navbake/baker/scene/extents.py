@@ -112,7 +112,8 @@ def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
     angle = find_facing(corners, group, len(first))
     way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     turned = np.stack([-way[:, 1], way[:, 0]], axis=1)
-    low, high = measure_spans(corners, group, way)
+    low, high = np.full((len(first), 3), np.inf), np.full((len(first), 3), -np.inf)
+    measure_spans(corners, group, way, low, high)
     one, other, _ = (high - low).T
     middle = (low + high) / 2
     out.across[which] = np.where((one <= other)[:, None], way, turned)

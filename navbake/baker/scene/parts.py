@@ -153,7 +153,10 @@ def _find_enclosing(
     encloses = np.zeros(num + 1, dtype=np.bool_)
     if num == 0:
         return encloses
-    volume, area, box, largest = measure_parts(vertices, faces, turned, part, num + 1)
+    volume, area = sums = np.zeros((2, num + 1))
+    box = np.repeat([[np.inf] * 3 + [-np.inf] * 3], num + 1, axis=0)
+    best, largest = np.full(num + 1, -1.0), np.zeros(num + 1, dtype=np.int64)
+    measure_parts(vertices, faces, turned, part, sums, box, best, largest)
     encloses[1:] = volume[1:] > THICKNESS * area[1:]
     facing_in = volume < -THICKNESS * area
     facing_in[0] = False

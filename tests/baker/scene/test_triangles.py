@@ -75,7 +75,9 @@ def test_facing_and_spans(mesh):
     group = np.repeat(np.arange(4, dtype=np.int32), 25)
     step = np.pi / 2 / DIRECTIONS
     angles = find_facing(corners, group, 4)
-    low, high = measure_spans(corners, group, np.stack([np.cos(angles), np.sin(angles)], axis=1))
+    low, high = np.full((4, 3), np.inf), np.full((4, 3), -np.inf)
+    way = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    measure_spans(corners, group, way, low, high)
     for k, angle in enumerate(angles):
         own = group == k
         cross = cross_of(*mesh)[own]

@@ -119,29 +119,19 @@ def sum_by_facing(vertices, faces, cosine):
     return along_y, along_z
 
 
-@kernel
-def measure_parts(vertices, faces, turned, part, num):
-    """Volume, area, box and largest triangle of each part of a mesh.
+@kernel(**UNCOUNTED)
+def measure_parts(vertices, faces, turned, part, sums, box, best, largest):
+    """Measure each part of a mesh: volume, area, box and largest triangle.
 
     Args:
         turned: whether a triangle is to be taken as turned, (m,) bool.
         part: of each triangle, a number below num, (m,) int32.
-
-    Returns:
-        volume, that the part's triangles sum up to, positive where they face out, and area, both
-        (num,) float64; box, (num, 6) float64; largest, (num,) int64, the last one of several.
+        sums: receives volume, positive where the part faces out, and area, (2, num) float64 of 0.
+        box: receives lower and upper corner, (num, 6) float64 of inf and -inf.
+        best: twice the area of the largest triangle so far, (num,) float64 below 0.
+        largest: receives that triangle, the last one of several, (num,) int64.
     """
-    volume, area = np.zeros(num), np.zeros(num)
-    best, largest = np.full(num, -1.0), np.zeros(num, np.int64)
-    box = np.empty((num, 6))
-    box[:, :3], box[:, 3:] = math.inf, -math.inf
-    _sum_parts(vertices, faces, turned, part, volume, area, box, best, largest)
-    return volume, area, box, largest
-
-
-@part(**UNCOUNTED)
-def _sum_parts(vertices, faces, turned, part, volume, area, box, best, largest):
-    """See `measure_parts`; `best` is twice the area of the largest triangle so far."""
+    volume, area = sums[0], sums[1]
     origin = vertices[faces[0, 0]]
     for f in range(faces.shape[0]):
         p = part[f]
@@ -186,19 +176,16 @@ def find_ways(corners, directions, way, weight, off, first, end):
             way[t] = direction
 
 
-@kernel(nogil=True)
-def measure_spans(corners, group, way):
+@kernel(**UNCOUNTED)
+def measure_spans(corners, group, way, low, high):
     """How far groups of triangles reach: along their ways, along what is left of these, and up.
 
     Args:
         corners: see `find_ways`.
         group: of each triangle, a number below that of the ways, (m,) int32.
         way: a horizontal unit vector for each group, (num, 2) float64.
-
-    Returns:
-        low and high, (num, 3) float64 [m].
+        low, high: receive how far, (num, 3) float64 of inf and -inf [m].
     """
-    low, high = np.full((way.shape[0], 3), math.inf), np.full((way.shape[0], 3), -math.inf)
     for t in range(corners.shape[0]):
         g = group[t]
         for corner in range(3):
@@ -207,4 +194,3 @@ def measure_spans(corners, group, way):
             low[g, 0], high[g, 0] = min(low[g, 0], along), max(high[g, 0], along)
             low[g, 1], high[g, 1] = min(low[g, 1], left), max(high[g, 1], left)
             low[g, 2], high[g, 2] = min(low[g, 2], z), max(high[g, 2], z)
-    return low, high
