@@ -119,7 +119,7 @@ def sum_by_facing(vertices, faces, cosine):
     return along_y, along_z
 
 
-@kernel(**UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def measure_parts(vertices, faces, turned, part, sums, box, best, largest):
     """Measure each part of a mesh: volume, area, box and largest triangle.
 
@@ -176,7 +176,7 @@ def find_ways(corners, directions, way, weight, off, first, end):
             way[t] = direction
 
 
-@kernel(**UNCOUNTED)
+@kernel(nogil=True, **UNCOUNTED)
 def measure_spans(corners, group, way, low, high):
     """How far groups of triangles reach: along their ways, along what is left of these, and up.
 
