@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -66,39 +67,31 @@ def number_islands(masks: list[Bool], steps: list[Steps], links: Int) -> list[In
     parts, before = [], 0
     for mask, between in zip(masks, steps, strict=True):
         part, count = _label_level(mask, between)
-        if before:
-            part[mask] += before
+        part[mask] += before
         parts.append(part)
         before += count
     root = _join(parts, links, before)
     size = np.zeros(before + 1, dtype=np.int64)
     for part in parts:
-        size += np.bincount(part.ravel(), minlength=before + 1)
-    whole = np.zeros_like(size)
-    np.add.at(whole, root, size)
-    roots = np.flatnonzero(root == np.arange(before + 1))[1:]  # without 0, which is no part
+        size += np.bincount(root[part.ravel()], minlength=before + 1)
+    roots = np.unique(root[1:])  # without 0, which is no part
     number = np.zeros(before + 1, dtype=np.int32)
-    number[roots[np.argsort(-whole[roots], kind="stable")]] = np.arange(1, len(roots) + 1)
-    number = number[root]
-    if np.array_equal(number, np.arange(before + 1)):
-        return parts
-    return [number[part] for part in parts]
+    number[roots[np.argsort(-size[roots], kind="stable")]] = np.arange(1, len(roots) + 1)
+    return [number[root][part] for part in parts]
 
 
 def _label_level(mask: Bool, steps: Steps) -> tuple[Int32, int]:
     """The parts of one level, numbered by their first cells, 0 for none; and how many there are."""
-    if not len(steps.down) and not len(steps.right):
+    if not any(map(len, steps)):
         part, count = label(mask, output=np.int32)
         return part, count
-    height, width = mask.shape
-    joints = np.zeros((2 * height - 1, 2 * width - 1), dtype=np.bool_)
+    joints = np.zeros(2 * np.array(mask.shape) - 1, dtype=np.bool_)
     joints[::2, ::2] = mask
     joints[1::2, ::2] = mask[:-1] & mask[1:]
     joints[::2, 1::2] = mask[:, :-1] & mask[:, 1:]
-    rows, cols = np.divmod(steps.down, width)
-    joints[2 * rows + 1, 2 * cols] = False
-    rows, cols = np.divmod(steps.right, width)
-    joints[2 * rows, 2 * cols + 1] = False
+    for cells, (down, right) in zip(steps, ((1, 0), (0, 1)), strict=True):
+        rows, cols = np.divmod(cells, mask.shape[1])
+        joints[2 * rows + down, 2 * cols + right] = False
     part, count = label(joints, output=np.int32)
     return np.ascontiguousarray(part[::2, ::2]), count
 
@@ -142,25 +135,17 @@ def read_inflation(grid: GridBase) -> Inflation:
         return Inflation(None, None)
     if not isinstance(stated, list):
         return Inflation(None, f"`inflation` is {stated!r}, expected a list of what was done")
-    reaches, broken = [], None
+    reaches, broken = list[float](), None
     for number, entry in enumerate(stated):
-        reach = _reach_of(entry)
-        if reach is not None:
-            reaches.append(reach)
+        is_known = isinstance(entry, dict) and entry.get("mode") in MODES
+        lengths: list[Any] = [None]
+        if is_known:
+            lengths = [entry.get("radius"), entry.get("clearance", 0)]
+        if all(type(v) in (int, float) and 0 <= v <= MOST_INFLATED for v in lengths):
+            reaches.append(float(sum(lengths)))
         elif broken is None:
             broken = f"`inflation[{number}]` is {entry!r}, expected its radius [m] and mode"
     return Inflation(max(reaches, default=None), broken)
-
-
-def _reach_of(entry: Any) -> float | None:
-    """Radius and clearance in all [m]; None for what `inflate` doesn't write."""
-    if not isinstance(entry, dict) or entry.get("mode") not in MODES:
-        return None
-    lengths: list[Any] = [entry.get("radius"), entry.get("clearance", 0)]
-    are_numbers = all(type(length) in (int, float) for length in lengths)
-    if not are_numbers or not all(0 <= length <= MOST_INFLATED for length in lengths):
-        return None
-    return float(sum(lengths))
 
 
 SLACK = 1e-6  # metres that a step may be over the highest one
@@ -209,26 +194,23 @@ class Facts:
     @cached_property
     def doors(self) -> tuple[Door, ...]:
         """The doors; none where the table is broken, which a check tells."""
-        try:
+        with suppress(FormatError):
             return self.grid.doors
-        except FormatError:
-            return ()
+        return ()
 
     @cached_property
     def rooms(self) -> tuple[Room, ...] | None:
         """The rooms; None where the table is broken, which a check tells."""
-        try:
+        with suppress(FormatError):
             return self.grid.rooms
-        except FormatError:
-            return None
+        return None
 
     @cached_property
     def links(self) -> Int:
         """The links, shape (n, 4); none where they are broken, which a check tells."""
-        try:
+        with suppress(FormatError):
             return self.grid.link_array
-        except FormatError:
-            return np.empty((0, 4), dtype=np.int64)
+        return np.empty((0, 4), dtype=np.int64)
 
     @cached_property
     def door_cells(self) -> list[Bool]:

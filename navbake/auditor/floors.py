@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from navbake.auditor.facts import Facts
 from navbake.auditor.report import ERROR, REMARK, Remark, count_of, remark_on_cells
@@ -188,14 +190,11 @@ def check_unreached_levels(facts: Facts) -> Iterator[Remark]:
     """No link leads to a level from the one with the most free cells."""
     if len(facts.levels) < 2:
         return
-    reached = {max(range(len(facts.levels)), key=lambda k: int(facts.free[k].sum()))}
-    pairs = {(int(a), int(b)) for a, _, b, _ in facts.links.tolist()}
-    grew = True
-    while grew:
-        more = {b for a, b in pairs if a in reached} | {a for a, b in pairs if b in reached}
-        grew = not more <= reached
-        reached |= more
-    for number in sorted(set(range(len(facts.levels))) - reached):
+    count = len(facts.levels)
+    pairs = coo_array((np.ones(len(facts.links)), tuple(facts.links[:, ::2].T)), (count, count))
+    _, group = connected_components(pairs, directed=False)
+    largest = max(range(count), key=lambda k: int(facts.free[k].sum()))
+    for number in np.flatnonzero(group != group[largest]).tolist():
         if not facts.free[number].any():
             continue  # told as empty
         area = float(facts.free[number].sum()) * facts.levels[number].lattice.cell_size ** 2

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import mean
 
 from navbake.auditor.facts import Facts
 from navbake.auditor.report import ERROR, REMARK, Remark, count_of
@@ -31,7 +32,7 @@ def check_room_table(facts: Facts) -> Iterator[Remark]:
         return
     if stated is None:
         return
-    known = {(room.level, room.index): room for room in stated}
+    known = {(room.level, room.index) for room in stated}
     for number, level in enumerate(facts.levels):
         count = np.bincount(level.room_index.ravel())
         middles = find_middles(level)
@@ -40,49 +41,34 @@ def check_room_table(facts: Facts) -> Iterator[Remark]:
                 text = f"{count[index]} cells are in room {index}, which no entry describes"
                 place = facts.first(number, level.room_index == index)
                 yield Remark("room table", ERROR, number, place, text)
-        for (on, index), room in known.items():
-            if on != number:
-                continue
-            cells = int(count[index]) if index < len(count) else 0
-            area = cells * level.lattice.cell_size**2
+        for room in (room for room in stated if room.level == number):
+            name = repr(room.name or room.id)
+            cells = int(count[room.index]) if room.index < len(count) else 0
             if not cells:
-                text = f"room {room.name or room.id!r} has no cells"
+                text = f"room {name} has no cells"
                 yield Remark("room table", ERROR, number, room.centroid, text)
                 continue
+            area, middle = cells * level.lattice.cell_size**2, middles[room.index]
             axes = 3 if level.uses_cell_floors else 2  # else its z isn't that of the floors
-            off = math.dist(middles[index][:axes], room.centroid[:axes])
+            off = math.dist(middle[:axes], room.centroid[:axes])
             if abs(area - room.area) > AREA_OFF * max(area, room.area):
-                text = f"room {room.name or room.id!r} has {area:.2f} m², not {room.area:.2f}"
+                text = f"room {name} has {area:.2f} m², not {room.area:.2f}"
                 yield Remark("room table", ERROR, number, room.centroid, text)
             elif off > PLACE_OFF * level.lattice.cell_size:
-                text = f"room {room.name or room.id!r} lies {off:.2f} m from where its entry says"
-                yield Remark("room table", ERROR, number, middles[index], text)
+                text = f"room {name} lies {off:.2f} m from where its entry says"
+                yield Remark("room table", ERROR, number, middle, text)
 
 
 def find_middles(level: SceneGrid2D) -> dict[int, Vector3]:
-    """The mean of the cells of each room, by its index; to a micrometre, as the table states it.
-
-    Summed by runs of cells in a row, which are few.
-    """
-    index, width = level.room_index.ravel(), level.width
-    changes = np.flatnonzero(index[1:] != index[:-1]) + 1
-    first = np.union1d(changes, np.arange(0, index.size, width))
-    length = np.diff(first, append=index.size)
-    rows, cols = np.divmod(first, width)
-    x, y, floor = level.lattice.center_x(), level.lattice.center_y(), level.floor
-    z = np.where(np.isnan(floor), level.ground, floor).ravel()
-    of_runs = (
-        length * (x[cols] + x[cols + length - 1]) / 2,
-        length * y[rows],
-        np.add.reduceat(z, first),
-    )
-    count = np.bincount(index[first], length)
-    sums = [np.bincount(index[first], of_run) for of_run in of_runs]
-    middles = {}
-    for room in np.flatnonzero(count[1:]) + 1:
-        x_mean, y_mean, z_mean = (round(float(of_room[room] / count[room]), 6) for of_room in sums)
-        middles[int(room)] = x_mean + 0.0, y_mean + 0.0, z_mean + 0.0  # no -0.0
-    return middles
+    """The mean of the cells of each room, by its index; to a micrometre, as the table states it."""
+    index, floor = level.room_index, level.floor
+    rooms = np.flatnonzero(np.bincount(index.ravel())[1:]) + 1
+    x = np.broadcast_to(level.lattice.center_x(), index.shape)
+    y = np.broadcast_to(level.lattice.center_y()[:, None], index.shape)
+    z = np.where(np.isnan(floor), level.ground, floor)
+    means = np.stack([np.asarray(mean(values, index, rooms)) for values in (x, y, z)], axis=1)
+    middles = (np.round(means, 6) + 0.0).tolist()  # no -0.0
+    return {room: (x, y, z) for room, (x, y, z) in zip(rooms.tolist(), middles, strict=True)}
 
 
 def check_rooms_without_way_out(facts: Facts) -> Iterator[Remark]:

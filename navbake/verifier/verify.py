@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -173,26 +174,20 @@ def verify_scene(
 
 def _check_options(options: Options) -> None:
     sample, seed, radius, paths, tolerance = options
-    if sample is not None and not _is_whole(sample, 1):
-        raise QueryError(f"expected a sample of at least 1 cell, got {sample!r}")
-    if not _is_whole(seed, 0):
-        raise QueryError(f"expected a whole number >= 0 as seed, got {seed!r}")
-    if not _is_whole(paths, 0):
-        raise QueryError(f"expected a number of paths >= 0, got {paths!r}")
-    if radius is not None and not (_is_number(radius) and 0 <= radius < np.inf):
-        raise QueryError(f"expected a radius >= 0 m, got {radius!r}")
-    if not (_is_number(tolerance) and 0 < tolerance < np.inf):
-        raise QueryError(f"expected a tolerance > 0 m, got {tolerance!r}")
-
-
-def _is_whole(value: object, least: int) -> bool:
-    is_int = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    return is_int and value >= least  # type: ignore[operator]
-
-
-def _is_number(value: object) -> bool:
-    is_number = isinstance(value, int | float | np.integer | np.floating)
-    return is_number and not isinstance(value, bool)
+    whole, number = int | np.integer, int | float | np.integer | np.floating
+    asked: list[tuple[Any, Any, float, str]] = [
+        (sample, whole, 1, "a sample of at least 1 cell"),
+        (seed, whole, 0, "a whole number >= 0 as seed"),
+        (paths, whole, 0, "a number of paths >= 0"),
+        (radius, number, 0, "a radius >= 0 m"),
+        (tolerance, number, math.ulp(0.0), "a tolerance > 0 m"),
+    ]
+    for value, kind, least, expected in asked:
+        if value is None and expected.startswith(("a sample", "a radius")):
+            continue  # all cells, the grid's own radius
+        is_number = isinstance(value, kind) and not isinstance(value, bool)
+        if not (is_number and least <= value < np.inf):
+            raise QueryError(f"expected {expected}, got {value!r}")
 
 
 def _check_tolerance(tolerance: float, agent: Agent, grid: GridBase) -> None:
