@@ -355,15 +355,3 @@ def test_other_states_equal_a_bake_that_knows_of_no_doors(name):
         for level, other in zip(same.levels, baked.levels, strict=True):
             np.testing.assert_array_equal(level.occupancy, other.occupancy)
             np.testing.assert_array_equal(level.weights, other.weights)
-
-
-def test_each_door_of_the_apartment_alone_equals_its_pose():
-    """One door at a time, against a bake with its joint moved."""
-    config = load_config(CONFIGS / "apartment.yaml")
-    grid = run_bake(config).grid
-    for door in grid.doors:
-        closed = grid.with_doors({door.id: "closed"})
-        scene = config.scene.model_copy(update={"joints": {door.joint: 0.0}})
-        posed = run_bake(config.model_copy(update={"scene": scene})).grid
-        np.testing.assert_array_equal(closed.occupancy, posed.occupancy)
-        np.testing.assert_array_equal(closed.weights, posed.weights)
