@@ -43,7 +43,7 @@ def test_a_page_that_is_left_out_is_noticed(tmp_path):
 
 def test_every_page_of_docs_is_on_the_site(site):
     pages = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"README"}
-    pages |= {"index", "readme", "contributing", "changelog", "examples", "404"}
+    pages |= {"index", "pages", "contributing", "changelog", "examples", "404"}
     assert {path.stem for path in site.glob("*.html")} == pages
 
 
@@ -55,7 +55,20 @@ def test_nothing_is_loaded_from_elsewhere(site):
 
 
 def test_links_to_files_of_the_project_lead_to_pages(site):
-    text = (site / "index.html").read_text(encoding="utf-8")
-    for target in ("readme.html", "contributing.html", "examples.html"):
+    text = (site / "pages.html").read_text(encoding="utf-8")
+    for target in ("index.html", "contributing.html", "examples.html"):
         assert target in text
     assert "../README.md" not in text
+
+
+def test_the_landing_page_is_the_readme_with_its_picture(site):
+    text = (site / "index.html").read_text(encoding="utf-8")
+    assert "pictures/house.png" in text and "Try it" in text
+
+
+def test_pages_are_in_six_groups():
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2]
+    groups = re.findall(r"^  - (\w+): \[", text, re.M)
+    assert groups == ["Start", "Bake", "Use", "Export", "Operate", "Reference"]
+    listed = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
+    assert re.findall(r"^## (\w+)", listed, re.M) == groups

@@ -1,6 +1,7 @@
 """Makes a site of docs/, see mkdocs.yml, with pages of the README and its like and the examples.
 
-mkdocs takes files of docs/ only. The links of those others lead from the project's root, and links
+The README is the landing page, and the list of pages in docs/README.md a page of its own. mkdocs
+takes files of docs/ only. The links of those others lead from the project's root, and links
 of docs/ lead out to them; both are turned into links from page to page.
 """
 
@@ -16,7 +17,8 @@ from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parents[2]
 OUTSIDE = {
-    "README.md": "readme.md",
+    "README.md": "index.md",
+    "docs/README.md": "pages.md",
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
 }
@@ -26,7 +28,10 @@ LINK = re.compile(r"\]\((?!\w+:|#)([^)#\s]+)(#[^)\s]*)?\)")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages that are not in docs/."""
+    """Add the pages that are not in docs/, or have another name there."""
+    listed = files.get_file_from_path("README.md")
+    if listed is not None:
+        files.remove(listed)
     for name, page in OUTSIDE.items():
         text = (ROOT / name).read_text(encoding="utf-8")
         files.append(File.generated(config, page, content=text))
@@ -39,7 +44,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Turn links between files of the project into links between pages."""
     own = {page: name for name, page in OUTSIDE.items()}
-    folder = "" if page.file.src_uri in own else "docs"
+    folder = posixpath.dirname(own.get(page.file.src_uri, "docs/"))
 
     def replace(link: re.Match[str]) -> str:
         target, anchor = link[1], link[2] or ""
